@@ -104,7 +104,7 @@ def test_the_summary_says_that_little_of_the_gap_closes() -> None:
 
 def test_the_summary_does_not_choose_where_the_data_cannot() -> None:
     text = flat(said("ambiguous"))
-    assert "these trials cannot tell current from tether or linear-drag" in text
+    assert "these trials cannot tell current from tether or linear-drag (no gap" in text
     assert "explains" not in text
     assert "at its bound" in text
 

@@ -62,6 +62,15 @@ def test_written_and_read_back(tmp_path: Path, name: str) -> None:
             assert {"channel", "before", "after", "floor", "closed", "ci95"} <= set(s)
 
 
+def test_errors_of_a_channel_that_only_held_out_trials_have_come_last() -> None:
+    first = cases.BACKLASH.shrinkage[0]
+    alone = first.model_copy(update={"channel": "joint9_rad"})
+    cause = cases.BACKLASH.model_copy(update={"shrinkage": [alone, *cases.BACKLASH.shrinkage]})
+    (found,) = ranked(cases.EXPLAINED.model_copy(update={"causes": [cause]})).causes
+    assert [s.channel for s in found.shrinkage][-1] == "joint9_rad"
+    assert len(found.shrinkage) == len(cases.BACKLASH.shrinkage) + 1
+
+
 def test_everything_in_where_is_ranked() -> None:
     where = ranked(cases.EXPLAINED).where
     assert [c.channel for c in where.channels] == ["u_m_s", "yaw_rate_rad_s", "joint4_rad"]

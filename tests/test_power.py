@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import ncx2
 
 import swimid
 from swimid.diagnosis import posterior, power
@@ -26,6 +27,10 @@ def test_what_is_needed_is_what_the_posterior_asks(record: posterior.Record) -> 
     found = posterior.posterior(null, [effect], record=record)
     told = found.sets[frozenset("a")]
     assert found.none / (found.none + told) == pytest.approx(posterior.UNSURE, rel=1e-6)
+
+
+def test_noncentrality_is_that_of_nine_in_ten() -> None:
+    assert ncx2.sf(30.0, 3, power.noncentrality(30.0, 3)) == pytest.approx(0.9, abs=1e-6)
 
 
 def test_what_is_the_same_is_never_told_apart() -> None:

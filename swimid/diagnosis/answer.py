@@ -115,7 +115,9 @@ def answer(
         predicted = compared(context, nominal, state.base, state.noise_model, validation)
     # where there is more than noise, what a fit takes up and misses elsewhere is of that, too
     more = state.left is not None and state.left.found
-    levels = noise.levels if predicted is None else noise.of_held_out(predicted.after.chance)
+    # of trials that are not as predicted, a gap may be what seems to differ by chance
+    chance = {} if predicted is None or predicted.after.shown else predicted.after.chance
+    levels = noise.of_held_out(chance)
     outside = shrinkage.capped(floor if more else levels, held)
     rng = np.random.default_rng(seed)
     closing = shrinkage.shrinkages(held, outside, noise.squares, ranges, rng=rng)

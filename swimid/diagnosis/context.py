@@ -244,7 +244,7 @@ class FitContext:
         self.prior = dict(prior)
         self.jobs = jobs
         self._known: dict[tuple[int, ...], Affected] = {}
-        self._without: dict[tuple[bytes, ...], list[Array]] = {}
+        self._without: list[tuple[Fit, NoiseModel, list[Array]]] = []
         plain = self.problem(())
         self.shape = plain
         self.folds = self._folds(plain)
@@ -541,10 +541,12 @@ class FitContext:
             problem.hold_derivatives((), ())
             return self.search(problem, noise_model, [begun.x], FINE, STEPS, kept=kept).x
 
-        key = fit.theta.tobytes(), *(r.tobytes() for r in fit.residuals)
-        if key not in self._without:
-            self._without[key] = list(mapped(one, range(self.folds.count), self.jobs))
-        return self._without[key]
+        for known, through, found in self._without:
+            if known is fit and through is noise_model:
+                return found
+        found = list(mapped(one, range(self.folds.count), self.jobs))
+        self._without.append((fit, noise_model, found))
+        return found
 
     def at(self, effects: Sequence[Effect], noise_model: NoiseModel, theta: Array) -> Fit:
         """The state of a fit at given numbers, nothing searched."""

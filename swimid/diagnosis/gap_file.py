@@ -370,14 +370,17 @@ def ranked(gap: GapFile) -> GapFile:
     """
     where = gap.where
     channels = sorted(where.channels, key=lambda c: -_size(c.share))
-    order = [c.channel for c in channels]
+    # a channel that only held-out trials have comes last
+    order = {c.channel: place for place, c in enumerate(channels)}
     by_size = {
         name: sorted(getattr(where, name), key=lambda c: -_size(c.ratio))
         for name in ("phase", "regime", "time")
     }
     stage = dict(sorted(where.stage.items(), key=lambda item: -_size(item[1])))
     causes = [
-        c.model_copy(update={"shrinkage": sorted(c.shrinkage, key=lambda s: order.index(s.channel))})
+        c.model_copy(
+            update={"shrinkage": sorted(c.shrinkage, key=lambda s: order.get(s.channel, len(order)))}
+        )
         for c in gap.causes
     ]
     scores = sorted(gap.scores, key=lambda s: (not s.refitted, -_size(s.gain if s.refitted else s.screened)))

@@ -109,12 +109,13 @@ def _by_fits(state: State) -> Judgement:
     """The likeliest of no gap, the causes found, and something else."""
     posterior = state.posterior
     chosen = [] if posterior.none > UNSURE else [conclusion.named(state, r) for r in state.rounds]
+    inside = sum(posterior.sets.values())
     if not chosen:
         return Judgement("unexplained" if posterior.outside > posterior.none else "none", (), state.base)
-    if posterior.outside > sum(posterior.sets.values()):
+    if posterior.outside > inside:
         # beside something from outside only what closes part of it rather than not
         return Judgement("unexplained", tuple(c for c in chosen if c.closing > 0.5), state.base)
-    unsure = posterior.outside > 1.0 - SURE or chosen[0].crowded or chosen[0].alone <= 0.5
+    unsure = inside < SURE * (inside + posterior.outside) or chosen[0].crowded or chosen[0].alone <= 0.5
     return Judgement("ambiguous" if unsure else "explained", tuple(chosen), state.base)
 
 

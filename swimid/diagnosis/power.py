@@ -39,6 +39,11 @@ def needed(record: Record, kinds: int) -> float:
     return share * posterior.unit(record, 0.0) / room if room > 0 else math.inf
 
 
+def noncentrality(drop: float, numbers: int) -> float:
+    """What squared change, in units of the noise, lowers the cost by so much with 90 % power."""
+    return float(chndtrinc(drop, numbers, 1.0 - POWER)) if math.isfinite(drop) else math.inf
+
+
 def told_apart(record: Record, cosine: float) -> bool:
     """Whether a very large effect is told from another whose change is so like its own."""
     left = max(1.0 - cosine**2, 0.0)
@@ -121,9 +126,7 @@ def shown(
         of_trials = sum(one.per_trial for one in line.tried.parameters)
         shared, per_trial = kinds - of_trials, of_trials * len(context.trials)
         penalty = posterior.penalty(shared, per_trial, record.samples, len(context.trials))
-        drop = needed(record, kinds) + penalty
-        # the noncentrality of a chi-square that is larger with this power
-        needs = float(chndtrinc(drop, shared + per_trial, 1.0 - POWER)) if math.isfinite(drop) else math.inf
+        needs = noncentrality(needed(record, kinds) + penalty, shared + per_trial)
         squares = np.maximum(left.diagonal()[line.places], 0.0)
         total = whole[line.places]
         strengths = np.abs(line.values - p.start) / p.scale

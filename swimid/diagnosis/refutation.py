@@ -182,11 +182,15 @@ def _chance(problem: Mixed, theta: Array, fit: Fit, noise_model: NoiseModel) -> 
         own = problem.begun(k)
         seen = noise_model.whiten(problem, k, np.column_stack((rows, jacobian[:, own] * scale[own])))
         seen = beyond(seen[:, len(mine) :], seen[:, : len(mine)])
-        root = np.linalg.cholesky(np.linalg.inv(seen.T @ seen + np.eye(len(mine))))
+        # a root of their covariance
+        root = np.linalg.inv(np.linalg.qr(np.vstack((seen, np.eye(len(mine)))), mode="r"))
         moved = beyond(jacobian[:, own] * scale[own], rows @ np.column_stack((away, root)))
-        moved = moved / problem.sample_weights(k)[:, None]
-        for channel, _, part in problem.by_channel(k, moved):
-            squares.setdefault(channel, []).append(np.sum(part**2, axis=1))
+        parts = problem.by_channel(k, np.column_stack((moved, problem.sample_weights(k))))
+        for channel, _, part in parts:
+            *_, weights = part.T
+            # of a channel that no fitted trial has, the noise is not known
+            if weights.all():
+                squares.setdefault(channel, []).append(np.sum(part[:, :-1] ** 2, axis=1) / weights**2)
     return {c: float(np.mean(np.concatenate(v))) for c, v in squares.items()}
 
 

@@ -315,11 +315,11 @@ class Search:
         work = [(parent, t) for _, parent, t in order[:most]]
 
         new = [(p, t) for p, t in work if p.key | {id(t.effect)} not in self.pool]
-        for parent, tried in new:
-            model = context.affected((*parent.fit.acting, tried.effect)).model
+        models = [context.affected((*parent.fit.acting, tried.effect)).model for parent, tried in new]
+        for model in {id(m): m for m in models}.values():
             # a robot that is read otherwise
             if model is not context.model and model.together == 1:
-                prepared(model, context.trials, share=FITTED / RUNS)
+                prepared(model, context.trials, checkpoint=self.checkpoint, share=FITTED / RUNS)
 
         def one(item: tuple[Hypothesis, Tried]) -> Optimum | None:
             return None if self.late() and item is not new[0] else self.fitted(*item)

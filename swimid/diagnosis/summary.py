@@ -65,7 +65,7 @@ def verdict_sentence(file: GapFile) -> str:
             if c.equivalent
         ]
         unsure = f"{listed(names)} is the likeliest cause, but not by enough to name it"
-        return f"The model has a gap; {'; '.join(rivals) or unsure}."
+        return f"The model has a gap; {'; '.join(rivals) or unsure} ({otherwise_text(file)})."
     if file.follows:
         trials = listed([t.trial for t in file.unpredicted])
         return f"The model follows the trials it is fitted to, and does not predict {trials}."

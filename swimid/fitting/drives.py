@@ -19,11 +19,11 @@ Motion = tuple[Array, Array, Array]
 
 def eased(time_s: Array, ramp_s: float) -> Array:
     """Quintic ease-in from 0 to 1 over ``ramp_s`` > 0."""
-    found = np.clip(time_s / ramp_s, 0.0, 1.0)
+    found = np.array(np.clip(time_s / ramp_s, 0.0, 1.0))
     rising = (found > 0.0) & (found < 1.0)
     s = found[rising]
     found[rising] = s**3 * (10.0 + s * (6.0 * s - 15.0))
-    return np.asarray(found)
+    return found
 
 
 def smoothstep(time_s: Array, ramp_s: float) -> Motion:

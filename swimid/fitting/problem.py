@@ -196,7 +196,9 @@ class Problem:
         return found
 
     def own_jacobians(self, theta: Array, *, central: bool = False) -> list[Array]:
-        """The same to the numbers that each trial takes (:attr:`taken`) alone; to the others it is zero."""
+        """The same to the numbers that each trial takes (:attr:`taken`) alone, shape (n_k, m_k) each; to the
+        others it is zero.
+        """
         slopes = self._derivatives(theta, central)
         return [-self.sample_weights(k)[:, None] * rows for k, rows in enumerate(slopes)]
 
@@ -258,9 +260,9 @@ class Problem:
 
     def at_samples(self, k: int, parts: Sequence[Array]) -> Array:
         """What is known of each channel of a trial, where that was measured, shape (n_k,)."""
-        kept = parts
-        if not self._complete[k]:
-            kept = [part[mask] for part, mask in zip(parts, self.masks[k], strict=True)]
+        masks = self.masks[k]
+        whole = self._complete[k] and all(len(p) == len(m) for p, m in zip(parts, masks, strict=True))
+        kept = parts if whole else [part[mask] for part, mask in zip(parts, masks, strict=True)]
         return np.concatenate(kept) if kept else np.empty(0)
 
     def by_channel(self, k: int, rows: Array) -> list[tuple[str, NDArray[np.bool_], Array]]:

@@ -232,7 +232,8 @@ class LinkedModel(Swimmer):
     ) -> None:
         """Compile the kernels where that has not been done on this machine and pays."""
         kernel = self.kernels(effects=affected_s > 0.0)
-        name = "+".join(("kernels", *(f"{q}={r.chosen}" for q, r in sorted(self.robot.readings.items()))))
+        readings = (f"{q}={r.chosen}" for q, r in sorted(self.robot.readings.items()))
+        name = "+".join(("kernels", f"{simulated_s:.0f}", *readings))
         begun = None if checkpoint is None else checkpoint.get(name)
         if begun is not None:
             # forms differ in the last digits: what is taken up goes on in its own

@@ -61,6 +61,7 @@ def every_joint(change: Callable[[Array, Array], Array]) -> Command:
         known = last
         if known is None or known[0] is not time_s or known[1] is not angle:
             known = last = time_s, angle, change(time_s, angle)
+            known[2].flags.writeable = False
         return known[2]
 
     return command

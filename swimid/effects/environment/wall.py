@@ -112,6 +112,6 @@ class Wall(Effect):
 
 
 class _Push(Wall):
-    """Of a free swimmer, which is moved by what it feels three lengths of its body away by any slow force."""
+    """Of a free swimmer: a push felt three lengths of its body away could stand for any slow force."""
 
     inside: ClassVar[Inside] = {f"{axis}_{end}_decay_m": "upper" for axis in "xyz" for end in ("min", "max")}

@@ -232,7 +232,7 @@ def lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
     use = [t for t in trials if name in t.measured and np.isfinite(t.measured[name]).sum() > 4 * ORDER]
     if not use:
         return ()
-    length = model.scales(use).duration
+    length = model.scales(trials).duration
     count = min(max(int((HIGHEST - LOWEST) * 2.0 * length), 8), FINEST)
     grid = np.linspace(max(LOWEST, PERIODS / length), HIGHEST, count)
     power, weight = np.zeros(count), np.zeros(count)
