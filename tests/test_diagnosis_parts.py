@@ -906,6 +906,13 @@ def test_errors_are_shares_of_the_fitted_range(rng: np.random.Generator) -> None
     assert found.before == pytest.approx(0.01 * np.sqrt(26.0) / 4.0, rel=0.2)
 
 
+def test_of_a_channel_that_only_held_out_trials_have_no_share_is_closed(rng: np.random.Generator) -> None:
+    """Its noise is not known."""
+    (found,) = shrinkage.shrinkages([piece(5.0, 1.0)], {}, {}, {}, rng=rng)
+    assert (found.floor, found.closed, found.ci95) == (None, None, (None, None))
+    assert shrinkage.gained([piece(5.0, 1.0)], {}) == (0.0, 0.0)
+
+
 def test_the_interval_of_a_share_knows_how_few_trials_tell_the_noise(rng: np.random.Generator) -> None:
     """Held-out trials alike, noise from trials that are not: all of the interval is the noise's."""
     one = piece(3.0, 1.0)

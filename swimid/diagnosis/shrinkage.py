@@ -224,7 +224,7 @@ def shrinkages(
     Parameters
     ----------
     floors : mapping of channel to float
-        Noise, in the channel's unit.
+        Noise, in the channel's unit; of a channel that no fitted trial has it is not known.
     noise : mapping of channel to mapping of trial to (float, int)
         What each fitted trial adds to the squared noise, up to a factor, and its samples. It is resampled by
         itself: a few trials do not tell the noise for sure, and errors are no lower where it is.
@@ -245,7 +245,7 @@ def shrinkages(
             squares[trials.index(p.trial.id)] += [*sums, np.isfinite(p.measured).sum()]
         size = ranges.get(channel) or _range(mine)
         shipped, before, after = np.sqrt(squares[:, :3].sum(axis=0) / squares[:, 3].sum()) / size
-        floor = floors.get(channel, 0.0) / size
+        floor = floors.get(channel, math.nan) / size
         picks = rng.integers(0, len(trials), (RESAMPLES, len(trials)))
         drawn = squares[picks].sum(axis=1)
         roots = np.sqrt(drawn[:, 1:3] / drawn[:, 3:]) / size
@@ -337,7 +337,7 @@ def gained(found: Sequence[Piece], floors: Mapping[str, float]) -> tuple[float, 
     noise.
     """
     lowered, gap = 0.0, 0.0
-    for p in found:
+    for p in (p for p in found if p.channel in floors):
         before, after = (_errors(p, which, floors) for which in ("before", "after"))
         lowered += float(np.sum(before - after))
         gap += float(np.sum(before - 1.0))
@@ -345,8 +345,8 @@ def gained(found: Sequence[Piece], floors: Mapping[str, float]) -> tuple[float, 
 
 
 def _errors(piece: Piece, which: str, floors: Mapping[str, float]) -> Array:
-    """Squared errors of a prediction, in units of the noise."""
-    return piece.squares(getattr(piece, which), max(floors.get(piece.channel, 1.0), 1e-300))
+    """Squared errors of a prediction, in units of the noise; none where that is not known."""
+    return piece.squares(getattr(piece, which), max(floors.get(piece.channel, math.inf), 1e-300))
 
 
 def closed(before: float, after: float, floor: float) -> float:
