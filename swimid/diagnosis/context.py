@@ -320,6 +320,11 @@ class FitContext:
         """Places of the numbers that folds share, without those at their bounds: these stay there."""
         return np.flatnonzero(~self.single(fit.problem) & fit.inside)
 
+    def apart(self, fit: Fit, k: int) -> NDArray[np.intp]:
+        """Places of what is trial ``k``'s own business in a comparison of folds, without those at bounds."""
+        single = self.single(fit.problem)
+        return np.array([j for j in fit.free_of_trial(k) if single[j]], dtype=int)
+
     def loosened(self, problem: Problem) -> dict[str, tuple[float, float]]:
         """Coefficients of which less is known once the robot is read otherwise, as :attr:`prior`: what other
         trials told of them they told of the nominal robot.

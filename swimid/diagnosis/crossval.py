@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swimid.diagnosis.context import Fit, FitContext
 from swimid.diagnosis.noise_model import NoiseModel
@@ -65,7 +66,13 @@ class Drawn:
 
 
 def project_out(
-    context: FitContext, fit: Fit, noise_model: NoiseModel, k: int, block: Array, *, to: Array | None = None
+    context: FitContext,
+    fit: Fit,
+    noise_model: NoiseModel,
+    k: int,
+    block: Array,
+    *,
+    to: NDArray[np.intp] | None = None,
 ) -> Array:
     """Whitened columns of a trial, what its own numbers imitate taken out of them.
 
@@ -109,14 +116,13 @@ def normal_equations(
     problem = fit.problem
     whole = context.folds.whole
     mean, weight = context.expected(problem)
-    single = context.single(problem)
     shared = context.shared(fit)
     count = context.folds.count
     width = len(shared) + len(columns) + 1
     products = np.zeros((count, width, width))
     samples = np.zeros(count)
     for k in range(len(context.trials)):
-        mine = np.array([j for j in fit.free_of_trial(k) if single[j]], dtype=int)
+        mine = context.apart(fit, k)
         block = np.column_stack([fit.rows[k][:, shared], *(c[k] for c in columns), fit.residuals[k]])
         seen = project_out(context, fit, noise_model, k, block, to=mine)
         owner = context.folds.owner[k]

@@ -166,7 +166,6 @@ def saturated(
     inner = crossval.normal_equations(context, base, noise_model, columns)
     problem = base.problem
     mean, weight = context.expected(problem)
-    single = context.single(problem)
     shared = context.shared(base)
     factors = crossval.together(inner, range(len(columns)), prior)
     found = []
@@ -174,7 +173,7 @@ def saturated(
         r = base.residuals[k] - base.rows[k][:, shared] @ factors[: len(shared)]
         for factor, column in zip(factors[len(shared) :], columns, strict=True):
             r = r - factor * column[k]
-        mine = np.array([j for j in base.free_of_trial(k) if single[j]], dtype=int)
+        mine = context.apart(base, k)
         rest, bare = r, base.fixed_effects_residual(k)
         if len(mine):
             scale = problem.scale[mine]
