@@ -1279,23 +1279,23 @@ def test_where_held_out_data_have_no_gap_nothing_of_it_is_to_close() -> None:
 
 
 @pytest.mark.parametrize(
-    ("after", "distance", "verdict", "named"),
+    ("after", "without", "distance", "verdict", "named"),
     [
-        (0.0, 1.0, "explained", ["waves"]),
-        (4.9, 1.0, "explained", ["waves"]),
-        (6.0, 1.0, "ambiguous", ["waves"]),
-        (0.0, 3.0, "explained", ["waves"]),
-        (4.9, 3.0, "ambiguous", ["waves"]),
-        (0.0, 26.0, "unexplained", []),
-        (0.0, 50.0, "unexplained", []),
+        (0.0, 25.0, 1.0, "explained", ["waves"]),
+        (4.9, 25.0, 1.0, "explained", ["waves"]),
+        (6.0, 25.0, 1.0, "ambiguous", ["waves"]),
+        (0.0, 25.0, 3.0, "explained", ["waves"]),
+        (4.9, 25.0, 3.0, "ambiguous", ["waves"]),
+        (0.0, 25.0, 26.0, "unexplained", []),
+        (0.0, 25.0, 50.0, "unexplained", []),
+        (4.9, 1.0, 1.1, "ambiguous", ["waves"]),
+        (6.0, 1.0, 1.1, "unexplained", []),
     ],
 )
 def test_held_out_errors_may_only_weaken_what_the_fits_say(
-    after: float, distance: float, verdict: str, named: list[str]
+    after: float, without: float, distance: float, verdict: str, named: list[str]
 ) -> None:
-    """What random effects account for is in the errors, and not in the squared Mahalanobis distance, which is
-    of 25 times the samples without a cause.
-    """
+    """What random effects account for is in the errors, and not in the squared Mahalanobis distance."""
     contradicts = distance > 49.0
     waves, effect = frozenset({"waves"}), SimpleNamespace(name="waves")
     null = posterior.Candidate(frozenset(), 900.0, np.array([900.0]), 0)
@@ -1320,7 +1320,7 @@ def test_held_out_errors_may_only_weaken_what_the_fits_say(
         noise_model=None,
     )
     noise = Floor({}, {"x_m": 0.01}, {}, {}, "")
-    predicted = refutation.Compared(*(refutation.Misfit(d, 200) for d in (25 * 200.0, distance * 200.0)))
+    predicted = refutation.Compared(*(refutation.Misfit(d, 200) for d in (without * 200.0, distance * 200.0)))
     told, *_ = judgement.judge(state, [piece(5.0, after)], noise, predicted, dropout=False)
     assert (told.verdict, list(told.names)) == (verdict, named)
     assert told.refuted == (("waves",) if contradicts else ())

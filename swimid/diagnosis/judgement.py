@@ -131,10 +131,10 @@ def _by_held_out(
     refused = replace(told, verdict="unexplained", causes=(), base=state.nominal)
     if predicted.refuted or not shrinkage.sound(held):
         return replace(refused, refuted=told.names)
-    if predicted.useless and (predicted.before.shown or told.verdict == "unexplained"):
+    lowered, gap = shrinkage.gained(held, floor)
+    if predicted.useless and (predicted.before.shown or lowered < 0.0 or told.verdict == "unexplained"):
         why = f"{', '.join(told.names)}: held-out data are no nearer to what the model with it predicts"
         return replace(refused, reasons=(why,))
-    lowered, gap = shrinkage.gained(held, floor)
     close = lowered > shrinkage.MOST * gap or (predicted.borne_out and lowered > 0.0)
     if close or not held or _by_coefficients(state):
         return told
