@@ -107,6 +107,10 @@ def test_hopf_solves_eq_10(asymmetry: float) -> None:
         np.testing.assert_allclose(slope[settled], rate[settled], atol=1e-3)
 
 
+def test_one_time_is_eased_as_many_are() -> None:
+    assert drives.eased(0.5, 1.0) == drives.eased(np.array([0.5]), 1.0)[0] == 0.5
+
+
 def test_smoothstep() -> None:
     times = np.linspace(-0.5, 2.5, 3001)
     ease, slope, curve = drives.smoothstep(times, 2.0)

@@ -18,8 +18,8 @@ from swimid.fitting.model import Trial
 #: Failed samples count as a cause from this many on, and from this squared misfit.
 FAILED, FAILED_MISFIT = 4, 50.0
 #: Of blind cases in which samples fail and something from outside seems to act, the share in which a marker
-#: failed: one of two. What slips or sticks of a sudden jumps, too.
-BESIDE = 0.5
+#: really failed: one of two. What slips or sticks of a sudden jumps, too.
+REAL = 0.5
 
 
 def misfit(state: State, raw: Sequence[Trial], floor: Mapping[str, float]) -> float:
@@ -85,7 +85,7 @@ def among(
     samples = sum(int(np.isfinite(y).sum()) for t in raw for y in t.measured.values())
     effect = Cause(
         effect=MarkerDropout.name,
-        probability=1.0 - (1.0 - BESIDE) * state.posterior.outside,
+        probability=1.0 - (1.0 - REAL) * state.posterior.outside,
         parameters={
             "failed_share": Value(value=state.dropouts.count / max(samples, 1), unit="1"),
             "first_failure_s": Value(value=min(s.begin for s in stretches), unit="s"),

@@ -178,13 +178,8 @@ def _causes(file: GapFile) -> Iterable[ev.Check]:
             "none",
             "effects that have 90 % of the probability with the cause, the other causes given",
         )
-        yield ev.check(
-            "sizes of the causes",
-            f"at a bound: {words.listed(file.bounded)}" if file.bounded else "inside their bounds",
-            not file.bounded,
-            "inside",
-            "an effect as large as it may be, a joint wholly locked, or one that stands in for another",
-        )
+        meaning = "an effect as large as it may be, a joint wholly locked, or one that stands in for another"
+        yield _inside("sizes of the causes", file.bounded, meaning)
     if file.predicted is not None:
         before, after = (numbers.number(v, 2) for v in (file.predicted.before, file.predicted.after))
         yield ev.check(
@@ -214,6 +209,12 @@ def _causes(file: GapFile) -> Iterable[ev.Check]:
         )
 
 
+def _inside(name: str, ends: Sequence[str], meaning: str) -> ev.Check:
+    """Whether some numbers end inside their bounds."""
+    value = f"at a bound: {words.listed(ends)}" if ends else "inside their bounds"
+    return ev.check(name, value, not ends, "inside", meaning)
+
+
 def _predicts(file: GapFile) -> Iterable[ev.Check]:
     if file.held_out == "validation":
         yield ev.check(
@@ -236,13 +237,8 @@ def _predicts(file: GapFile) -> Iterable[ev.Check]:
 
 def _coefficients(file: GapFile) -> Iterable[ev.Check]:
     if file.absorbed:
-        yield ev.check(
-            "coefficients with the causes",
-            f"at a bound: {words.listed(file.stuck)}" if file.stuck else "inside their bounds",
-            not file.stuck,
-            "inside",
-            "a coefficient at its bound still stands in for something",
-        )
+        meaning = "a coefficient at its bound still stands in for something"
+        yield _inside("coefficients with the causes", file.stuck, meaning)
     stood_in = [a.coefficient for a in words.moved(file)]
     if stood_in:
         yield ev.check(

@@ -110,8 +110,8 @@ def unpredicted(
     found = []
     for trial in validation:
         seen = _of_trials(context, fit, noise_model, inner, [trial])
-        chance = float(chi2.ppf(1.0 - CHANCE / len(validation), max(seen.samples, 1)))
-        if seen.slow and seen.shown and seen.distance > chance:
+        largest = float(chi2.ppf(1.0 - CHANCE / len(validation), max(seen.samples, 1)))
+        if seen.slow and seen.shown and seen.distance > largest:
             found.append((trial.id, seen.times))
     return sorted(found, key=lambda one: -one[1])
 
@@ -168,12 +168,12 @@ def _chance(problem: Mixed, theta: Array, fit: Fit, noise_model: NoiseModel) -> 
     """Mean square of what the random effects of validation trials change, start states refitted, by channel:
     its expectation given their samples, effects no larger than is likely.
     """
-    centre = fit.centre()
+    if not problem.random_effects:
+        return {}
+    centre, scale = fit.centre(), problem.scale
     squares: dict[str, list[Array]] = {}
     for k, jacobian in enumerate(problem.trial_jacobians(theta)):
-        mine, scale = problem.differing(k), problem.scale
-        if not mine:
-            return {}
+        mine = problem.differing(k)
         names = [problem.parameters[problem.slots[j][0]].name for j in mine]
         away = (theta[mine] - [centre[name] for name in names]) / scale[mine]
         likely = chi2.ppf(1.0 - CHANCE, len(mine))
@@ -185,12 +185,12 @@ def _chance(problem: Mixed, theta: Array, fit: Fit, noise_model: NoiseModel) -> 
         # a root of their covariance
         root = np.linalg.inv(np.linalg.qr(np.vstack((seen, np.eye(len(mine)))), mode="r"))
         moved = beyond(jacobian[:, own] * scale[own], rows @ np.column_stack((away, root)))
-        parts = problem.by_channel(k, np.column_stack((moved, problem.sample_weights(k))))
-        for channel, _, part in parts:
-            *_, weights = part.T
+        changes = np.column_stack((np.sum(moved**2, axis=1), problem.sample_weights(k) ** 2))
+        for channel, _, part in problem.by_channel(k, changes):
+            squared, weights = part.T
             # of a channel that no fitted trial has, the noise is not known
             if weights.all():
-                squares.setdefault(channel, []).append(np.sum(part[:, :-1] ** 2, axis=1) / weights**2)
+                squares.setdefault(channel, []).append(squared / weights)
     return {c: float(np.mean(np.concatenate(v))) for c, v in squares.items()}
 
 

@@ -259,11 +259,13 @@ class Search:
         gains = candidates.own_gains(self.context, parent.fit, self.noise_model, own)
         return Hypothesis(fit, parent.misfits - gains, inside, score, tried)
 
-    def prepared(self, fit: Fit) -> None:
-        """Compile a robot that is read otherwise before further effects are tried on it."""
-        model = self.context.affected(fit.acting).model
-        if model is not self.context.model:
-            prepared(model, self.context.trials, checkpoint=self.checkpoint)
+    def prepared(self, acting: Iterable[Sequence[Effect]], *, share: float = 1.0) -> None:
+        """Compile the robots that some sets of effects read otherwise, before these are simulated as often as
+        in a diagnosis, or a share of it.
+        """
+        models = (self.context.affected(effects).model for effects in acting)
+        for model in {id(m): m for m in models if m is not self.context.model}.values():
+            prepared(model, self.context.trials, checkpoint=self.checkpoint, share=share)
 
     def penalty(self, fit: Fit) -> float:
         """What the numbers of its effects must lower the cost by."""
@@ -286,7 +288,7 @@ class Search:
     def screened(self, parent: Hypothesis) -> Screen:
         """Every further effect beside a hypothesis, to first order at each of its sizes."""
         if parent.key not in self.screens:
-            self.prepared(parent.fit)
+            self.prepared([parent.fit.acting])
             rest = [e for e in self.effects if e.joins(parent.fit.effects)]
             found = Screen([])
             for readings in (False, True):
@@ -315,11 +317,9 @@ class Search:
         work = [(parent, t) for _, parent, t in order[:most]]
 
         new = [(p, t) for p, t in work if p.key | {id(t.effect)} not in self.pool]
-        models = [context.affected((*parent.fit.acting, tried.effect)).model for parent, tried in new]
-        for model in {id(m): m for m in models}.values():
-            # a robot that is read otherwise
-            if model is not context.model and model.together == 1:
-                prepared(model, context.trials, checkpoint=self.checkpoint, share=FITTED / RUNS)
+        acting = [(*parent.fit.acting, tried.effect) for parent, tried in new]
+        apart = [effects for effects in acting if context.affected(effects).model.together == 1]
+        self.prepared(apart, share=FITTED / RUNS)
 
         def one(item: tuple[Hypothesis, Tried]) -> Optimum | None:
             return None if self.late() and item is not new[0] else self.fitted(*item)
@@ -414,7 +414,7 @@ class Search:
         fitted is fitted on through it.
         """
         context, noise_model, fit = self.context, self.noise_model, leading.fit
-        self.prepared(fit)
+        self.prepared([fit.acting])
         whole = tells_noise(context)
         # what differs between trials first, spreads and optimum in turn until they stay, in all that the
         # hypothesis leaves: a generic description has it, too, and comes last
