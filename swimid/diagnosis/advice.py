@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from swimid.diagnosis import crossval
+from swimid.diagnosis import crossval, settings
 from swimid.diagnosis.context import Fit, FitContext
 from swimid.diagnosis.gap_file import Advice
 from swimid.diagnosis.noise_model import NoiseModel
-from swimid.diagnosis.places import knobs
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.problem import Problem
 
@@ -39,7 +38,7 @@ def proposals(trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
         for change in changes:
             moved = replace(beat, **change)
             trial = replace(template, swim=replace(template.swim, beat=moved))
-            says = knobs(trial)
+            says = settings.words(trial)
             found.append((", ".join(f"{k} {v}" for k, v in says.items()), trial))
     elif template.rig.force is not None and "force_N" not in template.inputs:
         forces = [t.rig.pull for t in trials]

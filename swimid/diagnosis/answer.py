@@ -17,13 +17,14 @@ from swimid.diagnosis import (
     judgement,
     places,
     remainder,
+    settings,
     shrinkage,
 )
 from swimid.diagnosis.conclusion import Named
 from swimid.diagnosis.context import FINE, Fit, FitContext
 from swimid.diagnosis.figures import Drawings
 from swimid.diagnosis.floor import by_channel, enough, excess, floors, repeats, rms, split
-from swimid.diagnosis.folds import Folds, setting
+from swimid.diagnosis.folds import Folds
 from swimid.diagnosis.gap_file import (
     Absorbed,
     Advice,
@@ -156,7 +157,7 @@ def answer(
         odd_trial=told.odd and OddTrial(trial=told.odd.trial, times=told.odd.times),
         refuted=list(told.refuted),
         unpredicted=[OddTrial(trial=trial, times=times) for trial, times in told.unpredicted],
-        setting_count=len({setting(t) for t in (*context.trials, *validation)}),
+        setting_count=settings.count([*context.trials, *validation]),
         no_gap=state.posterior.none,
         outside=state.posterior.outside,
         at_bound=stuck,
@@ -354,10 +355,10 @@ def _extrapolations(state: State, base: Fit) -> list[Extrapolation]:
     context = state.context
     if not context.folds.whole:
         return []
-    settings = [places.knobs(t) for t in context.trials]
+    known = [settings.words(t) for t in context.trials]
     found = []
     for kind in ("frequency", "amplitude", "force"):
-        labels = [s.get(kind) for s in settings]
+        labels = [words.get(kind) for words in known]
         levels = sorted({label for label in labels if label}, key=lambda text: float(text.split()[0]))
         if len(levels) < 3:
             continue

@@ -75,7 +75,7 @@ def named(state: State, found: Round) -> Named:
 
 
 def scores(state: State) -> list[Score]:
-    """How every effect did alone, the likeliest first."""
+    """How every effect did alone."""
     rows: dict[str, Score] = {}
     for r in state.singles.ranked:
         name = r.tried.effect.name
@@ -84,7 +84,7 @@ def scores(state: State) -> list[Score]:
     for t in state.singles.screen.tried:
         if t.effect.name not in rows:
             rows[t.effect.name] = _score(t, t.gains, None, 0.0, refitted=False)
-    return sorted(rows.values(), key=lambda s: (not s.refitted, -(s.probability or 0.0), -(s.gain or 0.0)))
+    return list(rows.values())
 
 
 def _score(tried: Tried, gains: Array, stderr: float | None, probability: float, *, refitted: bool) -> Score:

@@ -368,21 +368,21 @@ def _scores(file: GapFile) -> ev.Table:
 def methods(file: GapFile) -> list[str]:
     """Sentences for a methods section, from what was run."""
     refitted = sum(s.refitted for s in file.scores)
+    count = str(refitted) if refitted == len(file.scores) else f"{refitted} of {len(file.scores)}"
     said = [
         f"The discrepancy between {len(file.trials)} {file.experiment} trials of {file.robot} and the model "
         f"{file.model} was treated as part of the model (Kennedy and O'Hagan 2001): its coefficients were "
         "refitted by output error, with residuals weighted by their own colour (Klein and Morelli 2006), "
-        f"alone and together with each of {len(file.scores)} candidate effects, {refitted} of which passed "
-        "a screen at finite effect size and were refitted."
+        f"alone and together with each of {count} candidate effects, from several sizes of it."
     ]
     if file.floor_from:
         said.append(f"The noise floor: {file.floor_from.rstrip('.')}.")
     said.append(
-        "Effects were ranked by the drop of the squared residuals in approximate cross-validation: one "
-        "Gauss-Newton step from the fit to all trials leaves a group of them out (Rad and Maleki 2020); "
-        "noise model and spreads between trials stay those of all."
-        " Sets of effects were weighed by a Student likelihood of what each leaves beyond the noise, folds "
-        f"weighted by the Bayesian bootstrap (Yao et al. 2018): {words.otherwise_text(file)}."
+        "Effects and sets of them were weighed by a Student likelihood of what each leaves beyond the noise "
+        "at its optimum, folds weighted by the Bayesian bootstrap (Yao et al. 2018): "
+        f"{words.otherwise_text(file)}. Held-out gains are drops of the squared residuals in approximate "
+        "cross-validation: one Gauss-Newton step from the fit to all trials leaves a group of them out (Rad "
+        "and Maleki 2020); noise model and spreads between trials stay those of all."
     )
     said += [f"{text.rstrip('.')}." for text in file.rounds]
     said.append(words.verdict_sentence(file))

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from swimid.diagnosis.context import Fit, FitContext, beyond
-from swimid.diagnosis.folds import setting
 from swimid.diagnosis.noise_model import NoiseModel
+from swimid.diagnosis.settings import repeated
 from swimid.fitting.model import Array
 
 #: Fewest repeats (beyond the first of each setting) from which the noise is read.
@@ -34,9 +34,9 @@ def repeats(context: FitContext) -> list[list[int]]:
     groups: dict[str, list[int]] = {}
     seen: set[tuple[str, ...]] = set()
     for k, trial in enumerate(context.trials):
-        recording = (setting(trial), *(f"{c} {y.tobytes()!r}" for c, y in sorted(trial.measured.items())))
+        recording = (repeated(trial), *(f"{c} {y.tobytes()!r}" for c, y in sorted(trial.measured.items())))
         if recording not in seen:
-            groups.setdefault(setting(trial), []).append(k)
+            groups.setdefault(repeated(trial), []).append(k)
         seen.add(recording)
     return [g for g in groups.values() if len(g) > 1]
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from swimid.diagnosis import settings
 from swimid.fitting.model import Array, Trial
 
 #: Fewest settings for which whole trials are held out; below, stretches of trials are.
@@ -43,25 +43,6 @@ class Folds:
         return len(self.labels)
 
 
-def setting(trial: Trial) -> str:
-    """What was set in a trial, the same text for repeats of one setting."""
-    swim, surge = trial.swim, trial.surge
-    parts = [] if swim.beat is None else [repr(swim.beat)]
-    for key, value in (
-        ("force", trial.rig.force),
-        ("frequency_hz", surge.frequency_hz),
-        ("amplitude_rad", surge.amplitude_rad),
-    ):
-        if value is not None and not math.isnan(value):
-            parts.append(f"{key}={value:.6g}")
-    if swim.coefficients is not None:
-        parts.append(f"coefficients={swim.coefficients}")
-    for key in ("frequency_hz", "amplitude_rad"):
-        if key in trial.inputs and len(trial.inputs[key]) == 1:
-            parts.append(f"{key}={trial.inputs[key][0]:.6g}")
-    return "; ".join(parts) or trial.id
-
-
 def folds(trials: Sequence[Trial], rows: Sequence[int]) -> Folds:
     """The folds of some trials.
 
@@ -71,7 +52,7 @@ def folds(trials: Sequence[Trial], rows: Sequence[int]) -> Folds:
         Number of rows (samples of all channels) of each trial; channel after channel of equal length
         is not assumed: a stretch is told by :func:`stretches`.
     """
-    names = [setting(t) for t in trials]
+    names = [settings.repeated(t) for t in trials]
     groups = list(dict.fromkeys(names))
     if len(groups) < FEWEST <= len(trials):
         names = [t.id for t in trials]

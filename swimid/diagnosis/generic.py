@@ -249,9 +249,9 @@ def _window(trial: Trial) -> tuple[float, float]:
 
 def beat_hz(trial: Trial) -> float:
     """Frequency of the drive, or the slowest one the trial resolves where there is none."""
-    beat = trial.swim.beat
-    if beat is not None and beat.frequency_hz > 0:
-        return float(beat.frequency_hz)
+    drive = trial.swim.drive
+    if drive is not None and drive.frequency_hz > 0:
+        return float(drive.frequency_hz)
     if trial.surge.frequency_hz > 0:
         return trial.surge.frequency_hz
     length = float(trial.time_s[-1] - trial.time_s[0])

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from swimid.diagnosis import settings
 from swimid.diagnosis.context import Fit, FitContext
 from swimid.diagnosis.floor import split
 from swimid.diagnosis.gap_file import Cell
 from swimid.diagnosis.generic import beat_hz
-from swimid.fitting.model import Array, Trial
+from swimid.fitting.model import Array
 
 #: Bins of the stroke's phase, and of the time of a trial.
 PHASES, TIMES = 8, 6
@@ -86,35 +86,12 @@ def _ranked(cells: Sequence[Cell]) -> list[Cell]:
     return sorted(cells, key=lambda c: -(c.share or 0.0))
 
 
-def knobs(trial: Trial) -> dict[str, str]:
-    """What was set in a trial, in words."""
-    found: dict[str, str] = {}
-    beat = trial.swim.beat
-    if beat is not None:
-        found["frequency"] = f"{beat.frequency_hz:g} Hz"
-        found["amplitude"] = f"{math.degrees(beat.amplitude_rad):g} deg"
-        found["bias"] = f"{math.degrees(beat.bias_rad):g} deg"
-    for key, kind, unit, factor, value in (
-        ("frequency_hz", "frequency", "Hz", 1.0, trial.surge.frequency_hz),
-        ("amplitude_rad", "amplitude", "deg", 180.0 / math.pi, trial.surge.amplitude_rad),
-    ):
-        if not math.isnan(value):
-            found.setdefault(kind, f"{factor * value:.3g} {unit}")
-        if len(trial.inputs.get(key, ())) == 1:
-            found[kind] = f"{factor * float(trial.inputs[key][0]):.3g} {unit}"
-    if trial.cruise.fin:
-        found["fin"] = trial.cruise.fin
-    if trial.rig.force is not None:
-        found["force"] = f"{trial.rig.force:.3g} N"
-    return found
-
-
 def regimes(where: Map) -> list[Cell]:
     """The gap by what was set, and by trial."""
-    settings = pd.DataFrame([{**knobs(t), "trial": t.id} for t in where.trials])
+    known = pd.DataFrame([{**settings.words(t), "trial": t.id} for t in where.trials])
     found = []
-    for kind in settings:
-        labels = settings[kind]
+    for kind in known:
+        labels = known[kind]
         if labels.nunique() > 1 and (kind != "trial" or len(labels) <= MOST_TRIALS):
             found += where.cells(str(kind), where.of_trials(labels))
     return _ranked(found)
@@ -122,7 +99,7 @@ def regimes(where: Map) -> list[Cell]:
 
 def phases(where: Map) -> list[Cell]:
     """The gap by phase of the stroke; empty without a beat."""
-    if not any(t.swim.beat is not None for t in where.trials):
+    if not any(t.swim.drive is not None for t in where.trials):
         return []
     edges = [round(360 * i / PHASES) for i in range(PHASES + 1)]
     labels = {i: f"{edges[i]}-{edges[i + 1]} deg" for i in range(PHASES)}
@@ -136,7 +113,7 @@ def times(where: Map) -> list[Cell]:
         if len(t.time_s) < 10:
             return []
         span = float(t.time_s[-1] - t.time_s[0])
-        beat = t.swim.beat is not None
+        beat = t.swim.drive is not None
         start = min(START_BEATS / beat_hz(t), 0.5 * span) if beat else START_SHARE * span
         ends.append(t.time_s[0] + start)
     time = where.samples["time_s"]
@@ -193,7 +170,7 @@ def maps(where: Map) -> dict[str, tuple[list[str], list[str], Array]]:
         whole = (ratios("trial", "part", "channel") ** 2).groupby(["trial", "part"]).agg(_root_mean)
         labels = [f"{round(100 * i / TIMES)}-{round(100 * (i + 1) / TIMES)} %" for i in range(TIMES)]
         found["trial by time"] = ids, labels, grid(whole, every, range(TIMES))
-    if any(t.swim.beat is not None for t in where.trials):
+    if any(t.swim.drive is not None for t in where.trials):
         labels = [f"{round(360 * i / PHASES)}°" for i in range(PHASES)]
         by_phase = grid(ratios("channel", "phase"), channels, range(PHASES))
         found["channel by phase"] = channels, labels, by_phase

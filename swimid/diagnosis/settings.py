@@ -1,0 +1,152 @@
+"""What was set in trials: in words, which of them repeat a setting, and how many settings there are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from swimid.fitting.model import Trial
+from swimid.logs.beat import TOLERANCE, find_beat
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number that was set.
+
+    Attributes
+    ----------
+    against : float
+        What it is small or large against: itself, a bias the amplitude about it.
+    digits : int
+        Worth telling.
+    """
+
+    value: float
+    unit: str
+    against: float = 0.0
+    digits: int = 3
+
+    def __str__(self) -> str:
+        return f"{self.value:.{self.digits}g} {self.unit}"
+
+    def same(self, other: Quantity) -> bool:
+        """Whether they differ by less than a stated beat may from that of the log."""
+        size = max(abs(self.value), abs(other.value), self.against, other.against)
+        return abs(self.value - other.value) <= TOLERANCE * size
+
+
+def quantities(trial: Trial) -> dict[str, Quantity | str]:
+    """What was set in a trial, by its name; of joints that follow a log, the beat found in their motion."""
+    found: dict[str, Quantity | str] = {}
+    swim, surge = trial.swim, trial.surge
+    if swim.beat is not None:
+        beat = swim.beat
+        found |= _beaten(beat.frequency_hz, beat.amplitude_rad, beat.bias_rad)
+    elif swim.stroke is not None:
+        stroke = swim.stroke
+        found |= {
+            "stroke": stroke.name,
+            "frequency": Quantity(stroke.frequency_hz, "Hz"),
+            "scale": Quantity(stroke.scale, "times"),
+        }
+    elif swim.joints is not None:
+        found |= _logged(trial)
+    for key, kind, unit, factor, value in (
+        ("frequency_hz", "frequency", "Hz", 1.0, surge.frequency_hz),
+        ("amplitude_rad", "amplitude", "deg", 180.0 / math.pi, surge.amplitude_rad),
+    ):
+        if not math.isnan(value):
+            found.setdefault(kind, Quantity(factor * value, unit))
+        if len(trial.inputs.get(key, ())) == 1:
+            found[kind] = Quantity(factor * float(trial.inputs[key][0]), unit)
+    if trial.cruise.fin:
+        found["fin"] = trial.cruise.fin
+    if trial.rig.force is not None:
+        found["force"] = Quantity(trial.rig.force, "N")
+    return found
+
+
+def _beaten(frequency_hz: float, amplitude_rad: float, bias_rad: float) -> dict[str, Quantity | str]:
+    amplitude = math.degrees(amplitude_rad)
+    return {
+        "frequency": Quantity(frequency_hz, "Hz"),
+        "amplitude": Quantity(amplitude, "deg"),
+        "bias": Quantity(math.degrees(bias_rad), "deg", abs(amplitude)),
+    }
+
+
+def _logged(trial: Trial) -> dict[str, Quantity | str]:
+    """Of the joint that moves most; nothing where it does not beat."""
+    angles = [motion(trial.time_s)[0] for motion in trial.swim.joints or ()]
+    largest = max(angles, key=lambda angle: float(np.std(angle)), default=np.zeros(0))
+    beat = find_beat(trial.time_s, largest)
+    if beat is None:
+        return {}
+    found = _beaten(beat.frequency_hz, beat.amplitude, float(np.mean(largest)))
+    return {name: replace(q, digits=2) for name, q in found.items() if isinstance(q, Quantity)}
+
+
+def words(trial: Trial) -> dict[str, str]:
+    """What was set in a trial, in words."""
+    return {name: str(value) for name, value in quantities(trial).items()}
+
+
+def repeated(trial: Trial) -> str:
+    """What was set in a trial, the same text for repeats: runs that are alike sample by sample but for what
+    differs by chance.
+    """
+    swim, surge = trial.swim, trial.surge
+    parts = [] if swim.beat is None else [repr(swim.beat)]
+    if swim.stroke is not None:
+        own = swim.stroke
+        # the law is that of the robot
+        parts.append(repr((own.name, own.frequency_hz, own.scale, own.ramp_s, own.cycles, own.phase_rad)))
+    for key, value in (
+        ("force", trial.rig.force),
+        ("frequency_hz", surge.frequency_hz),
+        ("amplitude_rad", surge.amplitude_rad),
+    ):
+        if value is not None and not math.isnan(value):
+            parts.append(f"{key}={value:.6g}")
+    if swim.joints is not None and swim.commanded:
+        # a command that was played again is the same to the last digit
+        parts.append(repr([motion(trial.time_s)[0].tobytes() for motion in swim.joints]))
+    for key in ("frequency_hz", "amplitude_rad"):
+        if key in trial.inputs and len(trial.inputs[key]) == 1:
+            parts.append(f"{key}={trial.inputs[key][0]:.6g}")
+    if parts and swim.coefficients:
+        parts.append(f"coefficients={swim.coefficients}")
+    return "; ".join(parts) or trial.id
+
+
+def count(trials: Sequence[Trial]) -> int:
+    """How many settings there are: of one, nothing is tested at another.
+
+    Trials of which nothing is known that was set are a setting each.
+    """
+    kinds: list[dict[str, Quantity | str]] = []
+    unknown = 0
+    for trial in trials:
+        mine: dict[str, Quantity | str] = {**quantities(trial), **_differing(trial)}
+        if not mine:
+            unknown += 1
+        elif not any(_alike(mine, other) for other in kinds):
+            kinds.append(mine)
+    return len(kinds) + unknown
+
+
+def _differing(trial: Trial) -> dict[str, Quantity | str]:
+    """Coefficients that a trial sets for itself."""
+    return {name: Quantity(value, "") for name, value in (trial.swim.coefficients or {}).items()}
+
+
+def _alike(one: dict[str, Quantity | str], other: dict[str, Quantity | str]) -> bool:
+    if one.keys() != other.keys():
+        return False
+    return all(
+        v.same(w) if isinstance(v, Quantity) and isinstance(w, Quantity) else v == w
+        for v, w in ((v, other[name]) for name, v in one.items())
+    )

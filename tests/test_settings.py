@@ -1,0 +1,112 @@
+"""What was set in trials: repeats, and how many settings there are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from swimid.diagnosis import settings
+from swimid.fitting.drives import Beat, Cycle, Motion
+from swimid.fitting.inputs import RigInput, SurgeInput, SwimInput
+from swimid.fitting.model import Array, Trial
+from swimid.robots.spatial import Stroke
+
+TIME = np.arange(0.0, 12.0, 0.02)
+LAW = Stroke(period_s=1.0, knots_s=[0.0, 0.25, 0.5, 1.0], angles_deg={"flipper": [0.0, 30.0, 10.0, 0.0]})
+
+
+def beating(number: int, beat: Beat, **swim: object) -> Trial:
+    """A trial with a stated beat, as trials files give it: no coefficients of its own, unless it has."""
+    return Trial(f"t{number}", "fit", TIME, {}, swim=SwimInput(**{"beat": beat, "coefficients": {}, **swim}))
+
+
+def logged(
+    number: int, frequency_hz: float, degrees: float, *, noise: float = 0.0, commanded: bool = True
+) -> Trial:
+    """A trial whose joints follow a log."""
+    rng = np.random.default_rng(number)
+    angle = math.radians(degrees) * np.sin(2.0 * math.pi * frequency_hz * TIME + 0.3 * number)
+    angle = angle + noise * rng.standard_normal(len(TIME))
+
+    def motion(time_s: Array) -> Motion:
+        still = np.zeros(len(time_s))
+        return np.interp(time_s, TIME, angle), still, still
+
+    swim = SwimInput(joints=[motion], commanded=commanded, coefficients={})
+    return Trial(f"t{number}", "fit", TIME, {}, swim=swim)
+
+
+def stroked(number: int, frequency_hz: float, scale: float = 1.0) -> Trial:
+    """A trial that repeats a stroke of the robot file."""
+    stroke = Cycle("thrust", LAW, frequency_hz, scale)
+    return Trial(f"t{number}", "fit", TIME, {}, swim=SwimInput(stroke=stroke, coefficients={}))
+
+
+def repeats(trials: Sequence[Trial]) -> int:
+    """How many trials repeat an earlier one."""
+    return len(trials) - len({settings.repeated(t) for t in trials})
+
+
+def test_logged_joints_of_other_beats_are_no_repeats() -> None:
+    trials = [logged(0, 1.0, 10.0), logged(1, 1.5, 10.0), logged(2, 1.0, 20.0)]
+    assert repeats(trials) == 0
+    assert settings.count(trials) == 3
+
+
+def test_a_command_played_again_is_a_repeat_and_measured_angles_are_none() -> None:
+    again = replace(logged(1, 1.0, 10.0), id="again")
+    assert repeats([logged(1, 1.0, 10.0), again]) == 1
+    measured = [logged(1, 1.0, 10.0, noise=1e-3, commanded=False), logged(2, 1.0, 10.0, commanded=False)]
+    assert repeats(measured) == 0
+
+
+def test_logged_joints_of_one_beat_are_one_setting() -> None:
+    trials = [logged(k, f, 10.0, noise=0.003) for k, f in enumerate((1.0, 1.01, 0.99))]
+    assert settings.count(trials) == 1
+    assert settings.words(trials[0]) == {"frequency": "1 Hz", "amplitude": "10 deg"} | {
+        "bias": settings.words(trials[0])["bias"]
+    }
+
+
+def test_a_stroke_is_repeated_at_its_frequency_and_scale_only() -> None:
+    trials = [stroked(0, 0.5), stroked(1, 0.5), stroked(2, 0.8), stroked(3, 0.5, 0.7)]
+    assert repeats(trials) == 1
+    assert settings.count(trials) == 3
+    assert settings.words(trials[2]) == {"stroke": "thrust", "frequency": "0.8 Hz", "scale": "1 times"}
+
+
+def test_beats_are_one_setting_where_they_differ_by_less_than_a_stated_one_may() -> None:
+    beat = Beat("sine", 1.0, 0.3)
+    near = [replace(beat, frequency_hz=f, bias_rad=b) for f, b in ((1.0, 0.0), (1.03, 0.01), (0.98, 0.0))]
+    trials = [beating(k, b) for k, b in enumerate(near)]
+    assert repeats(trials) == 0
+    assert settings.count(trials) == 1
+    assert settings.count([*trials, beating(9, replace(beat, bias_rad=0.1))]) == 2
+    assert settings.count([*trials, beating(9, beat, coefficients={"d_p": 0.01})]) == 2
+
+
+@pytest.mark.parametrize(
+    ("trial", "told"),
+    [
+        (Trial("a", "fit", TIME, {}, rig=RigInput(force=1.96133)), {"force": "1.96 N"}),
+        (
+            Trial(
+                "a", "fit", TIME, {}, surge=SurgeInput(frequency_hz=1.2345, amplitude_rad=math.radians(20))
+            ),
+            {"frequency": "1.23 Hz", "amplitude": "20 deg"},
+        ),
+        (Trial("a", "fit", TIME, {}), {}),
+    ],
+)
+def test_words(trial: Trial, told: dict[str, str]) -> None:
+    assert settings.words(trial) == told
+
+
+def test_trials_of_which_nothing_is_known_are_a_setting_each() -> None:
+    trials = [Trial(name, "fit", TIME, {}) for name in "abc"]
+    assert settings.count(trials) == 3
+    assert repeats(trials) == 0
