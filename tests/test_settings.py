@@ -11,7 +11,7 @@ import pytest
 
 from swimid.diagnosis import settings
 from swimid.fitting.drives import Beat, Cycle, Motion
-from swimid.fitting.inputs import RigInput, SurgeInput, SwimInput
+from swimid.fitting.inputs import CruiseInput, RigInput, SurgeInput, SwimInput
 from swimid.fitting.model import Array, Trial
 from swimid.robots.spatial import Stroke
 
@@ -87,6 +87,13 @@ def test_beats_are_one_setting_where_they_differ_by_less_than_a_stated_one_may()
     assert settings.count(trials) == 1
     assert settings.count([*trials, beating(9, replace(beat, bias_rad=0.1))]) == 2
     assert settings.count([*trials, beating(9, beat, coefficients={"d_p": 0.01})]) == 2
+
+
+def test_another_fin_at_the_same_beat_is_another_setting() -> None:
+    beat = {"frequency_hz": np.array([2.0]), "amplitude_rad": np.array([0.3])}
+    fins = [Trial(f"r{k}", "fit", TIME[:1], {}, beat, cruise=CruiseInput(f)) for k, f in enumerate("AAB")]
+    assert repeats(fins) == 1
+    assert settings.count(fins) == 2
 
 
 @pytest.mark.parametrize(

@@ -100,6 +100,7 @@ def repeated(trial: Trial) -> str:
     """
     swim, surge = trial.swim, trial.surge
     parts = [] if swim.beat is None else [repr(swim.beat)]
+    parts += [trial.cruise.fin] if trial.cruise.fin else []
     if swim.stroke is not None:
         own = swim.stroke
         # the law is that of the robot
