@@ -96,6 +96,16 @@ def test_another_fin_at_the_same_beat_is_another_setting() -> None:
     assert settings.count(fins) == 2
 
 
+def test_ballast_is_another_setting_and_a_towed_body_is_known_by_its_trial() -> None:
+    def rig(name: str, **known: float) -> Trial:
+        return Trial(name, "fit", TIME, {}, rig=RigInput(**{"area_factor": 2.0, "inertia": 1.0, **known}))
+
+    drops = [rig("a", force=1.0), rig("b", force=1.0), rig("c", force=1.0, inertia=1.5)]
+    assert repeats(drops) == 1
+    assert settings.count(drops) == 2
+    assert repeats([rig("a"), rig("b")]) == 0
+
+
 @pytest.mark.parametrize(
     ("trial", "told"),
     [

@@ -105,13 +105,8 @@ def repeated(trial: Trial) -> str:
         own = swim.stroke
         # the law is that of the robot
         parts.append(repr((own.name, own.frequency_hz, own.scale, own.ramp_s, own.cycles, own.phase_rad)))
-    for key, value in (
-        ("force", trial.rig.force),
-        ("frequency_hz", surge.frequency_hz),
-        ("amplitude_rad", surge.amplitude_rad),
-    ):
-        if value is not None and not math.isnan(value):
-            parts.append(f"{key}={value:.6g}")
+    known = {**_drop(trial), "frequency_hz": surge.frequency_hz, "amplitude_rad": surge.amplitude_rad}
+    parts += [f"{name}={value:.6g}" for name, value in known.items() if not math.isnan(value)]
     if swim.joints is not None and swim.commanded:
         # a command that was played again is the same to the last digit
         parts.append(repr([motion(trial.time_s)[0].tobytes() for motion in swim.joints]))
@@ -131,7 +126,8 @@ def count(trials: Sequence[Trial]) -> int:
     kinds: list[dict[str, Quantity | str]] = []
     unknown = 0
     for trial in trials:
-        mine: dict[str, Quantity | str] = {**quantities(trial), **_differing(trial)}
+        own = {**(trial.swim.coefficients or {}), **_drop(trial)}
+        mine = {**quantities(trial), **{name: Quantity(value, "") for name, value in own.items()}}
         if not mine:
             unknown += 1
         elif not any(_alike(mine, other) for other in kinds):
@@ -139,9 +135,13 @@ def count(trials: Sequence[Trial]) -> int:
     return len(kinds) + unknown
 
 
-def _differing(trial: Trial) -> dict[str, Quantity | str]:
-    """Coefficients that a trial sets for itself."""
-    return {name: Quantity(value, "") for name, value in (trial.swim.coefficients or {}).items()}
+def _drop(trial: Trial) -> dict[str, float]:
+    """Of a body that a known force pulls: that, what is moved, and its drag area."""
+    rig = trial.rig
+    if rig.force is None:
+        return {}
+    known = {"force": rig.force, "inertia": rig.inertia, "area": rig.area_factor}
+    return {name: value for name, value in known.items() if not math.isnan(value)}
 
 
 def _alike(one: dict[str, Quantity | str], other: dict[str, Quantity | str]) -> bool:
