@@ -286,11 +286,11 @@ class Model(ABC):
 
     def onset(self, trial: Trial) -> float:
         """When the run begins, s: a drive at time zero, a recorded command with its log."""
-        return float(trial.time_s[0]) if trial.swim.beat is None else 0.0
+        return float(trial.time_s[0]) if trial.swim.drive is None else 0.0
 
     def beats(self, trials: Sequence[Trial]) -> list[float]:
         """Frequencies of the drive as far as they are known, Hz."""
-        return [float(t.swim.beat.frequency_hz) for t in trials if t.swim.beat is not None]
+        return [float(t.swim.drive.frequency_hz) for t in trials if t.swim.drive is not None]
 
     def given(self, trial: Trial) -> list[str]:
         """Channels that a trial's run is driven by as they were measured: it does not predict them."""
