@@ -87,6 +87,7 @@ def test_beats_are_one_setting_where_they_differ_by_less_than_a_stated_one_may()
     assert settings.count(trials) == 1
     assert settings.count([*trials, beating(9, replace(beat, bias_rad=0.1))]) == 2
     assert settings.count([*trials, beating(9, beat, coefficients={"d_p": 0.01})]) == 2
+    assert settings.count([*trials, beating(9, replace(beat, waveform="hopf"))]) == 2
 
 
 def test_another_fin_at_the_same_beat_is_another_setting() -> None:

@@ -126,8 +126,11 @@ def count(trials: Sequence[Trial]) -> int:
     kinds: list[dict[str, Quantity | str]] = []
     unknown = 0
     for trial in trials:
+        beat = trial.swim.beat
         own = {**(trial.swim.coefficients or {}), **_drop(trial)}
         mine = {**quantities(trial), **{name: Quantity(value, "") for name, value in own.items()}}
+        if beat is not None:
+            mine |= {"waveform": beat.waveform, "asymmetry": Quantity(beat.asymmetry, "", 1.0)}
         if not mine:
             unknown += 1
         elif not any(_alike(mine, other) for other in kinds):
