@@ -262,7 +262,7 @@ def test_the_methods_cite_what_was_done() -> None:
     for name in ("Kennedy", "Klein", "Yao", "Box"):
         assert name in text
         assert any(name in r for r in made.references)
-    assert "each of 9 candidate effects, 8 of which" in text
+    assert "each of 8 of 9 candidate effects" in text
     silent = cases.evidence(cases.NONE)
     assert not any("Box" in r for r in silent.references)
 
