@@ -125,14 +125,21 @@ def test_drag_that_changes_from_trial_to_trial_is_that_of_the_robot_file() -> No
     names = ("c_d0", "c_d13", "c_d4", "c_f0", "c_f13", "c_f4")
     model = swimmer("tfish")
     trial = swim(model)
-    (effect,) = (e for e in DragReynolds().variants(model, [trial, trial]) if e.whole)
-    effect = DragReynolds(0.5 * effect.reference_m_s, whole=True)
+    effect = DragReynolds(0.5 * model.scales([trial]).speed, whole=True)
     seen = acted(model, trial, [(effect, 0.5)])
     values = {p.name: p.start * 2.0**-0.5 for p in model.parameters if p.name in names}
     slick = swimmer("tfish", **values)
     expected = slick.simulate(start(slick), trial)
     for name in ("x_m", "y_m", "yaw_rad"):
         np.testing.assert_allclose(seen[name], expected[name], atol=1e-10)
+
+
+def test_of_trials_at_one_speed_no_change_from_trial_to_trial_is_told() -> None:
+    """Repeats differ in speed by chance: an exponent of many times its size would follow that."""
+    model = swimmer("tfish")
+    one, slower, other = (swim(model, frequency_hz=f) for f in (1.2, 1.19, 1.6))
+    for trials, told in (([one, slower], False), ([one, slower, other], True)):
+        assert any(e.whole for e in DragReynolds().variants(model, trials)) == told
 
 
 def test_added_mass_slows_a_swing_on_a_tether() -> None:

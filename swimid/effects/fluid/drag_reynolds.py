@@ -8,6 +8,9 @@ from swimid.effects import common
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 from swimid.fitting.hooks import Force, traceable
 
+#: Mean speeds of trials that are within this share of one another are one, as frequencies of a drive are: of
+#: one speed nothing tells how drag changes with it.
+ONE_SPEED = 0.05
 #: Less than any speed that can be told from none, m/s or rad/s: what has none has no drag.
 TINY = 1e-30
 
@@ -53,7 +56,8 @@ class DragReynolds(Effect):
             fits = "force" in model.offers
         typical = model.scales(trials).speed
         forms: list[Effect] = [DragReynolds(typical)] if fits else []
-        if fits and body is not None and len(trials) > 1:
+        speeds = [model.scales([trial]).speed for trial in trials] if body is not None else []
+        if fits and speeds and max(speeds) > (1.0 + ONE_SPEED) * min(speeds):
             forms.append(DragReynolds(typical, whole=True))
         return forms
 
