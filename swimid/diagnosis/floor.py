@@ -34,9 +34,10 @@ def repeats(context: FitContext) -> list[list[int]]:
     groups: dict[str, list[int]] = {}
     seen: set[tuple[str, ...]] = set()
     for k, trial in enumerate(context.trials):
-        recording = (repeated(trial), *(f"{c} {y.tobytes()!r}" for c, y in sorted(trial.measured.items())))
+        setting = repeated(trial)
+        recording = (setting, *(f"{c} {y.tobytes()!r}" for c, y in sorted(trial.measured.items())))
         if recording not in seen:
-            groups.setdefault(repeated(trial), []).append(k)
+            groups.setdefault(setting, []).append(k)
         seen.add(recording)
     return [g for g in groups.values() if len(g) > 1]
 

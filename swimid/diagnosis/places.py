@@ -98,7 +98,7 @@ def regimes(where: Map) -> list[Cell]:
 
 
 def phases(where: Map) -> list[Cell]:
-    """The gap by phase of the stroke; empty without a beat."""
+    """The gap by phase of the stroke; empty without a drive."""
     if not any(t.swim.drive is not None for t in where.trials):
         return []
     edges = [round(360 * i / PHASES) for i in range(PHASES + 1)]
@@ -113,8 +113,8 @@ def times(where: Map) -> list[Cell]:
         if len(t.time_s) < 10:
             return []
         span = float(t.time_s[-1] - t.time_s[0])
-        beat = t.swim.drive is not None
-        start = min(START_BEATS / beat_hz(t), 0.5 * span) if beat else START_SHARE * span
+        driven = t.swim.drive is not None
+        start = min(START_BEATS / beat_hz(t), 0.5 * span) if driven else START_SHARE * span
         ends.append(t.time_s[0] + start)
     time = where.samples["time_s"]
     early = time <= where.of_trials(ends)

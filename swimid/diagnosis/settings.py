@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -41,27 +41,22 @@ class Quantity:
 def quantities(trial: Trial) -> dict[str, Quantity | str]:
     """What was set in a trial, by its name; of joints that follow a log, the beat found in their motion."""
     found: dict[str, Quantity | str] = {}
-    swim, surge = trial.swim, trial.surge
+    swim = trial.swim
     if swim.beat is not None:
-        beat = swim.beat
-        found |= _beaten(beat.frequency_hz, beat.amplitude_rad, beat.bias_rad)
+        found |= _beaten(swim.beat.frequency_hz, swim.beat.amplitude_rad, swim.beat.bias_rad)
     elif swim.stroke is not None:
-        stroke = swim.stroke
         found |= {
-            "stroke": stroke.name,
-            "frequency": Quantity(stroke.frequency_hz, "Hz"),
-            "scale": Quantity(stroke.scale, "times"),
+            "stroke": swim.stroke.name,
+            "frequency": Quantity(swim.stroke.frequency_hz, "Hz"),
+            "scale": Quantity(swim.stroke.scale, "times"),
         }
     elif swim.joints is not None:
         found |= _logged(trial)
-    for key, kind, unit, factor, value in (
-        ("frequency_hz", "frequency", "Hz", 1.0, surge.frequency_hz),
-        ("amplitude_rad", "amplitude", "deg", 180.0 / math.pi, surge.amplitude_rad),
-    ):
-        if not math.isnan(value):
-            found.setdefault(kind, Quantity(factor * value, unit))
-        if len(trial.inputs.get(key, ())) == 1:
-            found[kind] = Quantity(factor * float(trial.inputs[key][0]), unit)
+    frequency_hz, amplitude_rad = _steady(trial)
+    if not math.isnan(frequency_hz):
+        found["frequency"] = Quantity(frequency_hz, "Hz")
+    if not math.isnan(amplitude_rad):
+        found["amplitude"] = Quantity(math.degrees(amplitude_rad), "deg")
     if trial.cruise.fin:
         found["fin"] = trial.cruise.fin
     if trial.rig.force is not None:
@@ -69,12 +64,14 @@ def quantities(trial: Trial) -> dict[str, Quantity | str]:
     return found
 
 
-def _beaten(frequency_hz: float, amplitude_rad: float, bias_rad: float) -> dict[str, Quantity | str]:
-    amplitude = math.degrees(amplitude_rad)
+def _beaten(
+    frequency_hz: float, amplitude_rad: float, bias_rad: float, digits: int = 3
+) -> dict[str, Quantity | str]:
+    amplitude, bias = math.degrees(amplitude_rad), math.degrees(bias_rad)
     return {
-        "frequency": Quantity(frequency_hz, "Hz"),
-        "amplitude": Quantity(amplitude, "deg"),
-        "bias": Quantity(math.degrees(bias_rad), "deg", abs(amplitude)),
+        "frequency": Quantity(frequency_hz, "Hz", digits=digits),
+        "amplitude": Quantity(amplitude, "deg", digits=digits),
+        "bias": Quantity(bias, "deg", abs(amplitude), digits),
     }
 
 
@@ -83,10 +80,15 @@ def _logged(trial: Trial) -> dict[str, Quantity | str]:
     angles = [motion(trial.time_s)[0] for motion in trial.swim.joints or ()]
     largest = max(angles, key=lambda angle: float(np.std(angle)), default=np.zeros(0))
     beat = find_beat(trial.time_s, largest)
-    if beat is None:
-        return {}
-    found = _beaten(beat.frequency_hz, beat.amplitude, float(np.mean(largest)))
-    return {name: replace(q, digits=2) for name, q in found.items() if isinstance(q, Quantity)}
+    return {} if beat is None else _beaten(beat.frequency_hz, beat.amplitude, float(np.mean(largest)), 2)
+
+
+def _steady(trial: Trial) -> tuple[float, float]:
+    """Frequency (Hz) and amplitude (rad) of a single run's steady beat; NaN without one."""
+    frequency_hz, amplitude_rad = trial.steady
+    return (
+        (float(frequency_hz[0]), float(amplitude_rad[0])) if len(frequency_hz) == 1 else (math.nan, math.nan)
+    )
 
 
 def words(trial: Trial) -> dict[str, str]:
@@ -98,21 +100,18 @@ def repeated(trial: Trial) -> str:
     """What was set in a trial, the same text for repeats: runs that are alike sample by sample but for what
     differs by chance.
     """
-    swim, surge = trial.swim, trial.surge
+    swim = trial.swim
     parts = [] if swim.beat is None else [repr(swim.beat)]
     parts += [trial.cruise.fin] if trial.cruise.fin else []
     if swim.stroke is not None:
         own = swim.stroke
         # the law is that of the robot
         parts.append(repr((own.name, own.frequency_hz, own.scale, own.ramp_s, own.cycles, own.phase_rad)))
-    known = {**_drop(trial), "frequency_hz": surge.frequency_hz, "amplitude_rad": surge.amplitude_rad}
-    parts += [f"{name}={value:.6g}" for name, value in known.items() if not math.isnan(value)]
     if swim.joints is not None and swim.commanded:
         # a command that was played again is the same to the last digit
         parts.append(repr([motion(trial.time_s)[0].tobytes() for motion in swim.joints]))
-    for key in ("frequency_hz", "amplitude_rad"):
-        if key in trial.inputs and len(trial.inputs[key]) == 1:
-            parts.append(f"{key}={trial.inputs[key][0]:.6g}")
+    known = {**_drop(trial), **dict(zip(("frequency_hz", "amplitude_rad"), _steady(trial), strict=True))}
+    parts += [f"{name}={value:.6g}" for name, value in known.items() if not math.isnan(value)]
     if parts and swim.coefficients:
         parts.append(f"coefficients={swim.coefficients}")
     return "; ".join(parts) or trial.id
@@ -148,9 +147,10 @@ def _drop(trial: Trial) -> dict[str, float]:
 
 
 def _alike(one: dict[str, Quantity | str], other: dict[str, Quantity | str]) -> bool:
-    if one.keys() != other.keys():
-        return False
-    return all(
-        v.same(w) if isinstance(v, Quantity) and isinstance(w, Quantity) else v == w
-        for v, w in ((v, other[name]) for name, v in one.items())
-    )
+    return one.keys() == other.keys() and all(_same(value, other[name]) for name, value in one.items())
+
+
+def _same(one: Quantity | str, other: Quantity | str) -> bool:
+    if isinstance(one, Quantity) and isinstance(other, Quantity):
+        return one.same(other)
+    return one == other

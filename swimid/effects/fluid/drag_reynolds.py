@@ -7,10 +7,8 @@ import numpy as np
 from swimid.effects import common
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 from swimid.fitting.hooks import Force, traceable
+from swimid.logs.beat import TOLERANCE
 
-#: Mean speeds of trials that are within this share of one another are one, as frequencies of a drive are: of
-#: one speed nothing tells how drag changes with it.
-ONE_SPEED = 0.05
 #: Less than any speed that can be told from none, m/s or rad/s: what has none has no drag.
 TINY = 1e-30
 
@@ -57,7 +55,8 @@ class DragReynolds(Effect):
         typical = model.scales(trials).speed
         forms: list[Effect] = [DragReynolds(typical)] if fits else []
         speeds = [model.scales([trial]).speed for trial in trials] if body is not None else []
-        if fits and speeds and max(speeds) > (1.0 + ONE_SPEED) * min(speeds):
+        # trials of one speed, as near as those of one frequency, do not tell how drag changes with it
+        if fits and speeds and max(speeds) > (1.0 + TOLERANCE) * min(speeds):
             forms.append(DragReynolds(typical, whole=True))
         return forms
 
