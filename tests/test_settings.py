@@ -64,6 +64,14 @@ def test_a_command_played_again_is_a_repeat_and_measured_angles_are_none() -> No
     assert repeats(measured) == 0
 
 
+def test_one_manoeuvre_played_again_is_one_setting() -> None:
+    """Half a stroke has no beat to be known by."""
+    assert settings.words(logged(1, 0.04, 20.0)) == {}
+    trials = [replace(logged(1, 0.04, 20.0), id=name) for name in "abc"]
+    assert settings.count(trials) == 1
+    assert settings.count([*trials, logged(2, 0.04, 20.0)]) == 2
+
+
 def test_logged_joints_of_one_beat_are_one_setting() -> None:
     trials = [logged(k, f, 10.0, noise=0.003) for k, f in enumerate((1.0, 1.01, 0.99))]
     assert settings.count(trials) == 1

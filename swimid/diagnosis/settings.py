@@ -120,10 +120,10 @@ def repeated(trial: Trial) -> str:
 def count(trials: Sequence[Trial]) -> int:
     """How many settings there are: of one, nothing is tested at another.
 
-    Trials of which nothing is known that was set are a setting each.
+    Trials of which nothing is known that was set are a setting each, but for a command that was played again.
     """
     kinds: list[dict[str, Quantity | str]] = []
-    unknown = 0
+    unknown: set[str] = set()
     for trial in trials:
         beat = trial.swim.beat
         own = {**(trial.swim.coefficients or {}), **_drop(trial)}
@@ -131,10 +131,10 @@ def count(trials: Sequence[Trial]) -> int:
         if beat is not None:
             mine |= {"waveform": beat.waveform, "asymmetry": Quantity(beat.asymmetry, "", 1.0)}
         if not mine:
-            unknown += 1
+            unknown.add(repeated(trial))
         elif not any(_alike(mine, other) for other in kinds):
             kinds.append(mine)
-    return len(kinds) + unknown
+    return len(kinds) + len(unknown)
 
 
 def _drop(trial: Trial) -> dict[str, float]:
