@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from swimid.errors import SwimidError
 from swimid.logs import mapping
-from swimid.logs.foreign import Options, open_source
+from swimid.logs.foreign import Options, open_table
 from swimid.logs.guess_mapping import guess_mapping
 from swimid.notices import SwimidWarning
 from tests.conftest import Ran
@@ -38,13 +38,9 @@ def _through(path: Path, topic: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SwimidWarning)
         with contextlib.suppress(SwimidError):
-            source = open_source(path, Options(topic=topic or None))
-            names = [column.name for column in source.columns if column.kind != "text"]
-            count = 0
-            for chunk in source.chunks(names[:20], lambda amount: None):
-                count += len(next(iter(chunk.values()))) if chunk else 0
-            source.lines(count)
-            source.close()
+            open_table(path, Options(topic=topic or None))
+        with contextlib.suppress(SwimidError):
+            mapping.apply(None, path)
         with contextlib.suppress(SwimidError):
             guess_mapping(path)
 

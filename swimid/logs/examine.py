@@ -10,8 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError, NoTrustworthyResult
-from swimid.logs import log, plausible, projection, rhythm, time_order, track_cleaning, track_speed
+from swimid.logs import (
+    consistency,
+    log,
+    plausible,
+    projection,
+    rhythm,
+    time_order,
+    track_cleaning,
+    track_speed,
+)
 from swimid.logs.beat import contradiction
+from swimid.logs.consistency import Contradiction
 from swimid.logs.mapping import MappedLog
 from swimid.logs.options import ImportOptions
 from swimid.logs.plausible import Doubt
@@ -62,6 +72,10 @@ class Examined:
         The line the track was projected on.
     unit : str
         Of the track: m or px.
+    mapped : MappedLog
+        How the file was read; its columns are these.
+    contradictions : list of Contradiction
+        Columns that contradict each other.
     """
 
     path: Path
@@ -78,6 +92,8 @@ class Examined:
     doubts: list[Doubt]
     projection: Projection | None
     unit: str
+    mapped: MappedLog
+    contradictions: list[Contradiction]
 
     @property
     def time_s(self) -> Array:
@@ -132,6 +148,9 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
         warn("SWM032", f"{name}: {against}")
     if stroke is not None and stroke.doubt:
         warn("SWM033", f"{name}: {stroke.doubt}")
+    contradictions = consistency.contradictions(columns, None if stroke is None else stroke.period_s[0])
+    for one in contradictions:
+        warn("SWM090", f"{name}, '{one.column}': {one.text} (against {one.against}: {one.gain:.3g})")
     line = _along(columns, options, source)
     if line is not None:
         metadata["along"] = [float(part) for part in line.direction]
@@ -150,6 +169,8 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
         doubts=doubts,
         projection=line,
         unit=_unit(coordinates),
+        mapped=source,
+        contradictions=contradictions,
     )
 
 
@@ -157,8 +178,9 @@ def _in_order(source: MappedLog) -> Order:
     """How the rows get strictly increasing times; an error where they cannot."""
     channels = {name: values for name, values in source.columns.items() if name != log.TIME}
     order = time_order.in_order(source.time_s, channels)
-    if len(order.index) == 0:
-        raise InputError("no sample has a time", file=source.path, column=log.TIME)
+    if len(order.index) < 2:
+        text = f"{len(order.index)} of {len(source)} rows have a time of their own; at least 2 are needed"
+        raise InputError(text, file=source.path, column=log.TIME, hint="is the time complete?")
     if order.reset_row is not None:
         raise InputError(
             f"the clock starts again: {source.time_s[order.reset_row]:g} s after "
@@ -166,7 +188,7 @@ def _in_order(source: MappedLog) -> Order:
             file=source.path,
             line=int(source.rows[order.reset_row]),
             column=log.TIME,
-            hint="split the file there, and import the parts one by one",
+            hint=source.hint or "split the file there, and import the parts one by one",
         )
     return order
 

@@ -1,4 +1,4 @@
-"""``swimid import``: logs of other programs become logs of the pinned format."""
+"""``swimid import``: turn logs of other programs into logs of the pinned format."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from swimid.errors import UsageError
+from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance
 from swimid.logs import imported, log, mapping
 from swimid.logs.examine import examine
@@ -27,16 +27,17 @@ def import_log(
     output: str | Path | None = None,
     progress: Progress = silent,
 ) -> Imported:
-    """Make a log in SI units of a foreign recording: rows in order, jumps taken out, the stroke found.
+    """Turn a foreign recording into a log in SI units, with its rows in order and its jumps removed.
 
-    A mapping, which may be a dict, says which source column becomes which column of the log, and the unit it
-    is written in; without one the columns must be named as in the log format. Repeats and jumps are taken out
-    of logs with two or more position columns that swimid did not track itself.
+    A profile reads a file of a known format. For any other file a mapping, which may be a dict, says which
+    source column becomes which column of the log, and in which unit it was written; without one the columns
+    must be named as in the log format. Repeats and jumps are removed from logs with two or more position
+    columns, except from tracks made by swimid.
 
     Parameters
     ----------
     source : path, DataFrame or Log
-        A file of any format of ``docs/import.md``; or a table, shape (n, k), one row a sample.
+        A file of any format in ``docs/import.md``; or a table, shape (n, k), one row a sample.
     output : path, optional
         The log, CSV or Parquet by its ending, with ``<stem>.evidence.json`` beside it. Without it nothing is
         written; :meth:`~swimid.results.result.Result.save` writes the same later.
@@ -52,9 +53,9 @@ def import_log(
     Raises
     ------
     InputError
-        The source or the mapping cannot be used; names file, line and column.
+        The source or the mapping cannot be used, or states no time; names file, line and column.
     NoTrustworthyResult
-        Hardly a sample is left of a track.
+        A cleaned track has hardly a sample left.
     UsageError
         The output is the source.
 
@@ -82,15 +83,15 @@ def import_log(
     if output is not None:
         output = atomic.check_writable(output, inputs=inputs)
     with recorded(repeat=True) as notices, ThreadPoolExecutor(1) as beside:
-        # a long file is hashed while it is read
+        # hash a long file while it is read
         digests = beside.submit(provenance.digests_of, inputs)
-        read = mapping.apply(rules, given, progress=progress)
+        read = mapping.apply(rules, given, options.choices, progress=progress)
         found = examine(read, options)
         origin = provenance.collect(
             inputs, settings=options.settings(clean=found.cleaned), digests=digests.result()
         )
         name = f"{found.path.stem}.csv" if output is None else output.name
-        result = imported.result(found, name, rules, origin, tuple(notices), progress)
+        result = imported.result(found, name, origin, tuple(notices), progress)
     return result.saved(output)
 
 
@@ -102,7 +103,9 @@ def import_logs(
     output: str | Path,
     progress: Progress = silent,
 ) -> Result:
-    """Write several foreign logs in the log format, each with its evidence, as :func:`import_log` does one.
+    """Import several foreign logs, each as :func:`import_log` does.
+
+    A file that cannot be imported does not stop the others.
 
     Parameters
     ----------
@@ -114,9 +117,9 @@ def import_logs(
     Raises
     ------
     InputError
-        A file or the mapping cannot be used.
+        The mapping cannot be used; or, after all other files were imported, files that could not be.
     NoTrustworthyResult
-        Hardly a sample is left of a track.
+        The only file is a track with hardly a sample left.
     UsageError
         No file is named, or two would be written to one.
     """
@@ -124,11 +127,21 @@ def import_logs(
         raise UsageError("name at least one log to import")
     paths = list(dict.fromkeys(Path(file) for file in files))
     if options.map_path is not None:
-        mapping.of(options.map_path)
-    done = [
-        import_log(path, options=options, output=target, progress=progress)
-        for path, target in zip(paths, destinations(paths, Path(output)), strict=True)
-    ]
+        mapping.of(options.map_path)  # refuse it before any file is read
+    done: list[Imported] = []
+    failed: list[InputError | NoTrustworthyResult] = []
+    for path, target in zip(paths, destinations(paths, Path(output)), strict=True):
+        try:
+            done.append(import_log(path, options=options, output=target, progress=progress))
+        except (InputError, NoTrustworthyResult) as error:
+            if len(paths) == 1:
+                raise
+            failed.append(error)
+    if failed:
+        listed = "\n  ".join(f"{error}" + (f" ({error.hint})" if error.hint else "") for error in failed)
+        written = ", ".join(str(outcome.outputs[0]) for outcome in done) or "none"
+        text = f"{len(failed)} of {len(paths)} logs cannot be imported:\n  {listed}"
+        raise InputError(text, hint=f"the others were written: {written}")
     if len(done) == 1:
         return done[0]
     return Result(
@@ -140,12 +153,12 @@ def import_logs(
 
 
 def destinations(paths: Sequence[Path], output: Path) -> list[Path]:
-    """Where each log goes: the file named, or a file in the folder named.
+    """Return where each log goes: the file that was named, or a file in the folder that was named.
 
     Raises
     ------
     UsageError
-        Several logs and one file to write them to, or two that would have one name.
+        There are several logs and one file to write them to, or two would have one name.
     """
     if len(paths) == 1 and not output.is_dir() and not str(output).endswith("/"):
         atomic.check_writable(output, inputs=tuple(paths))

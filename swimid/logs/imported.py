@@ -1,4 +1,4 @@
-"""The result of importing a log: the log in order, what was found in it, and its evidence."""
+"""The result of importing a log: the log in order, its examination, and its evidence."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from swimid.logs import log
 from swimid.logs.examine import Examined
 from swimid.logs.log import Log
 from swimid.logs.logged import Logged
-from swimid.logs.mapping import Mapping
 from swimid.logs.rhythm import Rhythm
 from swimid.logs.sampling import usual_step
 from swimid.notices import Notice, recorded
@@ -28,6 +27,8 @@ Array = NDArray[np.float64]
 RESOLVED = 6.0
 #: Beyond this share of its extent along a line the track does not keep to it.
 OFF_LINE = 0.1
+#: Largest share of the rows that may be dropped: with more the time is hardly complete.
+MAX_DROPPED = 0.1
 #: Of more jumps or missing samples than these shares a track is doubted.
 MANY = 0.2
 REFERENCES = [
@@ -40,37 +41,34 @@ REFERENCES = [
 
 @dataclass(frozen=True, eq=False)
 class Imported(Logged):
-    """A log of another program in the log format, as ``import_log`` gives it.
+    """A log of another program in the log format, as ``import_log`` returns it.
 
     Attributes
     ----------
     examined : Examined
-        Rows put in order, jumps of the track, its speed, and the stroke; None where it was read from a file.
-    mapping : Mapping or None
-        What said which column is which.
+        Rows in order, jumps and speed of the track, and the stroke; None for a result read from a file.
     notices : sequence of Notice
-        Warnings that were raised before its figures were drawn.
+        Warnings raised before the figures were drawn.
     progress : Progress
         Shows the writing.
     """
 
     examined: Examined | None = None
-    mapping: Mapping | None = None
     notices: Sequence[Notice] = ()
     progress: Progress = field(default=silent, repr=False)
 
     def save(self, path: str | Path) -> Self:
-        """Write the log, and beside it its evidence, in which the log has the file's name.
+        """Write the log, and its evidence beside it.
 
         Raises
         ------
         InputError
-            When the folder does not exist or cannot be written.
+            The folder does not exist or cannot be written.
         """
         renamed, path = self, Path(path)
         if self.examined is not None and self.evidence is not None and path.name != self.log.name:
             made = replace(self.log, path=path)
-            proof = _evidence(made, self.examined, self.mapping, self.evidence.provenance, self.notices)
+            proof = _evidence(made, self.examined, self.evidence.provenance, self.notices)
             renamed = replace(self, document=made, evidence=proof)
         return super(Imported, renamed).save(path)
 
@@ -83,14 +81,13 @@ class Imported(Logged):
 def result(
     found: Examined,
     name: str,
-    rules: Mapping | None,
     provenance: dict[str, Any],
     notices: Sequence[Notice],
     progress: Progress,
 ) -> Imported:
-    """The result of importing one log, to be called ``name``."""
+    """Return the result of importing one log, to be written as ``name``."""
     made = Log(Path(name), found.metadata, found.columns, None)
-    proof = _evidence(made, found, rules, provenance, notices)
+    proof = _evidence(made, found, provenance, notices)
     return Imported(
         "import",
         _summary(found, proof),
@@ -98,7 +95,6 @@ def result(
         evidence=proof,
         document=made,
         examined=found,
-        mapping=rules,
         notices=notices,
         progress=progress,
     )
@@ -107,7 +103,6 @@ def result(
 def _evidence(
     made: Log,
     found: Examined,
-    rules: Mapping | None,
     provenance: dict[str, Any],
     notices: Sequence[Notice],
 ) -> Evidence:
@@ -119,7 +114,7 @@ def _evidence(
         title=f"Log {made.name}, imported from {found.path.name}",
         verdict=judged(checks, f"{len(found.time_s)} samples in {len(found.columns) - 1} channels"),
         checks=checks,
-        tables=[_columns(found, rules), *_speeds(found), *_strokes(found)],
+        tables=[_columns(found), *_speeds(found), *_strokes(found)],
         figures=figures,
         notices=blocks.notices([*notices, *drawn]),
         methods=_methods(found),
@@ -129,15 +124,37 @@ def _evidence(
 
 
 def _row_checks(found: Examined) -> list[Check]:
-    odd, n = sum(found.order.counts.values()), len(found.time_s)
-    why = "; ".join(found.notes) or "rows without a time, repeated, late or of a taken time"
-    checks = [check("Rows in order", f"{odd} of {n + odd} odd", not odd and not found.notes, "none", why)]
-    if found.metadata.get("sample_rate") == "assumed":
-        why = (
-            "nothing in the file tells it: put it under 'time:' of the mapping and take "
-            "'sample_rate: assumed' out; speeds and frequencies are as wrong as it is"
+    mapped = found.mapped
+    odd, n = sum(found.order.counts.values()), len(mapped)
+    why = "; ".join(found.notes) or "rows without a time, repeated, late, or with the time of the row before"
+    checks = [check("Rows in order", f"{odd} of {n} odd", not odd and not found.notes, "none", why)]
+    dropped = found.order.untimed + found.order.clashing
+    why = "rows without a time, or with the time of the row before but other values: is the time complete?"
+    limit, value = f"≤ {100 * MAX_DROPPED:g} %", f"{dropped} of {n}"
+    checks.append(
+        blocks.check("Rows kept", value, limit, dropped <= MAX_DROPPED * n, otherwise="fail", text=why)
+    )
+    unknown = ", ".join(mapped.unknown)
+    why = f"nothing states the quantity of {unknown}: map it to a name with a unit, or to unit: '1'"
+    value = f"{len(mapped.unknown)} columns unknown"
+    checks.append(
+        blocks.check(
+            "Quantity of every column", value, "none", not mapped.unknown, otherwise="fail", text=why
         )
-        checks.append(check("Sample rate", "assumed", False, "known", why))
+    )
+    if found.metadata.get("sample_rate") == "assumed":
+        why = "speeds and frequencies are as wrong as it is: state it under 'time:' of the mapping"
+        checks.append(blocks.check("Sample rate", "assumed", "stated", False, otherwise="fail", text=why))
+    for name, emptied in mapped.unlikely.items():
+        why = "its tracker hardly believes these points: they are left empty"
+        checks.append(check(f"Samples by {name}", f"{emptied} of {n} left empty", False, "none", why))
+    told = "; ".join(
+        f"{one.column} {one.text} (against {one.against}: {one.gain:.3g})" for one in found.contradictions
+    )
+    value = f"{len(found.contradictions)} contradictions"
+    checks.append(
+        blocks.check("Columns agree", value, "none", not found.contradictions, otherwise="fail", text=told)
+    )
     beyond = f"{len({doubt.column for doubt in found.doubts})} columns beyond"
     why = "; ".join(f"{doubt.column} {doubt.text}" for doubt in found.doubts)
     return [*checks, blocks.check(POSSIBLE, beyond, "none", not found.doubts, otherwise="fail", text=why)]
@@ -197,17 +214,15 @@ def _done(found: Examined) -> str:
     return "left out" if found.cleaned else "kept"
 
 
-def _columns(found: Examined, rules: Mapping | None) -> Table:
-    sources: dict[str, tuple[str, str, str]] = {}
-    if rules is not None:
-        sources = {c.target: (str(c.source), f"{c.scale:.6g}", f"{c.offset:.6g}") for c in rules.columns}
-        if rules.time is not None:
-            origin = rules.time.source if rules.time.source is not None else f"rate {rules.time.rate_hz}"
-            sources[log.TIME] = str(origin), rules.time.unit, str(rules.time.origin)
+def _columns(found: Examined) -> Table:
+    sources = {
+        target: (source, f"{factor:.6g}", f"{offset:.6g}")
+        for target, (source, factor, offset) in found.mapped.sources.items()
+    }
     return Table(
         id="columns",
         title="Columns",
-        columns=["column", "source", "factor or unit", "offset", "smallest", "largest", "missing"],
+        columns=["column", "source", "factor", "offset", "smallest", "largest", "missing"],
         rows=[
             [
                 name,
@@ -340,6 +355,9 @@ def _facts(found: Examined, proof: Evidence) -> dict[str, Any]:
         "missing": {n: int(np.isnan(v).sum()) for n, v in found.columns.items() if n != log.TIME},
         "rows": found.order.counts,
         "notes": found.notes,
+        "profile": found.mapped.profile,
+        "unlikely": found.mapped.unlikely,
+        "contradictions": [asdict(one) for one in found.contradictions],
         "track": track,
         "speed": speeds,
         "stroke": {"unknown": found.unknown} if stroke is None else _stroke_facts(stroke, found.against),

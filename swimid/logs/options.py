@@ -8,13 +8,38 @@ from typing import Any, Self
 from pydantic import model_validator
 
 from swimid.errors import UsageError
+from swimid.logs.profiles.base import Choices
 from swimid.options import Options, Source, option
 
 
 class ImportOptions(Options):
-    """What the import of a log can be told."""
+    """Options of the import of a log."""
 
     map_path: Source = option(None, flag="--map", recorded=False, help="Mapping file (swimid-mapping/1).")
+    profile: str | None = option(
+        None,
+        flag="--as",
+        metavar="PROFILE",
+        help="Format of the file: ardupilot, deeplabcut, dynamixel, opensim, px4, ros2, sleap, swimid, "
+        "tracker  [default: recognised by its content].",
+    )
+    select: str | None = option(
+        None,
+        metavar="NAME",
+        help="Track, individual, instance, topic or message type to take, if the file holds several.",
+    )
+    rate_hz: float | None = option(
+        None, gt=0, help="Frames per second, for a file of a known format that states no times."
+    )
+    length_unit: str | None = option(
+        None, metavar="UNIT", help="Unit of lengths (mm, cm, m, px), for a file that states none."
+    )
+    min_likelihood: float | None = option(
+        None,
+        ge=0,
+        le=1,
+        help="Leave a tracked point with a smaller likelihood (confidence, score) empty  [default: 0.6].",
+    )
     clean: bool | None = option(
         None,
         flag="--clean/--raw",
@@ -42,6 +67,11 @@ class ImportOptions(Options):
         help="Frequencies between which the stroke is known to lie, Hz.",
     )
 
+    @property
+    def choices(self) -> Choices:
+        """What was stated beside the file."""
+        return Choices(self.profile, self.select, self.rate_hz, self.length_unit, self.min_likelihood)
+
     @model_validator(mode="after")
     def _can_be_meant(self) -> Self:
         if self.start_s is not None and self.end_s is not None and self.end_s <= self.start_s:
@@ -65,12 +95,16 @@ class ImportOptions(Options):
 
 
 class ImportCommandOptions(ImportOptions):
-    """What the command ``import`` can be told."""
+    """Options of the command ``import``."""
 
-    guess: bool = option(False, recorded=False, help="Write a mapping drafted from names and values instead.")
+    guess: bool = option(
+        False,
+        recorded=False,
+        help="Draft a mapping instead, with ASK for everything that the file does not state.",
+    )
 
 
 class PlotOptions(Options):
-    """What ``plot`` can be told."""
+    """Options of ``plot``."""
 
     title: str | None = option(None, help="Title above the figures.")

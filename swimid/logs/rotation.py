@@ -1,7 +1,8 @@
-"""Attitudes in space and the angles they are told in."""
+"""Attitudes in space, their angles and quaternions, and conventions of axes."""
 
 from __future__ import annotations
 
+import re
 import warnings
 from typing import Any
 
@@ -31,3 +32,28 @@ def angles(rotation: Rotation) -> tuple[Array, Array, Array]:
 def from_angles(roll: Any, pitch: Any, yaw: Any) -> Rotation:
     """The inverse of :func:`angles`; all rad, shape (n,)."""
     return Rotation.from_euler("ZYX", np.column_stack((yaw, -np.asarray(pitch), roll)))
+
+
+#: Columns of an attitude quaternion, body to world, real part first.
+AXES = ("qw", "qx", "qy", "qz")
+
+
+def rearranged(q: Array, order: str = "wxyz", direction: str = "body-to-world") -> Array:
+    """Return quaternions, shape (n, 4), with the real part first and from body to world.
+
+    >>> rearranged(np.array([[0.0, 0.0, 0.6, 0.8]]), "xyzw", "world-to-body").tolist()
+    [[0.8, -0.0, -0.0, -0.6]]
+    """
+    q = np.roll(q, 1, axis=1) if order == "xyzw" else q
+    return q * [1.0, -1.0, -1.0, -1.0] if direction == "world-to-body" else q
+
+
+def from_frd(columns: dict[str, Array]) -> dict[str, Array]:
+    """Return columns with axes forward, right, down as axes forward, left, up: y, z and yaw change their
+    sign.
+
+    Roll (right side down is port side up) and pitch (nose up) stay, as does the real and the x part of a
+    quaternion.
+    """
+    turned = re.compile(r"(desired_)?([awvmq]?[yz]|yaw)(_.*)?")
+    return {name: -values if turned.fullmatch(name) else values for name, values in columns.items()}

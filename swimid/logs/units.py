@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 from swimid.errors import suggestion
 
@@ -12,6 +13,9 @@ _RPM = 2 * math.pi / 60
 #: Factor to SI of every unit, by what it measures; the unit of SI first.
 UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60, "h": 3600},
+    "pixels": {"px": 1},
+    "pixel speed": {"px/s": 1},
+    "pixel acceleration": {"px/s2": 1},
     "length": {"m": 1, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "km": 1e3, "in": 0.0254, "ft": 0.3048},
     "angle": {
         "rad": 1,
@@ -19,6 +23,7 @@ UNITS: dict[str, dict[str, float]] = {
         "mrad": 1e-3,
         "rev": 2 * math.pi,
         "cdeg": math.pi / 18000,
+        "tick": 2 * math.pi / 4096,
     },
     "speed": {"m/s": 1, "mm/s": 1e-3, "cm/s": 1e-2, "km/h": 1 / 3.6, "kn": 1852 / 3600},
     "acceleration": {"m/s2": 1, "mm/s2": 1e-3, "cm/s2": 1e-2, "g": _G, "mg": 1e-3 * _G},
@@ -62,7 +67,11 @@ _SPELLED = {
     "kn": ("knots",),
     "Nm": ("N m", "N·m", "N*m"),
     "degC": ("C", "°C", "celsius"),
+    "px": ("pixel", "pixels"),
+    "tick": ("ticks",),
 }
+#: Columns of the log format without a unit.
+_NO_UNIT = re.compile(r"q[wxyz]|(.+_)?(likelihood|score|confidence)|found|interpolated")
 _SPELLINGS = {spelling: unit for unit, others in _SPELLED.items() for spelling in others}
 
 
@@ -96,6 +105,15 @@ def measured(column: str) -> str | None:
         if column.endswith(f"_{suffix}"):
             return SUFFIXES[suffix]
     return None
+
+
+def is_known(column: str) -> bool:
+    """Return whether the name of a column states its quantity: by its unit, or as a number that has none.
+
+    >>> is_known("x_m"), is_known("qw"), is_known("nose_likelihood"), is_known("column_3")
+    (True, True, True, False)
+    """
+    return measured(column) is not None or _NO_UNIT.fullmatch(column) is not None
 
 
 def factor(unit: str, column: str) -> float:

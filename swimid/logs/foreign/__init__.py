@@ -1,24 +1,26 @@
-"""Logs of other programs: one module per format behind :class:`~swimid.logs.foreign.base.Source`.
+"""File formats: one module per format; its ``READER`` makes a :class:`~swimid.logs.foreign.base.Table`.
 
-Every module here that has a ``READER`` is found by itself; the next format is one new file.
+Every module here with a ``READER`` is found by itself: the next format is one new file.
 """
 
 from __future__ import annotations
 
 import importlib
 import pkgutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
 from swimid.errors import InputError, suggestion
 from swimid.files import yamlio
-from swimid.logs.foreign.base import Loaded, Options, Reader, Source
+from swimid.logs.foreign.base import Options, Reader, Table
 from swimid.logs.log import Log
 
 
 @cache
 def readers() -> dict[str, Reader]:
-    """Every format by its name."""
+    """Return every format by its name."""
     found: dict[str, Reader] = {}
     for entry in pkgutil.iter_modules(__path__):
         module = importlib.import_module(f"{__name__}.{entry.name}")
@@ -29,12 +31,12 @@ def readers() -> dict[str, Reader]:
 
 
 def reader_of(path: Path, options: Options) -> Reader:
-    """The format of a file: the one asked for, or by how the file begins, or by its ending.
+    """Return the format of a file: the one asked for, or by its first bytes, or by its ending.
 
     Raises
     ------
     InputError
-        When the file cannot be read or the format asked for does not exist.
+        The file cannot be read, or there is no such format.
     """
     known = readers()
     try:
@@ -55,23 +57,30 @@ def reader_of(path: Path, options: Options) -> Reader:
     return known[options.kind]
 
 
-def open_source(given: str | Path | Log, options: Options | None = None) -> Source:
-    """Open a log of another program, or what is in memory already.
+def open_table(given: str | Path | Log, options: Options | None = None) -> Table:
+    """Read a file as a table, or take a log in memory as one.
 
     Raises
     ------
     InputError
-        When it cannot be read, or its reader needs an extra that is not installed.
+        The file cannot be read, or its reader needs an extra that is not installed.
     """
     if isinstance(given, Log):
-        return Loaded(dict(given.columns), comments=yamlio.dumps_flat(given.metadata).splitlines())
+        return Table(dict(given.columns), comments=yamlio.dumps_flat(given.metadata).splitlines())
     path, options = Path(given), options or Options()
     reader = reader_of(path, options)
-    try:
+    with extra_needed(path, reader.title, reader.extra):
         return reader.open(path, options)
+
+
+@contextmanager
+def extra_needed(path: Path, title: str, extra: str) -> Iterator[None]:
+    """Turn a failed import of a library into an :class:`InputError` that names the extra to install."""
+    try:
+        yield
     except ImportError as error:
         raise InputError(
-            f"is a {reader.title}, and {error.name} to read it is not installed",
+            f"is a {title}, and {error.name} to read it is not installed",
             file=path,
-            hint=f"pip install 'swimid[{reader.extra}]'",
+            hint=f"pip install 'swimid[{extra}]'",
         ) from error

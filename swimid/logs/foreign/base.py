@@ -1,4 +1,4 @@
-"""The interface of foreign formats: what a file holds, and its columns in pieces."""
+"""The interface of file formats: a reader makes a :class:`Table` of a file."""
 
 from __future__ import annotations
 
@@ -16,25 +16,21 @@ from pydantic import Field
 from swimid.errors import InputError, first_line, nearest
 from swimid.files import yamlio
 
-#: One piece of a file: columns by name, all of one length.
-Chunk = dict[str, NDArray[Any]]
-Kind = Literal["number", "time", "text"]
-
 
 class Options(yamlio.Document):
-    """How to read the file, where that cannot be told from the file itself (``reader:``)."""
+    """How to read the file, where the file itself does not say it (``reader:`` of a mapping)."""
 
     #: The format, where neither ending nor content says it.
     kind: str | None = None
-    #: Between the cells of a text file: one character, ``tab`` or ``whitespace``.
+    #: Delimiter of a text file: one character, ``tab`` or ``whitespace``.
     delimiter: Annotated[str, Field(min_length=1, max_length=10)] | None = None
     #: Whether a line of names stands above the samples.
     header: bool | None = None
-    #: Lines before the header, or before the samples.
+    #: Number of lines before the header, or before the samples.
     skip_rows: Annotated[int, Field(ge=0)] | None = None
-    #: Cells that mean "no sample", beside the empty cell and ``nan``.
+    #: Cells that mean "no sample", besides the empty cell and ``nan``.
     missing: list[float | str] = []
-    #: Lines that begin with this are no samples.
+    #: Lines that begin with this are comments.
     comment: Annotated[str, Field(min_length=1, max_length=4)] = "#"
     decimal: Literal[".", ","] | None = None
     encoding: str | None = None
@@ -44,71 +40,67 @@ class Options(yamlio.Document):
     dataset: str | None = None
 
 
-@dataclass(frozen=True)
-class Column:
-    """One column a file offers.
-
-    Attributes
-    ----------
-    name : str
-        As a mapping names it. Of a matrix ``acc`` the columns are ``acc[1]``, ``acc[2]``, ...
-    kind : {"number", "time", "text"}
-        ``time`` holds dates, which come as ``datetime64[ns]``.
-    rows : int or None
-        How many, where that is known without reading the file.
-    """
-
-    name: str
-    kind: Kind = "number"
-    rows: int | None = None
-
-
 @dataclass(eq=False)
-class Source:
-    """One opened file (one topic of it, where it holds several).
+class Table:
+    """The samples of one file (one topic of it, if it holds several).
 
     Attributes
     ----------
-    columns : list of Column
-        What it offers, in the file's order; ``"3"`` also means the third.
+    columns : dict of str to ndarray, each shape (n,)
+        In the order of the file: numbers, dates (``datetime64[ns]``, UTC) or text (``object``). The columns
+        of a matrix ``acc`` are ``acc[1]``, ``acc[2]``, ...
+    units : dict of str to str
+        Units that the file states, by column.
     metadata : dict
-        What the file says of itself: plain values.
+        What the file says about itself: plain values.
     scalars : dict of str to float
         Single numbers beside the columns, a sampling rate for instance.
     notes : list of str
-        What a user should know of how it was read.
+        Problems of the reading that a user must know.
     comments : list of str
-        Its comment lines, without their mark.
-    steps : int or None
-        Size of the work in the steps that ``chunks`` reports; None where unknown.
+        Comment lines, without their mark.
+    lines : ndarray of int, shape (n,), or None
+        Line of the file of each row, from 1; None for a file without lines.
     """
 
-    columns: list[Column]
+    columns: dict[str, NDArray[Any]]
+    units: dict[str, str] = field(default_factory=dict)
     metadata: dict[str, Any] = field(default_factory=dict)
     scalars: dict[str, float] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     comments: list[str] = field(default_factory=list)
-    steps: int | None = None
+    lines: NDArray[np.int64] | None = None
 
-    def chunks(self, names: Sequence[str], step: Callable[[int], None]) -> Iterator[Chunk]:
-        """The named columns piece by piece, in the file's order.
+    def column(self, key: str | int, path: Path) -> str:
+        """Return the name of a column given by its name, or by its number from 1.
 
-        Numbers come as float64 or integers, dates as ``datetime64[ns]``; NaN or NaT where a
-        cell is empty. ``step`` is called with the progress of each piece.
+        Raises
+        ------
+        InputError
+            There is no such column; names the nearest.
         """
-        raise NotImplementedError
+        names = list(self.columns)
+        if isinstance(key, str) and key in names:
+            return key
+        if isinstance(key, int) or key.isdecimal():
+            if not 1 <= int(key) <= len(names):
+                raise InputError(f"has {len(names)} columns, no column {key}", file=path)
+            return names[int(key) - 1]
+        loose = [name for name in names if name.strip().lower() == key.strip().lower()]
+        if len(loose) == 1:
+            return loose[0]
+        close = nearest(key, names)
+        hint = f"did you mean '{close}'?" if close else f"the file has: {', '.join(names[:30])}"
+        raise InputError("there is no such column", file=path, column=key, hint=hint)
 
-    def lines(self, count: int) -> NDArray[np.int64] | None:
-        """Line of the file of each of ``count`` samples, from 1; None where it has no lines."""
-        return None
-
-    def close(self) -> None:
-        """Let the file go, where it is held open."""
+    def place(self, row: int) -> dict[str, int]:
+        """Return where a row stands, for an :class:`InputError`: its line, or its row from 1."""
+        return {"row": row + 1} if self.lines is None else {"line": int(self.lines[row])}
 
 
 @dataclass(frozen=True)
 class Reader:
-    """One foreign format.
+    """One file format.
 
     Attributes
     ----------
@@ -117,11 +109,11 @@ class Reader:
     title : str
         In words.
     endings : tuple of str
-        File endings that mean this format, with their dot.
+        File endings of this format, with their dot.
     open : callable
-        ``open(path, options) -> Source``.
+        ``open(path, options) -> Table``.
     magic : tuple of bytes
-        What such a file begins with; it decides before the ending does.
+        First bytes of such a file; they decide before the ending does.
     extra : str
         The optional dependency to install, ``"mcap"`` for ``pip install swimid[mcap]``.
     """
@@ -129,41 +121,19 @@ class Reader:
     name: str
     title: str
     endings: tuple[str, ...]
-    open: Callable[[Path, Options], Source]
+    open: Callable[[Path, Options], Table]
     magic: tuple[bytes, ...] = ()
     extra: str = ""
 
 
-class Loaded(Source):
-    """A :class:`Source` whose columns were read whole: for formats that cannot be read in pieces."""
-
-    def __init__(self, values: dict[str, NDArray[Any]], **more: Any) -> None:
-        columns = [Column(name, kind_of(column), len(column)) for name, column in values.items()]
-        super().__init__(columns, steps=1, **more)
-        self._values = values
-
-    def chunks(self, names: Sequence[str], step: Callable[[int], None]) -> Iterator[Chunk]:
-        """All of it at once."""
-        yield {name: self._values[name] for name in names}
-        step(1)
-
-
-def kind_of(values: NDArray[Any]) -> Kind:
-    """What an array holds, as a :class:`Column` says it."""
-    return "time" if values.dtype.kind == "M" else "text" if values.dtype.kind in "USO" else "number"
-
-
-def dates(texts: Any) -> NDArray[Any]:
-    """Dates in ISO 8601 as ``datetime64[ns]``, UTC; NaT for what is none."""
-    import pandas as pd
-
-    parsed = pd.to_datetime(pd.Series(texts, dtype=object), errors="coerce", format="ISO8601", utc=True)
-    return parsed.dt.tz_localize(None).to_numpy(dtype="datetime64[ns]")
+def is_text(values: NDArray[Any]) -> bool:
+    """Return whether a column holds text."""
+    return values.dtype.kind in "USO"
 
 
 @contextmanager
 def reading(path: Path, what: str) -> Iterator[None]:
-    """What a library raises of a damaged file becomes an :class:`InputError`: it is no readable ``what``."""
+    """Turn every exception of a library into an :class:`InputError`: the file is no readable ``what``."""
     try:
         yield
     except (InputError, ImportError):
@@ -175,9 +145,10 @@ def reading(path: Path, what: str) -> Iterator[None]:
 def flat(
     value: Any, deepest: int, fields: Callable[[Any], Any] = lambda value: value, name: str = ""
 ) -> Iterator[tuple[str, Any]]:
-    """What a nested record holds by its dotted names, of lists up to 100 long ``name[1]``, ``name[2]``, ...
+    """Yield the values of a nested record by their dotted names.
 
-    ``fields`` makes a dict of what has parts, and leaves the rest as it is.
+    Elements of lists with up to 100 elements are ``name[1]``, ``name[2]``, ... ``fields`` turns a value that
+    has parts into a dict and returns any other as it is.
     """
     value = fields(value) if deepest > 0 else value
     if isinstance(value, dict) and deepest > 0:
@@ -190,23 +161,39 @@ def flat(
         yield name, value
 
 
+def of_records(records: Sequence[dict[str, Any]]) -> dict[str, NDArray[Any]]:
+    """Return the columns of flat records: numbers (NaN where a record lacks one), dates or text."""
+    import pandas as pd
+
+    columns: dict[str, NDArray[Any]] = {}
+    for name in dict.fromkeys(key for record in records for key in record):
+        values = [record.get(name) for record in records]
+        known = [value for value in values if value is not None]
+        if any(isinstance(value, str) for value in known):
+            columns[name] = np.array(values, dtype=object)
+        elif known and all(isinstance(value, np.datetime64) for value in known):
+            columns[name] = np.array(values, dtype="datetime64[ns]")
+        elif known and all(isinstance(value, bool | int | float | np.number) for value in known):
+            # a whole number of hundreds of digits is no measurement
+            numbers = pd.to_numeric(pd.Series(values, dtype=object), errors="coerce")
+            columns[name] = numbers.to_numpy(dtype=numbers.dtype if numbers.dtype.kind in "iu" else float)
+    return columns
+
+
 def one_of(wanted: str | None, known: Sequence[str], *, file: Path, what: str, key: str) -> str:
-    """The topic or group asked for, or the only one there is.
+    """Return the topic or group that was asked for, or the only one there is.
 
     Raises
     ------
     InputError
-        When it is not there, or none was named and there are several.
+        It is not there, or none was named and there are several.
     """
     if not known:
         raise InputError(f"holds no {what} with samples", file=file)
     if wanted is None:
         if len(known) > 1:
-            raise InputError(
-                f"holds {len(known)} {what}s; the mapping must name one",
-                file=file,
-                hint=f"write reader: {{{key}: ...}} with one of: {', '.join(known[:20])}",
-            )
+            text = f"holds {len(known)} {what}s; name one"
+            raise InputError(text, file=file, hint=f"{key} one of: {', '.join(known[:20])}")
         return known[0]
     if wanted not in known:
         close = nearest(wanted, list(known))
@@ -221,34 +208,33 @@ def of_arrays(
     metadata: dict[str, Any] | None = None,
     *,
     hint: str | None = None,
-) -> Loaded:
-    """A file of named arrays: its columns, of a matrix ``name[1]``, ``name[2]``, ..., and its single numbers.
+) -> Table:
+    """Return the table of a file of named arrays.
 
-    A row vector is taken as a column; a matrix that is wider than long lies on its side where
-    the other arrays say so.
+    The columns of a matrix are ``name[1]``, ``name[2]``, ... A row vector is one column. A matrix that is
+    wider than long is transposed if the other arrays have its width as their length. Single numbers become
+    scalars.
 
     Raises
     ------
     InputError
-        When there is no column; ``hint`` says what to do.
+        There is no column; ``hint`` says what to do.
     """
     lengths = Counter(size for values in arrays.values() for size in {n for n in values.shape if n > 1})
-    longest = max(lengths, key=lambda n: (lengths[n], n), default=0)
+    longest = max(lengths, key=lambda n: (lengths[n], n), default=1)
     columns: dict[str, NDArray[Any]] = {}
     scalars: dict[str, float] = {}
     for name, values in arrays.items():
         if values.size == 1 and longest > 1:
             scalars[name] = float(values.reshape(-1)[0])
         elif values.ndim <= 2 and values.size:
-            if (
-                values.ndim == 2
-                and len(values) != longest
-                and (values.shape[1] == longest or len(values) == 1)
-            ):
+            if values.ndim == 2 and len(values) != longest and longest in values.shape[1:]:
+                values = values.T
+            if values.ndim == 2 and len(values) == 1:
                 values = values.T
             matrix = values.reshape(len(values), -1)
             single = matrix.shape[1] == 1
             columns |= {name if single else f"{name}[{k}]": part for k, part in enumerate(matrix.T, start=1)}
     if not columns:
         raise InputError("holds no columns of numbers", file=path, hint=hint)
-    return Loaded(columns, metadata=metadata or {}, scalars=scalars)
+    return Table(columns, metadata=metadata or {}, scalars=scalars)

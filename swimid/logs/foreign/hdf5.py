@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.logs.foreign import matlab
-from swimid.logs.foreign.base import Loaded, Options, Reader, of_arrays, one_of, reading
+from swimid.logs.foreign.base import Options, Reader, Table, of_arrays, one_of, reading
 
 
-def _open(path: Path, options: Options) -> Loaded:
+def _open(path: Path, options: Options) -> Table:
     import h5py
 
     with path.open("rb") as stream:
@@ -28,7 +28,9 @@ def _open(path: Path, options: Options) -> Loaded:
         group: Any = file
         for part in filter(None, (options.dataset or "").replace(".", "/").split("/")):
             names = list(group) if isinstance(group, h5py.Group) else []
-            group = group[one_of(part, names, file=path, what="group", key="dataset")]
+            group = group[
+                one_of(part, names, file=path, what="group", key="reader: {dataset: NAME} in a mapping, with")
+            ]
         if isinstance(group, h5py.Dataset):
             take(group.name.rpartition("/")[2], group)
         else:

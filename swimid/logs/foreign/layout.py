@@ -1,4 +1,4 @@
-"""How a text file of columns is laid out: delimiter, header, decimal mark, what to skip."""
+"""Layout of a text file of columns: delimiter, header, decimal mark, lines to skip."""
 
 from __future__ import annotations
 
@@ -9,68 +9,67 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
 
 from swimid.errors import InputError
 from swimid.files.delimited import MISSING, number
 from swimid.logs import units
-from swimid.logs.foreign.base import Kind, Options
+from swimid.logs.foreign.base import Options
 
 #: Bytes looked at to find the layout, and lines to find the delimiter and the decimal mark.
 SAMPLE, LINES = 1 << 18, 200
 _COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
-_DATE = re.compile(r"\d{4}-\d\d-\d\d([T ]\d\d:\d\d(:\d\d)?.*)?")
-_BLANK = re.compile(rb"[ \t]+")
-_EDGES = re.compile(rb"(?m)^ | (?=\r?$)")
+#: A number with a unit, as in ``0.05 kg``.
+QUANTITY = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?) ?([^\d\s.,+:/-][^\d\s.,:]*[\d]?)"
+#: A cell of a sample that is no plain number: a date, a time of day, or a number with a unit.
+_SAMPLE = re.compile(rf"\d{{1,4}}[-/.]\d\d?[-/.]\d{{1,4}}([T ].*)?|\d\d?:\d\d(:\d\d)?.*|{QUANTITY}")
 
 
 @dataclass(frozen=True)
 class Layout:
-    """What :func:`find` found.
+    """The layout of one file.
 
     Attributes
     ----------
     names : list of str
-        Of the columns; ``"1"``, ``"2"``, ... where the file has no header.
-    kinds : list of {"number", "time", "text"}
-        Of the cells of each.
+        Column names; ``"1"``, ``"2"``, ... if the file has no header.
+    numbers : list of bool
+        Whether at least half of the cells of a column are numbers.
     delimiter : str
-        One character; a space where any run of blanks separates.
+        One character; a space if any run of blanks separates the cells.
     first_line : int
         Line of the first sample, from 1.
     comments : list of str
         Comment lines above the samples, without their mark.
     units : list of str
-        Of the line of units under the header; empty without one.
+        Line of units under the header; empty without one.
     """
 
     names: list[str]
-    kinds: list[Kind]
+    numbers: list[bool]
     delimiter: str
     decimal: str
     encoding: str
     comment: str
     missing: tuple[str, ...]
     first_line: int
-    headed: bool
     blanks: bool
     comments: list[str]
     units: list[str]
     notes: list[str]
 
     def readable(self, cell: str) -> bool:
-        """Whether a cell of a column of numbers is a number or marks a missing one."""
+        """Return whether a cell is a number or marks a missing sample."""
         text = cell.strip()
         return text in MISSING or text in self.missing or _value(text, self.decimal) is not None
 
 
 def find(path: Path, options: Options) -> Layout:
-    """The layout of a file: what the options say, else what its first lines show.
+    """Return the layout of a file: stated by the options, else found in its first lines.
 
     Raises
     ------
     InputError
-        When it is no text, is empty, or no line looks like samples.
+        The file is no text, is empty, or no line looks like samples.
     """
     encoding, text, notes = _text(path, options)
     skip = options.skip_rows or 0
@@ -94,14 +93,13 @@ def find(path: Path, options: Options) -> Layout:
     samples = [cells for _, cells in table[first:] if len(cells) == width]
     return Layout(
         names=names,
-        kinds=[_kind([cells[k].strip() for cells in samples], decimal, missing) for k in range(width)],
+        numbers=[_numeric([cells[k].strip() for cells in samples], decimal, missing) for k in range(width)],
         delimiter=delimiter,
         decimal=decimal,
         encoding=encoding,
         comment=mark,
         missing=missing,
         first_line=table[first][0],
-        headed=headed,
         blanks=blanks,
         comments=comments,
         units=written,
@@ -110,7 +108,7 @@ def find(path: Path, options: Options) -> Layout:
 
 
 def _text(path: Path, options: Options) -> tuple[str, str, list[str]]:
-    """Encoding and decoded whole lines of the beginning of a file, and what to tell of it."""
+    """Return the encoding, the decoded first lines (whole lines only), and notes for the user."""
     with path.open("rb") as stream:
         raw = stream.read(SAMPLE)
         whole = not stream.read(1)
@@ -141,7 +139,7 @@ def _text(path: Path, options: Options) -> tuple[str, str, list[str]]:
 
 
 def cells_of(line: str, delimiter: str, blanks: bool) -> list[str]:
-    """The cells of one line."""
+    """Return the cells of one line."""
     if blanks:
         return line.split()
     if '"' not in line:
@@ -153,7 +151,7 @@ def cells_of(line: str, delimiter: str, blanks: bool) -> list[str]:
 
 
 def _delimiter(lines: list[str], options: Options) -> tuple[str, bool]:
-    """What separates the cells, and whether a run of blanks counts once."""
+    """Return the delimiter, and whether any run of blanks separates the cells."""
     wanted = options.delimiter
     if wanted is not None:
         if wanted.lower() in ("whitespace", "space", "spaces", " "):
@@ -181,7 +179,7 @@ def _decimal(table: list[list[str]], delimiter: str) -> str:
 
 
 def _value(cell: str, decimal: str) -> float | None:
-    """The number in a cell, or None where it is none."""
+    """Return the number in a cell; None if it is none."""
     if decimal == ",":
         cell = cell.replace(",", ".") if "." not in cell else "?"
     return number(cell.strip())
@@ -190,10 +188,10 @@ def _value(cell: str, decimal: str) -> float | None:
 def _split(
     table: list[tuple[int, list[str]]], width: int, decimal: str, options: Options, path: Path
 ) -> tuple[list[list[str]], int]:
-    """The lines of names (and units) that stand above the samples, and where those begin."""
+    """Return the lines of names (and units) above the samples, and the index of the first sample."""
 
     def looks_sampled(cells: list[str]) -> bool:
-        return any(_value(c, decimal) is not None or _DATE.fullmatch(c.strip()) for c in cells)
+        return any(_value(c, decimal) is not None or _SAMPLE.fullmatch(c.strip()) for c in cells)
 
     if options.header is False:
         return [], 0
@@ -201,7 +199,7 @@ def _split(
         (k for k, (_, cells) in enumerate(table) if len(cells) == width and looks_sampled(cells)), None
     )
     if options.header is True and not first:
-        # the names themselves look like samples, or the samples like names
+        # here the names look like samples, or the samples look like names
         first = 2 if len(table) > 2 and _are_units(table[1][1]) else 1
         if len(table) <= first:
             raise InputError("holds no samples under its header", file=path, line=table[0][0])
@@ -223,10 +221,10 @@ def _split(
 
 
 def _joined(head: list[list[str]]) -> list[list[str]]:
-    """Several lines of names as one: point and coordinate as ``nose_x``.
+    """Return several lines of names as one: ``nose`` above ``x`` becomes ``nose_x``.
 
-    The tables of DeepLabCut and of pandas name a column by a line each for scorer, body part and coordinate;
-    a line that says the same of all columns tells nothing.
+    Tables of pandas have one line for each level of the column names. A line that is equal in all columns is
+    left out.
     """
     levels = [row for row in head if not _are_units(row)]
     if len(levels) < 2:
@@ -234,7 +232,7 @@ def _joined(head: list[list[str]]) -> list[list[str]]:
     telling = [row for row in levels if len({cell.strip() for cell in row[1:]}) > 1]
     names = ["_".join(filter(None, (row[k].strip() for row in telling))) for k in range(len(head[0]))]
     first = [row[0].strip() for row in levels]
-    # the first column counts the pictures, and its cells name the lines
+    # the cells of the first column name the lines; the column itself counts the frames
     names[0] = "frame" if "bodyparts" in first else first[-1] or "frame"
     return [names, *(row for row in head if _are_units(row))]
 
@@ -249,7 +247,7 @@ def _unit(cell: str) -> str:
 
 
 def _names(head: list[list[str]], width: int) -> tuple[list[str], list[str], bool]:
-    """Names and units of the columns, and whether the file names them."""
+    """Return names and units of the columns, and whether the file names them."""
     numbered = [str(k + 1) for k in range(width)]
     if not head:
         return numbered, [], False
@@ -266,47 +264,15 @@ def _names(head: list[list[str]], width: int) -> tuple[list[str], list[str], boo
     return names, [_unit(cell) for cell in head[1]] if len(head) > 1 else [], True
 
 
-def _kind(cells: list[str], decimal: str, missing: tuple[str, ...]) -> Kind:
+def _numeric(cells: list[str], decimal: str, missing: tuple[str, ...]) -> bool:
     known = [cell for cell in cells if cell not in MISSING and cell not in missing]
-    if sum(_value(cell, decimal) is not None for cell in known) >= len(known) / 2:
-        return "number"
-    return "time" if sum(bool(_DATE.fullmatch(cell)) for cell in known) >= len(known) / 2 else "text"
+    return sum(_value(cell, decimal) is not None for cell in known) >= len(known) / 2
 
 
 def rows(path: Path, found: Layout) -> Iterator[tuple[int, list[str]]]:
-    """Line number and cells of every sample, slowly."""
+    """Yield line number and cells of every sample; slow."""
     with path.open("r", encoding=found.encoding, errors="replace", newline="\n") as stream:
         for at, line in enumerate(stream, start=1):
             text = line.rstrip("\r\n")
             if at >= found.first_line and text.strip() and not text.lstrip().startswith(found.comment):
                 yield at, cells_of(text, found.delimiter, found.blanks)
-
-
-def blocks(path: Path, found: Layout, size: int) -> Iterator[tuple[bytes, int, int]]:
-    """The samples as pieces of UTF-8 text made of whole lines, comments taken out.
-
-    Yields
-    ------
-    text : bytes
-    lines, taken : int
-        Lines and bytes of the file it was made from.
-    """
-    mark = found.comment.encode()
-    with path.open("rb") as raw:
-        stream: IO[bytes] = raw
-        if found.encoding not in ("utf-8", "ascii"):
-            stream = codecs.EncodedFile(raw, "utf-8", found.encoding, errors="replace")  # type: ignore[assignment]
-        for _ in range(found.first_line - 1):
-            stream.readline()
-        taken = 0
-        while text := stream.read(size):
-            if not text.endswith(b"\n"):
-                text += stream.readline()
-            lines = text.count(b"\n") + (not text.endswith(b"\n"))
-            if mark in text:
-                text = b"\n".join(line for line in text.split(b"\n") if not line.lstrip().startswith(mark))
-            if found.blanks:
-                text = _EDGES.sub(b"", _BLANK.sub(b" ", text))
-            here = raw.tell()
-            yield text, lines, here - taken
-            taken = here

@@ -9,28 +9,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.logs.foreign.base import Loaded, Options, Reader, of_arrays, one_of, reading
+from swimid.logs.foreign.base import Options, Reader, Table, of_arrays, one_of, reading
 
-#: What a file of version 7.3 begins with; behind it lies HDF5.
+#: First bytes of a file of version 7.3; HDF5 follows.
 NEW = b"MATLAB 7.3"
-#: Of a longer cell array the rest is left.
+#: Maximum number of elements of a cell array that are read.
 MOST_CELLS = 1000
 
 
-def load(path: Path, options: Options) -> Loaded:
-    """Read every array of numbers a file holds."""
+def load(path: Path, options: Options) -> Table:
+    """Read every array of numbers of a file."""
     with reading(path, "MATLAB file"):
         content = _content(path)
     content = {name: value for name, value in content.items() if not name.startswith("__")}
     arrays: dict[str, NDArray[Any]] = {}
     metadata: dict[str, Any] = {}
     _flatten("", _chosen(content, options, path), arrays, metadata)
-    hint = "a MATLAB table is an object only MATLAB reads: save its columns, or use writetable"
+    hint = "only MATLAB reads a MATLAB table: save its columns, or use writetable"
     return of_arrays(arrays, path, metadata, hint=hint)
 
 
 def _content(path: Path) -> dict[str, Any]:
-    """The file's variables; structs as dictionaries, cell arrays as lists."""
+    """Return the variables of the file; structs as dictionaries, cell arrays as lists."""
     from scipy.io import loadmat
 
     with path.open("rb") as stream:
@@ -41,12 +41,12 @@ def _content(path: Path) -> dict[str, Any]:
     from pymatreader import read_mat
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of objects, which only MATLAB reads
+        warnings.simplefilter("ignore")  # about objects, which only MATLAB reads
         return dict(_sorted(read_mat(path, ignore_fields=["#subsystem#"])))
 
 
 def _sorted(value: Any) -> Any:
-    """Structs with their fields in the order of their names: pymatreader gives them in any."""
+    """Return structs with their fields sorted by name; pymatreader returns them in any order."""
     return {name: _sorted(value[name]) for name in sorted(value)} if isinstance(value, dict) else value
 
 
@@ -56,12 +56,14 @@ def _chosen(content: dict[str, Any], options: Options, path: Path) -> Any:
     at: Any = content
     for part in options.dataset.replace("/", ".").strip(".").split("."):
         names = list(at) if isinstance(at, dict) else []
-        at = at[one_of(part, names, file=path, what="struct", key="dataset")]
+        at = at[
+            one_of(part, names, file=path, what="struct", key="reader: {dataset: NAME} in a mapping, with")
+        ]
     return at if isinstance(at, dict) else {options.dataset.rpartition(".")[2]: at}
 
 
 def _flatten(prefix: str, value: Any, arrays: dict[str, NDArray[Any]], metadata: dict[str, Any]) -> None:
-    """Arrays of numbers by their dotted names, of a cell array ``name{1}`` ...; texts as metadata."""
+    """Collect arrays of numbers by their dotted names (``name{1}`` in a cell array), and text as metadata."""
     if isinstance(value, dict):
         for name, inner in value.items():
             _flatten(f"{prefix}.{name}" if prefix else str(name), inner, arrays, metadata)

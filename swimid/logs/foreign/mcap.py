@@ -3,77 +3,64 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
-from itertools import islice
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from swimid.errors import InputError
-from swimid.logs.foreign.base import Chunk, Column, Options, Reader, Source, flat, kind_of, one_of, reading
+from swimid.logs.foreign.base import Options, Reader, Table, flat, of_records, one_of, reading
 
-#: Messages a piece.
-ROWS = 20_000
-#: Fields nested deeper are left.
+MAGIC = b"\x89MCAP0\r\n"
+#: Fields nested deeper are left out.
 DEEPEST = 12
 
 
-class McapSource(Source):
-    """One topic of an MCAP file."""
+def topics(path: Path) -> dict[str, str]:
+    """Return the type of the messages of every topic, as the schema names it (``nav_msgs/msg/Odometry``)."""
+    from mcap.reader import make_reader
 
-    def __init__(self, path: Path, options: Options) -> None:
-        self._path = path
-        counts = self._topics()
-        self.topic = one_of(options.topic, list(counts), file=path, what="topic", key="topic")
-        first = next(self._messages(), None)
-        if first is None:
-            raise InputError(f"holds no message of '{self.topic}'", file=path)
-        rows = counts[self.topic]
-        columns = [Column(name, kind_of(np.asarray(value)), rows) for name, value in first.items()]
-        super().__init__(columns, {"topic": self.topic}, steps=rows)
+    with reading(path, "MCAP file"), path.open("rb") as stream:
+        reader = make_reader(stream)
+        summary = reader.get_summary()
+        counts = (
+            {} if summary is None or summary.statistics is None else summary.statistics.channel_message_counts
+        )
+        if summary is not None and counts:
+            found = {
+                channel.topic: summary.schemas.get(channel.schema_id)
+                for number, channel in summary.channels.items()
+                if counts.get(number)
+            }
+        else:
+            stream.seek(0)
+            found = {channel.topic: schema for schema, channel, _ in make_reader(stream).iter_messages()}
+    return {topic: getattr(schema, "name", "") or "" for topic, schema in sorted(found.items())}
 
-    def _topics(self) -> dict[str, int | None]:
-        """Every topic with its number of messages, None where the file has no summary."""
-        from mcap.reader import make_reader
 
-        with reading(self._path, "MCAP file"), self._path.open("rb") as stream:
-            summary = make_reader(stream).get_summary()
-            if summary is None or summary.statistics is None:
-                stream.seek(0)
-                topics = {channel.topic for _, channel, _ in make_reader(stream).iter_messages()}
-                return dict.fromkeys(sorted(topics))
-            found: dict[str, int | None] = {}
-            for number, channel in summary.channels.items():
-                if count := summary.statistics.channel_message_counts.get(number):
-                    found[channel.topic] = (found.get(channel.topic) or 0) + count
-            return dict(sorted(found.items()))
+def load(path: Path, options: Options) -> Table:
+    """Read one topic, its messages in the order of the file; times are ``datetime64[ns]``.
 
-    def _messages(self) -> Iterator[dict[str, Any]]:
-        """Plain fields of each message, in the order of their log times; times in ns since 1970."""
-        from mcap.reader import make_reader
+    The order of the file is kept, since the recorder's clock (``log_time``) may step back.
+    """
+    from mcap.reader import make_reader
 
-        with reading(self._path, "MCAP file"), self._path.open("rb") as stream:
-            reader = make_reader(stream, decoder_factories=_decoders())
-            for found in reader.iter_decoded_messages(topics=[self.topic]):
-                stamps = {
-                    name: np.datetime64(getattr(found.message, name), "ns")
-                    for name in ("log_time", "publish_time")
-                }
-                yield stamps | {
-                    name: value
-                    for name, value in flat(found.decoded_message, DEEPEST, _fields)
-                    if isinstance(value, bool | int | float | np.number | np.datetime64 | str)
-                }
-
-    def chunks(self, names: Sequence[str], step: Callable[[int], None]) -> Iterator[Chunk]:
-        """Pieces of :data:`ROWS` messages; fields a message lacks are NaN."""
-        times = {column.name for column in self.columns if column.kind == "time"}
-        messages = self._messages()
-        while piece := list(islice(messages, ROWS)):
-            yield {name: _column([m.get(name) for m in piece], name in times) for name in names}
-            step(len(piece))
+    known = topics(path)
+    key = "--select NAME, or reader: {topic: NAME} in a mapping, with"
+    topic = one_of(options.topic, list(known), file=path, what="topic", key=key)
+    records: list[dict[str, Any]] = []
+    with reading(path, "MCAP file"), path.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=_decoders())
+        for found in reader.iter_decoded_messages(topics=[topic], log_time_order=False):
+            stamps = {
+                name: np.datetime64(getattr(found.message, name), "ns")
+                for name in ("log_time", "publish_time")
+            }
+            records.append(stamps | dict(flat(found.decoded_message, DEEPEST, _fields)))
+    if not records:
+        raise InputError(f"holds no message of '{topic}'", file=path)
+    return Table(of_records(records), metadata={"topic": topic, "type": known[topic]})
 
 
 def _decoders() -> list[Any]:
@@ -89,7 +76,7 @@ def _decoders() -> list[Any]:
 
 
 def _fields(value: Any) -> Any:
-    """The fields of a message; a stamp of seconds and nanoseconds as a date."""
+    """Return the fields of a message as a dict; a stamp of seconds and nanoseconds as a date."""
     names = getattr(value, "__slots__", None) or getattr(value, "__dict__", None)
     if names is not None:
         value = {name: getattr(value, name) for name in names if not name.startswith("_")}
@@ -98,10 +85,4 @@ def _fields(value: Any) -> Any:
     return value
 
 
-def _column(values: list[Any], dates: bool) -> NDArray[Any]:
-    if dates:
-        return np.array([np.datetime64("NaT") if v is None else v for v in values], dtype="datetime64[ns]")
-    return np.array([float(v) if isinstance(v, int | float | np.number) else np.nan for v in values])
-
-
-READER = Reader("mcap", "MCAP recording", (".mcap",), McapSource, magic=(b"\x89MCAP0\r\n",), extra="mcap")
+READER = Reader("mcap", "MCAP recording", (".mcap",), load, magic=(MAGIC,), extra="mcap")

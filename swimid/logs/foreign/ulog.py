@@ -5,28 +5,46 @@ from __future__ import annotations
 import contextlib
 import io
 from pathlib import Path
+from typing import Any
 
-from swimid.logs.foreign.base import Loaded, Options, Reader, one_of, reading
+from swimid.errors import InputError
+from swimid.logs.foreign.base import Options, Reader, Table, one_of, reading
+
+MAGIC = b"ULog\x01\x12\x35"
 
 
-def _open(path: Path, options: Options) -> Loaded:
+def _load(path: Path) -> tuple[Any, dict[str, Any]]:
+    """Return the recording and its topics by name; several instances of one are ``name[0]``, ``name[1]``."""
     from pyulog import ULog
 
-    # the library prints what it thinks of a damaged file; stdout is for results
+    # the library prints warnings about a damaged file; stdout is for results
     with reading(path, "ULog file"), contextlib.redirect_stdout(io.StringIO()):
         log = ULog(str(path))
     several = {data.name for data in log.data_list if data.multi_id}
-    topics = {f"{d.name}[{d.multi_id}]" if d.name in several else d.name: d for d in log.data_list}
-    topic = one_of(options.topic, list(topics), file=path, what="topic", key="topic")
+    return log, {f"{d.name}[{d.multi_id}]" if d.name in several else d.name: d for d in log.data_list}
+
+
+def topics(path: Path) -> list[str]:
+    """Return the topics of a recording; none if it cannot be read."""
+    try:
+        return list(_load(path)[1])
+    except (InputError, ImportError):
+        return []
+
+
+def _open(path: Path, options: Options) -> Table:
+    log, topics = _load(path)
+    key = "--select NAME, or reader: {topic: NAME} in a mapping, with"
+    topic = one_of(options.topic, list(topics), file=path, what="topic", key=key)
     values = {_field(name): column for name, column in topics[topic].data.items()}
     notes = [f"{len(log.dropouts)} dropouts while it was recorded"] if log.dropouts else []
     if log.file_corruption:
-        notes.append("is damaged; what could be read of it was")
-    return Loaded(values, metadata={"topic": topic}, notes=notes)
+        notes.append("the file is damaged; its readable part was read")
+    return Table(values, metadata={"topic": topic}, notes=notes)
 
 
 def _field(name: str) -> str:
-    """``q[0]`` as ``q[1]``: columns count from 1 in every format.
+    """Return ``q[0]`` as ``q[1]``: columns count from 1 in every format.
 
     >>> _field("q[3]"), _field("timestamp")
     ('q[4]', 'timestamp')
@@ -36,6 +54,4 @@ def _field(name: str) -> str:
     return f"{base}[{int(digits) + 1}]" if bracket and digits.isdecimal() else name
 
 
-READER = Reader(
-    "ulog", "ULog recording", (".ulg", ".ulog"), _open, magic=(b"ULog\x01\x12\x35",), extra="ulog"
-)
+READER = Reader("ulog", "ULog recording", (".ulg", ".ulog"), _open, magic=(MAGIC,), extra="ulog")

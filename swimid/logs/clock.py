@@ -1,0 +1,232 @@
+"""Sample times of a foreign table: numbers, frames, dates, times of day, or parts in several columns."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import PositiveFloat, model_validator
+
+from swimid.errors import InputError
+from swimid.logs import units
+from swimid.logs.foreign.base import Table, is_text
+from swimid.logs.log import TIME
+from swimid.logs.stated import ColumnKey, Stated
+
+Array = NDArray[np.float64]
+DAY_S = 86400.0
+_TIME_OF_DAY = r"(\d{1,2}):(\d\d)(?::(\d\d(?:\.\d+)?))?"
+_DATE = r"(\d{1,2})[/.-](\d{1,2})[/.-](\d{4})(?:[T ]+(.*))?"
+#: Widths of the counters of microcontrollers, bits.
+_COUNTER_BITS = (16, 32)
+#: Names of columns that count frames or rows.
+COUNT = re.compile(
+    r"(frame|index|idx|row|sample|num(ber)?|n|no|count)s?([ _.#]*(number|num|index|idx|no|id|#))?"
+)
+
+
+class Time(Stated):
+    """Where the sample times come from (``time:`` of a mapping)."""
+
+    #: The column; or several that belong together: date and time of day, or seconds and nanoseconds.
+    source: ColumnKey | list[ColumnKey] | None = None
+    #: Column of frame numbers; the time is the frame number over the rate.
+    frame: ColumnKey | None = None
+    #: Unit of the source; one for each of several sources of numbers.
+    unit: str | list[str] = "s"
+    #: Rate of the rows or frames, Hz; or the name of a number in the file.
+    rate_hz: PositiveFloat | str | None = None
+    #: Format of dates as of ``datetime.strptime``, if they are not ISO 8601.
+    format: str | None = None
+    #: Whether the day stands before the month, in dates such as 03/11/2025.
+    day_first: bool | None = None
+    #: Number at which a counter starts again from 0, in the unit of the source.
+    wraps_at: PositiveFloat | None = None
+    #: ``keep`` the clock of the file, count from the ``first`` sample, or subtract so many seconds.
+    origin: Literal["keep", "first"] | float = "keep"
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Time:
+        if self.frame is None and self.rate_hz is not None and isinstance(self.source, str | int):
+            self.frame, self.source = self.source, None
+        if self.frame is not None and (self.source is not None or self.rate_hz is None):
+            raise ValueError("'frame' (a column of frame numbers) goes with 'rate_hz', and without 'source'")
+        if self.frame is None and (self.source is None) == (self.rate_hz is None):
+            raise ValueError("give 'source' (a column), or 'rate_hz', or 'frame' and 'rate_hz'")
+        for unit in [self.unit] if isinstance(self.unit, str) else self.unit:
+            units.factor(unit, TIME)
+        if isinstance(self.unit, list) and len(self.unit) != len(self.sources):
+            raise ValueError(f"{len(self.unit)} units stand beside {len(self.sources)} sources")
+        return self
+
+    @property
+    def sources(self) -> list[str | int]:
+        """The columns that hold the time; empty if it is counted from the rows."""
+        keys = self.frame if self.frame is not None else self.source
+        return keys if isinstance(keys, list) else [] if keys is None else [keys]
+
+
+def seconds(table: Table, time: Time, rows: int, path: Path, metadata: dict[str, Any]) -> Array:
+    """Return the sample times in s, shape (rows,); NaN where a row has none.
+
+    The origin is subtracted before whole numbers become floating-point numbers. With ``origin: first`` the
+    first stamp goes to ``metadata['first_stamp_s']``.
+
+    Raises
+    ------
+    InputError
+        A column or rate is missing, or a cell is no time; names line and column.
+    """
+    names = [table.column(key, path) for key in time.sources]
+    if time.rate_hz is not None:
+        rate = _rate(time.rate_hz, table, path)
+        counts = _frames(table, names[0], path) if names else np.arange(rows, dtype=float)
+        return _from_origin([(counts, 1.0 / rate)], time, metadata)
+    parts = [table.columns[name] for name in names]
+    if any(is_text(part) for part in parts):
+        stamps = _parsed(parts, table, time, names, path)
+        # times of day are seconds already, dates are not
+        parts, spelled = [stamps], ["s"]
+    else:
+        spelled = time.unit if isinstance(time.unit, list) else [time.unit] * len(parts)
+    terms: list[tuple[NDArray[Any], float]] = []
+    for part, unit in zip(parts, spelled, strict=True):
+        if part.dtype.kind == "M":
+            terms.append((part.astype("datetime64[ns]"), 1e-9))
+            continue
+        values = part if time.wraps_at is None else unwrapped(part, time.wraps_at)
+        terms.append((values, units.factor(unit, TIME)))
+    return _from_origin(terms, time, metadata)
+
+
+def _from_origin(terms: list[tuple[NDArray[Any], float]], time: Time, metadata: dict[str, Any]) -> Array:
+    """Return the sum of the terms (values, factor to s) from the origin that was asked for."""
+    known = np.ones(len(terms[0][0]), dtype=bool)
+    numbers = []
+    for values, factor in terms:
+        there = ~np.isnat(values) if values.dtype.kind == "M" else np.isfinite(values)
+        known &= there
+        if values.dtype.kind == "M":
+            values = np.where(there, values.astype(np.int64), 0)
+        numbers.append((values, factor))
+    if not known.any():
+        return np.full(len(known), np.nan)
+    row, total = int(np.argmax(known)), np.zeros(len(known))
+    first = sum(float(values[row]) * factor for values, factor in numbers)
+    for values, factor in numbers:
+        total += (values - values[row]) * factor if time.origin == "first" else values * factor
+    if time.origin == "first":
+        metadata.setdefault("first_stamp_s", first)
+    elif not isinstance(time.origin, str):
+        total -= time.origin
+    return np.where(known, total, np.nan)
+
+
+def _rate(given: float | str, table: Table, path: Path) -> float:
+    if not isinstance(given, str):
+        return given
+    if given not in table.scalars:
+        hint = f"single numbers in it: {', '.join(table.scalars) or 'none'}"
+        raise InputError(f"holds no number '{given}' for the rate", file=path, hint=hint)
+    rate = table.scalars[given]
+    if not (np.isfinite(rate) and rate > 0):
+        raise InputError(f"its rate '{given}' is {rate:g} Hz", file=path)
+    return rate
+
+
+def _frames(table: Table, name: str, path: Path) -> Array:
+    """Return a column of frame numbers."""
+    values = table.columns[name]
+    if is_text(values) or values.dtype.kind == "M":
+        raise InputError("holds no frame numbers", file=path, column=name)
+    frames = values.astype(float)
+    broken = np.isfinite(frames) & (frames != np.round(frames))
+    if broken.any():
+        row = int(np.argmax(broken))
+        text = f"{frames[row]:g} is no frame number; frame numbers are whole"
+        hint = "a column of times is 'source', without 'rate_hz'"
+        raise InputError(text, file=path, column=name, hint=hint, **table.place(row))
+    return frames
+
+
+def unwrapped(counts: NDArray[Any], period: float) -> Array:
+    """Return a counter that starts again from 0 at ``period`` as a number that grows.
+
+    >>> unwrapped(np.array([65534.0, 65535.0, 0.0, 1.0]), 65536).tolist()
+    [65534.0, 65535.0, 65536.0, 65537.0]
+    """
+    values = counts.astype(float)
+    steps = np.diff(values)
+    return values + period * np.concatenate(([0.0], np.cumsum(steps < -period / 2)))
+
+
+def wrap_hint(times: Array, factor: float) -> str:
+    """Return the hint for a clock that goes back where a counter of 16 or 32 bits would start again; else ''.
+
+    ``times`` are in s, ``factor`` is that of their unit.
+    """
+    known = times[np.isfinite(times)] / factor
+    back = np.flatnonzero(np.diff(known) < 0)
+    for bits in _COUNTER_BITS:
+        step = np.median(np.abs(np.diff(known)))
+        if len(back) and np.all(np.abs(np.diff(known)[back] + 2.0**bits) < 10 * step):
+            return f"a counter of {bits} bits starts again at {2**bits}: add 'wraps_at: {2**bits}' to 'time:'"
+    return ""
+
+
+def _parsed(
+    parts: list[NDArray[Any]], table: Table, time: Time, names: list[str], path: Path
+) -> NDArray[Any]:
+    """Return text as dates (``datetime64[ns]``), or as times of day in s."""
+    import pandas as pd
+
+    cells = pd.Series(_words(parts[0]), dtype="string")
+    for part in parts[1:]:
+        cells = cells.str.cat(pd.Series(_words(part), dtype="string"), sep=" ")
+    known = cells.notna()
+    plain = cells.str.strip().str.replace(",", ".", regex=False)
+    if time.format is not None:
+        stamps = pd.to_datetime(cells.str.strip(), format=time.format, errors="coerce", utc=True)
+    elif plain[known].str.fullmatch(_TIME_OF_DAY).mean() > 0.5:
+        split = plain.str.extract(f"^{_TIME_OF_DAY}$").astype(float)
+        of_day = (3600 * split[0] + 60 * split[1] + split[2].fillna(0.0)).to_numpy(dtype=float)
+        _refuse(known.to_numpy() & np.isnan(of_day), cells, table, names, path)
+        return unwrapped(of_day, DAY_S)
+    else:
+        split = plain.str.extract(f"^{_DATE}$")
+        if split[2].notna().sum() > known.sum() / 2:
+            if time.day_first is None:
+                raise InputError(
+                    f"'{cells[known].iloc[0]}' may have the day or the month first",
+                    file=path,
+                    column=names[0],
+                    hint="add 'day_first: true' (or false) to 'time:' of the mapping",
+                )
+            day, month = (split[0], split[1]) if time.day_first else (split[1], split[0])
+            plain = (
+                split[2] + "-" + month.str.zfill(2) + "-" + day.str.zfill(2) + " " + split[3].fillna("00:00")
+            )
+        stamps = pd.to_datetime(plain, errors="coerce", format="ISO8601", utc=True)
+    _refuse((known & stamps.isna()).to_numpy(dtype=bool), cells, table, names, path)
+    return stamps.dt.tz_localize(None).to_numpy(dtype="datetime64[ns]")
+
+
+def _words(part: NDArray[Any]) -> list[Any]:
+    """Return cells as text; whole numbers without a decimal point, missing cells as None."""
+    return [
+        None if cell is None or cell != cell else f"{cell:g}" if isinstance(cell, float) else str(cell)
+        for cell in part.tolist()
+    ]
+
+
+def _refuse(bad: NDArray[np.bool_], cells: Any, table: Table, names: list[str], path: Path) -> None:
+    """Raise at the first cell that is neither a number nor a time."""
+    if not bad.any():
+        return
+    row = int(np.argmax(bad))
+    hint = "state how it is written under 'time:' of the mapping, as in format: '%d.%m.%Y %H:%M:%S'"
+    text = f"'{str(cells.iloc[row])[:40]}' is neither a number nor a date or time that is known"
+    raise InputError(text, file=path, column=" and ".join(names), hint=hint, **table.place(row))

@@ -1,0 +1,190 @@
+"""Columns of one log that say the same twice: a wrong sign or unit of one of them shows in the other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swimid.logs import course
+from swimid.logs.log import TIME
+from swimid.logs.rotation import AXES
+
+Array = NDArray[np.float64]
+#: A gain is judged only if it is this many standard errors from 0: it occurs by chance once in 16,000 pairs.
+MIN_STDERRS = 4.0
+#: Minimum number of increments that do not overlap, for a standard error to mean something.
+MIN_WINDOWS = 8
+#: Factors that a mistaken unit brings: decimal prefixes, and degrees for radians (angles only).
+_DECIMAL, _DEGREES = (1e-3, 1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3), (np.pi / 180, 180 / np.pi)
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """A column that contradicts another one.
+
+    Attributes
+    ----------
+    column, against : str
+        The column, and what it was compared with.
+    gain, stderr : float
+        Motion of the second per motion that the first makes when it is integrated; 1 where both agree.
+    text : str
+        What is wrong, in words.
+    """
+
+    column: str
+    against: str
+    gain: float
+    stderr: float
+    text: str
+
+
+def contradictions(columns: Mapping[str, Array], period_s: float | None = None) -> list[Contradiction]:
+    """Compare rates with the pose that they are rates of, and the course of the track with its heading.
+
+    Compared are u, v with the track seen along the heading, every ``<name>_m_s`` and ``<name>_rad_s`` with
+    ``<name>_m`` and ``<name>_rad``, the yaw rate with the heading, and turn rates with the quaternion.
+
+    Parameters
+    ----------
+    columns : mapping of str to ndarray, each shape (n,)
+        Columns of a log in SI, ``t_s`` among them.
+    period_s : float, optional
+        Period of the stroke, s; without it course and heading are not compared.
+    """
+    time = columns[TIME]
+    found: list[Contradiction] = []
+    for name, values in columns.items():
+        stem, _, unit = name.rpartition("_")
+        unit = f"{stem.rpartition('_')[2]}_{unit}"
+        stem = name.removesuffix(f"_{unit}")
+        if unit not in ("m_s", "rad_s", "px_s"):
+            continue
+        pose = unit.removesuffix("_s")
+        against = f"{stem.removesuffix('_rate').removeprefix('v' if len(stem) == 2 else '')}_{pose}"
+        if name == "wz_rad_s" and not {"roll_rad", "pitch_rad", *AXES} & set(columns):
+            against = "yaw_rad"
+        if against in columns and stem not in ("u", "v", "w"):
+            turn = np.unwrap(columns[against]) if pose == "rad" else columns[against]
+            found += _judge(time, [turn], [[values]], [name], against, angle=pose == "rad")
+    for pose in ("m", "px"):
+        track = [f"x_{pose}", f"y_{pose}", "yaw_rad"]
+        names = [name for name in (f"u_{pose}_s", f"v_{pose}_s") if name in columns]
+        if set(track) <= set(columns):
+            x, y, yaw = (columns[name] for name in track)
+            found += _of_course(time, x, y, yaw, period_s)
+        if set(track) <= set(columns) and names:
+            along, across = (np.cos(yaw), np.sin(yaw)), (-np.sin(yaw), np.cos(yaw))
+            ways = {f"u_{pose}_s": along, f"v_{pose}_s": across}
+            rates = [[columns[name] * part for part in ways[name]] for name in names]
+            found += _judge(time, [x, y], rates, names, "the track and its heading", angle=False)
+    turns = ("wx_rad_s", "wy_rad_s", "wz_rad_s")
+    if {*AXES, *turns} <= set(columns):
+        found += _of_quaternion(time, np.column_stack([columns[axis] for axis in AXES]), columns, turns)
+    return found
+
+
+def _of_course(time: Array, x: Array, y: Array, yaw: Array, period_s: float | None) -> list[Contradiction]:
+    """Compare the course of a track with its heading over windows of at least one stroke."""
+    seen = None if period_s is None else course.of_tracks([(time, x, y, yaw)], period_s)
+    if seen is None or not seen.mirrored:
+        return []
+    text = "turns opposite to the course of the track: one of both is mirrored (factor: -1 for yaw or y)"
+    return [Contradiction("yaw_rad", "the course of the track", -1.0, float("nan"), text)]
+
+
+def _of_quaternion(
+    time: Array, q: Array, columns: Mapping[str, Array], turns: Sequence[str]
+) -> list[Contradiction]:
+    """Compare turn rates with the rotation from one attitude to the next, in the body frame."""
+    from scipy.spatial.transform import Rotation
+
+    there = np.isfinite(q).all(axis=1) & (np.abs(np.linalg.norm(q, axis=1) - 1.0) < 0.05)
+    if there.sum() < MIN_WINDOWS:
+        return []
+    attitudes = Rotation.from_quat(q[there], scalar_first=True)
+    steps = (attitudes[:-1].inv() * attitudes[1:]).as_rotvec()
+    angles = np.vstack((np.zeros(3), np.cumsum(steps, axis=0)))
+    found: list[Contradiction] = []
+    for k, name in enumerate(turns):
+        rate = columns[name][there]
+        found += _judge(time[there], [angles[:, k]], [[rate]], [name], "the quaternion", angle=True)
+    mirrored = [one for one in found if one.gain < 0]
+    if mirrored and len(mirrored) == len(found):
+        names = ", ".join(one.column for one in mirrored)
+        text = (
+            "turns opposite to the quaternion, which is that from world to body, or the sign is wrong: "
+            "quaternion: {direction: world-to-body} in the mapping conjugates it"
+        )
+        return [Contradiction(names, "the quaternion", mirrored[0].gain, mirrored[0].stderr, text)]
+    return found
+
+
+def _judge(
+    time: Array,
+    pose: Sequence[Array],
+    rates: Sequence[Sequence[Array]],
+    names: Sequence[str],
+    against: str,
+    *,
+    angle: bool,
+) -> list[Contradiction]:
+    """Regress increments of the pose on increments of the integrated rates; name gains that are far from 1.
+
+    ``rates[k]`` holds, for rate ``names[k]``, its part in each coordinate of the pose. The length of the
+    increments is the one at which the rates explain most of the pose.
+    """
+    there = np.isfinite([time, *pose, *(part for parts in rates for part in parts)]).all(axis=0)
+    if there.sum() < 2 * MIN_WINDOWS:
+        return []
+    clock, steps = time[there], np.diff(time[there])
+    moved = [values[there] for values in pose]
+    integrals = [
+        [np.concatenate(([0.0], np.cumsum(steps * (v[1:] + v[:-1]) / 2))) for v in (p[there] for p in parts)]
+        for parts in rates
+    ]
+    best: tuple[float, Array, Array] | None = None
+    for lag in 2 ** np.arange(int(np.log2(len(clock) / MIN_WINDOWS)) + 1):
+        y = np.concatenate([values[lag:] - values[:-lag] for values in moved])
+        x = np.column_stack(
+            [np.concatenate([part[lag:] - part[:-lag] for part in parts]) for parts in integrals]
+        )
+        scale = np.linalg.norm(x, axis=0)
+        if not (scale > 0).all() or not np.any(y):
+            continue
+        x /= scale
+        gain, *_ = np.linalg.lstsq(x, y, rcond=None)
+        squares = float(np.sum((y - x @ gain) ** 2))
+        # increments that overlap are not independent: one in ``lag`` counts
+        freedom = max(len(y) / lag - x.shape[1], 1.0)
+        stderr = np.sqrt(squares / freedom * np.diag(np.linalg.pinv(x.T @ x)))
+        explained = 1.0 - squares / float(y @ y)
+        if best is None or explained > best[0]:
+            best = explained, gain / scale, stderr / scale
+    if best is None:
+        return []
+    found = []
+    for name, gain, stderr in zip(names, best[1], best[2], strict=True):
+        text = _named(float(gain), angle=angle) if abs(gain) > MIN_STDERRS * stderr else ""
+        if text:
+            found.append(Contradiction(name, against, float(gain), float(stderr), text))
+    return found
+
+
+def _named(gain: float, *, angle: bool) -> str:
+    """Return the mistake whose factor is nearest to a gain; empty if that is none."""
+    factors = [*_DECIMAL, *(_DEGREES if angle else ())]
+    nearest = min(factors, key=lambda factor: abs(np.log(abs(gain) / factor)))
+    words = []
+    if gain < 0:
+        words.append("has the opposite sign")
+    if nearest in _DEGREES:
+        words.append(
+            "is in degrees where radians are named" if nearest < 1 else "is in radians beside degrees"
+        )
+    elif nearest != 1.0:
+        words.append(f"is {1 / nearest:g} times too large")
+    return " and ".join(words)

@@ -1,0 +1,45 @@
+"""Profiles of known formats: one module per format, found by itself.
+
+A profile recognises its files by a fingerprint. It returns a table whose columns are named as in the log
+format, in SI: it knows the units, axes and conventions of its format, or reads them in the file.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from functools import cache
+from pathlib import Path
+
+from swimid.errors import InputError, suggestion
+from swimid.logs.profiles.base import Choices, Peek, Profile
+
+__all__ = ["Choices", "Profile", "find", "known"]
+
+
+@cache
+def known() -> dict[str, Profile]:
+    """Return every profile by its name."""
+    found: dict[str, Profile] = {}
+    for entry in pkgutil.iter_modules(__path__):
+        profile = getattr(importlib.import_module(f"{__name__}.{entry.name}"), "PROFILE", None)
+        if isinstance(profile, Profile):
+            found[profile.name] = profile
+    return found
+
+
+def find(path: Path, choices: Choices) -> Profile | None:
+    """Return the profile that was asked for, or the one that recognises the file; None if none does.
+
+    Raises
+    ------
+    InputError
+        There is no profile of the name, or the file cannot be read.
+    """
+    if choices.profile:
+        if choices.profile not in known():
+            hint = suggestion(choices.profile, list(known()))
+            raise InputError(f"there is no profile '{choices.profile}'", file=path, hint=hint)
+        return known()[choices.profile]
+    peek = Peek.of(path)
+    return next((profile for profile in known().values() if profile.recognises(peek)), None)

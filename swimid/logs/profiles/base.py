@@ -1,0 +1,176 @@
+"""The interface of profiles."""
+
+from __future__ import annotations
+
+import codecs
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+from swimid.errors import InputError, suggestion
+from swimid.logs.foreign import extra_needed
+from swimid.logs.foreign.base import Table, reading
+from swimid.logs.units import UNITS, canonical
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What the user states beside the file.
+
+    Attributes
+    ----------
+    profile : str or None
+        Name of the profile (``--as``).
+    select : str or None
+        Track, instance, topic or message type to take.
+    rate_hz : float or None
+        Rate of the frames, Hz.
+    length_unit : str or None
+        Unit of lengths, for a file that states none.
+    min_likelihood : float or None
+        A tracked point with a likelihood below this is left empty.
+    """
+
+    profile: str | None = None
+    select: str | None = None
+    rate_hz: float | None = None
+    length_unit: str | None = None
+    min_likelihood: float | None = None
+
+    def completed(self, profile: str | None, select: str | int | None, length_unit: str | None) -> Choices:
+        """Return these choices; what they leave open is taken from a mapping."""
+        return replace(
+            self,
+            profile=self.profile or profile,
+            select=self.select or (None if select is None else str(select)),
+            length_unit=self.length_unit or length_unit,
+        )
+
+    def cut(self, stated: float) -> float:
+        """Return the least likelihood: this choice, else the one of the mapping."""
+        return stated if self.min_likelihood is None else self.min_likelihood
+
+    def length(self, stated: str | None, path: Path) -> tuple[float, str]:
+        """Return factor to SI and unit of lengths, "m" or "px": as the file states it, or as the user does.
+
+        Raises
+        ------
+        InputError
+            Nobody states it, or it is no unit of length.
+        """
+        unit = canonical(self.length_unit or stated or "")
+        if unit == "px":
+            return 1.0, "px"
+        if unit not in UNITS["length"]:
+            text = f"'{unit}' is no unit of length" if unit else "states no unit of length"
+            hint = (
+                suggestion(unit, ["px", *UNITS["length"]]) if unit else "add --length-unit mm (or m, cm, px)"
+            )
+            raise InputError(text, file=path, hint=hint)
+        return UNITS["length"][unit], "m"
+
+
+@dataclass(frozen=True)
+class Peek:
+    """The beginning of a file, for fingerprints."""
+
+    path: Path
+    head: bytes
+
+    @classmethod
+    def of(cls, path: Path) -> Peek:
+        """Read the beginning of a file.
+
+        Raises
+        ------
+        InputError
+            It cannot be read.
+        """
+        try:
+            with path.open("rb") as stream:
+                return cls(path, stream.read(1 << 14))
+        except OSError as error:
+            hint = "check the path" if isinstance(error, FileNotFoundError) else None
+            raise InputError(f"cannot be read: {error.strerror or error}", file=path, hint=hint) from error
+
+    @cached_property
+    def lines(self) -> list[str]:
+        """The first lines of a text file; empty for any other."""
+        try:
+            text = codecs.getincrementaldecoder("utf-8-sig")().decode(self.head)
+        except UnicodeDecodeError:
+            return []
+        return [] if "\x00" in text else [line.rstrip("\r") for line in text.split("\n")]
+
+    @cached_property
+    def header(self) -> list[str]:
+        """The cells of the first line, separated by commas, without blanks around them."""
+        return [cell.strip().strip('"') for cell in (self.lines or [""])[0].split(",")]
+
+    def holds(self, *names: str) -> bool:
+        """Return whether the file is HDF5 and has data sets or groups of these names."""
+        if not self.head.startswith(b"\x89HDF"):
+            return False
+        import h5py
+
+        try:
+            with h5py.File(self.path, "r") as file:
+                return all(name in file for name in names)
+        except OSError:
+            return False
+
+
+@dataclass(frozen=True)
+class Profile:
+    """One known format.
+
+    Attributes
+    ----------
+    name : str
+        For ``--as``.
+    title : str
+        In words.
+    recognises : callable
+        ``recognises(peek) -> bool``: whether a file has the fingerprint of the format.
+    read : callable
+        ``read(path, choices) -> Table``: columns named as in the log format, in SI. Times are in ``t_s``; a
+        format without times has ``frame``, and the rate in ``scalars["rate_hz"]`` if the file states it.
+    extra : str
+        The optional dependency to install.
+    """
+
+    name: str
+    title: str
+    recognises: Callable[[Peek], bool]
+    read: Callable[[Path, Choices], Table]
+    extra: str = ""
+
+    def table(self, path: Path, choices: Choices) -> Table:
+        """Read a file.
+
+        Raises
+        ------
+        InputError
+            It is no file of this format, or holds several tracks and none was selected.
+        """
+        Peek.of(path)
+        try:
+            with extra_needed(path, self.title, self.extra), reading(path, self.title):
+                return self.read(path, choices)
+        except InputError as error:
+            if error.hint is None:
+                error.hint = f"the file is read as a {self.title}; --as names another format"
+            raise
+
+
+def safe(name: str) -> str:
+    """Return a name as letters, digits and underscores, beginning with a letter.
+
+    >>> safe("tail tip"), safe("/hip/value"), safe("2nd")
+    ('tail_tip', 'hip_value', 'p2nd')
+    """
+    words = "".join(c if c.isascii() and c.isalnum() else "_" for c in name).strip("_")
+    while "__" in words:
+        words = words.replace("__", "_")
+    return words if words[:1].isalpha() else f"p{words}"
