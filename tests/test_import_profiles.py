@@ -77,7 +77,7 @@ def test_deeplabcut(ending: str, imported: Callable[..., tuple[Log, Ran]], tmp_p
 
 def test_several_individuals_are_never_mixed(swimid: Run, tmp_path: Path) -> None:
     table = _points()
-    both = pd.concat({name: table["DLC_resnet50"] for name in ("fish1", "fish2")}, axis=1)
+    both = pd.concat(dict.fromkeys(("fish1", "fish2"), table["DLC_resnet50"]), axis=1)
     both = pd.concat({"DLC": both}, axis=1)
     both.columns.names = ["scorer", "individuals", "bodyparts", "coords"]
     both.to_csv(tmp_path / "two.csv")
