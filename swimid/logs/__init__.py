@@ -1,9 +1,14 @@
-"""Logs of trials: read, imported from other programs, cleaned, and what they say without a model.
+"""Logs of trials: read, imported from other programs, cleaned, and examined without a model.
 
 ``log`` is the log of one trial, ``trials`` the trials file, ``logged`` the result of all that makes a log;
-``plot``, ``figures`` and ``section`` show logs, ``options`` are those of the verbs. Import: ``foreign``
-(one module per format), ``mapping``, ``units``, ``guessing`` and ``guess_mapping`` (a mapping drafted),
-``import_log``, ``examine``, ``imported`` (its result). Of samples: ``sampling``, ``time_order``,
-``plausible``, ``derivative``, ``rotation``. Of tracks: ``track_cleaning``, ``track_speed``, ``course``,
-``projection``, ``swimming``. Of strokes: ``beat`` (its frequency), ``rhythm`` (from all channels).
+``plot``, ``figures`` and ``section`` show logs, ``options`` are those of the commands.
+
+Import: ``foreign`` (one reader per file format), ``profiles`` (one profile per known program), ``mapping``,
+``choices``, ``clock``, ``units``, ``likelihood`` and ``instances`` (which samples to take), ``guess_mapping``
+(a drafted mapping), ``import_log``, ``examine``, ``consistency`` (columns that contradict each other),
+``imported`` (the result).
+
+Samples: ``sampling``, ``time_order``, ``plausible``, ``derivative``, ``rotation``. Tracks: ``track_cleaning``,
+``track_speed``, ``course``, ``projection``, ``swimming``. Strokes: ``beat`` (frequency of one channel),
+``rhythm`` (of all channels).
 """

@@ -14,11 +14,11 @@ from swimid.errors import InputError
 from swimid.files import atomic, yamlio
 from swimid.files.provenance import path_of
 from swimid.logs import clock, instances, log, mapping, profiles, units
+from swimid.logs.choices import Choices
 from swimid.logs.foreign import open_table
 from swimid.logs.foreign.base import Table, is_text
 from swimid.logs.log import TIME, LogLike
 from swimid.logs.mapping import Mapping
-from swimid.logs.profiles import Choices
 from swimid.logs.stated import ASK
 from swimid.results.result import Result
 
@@ -206,9 +206,10 @@ def _of_names(name: str, table: Table) -> str:
 def named(source: str, written: str | None = None) -> Drafted:
     """Return what the name of a column and a unit written beside it state.
 
-    >>> named("Yaw [deg]"), named("accX")
-    (Drafted(source='Yaw [deg]', target='yaw_rad', unit='deg', needs_unit=False),
-     Drafted(source='accX', target='ax_m_s2', unit=None, needs_unit=True))
+    >>> named("Yaw [deg]").target, named("Yaw [deg]").unit
+    ('yaw_rad', 'deg')
+    >>> named("accX").target, named("accX").needs_unit
+    ('ax_m_s2', True)
     """
     name = source.strip()
     if re.fullmatch(r"[A-Za-z]\w*", name, re.A) and units.is_known(name) and not written:

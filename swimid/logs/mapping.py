@@ -21,11 +21,11 @@ from swimid.errors import InputError
 from swimid.files import yamlio
 from swimid.files.provenance import path_of
 from swimid.logs import clock, instances, likelihood, profiles, units
+from swimid.logs.choices import Choices
 from swimid.logs.clock import Time
 from swimid.logs.foreign import open_table
 from swimid.logs.foreign.base import Options, Table, is_text
 from swimid.logs.log import TIME, Log, metadata_of, written_by
-from swimid.logs.profiles import Choices
 from swimid.logs.rotation import AXES, rearranged
 from swimid.logs.stated import ColumnKey, Stated
 from swimid.progress import Progress, silent

@@ -8,7 +8,7 @@ from typing import Any, Self
 from pydantic import model_validator
 
 from swimid.errors import UsageError
-from swimid.logs.profiles.base import Choices
+from swimid.logs.choices import Choices
 from swimid.options import Options, Source, option
 
 

@@ -57,3 +57,19 @@ def from_frd(columns: dict[str, Array]) -> dict[str, Array]:
     """
     turned = re.compile(r"(desired_)?([awvmq]?[yz]|yaw)(_.*)?")
     return {name: -values if turned.fullmatch(name) else values for name, values in columns.items()}
+
+
+def with_angles(columns: dict[str, Array]) -> dict[str, Array]:
+    """Return columns with roll, pitch and yaw beside an attitude quaternion.
+
+    Samples whose quaternion has not the length 1 have no angles. A quaternion that is never filled is removed.
+    """
+    if not set(AXES) <= set(columns):
+        return columns
+    q = np.column_stack([columns[axis] for axis in AXES])
+    there = np.abs(np.linalg.norm(q, axis=1) - 1.0) < 0.05
+    if not there.any():
+        return {name: values for name, values in columns.items() if name not in AXES}
+    turned = np.full((len(q), 3), np.nan)
+    turned[there] = np.column_stack(angles(Rotation.from_quat(q[there], scalar_first=True)))
+    return columns | dict(zip(("roll_rad", "pitch_rad", "yaw_rad"), turned.T, strict=True))

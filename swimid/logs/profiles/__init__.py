@@ -12,9 +12,10 @@ from functools import cache
 from pathlib import Path
 
 from swimid.errors import InputError, suggestion
-from swimid.logs.profiles.base import Choices, Peek, Profile
+from swimid.logs.choices import Choices
+from swimid.logs.profiles.base import Peek, Profile
 
-__all__ = ["Choices", "Profile", "find", "known"]
+__all__ = ["Profile", "find", "known"]
 
 
 @cache

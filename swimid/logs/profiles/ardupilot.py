@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import InputError
+from swimid.logs.choices import Choices
 from swimid.logs.foreign import open_table
 from swimid.logs.foreign.base import Table, is_text, one_of
 from swimid.logs.log import TIME
-from swimid.logs.profiles.base import Choices, Peek, Profile
-from swimid.logs.rotation import from_frd
+from swimid.logs.profiles.base import Peek, Profile
+from swimid.logs.rotation import from_frd, with_angles
 
 #: Columns of a log and their factors to SI, by the name of a field.
 FIELDS: dict[str, tuple[str, float]] = {
@@ -66,7 +67,9 @@ def _read(path: Path, choices: Choices) -> Table:
             columns[name] = np.unwrap(columns[name])
     time = table.columns["TimeUS"][kept].astype(float) * 1e-6
     lines = None if table.lines is None else table.lines[kept]
-    return Table({TIME: time, **from_frd(columns)}, metadata=table.metadata, notes=notes, lines=lines)
+    return Table(
+        {TIME: time, **with_angles(from_frd(columns))}, metadata=table.metadata, notes=notes, lines=lines
+    )
 
 
 def _messages(path: Path, kind: str | None) -> Table:

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import InputError
+from swimid.logs.choices import Choices
 from swimid.logs.foreign.base import Table, one_of
-from swimid.logs.profiles.base import Choices, Peek, Profile, safe
+from swimid.logs.profiles.base import Peek, Profile, safe
 
 LEVELS = ("scorer", "individuals", "bodyparts", "coords")
 

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import InputError
+from swimid.logs.choices import Choices
 from swimid.logs.foreign.base import Table
 from swimid.logs.log import TIME
-from swimid.logs.profiles.base import Choices, Peek, Profile, safe
+from swimid.logs.profiles.base import Peek, Profile, safe
 
 _TRANSLATION = re.compile(r".*_t[xyz]")
 
@@ -32,27 +33,24 @@ def _read(path: Path, choices: Choices) -> Table:
     return _motion(lines, path)
 
 
-def _rows(lines: list[str], start: int, width: int, path: Path) -> tuple[Any, Any]:
-    """Return the numbers below line ``start`` (index), shape (n, width), and their lines."""
-    rows, at = [], []
-    for number, line in enumerate(lines[start:], start=start + 1):
-        cells = line.split("\t") if "\t" in line else line.split()
-        cells = [cell.strip() for cell in cells]
-        while cells and not cells[-1] and len(cells) > width:
-            cells.pop()
-        if not any(cells):
-            continue
-        if len(cells) > width:
-            text = f"has {len(cells)} cells where the header names {width} columns"
-            raise InputError(text, file=path, line=number)
-        try:
-            rows.append([float(cell) if cell else np.nan for cell in cells] + [np.nan] * (width - len(cells)))
-        except ValueError as error:
-            raise InputError(f"a cell is no number: {error}", file=path, line=number) from error
-        at.append(number)
-    if not rows:
+def _rows(path: Path, start: int, width: int) -> tuple[Any, Any]:
+    """Return the numbers below ``start`` lines, shape (n, width), and their lines; empty cells are NaN."""
+    import pandas as pd
+
+    # a TRC file is separated by tabs and has empty cells; a storage may be aligned by blanks
+    tabs = "\t" in path.read_text(encoding="utf-8-sig", errors="replace").splitlines()[start]
+    table = pd.read_csv(
+        path,
+        sep="\t" if tabs else r"\s+",
+        header=None,
+        skiprows=start,
+        names=range(width),
+        skip_blank_lines=False,
+    )
+    table = table.apply(pd.to_numeric).dropna(how="all")
+    if table.empty:
         raise InputError("holds no samples under its header", file=path)
-    return np.array(rows), np.array(at, dtype=np.int64)
+    return table.to_numpy(dtype=float), table.index.to_numpy() + start + 1
 
 
 def _markers(lines: list[str], choices: Choices, path: Path) -> Table:
@@ -61,7 +59,7 @@ def _markers(lines: list[str], choices: Choices, path: Path) -> Table:
     head = dict(zip(lines[1].split(), lines[2].split(), strict=False))
     factor, si = choices.length(head.get("Units"), path)
     names = [name.strip() for name in lines[3].split("\t")[2:] if name.strip()]
-    values, at = _rows(lines, 5, 2 + 3 * len(names), path)
+    values, at = _rows(path, 5, 2 + 3 * len(names))
     columns: dict[str, Any] = {TIME: values[:, 1]}
     for k, name in enumerate(names):
         for axis, letter in enumerate("xyz"):
@@ -86,7 +84,7 @@ def _motion(lines: list[str], path: Path) -> Table:
     if degrees not in ("yes", "no"):
         hint = "add the line inDegrees=yes or inDegrees=no above 'endheader'"
         raise InputError("states no 'inDegrees'", file=path, line=end + 1, hint=hint)
-    values, at = _rows(lines, end + 2, len(names), path)
+    values, at = _rows(path, end + 2, len(names))
     columns: dict[str, Any] = {TIME: values[:, 0]}
     for k, name in enumerate(names[1:], start=1):
         stem, _, kind = name.rpartition("/")

@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from swimid.errors import InputError
+from swimid.logs.choices import Choices
 from swimid.logs.foreign import ulog
 from swimid.logs.foreign.base import Options, Table, one_of
 from swimid.logs.log import TIME
-from swimid.logs.profiles.base import Choices, Peek, Profile
-from swimid.logs.rotation import AXES, angles, from_frd
+from swimid.logs.profiles.base import Peek, Profile
+from swimid.logs.rotation import AXES, from_frd, with_angles
 
 _XYZ = list(enumerate("xyz", start=1))
 #: Columns by topic; the units are those of the PX4 message definitions.
@@ -58,14 +58,9 @@ def _read(path: Path, choices: Choices) -> Table:
         for name, target in fields.items()
         if name in table.columns
     }
-    columns = from_frd(columns)
-    if set(AXES) <= set(columns):
-        q = np.column_stack([columns[axis] for axis in AXES])
-        there = np.abs(np.linalg.norm(q, axis=1) - 1.0) < 0.05
-        turned = np.full((len(q), 3), np.nan)
-        turned[there] = np.column_stack(angles(Rotation.from_quat(q[there], scalar_first=True)))
-        columns |= dict(zip(("roll_rad", "pitch_rad", "yaw_rad"), turned.T, strict=True))
-    return Table({TIME: stamps * 1e-6, **columns}, metadata=table.metadata, notes=table.notes)
+    return Table(
+        {TIME: stamps * 1e-6, **with_angles(from_frd(columns))}, metadata=table.metadata, notes=table.notes
+    )
 
 
 PROFILE = Profile("px4", "ULog recording of PX4", _recognises, _read, extra="ulog")

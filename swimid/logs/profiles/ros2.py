@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from swimid.logs.choices import Choices
 from swimid.logs.foreign import mcap
 from swimid.logs.foreign.base import Options, Table, one_of
 from swimid.logs.log import TIME
-from swimid.logs.profiles.base import Choices, Peek, Profile, safe
-from swimid.logs.rotation import AXES, angles
+from swimid.logs.profiles.base import Peek, Profile, safe
+from swimid.logs.rotation import with_angles
 
 _POSE = {"position.x": "x_m", "position.y": "y_m", "position.z": "z_m"}
 _QUATERNION = {f"orientation.{axis}": f"q{axis}" for axis in "wxyz"}
@@ -69,10 +70,11 @@ def _read(path: Path, choices: Choices) -> Table:
     nanoseconds = stamp.astype("datetime64[ns]").astype(np.int64)
     columns: dict[str, Any] = {TIME: (nanoseconds - nanoseconds[0]) * 1e-9}
     fields = FIELDS[_kind(topics[topic])] or _joints(table)
-    columns |= {target: table.columns[name] for name, target in fields.items() if name in table.columns}
-    _angles(columns)
+    for name, target in fields.items():
+        if name in table.columns:
+            columns[target] = table.columns[name].astype(float)
     metadata = {"topic": topic, "type": topics[topic], "first_stamp_s": float(nanoseconds[0]) * 1e-9}
-    return Table(columns, metadata=metadata, notes=notes)
+    return Table(with_angles(columns), metadata=metadata, notes=notes)
 
 
 def _joints(table: Table) -> dict[str, str]:
@@ -88,21 +90,6 @@ def _joints(table: Table) -> dict[str, str]:
             fields[f"{field}{at}"] = f"{joint}_{unit}"
     table.notes.append("joints are taken as revolute: their positions are rad")
     return fields
-
-
-def _angles(columns: dict[str, Any]) -> None:
-    """Add roll, pitch and yaw to an attitude; remove quaternions that a driver does not fill."""
-    from scipy.spatial.transform import Rotation
-
-    if not set(AXES) <= set(columns):
-        return
-    q = np.column_stack([np.asarray(columns[axis], dtype=float) for axis in AXES])
-    if not (np.abs(np.linalg.norm(q, axis=1) - 1.0) < 0.05).all():
-        for axis in AXES:
-            del columns[axis]
-        return
-    roll, pitch, yaw = angles(Rotation.from_quat(q, scalar_first=True))
-    columns |= {"roll_rad": roll, "pitch_rad": pitch, "yaw_rad": yaw}
 
 
 PROFILE = Profile("ros2", "MCAP recording of ROS 2", _recognises, _read, extra="mcap")

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import InputError
+from swimid.logs.choices import Choices
 from swimid.logs.foreign import open_table
 from swimid.logs.foreign.base import Table, is_text, one_of
-from swimid.logs.profiles.base import Choices, Peek, Profile, safe
+from swimid.logs.profiles.base import Peek, Profile, safe
 
 _CELL = re.compile(r"(?P<node>.+)\.(?P<what>x|y|score)")
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from swimid.logs.choices import Choices
 from swimid.logs.foreign import open_table
 from swimid.logs.foreign.base import Table
 from swimid.logs.log import TIME
-from swimid.logs.profiles.base import Choices, Peek, Profile
+from swimid.logs.profiles.base import Peek, Profile
 
 
 def _recognises(peek: Peek) -> bool:

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import InputError
+from swimid.logs.choices import Choices
 from swimid.logs.foreign.base import Table, one_of
 from swimid.logs.log import TIME
-from swimid.logs.profiles.base import Choices, Peek, Profile, safe
+from swimid.logs.profiles.base import Peek, Profile, safe
 
 _NAME = re.compile(
     r"(?P<name>t|[xyr]|v_?\{?[xy]\}?|a_?\{?[xy]\}?|step|frame)(\s*[(\[](?P<unit>[^)\]]*)[)\]])?"
