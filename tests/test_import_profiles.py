@@ -196,6 +196,18 @@ def test_mot_says_whether_it_is_in_degrees(
     assert np.allclose(record["pelvis_tx_m"], 0.2 * T, atol=1e-6)
 
 
+def test_mot_of_measured_forces(imported: Callable[..., tuple[Log, Ran]], tmp_path: Path) -> None:
+    """Files of forces state inDegrees too; their columns are no angles."""
+    names = "time\tground_force_vx\tground_force_px\tground_torque_z"
+    rows = [f"{t:.6f}\t{3 * np.sin(b):.6f}\t0.25\t{0.1 * t:.6f}" for t, b in zip(T, BEAT, strict=True)]
+    head = ["forces", "version=1", "inDegrees=yes", "endheader"]
+    (tmp_path / "f.mot").write_text("\n".join([*head, names, *rows]) + "\n")
+    record, _ = imported(tmp_path / "f.mot")
+    assert np.allclose(record["ground_force_vx_N"], 3 * np.sin(BEAT), atol=1e-6)
+    assert np.allclose(record["ground_force_px_m"], 0.25)
+    assert np.allclose(record["ground_torque_z_Nm"], 0.1 * T, atol=1e-6)
+
+
 HEADER = "std_msgs/Header header\n"
 LINE = "=" * 80
 COMMON = (

@@ -3,10 +3,10 @@
 ``log`` is the log of one trial, ``trials`` the trials file, ``logged`` the result of all that makes a log;
 ``plot``, ``figures`` and ``section`` show logs, ``options`` are those of the commands.
 
-Import: ``foreign`` (one reader per file format), ``profiles`` (one profile per known program), ``mapping``,
+Import: ``foreign`` (a reader per file format), ``profiles`` (a profile per known program), ``mapping``,
 ``choices``, ``clock``, ``units``, ``likelihood`` and ``instances`` (which samples to take), ``guess_mapping``
-(a drafted mapping), ``import_log``, ``examine``, ``consistency`` (columns that contradict each other),
-``imported`` (the result).
+(a drafted mapping), ``import_log``, ``examine``, ``consistency`` (contradicting columns), ``imported`` (the
+result).
 
 Samples: ``sampling``, ``time_order``, ``plausible``, ``derivative``, ``rotation``. Tracks: ``track_cleaning``,
 ``track_speed``, ``course``, ``projection``, ``swimming``. Strokes: ``beat`` (frequency of one channel),

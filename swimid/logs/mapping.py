@@ -28,6 +28,7 @@ from swimid.logs.foreign.base import Options, Table, is_text
 from swimid.logs.log import TIME, Log, metadata_of, written_by
 from swimid.logs.rotation import AXES, rearranged
 from swimid.logs.stated import ColumnKey, Stated
+from swimid.notices import warn
 from swimid.progress import Progress, silent
 
 Array = NDArray[np.float64]
@@ -239,7 +240,7 @@ def _mapped(mapping: Mapping, table: Table, path: Path, profile: str, choices: C
         **mapping.metadata,
     }
     notes = list(table.notes)
-    columns = mapping.columns or _identity(table, path, notes, metadata)
+    columns = mapping.columns or _identity(table, path, metadata)
     sources = {column.target: table.column(column.source, path) for column in columns}
     columns = [_with_unit(column, table.units.get(sources[column.target]), notes) for column in columns]
     time = _time(mapping, table, sources, choices, path)
@@ -309,8 +310,8 @@ def _short(metadata: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _identity(table: Table, path: Path, notes: list[str], metadata: dict[str, Any]) -> list[Column]:
-    """Return the columns that are named as in the log format; the others are left out, with a note."""
+def _identity(table: Table, path: Path, metadata: dict[str, Any]) -> list[Column]:
+    """Return the columns that are named as in the log format; the others are left out, with a warning."""
     if not {TIME, "frame"} & set(table.columns):
         raise _missing_time(table, path)
     kept, out = [], []
@@ -329,7 +330,7 @@ def _identity(table: Table, path: Path, notes: list[str], metadata: dict[str, An
         )
     out = [name for name in out if name != "frame"]
     if out and not _own(metadata):
-        notes.append(f"columns whose names state no unit left out: {', '.join(out)} (a mapping keeps them)")
+        warn("SWM004", f"{path.name}: columns whose names state no unit are left out: {', '.join(out[:20])}")
     return kept
 
 

@@ -62,7 +62,8 @@ def from_frd(columns: dict[str, Array]) -> dict[str, Array]:
 def with_angles(columns: dict[str, Array]) -> dict[str, Array]:
     """Return columns with roll, pitch and yaw beside an attitude quaternion.
 
-    Samples whose quaternion has not the length 1 have no angles. A quaternion that is never filled is removed.
+    Samples whose quaternion has not the length 1 have no angles. A quaternion that is never filled is
+    removed.
     """
     if not set(AXES) <= set(columns):
         return columns

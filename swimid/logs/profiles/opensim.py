@@ -1,7 +1,8 @@
 """OpenSim: marker trajectories (TRC) and motions or storages (MOT, STO).
 
 Both state their conventions in the header: ``Units`` and ``DataRate`` of a TRC file, ``inDegrees`` of a
-motion. Coordinates of a motion are angles, except translations, which end in ``_tx``, ``_ty`` or ``_tz``.
+motion. Coordinates of a motion are angles, except translations, which end in ``_tx``, ``_ty`` or ``_tz``. Forces are in N,
+torques in N m, points of application in m.
 """
 
 from __future__ import annotations
@@ -17,7 +18,10 @@ from swimid.logs.choices import Choices
 from swimid.logs.foreign.base import Table
 from swimid.logs.log import TIME
 from swimid.logs.profiles.base import Peek, Profile, safe
+from swimid.notices import warn
 
+#: Columns of measured forces, by pattern, with their unit.
+_FORCES = {r".*force.*_p[xyz]": "m", r".*(torque|moment).*": "Nm", r".*force.*": "N"}
 _TRANSLATION = re.compile(r".*_t[xyz]")
 
 
@@ -86,14 +90,25 @@ def _motion(lines: list[str], path: Path) -> Table:
         raise InputError("states no 'inDegrees'", file=path, line=end + 1, hint=hint)
     values, at = _rows(path, end + 2, len(names))
     columns: dict[str, Any] = {TIME: values[:, 0]}
+    coordinates = path.suffix.lower() == ".mot" or "coordinates" in lines[0].lower()
+    left_out = []
     for k, name in enumerate(names[1:], start=1):
         stem, _, kind = name.rpartition("/")
-        rate = "_s" if kind in ("speed", "u") and stem else ""
+        rate = "_s" if kind == "speed" and stem else ""
         word = safe(stem.rpartition("/")[2] if kind in ("value", "speed") else name)
-        if _TRANSLATION.fullmatch(word):
+        force = next((unit for pattern, unit in _FORCES.items() if re.fullmatch(pattern, word)), None)
+        if force is not None:
+            columns[f"{word}_{force}"] = values[:, k]
+        elif _TRANSLATION.fullmatch(word):
             columns[f"{word}_m{rate}"] = values[:, k]
-        else:
+        elif coordinates or kind in ("value", "speed"):
             columns[f"{word}_rad{rate}"] = np.radians(values[:, k]) if degrees == "yes" else values[:, k]
+        else:
+            left_out.append(name)
+    if left_out:
+        warn(
+            "SWM004", f"{path.name}: columns that are no coordinates are left out: {', '.join(left_out[:20])}"
+        )
     return Table(columns, lines=at)
 
 

@@ -78,7 +78,7 @@ def _read(path: Path, choices: Choices) -> Table:
 
 
 def _joints(table: Table) -> dict[str, str]:
-    """Return the columns of joint states: of revolute joints, in rad."""
+    """Return the columns of joint states; the joints are revolute (a prismatic one would be in m)."""
     fields = {}
     for name, words in table.columns.items():
         if not name.startswith("name["):
@@ -88,7 +88,6 @@ def _joints(table: Table) -> dict[str, str]:
             table.notes.append(f"joint {at} changes its name while it is recorded")
         for field, unit in (("position", "rad"), ("velocity", "rad_s"), ("effort", "Nm")):
             fields[f"{field}{at}"] = f"{joint}_{unit}"
-    table.notes.append("joints are taken as revolute: their positions are rad")
     return fields
 
 
