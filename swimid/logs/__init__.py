@@ -8,7 +8,7 @@ Import: ``foreign`` (a reader per file format), ``profiles`` (a profile per know
 (a drafted mapping), ``import_log``, ``examine``, ``consistency`` (contradicting columns), ``imported`` (the
 result).
 
-Samples: ``sampling``, ``time_order``, ``plausible``, ``derivative``, ``rotation``. Tracks: ``track_cleaning``,
-``track_speed``, ``course``, ``projection``, ``swimming``. Strokes: ``beat`` (frequency of one channel),
-``rhythm`` (of all channels).
+Samples: ``sampling``, ``time_order``, ``plausible``, ``derivative``, ``rotation``.
+Tracks: ``track_cleaning``, ``track_speed``, ``course``, ``projection``, ``swimming``.
+Strokes: ``beat`` (frequency of one channel), ``rhythm`` (of all channels).
 """
