@@ -183,6 +183,9 @@ def _of_names(name: str, table: Table) -> str:
         if is_text(values) or values.dtype.kind == "M":
             found.append(f"  # - {{source: {_source(source)}, target: ...}}   # no numbers: {shown}")
             continue
+        if not np.isfinite(values.astype(float)).any():
+            found.append(f"  # {_scalar(source)} is empty")
+            continue
         target = drafted.target if drafted.target not in seen else None
         unit = (
             f", unit: {_scalar(drafted.unit)}"

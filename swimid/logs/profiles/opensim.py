@@ -1,8 +1,8 @@
 """OpenSim: marker trajectories (TRC) and motions or storages (MOT, STO).
 
 Both state their conventions in the header: ``Units`` and ``DataRate`` of a TRC file, ``inDegrees`` of a
-motion. Coordinates of a motion are angles, except translations, which end in ``_tx``, ``_ty`` or ``_tz``. Forces
-are in N, torques in N m, points of application in m.
+motion. Coordinates of a motion are angles, except translations, which end in ``_tx``, ``_ty`` or ``_tz``.
+Forces are in N, torques in N m, points of application in m.
 """
 
 from __future__ import annotations
