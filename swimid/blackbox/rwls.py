@@ -21,7 +21,7 @@ from swimid.blackbox.options import RwlsOptions
 from swimid.blackbox.prediction import Scores
 from swimid.blackbox.trials import Data, read
 from swimid.errors import UsageError
-from swimid.files import provenance
+from swimid.files import atomic, provenance
 from swimid.notices import recorded, warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -107,6 +107,8 @@ def rwls(
         raise UsageError("give --na and --nb, or --order auto")
     with recorded(repeat=True) as notices:
         data = read(logs, options.held_out, options.input_column, options.output_column, options.input_model)
+        if output is not None:
+            atomic.check_writable(output, inputs=data.files)
         m = _identified(data, options, progress)
         _warn(m)
     settings = _settings(m)

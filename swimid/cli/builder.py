@@ -17,6 +17,9 @@ from swimid.cli.common import Shared, protect, running, shared_options
 if TYPE_CHECKING:
     from swimid.options import Declared, Options
 
+#: Ending of the evidence beside a result.
+EVIDENCE = ".evidence.json"
+
 
 @dataclass(frozen=True)
 class Verb:
@@ -42,6 +45,8 @@ class Verb:
         Whether it must be told where to write.
     prints : bool
         Whether without a file its document goes to stdout.
+    beside : tuple of str
+        Endings of the files that it writes beside the output, with the output's stem.
     check : callable, optional
         ``check(output, options, shared)`` before the work: what only the command line can get wrong. It may
         change the options.
@@ -57,6 +62,7 @@ class Verb:
     output_flags: tuple[str, ...] = ("-o", "--output")
     required: bool = False
     prints: bool = False
+    beside: tuple[str, ...] = (EVIDENCE,)
     check: Callable[[Path | None, dict[str, Any], Shared], None] | None = None
 
     def model(self) -> type[Options]:
@@ -135,15 +141,17 @@ def _runner(verb: Verb) -> Callable[..., None]:
             read += [file for entry in declared.values() for file in entry.files(options[entry.name])]
             function = _load(verb.function)
             wanted = inspect.signature(function).parameters
-            offered: dict[str, Any] = {
-                "progress": run.progress,
-                "force": shared.force,
-                "allow": lambda path: protect(path, shared, inputs=tuple(read)),
-            }
+
+            def allow(path: Path | None) -> None:
+                protect(path, shared, inputs=tuple(read))
+
+            offered: dict[str, Any] = {"progress": run.progress, "force": shared.force, "allow": allow}
             if not {"allow", "force"} & set(wanted):
                 written = [options[entry.name] for entry in declared.values() if entry.written]
                 for place in (output, *written):
-                    protect(place, shared, inputs=tuple(read))
+                    allow(place)
+            if output is not None and not output.is_dir():
+                _protect_beside(output, verb, shared)
             given = {name: value for name, value in offered.items() if name in wanted}
             outcome = function(*([files] if files else []), output=output, **options, **given)
             if verb.prints and output is None and not shared.as_json:
@@ -153,6 +161,16 @@ def _runner(verb: Verb) -> Callable[..., None]:
             run.finish(outcome)
 
     return run_verb
+
+
+def _protect_beside(output: Path, verb: Verb, shared: Shared) -> None:
+    """Refuse to replace files of others, and evidence of other results, beside the output."""
+    from swimid.results import evidence
+
+    for ending in verb.beside:
+        protect(output.with_name(output.stem + ending), shared)
+    if EVIDENCE in verb.beside and not shared.force:
+        evidence.check_beside(output)
 
 
 def _load(name: str) -> Any:

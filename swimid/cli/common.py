@@ -22,7 +22,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from swimid.errors import InputError, SwimidError, UsageError
+from swimid.errors import SwimidError, UsageError
+from swimid.files import atomic, lock, mark
 from swimid.notices import Notice, recorded
 from swimid.progress import Progress, Step, silent
 
@@ -111,21 +112,29 @@ def running(verb: str, shared: Shared) -> Iterator[Run]:
     run = Run(shared)
     notices: list[Notice] = []
 
+    written: list[Path] = []
+
     def fail(kind: str, message: str, status: int, text: str = "") -> NoReturn:
-        _fail(
-            verb, shared, {"type": kind, "message": message, "exit_status": status}, text or message, notices
-        )
+        error = {"type": kind, "message": message, "exit_status": status}
+        _fail(verb, shared, error, text or message, notices, outputs=[str(path) for path in written])
 
     try:
-        with _interrupts() as interrupts, recorded() as notices:
+        with (
+            _interrupts() as interrupts,
+            recorded() as notices,
+            atomic.noted() as written,
+            lock.held(shared.output),
+        ):
             yield run
     except SwimidError as error:
         if shared.debug:
             traceback.print_exc()
         _print_warnings(notices, shared)
-        _fail(verb, shared, error.to_dict(), str(error), notices)
+        for path in () if shared.quiet else written:
+            click.echo(f"wrote {path}", err=True)
+        _fail(verb, shared, error.to_dict(), str(error), notices, outputs=[str(path) for path in written])
     except KeyboardInterrupt:
-        fail("Interrupted", f"interrupted; {_left(shared.output)}", 130)
+        fail("Interrupted", f"interrupted; {_left(shared.output, written)}", 130)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
@@ -172,21 +181,24 @@ def _interrupts() -> Iterator[list[int]]:
         signal.signal(signal.SIGINT, before)
 
 
-def _left(output: Path | None) -> str:
-    """What an interrupted verb leaves behind."""
+def _left(output: Path | None, written: list[Path]) -> str:
+    """What an interrupted command leaves behind."""
     from swimid.files.checkpoint import place
 
+    if written:
+        return f"written before: {', '.join(str(path) for path in written)}"
     kept = None if output is None else place(output)
-    # a first line alone holds nothing yet
-    if kept is not None and kept.is_file() and len(kept.read_text(encoding="utf-8").splitlines()) > 1:
+    if kept is not None and kept.is_file() and kept.stat().st_size:
         return f"{kept} keeps what was computed: the same command goes on from there"
     return "nothing was written"
 
 
-def _fail(verb: str, shared: Shared, error: dict[str, Any], text: str, notices: list[Notice]) -> NoReturn:
+def _fail(
+    verb: str, shared: Shared, error: dict[str, Any], text: str, notices: list[Notice], **more: Any
+) -> NoReturn:
     """End the command with an error's exit status; what is no bug is told as an error."""
     if shared.as_json:
-        _print_json(verb, {"error": error}, notices)
+        _print_json(verb, {"error": error}, notices, **more)
     click.echo(text if error["type"] == "Bug" else f"Error: {text}", err=True)
     sys.exit(error["exit_status"])
 
@@ -248,28 +260,11 @@ def protect(output: Path | None, shared: Shared, *, inputs: tuple[str | Path, ..
         return
     if str(output) == "-":
         raise UsageError("this result is files, not a stream: name one", hint="--json prints it on stdout")
-    from swimid.files import atomic
-
     atomic.check_writable(output, inputs=inputs)
-    if output.exists() and not shared.force and not _ours(output):
+    if not shared.force and not mark.is_own(output):
         raise UsageError(
             f"{output} exists and was not written by swimid", hint="name another output, or give --force"
         )
-
-
-def _ours(path: Path) -> bool:
-    """Whether swimid wrote this file (or it is empty, or a device): a rerun may replace it."""
-    if not path.is_file():
-        return True
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(4096)
-            stream.seek(0, os.SEEK_END)
-            stream.seek(max(stream.tell() - 65536, 0))
-            tail = stream.read()
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror or error}", file=path) from error
-    return not head or b"swimid" in head or b"swimid" in tail
 
 
 class _RichStep:

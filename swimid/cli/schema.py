@@ -8,6 +8,7 @@ from typing import Any
 
 from pydantic import BaseModel, TypeAdapter
 
+import swimid
 from swimid.diagnosis import gap_file as gap
 from swimid.diagnosis import power_file
 from swimid.errors import UsageError, suggestion
@@ -69,7 +70,8 @@ def schema(name: str | None = None, *, output: Path | None = None) -> Result:
     if name not in known:
         hint = suggestion(name, list(known))
         raise UsageError(f"there is no format '{name}'", hint=hint)
-    document = {"$schema": "https://json-schema.org/draft/2020-12/schema", **known[name]}
+    mark = {"$comment": f"written by swimid {swimid.__version__}"}
+    document = {"$schema": "https://json-schema.org/draft/2020-12/schema", **mark, **known[name]}
     text = json.dumps(document, indent=2)
     if output is None:
         return Result("schema", text, document)

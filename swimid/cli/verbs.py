@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from swimid.cli.builder import Verb
+from swimid.cli.builder import EVIDENCE, Verb
 from swimid.cli.common import Shared
 from swimid.errors import UsageError
 
@@ -110,6 +110,7 @@ VERBS = (
     _verb(
         "swimmer",
         "fit-graybox",
+        beside=(EVIDENCE, ".front.csv"),
         output="Parameter file to write (YAML).",
         help="""Identify the coefficients of a multi-link swimmer.
 
@@ -129,6 +130,7 @@ VERBS = (
     _verb(
         "simulation",
         "simulate",
+        beside=(),
         output="Log to write (.csv or .parquet).",
         argument="",
         help="""Simulate any robot from any parameter file.
@@ -260,6 +262,7 @@ VERBS = (
     _verb(
         "exporters",
         "export",
+        beside=(),
         output="The file to write. Without it, or with -o -, it goes to stdout.",
         argument="PARAMS",
         prints=True,
@@ -279,6 +282,7 @@ VERBS = (
     _verb(
         "results",
         "report",
+        beside=(),
         output="The report. Without it, or with -o -, md and json go to stdout.",
         argument="RESULT...",
         prints=True,
@@ -299,6 +303,7 @@ VERBS = (
     _verb(
         "logs",
         "plot",
+        beside=(),
         output="The picture: .html, .svg or .png.",
         argument="LOG...",
         required=True,
@@ -314,6 +319,7 @@ VERBS = (
     _verb(
         "tracking",
         "track video",
+        beside=(EVIDENCE, ".png"),
         output="The log, CSV or Parquet by its ending.",
         argument="VIDEO",
         required=True,
@@ -333,6 +339,7 @@ VERBS = (
     _verb(
         "tracking",
         "track setup",
+        beside=(".markers.png",),
         output="The setup file to write.",
         argument="VIDEO",
         required=True,
@@ -368,6 +375,7 @@ VERBS = (
         "import",
         function="swimid.cli.import_log:import_files",
         options="swimid.logs.options:ImportCommandOptions",
+        beside=(),
         output="The log, CSV or Parquet by its ending; a folder for several; with --guess the mapping.",
         argument="FILE...",
         short="Logs of other programs, through a mapping, to the log format.",
@@ -393,6 +401,7 @@ HELPERS = (
         "schema",
         function="swimid.cli.schema:schema",
         options="swimid.options:Options",
+        beside=(),
         output="Write the schema to this file instead of stdout.",
         argument="[NAME]",
         help="""Print the JSON Schema of a file format.
@@ -407,6 +416,7 @@ HELPERS = (
     _verb(
         "cli",
         "doctor",
+        beside=(),
         output="Write the findings as JSON to this file.",
         argument="",
         help="""Check the installation: versions, video codecs, compiled kernels.

@@ -15,7 +15,7 @@ from swimid.diagnosis.options import DiagnoseOptions
 from swimid.diagnosis.power_file import DetectionPower, PowerFile
 from swimid.effects import catalogue as effect_catalogue
 from swimid.errors import NoTrustworthyResult
-from swimid.files import provenance
+from swimid.files import atomic, provenance
 from swimid.files.checkpoint import Checkpoint
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
@@ -112,6 +112,8 @@ def diagnose(
             raise NoTrustworthyResult("no trial has the role 'fit'")
         tried = effect_catalogue.applicable(known, model, fitted)
         inputs = [*experiment.inputs, *options.own_effects]
+        if output is not None:
+            atomic.check_writable(output, inputs=inputs)
         origin = provenance.collect(inputs, settings=options.settings())
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
         search.prepared(model, experiment.trials, progress, keep)

@@ -1,18 +1,29 @@
-"""Files that appear whole or not at all."""
+"""Files that appear whole or not at all, and groups of files that appear together or not at all."""
 
 from __future__ import annotations
 
 import os
+import shutil
+import signal
 import tempfile
+import threading
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from swimid.errors import InputError, UsageError
 
 
 def check_writable(path: str | Path, *, inputs: Iterable[object] = ()) -> Path:
-    """The path, after making sure that writing it can work and loses none of the inputs that are files.
+    """Return the path after checking that it can be written and that no input is lost by it.
+
+    Parameters
+    ----------
+    path : path
+    inputs : iterable
+        Files that are read; objects in memory are passed over.
 
     Raises
     ------
@@ -37,33 +48,202 @@ def check_writable(path: str | Path, *, inputs: Iterable[object] = ()) -> Path:
     return path
 
 
+def is_device(path: Path) -> bool:
+    """Whether the path is a device or a pipe: it is written to, never replaced."""
+    return path.exists() and not path.is_file()
+
+
+@dataclass
+class _Group:
+    """Files that are written under temporary names and take their own names together."""
+
+    temporaries: list[Path] = field(default_factory=list)
+    #: Temporary name of each complete file.
+    pending: dict[Path, Path] = field(default_factory=dict)
+    #: Files to be removed, and folders made for this group.
+    removed: list[Path] = field(default_factory=list)
+    folders: list[Path] = field(default_factory=list)
+
+    def commit(self) -> None:
+        """Rename every file to its own name; Ctrl-C waits, and an error undoes the renaming."""
+        several = len(self.pending) + len(self.removed) > 1
+        before: dict[Path, Path | None] = {}
+        try:
+            with _uninterrupted():
+                try:
+                    for path in (*self.pending, *self.removed):
+                        before[path] = _second_name(path) if several and path.exists() else None
+                    for path, temporary in self.pending.items():
+                        temporary.chmod(_mode(path))
+                        temporary.replace(path)
+                    for path in self.removed:
+                        path.unlink(missing_ok=True)
+                except OSError as error:
+                    self._undo(before)
+                    raise InputError(f"cannot be written: {error.strerror or error}", file=path) from error
+                self.folders.clear()
+                written = _WRITTEN.get()
+                if written is not None:
+                    written.extend(self.pending)
+        finally:
+            for spare in before.values():
+                if spare is not None:
+                    spare.unlink(missing_ok=True)
+
+    def _undo(self, before: dict[Path, Path | None]) -> None:
+        for path, spare in before.items():
+            renamed = path in self.pending and not self.pending[path].exists()
+            with suppress(OSError):
+                if spare is not None:
+                    spare.replace(path)
+                elif renamed:
+                    path.unlink()
+
+    def discard(self) -> None:
+        """Remove what was not renamed."""
+        for temporary in self.temporaries:
+            temporary.unlink(missing_ok=True)
+        for folder in reversed(self.folders):
+            with suppress(OSError):  # somebody else has put a file there
+                folder.rmdir()
+
+
+_GROUP: ContextVar[_Group | None] = ContextVar("_GROUP", default=None)
+_WRITTEN: ContextVar[list[Path] | None] = ContextVar("_WRITTEN", default=None)
+
+
+@contextmanager
+def together() -> Iterator[None]:
+    """Make the files that are written in this block appear when it ends well: all of them, or none.
+
+    A block inside another one is part of it.
+
+    Raises
+    ------
+    InputError
+        When a file cannot be renamed; those renamed before are restored.
+    """
+    if _GROUP.get() is not None:
+        yield
+        return
+    group = _Group()
+    token = _GROUP.set(group)
+    try:
+        yield
+        group.commit()
+    finally:
+        _GROUP.reset(token)
+        group.discard()
+
+
+@contextmanager
+def noted() -> Iterator[list[Path]]:
+    """Give a list of the files that have been written so far in this block."""
+    written: list[Path] = []
+    token = _WRITTEN.set(written)
+    try:
+        yield written
+    finally:
+        _WRITTEN.reset(token)
+
+
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """A temporary path beside ``path`` that takes its place when the block ends well.
+    """Give a temporary path beside ``path`` that takes its place when the block, and its group, end well.
 
-    The temporary name keeps the ending, so that writers that choose their format by it
-    work. An exception, a full disk or Ctrl-C leaves the old file untouched.
+    The temporary name keeps the ending, so that writers that choose their format by it work. An exception, a
+    full disk or Ctrl-C leaves the old file untouched.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be written.
     """
     path = check_writable(path)
-    # a device or a pipe is written to, never replaced
-    device = path.exists() and not path.is_file()
-    folder = None if device else path.parent
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=folder)
-    os.close(handle)
-    temporary = Path(name)
+    device = is_device(path)
     try:
-        yield temporary
-        if device:
-            path.write_bytes(temporary.read_bytes())
-        else:
-            with temporary.open("rb") as stream:
-                os.fsync(stream.fileno())
-            temporary.chmod(_mode(path))
-            temporary.replace(path)
+        with together():
+            group = _GROUP.get()
+            assert group is not None
+            # a link stays, and the file it points to is replaced
+            target = Path(os.path.realpath(path)) if path.is_symlink() else path
+            folder = None if device else target.parent
+            handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=path.suffix, dir=folder)
+            os.close(handle)
+            temporary = Path(name)
+            group.temporaries.append(temporary)
+            yield temporary
+            if device:
+                path.write_bytes(temporary.read_bytes())
+            else:
+                with temporary.open("r+b") as stream:
+                    os.fsync(stream.fileno())
+                group.pending[target] = temporary
     except OSError as error:
         raise InputError(f"cannot be written: {error.strerror or error}", file=path) from error
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write ``text`` as UTF-8, whole or not at all."""
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="\n")
+
+
+def remove(path: Path) -> None:
+    """Remove a file that a new one makes obsolete, when the group of the new one ends well."""
+    with together():
+        group = _GROUP.get()
+        assert group is not None
+        group.removed.append(path)
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder for files of the group; it disappears again where none is written.
+
+    Raises
+    ------
+    InputError
+        When it cannot be made.
+    """
+    group = _GROUP.get()
+    if path.is_dir():
+        return
+    try:
+        path.mkdir()
+    except OSError as error:
+        raise InputError(f"cannot be made: {error.strerror or error}", file=path) from error
+    if group is not None:
+        group.folders.append(path)
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Hold Ctrl-C back until the block has ended."""
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(before):
+        yield
+        return
+    received: list[tuple[int, object]] = []
+    signal.signal(signal.SIGINT, lambda *one: received.append(one))
+    try:
+        yield
     finally:
-        temporary.unlink(missing_ok=True)
+        signal.signal(signal.SIGINT, before)
+        if received:
+            before(*received[-1])
+
+
+def _second_name(path: Path) -> Path:
+    """A hidden second name of a file's content, by which it can be restored."""
+    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=".before", dir=path.parent)
+    os.close(handle)
+    spare = Path(name)
+    try:
+        spare.unlink()
+        os.link(path, spare)
+    except OSError:  # a file system without links
+        shutil.copy2(path, spare)
+    return spare
 
 
 def _mode(path: Path) -> int:
@@ -73,9 +253,3 @@ def _mode(path: Path) -> int:
     mask = os.umask(0)
     os.umask(mask)
     return 0o666 & ~mask
-
-
-def write_text(path: str | Path, text: str) -> None:
-    """Write ``text`` as UTF-8, whole or not at all."""
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8", newline="\n")

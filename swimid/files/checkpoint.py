@@ -1,10 +1,11 @@
-"""What a long run found so far, kept beside its result so that a killed one goes on where it was."""
+"""Checkpoints: what a long run has computed so far, kept beside its output (``docs/formats.md``)."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import threading
+import weakref
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,78 +14,173 @@ import numpy as np
 from numpy.typing import NDArray
 
 import swimid
+from swimid.errors import InputError
+from swimid.files import atomic, lock
+from swimid.notices import warn
+
+#: Number of hexadecimal digits of a key and of a checksum.
+DIGITS = 32
 
 
 def place(output: Path) -> Path:
-    """Where what was found on the way to a result is kept."""
+    """Where the checkpoint of an output is kept."""
     return output.with_name(f"{output.name}.partial")
 
 
 class Checkpoint:
-    """A file of named numbers, one JSON line each, under a first line that says what they belong to.
+    """Named pieces of a computation, one JSON line each.
+
+    A line is ``{"key": ..., "name": ..., "values": [...], "sum": ...}``. ``key`` is the SHA-256 of the inputs
+    and settings of the run and of the name of the piece; ``sum`` is that of key, name and values. A line with
+    a wrong sum is damaged; a line with another key belongs to another run. Both are ignored, and the lines of
+    other runs are kept.
 
     Parameters
     ----------
     path : Path or None
         None keeps nothing.
     key : str
-        Of inputs and settings; a file of another key is begun anew.
+        Of the inputs and settings that determine the results.
+    anew : bool
+        Whether to drop the pieces that an earlier run with this key has left.
+
+    Raises
+    ------
+    UsageError
+        When another run holds the output.
+    InputError
+        When the file cannot be read or written.
+
+    Warns
+    -----
+    SWM150
+        When lines are ignored.
+    SWM151
+        When a piece cannot be kept, because the disk is full for instance.
     """
 
-    def __init__(self, path: Path | None = None, key: str = "") -> None:
+    def __init__(self, path: Path | None = None, key: str = "", *, anew: bool = False) -> None:
         self.path = path
+        self._key = key
         self._known: dict[str, list[float]] = {}
-        self._lock = threading.Lock()
+        #: Lines of other runs.
+        self._others: list[str] = []
+        self._writing = threading.Lock()
+        self._full = False
         if path is None:
             return
-        lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
-        if lines and lines[0] == self._head(key):
-            for line in lines[1:]:
-                try:
-                    name, numbers = json.loads(line)
-                except ValueError:
-                    break  # the line that was being written when the run was killed
-                self._known[name] = numbers
-        else:
-            path.write_text(self._head(key) + "\n", encoding="utf-8")
+        atomic.check_writable(path)
+        # also where a run fails: when nobody refers to the checkpoint any more
+        self._release = weakref.finalize(self, lock.take(path.with_suffix("")).release)
+        try:
+            self._read(path, anew)
+        except OSError as error:
+            raise InputError(f"cannot be read: {error.strerror or error}", file=path) from error
 
     @classmethod
-    def beside(cls, output: Path | None, belongs_to: Any) -> Checkpoint:
-        """One beside a result, of this version of the program and of what JSON says it belongs to."""
+    def beside(cls, output: Path | None, belongs_to: Any, *, anew: bool = False) -> Checkpoint:
+        """The checkpoint of an output; its key is of this version and of ``belongs_to`` as JSON."""
         text = json.dumps([belongs_to, swimid.__version__], sort_keys=True)
         path = None if output is None else place(output)
-        return cls(path, hashlib.sha256(text.encode()).hexdigest())
+        return cls(path, hashlib.sha256(text.encode()).hexdigest(), anew=anew)
 
     @property
     def begun(self) -> bool:
-        """Whether an earlier run left something."""
+        """Whether an earlier run with the same key has left something."""
         return bool(self._known)
 
-    @staticmethod
-    def _head(key: str) -> str:
-        return json.dumps({"swimid": "checkpoint", "key": key})
-
     def get(self, name: str) -> NDArray[np.float64] | None:
-        """Numbers kept under a name."""
+        """The values kept under a name."""
         kept = self._known.get(name)
-        return None if kept is None else np.array(kept)
+        return None if kept is None else np.array(kept, dtype=float)
 
-    def put(self, name: str, numbers: NDArray[np.float64]) -> None:
-        """Keep numbers under a name."""
+    def put(self, name: str, values: NDArray[np.float64]) -> None:
+        """Keep values under a name."""
         if self.path is None:
             return
-        with self._lock, self.path.open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps([name, [float(v) for v in numbers]]) + "\n")
+        key, listed = self._key_of(name), [float(v) for v in values]
+        line = {"key": key, "name": name, "values": listed, "sum": _sum(key, name, listed)}
+        with self._writing:
+            try:
+                with self.path.open("a", encoding="utf-8") as stream:
+                    stream.write(json.dumps(line) + "\n")
+            except OSError as error:
+                if not self._full:
+                    warn("SWM151", f"{self.path} cannot be written: {error.strerror or error}")
+                self._full = True
 
     def kept(self, name: str, compute: Callable[[], NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Numbers kept under a name; computed and kept where there are none."""
-        numbers = self.get(name)
-        if numbers is None:
-            numbers = compute()
-            self.put(name, numbers)
-        return numbers
+        """The values kept under a name; computed and kept where there are none."""
+        values = self.get(name)
+        if values is None:
+            values = compute()
+            self.put(name, values)
+        return values
 
     def done(self) -> None:
-        """Remove the file: the result is written."""
-        if self.path is not None:
+        """Remove what belongs to this run, because its result is written; lines of other runs stay."""
+        if self.path is None:
+            return
+        if self._others:
+            atomic.write_text(self.path, "".join(f"{line}\n" for line in self._others))
+        else:
             self.path.unlink(missing_ok=True)
+        self._release()
+
+    def _key_of(self, name: str) -> str:
+        return hashlib.sha256(f"{self._key}\n{name}".encode()).hexdigest()[:DIGITS]
+
+    def _read(self, path: Path, anew: bool) -> None:
+        """Sort the lines into those of this run, those of others and damaged ones."""
+        raw = path.read_bytes() if path.is_file() else b""
+        lines = [line.decode("utf-8", "replace") for line in raw.splitlines() if line.strip()]
+        parsed = [(line, _parsed(line)) for line in lines]
+        damaged = sum(piece is None for _, piece in parsed)
+        for line, piece in parsed:
+            if piece is None:
+                continue
+            key, name, values = piece
+            if key != self._key_of(name):
+                self._others.append(line)
+            elif not anew:
+                self._known[name] = values
+        if damaged == len(lines) > 0:
+            aside = _unused(path)
+            path.rename(aside)
+            warn(
+                "SWM150", f"{path} is no checkpoint, or is damaged throughout; it was renamed to {aside.name}"
+            )
+        elif anew or not raw.endswith(b"\n"):
+            own = [line for line, piece in parsed if piece is not None and line not in self._others]
+            rest = [*([] if anew else own), *self._others]
+            atomic.write_text(path, "".join(f"{line}\n" for line in rest))
+        ignored = {"of a run with other inputs or options, or of another version": len(self._others)}
+        if damaged < len(lines):
+            ignored["damaged"] = damaged
+        told = " and ".join(f"{count} {why}" for why, count in ignored.items() if count)
+        if told:
+            total = f"of {len(lines)} line{'s' if len(lines) > 1 else ''}"
+            warn("SWM150", f"{path}: ignored {total} {told}; the lines of other runs are kept for these runs")
+
+
+def _sum(key: str, name: str, values: list[float]) -> str:
+    return hashlib.sha256(json.dumps([key, name, values]).encode()).hexdigest()[:DIGITS]
+
+
+def _parsed(line: str) -> tuple[str, str, list[float]] | None:
+    """Key, name and values of a line; None where it is damaged."""
+    try:
+        piece = json.loads(line)
+        key, name, values = piece["key"], piece["name"], piece["values"]
+        sound = piece["sum"] == _sum(key, name, values)
+    except (ValueError, TypeError, KeyError):
+        return None
+    return (key, name, values) if sound else None
+
+
+def _unused(path: Path) -> Path:
+    """A name beside a file that no file has."""
+    count = 1
+    while (found := path.with_name(f"{path.name}.damaged{count}")).exists():
+        count += 1
+    return found

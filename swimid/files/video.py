@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
+from swimid.files.mark import MADE_BY, VIDEO_BOX
 
 Frame = NDArray[np.uint8]
 #: Ticks a second of the time stamps.
 CLOCK = 90_000
-#: By this a later run knows the file for its own.
-MADE_BY = "made by swimid"
 #: What to say where browsers will not play the result.
 REMARK = "the {} is MPEG-4, which browsers do not play; pip install 'swimid[video]' for H.264"
 
@@ -33,8 +32,8 @@ class H264:
         import av
 
         self._av = av
+        self._path = path
         self._container = av.open(str(path), "w")
-        self._container.metadata["comment"] = MADE_BY
         self._stream = self._container.add_stream("libx264", rate=Fraction(rate).limit_denominator(1000))
         self._stream.width, self._stream.height = width, height
         self._stream.pix_fmt = "yuv420p"
@@ -54,12 +53,14 @@ class H264:
         for packet in self._stream.encode():
             self._container.mux(packet)
         self._container.close()
+        _mark(self._path)
 
 
 class Mpeg4:
     """MPEG-4 through OpenCV: the fallback; most players show it, browsers do not."""
 
     def __init__(self, path: Path, rate: float, width: int, height: int) -> None:
+        self._path = path
         self._writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate, (width, height))
         if not self._writer.isOpened():
             raise InputError("no video can be written with this ending", file=path, hint="name it .mp4")
@@ -71,6 +72,12 @@ class Mpeg4:
     def close(self) -> None:
         """Finish the file."""
         self._writer.release()
+        _mark(self._path)
+
+
+def _mark(path: Path) -> None:
+    with path.open("ab") as stream:
+        stream.write(VIDEO_BOX)
 
 
 class Gif:

@@ -140,7 +140,7 @@ def optimise_stiffness(
         study = study_of(performance, options)
         for place in (output, options.header, options.table):
             if place is not None:
-                allow(place)
+                allow(atomic.check_writable(place, inputs=study.inputs))
         keep = Checkpoint.beside(output, study.key)
         points = [dict(p) for p in points_of({n: axes[n] for n in ("amplitude_deg", "frequency_hz")})]
         known = bool(options.draws and options.pick == "best" and performance.applied.uncertain()[0])
@@ -194,12 +194,13 @@ def optimise_stiffness(
     origin = provenance.collect(study.inputs, settings=study.settings)
     evidence = rule_evidence.evidence(file, notices, origin)
     file.verdict = evidence.verdict.level
-    saved = StiffnessRule.of(file, evidence).saved(output)
     written = []
-    for place, text in ((options.header, file.header()), (options.table, file.table())):
-        if place is not None:
-            atomic.write_text(place, text)
-            written.append(place)
+    with atomic.together():
+        saved = StiffnessRule.of(file, evidence).saved(output)
+        for place, text in ((options.header, file.header()), (options.table, file.table())):
+            if place is not None:
+                atomic.write_text(place, text)
+                written.append(place)
     keep.done()
     return replace(saved, outputs=[*saved.outputs, *written])
 

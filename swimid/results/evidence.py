@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from swimid.errors import InputError
+from swimid.errors import InputError, UsageError
 from swimid.files import atomic
 
 FORMAT: Literal["swimid-evidence/1"] = "swimid-evidence/1"
@@ -168,6 +168,8 @@ class Evidence(_Part):
     """Everything the report shows of one result, apart from its parameters."""
 
     format: Literal["swimid-evidence/1"] = FORMAT
+    #: Name of the file it was written beside.
+    result: str = ""
     verb: str
     title: str
     verdict: Verdict
@@ -235,10 +237,41 @@ def write_beside(result: Path, evidence: Evidence) -> list[Path]:
     list of Path
         The result, and its evidence where there is any.
     """
-    if not result.is_file():
+    if atomic.is_device(result):
         return [result]
-    write(sidecar(result), evidence)
+    write(sidecar(result), evidence.model_copy(update={"result": result.name}))
     return [result, sidecar(result)]
+
+
+def check_beside(result: Path) -> None:
+    """Check that the evidence of a result will not replace that of another file with the same stem.
+
+    Raises
+    ------
+    UsageError
+        When the evidence file is there and belongs to another file that exists.
+    """
+    other = _owner(sidecar(result))
+    if other not in ("", result.name) and result.with_name(other).exists():
+        raise UsageError(
+            f"{sidecar(result)} is the evidence of {other}, and would be replaced by that of {result.name}",
+            hint="give the output another name before its ending",
+        )
+
+
+def remove_outdated(result: Path) -> None:
+    """Remove the evidence of an older file that is replaced by one without evidence."""
+    if result.exists() and _owner(sidecar(result)) == result.name:
+        atomic.remove(sidecar(result))
+
+
+def _owner(path: Path) -> str:
+    """Name of the file whose evidence this is; empty where it is unknown."""
+    try:
+        data = json.loads(path.read_bytes())
+    except (OSError, ValueError):
+        return ""
+    return str(data.get("result", "")) if isinstance(data, dict) else ""
 
 
 def read(path: str | Path) -> Evidence:

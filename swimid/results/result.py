@@ -143,7 +143,7 @@ class Result:
         return drawn[0] if len(drawn) == 1 else drawn
 
     def save(self, path: str | Path) -> Self:
-        """Write the result and its evidence beside it, each whole or not at all.
+        """Write the result and its evidence beside it, both or neither.
 
         Returns
         -------
@@ -158,9 +158,10 @@ class Result:
             For a result that is no file.
         """
         target = atomic.check_writable(Path(path))
-        written = self._write(target)
-        if self.evidence is not None:
-            written[1:1] = write_beside(target, self.evidence)[1:]
+        with atomic.together():
+            written = self._write(target)
+            if self.evidence is not None:
+                written[1:1] = write_beside(target, self.evidence)[1:]
         return replace(self, outputs=[*self.outputs, *written])
 
     def saved(self, output: str | Path | None) -> Self:

@@ -18,6 +18,7 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.lines import Line2D
 
 from swimid.files import atomic
+from swimid.files.mark import SOFTWARE
 from swimid.results import figures as drawing
 from swimid.results import looks
 from swimid.results.evidence import Figure, Panel
@@ -49,7 +50,7 @@ def write(
         drawn = canvas(figures, title=title, step=step)
         with atomic.replacing(path) as temporary:
             kind = path.suffix.lower().removeprefix(".")
-            metadata = {"Date": None, "Creator": None} if kind == "svg" else {"Software": "swimid"}
+            metadata = {"Date": None, "Creator": SOFTWARE} if kind == "svg" else {"Software": SOFTWARE}
             drawn.savefig(temporary, format=kind, dpi=72 * PIXELS, metadata=metadata)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from swimid.blackbox import trials as arma
 from swimid.errors import InputError, UsageError, suggestion
+from swimid.files.provenance import Input
 from swimid.fitting import drives
 from swimid.fitting.drives import Cycle
 from swimid.fitting.inputs import CruiseInput, RigInput, SurgeInput, SwimInput
@@ -134,8 +135,10 @@ def of_options(options: SimulateOptions) -> Case:
     return makers[file.model](options, file, path)
 
 
-def of_trials(trials: str | Path | TrialSet, options: SimulateOptions, only: str | None) -> list[Case]:
-    """Recorded trials with their own drives and start states.
+def of_trials(
+    trials: str | Path | TrialSet, options: SimulateOptions, only: str | None
+) -> tuple[list[Case], Sequence[Input]]:
+    """Recorded trials with their own drives and start states, and everything that was read for them.
 
     Raises
     ------
@@ -175,7 +178,7 @@ def of_trials(trials: str | Path | TrialSet, options: SimulateOptions, only: str
                 "distance_m": trial.inputs["distance_m"],
             }
         cases.append(Case(trial.id, applied, values, trial, extra, metadata, quantities, model.timed_runs))
-    return cases
+    return cases, experiment.inputs
 
 
 # ------------------------------------------------------------ swimmers with links

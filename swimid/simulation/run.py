@@ -13,9 +13,12 @@ import numpy as np
 
 import swimid
 from swimid.errors import NoTrustworthyResult, UsageError
+from swimid.files import atomic
+from swimid.files.names import file_names
 from swimid.fitting.model import Array, Trial
 from swimid.logs import log as log_format
 from swimid.notices import warn
+from swimid.results.evidence import remove_outdated
 from swimid.results.result import Result
 from swimid.simulation.applied import Applied, Quantity
 
@@ -173,18 +176,19 @@ def places(output: Path | None, ids: Sequence[str]) -> list[Path]:
         raise UsageError(f"'{output.name}' is no folder", hint=f"for a log let it end in {LOG_ENDINGS[0]}")
     if output.exists() and not output.is_dir():
         raise UsageError(f"{output} is a file; several trials need a folder")
-    stems = [re.sub(r"[^\w.-]", "_", Path(i).stem if i.endswith(LOG_ENDINGS) else i) for i in ids]
-    return [output / f"{stem}.csv" for stem in stems]
+    return [output / name for name in file_names(ids, LOG_ENDINGS)]
 
 
 def write(output: Path | None, done: Sequence[Simulated]) -> list[Path]:
-    """Write runs as logs, each with what it was made by in its comment lines."""
+    """Write runs as logs, all or none; the comment lines of each say what it was made by."""
     paths = places(output, [one.case.id for one in done])
-    if output is not None and paths != [output]:
-        output.mkdir(exist_ok=True)
-    for path, one in zip(paths, done, strict=False):
-        metadata = {"made_by": "swimid simulate", "version": swimid.__version__, **one.case.metadata}
-        log_format.write(path, one.columns, metadata)
+    with atomic.together():
+        if output is not None and paths != [output]:
+            atomic.make_folder(output)
+        for path, one in zip(paths, done, strict=False):
+            metadata = {"made_by": "swimid simulate", "version": swimid.__version__, **one.case.metadata}
+            remove_outdated(path)
+            log_format.write(path, one.columns, metadata)
     return paths
 
 

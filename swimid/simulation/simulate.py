@@ -93,30 +93,31 @@ def simulate(
     if options.trials is None:
         if options.trial is not None:
             raise UsageError("--trial belongs to --trials")
-        asked = [cases.of_options(options)]
+        asked, inputs = [cases.of_options(options)], ()
     else:
         _insist_on_trials_alone(options)
-        asked = cases.of_trials(options.trials, options, options.trial)
+        asked, inputs = cases.of_trials(options.trials, options, options.trial)
     targets = run.places(output, [case.id for case in asked])
     if options.animate is not None:
         _insist_on_film(asked, options.animate)
-        allow(options.animate)
+        allow(atomic.check_writable(options.animate, inputs=inputs))
     folder = output if output is not None and targets != [output] else None
     if folder is not None and not folder.parent.is_dir():
         raise InputError(f"the folder {folder.parent} does not exist", file=folder)
     for place in targets:
         if folder is None or folder.is_dir():
-            allow(place)
+            allow(atomic.check_writable(place, inputs=inputs))
     done = []
     with progress("simulating", total=len(asked)) as step:
         for case in asked:
             done.append(run.run(case))
             step()
-    outputs = run.write(output, done)
     remark = ""
-    if options.animate is not None:
-        remark = animation.write(options.animate, _film(done[0]), view=options.view, progress=progress)
-        outputs.append(options.animate)
+    with atomic.together():
+        outputs = run.write(output, done)
+        if options.animate is not None:
+            remark = animation.write(options.animate, _film(done[0]), view=options.view, progress=progress)
+            outputs.append(options.animate)
     if done[0].quantities:
         done[0].case.applied.warn_without_error("the uncertainties given here")
     text = _summary(done, options, remark)

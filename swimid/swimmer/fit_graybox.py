@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import InputError, Interrupted, NoTrustworthyResult
-from swimid.files import provenance
+from swimid.files import atomic, provenance
 from swimid.fitting import fit_common, identifiability, multistart, output_error, start_states
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.fit_result import FitResult
@@ -199,7 +199,7 @@ def fit_graybox(
         evidence.tables[:0] = [front.stages_table(found, stages), front.choices_table(found)]
         evidence.figures[:0] = front.figures(found, stages)
         evidence.methods[:0] = front.methods(found, options)
-        fronts = front.save(output, found, options) if output else []
+        fronts = front.places(output, options) if output else []
     text = "\n".join(
         [
             f"{experiment.robot.name}: {len(result.trials)} trials, {result.samples} samples, "
@@ -212,7 +212,11 @@ def fit_graybox(
             *_next(checks, trials, output),
         ]
     )
-    fitted = fit_common.fitted("fit-graybox", text, file, evidence, output)
+    with atomic.together():
+        fitted = fit_common.fitted("fit-graybox", text, file, evidence, output)
+        for path in fronts:
+            assert found is not None
+            front.save(path, found)
     if found is not None and output is not None:
         keep.done()
     _insist(result, file, ends, options.starts, trials, output)

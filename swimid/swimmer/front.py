@@ -82,10 +82,8 @@ def kept(output: Path | None, belongs_to: Any, options: FitGrayboxOptions) -> Ch
     """What an earlier search left beside the output; raises where there is none although the user insists."""
     if options.resume and output is None:
         raise UsageError("--resume needs -o: an unfinished search is kept beside the output")
-    if options.resume is False and output is not None:
-        checkpoint_format.place(output).unlink(missing_ok=True)
     before = output is not None and checkpoint_format.place(output).is_file()
-    keep = Checkpoint.beside(output, belongs_to)
+    keep = Checkpoint.beside(output, belongs_to, anew=options.resume is False)
     if options.resume and not keep.begun:
         keep.done()
         raise UsageError(
@@ -215,13 +213,17 @@ def _chosen(pick: str, rules: Mapping[str, int], count: int) -> int:
     return int(pick)
 
 
-def save(output: Path, found: Found, options: FitGrayboxOptions) -> list[Path]:
-    """Write the front beside the parameter file, unless it was read from there."""
+def places(output: Path, options: FitGrayboxOptions) -> list[Path]:
+    """The file of the front beside the parameter file; none where the front was read from there."""
     path = output.with_name(f"{output.stem}.front.csv")
     if options.front is not None and options.front.resolve() == path.resolve():
         return []
-    atomic.write_text(path, found.table.to_csv(index=False))
     return [path]
+
+
+def save(path: Path, found: Found) -> None:
+    """Write the front, whole or not at all."""
+    atomic.write_text(path, found.table.to_csv(index=False))
 
 
 def read(path: Path) -> pd.DataFrame:

@@ -65,7 +65,7 @@ class Track(Logged):
 
     def _write(self, path: Path) -> list[Path]:
         written = super()._write(path)
-        if self.evidence is None or not path.is_file():
+        if self.evidence is None or atomic.is_device(path):
             return written
         plot = path.with_suffix(".png")
         shown = [figure for figure in self.evidence.figures if figure.id in ("path", "pose")]
@@ -141,12 +141,12 @@ def track_video(
         with progress(f"tracking {video.name}") as step:
             run = follow(video, rules, step=step)
         result, painter = _told(run, source, made, options, metadata or {}, notices)
-        if output is not None:
-            result = result.save(output)
-        if overlay_path is not None:
-            remark = painter.write(overlay_path, progress)
-            text = f"{result.text}\nnote: {remark}" if remark else result.text
-            result = replace(result, text=text, outputs=[*result.outputs, overlay_path])
+        with atomic.together():
+            result = result.saved(output)
+            if overlay_path is not None:
+                remark = painter.write(overlay_path, progress)
+                text = f"{result.text}\nnote: {remark}" if remark else result.text
+                result = replace(result, text=text, outputs=[*result.outputs, overlay_path])
     return result
 
 
