@@ -13,6 +13,7 @@ import click
 
 from swimid.cli import parsing
 from swimid.cli.common import Shared, protect, running, shared_options
+from swimid.errors import UsageError
 
 if TYPE_CHECKING:
     from swimid.options import Declared, Options
@@ -146,9 +147,10 @@ def _runner(verb: Verb) -> Callable[..., None]:
                 protect(path, shared, inputs=tuple(read))
 
             offered: dict[str, Any] = {"progress": run.progress, "force": shared.force, "allow": allow}
+            written = [output, *(options[entry.name] for entry in declared.values() if entry.written)]
+            _insist_distinct([place for place in written if place is not None])
             if not {"allow", "force"} & set(wanted):
-                written = [options[entry.name] for entry in declared.values() if entry.written]
-                for place in (output, *written):
+                for place in written:
                     allow(place)
             if output is not None and not output.is_dir():
                 _protect_beside(output, verb, shared)
@@ -161,6 +163,14 @@ def _runner(verb: Verb) -> Callable[..., None]:
             run.finish(outcome)
 
     return run_verb
+
+
+def _insist_distinct(places: list[Path]) -> None:
+    """Refuse two outputs that are one file."""
+    resolved = [place.resolve() for place in places]
+    for place, file in zip(places, resolved, strict=True):
+        if resolved.count(file) > 1:
+            raise UsageError(f"two outputs would be written to {place}", hint="name another file for one")
 
 
 def _protect_beside(output: Path, verb: Verb, shared: Shared) -> None:

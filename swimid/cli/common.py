@@ -183,13 +183,12 @@ def _interrupts() -> Iterator[list[int]]:
 
 def _left(output: Path | None, written: list[Path]) -> str:
     """What an interrupted command leaves behind."""
-    from swimid.files.checkpoint import place
+    from swimid.files.checkpoint import has_pieces, place
 
     if written:
         return f"written before: {', '.join(str(path) for path in written)}"
-    kept = None if output is None else place(output)
-    if kept is not None and kept.is_file() and kept.stat().st_size:
-        return f"{kept} keeps what was computed: the same command goes on from there"
+    if output is not None and has_pieces(output):
+        return f"{place(output)} keeps what was computed: the same command goes on from there"
     return "nothing was written"
 
 

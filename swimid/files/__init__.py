@@ -1,6 +1,7 @@
-"""What every file of swimid shares, whatever is in it.
+"""Reading and writing of files, whatever is in them.
 
-``atomic`` writes whole files or none, ``delimited`` reads the heads of CSV files, ``yamlio`` YAML with line
-numbers and every bit of a float, ``video`` writes films; ``provenance`` says where a result comes from
-(command, version, SHA-256 of the inputs), ``checkpoint`` keeps what a long run found so far.
+``atomic`` writes files whole or not at all, and groups of files together. ``mark`` recognises files that swimid
+wrote. ``lock`` gives an output to one run at a time. ``names`` makes file names of ids. ``checkpoint`` keeps
+what a long run has computed. ``delimited`` reads the heads of CSV files, ``yamlio`` reads YAML with line numbers
+and every bit of a float, ``video`` writes films. ``provenance`` says where a result comes from.
 """

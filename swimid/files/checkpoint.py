@@ -6,6 +6,7 @@ import hashlib
 import json
 import threading
 import weakref
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,15 @@ DIGITS = 32
 def place(output: Path) -> Path:
     """Where the checkpoint of an output is kept."""
     return output.with_name(f"{output.name}.partial")
+
+
+#: Number of pieces in each checkpoint that belong to the latest run of this process.
+_PIECES: Counter[Path] = Counter()
+
+
+def has_pieces(output: Path) -> bool:
+    """Whether the checkpoint of an output holds pieces of the latest run of this process."""
+    return _PIECES[place(output)] > 0
 
 
 class Checkpoint:
@@ -103,7 +113,9 @@ class Checkpoint:
         with self._writing:
             try:
                 with self.path.open("a", encoding="utf-8") as stream:
-                    stream.write(json.dumps(line) + "\n")
+                    # a line that could not be written may have no end
+                    stream.write("\n" * self._full + json.dumps(line) + "\n")
+                _PIECES[self.path] += 1
             except OSError as error:
                 if not self._full:
                     warn("SWM151", f"{self.path} cannot be written: {error.strerror or error}")
@@ -121,11 +133,18 @@ class Checkpoint:
         """Remove what belongs to this run, because its result is written; lines of other runs stay."""
         if self.path is None:
             return
+        self._rewrite()
+        _PIECES[self.path] = 0
+        self._release()
+
+    def _rewrite(self) -> None:
+        """Keep the lines of other runs only."""
+        assert self.path is not None
         if self._others:
-            atomic.write_text(self.path, "".join(f"{line}\n" for line in self._others))
+            with atomic.noted():  # no output of the command
+                atomic.write_text(self.path, "".join(f"{line}\n" for line in self._others))
         else:
             self.path.unlink(missing_ok=True)
-        self._release()
 
     def _key_of(self, name: str) -> str:
         return hashlib.sha256(f"{self._key}\n{name}".encode()).hexdigest()[:DIGITS]
@@ -144,23 +163,24 @@ class Checkpoint:
                 self._others.append(line)
             elif not anew:
                 self._known[name] = values
+        _PIECES[path] = len(self._known)
         if damaged == len(lines) > 0:
             aside = _unused(path)
             path.rename(aside)
             warn(
                 "SWM150", f"{path} is no checkpoint, or is damaged throughout; it was renamed to {aside.name}"
             )
-        elif anew or not raw.endswith(b"\n"):
-            own = [line for line, piece in parsed if piece is not None and line not in self._others]
-            rest = [*([] if anew else own), *self._others]
-            atomic.write_text(path, "".join(f"{line}\n" for line in rest))
-        ignored = {"of a run with other inputs or options, or of another version": len(self._others)}
-        if damaged < len(lines):
-            ignored["damaged"] = damaged
-        told = " and ".join(f"{count} {why}" for why, count in ignored.items() if count)
-        if told:
-            total = f"of {len(lines)} line{'s' if len(lines) > 1 else ''}"
-            warn("SWM150", f"{path}: ignored {total} {told}; the lines of other runs are kept for these runs")
+        elif anew:
+            self._rewrite()
+        elif lines and not raw.endswith(b"\n"):
+            with path.open("ab") as stream:
+                stream.write(b"\n")
+        others, damaged = len(self._others), damaged if damaged < len(lines) else 0
+        reasons = {"of runs with other inputs or options, or of another version": others, "damaged": damaged}
+        if others or damaged:
+            told = ", ".join(f"{count} {reason}" for reason, count in reasons.items() if count)
+            kept = f"; delete {path.name} if nobody goes on with those runs" if others else ""
+            warn("SWM150", f"{path}: {others + damaged} of {len(lines)} lines were ignored: {told}{kept}")
 
 
 def _sum(key: str, name: str, values: list[float]) -> str:

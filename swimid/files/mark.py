@@ -10,6 +10,7 @@ import hashlib
 import json
 import re
 import zlib
+from itertools import takewhile
 from pathlib import Path
 
 import swimid
@@ -121,8 +122,8 @@ def _own_text(path: Path, head: bytes, tail: bytes) -> bool:
     if drafted := _DRAFT.match(start):
         return drafted[1] == _digest(path.read_text(encoding="utf-8", errors="replace")[drafted.end() :])
     if start.startswith("#"):
-        comments = start[: (re.search(r"^[^#\n]", start, re.MULTILINE) or re.search(r"\Z", start)).start()]
-        return any(_LOG.match(line[1:].strip()) for line in comments.splitlines())
+        comments = takewhile(lambda line: line.startswith("#") or not line, start.split("\n"))
+        return any(_LOG.match(line[1:].strip()) for line in comments)
     if start.startswith("{"):
         return _own_json(path)
     if named := re.match(r"format: *['\"]?([^\s'\"]+)", start):

@@ -60,7 +60,7 @@ class Mpeg4:
     """MPEG-4 through OpenCV: the fallback; most players show it, browsers do not."""
 
     def __init__(self, path: Path, rate: float, width: int, height: int) -> None:
-        self._path = path
+        self._path, self._count = path, 0
         self._writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate, (width, height))
         if not self._writer.isOpened():
             raise InputError("no video can be written with this ending", file=path, hint="name it .mp4")
@@ -68,10 +68,21 @@ class Mpeg4:
     def write(self, time_s: float, frame: Frame) -> None:
         """Add a frame; its time follows from the rate."""
         self._writer.write(frame)
+        self._count += 1
 
     def close(self) -> None:
-        """Finish the file."""
+        """Finish the file.
+
+        Raises
+        ------
+        InputError
+            When frames are missing in it: OpenCV says nothing when the disk is full.
+        """
         self._writer.release()
+        whole = int(cv2.VideoCapture(str(self._path)).get(cv2.CAP_PROP_FRAME_COUNT))
+        if whole < self._count:
+            what = f"holds {whole} of {self._count} frames"
+            raise InputError(what, file=self._path, hint="is the disk full?")
         _mark(self._path)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.files import atomic, yamlio
+from swimid.files import atomic, mark, yamlio
 from swimid.files.provenance import path_of
 from swimid.logs import clock, instances, log, mapping, profiles, units
 from swimid.logs.choices import Choices
@@ -73,7 +73,7 @@ class Draft(Result):
         return mapping.of(yamlio.parse_scalar(self.document))
 
     def _write(self, path: Path) -> list[Path]:
-        atomic.write_text(path, self.document)
+        atomic.write_text(path, mark.draft(self.document))
         return [path]
 
 

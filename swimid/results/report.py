@@ -14,6 +14,7 @@ from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import documents, page
 from swimid.results import reader as results
+from swimid.results.evidence import sidecar
 from swimid.results.options import Kind, ReportOptions
 from swimid.results.result import Result, Text
 
@@ -67,7 +68,7 @@ def report(
     target = None if output is None or str(output) == "-" else Path(output)
     kind = options.format or _ENDINGS.get(target.suffix.lower() if target else "", "html")
     if target is not None:
-        atomic.check_writable(target, inputs=tuple(paths))
+        atomic.check_writable(target, inputs=[*paths, *map(sidecar, paths)])
     sections = []
     with progress("reading", total=len(sources)) as step:
         for source in sources:

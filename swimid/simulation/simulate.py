@@ -10,6 +10,7 @@ import numpy as np
 
 from swimid.errors import InputError, UsageError
 from swimid.files import atomic
+from swimid.files.provenance import Input
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import numbers
@@ -90,10 +91,11 @@ def simulate(
     >>> round(terminal.value, 2), terminal.unit
     (0.26, 'm/s')
     """
+    inputs: Sequence[Input] = ()
     if options.trials is None:
         if options.trial is not None:
             raise UsageError("--trial belongs to --trials")
-        asked, inputs = [cases.of_options(options)], ()
+        asked = [cases.of_options(options)]
     else:
         _insist_on_trials_alone(options)
         asked, inputs = cases.of_trials(options.trials, options, options.trial)
