@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -28,7 +27,7 @@ from swimid.files.checkpoint import Checkpoint, place
 from swimid.files.names import file_names
 from swimid.files.video import open_writer
 from swimid.notices import SwimidWarning, recorded
-from tests.conftest import Ran
+from tests.conftest import SAMPLES, Ran
 
 Run = Callable[..., Ran]
 
@@ -423,6 +422,25 @@ class TestNames:
         assert file_names(["../up", "con", "Nul.1"], [".csv"]) == [".._up.csv", "con_.csv", "Nul.1_.csv"]
 
 
+BEAT = ("--frequency-hz", "1", "--amplitude-deg", "20", "--duration-s", "60")
+POOL = SAMPLES / "pool"
+#: The command line with bars that say on stdout when they are opened and advance slowly.
+TELLING = """
+import time
+from contextlib import contextmanager
+from swimid.cli import common
+
+@contextmanager
+def progress(description, total=None):
+    print(description, flush=True)
+    yield lambda amount=1: time.sleep(0.02)
+
+common.Run.progress = property(lambda self: progress)
+from swimid.cli.main import entry
+entry()
+"""
+
+
 class TestTogether:
     """Files that belong together appear together."""
 
@@ -497,19 +515,30 @@ class TestTogether:
         assert contents(tmp_path) == {}
 
     @pytest.mark.slow
-    def test_the_message_after_a_real_ctrl_c_is_true(self, tmp_path: Path) -> None:
-        beat = ("--frequency-hz", "1", "--amplitude-deg", "20", "--duration-s", "300")
-        words = ("simulate", "--robot", "tfish", *beat, "-o", "run.csv", "--animate", "run.mp4")
-        for wait in (6.0, 9.0, 12.0):
-            with subprocess.Popen(
-                [sys.executable, "-m", "swimid", *words], cwd=tmp_path, stderr=subprocess.PIPE, text=True
-            ) as process:
-                time.sleep(wait)
-                process.send_signal(signal.SIGINT)
-                _, err = process.communicate(timeout=120)
-            if process.returncode == 130:
-                assert "nothing was written" in err
-                assert contents(tmp_path) == {}
+    @pytest.mark.parametrize(
+        ("words", "stage"),
+        [
+            (("simulate", "--robot", "tfish", *BEAT, "-o", "run.csv", "--animate", "run.mp4"), "simulating"),
+            (("simulate", "--robot", "tfish", *BEAT, "-o", "run.csv", "--animate", "run.mp4"), "animation"),
+            (("track", "video", POOL / "pool.mp4", "--setup", POOL / "pool_setup.yaml", "-o", "run.csv",
+              "--overlay", "run.mp4"), "overlay"),
+        ],
+        ids=["simulating", "animation", "overlay"],
+    )  # fmt: skip
+    def test_the_message_after_a_real_ctrl_c_is_true(self, tmp_path: Path, words: Any, stage: str) -> None:
+        with subprocess.Popen(
+            [sys.executable, "-c", TELLING, *words],
+            cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        ) as process:  # fmt: skip
+            assert process.stdout is not None
+            for line in process.stdout:
+                if line.startswith(stage):
+                    process.send_signal(signal.SIGINT)
+                    break
+            _, err = process.communicate(timeout=120)
+        assert process.returncode == 130, err
+        assert err == "Error: interrupted; nothing was written\n"
+        assert contents(tmp_path) == {}
 
     def test_a_full_disk_leaves_the_old_files(self, swimid: Run, tmp_path: Path) -> None:
         """A limit on the size of files stands for the disk."""
