@@ -371,6 +371,15 @@ class TestInputs:
             assert target == "a.csv"
             assert words[0] in ("export",)
 
+    def test_saving_from_python_keeps_them_too(self, tmp_path: Path) -> None:
+        trials, params = drops(tmp_path / "rig", "a", "b"), tmp_path / "rig" / "params.yaml"
+        before = contents(tmp_path)
+        with pytest.raises(UsageError, match="is also an input"):
+            package.simulate(params=params, trials=trials).save(tmp_path / "rig")
+        with pytest.raises(UsageError, match="is also an input"):
+            package.compare(trials, params=params).save(tmp_path / "rig" / "a.csv")
+        assert contents(tmp_path) == before
+
     def test_a_report_keeps_the_evidence_it_is_made_of(self, swimid: Run, tmp_path: Path) -> None:
         trials, params = drops(tmp_path, "a"), tmp_path / "params.yaml"
         assert swimid("compare", trials, "--params", params, "-o", tmp_path / "c.yaml").status == 0

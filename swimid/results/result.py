@@ -155,9 +155,10 @@ class Result:
         InputError
             When the folder does not exist or cannot be written.
         UsageError
-            For a result that is no file.
+            For a result that is no file, and for a path that is one of its inputs.
         """
-        target = atomic.check_writable(Path(path))
+        read = self.evidence.provenance.get("inputs", {}) if self.evidence else {}
+        target = atomic.check_writable(Path(path), inputs=read)
         with atomic.together():
             written = self._write(target)
             if self.evidence is not None:

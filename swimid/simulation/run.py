@@ -15,6 +15,7 @@ import swimid
 from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files import atomic
 from swimid.files.names import file_names
+from swimid.files.provenance import Input
 from swimid.fitting.model import Array, Trial
 from swimid.logs import log as log_format
 from swimid.notices import warn
@@ -208,6 +209,8 @@ class Simulation(Result):
     runs : dict of str to Simulated
         Each run by its name, with ``columns``, ``quantities`` and ``step``, the check of the integration
         step.
+    inputs : sequence of path or Log
+        Files of the recorded trials.
 
     Examples
     --------
@@ -216,6 +219,8 @@ class Simulation(Result):
     >>> list(made.frame)[:4], round(made.quantities["mean_speed_m_s"].value, 2)
     (['t_s', 'x_m', 'y_m', 'yaw_rad'], 0.11)
     """
+
+    inputs: Sequence[Input] = field(default=(), repr=False)
 
     ending = ".csv"
 
@@ -262,6 +267,10 @@ class Simulation(Result):
         InputError
             When a log cannot be written.
         UsageError
-            When the path is neither the log of one run nor a folder.
+            When the path is neither the log of one run nor a folder, and where a log of the trials would be
+            replaced.
         """
+        for place in places(Path(path), list(self.runs)):
+            if place.parent.is_dir():
+                atomic.check_writable(place, inputs=self.inputs)
         return replace(self, outputs=[*self.outputs, *write(Path(path), self.document)])

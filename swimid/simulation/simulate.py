@@ -123,7 +123,7 @@ def simulate(
     if done[0].quantities:
         done[0].case.applied.warn_without_error("the uncertainties given here")
     text = _summary(done, options, remark)
-    return Simulation("simulate", text, _data(done, options), outputs, document=done)
+    return Simulation("simulate", text, _data(done, options), outputs, document=done, inputs=inputs)
 
 
 def _insist_on_trials_alone(options: SimulateOptions) -> None:
