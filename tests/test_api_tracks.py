@@ -66,14 +66,17 @@ def vehicle() -> tuple[pd.DataFrame, pd.DataFrame]:
 
 
 def proof(path: Path) -> dict[str, Any]:
-    """Evidence as it lies on disk, without when and from where it was made."""
+    """Evidence as it lies on disk, without when and from where it was made; it has the name of its log."""
     read = json.loads(ev.sidecar(path).read_text())
-    return {k: v for k, v in read.items() if k != "provenance"}
+    assert read["result"] == path.name
+    return {k: v for k, v in read.items() if k not in ("provenance", "result")}
 
 
 def proved(made: Any) -> dict[str, Any]:
     """The same of evidence in memory."""
-    return {k: v for k, v in made.evidence.model_dump(mode="json").items() if k != "provenance"}
+    return {
+        k: v for k, v in made.evidence.model_dump(mode="json").items() if k not in ("provenance", "result")
+    }
 
 
 def same(made: Logged, path: Path) -> None:

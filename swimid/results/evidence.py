@@ -168,7 +168,7 @@ class Evidence(_Part):
     """Everything the report shows of one result, apart from its parameters."""
 
     format: Literal["swimid-evidence/1"] = FORMAT
-    #: Name of the file it was written beside.
+    #: Name of the file it lies beside; empty in memory.
     result: str = ""
     verb: str
     title: str
@@ -284,7 +284,7 @@ def read(path: str | Path) -> Evidence:
     """
     path = Path(path)
     try:
-        return Evidence.model_validate_json(path.read_bytes())
+        return Evidence.model_validate_json(path.read_bytes()).model_copy(update={"result": ""})
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror or error}", file=path) from error
     except ValidationError as error:
