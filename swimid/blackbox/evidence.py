@@ -60,6 +60,7 @@ def _verdict(m: Identified) -> Verdict:
         reasons.append("the model leaves most of the output unexplained")
     if m.worse:
         reasons.append(f"its error on {' and '.join(m.worse)} is more than {WORSE:g} times that of the fit")
+    reasons += m.data.repeats
     if m.stability == "integrating":
         reasons.append("it integrates, so a free run drifts")
     if not m.estimate.whiteness.passed:
@@ -101,8 +102,10 @@ def _checks(m: Identified) -> list[Check]:
     white, independent, known = m.estimate.whiteness, m.independent, m.estimate.determined
     rounding = "residuals at rounding level: nothing to test" if m.estimate.exact else ""
     lost = m.estimate.data.possible - len(m.estimate.data)
+    repeated = Check(name="repeated samples", value="; ".join(m.data.repeats), verdict="warn")
     return [
         *checks,
+        *([repeated] if m.data.repeats else []),
         blocks.check(
             "residuals white (Ljung-Box)", _p(white.p_value), "p ≥ 0.01", white.passed, text=rounding
         ),

@@ -116,7 +116,9 @@ def rwls(
     result = file.model_dump(mode="python")
     result["orders_tried"] = [c.as_dict() for c in m.candidates]
     answer = f"{shown.verdict.level.upper()}: {shown.verdict.text}"
-    return Fitted("rwls", f"{_summary(m, file)}\n\n{answer}", result, evidence=shown, document=file).saved(output)
+    return Fitted("rwls", f"{_summary(m, file)}\n\n{answer}", result, evidence=shown, document=file).saved(
+        output
+    )
 
 
 # ---------------------------------------------------------------- computing

@@ -178,7 +178,9 @@ def smooth_errors(
         covs[k] = covs[k] + gain @ (covs[k + 1] - predicted_cov[k + 1]) @ gain.T
         gains[k] = gain
         covs[k] = 0.5 * (covs[k] + covs[k].T)
-    return Errors(means, covs, gains, likelihood, {kind: _padded(rows) for kind, rows in scores.items()}, rejected)
+    return Errors(
+        means, covs, gains, likelihood, {kind: _padded(rows) for kind, rows in scores.items()}, rejected
+    )
 
 
 def _update(mean: Array, cov: Array, seen: Observation) -> tuple[Array, Array, Array | None, float]:

@@ -2,7 +2,7 @@
 
 The robot rests, swims for 12 s and rests. Its attitude swings about three axes with random amplitudes and
 frequencies, and its surge swings with the stroke. The sensor has the errors of a data sheet: white noise, biases,
-and errors of scale and alignment.
+nonlinearity, and errors of scale and alignment.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from swimid import track_imu
 
 RATE_HZ = 50.0
 GRAVITY_M_S2 = np.array([0.0, 0.0, 9.80665])
-SCALE_SD = 0.005
+SCALE_SD, BENDING_SD = 0.005, 0.002
 DENSE = 20
 
 
@@ -44,6 +44,7 @@ def one(seed: int) -> dict[str, float]:
     def seen(true: np.ndarray, noise: float, bias: float) -> np.ndarray:
         matrix = np.eye(3) + SCALE_SD * rng.normal(size=(3, 3))
         sampled = true[::DENSE] @ matrix.T
+        sampled += BENDING_SD * rng.normal(size=3) * sampled * np.abs(sampled) / np.abs(sampled).max()
         return sampled + bias * rng.normal(size=3) + noise * rng.normal(size=sampled.shape)
 
     time_s = dense_s[::DENSE]
