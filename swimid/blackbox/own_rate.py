@@ -39,7 +39,7 @@ def at_own_rate(log: Log, source: str | None, output: str) -> Sampled:
 
     A discrete-time model of a log in which each measurement is written several times describes the logger:
     its poles are wrong. Cells that are filled in every n-th row only are brought to their own rate, too. An
-    input of a few levels, or of independent levels, is a command that is constant by design. It stays as it is.
+    input of a few levels, or of independent levels, is a command that is constant by design, and stays.
 
     Parameters
     ----------
@@ -48,9 +48,9 @@ def at_own_rate(log: Log, source: str | None, output: str) -> Sampled:
 
     Notes
     -----
-    The slower of two columns sets the rate. The output keeps the first sample of each measurement. The input of
-    each row is its mean until the next row, which is the input of a zero-order hold. Where measurements come at
-    no even rate, the repeated samples are emptied instead.
+    The slower of two columns sets the rate. The output keeps the first sample of each measurement. The input
+    of each row is its mean until the next row, which is the input of a zero-order hold. Where measurements
+    come at no even rate, the repeated samples are emptied instead.
     """
     repeats, slowest, emptied = [], None, {}
     for column in (output, source):

@@ -213,8 +213,8 @@ def _summary(run: Run, data: dict[str, Any], checked: Sequence[Check]) -> str:
     surge = data.get("surge_oscillation", {})
     if surge.get("rms_m_s") is not None and surge["sd_m_s"] is not None:
         lines.append(
-            f"  surge within a stroke (above {run.cutoff_hz:.2f} Hz): {surge['rms_m_s']:.4f} m/s rms, 95 % band "
-            f"± {BAND * surge['sd_m_s']:.4f} m/s (rms)"
+            f"  surge within a stroke (above {run.cutoff_hz:.2f} Hz): {surge['rms_m_s']:.4f} m/s rms, "
+            f"95 % band ± {BAND * surge['sd_m_s']:.4f} m/s (rms)"
         )
     for check in checked:
         limit = f"  ({check.limit})" if check.limit else ""

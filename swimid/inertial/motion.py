@@ -156,8 +156,8 @@ def surge_within_stroke(motion: Motion, smoothed: Smoothed, cutoff_hz: float) ->
 def _high_passed(time_s: Array, values: Array, cutoff_hz: float) -> Array:
     """Return channels, shape (n, k), less everything slower than ``cutoff_hz``.
 
-    The filter is a Butterworth filter of fourth order without a phase shift. NaN for a record that is too short
-    or too slow for it.
+    The filter is a Butterworth filter of fourth order without a phase shift. The result is NaN for a record
+    that is too short or too slow for it.
     """
     step = float(np.median(np.diff(time_s)))
     even = np.arange(time_s[0], time_s[-1] + 0.5 * step, step)

@@ -1,8 +1,8 @@
 """Coverage of the band of the surge within a stroke (``u_osc_m_s``) of ``swimid track imu``.
 
 The robot rests, swims for 12 s and rests. Its attitude swings about three axes with random amplitudes and
-frequencies, and its surge swings with the stroke. The sensor has the errors of a data sheet: white noise, biases,
-nonlinearity, and errors of scale and alignment.
+frequencies, and its surge swings with the stroke. The sensor has the errors of a data sheet: white noise,
+biases, nonlinearity, and errors of scale and alignment.
 """
 
 from __future__ import annotations
