@@ -9,12 +9,14 @@ import numpy as np
 from swimid.fitting import residual_tests as rt
 from swimid.logs.held import Held, find_held
 from swimid.logs.log import TIME, Log
-from swimid.logs.sampling import SAME_RATE, usual_step
+from swimid.logs.sampling import SAME_RATE, quantum, step_of, usual_step
 from swimid.notices import warn
 
 Array = np.ndarray
 #: Share of the measurements that must last for the same number of samples: a logger slips now and then.
 REGULAR_SHARE = 0.9
+#: Median change of a signal, in rounding steps, below which rounding alone repeats many samples.
+COARSE_STEPS = 5.0
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,7 @@ def at_own_rate(log: Log, source: str | None, output: str) -> Sampled:
         if column == source and _is_designed(values[~held.repeated & ~empty]):
             continue
         even = _even_times(log.time_s, values, held)
-        if even is None and not held.repeated.any():
+        if even is None and (column == source or not _is_lossy(values[~empty], held.repeated[~empty])):
             continue
         what = "repeat the measurement before" if held.repeated.any() else "are empty"
         text = f"{int(np.sum(held.repeated | empty))} of {len(log)} samples of {column} {what}"
@@ -134,6 +136,12 @@ def _means(time_s: Array, values: Array, times: Array) -> Array:
     integral = total[row] + held[row] * (ends - time_s[row])[:, None]
     mean, empty = (np.diff(integral, axis=0) / np.diff(ends)[:, None]).T
     return np.where(empty > 1e-3, np.nan, mean)
+
+
+def _is_lossy(values: Array, repeated: Array) -> bool:
+    """Return whether a signal repeats samples at no even rate, and moves by more than its rounding."""
+    changes = np.abs(np.diff(values[~repeated]))
+    return bool(repeated.any() and np.median(changes) >= COARSE_STEPS * (step_of(values) or quantum(values)))
 
 
 def _is_designed(levels: Array) -> bool:

@@ -106,7 +106,7 @@ class Errors:
         Notes
         -----
         Backward sampling (Fruehwirth-Schnatter 1994, doi:10.1111/j.1467-9892.1994.tb00184.x). Given the
-        errors x at node k + 1, those at node k are Gaussian with mean G x and covariance P(k) - G P(k + 1) G',
+        errors x at node k + 1, those at node k are Gaussian: mean G x, covariance P(k) - G P(k + 1) G',
         where G is the smoother gain and P the smoothed covariance. So the trajectories have the smoothed
         covariance at every node, and the correlation between nodes that it does not show.
         """
