@@ -55,10 +55,11 @@ def result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> L
         "stroke_hz": None if run.stroke is None else run.stroke.beat.frequency_hz,
     }
     metadata = {k: v for k, v in head.items() if v is not None}
+    verdict = _verdict(run, checked)
     evidence = Evidence(
         verb="track imu",
         title=f"Motion of {run.record.name}",
-        verdict=_verdict(run, checked),
+        verdict=verdict,
         checks=checked,
         tables=_tables(run, data),
         figures=figures(run),
@@ -69,7 +70,7 @@ def result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> L
     )
     return Logged(
         "track imu",
-        _summary(run, data, checked),
+        f"{_summary(run, data, checked)}\n{verdict.level.upper()}: {verdict.text}",
         data,
         evidence=evidence,
         document=Log(Path(run.record.name).with_suffix(".csv"), metadata, log.numeric(columns), None),
