@@ -82,7 +82,6 @@ CODES: dict[str, str] = {
     "SWM086": "a motion that cannot be is left empty",
     "SWM087": "two logs of one trial contradict each other",
     "SWM090": "two columns of a log contradict each other",
-    "SWM120": "quaternions contradict the gyroscope",
 }
 
 

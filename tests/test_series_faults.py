@@ -87,9 +87,9 @@ def test_quaternions_of_another_convention_are_named(
     written = attitude if direction == "body-to-world" else attitude.inv()
     columns = [3, 0, 1, 2] if order == "wxyz" else [0, 1, 2, 3]
     table[["qw", "qx", "qy", "qz"]] = written.as_quat()[:, columns]
-    with pytest.warns(SwimidWarning, match="SWM120") as said:
+    with pytest.warns(SwimidWarning, match="SWM090") as said:
         made = swimid.track_imu(table)
-    line = next(str(w.message) for w in said if "SWM120" in str(w.message))
+    line = next(str(w.message) for w in said if "SWM090" in str(w.message))
     assert ("order: xyzw" in line) == (order == "xyzw")
     assert ("direction: world-to-body" in line) == (direction == "world-to-body")
     assert level(made) == "bad"

@@ -145,7 +145,7 @@ def warnings(run: Run) -> Iterator[tuple[str, str]]:
         if finding.verdict == "handled":
             yield "SWM080", f"{name}, {finding.fault}: {finding.text}"
         elif finding.verdict == "refuted":
-            yield "SWM120", f"{name}: {finding.text}"
+            yield "SWM090", f"{name}: {finding.text}"
     if run.impossible:
         text = (
             f"{name}: {'; '.join(run.impossible)}: no such motion can be; its positions and velocities are "

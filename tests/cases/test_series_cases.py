@@ -113,7 +113,7 @@ def test_quaternions_from_world_to_body_are_named(case: Case, swimid: Run) -> No
     case("c-09-quaternion-world-to-body")
     ran = swimid("track", "imu", "q_inv.csv", "-o", "o.csv")
     assert ran.status == 0
-    assert "SWM120" in codes(ran)
+    assert "SWM090" in codes(ran)
     assert "quaternion: {direction: world-to-body}" in ran.err
     assert level("o.csv") == "bad"
     assert np.abs(yaw_error("o.csv")).max() < 0.02
@@ -123,7 +123,7 @@ def test_quaternions_from_world_to_body_are_named(case: Case, swimid: Run) -> No
 def test_quaternions_from_body_to_world_are_used(case: Case, swimid: Run) -> None:
     case("c-09-quaternion-world-to-body")
     ran = swimid("track", "imu", "q_ok.csv", "-o", "o.csv")
-    assert "SWM120" not in codes(ran)
+    assert "SWM090" not in codes(ran)
     assert "attitude from quaternion columns" in ran.out
     assert level("o.csv") == "caution"
     assert np.abs(yaw_error("o.csv")).max() < 0.02

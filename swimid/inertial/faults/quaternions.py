@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -11,6 +12,7 @@ from swimid.inertial import strapdown
 from swimid.inertial.faults.base import BLOCK_S, Finding
 from swimid.inertial.faults.rate_unit import CLEARLY
 from swimid.inertial.record import Array, Record, rotations
+from swimid.logs.rotation import rearranged
 
 NAME = "quaternions"
 #: Fewest windows that tell.
@@ -31,10 +33,9 @@ def check(record: Record) -> tuple[Record, list[Finding]]:
         return record, []
     every = record.quaternion[::size]
     left = {}
-    for order, columns in (("wxyz", [0, 1, 2, 3]), ("xyzw", [3, 0, 1, 2])):
-        told = rotations(every[:, columns])
-        for direction, rotation in (("body-to-world", told), ("world-to-body", told.inv())):
-            left[order, direction] = float(np.sum((_turns(rotation) - sensed) ** 2))
+    for order, direction in product(("wxyz", "xyzw"), ("body-to-world", "world-to-body")):
+        told = _turns(rotations(rearranged(every, order, direction)))
+        left[order, direction] = float(np.sum((told - sensed) ** 2))
     as_is = left["wxyz", "body-to-world"]
     order, direction = min(left, key=lambda name: left[name])
     if left[order, direction] >= CLEARLY * as_is:
