@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import swimid
 from swimid.notices import SwimidWarning
+from tests.coverage import uosc
 from tests.generators import series
 
 MOTOR = {"input_column": "duty", "output_column": "speed_rad_s", "na": 1, "nb": 1, "held_out": (0.25,)}
@@ -115,3 +116,10 @@ def test_a_sensor_that_never_rests_keeps_its_stated_units(rng: np.random.Generat
     spin = made.frame["yaw_rate_rad_s"].abs().max()
     assert spin == pytest.approx(14, rel=0.05)
     assert level(made) != "good"
+
+
+@pytest.mark.slow
+def test_the_band_of_the_surge_covers_simulated_swims() -> None:
+    """Ten swims; three hundred are measured by ``python -m tests.coverage uosc``."""
+    shares = [uosc.one(seed).get("u_osc, whole log", np.nan) for seed in range(1, 11)]
+    assert np.nanmean(shares) > 0.9
