@@ -63,15 +63,15 @@ def test_turn_rates_in_degrees_are_converted(run: imu.Run, quaternions: bool) ->
     np.testing.assert_allclose(mended.rate, run.rate, rtol=1e-9)
 
 
-def test_fast_turning_about_the_vertical_is_degrees(rng: np.random.Generator) -> None:
-    """No tilt to compare with: 40 rad/s is no swimmer's turn."""
+def test_the_stated_unit_of_fast_turns_about_the_vertical_is_believed(rng: np.random.Generator) -> None:
+    """No tilt to compare with: 40 rad/s is doubted, and stays as it is stated."""
     n = 1000
     level = rng.normal(0, 0.01, (n, 3)) + np.array([0, 0, G])
     turning = rng.normal(0, 0.1, (n, 3))
     turning = turning + np.outer(40 * np.sin(np.arange(n) / 50), [0, 0, 1])
     mended, found = faults.mend(Record(np.arange(n) / 100, level, turning))
     assert "turn-rate unit" in names(found)
-    assert np.abs(mended.rate).max() < 1.0
+    np.testing.assert_array_equal(mended.rate, turning)
 
 
 @pytest.mark.parametrize(

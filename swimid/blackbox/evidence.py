@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from swimid.blackbox import figures as rwls_figures
-from swimid.blackbox.identified import Identified
+from swimid.blackbox.identified import WORSE, Identified
 from swimid.results import blocks, numbers
 from swimid.results.evidence import Check, Evidence, NoticeRecord, Table, Verdict
 from swimid.results.parameters import ParameterFile
@@ -21,6 +21,9 @@ LJUNG_BOX = (
     "G. M. Ljung, G. E. P. Box: On a measure of lack of fit in time series models. Biometrika 65 (1978) "
     "297-303. doi:10.1093/biomet/65.2.297"
 )
+
+#: Fit of the free run below which a model does not reproduce half of the output, %.
+HALF_PERCENT = 50.0
 
 
 def build(m: Identified, file: ParameterFile, *, notices: list[NoticeRecord]) -> Evidence:
@@ -40,28 +43,34 @@ def build(m: Identified, file: ParameterFile, *, notices: list[NoticeRecord]) ->
 
 
 def _verdict(m: Identified) -> Verdict:
-    diverged = m.fit_scores.diverged or any(s.diverged for s in m.scores.values())
-    if m.stability == "unstable" or diverged:
+    """Grade the model by its free run on held-out data; only held-out data can make it good."""
+    if m.stability == "unstable" or m.diverged:
         text = "The model is unstable or its free run diverges: it predicts, but it cannot be simulated."
         return Verdict(level="bad", text=text)
-    if not m.scores:
-        text = "No held-out data: nothing shows how the model does on data it has not seen."
-        return Verdict(level="caution", text=text)
-    worst = min(s.free_run.fit_percent for s in m.scores.values())
-    if worst < 0:
-        text = f"On held-out data the free run is worse than the mean ({worst:.1f} % fit)."
+    tested = m.scores or {"fitted": m.fit_scores}
+    least = min(s.free_run.fit_percent for s in tested.values())
+    where = "held-out" if m.scores else "fitted"
+    if least < 0:
+        text = f"On {where} data the free run is worse than the mean of the output ({least:.1f} % fit)."
         return Verdict(level="bad", text=text)
     reasons = []
+    if not m.scores:
+        reasons.append("no held-out data were tested (--validate)")
+    if least < HALF_PERCENT:
+        reasons.append("the model leaves most of the output unexplained")
+    if m.worse:
+        reasons.append(f"its error on {' and '.join(m.worse)} is more than {WORSE:g} times that of the fit")
+    reasons += m.data.repeats
     if m.stability == "integrating":
-        reasons.append("it integrates, so that a free run drifts")
+        reasons.append("it integrates, so a free run drifts")
     if not m.estimate.whiteness.passed:
-        reasons.append("its residuals are not white, so that the coefficients are biased")
+        reasons.append("its residuals are not white, so the coefficients are biased")
     if not np.isfinite(m.estimate.stderr).all():
         reasons.append("the data do not determine every coefficient")
     tail = f"; but {', and '.join(reasons)}" if reasons else ""
     return Verdict(
         level="caution" if reasons else "good",
-        text=f"The free run reproduces {worst:.1f} % of the held-out output{tail}.",
+        text=f"The free run reproduces {least:.1f} % of the {where} output{tail}.",
     )
 
 
@@ -80,21 +89,23 @@ def _checks(m: Identified) -> list[Check]:
             )
         )
     for name, s in m.scores.items():
-        fit = s.free_run.fit_percent
+        fit, useless = s.free_run.fit_percent, s.diverged or s.free_run.fit_percent < 0
         checks.append(
             blocks.check(
                 f"free run, {name}",
                 "diverges" if s.diverged else f"{fit:.1f} % fit",
-                "above 0 %, far above for a simulation model",
-                fit > 0 and not s.diverged,
-                otherwise="fail",
+                f"at least {HALF_PERCENT:g} %, and an error below {WORSE:g} times that of the fit",
+                fit >= HALF_PERCENT and name not in m.worse and not s.diverged,
+                otherwise="fail" if useless else "warn",
             )
         )
     white, independent, known = m.estimate.whiteness, m.independent, m.estimate.determined
     rounding = "residuals at rounding level: nothing to test" if m.estimate.exact else ""
     lost = m.estimate.data.possible - len(m.estimate.data)
+    repeated = Check(name="repeated samples", value="; ".join(m.data.repeats), verdict="warn")
     return [
         *checks,
+        *([repeated] if m.data.repeats else []),
         blocks.check(
             "residuals white (Ljung-Box)", _p(white.p_value), "p ≥ 0.01", white.passed, text=rounding
         ),

@@ -17,6 +17,9 @@ from swimid.blackbox.trials import Data
 from swimid.blackbox.working_point import WorkingPoint
 from swimid.fitting import residual_tests as rt
 
+#: Ratio of the free-run error on held-out data to that on the fitted data above which SWM015 is raised.
+WORSE = 2.0
+
 
 @dataclass(frozen=True)
 class Identified:
@@ -58,6 +61,17 @@ class Identified:
         """Whether the residuals are independent of the input's past."""
         residuals, source, lags = self.residual_series
         return rt.independence(residuals, source, lags=lags, first=self.estimate.orders.nk)
+
+    @property
+    def diverged(self) -> bool:
+        """Whether a free run diverges on any of the data."""
+        return any(s.diverged for s in (self.fit_scores, *self.scores.values()))
+
+    @property
+    def worse(self) -> list[str]:
+        """Names of the held-out data with a free-run error more than :data:`WORSE` times that of the fit."""
+        limit = WORSE * self.fit_scores.free_run.rmse
+        return [name for name, s in self.scores.items() if s.free_run.rmse > limit]
 
     @property
     def stability(self) -> str:

@@ -32,8 +32,6 @@ from swimid.results.fitted import Fitted
 KEPT = 1000
 #: A scaled regression above this condition number is worth a warning.
 ILL_CONDITIONED = 1e6
-#: Held-out error over fit error from which on it is worth a warning.
-WORSE = 2.0
 
 
 @takes(RwlsOptions)
@@ -119,7 +117,10 @@ def rwls(
     shown = rwls_evidence.build(m, file, notices=blocks.notices(notices))
     result = file.model_dump(mode="python")
     result["orders_tried"] = [c.as_dict() for c in m.candidates]
-    return Fitted("rwls", _summary(m, file), result, evidence=shown, document=file).saved(output)
+    answer = f"{shown.verdict.level.upper()}: {shown.verdict.text}"
+    return Fitted("rwls", f"{_summary(m, file)}\n\n{answer}", result, evidence=shown, document=file).saved(
+        output
+    )
 
 
 # ---------------------------------------------------------------- computing
@@ -268,13 +269,12 @@ def _warn(m: Identified) -> None:
         )
     _warn_stability(m)
     suffix = "" if unit == "1" else f" {unit}"
-    for name, s in m.scores.items():
-        if s.free_run.rmse > WORSE * m.fit_scores.free_run.rmse:
-            warn(
-                "SWM015",
-                f"the free-run error is {s.free_run.rmse:.3g}{suffix} on {name}, "
-                f"{m.fit_scores.free_run.rmse:.3g}{suffix} on the fitted part",
-            )
+    for name in m.worse:
+        warn(
+            "SWM015",
+            f"the free-run error is {m.scores[name].free_run.rmse:.3g}{suffix} on {name}, "
+            f"{m.fit_scores.free_run.rmse:.3g}{suffix} on the fitted part",
+        )
 
 
 def _warn_stability(m: Identified) -> None:

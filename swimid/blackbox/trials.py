@@ -13,6 +13,7 @@ import numpy as np
 
 from swimid.blackbox.difference import Record
 from swimid.blackbox.model import ArxModel, sine_input
+from swimid.blackbox.own_rate import at_own_rate
 from swimid.errors import InputError, UsageError
 from swimid.files.provenance import Input
 from swimid.fitting.experiment import Experiment, read_log
@@ -72,6 +73,7 @@ def load(source: str | Path | TrialSet, file: ParameterFile, parameters_path: Pa
     trials = []
     for entry in entries.trials:
         log = read_log(entry, path.parent, required=(*read, model.output))
+        log = at_own_rate(log, None if model.sine else model.source, model.output).log
         inputs.append(log.source)
         measured, given = {model.output: log[model.output]}, {name: log[name] for name in read}
         trials.append(Trial(entry.id, entry.role, log.time_s, measured, given))
@@ -142,7 +144,7 @@ class _Part:
 
 @dataclass(frozen=True)
 class Data:
-    """The logs on their grids."""
+    """The logs on their grids; ``repeats`` has a sentence for each column that repeated its samples."""
 
     columns: Columns
     sample_time_s: float
@@ -151,6 +153,7 @@ class Data:
     logs: list[str]
     files: list[Input]
     robot: str | None
+    repeats: list[str]
 
 
 #: A log: its file, or its samples in memory; or trials of the experiment ``arma``.
@@ -202,13 +205,15 @@ def read(
     _check_apart(parts)
     names = _names(parts)
     required = (columns.output,) if columns.sine else (columns.source, columns.output)
-    read = {
-        name: read_log(part.entry, part.folder, required=required)
-        for name, part in zip(names, parts, strict=True)
-    }
-    step = _sample_time(read)
-    for log in read.values():
+    read: dict[str, log_format.Log] = {}
+    repeats: list[str] = []
+    for name, part in zip(names, parts, strict=True):
+        log = read_log(part.entry, part.folder, required=required)
         _check_distinct(log, columns)
+        sampled = at_own_rate(log, None if columns.sine else columns.source, columns.output)
+        read[name] = sampled.log
+        repeats += sampled.repeats
+    step = _sample_time(read)
     fitted = [name for name, part in zip(names, parts, strict=True) if part.entry.role == "fit"]
     fit: list[Record] = []
     held: dict[str, list[Record]] = {}
@@ -224,7 +229,7 @@ def read(
             held[name] = _records(read[name], name, columns, step, slice(None))
     files: list[Input] = [path for path, listed in listings.items() if not listed._in_memory]
     files += [part.origin for part in parts]
-    return Data(columns, step, fit, held, fitted, files, robot)
+    return Data(columns, step, fit, held, fitted, files, robot, repeats)
 
 
 def _alone(

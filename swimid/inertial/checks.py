@@ -24,8 +24,9 @@ REST_LIMIT, FIX_LIMIT = 2.0, FORETOLD
 def checks(run: Run) -> list[Check]:
     """The checks of a run."""
     listed = [_still(run), _gravity(run), _tilt(run)]
+    grades = {"noted": "info", "handled": "warn", "refuted": "fail"}
     listed += [
-        check(f.fault.capitalize(), f.text, None if f.verdict != "handled" else False) for f in run.findings
+        Check(name=f.fault.capitalize(), value=f.text, verdict=grades[f.verdict]) for f in run.findings
     ]
     if run.impossible:
         value, limit = "; ".join(run.impossible), "none; positions and velocities left empty"
@@ -143,6 +144,8 @@ def warnings(run: Run) -> Iterator[tuple[str, str]]:
     for finding in run.findings:
         if finding.verdict == "handled":
             yield "SWM080", f"{name}, {finding.fault}: {finding.text}"
+        elif finding.verdict == "refuted":
+            yield "SWM090", f"{name}: {finding.text}"
     if run.impossible:
         text = (
             f"{name}: {'; '.join(run.impossible)}: no such motion can be; its positions and velocities are "

@@ -78,12 +78,53 @@ class Errors:
     mean: Array
     #: Shape (nodes, states, states).
     covariance: Array
+    #: Shape (nodes - 1, states, states). Smoother gains: they tie the errors of successive nodes.
+    gain: Array
     #: Log likelihood of the observations that were used and count.
     likelihood: float
     #: Normalised innovations of every kind of observation, one row each (NaN beyond its width).
     scores: dict[str, Array]
     #: Observations beyond their gate.
     rejected: int
+
+    @threadpool_limits.wrap(limits=1)
+    def draw(self, sensitivity: Array, count: int) -> Array:
+        """Draw trajectories of the errors about their mean, as functions of them.
+
+        Parameters
+        ----------
+        sensitivity : ndarray, shape (nodes, m, states)
+            Derivatives of the functions with respect to the states.
+        count : int
+            Number of trajectories.
+
+        Returns
+        -------
+        ndarray, shape (nodes, m, count)
+            The seed is fixed: the same errors give the same trajectories.
+
+        Notes
+        -----
+        Backward sampling (Fruehwirth-Schnatter 1994, doi:10.1111/j.1467-9892.1994.tb00184.x). Given the
+        errors x at node k + 1, those at node k are Gaussian: mean G x, covariance P(k) - G P(k + 1) G',
+        where G is the smoother gain and P the smoothed covariance. So the trajectories have the smoothed
+        covariance at every node, and the correlation between nodes that it does not show.
+        """
+        rng = np.random.default_rng(0)
+        nodes, states = self.mean.shape
+        drawn = np.empty((nodes, sensitivity.shape[1], count))
+        x = np.zeros((states, count))
+        for k in range(nodes - 1, -1, -1):
+            left = self.covariance[k]
+            if k < nodes - 1:
+                gain = self.gain[k]
+                left = left - gain @ self.covariance[k + 1] @ gain.T
+                x = gain @ x
+            size = np.sqrt(np.maximum(np.diag(self.covariance[k]), 1e-300))
+            variance, axes = np.linalg.eigh(left / np.outer(size, size))
+            x = x + size[:, None] * (axes * np.sqrt(np.maximum(variance, 0.0))) @ rng.normal(size=x.shape)
+            drawn[k] = sensitivity[k] @ x
+        return drawn
 
 
 @threadpool_limits.wrap(limits=1)  # threads cost more than they bring at this size
@@ -130,12 +171,16 @@ def smooth_errors(
                 scores.setdefault(seen.kind, []).append(score)
                 likelihood += likely if seen.counted else 0.0
         means[k], covs[k] = mean, cov
+    gains = np.empty((nodes - 1, states, states))
     for k in range(nodes - 2, -1, -1):
         gain = np.linalg.solve(predicted_cov[k + 1] + 1e-18 * np.eye(states), transition[k] @ covs[k]).T
         means[k] = means[k] + gain @ (means[k + 1] - predicted[k + 1])
         covs[k] = covs[k] + gain @ (covs[k + 1] - predicted_cov[k + 1]) @ gain.T
+        gains[k] = gain
         covs[k] = 0.5 * (covs[k] + covs[k].T)
-    return Errors(means, covs, likelihood, {kind: _padded(rows) for kind, rows in scores.items()}, rejected)
+    return Errors(
+        means, covs, gains, likelihood, {kind: _padded(rows) for kind, rows in scores.items()}, rejected
+    )
 
 
 def _update(mean: Array, cov: Array, seen: Observation) -> tuple[Array, Array, Array | None, float]:

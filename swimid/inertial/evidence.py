@@ -12,6 +12,7 @@ from swimid.inertial.checks import checks
 from swimid.inertial.errorstate import PARTS
 from swimid.inertial.figures import figures
 from swimid.inertial.fusion import Fused
+from swimid.inertial.record import Array
 from swimid.inertial.run import Run
 from swimid.inertial.sensor import BAND, DEG, MILLI_G
 from swimid.logs import log
@@ -54,10 +55,11 @@ def result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> L
         "stroke_hz": None if run.stroke is None else run.stroke.beat.frequency_hz,
     }
     metadata = {k: v for k, v in head.items() if v is not None}
+    verdict = _verdict(run, checked)
     evidence = Evidence(
         verb="track imu",
         title=f"Motion of {run.record.name}",
-        verdict=_verdict(run, checked),
+        verdict=verdict,
         checks=checked,
         tables=_tables(run, data),
         figures=figures(run),
@@ -68,7 +70,7 @@ def result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> L
     )
     return Logged(
         "track imu",
-        _summary(run, data, checked),
+        f"{_summary(run, data, checked)}\n{verdict.level.upper()}: {verdict.text}",
         data,
         evidence=evidence,
         document=Log(Path(run.record.name).with_suffix(".csv"), metadata, log.numeric(columns), None),
@@ -117,8 +119,8 @@ def _facts(run: Run) -> dict[str, Any]:
     out["empty_share"] = float(np.mean(np.isnan(run.motion.velocity[:, 0])))
     out["impossible"] = list(run.impossible)
     out["surge_oscillation"] = {
-        "rms_m_s": None if run.surge_osc is None else _largest(np.sqrt(np.mean(np.square(run.surge_osc)))),
-        "sd_m_s": run.surge_osc_sd,
+        "rms_m_s": _rms(run.surge_osc),
+        "sd_m_s": _rms(run.surge_osc_sd),
         "above_hz": run.cutoff_hz,
     }
     out["largest_band_95"] = {
@@ -133,6 +135,11 @@ def _facts(run: Run) -> dict[str, Any]:
     if run.fused is not None:
         out["fusion"] = _fusion(run.fused)
     return out
+
+
+def _rms(values: Array | None) -> float | None:
+    """Root-mean-square value, None where there is none."""
+    return None if values is None else _largest(np.sqrt(np.mean(np.square(values))))
 
 
 def _largest(values: Any) -> float | None:
@@ -204,11 +211,11 @@ def _summary(run: Run, data: dict[str, Any], checked: Sequence[Check]) -> str:
         f"{run.options.method}, attitude from {run.source.kind}",
         f"  {_reach(run)}",
     ]
-    rms = data["surge_oscillation"]["rms_m_s"] if run.motion is not None else None
-    if run.surge_osc_sd is not None and rms is not None:
+    surge = data.get("surge_oscillation", {})
+    if surge.get("rms_m_s") is not None and surge["sd_m_s"] is not None:
         lines.append(
-            f"  surge within a stroke (above {run.cutoff_hz:.2f} Hz): {rms:.4f} m/s "
-            f"rms, ± {BAND * run.surge_osc_sd:.4f}"
+            f"  surge within a stroke (above {run.cutoff_hz:.2f} Hz): {surge['rms_m_s']:.4f} m/s rms, "
+            f"95 % band ± {BAND * surge['sd_m_s']:.4f} m/s (rms)"
         )
     for check in checked:
         limit = f"  ({check.limit})" if check.limit else ""

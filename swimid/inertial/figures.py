@@ -55,7 +55,7 @@ def figures(run: Run) -> list[Figure]:
         _track(run),
     ]
     if run.surge_osc is not None and run.surge_osc_sd is not None:
-        sd = np.full((len(motion.time_s), 1), run.surge_osc_sd)
+        sd = run.surge_osc_sd[:, None]
         out.append(
             Figure(
                 id="oscillation",

@@ -11,11 +11,13 @@ from scipy.spatial.transform import Rotation
 from swimid.inertial.aiding import turn_to_angles
 from swimid.inertial.errorstate import cross_matrix, jacobian
 from swimid.inertial.record import Array, resampled
-from swimid.inertial.smoother import Smoothed
+from swimid.inertial.smoother import Nominal, Smoothed
 
 #: Slower than this is no motion within a stroke where no stroke is found, Hz; with one: this share of its
 #: frequency.
 LOWEST_HZ, STROKE_SHARE = 0.3, 0.5
+#: Trajectories of errors that are drawn. They give a standard deviation to 1 / sqrt(2 DRAWS) = 6 %.
+DRAWS = 128
 
 
 @dataclass(frozen=True)
@@ -59,13 +61,22 @@ def of_attitude(
     )
 
 
-def at_reference(smoothed: Smoothed) -> Motion:
-    """Carry path and covariance from the sensor to the reference point."""
-    path, covariance = smoothed.path, smoothed.errors.covariance
-    body = path.rotation * path.mount
-    position = path.position + path.rotation.apply(path.lever)
-    velocity = path.velocity + path.rotation.apply(np.cross(path.rate, path.lever))
-    # at the nodes, of position, velocity and turn with respect to the states
+@dataclass(frozen=True)
+class Carried:
+    """Velocity of the reference point, and how it and the turn of the body depend on the states at the nodes.
+
+    ``velocity`` has shape (n, 3), in world axes; ``by_place``, ``by_speed`` and ``by_turn`` have shape
+    (nodes, 3, states).
+    """
+
+    velocity: Array
+    by_place: Array
+    by_speed: Array
+    by_turn: Array
+
+
+def _carried(path: Nominal) -> Carried:
+    """Carry velocity and sensitivities from the sensor to the reference point."""
     rows = path.nodes
     rate, rotation = path.rate[rows], path.rotation[rows]
     matrix = rotation.as_matrix()
@@ -80,8 +91,16 @@ def at_reference(smoothed: Smoothed) -> Motion:
         lever=matrix @ cross_matrix(rate),
     )
     by_turn = jacobian(*shape, rotation=np.eye(3), mount=matrix)
-    to_body = np.swapaxes(body[rows].as_matrix(), 1, 2)
-    by_body_speed = to_body @ (by_speed + cross_matrix(velocity[rows]) @ by_turn)
+    velocity = path.velocity + path.rotation.apply(np.cross(path.rate, path.lever))
+    return Carried(velocity, by_place, by_speed, by_turn)
+
+
+def at_reference(smoothed: Smoothed) -> Motion:
+    """Carry path and covariance from the sensor to the reference point."""
+    path, covariance = smoothed.path, smoothed.errors.covariance
+    body, carried, rows = path.rotation * path.mount, _carried(path), path.nodes
+    position, velocity = path.position + path.rotation.apply(path.lever), carried.velocity
+    by_body_speed = _in_body(body[rows], velocity[rows], carried.by_speed, carried.by_turn)
 
     def sd(jacobian: Array) -> Array:
         variance = np.einsum("nij,njk,nik->ni", jacobian, covariance, jacobian)
@@ -95,41 +114,56 @@ def at_reference(smoothed: Smoothed) -> Motion:
         body.inv().apply(velocity),
         path.mount.inv().apply(path.rate),
         path.acceleration,
-        sd(by_place),
-        sd(by_speed),
+        sd(carried.by_place),
+        sd(carried.by_speed),
         sd(by_body_speed),
-        sd(turn_to_angles(body[rows]) @ by_turn),
+        sd(turn_to_angles(body[rows]) @ carried.by_turn),
     )
 
 
-def surge_within_stroke(motion: Motion, cutoff_hz: float) -> Array:
-    """The surge within a stroke, m/s, shape (n,).
+def _in_body(body: Rotation, velocity: Array, speed_error: Array, turn_error: Array) -> Array:
+    """Errors of the velocity along body axes, from those of the velocity and of the turn in world axes.
+
+    ``velocity`` has shape (n, 3), the errors have shape (n, 3, m): samples, or derivatives.
+    """
+    to_body = np.swapaxes(body.as_matrix(), 1, 2)
+    return np.asarray(to_body @ (speed_error + cross_matrix(velocity) @ turn_error))
+
+
+def surge_within_stroke(motion: Motion, smoothed: Smoothed, cutoff_hz: float) -> tuple[Array, Array]:
+    """Return the surge within a stroke and its standard deviation, m/s, each of shape (n,).
 
     The velocity is high-passed along the world's axes before it is turned to the body's: a drifting velocity
     would leak into the surge with every swing of the heading.
+
+    Notes
+    -----
+    The deviation is that of :data:`DRAWS` trajectories of the smoother's errors, each high-passed like the
+    velocity itself. So it holds every error that is faster than the cut-off: noise, errors of scale and
+    alignment times gravity and motion, and errors of the attitude times gravity.
     """
-    fast = np.column_stack([_high_passed(motion.time_s, column, cutoff_hz) for column in motion.velocity.T])
-    return np.asarray(motion.rotation.inv().apply(fast)[:, 0])
+    fast = _high_passed(motion.time_s, motion.velocity, cutoff_hz)
+    surge = motion.rotation.inv().apply(fast)[:, 0]
+    path = smoothed.path
+    carried, nodes = _carried(path), len(path.nodes)
+    drawn = smoothed.errors.draw(np.concatenate([carried.by_speed, carried.by_turn], axis=1), DRAWS)
+    speed = _high_passed(path.node_s, drawn[:, :3].reshape(nodes, -1), cutoff_hz).reshape(nodes, 3, DRAWS)
+    error = _in_body(motion.rotation[path.nodes], fast[path.nodes], speed, drawn[:, 3:])[:, 0]
+    sd = np.interp(motion.time_s, path.node_s, np.sqrt(np.mean(error**2, axis=1)))
+    return np.asarray(surge), sd
 
 
 def _high_passed(time_s: Array, values: Array, cutoff_hz: float) -> Array:
-    """A channel less everything slower than ``cutoff_hz``: fourth-order Butterworth, no phase shift."""
+    """Return channels, shape (n, k), less everything slower than ``cutoff_hz``.
+
+    The filter is a Butterworth filter of fourth order without a phase shift. The result is NaN for a record
+    that is too short or too slow for it.
+    """
     step = float(np.median(np.diff(time_s)))
     even = np.arange(time_s[0], time_s[-1] + 0.5 * step, step)
     if len(even) < 32 or cutoff_hz >= 0.45 / step:
         return np.full_like(values, np.nan)
     sos = signal.butter(2, cutoff_hz, "high", fs=1 / step, output="sos")
     length = min(len(even) - 1, int(3 / (cutoff_hz * step)))
-    return np.interp(time_s, even, signal.sosfiltfilt(sos, np.interp(even, time_s, values), padlen=length))
-
-
-def high_passed_sd(acceleration_noise: float, cutoff_hz: float, scale_sd: float, values: Array) -> float:
-    """Deviation of a high-passed velocity, m/s.
-
-    Notes
-    -----
-    White acceleration noise of density N leaves ``N / (2 pi sqrt(f_c))`` after integration and a sharp
-    high pass at f_c (integral of ``N^2 / (2 pi f)^2`` from f_c up); an error of scale adds in proportion.
-    """
-    white = acceleration_noise / (2 * np.pi * np.sqrt(cutoff_hz))
-    return float(np.hypot(white, scale_sd * np.nanstd(values)))
+    fast = signal.sosfiltfilt(sos, resampled(even, time_s, values), axis=0, padlen=length)
+    return resampled(time_s, even, fast)

@@ -44,7 +44,7 @@ class Run(Setup):
     fused: Fused | None = None
     trust: Trust | None = None
     surge_osc: Array | None = None
-    surge_osc_sd: float | None = None
+    surge_osc_sd: Array | None = None
     impossible: tuple[str, ...] = ()
 
     @property
@@ -102,7 +102,7 @@ class Run(Setup):
             }
         m = self.motion
         assert m is not None
-        surge_sd = np.nan if self.surge_osc_sd is None else self.surge_osc_sd
+        surge_sd = np.full(len(m.time_s), np.nan) if self.surge_osc_sd is None else self.surge_osc_sd
         return {
             **_pose(m.time_s, m.position, m.rotation, m.body_velocity, m.velocity),
             **_named("{}_rate_rad_s", m.rate * [1.0, -1.0, 1.0], ANGLES),
@@ -113,7 +113,7 @@ class Run(Setup):
             **_named("{}_sd_rad", m.angle_sd, ANGLES),
             **_named("{}_sd_m_s", m.body_velocity_sd, "uvw"),
             **_named("v{}_sd_m_s", m.velocity_sd),
-            "u_osc_sd_m_s": np.full(len(m.time_s), surge_sd),
+            "u_osc_sd_m_s": surge_sd,
             "bridged": (self.record.filled_acceleration | self.record.filled_rate).astype(int),
         }
 

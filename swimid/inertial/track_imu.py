@@ -149,8 +149,7 @@ def _by_smoother(run: Run, setup: Setup) -> Run:
         return _attitude_alone(run, estimate.impossible)
     moved = motion.at_reference(estimate.smoothed)
     impossible: list[str] = []
-    surge = motion.surge_within_stroke(moved, run.cutoff_hz)
-    noise, scale_sd = run.still.noise.acceleration, run.sensor.scale_sd
+    surge, surge_sd = motion.surge_within_stroke(moved, estimate.smoothed, run.cutoff_hz)
     if run.fused is None:
         moved, impossible = _never_too_fast(moved, run.options.top_speed_m_s)
     return replace(
@@ -159,7 +158,7 @@ def _by_smoother(run: Run, setup: Setup) -> Run:
         smoothed=estimate.smoothed,
         trust=_reach(run, moved),
         surge_osc=surge,
-        surge_osc_sd=motion.high_passed_sd(noise, run.cutoff_hz, scale_sd, surge),
+        surge_osc_sd=surge_sd,
         impossible=tuple(impossible),
     )
 

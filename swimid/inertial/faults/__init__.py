@@ -13,6 +13,7 @@ from swimid.inertial.faults import (
     jitter,
     missing,
     order,
+    quaternions,
     rate_unit,
     saturated,
     wild,
@@ -34,6 +35,7 @@ FAULTS: tuple[ModuleType, ...] = (
     jitter,
     rate_unit,
     axes,
+    quaternions,
 )
 
 

@@ -14,8 +14,10 @@ from swimid.inertial.record import Array, Record
 
 NAME = "swapped or flipped axes"
 #: Another arrangement must leave this much less of gravity's turning than the one in the log, and
-#: less than the runner-up among those that do the same to the axes that turn.
-BETTER, DECIDED = 0.5, 0.8
+#: less than the runner-up among those that do the same to the axes that turn. An arrangement that explains
+#: more than half of the turning stays: what it leaves is acceleration (a yawing swimmer's ``u r`` looks like
+#: roll).
+BETTER, DECIDED, EXPLAINED = 0.5, 0.8, 0.5
 _LETTERS = "xyz"
 
 
@@ -35,7 +37,7 @@ def check(record: Record) -> tuple[Record, list[Finding]]:
         scores.append((_spread(left) / _spread(seen), order, signs))
     as_is = scores[0][0]
     (best, order, signs), (runner_up, _, _) = sorted(scores, key=lambda entry: entry[0])[:2]
-    if best > BETTER * as_is or best > 0.5:
+    if best > BETTER * as_is or best > EXPLAINED or as_is < EXPLAINED:
         return record, []
     arrangement = ", ".join(
         f"w{_LETTERS[i]} from {'-' if s < 0 else ''}w{_LETTERS[o]}"

@@ -20,8 +20,8 @@ class Finding:
 
     #: Name of the fault, as in ``docs/imu.md``.
     fault: str
-    #: "handled": repaired; "noted": left as it is, said.
-    verdict: Literal["handled", "noted"]
+    #: "handled": repaired, or a doubt; "noted": left as it is, said; "refuted": a column is wrong.
+    verdict: Literal["handled", "noted", "refuted"]
     #: What was found and what was done, one sentence.
     text: str
     #: Samples concerned; 0 where it is not a matter of samples.

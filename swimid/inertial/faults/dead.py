@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Slerp
 
 from swimid.errors import InputError
 from swimid.inertial.faults.base import Finding, bridged
-from swimid.inertial.record import CHANNELS, Record
+from swimid.inertial.record import CHANNELS, Record, resampled, rotations
 from swimid.logs.log import runs
 
 NAME = "dead channel"
@@ -19,7 +20,10 @@ MOST = 0.3
 
 
 def check(record: Record) -> tuple[Record, list[Finding]]:
-    """Refuse a dead accelerometer or gyroscope axis; bridge stuck samples; leave a dead compass aside."""
+    """Refuse a dead accelerometer or gyroscope axis; bridge stuck samples; leave a dead compass aside.
+
+    A magnetometer, or an attitude, that comes at a lower rate is interpolated between its samples.
+    """
     findings: list[Finding] = []
     values = record.channels
     stuck = np.column_stack([_stuck(record, column) for column in values.T])
@@ -41,14 +45,31 @@ def check(record: Record) -> tuple[Record, list[Finding]]:
         findings.append(Finding(NAME, "handled", text, count))
         record = bridged(record, stuck)
     field, q = record.magnetic, record.quaternion
-    if field is not None and (not np.isfinite(field).all() or np.any(np.ptp(field, axis=0) == 0)):
-        findings.append(Finding(NAME, "handled", "the magnetometer is dead or has holes, not used"))
-        record = replace(record, magnetic=None)
-    if q is not None and (not np.isfinite(q).all() or np.ptp(q, axis=0).max() == 0 or _unnormed(q)):
-        text = "the quaternions are constant, have holes or are not of length 1, not used"
-        findings.append(Finding(NAME, "handled", text))
-        record = replace(record, quaternion=None)
+    if field is not None:
+        rows = _measured(record, field)
+        if len(rows) == 0 or np.any(np.ptp(field[rows], axis=0) == 0):
+            findings.append(Finding(NAME, "handled", "the magnetometer is dead or has holes, not used"))
+            record = replace(record, magnetic=None)
+        else:
+            record = replace(record, magnetic=resampled(record.time_s, record.time_s[rows], field[rows]))
+    if q is not None:
+        rows = _measured(record, q)
+        if len(rows) == 0 or np.ptp(q[rows], axis=0).max() == 0 or _unnormed(q[rows]):
+            text = "the quaternions are constant, have holes or are not of length 1, not used"
+            findings.append(Finding(NAME, "handled", text))
+            record = replace(record, quaternion=None)
+        elif len(rows) < len(record):
+            times = record.time_s[rows]
+            between = Slerp(times, rotations(q[rows]))(np.clip(record.time_s, times[0], times[-1]))
+            record = replace(record, quaternion=between.as_quat()[:, [3, 0, 1, 2]])
     return record, findings
+
+
+def _measured(record: Record, values: np.ndarray) -> np.ndarray:
+    """Return the rows in which a slower sensor has values; none where a hole is too long to bridge."""
+    rows = np.flatnonzero(np.isfinite(values).all(axis=1))
+    times = np.concatenate([record.time_s[:1], record.time_s[rows], record.time_s[-1:]])
+    return rows if len(rows) > 1 and np.max(np.diff(times)) <= max(STUCK_S, 2 * record.step_s) else rows[:0]
 
 
 def _unnormed(q: np.ndarray) -> bool:

@@ -13,7 +13,7 @@ from swimid.inertial.record import Record, rotations
 from swimid.inertial.sensor import DEG
 
 NAME = "turn-rate unit"
-#: Where nothing else tells: no swimmer turns faster than this all the time (99th percentile), rad/s.
+#: Where nothing else tells the unit, faster turns (99th percentile) are doubted, rad/s.
 FASTEST = 12.0
 #: A turn of gravity over a second that can be seen, rad.
 VISIBLE = 0.02
@@ -24,7 +24,7 @@ CLEARLY = 0.5
 
 
 def check(record: Record) -> tuple[Record, list[Finding]]:
-    """Compare with how gravity, or the quaternions, turn; else with what a swimmer can do."""
+    """Compare with how gravity, or the quaternions, turn; where neither tells, believe the stated unit."""
     scale = _against_quaternion(record)
     by = "the quaternions"
     if scale is None:
@@ -33,9 +33,11 @@ def check(record: Record) -> tuple[Record, list[Finding]]:
         scale = _against_gravity(record)
     if scale is None:
         fast = float(np.quantile(np.linalg.norm(record.rate, axis=1), 0.99))
-        if fast <= FASTEST:
-            return record, []
-        scale, by = DEG, f"what a swimmer can do ({fast:.0f} rad/s)"
+        text = (
+            f"turn rates reach {fast:.0f} rad/s as stated, and nothing else in the log tells their unit; for "
+            "another one, say it in a mapping (--map)"
+        )
+        return record, [Finding(NAME, "handled", text)] if fast > FASTEST else []
     if abs(np.log(scale / DEG)) < abs(np.log(scale)):
         text = f"turn rates are in deg/s (judged by {by}), converted"
         return replace(record, rate=record.rate * DEG), [Finding(NAME, "handled", text)]
