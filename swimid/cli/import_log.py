@@ -49,4 +49,5 @@ def import_files(
     for target in destinations(files, output):
         allow(target)
         allow(evidence.sidecar(target))
+        evidence.check_beside(target)
     return import_logs(files, options=options, output=output, progress=progress)

@@ -173,7 +173,9 @@ def destinations(paths: Sequence[Path], output: Path) -> list[Path]:
         s if stems.count(s) == 1 else f"{p.resolve().parent.name}-{s}"
         for s, p in zip(stems, paths, strict=True)
     ]
-    twice = next((name for name in names if names.count(name) > 1), None)
+    # some file systems ignore capitals
+    folded = [name.casefold() for name in names]
+    twice = next((name for name, key in zip(names, folded, strict=True) if folded.count(key) > 1), None)
     if twice:
         raise UsageError(f"two logs would be written to {twice}.csv", hint="import them one by one")
     return [atomic.check_writable(output / f"{name}.csv", inputs=tuple(paths)) for name in names]
