@@ -85,7 +85,7 @@ def find_held(time_s: Array, channels: Sequence[Array]) -> Held:
     (40, 0.02, 0.01)
     """
     none = Held(np.zeros(len(time_s), dtype=bool), usual_step(time_s), 0.0, time_s, 0.0)
-    place = np.column_stack([np.asarray(values, dtype=float) for values in channels])
+    place = np.array(channels, dtype=float).reshape(len(channels), len(time_s)).T
     rows = np.flatnonzero(np.isfinite(place).any(axis=1))
     continuous = [values for values in place[rows].T if not _has_levels(values)]
     if len(rows) < 4 or not continuous:
