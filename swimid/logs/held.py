@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from swimid.logs.log import runs
-from swimid.logs.sampling import LEVEL_SHARE, LEVELS, LONG_ENOUGH, late_grid, quantum, step_of, usual_step
+from swimid.logs.sampling import LONG_ENOUGH, has_levels, late_grid, quantum, step_of, usual_step
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -87,7 +87,7 @@ def find_held(time_s: Array, channels: Sequence[Array]) -> Held:
     none = Held(np.zeros(len(time_s), dtype=bool), usual_step(time_s), 0.0, time_s, 0.0)
     place = np.array(channels, dtype=float).reshape(len(channels), len(time_s)).T
     rows = np.flatnonzero(np.isfinite(place).any(axis=1))
-    continuous = [values for values in place[rows].T if not _has_levels(values)]
+    continuous = [values for values in place[rows].T if not has_levels(values)]
     if len(rows) < 4 or not continuous:
         return none
     sizes = _step_sizes(place[rows])
@@ -110,13 +110,6 @@ def find_held(time_s: Array, channels: Sequence[Array]) -> Held:
     repeated = none.repeated.copy()
     repeated[rows[1:]] = chosen
     return _timed(time_s, rows, repeated)
-
-
-def _has_levels(values: Array) -> bool:
-    """Return whether a channel comes back again and again to a few levels, or is constant."""
-    known = values[np.isfinite(values)]
-    levels, visits = len(np.unique(known)), 1 + np.count_nonzero(np.diff(known))
-    return bool(levels < 4 or levels < min(LEVELS, LEVEL_SHARE * len(known), 0.5 * visits))
 
 
 def _step_sizes(place: Array) -> Array:

@@ -260,6 +260,17 @@ def rounding(values: Sequence[float] | np.ndarray) -> float:
     return step if many or step <= FINE * np.ptp(x) else 0.0
 
 
+def has_levels(values: np.ndarray) -> bool:
+    """Return whether a channel comes back again and again to a few levels, or is constant.
+
+    >>> has_levels(np.tile([0.0, 0.0, 1.0, 1.0, 2.0, 1.0], 50)), has_levels(np.sin(np.arange(300.0)))
+    (True, False)
+    """
+    known = values[np.isfinite(values)]
+    levels, visits = len(np.unique(known)), 1 + np.count_nonzero(np.diff(known))
+    return bool(levels < 4 or levels < min(LEVELS, LEVEL_SHARE * len(known), 0.5 * visits))
+
+
 def step_of(values: np.ndarray) -> float | None:
     """The step all values are multiples of (up to 0.1 % of it), or None.
 
@@ -337,6 +348,8 @@ def longest_even(
     if len(t) < 2:
         return np.empty(0), np.empty(0)
     even = np.linspace(t[0], t[-1], max(round((t[-1] - t[0]) / float(np.median(np.diff(t)))) + 1, 2))
+    if len(even) == len(t) and np.allclose(even, t, rtol=0.0, atol=1e-6 * (even[1] - even[0])):
+        return t, x  # as they are: between the samples of a signal that jumps there is nothing
     return even, np.interp(even, t, x)
 
 
