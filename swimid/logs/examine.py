@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -132,13 +132,20 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
     if len(coordinates) > 1 or cleaned:
         track = [known[column] for column in coordinates]
         angles = [known[column] for column in ANGLES if column in columns]
-        cleaning = track_cleaning.clean(columns[log.TIME], track, angles)
-        speed = track_speed.speed(columns[log.TIME], track, cleaning)
+        stamps = columns[log.TIME]
+        cleaning = track_cleaning.clean(stamps, track, angles)
         if cleaned:
             _take_out(columns, cleaning, name, metadata)
     telling = {column: v for column, v in _measured(columns).items() if column != log.TIME}
     stated = _stated(metadata)
     stroke = rhythm.find(columns[log.TIME], telling, range_hz=options.stroke_hz, stated_hz=stated)
+    slow = rhythm.slowest(columns[log.TIME], telling) if stroke is None else None
+    if cleaning is not None:
+        stroke = _with_lateness(stroke, cleaning, stamps)
+        periodic = slow[1] if slow is not None else None if stroke is None else stroke.beat
+        speed = track_speed.speed(
+            stamps, track, cleaning, None if periodic is None else periodic.frequency_hz
+        )
     doubts = [*plausible.doubts(columns[log.TIME], columns), *_bent(stroke)]
     for doubt in doubts:
         warn("SWM002", f"{name}, '{doubt.column}': {doubt.text}")
@@ -172,6 +179,19 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
         mapped=source,
         contradictions=contradictions,
     )
+
+
+def _with_lateness(stroke: Rhythm | None, cleaning: Cleaning, time_s: Array) -> Rhythm | None:
+    """Return the stroke with the error that late stamps add to its frequency.
+
+    The first and the last stamp are late by up to the same time, evenly distributed and independent.
+    """
+    late = 0.0 if cleaning.held is None else cleaning.held.lateness_s
+    if stroke is None or late == 0.0:
+        return stroke
+    error = stroke.beat.frequency_hz * late / np.sqrt(6.0) / float(np.ptp(time_s))
+    beat = replace(stroke.beat, stderr_hz=float(np.hypot(stroke.beat.stderr_hz, error)))
+    return replace(stroke, beat=beat)
 
 
 def _in_order(source: MappedLog) -> Order:

@@ -182,7 +182,8 @@ def _timed(time_s: Array, rows: NDArray[np.intp], repeated: Flags) -> Held:
     # uneven stamps fit an even sensor by chance, each with the probability step / period
     if line is None or (len(stamps) - 2) * np.log(line[0] / step) < -np.log(FALSE_ALARM):
         return Held(repeated, period, step, time_s, step / np.sqrt(12.0))
-    period, measured = line
+    period, measured, slack = line
     # a repeated sample shows the measurement of the fresh sample before it
     shown = np.clip(np.searchsorted(fresh, np.arange(len(time_s)), side="right") - 1, 0, None)
-    return Held(repeated, period, step, measured[shown], 0.0)
+    # the last measurement moves evenly over the slack; each end has its half of the variance
+    return Held(repeated, period, step, measured[shown], slack / np.sqrt(24.0))

@@ -52,7 +52,7 @@ MOTIONS = tuple(
 )
 #: Columns that hold no motion: positions (their motion is :func:`swing`'s), deviations, qualities and states.
 NO_MOTION = re.compile(
-    r"[xyz](_raw)?_(m|px)|sd_.*|.*_sd(_.*)?|.*likelihood|.*area_px|interpolated|status|frame"
+    r"[xyz](_raw)?_(m|px)|sd_.*|.*_sd(_.*)?|.*likelihood|.*confidence|.*area_px|interpolated|status|frame"
 )
 #: A closed path is a lap where it turns one way round: the circle in its ellipse has more power than the
 #: rest, which is a line. The ratio of the two rotations is (a - b) / (a + b) with the half axes a and b.
@@ -222,7 +222,7 @@ def find(
         if not beats:
             continue
         chosen = _chosen(beats, beats | pushed)
-        slow = None if within else _slowest(time_s, columns)
+        slow = None if within else slowest(time_s, columns)
         if slow is not None and slow[1].may_cause(chosen.frequency_hz):
             return None
         told = stated_hz is not None and abs(chosen.frequency_hz - stated_hz) <= TOLERANCE * stated_hz
@@ -304,7 +304,7 @@ def _turns(angle: Array) -> float:
     return abs(float(known[-1] - known[0])) / (2 * np.pi) if len(known) else 0.0
 
 
-def _slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, SlowMotion] | None:
+def slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, SlowMotion] | None:
     """Return the channel whose strongest motion has too few cycles for a stroke, and that motion.
 
     The drive decides where it is logged. Otherwise any channel that swings sideways does.
@@ -370,7 +370,7 @@ def _rivals(chosen: Beat, seen: Mapping[str, list[Beat]]) -> dict[str, Beat]:
 def unknown(time_s: Array, columns: Mapping[str, Array]) -> str:
     """Return the reason why :func:`find` finds no stroke."""
     duration = float(np.ptp(time_s)) if len(time_s) else 0.0
-    slow = _slowest(time_s, columns)
+    slow = slowest(time_s, columns)
     laps = [] if slow is None else [slow[1].frequency_hz]
     place = _place(columns)
     if slow is None and place is not None and place.shape[1] > 1:

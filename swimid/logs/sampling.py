@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import optimize
 
 #: A pause longer than this many sample times is a gap.
 PAUSE = 6.0
@@ -124,7 +125,7 @@ def _plain_rate(steps: np.ndarray, typical: float) -> Rate:
     return Rate(typical, jitter, float(np.mean((off <= ON_GRID) & (whole <= 10))))
 
 
-def late_grid(time_s: np.ndarray, step_s: float, lateness_s: float) -> tuple[float, np.ndarray] | None:
+def late_grid(time_s: np.ndarray, step_s: float, lateness_s: float) -> tuple[float, np.ndarray, float] | None:
     """Return the step and the times of an even sensor whose samples are stamped late.
 
     Parameters
@@ -140,7 +141,9 @@ def late_grid(time_s: np.ndarray, step_s: float, lateness_s: float) -> tuple[flo
     -------
     step_s : float
     measured_s : ndarray, shape (n,)
-        The latest even times that no stamp precedes, s. None in place of both where no even times fit.
+        The latest even times that no stamp precedes, s.
+    slack_s : float
+        Time by which the last could move against the first, s. None in place of all where no even times fit.
     """
     first = np.arange(-0.5, 0.6, 0.25) * lateness_s
     lines = (_rounded_grid(time_s + late, (step_s,), lateness_s, time_s[0]) for late in first)
@@ -149,7 +152,20 @@ def late_grid(time_s: np.ndarray, step_s: float, lateness_s: float) -> tuple[flo
         return None
     # of the steps that fit the longest: it needs the fewest missing samples
     step, number = max(fits, key=lambda line: line[0])
-    return step, step * number + np.min(time_s - step * number)
+    reach = 4.0 * lateness_s / number[-1]
+
+    def excess(one: float) -> float:
+        return float(np.ptp(time_s - one * number)) - lateness_s
+
+    # the excess is convex in the step; even times fit where it is not positive
+    bounds = step - reach, step + reach
+    best = optimize.minimize_scalar(excess, bounds=bounds, method="bounded", options={"xatol": 1e-6 * reach})
+    if best.fun >= 0.0 or min(excess(bound) for bound in bounds) <= 0.0:
+        low = high = float(best.x)
+    else:
+        low, high = (float(optimize.brentq(excess, best.x, bound)) for bound in bounds)
+    step = 0.5 * (low + high)
+    return step, step * number + np.min(time_s - step * number), (high - low) * float(number[-1])
 
 
 def _rounded_grid(
