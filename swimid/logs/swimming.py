@@ -204,7 +204,7 @@ def _period(stroke: Beat | None) -> float | None:
 
 @dataclass(frozen=True)
 class _Stroke:
-    """Stroke of a window and doubt, or the reason why there is none and the frequency of a slow motion, Hz."""
+    """Stroke of a window and its doubt; or the reason why there is none, and a slow frequency (Hz)."""
 
     beat: Beat | None = None
     doubt: str = ""
