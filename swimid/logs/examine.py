@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +22,13 @@ from swimid.logs import (
 )
 from swimid.logs.beat import contradiction
 from swimid.logs.consistency import Contradiction
+from swimid.logs.held import find_frozen
 from swimid.logs.mapping import MappedLog
 from swimid.logs.options import ImportOptions
 from swimid.logs.plausible import Doubt
 from swimid.logs.projection import Projection
 from swimid.logs.rhythm import Rhythm
+from swimid.logs.sampling import find_uneven
 from swimid.logs.time_order import Order
 from swimid.logs.track_cleaning import Cleaning
 from swimid.logs.track_speed import TrackSpeed
@@ -76,6 +78,12 @@ class Examined:
         How the file was read; its columns are these.
     contradictions : list of Contradiction
         Columns that contradict each other.
+    frozen : dict of str to (float, float)
+        Longest stretch of each channel that is frozen, s (:func:`swimid.logs.held.find_frozen`).
+    uneven : str
+        How the sampling departs from an even one, in words; empty where it does not.
+    bursts : bool
+        Whether the stamps come in bursts.
     """
 
     path: Path
@@ -94,6 +102,9 @@ class Examined:
     unit: str
     mapped: MappedLog
     contradictions: list[Contradiction]
+    frozen: dict[str, tuple[float, float]] = field(default_factory=dict)
+    uneven: str = ""
+    bursts: bool = False
 
     @property
     def time_s(self) -> Array:
@@ -122,6 +133,7 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
         warn("SWM057", f"{name}: rows {order.summary}")
     _cut(columns, options, source)
     _to_metres(columns, options, source)
+    uneven, bursts = find_uneven(columns[log.TIME])
     metadata = dict(source.metadata) | {"source": name, "imported_by": "swimid import"}
     coordinates, known = _track(columns), _measured(columns)
     own = log.written_by(source.metadata, "swimid track")
@@ -146,6 +158,7 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
         speed = track_speed.speed(
             stamps, track, cleaning, None if periodic is None else periodic.frequency_hz
         )
+    frozen = find_frozen(columns[log.TIME], telling)
     doubts = [*plausible.doubts(columns[log.TIME], columns), *_bent(stroke)]
     for doubt in doubts:
         warn("SWM002", f"{name}, '{doubt.column}': {doubt.text}")
@@ -178,6 +191,9 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
         unit=_unit(coordinates),
         mapped=source,
         contradictions=contradictions,
+        frozen=frozen,
+        uneven=uneven,
+        bursts=bursts,
     )
 
 
@@ -232,7 +248,9 @@ def _bent(stroke: Rhythm | None) -> list[Doubt]:
     """Angles that swing by more than half a turn to either side of their drift."""
     beats = {} if stroke is None else stroke.channels
     return [
-        Doubt(name, f"swings by ±{beat.amplitude:.3g} rad: looks like degrees (a factor of 57.3)")
+        Doubt(
+            name, f"swings by ±{beat.amplitude:.3g} rad: state the unit if it is degrees (a factor of 57.3)"
+        )
         for name, beat in beats.items()
         if name.endswith("_rad") and beat.amplitude > HALF_TURN
     ]

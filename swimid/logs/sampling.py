@@ -16,6 +16,9 @@ ON_GRID = 0.15
 UNIFORM_SHARE = 0.8
 #: Root-mean-square jitter, in sample times, from which on it is worth a warning.
 NOTABLE_JITTER = 0.05
+#: Ratio of neighbouring steps from which on stamps are uneven, and come in bursts, if more than a share
+#: ``FEW_CHANGES`` of the steps have it. A single missing sample makes a ratio of 2.
+UNEVEN, BURST, FEW_CHANGES = 2.0, 10.0, 0.1
 #: Steps a record needs before its stamps may be explained by rounding.
 LONG_ENOUGH = 20
 #: A jump over more samples than this starts a new piece instead of being filled with NaN.
@@ -71,6 +74,26 @@ def pauses(time_s: np.ndarray, step_s: float | None = None) -> np.ndarray:
     """Samples after which there is none for longer than :data:`PAUSE` sample times."""
     steps = np.diff(time_s) if len(time_s) > 2 else np.empty(0)
     return np.flatnonzero(steps > PAUSE * (usual_step(time_s) if step_s is None else step_s))
+
+
+def find_uneven(time_s: np.ndarray) -> tuple[str, bool]:
+    """Return how a record departs from even sampling, in words, and whether its stamps come in bursts.
+
+    Missing samples, pauses and a rate that changes slowly are no departure. Stamps in bursts tell when samples
+    arrived, not when they were taken.
+
+    >>> find_uneven(np.cumsum(np.tile([137e-6, 19863e-6], 100)))[1], find_uneven(np.arange(50) / 7.0)
+    (True, ('', False))
+    """
+    steps = np.diff(time_s)
+    if len(steps) < LONG_ENOUGH:
+        return "", False
+    ratio = np.maximum(steps[1:] / steps[:-1], steps[:-1] / steps[1:])
+    bursts = bool(np.mean(ratio > BURST) > FEW_CHANGES)
+    if not bursts and (rate(time_s).uniform or np.mean(ratio > UNEVEN) <= FEW_CHANGES):
+        return "", False
+    low, middle, high = (f"{1e3 * step:.4g}" for step in np.percentile(steps, [5, 50, 95]))
+    return f"the steps are {low} to {high} ms (5 to 95 %), {middle} ms in the median", bursts
 
 
 @dataclass(frozen=True)
