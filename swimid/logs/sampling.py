@@ -79,8 +79,8 @@ def pauses(time_s: np.ndarray, step_s: float | None = None) -> np.ndarray:
 def find_uneven(time_s: np.ndarray) -> tuple[str, bool]:
     """Return how a record departs from even sampling, in words, and whether its stamps come in bursts.
 
-    Missing samples, pauses and a rate that changes slowly are no departure. Stamps in bursts tell when samples
-    arrived, not when they were taken.
+    Missing samples, pauses and a rate that changes slowly are no departure. Stamps in bursts tell when
+    samples arrived, not when they were taken.
 
     >>> find_uneven(np.cumsum(np.tile([137e-6, 19863e-6], 100)))[1], find_uneven(np.arange(50) / 7.0)
     (True, ('', False))
