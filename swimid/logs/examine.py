@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -153,7 +153,8 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
     stroke = rhythm.find(columns[log.TIME], telling, range_hz=options.stroke_hz, stated_hz=stated)
     slow = rhythm.slowest(columns[log.TIME], telling) if stroke is None else None
     if cleaning is not None:
-        stroke = _with_lateness(stroke, cleaning, stamps)
+        if stroke is not None:
+            stroke = rhythm.with_lateness(stroke, cleaning.held, stamps)
         periodic = slow[1] if slow is not None else None if stroke is None else stroke.beat
         speed = track_speed.speed(
             stamps, track, cleaning, None if periodic is None else periodic.frequency_hz
@@ -195,19 +196,6 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
         uneven=uneven,
         bursts=bursts,
     )
-
-
-def _with_lateness(stroke: Rhythm | None, cleaning: Cleaning, time_s: Array) -> Rhythm | None:
-    """Return the stroke with the error that late stamps add to its frequency.
-
-    The first and the last stamp are late by up to the same time, evenly distributed and independent.
-    """
-    late = 0.0 if cleaning.held is None else cleaning.held.lateness_s
-    if stroke is None or late == 0.0:
-        return stroke
-    error = stroke.beat.frequency_hz * late / np.sqrt(6.0) / float(np.ptp(time_s))
-    beat = replace(stroke.beat, stderr_hz=float(np.hypot(stroke.beat.stderr_hz, error)))
-    return replace(stroke, beat=beat)
 
 
 def _in_order(source: MappedLog) -> Order:

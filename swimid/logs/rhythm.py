@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from swimid.logs.beat import (
     find_slow_motion,
     multiple,
 )
+from swimid.logs.held import Held
 from swimid.logs.sampling import longest_even
 
 Array = NDArray[np.float64]
@@ -365,6 +366,18 @@ def _rivals(chosen: Beat, seen: Mapping[str, list[Beat]]) -> dict[str, Beat]:
         if against:
             found[name] = max(against, key=lambda beat: beat.amplitude)
     return found
+
+
+def with_lateness(stroke: Rhythm, held: Held | None, time_s: Array) -> Rhythm:
+    """Return a stroke with the error that late stamps of held samples add to its frequency.
+
+    The first and the last stamp are late by up to the same time, evenly distributed and independent.
+    """
+    if held is None or held.lateness_s == 0.0:
+        return stroke
+    error = stroke.beat.frequency_hz * held.lateness_s / np.sqrt(6.0) / float(np.ptp(time_s))
+    beat = replace(stroke.beat, stderr_hz=float(np.hypot(stroke.beat.stderr_hz, error)))
+    return replace(stroke, beat=beat)
 
 
 def unknown(time_s: Array, columns: Mapping[str, Array]) -> str:
