@@ -150,11 +150,17 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
             _take_out(columns, cleaning, name, metadata)
     telling = {column: v for column, v in _measured(columns).items() if column != log.TIME}
     stated = _stated(metadata)
-    stroke = rhythm.find(columns[log.TIME], telling, range_hz=options.stroke_hz, stated_hz=stated)
+    times, times_sd_s = columns[log.TIME], 0.0
+    if cleaning is not None and cleaning.held is not None:
+        times_sd_s = cleaning.held.lateness_s / np.sqrt(12.0)
+        measured_s = np.interp(times, stamps, cleaning.held.measured_s)
+        if (np.diff(measured_s) > 0).all():  # else rows of other channels stand between the pictures
+            times, times_sd_s = measured_s, cleaning.held.measured_sd_s
+    stroke = rhythm.find(times, telling, range_hz=options.stroke_hz, stated_hz=stated)
     slow = rhythm.slowest(columns[log.TIME], telling) if stroke is None else None
     if cleaning is not None:
         if stroke is not None:
-            stroke = rhythm.with_lateness(stroke, cleaning.held, stamps)
+            stroke = rhythm.with_lateness(stroke, times_sd_s, times)
         periodic = slow[1] if slow is not None else None if stroke is None else stroke.beat
         speed = track_speed.speed(
             stamps, track, cleaning, None if periodic is None else periodic.frequency_hz

@@ -22,7 +22,6 @@ from swimid.logs.beat import (
     find_slow_motion,
     multiple,
 )
-from swimid.logs.held import Held
 from swimid.logs.sampling import longest_even
 
 Array = NDArray[np.float64]
@@ -368,14 +367,9 @@ def _rivals(chosen: Beat, seen: Mapping[str, list[Beat]]) -> dict[str, Beat]:
     return found
 
 
-def with_lateness(stroke: Rhythm, held: Held | None, time_s: Array) -> Rhythm:
-    """Return a stroke with the error that late stamps of held samples add to its frequency.
-
-    The first and the last stamp are late by up to the same time, evenly distributed and independent.
-    """
-    if held is None or held.lateness_s == 0.0:
-        return stroke
-    error = stroke.beat.frequency_hz * held.lateness_s / np.sqrt(6.0) / float(np.ptp(time_s))
+def with_lateness(stroke: Rhythm, time_sd_s: float, time_s: Array) -> Rhythm:
+    """Return a stroke with the independent errors of the first and the last time in its frequency."""
+    error = stroke.beat.frequency_hz * np.sqrt(2.0) * time_sd_s / float(np.ptp(time_s))
     beat = replace(stroke.beat, stderr_hz=float(np.hypot(stroke.beat.stderr_hz, error)))
     return replace(stroke, beat=beat)
 

@@ -45,18 +45,19 @@ def one(seed: int) -> dict[str, float]:
             cleaning = track_cleaning.clean(stamps, list(place.T))
             good = cleaning.good
             columns = dict(zip(("x_m", "y_m"), place[good].T, strict=True))
-            stroke = rhythm.find(stamps[good], columns)
-            slow = rhythm.slowest(stamps[good], columns)
+            assert cleaning.held is not None
+            times = cleaning.held.measured_s[good]
+            stroke = rhythm.find(times, columns)
+            slow = rhythm.slowest(times, columns)
             if stroke is not None:
-                stroke = rhythm.with_lateness(stroke, cleaning.held, stamps)
+                stroke = rhythm.with_lateness(stroke, cleaning.held.measured_sd_s, stamps)
                 low, high = stroke.beat.interval_hz
                 hits[f"{length}, {kind}: frequency"] = float(low <= truth["frequency_hz"] <= high)
             elif length == "long":
                 hits[f"{length}, {kind}: frequency"] = 0.0
             periodic = stroke.beat if stroke is not None else slow[1] if slow is not None else None
-            assert cleaning.held is not None
             speed = track_speed.net_speed(
-                cleaning.held.measured_s[good],
+                times,
                 place[good],
                 None if periodic is None else periodic.frequency_hz,
                 cleaning.held.measured_sd_s,
