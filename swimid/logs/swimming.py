@@ -170,10 +170,11 @@ def figures(track: Track, window_s: tuple[float | None, float | None] = (None, N
     found = _stroke(track, begin, end)
     stroke = found.beat
     blocks = _blocks(track, begin, end, _period(stroke))
-    # blocks that cut a slow stroke swing with it
-    told = len(blocks.middle) >= 3 and found.slow is None
+    # blocks that cut a slow stroke swing with it; those of a lap follow it
+    laps = _turns_round(blocks)
+    told = len(blocks.middle) >= 3 and (found.slow is None or laps)
     advance = _positive(mean_of_blocks(blocks.speed, blocks.duration)) if told else None
-    if stroke is None and not _turns_round(blocks):
+    if stroke is None and not laps:
         advance = _net_speed(track, begin, end, found.slow)
     vx, vy = blocks.velocity
     return Swimming(

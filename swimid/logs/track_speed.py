@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,9 +131,9 @@ def net_speed(
     Notes
     -----
     A polynomial and two harmonics are fitted by least squares: to both ends of the track, or to all of a
-    short one. There the Bayesian information criterion chooses the order, and an amplitude that changes
-    linearly covers the error of the frequency. Correlated residuals widen the interval by the factor of a
-    first-order autoregressive process.
+    short one. There the Bayesian information criterion chooses the order and the frequency, and an amplitude
+    that changes linearly covers the error of the frequency. Correlated residuals widen the interval by the
+    factor of a first-order autoregressive process.
     """
     if len(time_s) < MIN_SAMPLES:
         return None
@@ -140,17 +141,20 @@ def net_speed(
     duration = last - first
     end_s = END_SHARE * duration if frequency_hz is None else END_CYCLES / frequency_hz
     if 2.0 * end_s > duration:
+        near_hz: list[float | None] = [None]
+        if frequency_hz is not None:
+            near_hz = [frequency_hz + part / duration for part in np.linspace(-0.1, 0.1, 9)]
         fits = [
-            _fit_path(time_s, place, (first, last), order, frequency_hz, changes=True)
-            for order in range(1, MAX_ORDER + 1)
+            _fit_path(time_s, place, (first, last), order, near, changes=True)
+            for order, near in product(range(1, MAX_ORDER + 1), near_hz)
         ]
         _, ends, cover, freedom = min(fits, key=lambda fit: fit[0])
         away, variance = ends[1] - ends[0], cover[0, 0] + cover[1, 1] - 2.0 * cover[0, 1]
     else:
         counts = np.searchsorted(time_s, [first + end_s, last - end_s])
-        near = max(int(counts[0]), MIN_SAMPLES), min(int(counts[1]), len(time_s) - MIN_SAMPLES)
-        start = _fit_path(time_s[: near[0]], place[: near[0]], (first,), END_ORDER, frequency_hz)
-        stop = _fit_path(time_s[near[1] :], place[near[1] :], (last,), END_ORDER, frequency_hz)
+        head, tail = max(int(counts[0]), MIN_SAMPLES), min(int(counts[1]), len(time_s) - MIN_SAMPLES)
+        start = _fit_path(time_s[:head], place[:head], (first,), END_ORDER, frequency_hz)
+        stop = _fit_path(time_s[tail:], place[tail:], (last,), END_ORDER, frequency_hz)
         away, variance = stop[1][0] - start[1][0], start[2][0, 0] + stop[2][0, 0]
         freedom = start[3] + stop[3]
     size = float(np.linalg.norm(away))
