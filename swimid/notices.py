@@ -15,7 +15,7 @@ from typing import Any
 #: Every code, with what it is about. ``docs/warnings.md`` explains each.
 CODES: dict[str, str] = {
     "SWM001": "missing samples masked",
-    "SWM002": "a unit looks wrong by a constant factor",
+    "SWM002": "values are unusual in the stated unit",
     "SWM003": "uneven time steps",
     "SWM004": "columns not used",
     "SWM010": "parameter not identifiable from these trials",
@@ -40,6 +40,7 @@ CODES: dict[str, str] = {
     "SWM031": "free exponent disagrees with the law",
     "SWM032": "beat frequency contradicts the metadata",
     "SWM033": "two frequencies, one of which is no stroke",
+    "SWM034": "a unit contradicts other columns",
     "SWM040": "frames without a marker",
     "SWM041": "no calibration: output in pixels",
     "SWM042": "marker separation is not constant",

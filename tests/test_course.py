@@ -108,7 +108,7 @@ def test_a_real_fish_swims_where_it_points_and_its_mirror_image_does_not(real_da
 
 @pytest.mark.parametrize(
     ("column", "factor", "code", "word"),
-    [("y_m", -1.0, "SWM063", "mirrored"), ("yaw_rad", 180.0 / np.pi, "SWM002", "degrees")],
+    [("y_m", -1.0, "SWM063", "mirrored"), ("yaw_rad", 180.0 / np.pi, "SWM034", "degrees")],
 )
 def test_logs_of_another_kind_are_told_before_they_are_fitted(
     column: str, factor: float, code: str, word: str, swimid: Run, tmp_path: Path

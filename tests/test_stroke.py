@@ -145,7 +145,7 @@ def test_one_marker_without_a_stroke() -> None:
     columns = _track("no stroke", np.random.default_rng(0))
     assert rhythm.find(time, columns) is None
     assert "4 cycles" in rhythm.unknown(time, columns)
-    assert "swings" in rhythm.unknown(time, {"depth_m": time})
+    assert "4 cycles" in rhythm.unknown(time, {"depth_m": time})
 
 
 def test_the_frequency_of_the_drive_helps_where_the_stroke_is_faint() -> None:

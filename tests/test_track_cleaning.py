@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from swimid.logs import log, rhythm, track_cleaning, track_speed
+from swimid.logs.held import find_held
 from tests.conftest import Ran
 from tests.generators.polled_camera import Polled, polled
 
@@ -170,7 +171,7 @@ def track(rng: np.random.Generator, count: int = 80) -> np.ndarray:
 
 
 def stale(*columns: np.ndarray) -> np.ndarray:
-    return track_cleaning.stale(np.arange(len(columns[0])) / 50, list(columns))
+    return find_held(np.arange(len(columns[0])) / 50, columns).repeated
 
 
 @pytest.mark.parametrize("each", [2, 3, 8])

@@ -14,8 +14,8 @@ from swimid.files.provenance import Input
 from swimid.fitting.model import Array, Model, Trial
 from swimid.fitting.scales import POSITIONS
 from swimid.logs import log as log_format
+from swimid.logs.held import find_held
 from swimid.logs.log import Log
-from swimid.logs.track_cleaning import stale
 from swimid.logs.trials import Trial as TrialEntry
 from swimid.logs.trials import Trials
 from swimid.notices import warn
@@ -77,7 +77,7 @@ def read_log(
 def _measured_anew(log: Log) -> Log:
     """The log with empty cells where positions only repeat the picture before."""
     places = [name for name in POSITIONS if name in log]
-    repeats = stale(log.time_s, [log[name] for name in places]) if places else np.zeros(len(log), dtype=bool)
+    repeats = find_held(log.time_s, [log[name] for name in places]).repeated
     at = np.flatnonzero(repeats)
     if not len(at):
         return log

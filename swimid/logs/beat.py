@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, signal, stats
 
+from swimid.logs.sampling import has_levels
 from swimid.notices import warn
 
 Array = NDArray[np.float64]
@@ -39,6 +40,16 @@ CANDIDATES = 6
 MOST_WINDOWS = 120
 #: Fewest samples a window needs.
 SAMPLES = DRIFT + 5
+#: Ridge that keeps the covariance of phases regular. The phase of a window whose amplitude is below its
+#: square root, relative to the largest, would drown in it: such a window carries no phase.
+RIDGE = 1e-9
+#: A beat up to this many times as fast as a stronger, slower motion may be a harmonic of it.
+HARMONICS = 5
+#: A slow motion is periodic where a sine leaves less than this share of what a polynomial of as many
+#: coefficients leaves. The polynomial describes a drift or a turn.
+PERIODIC = 0.5
+#: Samples that suffice to find a slow motion.
+SLOW_SAMPLES = 1000
 
 
 @dataclass(frozen=True)
@@ -132,8 +143,9 @@ def find_beats(
     Returns
     -------
     list of Beat
-        Empty where the record is too short, or nothing in it keeps its phase from window to window. Those
-        after the first explain at least :data:`FAINTEST` of what moves faster than the drift.
+        Empty where the record is too short, nothing in it keeps its phase from window to window, or the beats
+        may be harmonics of a stronger motion of fewer than :data:`FEWEST_CYCLES` cycles. Those after the
+        first explain at least :data:`FAINTEST` of what moves faster than the drift.
 
     Notes
     -----
@@ -161,6 +173,18 @@ def find_beats(
     found = [beat for beat in examined if beat is not None]
     limit = FALSE_ALARM / max(duration * (high - low), 1.0)
     sure = [beat for chance, beat in found if chance < limit]
+    slow = find_slow_motion(t, x) if lowest_hz is None else None
+    if has_levels(x):
+        # a signal that jumps has harmonics of any order, but no more cycles than half of its jumps
+        jumps = np.count_nonzero(np.diff(x))
+        sure = [beat for beat in sure if 2.0 * beat.cycles <= jumps + 1.0]
+    if slow is not None:
+        fastest = slow.amplitude * slow.frequency_hz
+        sure = [
+            beat
+            for beat in sure
+            if beat.amplitude * beat.frequency_hz > fastest or not slow.may_cause(beat.frequency_hz)
+        ]
     large = [beat for beat in sure if beat.share >= MIN_SHARE]
     if not large:
         return []
@@ -180,6 +204,68 @@ def find_beats(
         and not multiple(beat, first, 1.0 / duration)
     ]
     return [first, *sorted(others, key=lambda beat: -beat.amplitude)]
+
+
+@dataclass(frozen=True)
+class SlowMotion:
+    """A periodic motion of too few cycles for a beat.
+
+    Attributes
+    ----------
+    frequency_hz : float
+        Approximate frequency.
+    amplitude : float
+        Amplitude in the channel's unit.
+    cycles : float
+        Number of cycles in the record, below :data:`FEWEST_CYCLES`.
+    """
+
+    frequency_hz: float
+    amplitude: float
+    cycles: float
+
+    def may_cause(self, frequency_hz: float) -> bool:
+        """Return whether a beat at this frequency may be a harmonic of the slow motion."""
+        return frequency_hz < (HARMONICS + 0.5) * self.frequency_hz
+
+
+def find_slow_motion(time_s: Array, values: Array) -> SlowMotion | None:
+    """Return the strongest motion of a channel if it is periodic and has too few cycles for a beat.
+
+    Parameters
+    ----------
+    time_s, values : ndarray, shape (n,)
+        Uneven steps and NaN are allowed.
+
+    Notes
+    -----
+    A sine beside a parabola is fitted at every frequency up to one and a half times the limit. Its residual
+    is compared with that of a quintic, which has as many coefficients.
+    """
+    there = np.flatnonzero(np.isfinite(values) & np.isfinite(time_s))
+    there = there[:: max(len(there) // SLOW_SAMPLES, 1)]
+    t, x = time_s[there], values[there]
+    if len(t) < 2 * SAMPLES or not np.ptp(x) > 1e-12 * np.max(np.abs(x)):
+        return None
+    duration = float(t[-1] - t[0])
+    u = 2.0 * (t - t[0]) / duration - 1.0
+    powers = np.polynomial.legendre.legvander(u, 5)
+    parabola, quintic = (np.linalg.qr(powers[:, :k])[0] for k in (3, 6))
+    x = x - parabola @ (parabola.T @ x)
+    cycles = np.arange(1.0, 1.5 * FEWEST_CYCLES, 0.1)
+    waves = np.exp(2j * np.pi * cycles[:, None] * (t - t[0]) / duration)
+    waves = np.stack([waves.real, waves.imag], axis=-1)
+    waves -= parabola @ (parabola.T @ waves)
+    normal = waves.transpose(0, 2, 1) @ waves
+    right = waves.transpose(0, 2, 1) @ x
+    weights = np.linalg.solve(normal, right[..., None])[..., 0]
+    explained = np.sum(right * weights, axis=1)
+    best = int(np.argmax(explained))
+    drift = float(np.sum((x - quintic @ (quintic.T @ x)) ** 2))
+    periodic = float(x @ x) - explained[best] < PERIODIC * drift
+    if best == 0 or cycles[best] >= FEWEST_CYCLES or not periodic:
+        return None
+    return SlowMotion(cycles[best] / duration, float(np.hypot(*weights[best])), float(cycles[best]))
 
 
 def multiple(beat: Beat, of: Beat, resolution_hz: float = 0.0) -> int:
@@ -209,9 +295,47 @@ def _peaks(t: Array, x: Array, low: float, high: float, duration: float) -> list
 
 
 def _examined(t: Array, x: Array, frequency: float, duration: float) -> tuple[float, Beat] | None:
-    """The beat at a frequency, fitted as a sine beside a polynomial in windows of two cycles.
+    """Return the beat at a frequency, and the probability that noise makes its windows as coherent.
 
-    With the chance that noise makes the windows as coherent; None where there is no beat.
+    The result is None where there is no beat.
+    """
+    windows = demodulate(t, x, frequency)
+    if windows is None:
+        return None
+    time, amplitude, share, width, hop = windows
+    chance = min(2.0 * _incoherent(time, amplitude, width, hop), 2.0 * _no_line(t, x, frequency), 1.0)
+    if chance >= FALSE_ALARM or share < FAINTEST:
+        return None
+    size = np.abs(amplitude)
+    slope, stderr = _slope(time, np.unwrap(np.angle(amplitude)), size)
+    found = frequency + slope / (2 * np.pi)
+    beat = Beat(found, stderr / (2 * np.pi), float(np.mean(size)), share, found * duration)
+    # Phases that turn round over the record are those of another frequency, leaking; and a frequency is
+    # known where the number of cycles in the record is, to one.
+    resolved = beat.interval_hz[1] - found < 1.0 / duration
+    return (chance, beat) if resolved and abs(found - frequency) < 1.0 / duration else None
+
+
+def demodulate(t: Array, x: Array, frequency: float) -> tuple[Array, Complex, float, float, float] | None:
+    """Fit a sine of given frequency beside a polynomial in windows of two cycles.
+
+    Parameters
+    ----------
+    t, x : ndarray, shape (n,)
+        Without NaN.
+    frequency : float
+        Hz.
+
+    Returns
+    -------
+    time, amplitude : ndarray, shape (m,)
+        Middle of each window, s, and complex amplitude in the channel's unit. Windows without amplitude carry
+        no phase and are left out.
+    share : float
+        Share of the variance about the polynomial that the sine explains.
+    width, hop : float
+        Duration of a window, and usual distance of windows, s. None in place of all where fewer than three
+        windows are left.
     """
     # coarser sampling needs longer windows
     step = float(np.median(np.diff(t)))
@@ -231,17 +355,10 @@ def _examined(t: Array, x: Array, frequency: float, duration: float) -> tuple[fl
         return None
     time = starts[enough] + 0.5 * width
     amplitude, share = _fitted(t, x, ends[enough], time, width, frequency)
-    chance = min(2.0 * _incoherent(time, amplitude, width, hop), 2.0 * _no_line(t, x, frequency), 1.0)
-    if chance >= FALSE_ALARM or share < FAINTEST:
+    carries = np.abs(amplitude) > np.sqrt(RIDGE) * np.max(np.abs(amplitude))
+    if carries.sum() < 3:
         return None
-    size = np.abs(amplitude)
-    slope, stderr = _slope(time, np.unwrap(np.angle(amplitude)), size)
-    found = frequency + slope / (2 * np.pi)
-    beat = Beat(found, stderr / (2 * np.pi), float(np.mean(size)), share, found * duration)
-    # Phases that turn round over the record are those of another frequency, leaking; and a frequency is
-    # known where the number of cycles in the record is, to one.
-    resolved = beat.interval_hz[1] - found < 1.0 / duration
-    return (chance, beat) if resolved and abs(found - frequency) < 1.0 / duration else None
+    return time[carries], amplitude[carries], share, width, hop
 
 
 def _incoherent(time: Array, amplitude: Complex, width: float, hop: float) -> float:
@@ -330,7 +447,7 @@ def _slope(time: Array, phase: Array, size: Array) -> tuple[float, float]:
     noise = np.clip(1.0 - hops / WINDOW, 0.0, 1.0) * np.outer(np.mean(size) / size, np.mean(size) / size)
     walk = (np.minimum.outer(time, time) - time[0]) / hop
     # in coordinates where both covariances are diagonal
-    shares, axes = linalg.eigh(walk, noise + 1e-9 * np.eye(n))
+    shares, axes = linalg.eigh(walk, noise + RIDGE * np.eye(n))
     design = axes.T @ np.column_stack((np.ones(n), time - time.mean()))
     turned = axes.T @ phase
     fits = []

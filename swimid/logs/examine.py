@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +22,13 @@ from swimid.logs import (
 )
 from swimid.logs.beat import contradiction
 from swimid.logs.consistency import Contradiction
+from swimid.logs.held import find_frozen
 from swimid.logs.mapping import MappedLog
 from swimid.logs.options import ImportOptions
 from swimid.logs.plausible import Doubt
 from swimid.logs.projection import Projection
 from swimid.logs.rhythm import Rhythm
+from swimid.logs.sampling import find_uneven
 from swimid.logs.time_order import Order
 from swimid.logs.track_cleaning import Cleaning
 from swimid.logs.track_speed import TrackSpeed
@@ -76,6 +78,12 @@ class Examined:
         How the file was read; its columns are these.
     contradictions : list of Contradiction
         Columns that contradict each other.
+    frozen : dict of str to (float, float)
+        Longest stretch of each channel that is frozen, s (:func:`swimid.logs.held.find_frozen`).
+    uneven : str
+        How the sampling departs from an even one, in words; empty where it does not.
+    bursts : bool
+        Whether the stamps come in bursts.
     """
 
     path: Path
@@ -94,6 +102,9 @@ class Examined:
     unit: str
     mapped: MappedLog
     contradictions: list[Contradiction]
+    frozen: dict[str, tuple[float, float]] = field(default_factory=dict)
+    uneven: str = ""
+    bursts: bool = False
 
     @property
     def time_s(self) -> Array:
@@ -122,6 +133,7 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
         warn("SWM057", f"{name}: rows {order.summary}")
     _cut(columns, options, source)
     _to_metres(columns, options, source)
+    uneven, bursts = find_uneven(columns[log.TIME])
     metadata = dict(source.metadata) | {"source": name, "imported_by": "swimid import"}
     coordinates, known = _track(columns), _measured(columns)
     own = log.written_by(source.metadata, "swimid track")
@@ -132,13 +144,28 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
     if len(coordinates) > 1 or cleaned:
         track = [known[column] for column in coordinates]
         angles = [known[column] for column in ANGLES if column in columns]
-        cleaning = track_cleaning.clean(columns[log.TIME], track, angles)
-        speed = track_speed.speed(columns[log.TIME], track, cleaning)
+        stamps = columns[log.TIME]
+        cleaning = track_cleaning.clean(stamps, track, angles)
         if cleaned:
             _take_out(columns, cleaning, name, metadata)
     telling = {column: v for column, v in _measured(columns).items() if column != log.TIME}
     stated = _stated(metadata)
-    stroke = rhythm.find(columns[log.TIME], telling, range_hz=options.stroke_hz, stated_hz=stated)
+    times, times_sd_s = columns[log.TIME], 0.0
+    if cleaning is not None and cleaning.held is not None:
+        times_sd_s = cleaning.held.lateness_s / np.sqrt(12.0)
+        measured_s = np.interp(times, stamps, cleaning.held.measured_s)
+        if (np.diff(measured_s) > 0).all():  # else rows of other channels stand between the pictures
+            times, times_sd_s = measured_s, cleaning.held.measured_sd_s
+    stroke = rhythm.find(times, telling, range_hz=options.stroke_hz, stated_hz=stated)
+    slow = rhythm.slowest(columns[log.TIME], telling) if stroke is None else None
+    if cleaning is not None:
+        if stroke is not None:
+            stroke = rhythm.with_lateness(stroke, times_sd_s, times)
+        periodic = slow[1] if slow is not None else None if stroke is None else stroke.beat
+        speed = track_speed.speed(
+            stamps, track, cleaning, None if periodic is None else periodic.frequency_hz
+        )
+    frozen = find_frozen(columns[log.TIME], telling)
     doubts = [*plausible.doubts(columns[log.TIME], columns), *_bent(stroke)]
     for doubt in doubts:
         warn("SWM002", f"{name}, '{doubt.column}': {doubt.text}")
@@ -171,6 +198,9 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
         unit=_unit(coordinates),
         mapped=source,
         contradictions=contradictions,
+        frozen=frozen,
+        uneven=uneven,
+        bursts=bursts,
     )
 
 
@@ -212,7 +242,9 @@ def _bent(stroke: Rhythm | None) -> list[Doubt]:
     """Angles that swing by more than half a turn to either side of their drift."""
     beats = {} if stroke is None else stroke.channels
     return [
-        Doubt(name, f"swings by ±{beat.amplitude:.3g} rad: looks like degrees (a factor of 57.3)")
+        Doubt(
+            name, f"swings by ±{beat.amplitude:.3g} rad: state the unit if it is degrees (a factor of 57.3)"
+        )
         for name, beat in beats.items()
         if name.endswith("_rad") and beat.amplitude > HALF_TURN
     ]

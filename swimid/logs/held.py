@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from swimid.logs.log import runs
-from swimid.logs.sampling import LEVEL_SHARE, LEVELS, LONG_ENOUGH, late_grid, quantum, step_of, usual_step
+from swimid.logs.sampling import LONG_ENOUGH, has_levels, late_grid, quantum, step_of, usual_step
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -22,6 +23,11 @@ FALSE_ALARM = 1e-3
 #: A constant stretch longer than this many measurements is a rest or a frozen sensor. After a frozen sensor
 #: the next sample is more than ``NEAR`` usual steps away.
 LONG_HOLD, NEAR = 5.0, 3.0
+#: Columns that are set or computed, not measured: commands, deviations and qualities.
+SET = re.compile(r"cmd.*|.*_sd(_.*)?|.*likelihood|.*confidence")
+#: A channel stops at once only where its rounding is less than this share of its mean step: a coarser one
+#: stands between its steps.
+NEAR_ROUNDED = 0.2
 #: A smooth signal turns round at a step where the steps before and after cancel up to this share: twice the
 #: largest of ``RATIOS``, because their mean is about the step between them.
 TURN = 2.0 * RATIOS[-1]
@@ -85,9 +91,9 @@ def find_held(time_s: Array, channels: Sequence[Array]) -> Held:
     (40, 0.02, 0.01)
     """
     none = Held(np.zeros(len(time_s), dtype=bool), usual_step(time_s), 0.0, time_s, 0.0)
-    place = np.column_stack([np.asarray(values, dtype=float) for values in channels])
+    place = np.array(channels, dtype=float).reshape(len(channels), len(time_s)).T
     rows = np.flatnonzero(np.isfinite(place).any(axis=1))
-    continuous = [values for values in place[rows].T if not _has_levels(values)]
+    continuous = [values for values in place[rows].T if not has_levels(values)]
     if len(rows) < 4 or not continuous:
         return none
     sizes = _step_sizes(place[rows])
@@ -112,11 +118,41 @@ def find_held(time_s: Array, channels: Sequence[Array]) -> Held:
     return _timed(time_s, rows, repeated)
 
 
-def _has_levels(values: Array) -> bool:
-    """Return whether a channel comes back again and again to a few levels, or is constant."""
-    known = values[np.isfinite(values)]
-    levels, visits = len(np.unique(known)), 1 + np.count_nonzero(np.diff(known))
-    return bool(levels < 4 or levels < min(LEVELS, LEVEL_SHARE * len(known), 0.5 * visits))
+def find_frozen(time_s: Array, columns: Mapping[str, Array]) -> dict[str, tuple[float, float]]:
+    """Return the longest stretch (start and end, s) over which each frozen channel holds one value.
+
+    A channel is frozen where it holds one value for more than :data:`LONG_HOLD` times as long as it usually
+    does, and either jumps there or from there, or stops at once amid its motion. A robot at rest comes to its
+    rest and leaves it step by step. A command, a channel of a few levels and a value that recurs are not
+    frozen.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+        Strictly increasing, s.
+    columns : mapping of str to ndarray, each shape (n,)
+        NaN where missing.
+    """
+    found: dict[str, tuple[float, float]] = {}
+    for name, values in columns.items():
+        rows = np.flatnonzero(np.isfinite(values))
+        x = values[rows]
+        if SET.fullmatch(name) or len(x) < LONG_ENOUGH or has_levels(x):
+            continue
+        changes = np.flatnonzero(np.diff(x) != 0)
+        first, end = np.append(0, changes + 1), np.append(changes, len(x) - 1)
+        length = end - first + 1
+        steps = np.abs(np.diff(x)[changes])
+        usual, fine = float(np.median(steps)), _rounding_ratio(x) < NEAR_ROUNDED
+        for k in np.flatnonzero(length > LONG_HOLD * np.percentile(length, 95)):
+            beside = [steps[j] for j in (k - 1, k) if 0 <= j < len(steps)]
+            recurs = x[first[k]] == 0.0 or np.count_nonzero(x[first[length > 1]] == x[first[k]]) > 1
+            stops = fine and len(beside) == 2 and min(beside) > usual and not recurs
+            if max(beside) > 2.0 * NEAR * usual or stops:
+                stretch = float(time_s[rows[first[k]]]), float(time_s[rows[end[k]]])
+                if stretch[1] - stretch[0] > np.subtract(*found.get(name, (0.0, 0.0))[::-1]):
+                    found[name] = stretch
+    return found
 
 
 def _step_sizes(place: Array) -> Array:
@@ -189,7 +225,8 @@ def _timed(time_s: Array, rows: NDArray[np.intp], repeated: Flags) -> Held:
     # uneven stamps fit an even sensor by chance, each with the probability step / period
     if line is None or (len(stamps) - 2) * np.log(line[0] / step) < -np.log(FALSE_ALARM):
         return Held(repeated, period, step, time_s, step / np.sqrt(12.0))
-    period, measured = line
+    period, measured, slack = line
     # a repeated sample shows the measurement of the fresh sample before it
     shown = np.clip(np.searchsorted(fresh, np.arange(len(time_s)), side="right") - 1, 0, None)
-    return Held(repeated, period, step, measured[shown], 0.0)
+    # the last measurement moves evenly over the slack; each end has its half of the variance
+    return Held(repeated, period, step, measured[shown], slack / np.sqrt(24.0))

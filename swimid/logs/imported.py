@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,9 +155,23 @@ def _row_checks(found: Examined) -> list[Check]:
     checks.append(
         blocks.check("Columns agree", value, "none", not found.contradictions, otherwise="fail", text=told)
     )
+    if found.uneven:
+        why = f"{found.uneven}; " + (
+            "stamps in bursts tell when samples arrived: log the time at which they are taken"
+            if found.bursts
+            else "samples are used at their own stamps"
+        )
+        grade: Literal["warn", "fail"] = "fail" if found.bursts else "warn"
+        checks.append(
+            blocks.check("Sampling", "uneven", "even, but for gaps", False, otherwise=grade, text=why)
+        )
+    held = "; ".join(f"{name} from {a:.4g} to {b:.4g} s" for name, (a, b) in found.frozen.items())
+    why = f"{held}: it holds one value amid its motion; cut that part with --start and --end" if held else ""
+    number = f"{len(found.frozen)} channels"
+    checks.append(blocks.check("Frozen channels", number, "none", not held, otherwise="fail", text=why))
     beyond = f"{len({doubt.column for doubt in found.doubts})} columns beyond"
     why = "; ".join(f"{doubt.column} {doubt.text}" for doubt in found.doubts)
-    return [*checks, blocks.check(POSSIBLE, beyond, "none", not found.doubts, otherwise="fail", text=why)]
+    return [*checks, blocks.check(POSSIBLE, beyond, "none", not found.doubts, text=why)]
 
 
 def _track_checks(found: Examined) -> list[Check]:

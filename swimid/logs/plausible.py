@@ -1,4 +1,7 @@
-"""Values that no swimmer reaches: as a rule the unit is not that of the column's name."""
+"""Values that are unusual in the stated unit.
+
+The unit is believed all the same: magnitudes check what is stated, and infer nothing.
+"""
 
 from __future__ import annotations
 
@@ -25,14 +28,14 @@ OUTLIER_SHARE = 0.05
 
 @dataclass(frozen=True)
 class Doubt:
-    """A column whose values cannot be, and the unit they may be in."""
+    """A column with unusual values, and the unit that would explain them."""
 
     column: str
     text: str
 
 
 def doubts(time_s: Array, columns: Mapping[str, Array]) -> list[Doubt]:
-    """Columns of a log with values that no swimmer reaches.
+    """Return the columns of a log with values that are unusual for a swimmer.
 
     Parameters
     ----------
@@ -42,7 +45,9 @@ def doubts(time_s: Array, columns: Mapping[str, Array]) -> list[Doubt]:
     """
     texts: dict[str, str | None] = {}
     if len(time_s) > 2 and np.nanmedian(np.diff(time_s)) >= 5 and np.ptp(time_s) >= 2000:
-        texts["t_s"] = "the steps look like milliseconds (a factor of 1000)"
+        texts["t_s"] = (
+            "a step of 5 s or more is unusual: state the unit if it is milliseconds (a factor of 1000)"
+        )
     texts |= {name: _doubt(name, time_s, values) for name, values in columns.items() if name != "t_s"}
     return [Doubt(name, text) for name, text in texts.items() if text is not None]
 
@@ -55,20 +60,20 @@ def _doubt(name: str, time_s: Array, values: Array) -> str | None:
         wrapped = max(_ends(np.diff(values))) > 2.2 * np.pi
         bent = name[:3] in ("joi", "cmd") and largest > 2 * np.pi
         if tilted or wrapped or bent:
-            return "looks like degrees (a factor of 57.3)"
+            return "unusual for radians: state the unit if it is degrees (a factor of 57.3)"
         rate = _usual_rate(time_s, values)
         if rate > FASTEST_RAD_S:
-            return f"turns at {rate:.3g} rad/s: looks like degrees (a factor of 57.3)"
+            return f"turns at {rate:.3g} rad/s: state the unit if it is degrees (a factor of 57.3)"
     elif name.endswith("_rad_s") and largest > FASTEST_RAD_S:
-        return "looks like degrees per second (a factor of 57.3)"
+        return "unusual for rad/s: state the unit if it is degrees per second (a factor of 57.3)"
     elif name in ("x_m", "y_m", "z_m"):
         speed = _usual_rate(time_s, values)
         if speed > FASTEST_M_S:
-            return f"moves at {speed:.3g} m/s: looks like millimetres (a factor of 1000)"
+            return f"moves at {speed:.3g} m/s: state the unit if it is millimetres (a factor of 1000)"
         if high - low > WIDEST_M:
-            return f"extends over {high - low:.3g} m: looks like millimetres (a factor of 1000)"
+            return f"extends over {high - low:.3g} m: state the unit if it is millimetres (a factor of 1000)"
     elif name.endswith("_m_s") and largest > FASTEST_M_S:
-        return "looks like millimetres per second (a factor of 1000)"
+        return "unusual for m/s: state the unit if it is millimetres per second (a factor of 1000)"
     return None
 
 

@@ -4,13 +4,24 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from swimid.logs.beat import FEWEST_CYCLES, MIN_SHARE, TOLERANCE, Beat, find_beats, multiple
+from swimid.logs.beat import (
+    FEWEST_CYCLES,
+    HARMONICS,
+    MIN_SHARE,
+    TOLERANCE,
+    Beat,
+    SlowMotion,
+    demodulate,
+    find_beats,
+    find_slow_motion,
+    multiple,
+)
 from swimid.logs.sampling import longest_even
 
 Array = NDArray[np.float64]
@@ -23,6 +34,8 @@ SIDEWAYS = re.compile(
 PUSHED = re.compile(r"u_m_s|a[xz]_m_s2|force_N")
 #: What beats by itself: where it is logged, its frequency is the stroke's.
 DRIVEN = re.compile(r"cmd\w*|(joint|fin|tail)\w*_rad(_s)?")
+#: Channels of :func:`swing` that may swing twice a stroke.
+ALONG = ("surge", "long_axis", "short_axis")
 #: What moves the place of the swimmer to a side.
 MOVED = re.compile(r"sway|v_m_s|w_m_s|ay_m_s2|(joint|fin|tail)\w*_(m|px)")
 #: One motion is one witness, in however many channels it is seen.
@@ -37,6 +50,16 @@ MOTIONS = tuple(
         rf"{PUSHED.pattern}|surge|\w+_axis",
     )
 )
+#: Columns that hold no motion: positions (their motion is :func:`swing`'s), deviations, qualities and states.
+NO_MOTION = re.compile(
+    r"[xyz](_raw)?_(m|px)|sd_.*|.*_sd(_.*)?|.*likelihood|.*confidence|.*area_px|interpolated|status|frame"
+)
+#: A closed path is a lap where it turns one way round: the circle in its ellipse has more power than the
+#: rest, which is a line. The ratio of the two rotations is (a - b) / (a + b) with the half axes a and b.
+LAP = np.sqrt(2.0) - 1.0
+#: Highest harmonic of a lap: a rectangular pool has four corners. Highest harmonic of a turning compass: its
+#: deviation has one or two periods a turn (semicircular and quadrantal deviation).
+CORNERS, DEVIATION = 4, 2
 #: The fastest stroke of robots, and of fish longer than some centimetres (Bainbridge, J. Exp. Biol. 35, 1958:
 #: up to 25 Hz of dace of 5 cm; 20 Hz of those of 8 cm); what is faster shakes.
 FASTEST_STROKE_HZ = 20.0
@@ -44,9 +67,8 @@ FASTEST_STROKE_HZ = 20.0
 FASTEST_HZ = 60.0
 #: A stretch of less than this share of the samples is not taken for all of them, unless there are more.
 WHOLE, MAX_SAMPLES = 0.8, 20_000
-#: Highest harmonic reported, and how many standard errors its amplitude must exceed: noise, whose amplitude
-#: is Rayleigh's, does so in one of a hundred records.
-HARMONICS = 5
+#: Number of standard errors that the amplitude of a harmonic must exceed: noise, whose amplitude is
+#: Rayleigh's, does so in one of a hundred records.
 HARMONIC_Z = float(np.sqrt(2.0 * np.log((HARMONICS - 1) / 0.01)))
 
 
@@ -114,32 +136,32 @@ class Rhythm:
         return period, period**2 * self.beat.stderr_hz
 
 
-def swing(columns: Mapping[str, Array]) -> dict[str, Array]:
+def swing(columns: Mapping[str, Array], share: float = 1.0 / FEWEST_CYCLES) -> dict[str, Array]:
     """How a track swings about the path it keeps to, in the track's unit.
 
     Parameters
     ----------
     columns : mapping of str to ndarray, each shape (n,)
         Two of ``x_m``, ``y_m``, ``z_m`` (or in ``_px``); a lone one swings along itself.
+    share : float
+        Share of the record over which the path is averaged. By default it is one cycle of the slowest stroke
+        that is found.
 
     Returns
     -------
     dict of str to ndarray
-        ``sway`` across the path and ``surge`` along it, both about the mean of a quarter of the record: the
-        fewest cycles of a stroke that is told. Of a body that stays in its place, which has no path,
-        ``long_axis`` and ``short_axis``. Empty without a track.
+        ``sway`` across the path and ``surge`` along it, both about the averaged path. Of a body that stays in
+        its place, which has no path, ``long_axis`` and ``short_axis``. Empty without a track.
     """
-    units = [[n for n in (f"x_{u}", f"y_{u}", f"z_{u}") if n in columns] for u in ("m", "px")]
-    names = next((found for found in units if found), [])[:2]
-    if not names:
+    place = _place(columns)
+    if place is None:
         return {}
-    place = np.column_stack([columns[name] for name in names])
     there = np.isfinite(place).all(axis=1)
     if there.sum() < 16 or not np.ptp(place[there], axis=0).any():
         return {}
-    if len(names) == 1:
+    if place.shape[1] == 1:
         return {"surge": place[:, 0]}
-    width = max(int(there.sum() / FEWEST_CYCLES) | 1, 5)
+    width = max(int(there.sum() * share) | 1, 5)
     path, tangent = (signal.savgol_filter(place[there], width, 1, deriv=k, axis=0) for k in (0, 1))
     about = place[there] - path
     ways = ("surge", "sway")
@@ -152,6 +174,13 @@ def swing(columns: Mapping[str, Array]) -> dict[str, Array]:
     for way, axis in zip(ways, (tangent, normal), strict=True):
         found[way][there] = np.sum(about * axis, axis=1)
     return found
+
+
+def _place(columns: Mapping[str, Array]) -> Array | None:
+    """Return the first two coordinates of a track, shape (n, 2), or the lone one, shape (n, 1)."""
+    units = [[n for n in (f"x_{u}", f"y_{u}", f"z_{u}") if n in columns] for u in ("m", "px")]
+    names = next((found for found in units if found), [])[:2]
+    return np.column_stack([columns[name] for name in names]) if names else None
 
 
 def find(
@@ -183,21 +212,19 @@ def find(
     it the one with the smallest standard error gives the value; they are not independent, so nothing is
     averaged. What contradicts it is kept as :attr:`Rhythm.rivals`, but where the frequency is stated.
     """
-    track = swing(columns)
-    channels = {**columns, **track}
-    once = {name: values for name, values in channels.items() if SIDEWAYS.fullmatch(name)}
-    pushed_by = [name for name in channels if PUSHED.fullmatch(name) or name in track.keys() - {"sway"}]
-    twice = {name: channels[name] for name in pushed_by}
     ranges = [range_hz]
     if stated_hz is not None and range_hz is None:
         ranges.append(((1 - TOLERANCE) * stated_hz, (1 + TOLERANCE) * stated_hz))
     for within in ranges:
-        pushed = _beats(time_s, twice, within)
-        swung = _beats(time_s, once, within)
-        beats = swung or pushed
+        channels, seen = _motions(time_s, columns, within)
+        pushed = {n: b for n, b in seen.items() if PUSHED.fullmatch(n) or n in ALONG}
+        beats = {n: b for n, b in seen.items() if SIDEWAYS.fullmatch(n)} or seen
         if not beats:
             continue
-        chosen = _chosen(beats, swung | pushed)
+        chosen = _chosen(beats, beats | pushed)
+        slow = None if within else slowest(time_s, columns)
+        if slow is not None and slow[1].may_cause(chosen.frequency_hz):
+            return None
         told = stated_hz is not None and abs(chosen.frequency_hz - stated_hz) <= TOLERANCE * stated_hz
         # the channel at the stroke that tells it best
         at_it = {name: [b for b in found if multiple(b, chosen) == 1] for name, found in beats.items()}
@@ -208,10 +235,93 @@ def find(
             channel,
             _harmonics(*_as_logged(time_s, _swing_of(channels, channel)), best[channel].frequency_hz),
             {name: found[0] for name, found in beats.items()},
-            maybe_double=not swung,
-            rivals={} if told else _rivals(chosen, swung | pushed),
+            maybe_double=channel in pushed,
+            rivals={} if told else _rivals(chosen, beats | pushed),
         )
     return None
+
+
+def _motions(
+    time_s: Array, columns: Mapping[str, Array], within: tuple[float, float] | None
+) -> tuple[dict[str, Array], dict[str, list[Beat]]]:
+    """Return the channels of a log that may move with the stroke, and the beats of those that beat.
+
+    Beats that follow from laps of the path, or from the turns of a heading, are no strokes and left out.
+    """
+    channels = {n: v for n, v in columns.items() if not NO_MOTION.fullmatch(n)} | swing(columns)
+    seen = _beats(time_s, channels, within)
+    lap = next(
+        (b for n in (*ALONG, "sway") for b in seen.get(n, []) if _is_lap(time_s, columns, b.frequency_hz)),
+        None,
+    )
+    if lap is not None:
+        track = swing(columns, 0.25 / lap.cycles)
+        channels = {n: v for n, v in channels.items() if n not in (*ALONG, "sway")} | track
+        seen = _beats(time_s, {n: v for n, v in channels.items() if n in track}, within) | {
+            n: b for n, b in seen.items() if n not in (*ALONG, "sway")
+        }
+        seen = {n: [b for b in beats if not 1 <= multiple(b, lap) <= CORNERS] for n, beats in seen.items()}
+    for name in seen:
+        turns = _turns(_swing_of(channels, name)) if name.endswith("_rad") else 0.0
+        if turns >= 1.0:
+            turning = Beat(turns / float(np.ptp(time_s)), 0.0, 0.0, 0.0, turns)
+            resolution = 1.0 / float(np.ptp(time_s))
+            seen[name] = [b for b in seen[name] if not 1 <= multiple(b, turning, resolution) <= DEVIATION]
+    return channels, {name: beats for name, beats in seen.items() if beats}
+
+
+def _is_lap(time_s: Array, columns: Mapping[str, Array], frequency_hz: float) -> bool:
+    """Return whether the path goes round once in each period of a frequency."""
+    place = _place(columns)
+    if place is None or place.shape[1] < 2:
+        return False
+    there = np.isfinite(place).all(axis=1)
+    x, y = (_phasors(time_s[there], values[there], frequency_hz) for values in place.T)
+    ways = (
+        sorted(float(np.mean(np.abs(x + turn * y) ** 2)) for turn in (1j, -1j))
+        if len(x) == len(y)
+        else [1, 1]
+    )
+    return bool(ways[0] < LAP**2 * ways[1])
+
+
+def _phasors(t: Array, x: Array, frequency_hz: float) -> NDArray[np.complex128]:
+    """Return the complex amplitude of a frequency in each window, or that of the whole of a short record."""
+    windows = demodulate(t, x, frequency_hz)
+    if windows is not None:
+        return windows[1]
+    turn = 2.0 * np.pi * frequency_hz * t
+    design = np.column_stack(
+        [np.ones(len(t)), t - t.mean(), (t - t.mean()) ** 2, np.cos(turn), -np.sin(turn)]
+    )
+    weights = np.linalg.lstsq(design, x, rcond=None)[0]
+    return np.array([weights[3] + 1j * weights[4]])
+
+
+def _turns(angle: Array) -> float:
+    """Return the number of full turns between the first and the last sample of an unwrapped angle."""
+    known = angle[np.isfinite(angle)]
+    return abs(float(known[-1] - known[0])) / (2 * np.pi) if len(known) else 0.0
+
+
+def slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, SlowMotion] | None:
+    """Return the channel whose strongest motion has too few cycles for a stroke, and that motion.
+
+    The drive decides where it is logged. Otherwise any channel that swings sideways does.
+    """
+    names = [n for n in columns if DRIVEN.fullmatch(n)] or [n for n in columns if SIDEWAYS.fullmatch(n)]
+    signals = {name: _swing_of(columns, name) for name in names}
+    place = _place(columns)
+    if place is not None and not any(DRIVEN.fullmatch(n) for n in columns):
+        there = np.isfinite(place).all(axis=1)
+        if there.sum() > 2:
+            line = np.polynomial.polynomial.polyfit(time_s[there], place[there], 1)
+            about = place - np.polynomial.polynomial.polyval(time_s, line).T
+            axis = np.linalg.svd(about[there], full_matrices=False)[2][0]
+            signals["the track"] = about @ axis
+    found = {name: find_slow_motion(time_s, values) for name, values in signals.items()}
+    slow = {name: motion for name, motion in found.items() if motion is not None}
+    return max(slow.items(), key=lambda item: item[1].frequency_hz, default=None)
 
 
 def _chosen(candidates: Mapping[str, list[Beat]], seen: Mapping[str, list[Beat]]) -> Beat:
@@ -257,11 +367,30 @@ def _rivals(chosen: Beat, seen: Mapping[str, list[Beat]]) -> dict[str, Beat]:
     return found
 
 
+def with_lateness(stroke: Rhythm, time_sd_s: float, time_s: Array) -> Rhythm:
+    """Return a stroke with the independent errors of the first and the last time in its frequency."""
+    error = stroke.beat.frequency_hz * np.sqrt(2.0) * time_sd_s / float(np.ptp(time_s))
+    beat = replace(stroke.beat, stderr_hz=float(np.hypot(stroke.beat.stderr_hz, error)))
+    return replace(stroke, beat=beat)
+
+
 def unknown(time_s: Array, columns: Mapping[str, Array]) -> str:
-    """Why :func:`find` finds no stroke, in words."""
-    if not swing(columns) and not any(SIDEWAYS.fullmatch(n) or PUSHED.fullmatch(n) for n in columns):
-        return "no channel of it swings with the stroke"
+    """Return the reason why :func:`find` finds no stroke."""
     duration = float(np.ptp(time_s)) if len(time_s) else 0.0
+    slow = slowest(time_s, columns)
+    laps = [] if slow is None else [slow[1].frequency_hz]
+    place = _place(columns)
+    if slow is None and place is not None and place.shape[1] > 1:
+        laps = [beat.frequency_hz for v in place.T for beat in find_beats(*_prepared(time_s, v))]
+    for frequency_hz in laps:
+        if _is_lap(time_s, columns, frequency_hz):
+            return f"the path goes in circles of {1.0 / frequency_hz:.3g} s; nothing else keeps a beat"
+    if slow is not None:
+        name, motion = slow
+        return (
+            f"the strongest motion of {name}, at about {motion.frequency_hz:.2g} Hz, has only "
+            f"{motion.cycles:.1f} cycles in {duration:.3g} s; a stroke needs {FEWEST_CYCLES:g}"
+        )
     return (
         f"nothing in it keeps a beat over {FEWEST_CYCLES:g} cycles or more"
         f" (in {duration:.3g} s: from {FEWEST_CYCLES / max(duration, 1e-300):.3g} Hz on)"

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import optimize
 
 #: A pause longer than this many sample times is a gap.
 PAUSE = 6.0
@@ -15,6 +16,9 @@ ON_GRID = 0.15
 UNIFORM_SHARE = 0.8
 #: Root-mean-square jitter, in sample times, from which on it is worth a warning.
 NOTABLE_JITTER = 0.05
+#: Ratio of neighbouring steps from which on stamps are uneven, and come in bursts, if more than a share
+#: ``FEW_CHANGES`` of the steps have it. A single missing sample makes a ratio of 2.
+UNEVEN, BURST, FEW_CHANGES = 2.0, 10.0, 0.1
 #: Steps a record needs before its stamps may be explained by rounding.
 LONG_ENOUGH = 20
 #: A jump over more samples than this starts a new piece instead of being filled with NaN.
@@ -72,6 +76,26 @@ def pauses(time_s: np.ndarray, step_s: float | None = None) -> np.ndarray:
     return np.flatnonzero(steps > PAUSE * (usual_step(time_s) if step_s is None else step_s))
 
 
+def find_uneven(time_s: np.ndarray) -> tuple[str, bool]:
+    """Return how a record departs from even sampling, in words, and whether its stamps come in bursts.
+
+    Missing samples, pauses and a rate that changes slowly are no departure. Stamps in bursts tell when
+    samples arrived, not when they were taken.
+
+    >>> find_uneven(np.cumsum(np.tile([137e-6, 19863e-6], 100)))[1], find_uneven(np.arange(50) / 7.0)
+    (True, ('', False))
+    """
+    steps = np.diff(time_s)
+    if len(steps) < LONG_ENOUGH:
+        return "", False
+    ratio = np.maximum(steps[1:] / steps[:-1], steps[:-1] / steps[1:])
+    bursts = bool(np.mean(ratio > BURST) > FEW_CHANGES)
+    if not bursts and (rate(time_s).uniform or np.mean(ratio > UNEVEN) <= FEW_CHANGES):
+        return "", False
+    low, middle, high = (f"{1e3 * step:.4g}" for step in np.percentile(steps, [5, 50, 95]))
+    return f"the steps are {low} to {high} ms (5 to 95 %), {middle} ms in the median", bursts
+
+
 @dataclass(frozen=True)
 class Piece:
     """An unbroken stretch on a grid of constant rate.
@@ -124,7 +148,7 @@ def _plain_rate(steps: np.ndarray, typical: float) -> Rate:
     return Rate(typical, jitter, float(np.mean((off <= ON_GRID) & (whole <= 10))))
 
 
-def late_grid(time_s: np.ndarray, step_s: float, lateness_s: float) -> tuple[float, np.ndarray] | None:
+def late_grid(time_s: np.ndarray, step_s: float, lateness_s: float) -> tuple[float, np.ndarray, float] | None:
     """Return the step and the times of an even sensor whose samples are stamped late.
 
     Parameters
@@ -140,7 +164,9 @@ def late_grid(time_s: np.ndarray, step_s: float, lateness_s: float) -> tuple[flo
     -------
     step_s : float
     measured_s : ndarray, shape (n,)
-        The latest even times that no stamp precedes, s. None in place of both where no even times fit.
+        The latest even times that no stamp precedes, s.
+    slack_s : float
+        Time by which the last could move against the first, s. None in place of all where no even times fit.
     """
     first = np.arange(-0.5, 0.6, 0.25) * lateness_s
     lines = (_rounded_grid(time_s + late, (step_s,), lateness_s, time_s[0]) for late in first)
@@ -149,7 +175,20 @@ def late_grid(time_s: np.ndarray, step_s: float, lateness_s: float) -> tuple[flo
         return None
     # of the steps that fit the longest: it needs the fewest missing samples
     step, number = max(fits, key=lambda line: line[0])
-    return step, step * number + np.min(time_s - step * number)
+    reach = 4.0 * lateness_s / number[-1]
+
+    def excess(one: float) -> float:
+        return float(np.ptp(time_s - one * number)) - lateness_s
+
+    # the excess is convex in the step; even times fit where it is not positive
+    bounds = step - reach, step + reach
+    best = optimize.minimize_scalar(excess, bounds=bounds, method="bounded", options={"xatol": 1e-6 * reach})
+    if best.fun >= 0.0 or min(excess(bound) for bound in bounds) <= 0.0:
+        low = high = float(best.x)
+    else:
+        low, high = (float(optimize.brentq(excess, best.x, bound)) for bound in bounds)
+    step = 0.5 * (low + high)
+    return step, step * number + np.min(time_s - step * number), (high - low) * float(number[-1])
 
 
 def _rounded_grid(
@@ -260,6 +299,17 @@ def rounding(values: Sequence[float] | np.ndarray) -> float:
     return step if many or step <= FINE * np.ptp(x) else 0.0
 
 
+def has_levels(values: np.ndarray) -> bool:
+    """Return whether a channel comes back again and again to a few levels, or is constant.
+
+    >>> has_levels(np.tile([0.0, 0.0, 1.0, 1.0, 2.0, 1.0], 50)), has_levels(np.sin(np.arange(300.0)))
+    (True, False)
+    """
+    known = values[np.isfinite(values)]
+    levels, visits = len(np.unique(known)), 1 + np.count_nonzero(np.diff(known))
+    return bool(levels < 4 or levels < min(LEVELS, LEVEL_SHARE * len(known), 0.5 * visits))
+
+
 def step_of(values: np.ndarray) -> float | None:
     """The step all values are multiples of (up to 0.1 % of it), or None.
 
@@ -337,6 +387,8 @@ def longest_even(
     if len(t) < 2:
         return np.empty(0), np.empty(0)
     even = np.linspace(t[0], t[-1], max(round((t[-1] - t[0]) / float(np.median(np.diff(t)))) + 1, 2))
+    if len(even) == len(t) and np.allclose(even, t, rtol=0.0, atol=1e-6 * (even[1] - even[0])):
+        return t, x  # as they are: between the samples of a signal that jumps there is nothing
     return even, np.interp(even, t, x)
 
 

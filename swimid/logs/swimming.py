@@ -84,7 +84,8 @@ class Swimming:
     path_speed : Estimate or None
         Mean of the speed along the path, sway included; None where no stretch is long enough.
     advance : Estimate or None
-        Mean speed of the path averaged over strokes: the steady speed, where the window is steady.
+        Mean speed of the path averaged over strokes: the steady speed, where the window is steady. Without a
+        stroke it is the displacement over time. On a path that turns round, it is the mean speed of blocks.
     change : Estimate or None
         How much the advance speed changes from the start to the end of the window.
     acceleration : Estimate or None
@@ -98,6 +99,8 @@ class Swimming:
         where none is known; length), and ``turn``, of the heading (rad); those that stand clear of the noise.
     doubt : str
         What speaks against the stroke, in words; empty where nothing does.
+    unknown : str
+        Reason why there is no stroke, in words; empty where there is one.
     """
 
     begin_s: float
@@ -112,6 +115,7 @@ class Swimming:
     frequency_hz: Estimate | None
     amplitudes: dict[str, Estimate]
     doubt: str = ""
+    unknown: str = ""
 
     @property
     def steady(self) -> bool:
@@ -157,29 +161,36 @@ def figures(track: Track, window_s: tuple[float | None, float | None] = (None, N
     begin, end = float(track.time_s[known[0]]), float(track.time_s[known[-1]])
     kind: Literal["given", "steady part", "whole track"] = "given"
     if window_s == (None, None):
-        steady = _steady(_blocks(track, begin, end, _period(_stroke(track, begin, end)[0])))
+        steady = _steady(_blocks(track, begin, end, _period(_stroke(track, begin, end).beat)))
         kind = "whole track" if steady is None else "steady part"
         begin, end = steady or (begin, end)
     else:
         begin = begin if window_s[0] is None else max(window_s[0], begin)
         end = end if window_s[1] is None else min(window_s[1], end)
-    stroke, doubt = _stroke(track, begin, end)
+    found = _stroke(track, begin, end)
+    stroke = found.beat
     blocks = _blocks(track, begin, end, _period(stroke))
-    told = len(blocks.middle) >= 3
+    # blocks that cut a slow stroke swing with it; those of a lap follow it
+    laps = _turns_round(blocks)
+    told = len(blocks.middle) >= 3 and (found.slow is None or laps)
+    advance = _positive(mean_of_blocks(blocks.speed, blocks.duration)) if told else None
+    if stroke is None and not laps:
+        advance = _net_speed(track, begin, end, found.slow)
     vx, vy = blocks.velocity
     return Swimming(
         begin_s=begin,
         end_s=end,
         window=kind,
         path_speed=_path_speed(track, begin, end),
-        advance=_positive(mean_of_blocks(blocks.speed, blocks.duration)) if told else None,
+        advance=advance,
         change=_change(blocks.middle, blocks.speed) if told else None,
         acceleration=_slope(blocks.middle, blocks.speed) if told else None,
         acceleration_xy=(_slope(blocks.middle, vx), _slope(blocks.middle, vy)) if told else None,
         stroke=stroke,
         frequency_hz=None if stroke is None else Estimate(stroke.frequency_hz, *stroke.interval_hz),
         amplitudes={} if stroke is None else _amplitudes(track, begin, end, stroke.frequency_hz),
-        doubt=doubt,
+        doubt=found.doubt,
+        unknown=found.unknown,
     )
 
 
@@ -192,11 +203,21 @@ def _period(stroke: Beat | None) -> float | None:
     return None if stroke is None else 1.0 / stroke.frequency_hz
 
 
-def _stroke(track: Track, begin: float, end: float) -> tuple[Beat | None, str]:
-    """The stroke of a window and what speaks against it; a track without a heading tells it by its course."""
+@dataclass(frozen=True)
+class _Stroke:
+    """Stroke of a window and its doubt; or the reason why there is none, and a slow frequency (Hz)."""
+
+    beat: Beat | None = None
+    doubt: str = ""
+    unknown: str = ""
+    slow: float | None = None
+
+
+def _stroke(track: Track, begin: float, end: float) -> _Stroke:
+    """Return the stroke of a window; a track without a heading shows it by its course."""
     rows = np.flatnonzero((track.time_s >= begin) & (track.time_s <= end))
     if len(rows) < 3:
-        return None, ""
+        return _Stroke(unknown="too few samples")
     unknown = ~track.measured[rows]
     vx, vy = track.velocity[:, rows]
     # Channel names are those of the log; which unit of length they carry is nothing to a rhythm.
@@ -211,8 +232,14 @@ def _stroke(track: Track, begin: float, end: float) -> tuple[Beat | None, str]:
         columns = {"sway": _farthest(track.raw[:, rows]) @ track.raw[:, rows]}
     columns = {name: np.where(unknown, np.nan, values) for name, values in columns.items()}
     found = rhythm.find(track.time_s[rows], columns)
-    if found is None or found.maybe_double:
-        return None, ""
+    if found is None:
+        slow = rhythm.slowest(track.time_s[rows], columns)
+        frequency_hz = None if slow is None else slow[1].frequency_hz
+        why = rhythm.unknown(track.time_s[rows], columns)
+        why = why if track.angle is not None else why.replace("yaw_rad", "the course")
+        return _Stroke(unknown=why, slow=frequency_hz)
+    if found.maybe_double:
+        return _Stroke(unknown="only motions that may swing twice a stroke keep a beat")
 
     # Whatever bends swings a little about a cubic: a stroke stands clear of the noise of what was measured.
     def clear(beat: Beat) -> bool:
@@ -220,9 +247,24 @@ def _stroke(track: Track, begin: float, end: float) -> tuple[Beat | None, str]:
 
     if clear(found.beat):
         rivals = {name: beat for name, beat in found.rivals.items() if clear(beat)}
-        return found.beat, replace(found, rivals=rivals).doubt
+        return _Stroke(found.beat, replace(found, rivals=rivals).doubt)
     others = sorted(found.channels.values(), key=lambda beat: -beat.share)
-    return next((beat for beat in others if clear(beat)), None), ""
+    other = next((beat for beat in others if clear(beat)), None)
+    return _Stroke(other, unknown="" if other else "no beat stands clear of the noise of the track")
+
+
+def _turns_round(blocks: _Blocks) -> bool:
+    """Return whether the course of a path makes at least one full turn."""
+    course = np.unwrap(np.arctan2(blocks.velocity[1], blocks.velocity[0]))
+    return len(course) > 1 and bool(abs(course[-1] - course[0]) >= 2.0 * np.pi)
+
+
+def _net_speed(track: Track, begin: float, end: float, frequency_hz: float | None) -> Estimate | None:
+    """Return the displacement over time of what was measured in a window."""
+    rows = (track.time_s >= begin) & (track.time_s <= end) & track.measured
+    rows &= np.isfinite(track.raw).all(axis=0)
+    found = track_speed.net_speed(track.time_s[rows], track.raw[:, rows].T, frequency_hz)
+    return None if found is None else _positive(found)
 
 
 def _under_way(velocity: Array) -> bool:

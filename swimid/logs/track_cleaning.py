@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from swimid.logs.held import Held, find_held
 from swimid.logs.log import runs
-from swimid.logs.sampling import PAUSE, pauses, quantum, step_of
+from swimid.logs.sampling import PAUSE, pauses, quantum
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -29,13 +30,6 @@ FASTER, ALIKE = 2.0, 5
 FEW, FEW_SHARE = 12, 0.05
 #: Pieces between jumps that are looked back upon for where the track goes on.
 LOOK_BACK = 100
-#: A log that is written faster than it is measured repeats more than this share of each of so many parts.
-#: What moves to and fro by `COARSE` steps of a counter from sample to sample, in the median, is slower than a
-#: step for a share of asin(1 / (sqrt(2) COARSE)) 2 / pi, 0.09, of its samples.
-REPEATED, PARTS, COARSE = 0.1, 4, 5.0
-#: Samples that stay the same for longer than this many times of a picture are a rest or a frozen picture;
-#: after a frozen one the track goes on more than so many usual steps away.
-LONG_HOLD, NEAR = 5.0, 3.0
 
 
 @dataclass(frozen=True)
@@ -47,7 +41,7 @@ class Cleaning:
     good : ndarray of bool, shape (n,)
         Samples that tell where the robot was.
     repeated : ndarray of bool, shape (n,)
-        The same in every pose column as the sample before: the camera had no new picture.
+        The same in every pose column as the sample before, but for jitter: the camera had no new picture.
     jumped : ndarray of bool, shape (n,)
         Away from the track that goes on before and after.
     jumps : int
@@ -56,6 +50,8 @@ class Cleaning:
         Rows where it goes on elsewhere for good.
     gaps : list of (float, float)
         Start and end of the stretches without a good sample, s.
+    held : Held or None
+        Repeats with the times of the pictures; None where nobody looked for them.
     """
 
     good: Flags
@@ -64,6 +60,7 @@ class Cleaning:
     jumps: int
     offset_rows: list[int]
     gaps: list[tuple[float, float]]
+    held: Held | None = None
 
     @property
     def counts(self) -> dict[str, int]:
@@ -105,7 +102,8 @@ def clean(time_s: Array, positions: list[Array], others: list[Array] | None = No
     """
     place = np.column_stack(positions)
     known: Flags = np.asarray(np.isfinite(place).all(axis=1))
-    repeated = _repeats(time_s, place, np.column_stack([*positions, *(others or [])]), known)
+    held = find_held(time_s, [*positions, *(others or [])])
+    repeated = held.repeated & known
     rows = np.flatnonzero(known & ~repeated)
     jumped = np.zeros(len(time_s), dtype=bool)
     offsets: list[int] = []
@@ -116,73 +114,13 @@ def clean(time_s: Array, positions: list[Array], others: list[Array] | None = No
         offsets = [int(rows[k]) for k in elsewhere]
         jumps = len(runs(~stays)) + len(offsets)
     good = known & ~repeated & ~jumped
-    return Cleaning(good, repeated, jumped, jumps, offsets, gaps(time_s, good))
+    return Cleaning(good, repeated, jumped, jumps, offsets, gaps(time_s, good), held)
 
 
 def gaps(time_s: Array, good: Flags) -> list[tuple[float, float]]:
     """Pauses between good samples (:func:`swimid.logs.sampling.pauses`), s."""
     times = time_s[good]
     return [(float(times[k]), float(times[k + 1])) for k in pauses(times)]
-
-
-def stale(time_s: Array, positions: list[Array]) -> Flags:
-    """Samples that only repeat the picture before, of a log that is written faster than pictures come.
-
-    Such a log repeats itself from its first quarter to its last. A robot at rest does not; nor a displacement
-    that a counter rounds, which stands still between its steps.
-
-    Parameters
-    ----------
-    time_s : ndarray, shape (n,)
-        Strictly increasing, s.
-    positions : list of ndarray, each shape (n,)
-        What one picture shows; NaN where missing.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-
-    Examples
-    --------
-    >>> stale(np.arange(80.0), [np.repeat(np.sin(0.37 * np.arange(40.0)), 2)]).sum()
-    np.int64(40)
-    """
-    place = np.column_stack(positions)
-    known: Flags = np.asarray(np.isfinite(place).all(axis=1))
-    repeated = _repeats(time_s, place, place, known)
-    fresh = place[known & ~repeated]
-    shares = [float(part.mean()) if len(part) else 0.0 for part in np.array_split(repeated[known], PARTS)]
-    if len(fresh) < PARTS or min(shares) <= REPEATED:
-        return np.zeros(len(time_s), dtype=bool)
-    steps = [step_of(column) for column in fresh.T]
-    moves = np.median(np.abs(np.diff(fresh, axis=0)), axis=0)
-    counted = all(step is not None and move < COARSE * step for step, move in zip(steps, moves, strict=True))
-    return np.zeros(len(time_s), dtype=bool) if counted else repeated
-
-
-def _repeats(time_s: Array, place: Array, pose: Array, known: Flags) -> Flags:
-    """Samples that are the same as the one before, but for a robot at rest."""
-    rows = np.flatnonzero(known)
-    repeated = np.zeros(len(time_s), dtype=bool)
-    if len(rows) < 3:
-        return repeated
-    before, after = pose[rows[:-1]], pose[rows[1:]]
-    same = ((before == after) | (np.isnan(before) & np.isnan(after))).all(axis=1)
-    repeated[rows[1:]] = same
-    distinct = rows[np.concatenate(([True], ~same))]
-    if len(distinct) < 3 or not same.any():
-        return repeated
-    # A robot at rest repeats itself as well; it goes on from where it was.
-    usual_s = float(np.median(np.diff(time_s[distinct])))
-    usual_m = float(np.median(np.linalg.norm(np.diff(place[distinct], axis=0), axis=1)))
-    for first, end in runs(same):
-        held_s = time_s[rows[end]] - time_s[rows[first]]
-        if held_s <= LONG_HOLD * usual_s or end + 1 >= len(rows):
-            continue
-        away = float(np.linalg.norm(place[rows[end + 1]] - place[rows[end]]))
-        if away <= NEAR * usual_m:
-            repeated[rows[first + 1 : end + 1]] = False
-    return repeated
 
 
 def _jumps(time: Array, place: Array) -> tuple[Flags, list[int]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,13 @@ STRENGTHS = np.logspace(-4, 6, 11)
 FOLDS = 5
 #: Samples that suffice to choose it.
 TUNING_SAMPLES = 600
+
+
+#: Cycles at each end of a track from which the ends of its averaged path are estimated. A shorter track is
+#: fitted as a whole. Without a periodic motion the ends are this share of the track.
+END_CYCLES, END_SHARE = 4.0, 0.125
+#: Highest order of the polynomial fitted to a track as a whole, and order of that at its ends.
+MAX_ORDER, END_ORDER = 3, 2
 
 
 #: Blocks whose means tell how sure the mean of all is.
@@ -47,7 +55,7 @@ class TrackSpeed:
     path : Estimate
         Mean of the speed along the path, sway and turns included; m/s.
     line : Estimate
-        Mean of the velocity along the straight line from start to end; m/s.
+        Displacement over time of the path averaged over the periodic motion; m/s.
     naive_m_s : float
         Mean of ``|dx/dt|`` over all samples as they stand in the file.
     noise_m : float
@@ -99,7 +107,100 @@ def naive(time_s: Array, positions: list[Array]) -> float:
     return float(np.mean(steps / np.diff(time_s[there])))
 
 
-def speed(time_s: Array, positions: list[Array], cleaning: Cleaning) -> TrackSpeed | None:
+def net_speed(
+    time_s: Array, place: Array, frequency_hz: float | None = None, stamp_sd_s: float = 0.0
+) -> Estimate | None:
+    """Return the displacement of an averaged path over its duration, in units of ``place`` per s.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+        Strictly increasing, s.
+    place : ndarray, shape (n, d)
+        Positions, without NaN.
+    frequency_hz : float, optional
+        Frequency of the periodic motion, which is fitted and left out, to a tenth of a cycle in the record.
+    stamp_sd_s : float
+        Standard deviation of the stamps, s.
+
+    Returns
+    -------
+    Estimate or None
+        None for fewer than :data:`MIN_SAMPLES` samples.
+
+    Notes
+    -----
+    A polynomial and two harmonics are fitted by least squares: to both ends of the track, or to all of a
+    short one. There the Bayesian information criterion chooses the order and the frequency, and an amplitude
+    that changes linearly covers the error of the frequency. Correlated residuals widen the interval by the
+    factor of a first-order autoregressive process.
+    """
+    if len(time_s) < MIN_SAMPLES:
+        return None
+    first, last = float(time_s[0]), float(time_s[-1])
+    duration = last - first
+    end_s = END_SHARE * duration if frequency_hz is None else END_CYCLES / frequency_hz
+    if 2.0 * end_s > duration:
+        near_hz: list[float | None] = [None]
+        if frequency_hz is not None:
+            near_hz = [frequency_hz + part / duration for part in np.linspace(-0.1, 0.1, 9)]
+        fits = [
+            _fit_path(time_s, place, (first, last), order, near, changes=True)
+            for order, near in product(range(1, MAX_ORDER + 1), near_hz)
+        ]
+        _, ends, cover, freedom = min(fits, key=lambda fit: fit[0])
+        away, variance = ends[1] - ends[0], cover[0, 0] + cover[1, 1] - 2.0 * cover[0, 1]
+    else:
+        counts = np.searchsorted(time_s, [first + end_s, last - end_s])
+        head, tail = max(int(counts[0]), MIN_SAMPLES), min(int(counts[1]), len(time_s) - MIN_SAMPLES)
+        start = _fit_path(time_s[:head], place[:head], (first,), END_ORDER, frequency_hz)
+        stop = _fit_path(time_s[tail:], place[tail:], (last,), END_ORDER, frequency_hz)
+        away, variance = stop[1][0] - start[1][0], start[2][0, 0] + stop[2][0, 0]
+        freedom = start[3] + stop[3]
+    size = float(np.linalg.norm(away))
+    along = float(variance @ (away / max(size, 1e-300)) ** 2)
+    late = np.sqrt(2.0) * stamp_sd_s * size / duration
+    half = float(stats.t.ppf(0.975, freedom)) * float(np.hypot(np.sqrt(max(along, 0.0)), late))
+    return Estimate(size / duration, (size - half) / duration, (size + half) / duration)
+
+
+def _fit_path(
+    t: Array,
+    place: Array,
+    at: tuple[float, ...],
+    order: int,
+    frequency_hz: float | None,
+    changes: bool = False,
+) -> tuple[float, Array, Array, int]:
+    """Fit a polynomial and a periodic motion to positions.
+
+    Return the information criterion, the polynomial at some times, shape (m, d), its covariance by
+    coordinate, shape (m, m, d), and the degrees of freedom.
+    """
+    u = (t - t[0]) / float(np.ptp(t))
+    design = np.vander(u, order + 1, increasing=True)
+    if frequency_hz is not None:
+        turn = 2.0 * np.pi * frequency_hz * (t - t[0])
+        waves = np.column_stack([wave(k * turn) for k in (1, 2) for wave in (np.cos, np.sin)])
+        if changes:
+            waves = np.column_stack([waves, (u - 0.5)[:, None] * waves[:, :2]])
+        design = np.column_stack([design, waves])
+    weights = np.linalg.lstsq(design, place, rcond=None)[0]
+    left = place - design @ weights
+    squares = np.maximum(np.sum(left**2, axis=0), 1e-300)
+    freedom = max(len(t) - design.shape[1], 1)
+    together = np.clip(np.sum(left[1:] * left[:-1], axis=0) / squares, 0.0, 0.98)
+    variance = squares / freedom * (1.0 + together) / (1.0 - together)
+    criterion = float(len(t) * np.sum(np.log(squares))) + design.shape[1] * place.shape[1] * np.log(len(t))
+    look = np.zeros((len(at), design.shape[1]))
+    look[:, : order + 1] = np.vander((np.array(at) - t[0]) / float(np.ptp(t)), order + 1, increasing=True)
+    cover = look @ np.linalg.pinv(design.T @ design) @ look.T
+    return criterion, look @ weights, cover[:, :, None] * variance, freedom
+
+
+def speed(
+    time_s: Array, positions: list[Array], cleaning: Cleaning, frequency_hz: float | None = None
+) -> TrackSpeed | None:
     """Mean speed of a cleaned track; None where no stretch is long enough.
 
     Parameters
@@ -108,15 +209,18 @@ def speed(time_s: Array, positions: list[Array], cleaning: Cleaning) -> TrackSpe
     positions : list of ndarray, each shape (n,)
         As in the file, m.
     cleaning : Cleaning
-        What of them is good.
+        What of them is good. Where samples are repeated, the times of the measurements take the place of the
+        stamps.
+    frequency_hz : float, optional
+        Frequency of the periodic motion that the displacement leaves out.
 
     Notes
     -----
-    Every stretch between gaps is smoothed by a cubic spline; how smooth, cross-validation on the
-    longest tells [1]_. Noise lengthens a path: the smoothed path with its own noise put
-    on is smoothed again, and what that adds is taken off (parametric bootstrap [2]_). The interval is
-    that of :func:`mean_of_blocks`: it holds noise and the
-    unsteadiness of the swimming.
+    Every stretch between gaps is smoothed by a cubic spline. Cross-validation on the longest stretch chooses
+    how smooth [1]_. Noise lengthens a path: the smoothed path with its own noise put on is smoothed again,
+    and what that adds is taken off (parametric bootstrap [2]_). The interval of the path speed is that of
+    :func:`mean_of_blocks`, which holds noise and the unsteadiness of the swimming. The displacement over time
+    is that of :func:`net_speed`.
 
     References
     ----------
@@ -124,7 +228,9 @@ def speed(time_s: Array, positions: list[Array], cleaning: Cleaning) -> TrackSpe
        Mathematik 31, 377-403. doi:10.1007/BF01404567
     .. [2] Efron, B., Tibshirani, R. J. (1993). An Introduction to the Bootstrap. Chapman & Hall.
     """
-    place = np.column_stack(positions)
+    place, stamps, stamp_sd_s = np.column_stack(positions), time_s, 0.0
+    if cleaning.held is not None:
+        time_s, stamp_sd_s = cleaning.held.measured_s, cleaning.held.measured_sd_s
     rng = np.random.default_rng(0)
     velocity, weights = np.full(place.shape, np.nan), np.zeros(len(time_s))
     squares, count, excess = 0.0, 0, 0.0
@@ -146,12 +252,12 @@ def speed(time_s: Array, positions: list[Array], cleaning: Cleaning) -> TrackSpe
     covered = float(weights.sum())
     used = weights > 0
     along = np.linalg.norm(velocity[used], axis=1)
-    mean = weights[used] @ velocity[used] / covered
-    direction = mean / max(float(np.linalg.norm(mean)), 1e-300)
+    line = net_speed(time_s[cleaning.good], place[cleaning.good], frequency_hz, stamp_sd_s)
+    assert line is not None  # a stretch has as many samples
     return TrackSpeed(
         mean_of_blocks(along, weights[used], -excess / covered),
-        mean_of_blocks(velocity[used] @ direction, weights[used]),
-        naive(time_s, positions),
+        line,
+        naive(stamps, positions),
         float(np.sqrt(squares / max(count, 1))),
         covered,
     )

@@ -187,14 +187,20 @@ class Evidence(_Part):
 
     @model_validator(mode="after")
     def _nothing_impossible(self) -> Evidence:
-        """A result that rests on values no swimmer reaches is not to be relied on."""
-        impossible = [notice.text for notice in self.notices if notice.code == "SWM002"]
-        if impossible and not any(check.name == POSSIBLE for check in self.checks):
-            self.checks.append(
-                Check(name=POSSIBLE, value="beyond", verdict="fail", text="; ".join(impossible))
-            )
-            text = f"{self.verdict.text} Values that no swimmer reaches: {'; '.join(impossible)}."
-            self.verdict = Verdict(level="bad", text=text)
+        """Lower the verdict of a result that rests on unusual values or on a unit that others contradict.
+
+        A stated unit is believed: unusual values alone are a reason for caution, and no more.
+        """
+        if any(check.name == POSSIBLE for check in self.checks):
+            return self
+        for code, grade in (("SWM034", "fail"), ("SWM002", "warn")):
+            texts = "; ".join(notice.text for notice in self.notices if notice.code == code)
+            if texts:
+                self.checks.append(Check(name=POSSIBLE, value="beyond", verdict=grade, text=texts))
+                level = "bad" if grade == "fail" or self.verdict.level == "bad" else "caution"
+                text = f"{self.verdict.text} Values that no swimmer reaches: {texts}."
+                self.verdict = Verdict(level=level, text=text)
+                break
         return self
 
 

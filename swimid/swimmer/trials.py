@@ -173,7 +173,7 @@ def _check_course(
     window_s = max(1.0, 1.0 / slowest)
     if course.in_degrees(tracks, window_s):
         warn(
-            "SWM002", f"{path.name}, 'yaw_rad': the courses follow it if it is in degrees (a factor of 57.3)"
+            "SWM034", f"{path.name}, 'yaw_rad': the courses follow it if it is in degrees (a factor of 57.3)"
         )
         return
     seen = course.of_tracks(tracks, window_s)

@@ -52,7 +52,7 @@ class FilmedSwim:
         rows: list[tuple[str, str, Estimate | None, str]] = [
             ("path_speed", "path speed", figures.path_speed, speed),
             ("steady_speed", "steady speed", figures.advance if figures.steady else None, speed),
-            ("advance_speed", "advance speed, not steady", figures.advance, speed),
+            ("advance_speed", self._advance_name(), figures.advance, speed),
             ("speed_change", "change of the advance speed", figures.change, speed),
             ("acceleration", "acceleration along the path", figures.acceleration, rate),
             ("acceleration_x", "acceleration in x", across[0], rate),
@@ -65,11 +65,16 @@ class FilmedSwim:
                 rows.append((f"{name}_amplitude", f"{name} amplitude", figures.amplitudes.get(key), kind))
         return rows
 
+    def _advance_name(self) -> str:
+        """Name of the advance speed."""
+        return "displacement over time" if self.swimming.stroke is None else "advance speed, not steady"
+
     def to_dict(self) -> dict[str, Any]:
         """The figures for ``--json``; None where the window does not tell one."""
         figures = self.swimming
         out: dict[str, Any] = {"window": figures.window, "from_s": figures.begin_s, "to_s": figures.end_s}
         out["steady"] = figures.steady
+        out["stroke_unknown"] = figures.unknown
         for key, _, value, kind in self._rows():
             out[key] = None if value is None else asdict(value) | {"unit": kind}
         return out
@@ -113,7 +118,7 @@ class FilmedSwim:
             [name, *astuple(value), numbers.unit_text(kind)] for name, value, kind in self._shown()
         ]
         if self.swimming.stroke is None:
-            rows.append(["stroke", "none stands clear", None, None, None])
+            rows.append(["stroke", f"unknown: {self.swimming.unknown}", None, None, None])
         return Table(
             id="swimming",
             title="Speed and stroke",
@@ -146,7 +151,7 @@ class FilmedSwim:
             text = f"{numbers.number(value.value, 4, kind)} (95 %: {numbers.interval(value.low, value.high)})"
             out.append(f"  {name:{width}}  {text}")
         if self.swimming.stroke is None:
-            out.append("  no stroke stands clear")
+            out.append(f"  stroke unknown: {self.swimming.unknown}")
         return out
 
 
