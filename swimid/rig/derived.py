@@ -221,10 +221,8 @@ def _most_water(experiment: Experiment, trial: Trial) -> float:
 
 def _terminal_speed(c: Mapping[str, float], force: float) -> float:
     push = force - c["dry"]
-    if push <= 0 or c["quadratic"] <= 0:
-        return math.nan
-    root = math.sqrt(c["linear"] ** 2 + 4 * c["quadratic"] * push)
-    return (root - c["linear"]) / (2 * c["quadratic"])
+    brake = c["linear"] + math.sqrt(c["linear"] ** 2 + 4 * max(c["quadratic"], 0.0) * max(push, 0.0))
+    return 2 * push / brake if push > 0 and brake > 0 else math.nan
 
 
 def _rate(c: Mapping[str, float]) -> float:
