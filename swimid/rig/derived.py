@@ -226,7 +226,8 @@ def _terminal_speed(c: Mapping[str, float], force: float) -> float:
 
 
 def _rate(c: Mapping[str, float]) -> float:
-    return math.sqrt(max(c["stiffness"], 0.0) / c["inertia"])
+    """Return the natural frequency of small swings, rad/s."""
+    return math.sqrt(max(c["stiffness"] + c["gravity"], 0.0) / c["inertia"])
 
 
 def _period(c: Mapping[str, float]) -> float:

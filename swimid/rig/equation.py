@@ -1,10 +1,10 @@
 """The equation of one degree of freedom, integrated: compiled kernels of the rig.
 
-``M (v' - w') = F - dry sgn(v) - linear (v - w) - quadratic (v - w) |v - w| - R(x - rest)``, with the velocity ``w``
-of the water and the restoring force ``R(d) = stiffness d + gravity (sin d - d) + cubic d^3``. ``stiffness`` is the
-slope of ``R`` at rest; ``gravity`` is the part of it that follows the sine of an angle, as a pendulum's does.
-Water that accelerates carries along the body and the water that moves with it, as it does a neutrally buoyant
-body. At rest in still water it is Eqs 7 and 8 of the boxfish paper.
+``M (v' - w') = F - dry sgn(v) - linear (v - w) - quadratic (v - w) |v - w| - R(x - rest)``
+
+with the velocity ``w`` of the water and the restoring force ``R(d) = stiffness d + gravity sin(d) + cubic d^3``;
+``gravity`` is m g l of a pendulum. Water that accelerates carries along the body and the water that moves with
+it, as it does a neutrally buoyant body. At rest in still water it is Eqs 7 and 8 of the boxfish paper.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def restoring(x, c):  # type: ignore[no-untyped-def]
     away = x - rest
     pull = stiffness * away
     if gravity != 0.0:
-        pull += gravity * (math.sin(away) - away)
+        pull += gravity * math.sin(away)
     if cubic != 0.0:
         pull += cubic * away * away * away
     return pull
@@ -173,9 +173,22 @@ def _run(time, start, max_step, force, c, x0, v0, water, extra):  # type: ignore
 
 @numba.njit(cache=True, nogil=True)
 def integrate(  # type: ignore[no-untyped-def]
-    time, start, max_step, force, inertia, quadratic, linear, dry, stiffness, rest, x0, v0, gravity=0.0, cubic=0.0
+    time,
+    start,
+    max_step,
+    force,
+    inertia,
+    quadratic,
+    linear,
+    dry,
+    stiffness,
+    rest,
+    x0,
+    v0,
+    gravity=0.0,
+    cubic=0.0,
 ):
-    """Positions and speeds at given times, by fixed-step fourth-order Runge-Kutta.
+    """Return positions and speeds at given times, by fixed-step fourth-order Runge-Kutta.
 
     Parameters
     ----------
@@ -219,8 +232,8 @@ def integrate_forced(  # type: ignore[no-untyped-def]
     water : ndarray, shape (steps + 1,), m/s
         Velocity of the water at :func:`step_ends`, linear in between.
     c : tuple of float
-        Inertia, quadratic drag, linear drag, dry friction, stiffness, rest position, the part of the stiffness
-        that acts through gravity, and the cubic stiffness.
+        Inertia, quadratic drag, linear drag, dry friction, stiffness, rest position, gravity stiffness and
+        cubic stiffness.
     acting : int
         How many of the forces act.
     f1, c1, f2, c2, f3, c3, f4, c4

@@ -24,6 +24,7 @@ from swimid.results.parameters import Estimate, Fit, ParameterFile
 from swimid.rig import derived as fit_drag_derived
 from swimid.rig import theory, two_point
 from swimid.rig import trials as rig_experiment
+from swimid.rig.omitted import omission_checks, omitted_parameters
 from swimid.rig.options import FitDragOptions
 from swimid.rig.trial_effects import FRICTION, STARTS, Explained, explained, misfit, odd_check, odd_one
 
@@ -161,10 +162,14 @@ def _best_fit(
     plain = fits[name]
     best, odd = Explained(plain), odd_one(plain)
     masses = experiment.facts.get("pulling_mass_kg", {})
+    told = False
     if experiment.name == "falling-weight":
         free_start = any(p.free for p in choices if p.name in STARTS)
         if friction or (start_state == "auto" and not free_start):
             best = explained(plain, choices, masses, odd, insist=friction)
+            told = True
+    if not told:
+        best = replace(best, checks=omission_checks(plain, omitted_parameters(plain)))
     result = start_states.with_held_out(best.result)
     checks = [*best.checks, *([odd_check(result, odd, masses)] if odd else [])]
     facts = {**({"encoder_rounding": name} if name else {}), **best.facts}

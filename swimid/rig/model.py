@@ -5,8 +5,9 @@ One equation serves all three::
     (m + m_added + m_pull + m_pulley) x'' = F - dry sgn(x') - linear x'
                                             - quadratic x' |x'| - R(x - x_rest)
 
-with ``R(d) = stiffness d + gravity (sin d - d) + cubic d^3`` and ``quadratic = rho C_d A / 2`` for a body of known frontal area (boxfish paper, Eqs 7, 8).
-For a rotation, moments of inertia take the place of masses and moments that of forces.
+with ``R(d) = stiffness d + gravity sin(d) + cubic d^3`` and ``quadratic = rho C_d A / 2`` for a body of known
+frontal area (boxfish paper, Eqs 7, 8). For a rotation, moments of inertia take the place of masses and moments
+that of forces.
 """
 
 from __future__ import annotations
@@ -34,6 +35,14 @@ COORDINATES: dict[str, tuple[str, str, bool]] = {
 }
 #: Coordinates in which gravity restores.
 TILTS = ("roll_rad", "pitch_rad")
+#: Parameters that act alike: of each group one may stand in the place of the others.
+ALIKE = (
+    (
+        *("drag_coefficient", "quadratic_drag", "quadratic_damping"),
+        *("linear_drag", "linear_damping", "dry_friction"),
+    ),
+    ("stiffness", "gravity_stiffness"),
+)
 #: Largest integration step, s, before the accuracy check refines it.
 DEFAULT_STEP = 0.01
 #: A trial so long that it would take more such steps starts with longer ones.
@@ -56,8 +65,13 @@ class RigScales(Scales):
         """Typical speed; of a decay, the extent of the motion times its natural frequency."""
         if not self.model.rig.swings:
             return super().speed
-        rate = math.sqrt(max(self.model.start("stiffness"), 1e-12) / self.inertia)
+        rate = math.sqrt(max(self.stiffness, 1e-12) / self.inertia)
         return self.span * rate or 0.1
+
+    @property
+    def stiffness(self) -> float:
+        """The stiffness of small swings, N/m or N m/rad."""
+        return self.model.start("stiffness") + self.model.start("gravity_stiffness")
 
     @property
     def inertia(self) -> float:
@@ -69,7 +83,7 @@ class RigScales(Scales):
     def force(self) -> float:
         """The pull, or the restoring force over the extent of the motion, N or N m."""
         if self.model.rig.swings:
-            return max(self.model.start("stiffness"), 1e-12) * self.span
+            return max(self.stiffness, 1e-12) * self.span
         known = [float(np.sqrt(np.mean(np.square(t.inputs.get("force_N", t.rig.pull))))) for t in self.trials]
         return float(np.median(known)) or 0.1 if known else 0.1
 
@@ -345,7 +359,7 @@ def free_decay(
     amplitude : float
         Of the first swing, for scales.
     gravity : float
-        Part of the stiffness that acts through gravity, in roll and pitch.
+        Known gravity stiffness m g l, in roll and pitch.
     """
     unit, _, rotation = COORDINATES[coordinate]
     force, mass = ("N m", "kg m^2") if rotation else ("N", "kg")
@@ -353,25 +367,24 @@ def free_decay(
     rate = math.sqrt(guess / inertia)
     damping, speed = 0.01 * inertia * rate, amplitude * rate
     quadratic, known = damping / speed, stiffness is not None
-    meaning = "part of the stiffness that acts through gravity, m g l of m g l sin(angle)"
-    part = _signed("gravity_stiffness", f"{force}/{unit}", guess, meaning, free=False)
-    pendulum = (replace(part, start=gravity),) if coordinate in TILTS else ()
+    restoring = f"{force}/{unit}"
+    cubic = guess / (6.0 * amplitude**2)
+    meaning = "m g l of a restoring moment m g l sin(angle)"
+    pendulum = replace(_signed("gravity_stiffness", restoring, guess, meaning, free=False), start=gravity)
     parameters = (
         _parameter(f"added_{kind}", mass, 0.0, 0.3 * inertia, f"added {kind}", free=known),
         _parameter(f"quadratic_{loss}", f"{force} s^2/{unit}^2", quadratic, quadratic, "quadratic damping"),
         _parameter(f"linear_{loss}", f"{force} s/{unit}", damping, damping, "linear damping"),
         _parameter(
             "stiffness",
-            f"{force}/{unit}",
-            guess if stiffness is None else stiffness,
+            restoring,
+            guess - gravity if stiffness is None else stiffness,
             guess,
-            "restoring stiffness of small swings",
+            "stiffness of a linear spring",
             free=not known,
         ),
-        *pendulum,
-        _signed(
-            "cubic_stiffness", f"{force}/{unit}^3", guess / amplitude**2, "cubic restoring stiffness", free=False
-        ),
+        _signed("cubic_stiffness", f"{restoring}^3", cubic, "cubic restoring stiffness", free=False),
+        *([pendulum] if coordinate in TILTS else []),
         _parameter(
             "dry_friction", force, 0.0, 0.01 * guess * amplitude, "dry friction", free=False, kinked=True
         ),

@@ -21,10 +21,10 @@ from swimid.rig import encoder
 from swimid.rig import model as rig
 from swimid.robots.file import Robot
 
-#: A sample is near an excursion when it lies within 5 % of it, and a swing is as large as the largest within 5 %.
+#: A sample is near an excursion when it lies within 5 % of it; a swing is as large as the largest within 5 %.
 NEAR = 0.95
-#: Share of a period after which a body near one place is held there: a free swing is within 5 % of its extreme
-#: for ``2 arccos(0.95) / (2 pi)`` of it.
+#: Share of a period after which a body near one place is held there. A free swing is within 5 % of its
+#: extreme for ``2 arccos(0.95) / (2 pi)`` of a period.
 STILL = 0.1
 #: Rounds in which the level of the crossings is found.
 LEVEL_ROUNDS = 3
@@ -296,7 +296,8 @@ def _free_decay(path: Path, entries: FreeDecay, robot: Robot, coordinate: str | 
     inertia = trials[0].rig.inertia
     stiffness = getattr(robot.rig, f"{axis}_stiffness_N_m_rad" if rotation else "stiffness_N_m", None)
     gravity = getattr(robot.rig, f"{axis}_gravity_stiffness_N_m_rad", None)
-    stiffness = gravity if stiffness is None else stiffness
+    if gravity is not None and stiffness is None:
+        stiffness = 0.0
     guess = inertia * (2 * math.pi / float(np.median(periods))) ** 2
     if stiffness is None:
         warn(
@@ -378,7 +379,8 @@ def _swings(values: Array, log: Log, name: str) -> _Swings:
     InputError
         When the record has fewer than three.
     """
-    noise = float(np.median(np.abs(np.diff(values, 3)))) / (0.6745 * math.sqrt(20.0)) if len(values) > 3 else 0.0
+    rough = np.abs(np.diff(values, 3))
+    noise = float(np.median(rough)) / (0.6745 * math.sqrt(20.0)) if len(rough) else 0.0
     found = None
     # the end of a record has mostly come to rest; where it has not, or was held for long, the middle serves
     for level in (float(np.median(values[len(values) * 3 // 4 :])), 0.5 * float(values.max() + values.min())):
@@ -387,7 +389,7 @@ def _swings(values: Array, log: Log, name: str) -> _Swings:
             if len(extremes) < 3:
                 break
             found = _Swings(crossings, extremes, noise)
-            # the mean over two swings is the rest position but for the square of the decrement: small at the end
+            # the mean over two swings misses the rest position by the square of the decrement only
             level = float(extremes[-3:] @ (0.25, 0.5, 0.25))
         if found is not None:
             return found
@@ -401,7 +403,7 @@ def _half_swings(values: Array, level: float, noise: float) -> tuple[Array, Arra
     away = values - level
     amplitude = float(np.max(np.abs(away)))
     # both sides are passed clearly, so that noise about the level does not count
-    band = min(max(0.1 * amplitude, 4.0 * noise), 0.5 * amplitude)
+    band = min(max(0.1 * amplitude, 4.0 * noise), 0.25 * amplitude)
     state = np.where(away > band, 1, np.where(away < -band, -1, 0))
     marked = np.flatnonzero(state)
     crossings = marked[1:][np.diff(state[marked]) != 0]
@@ -422,8 +424,8 @@ def _period(time: Array, crossings: Array) -> float:
 def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
     """Return time and coordinate of a decay from its release on, its period and its first amplitude.
 
-    Swings do not grow in a free decay: all from the first of the largest swings on belong to it. A record held
-    at an excursion, or at rest before somebody deflects the body, begins where that ends.
+    Swings do not grow in a free decay: all from the first of the largest swings on belong to it. Where the body
+    was held at an excursion, or stood still before somebody deflected it, the decay begins at the end of that.
     """
     there = np.isfinite(log[name])
     time, values = log.time_s[there], log[name][there]

@@ -1,0 +1,206 @@
+"""Lack-of-fit test of a rig: do the trials speak for a parameter that the fit holds?
+
+Every parameter that all trials share and that is held is tried in two ways. It is freed beside the others; the fit
+is then judged by the parameter's standard error, which allows for coloured residuals and for trials that disagree.
+And it is put in the place of those that act alike (:data:`swimid.rig.model.ALIKE`): dry friction in the place of a
+linear damping, gravity in the place of a spring. The second fit has no more unknowns than the first, so that the
+likelihoods tell them apart at once. One test thus serves every parameter of a rig.
+
+References
+----------
+.. [1] R. E. Kass, A. E. Raftery, "Bayes factors", Journal of the American Statistical Association 90 (1995),
+   773-795: evidence is strong where twice the logarithm of the Bayes factor is above 6.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from scipy import stats
+
+from swimid.errors import NoTrustworthyResult
+from swimid.fitting import output_error
+from swimid.fitting.fit_result import FitResult
+from swimid.fitting.model import Parameter, chosen
+from swimid.fitting.residual_tests import SIGNIFICANCE
+from swimid.notices import recorded, warn
+from swimid.results import blocks, numbers
+from swimid.results import evidence as ev
+from swimid.rig.model import ALIKE
+
+#: Where a parameter that was held starts, in its scale from the value at which it was held.
+STARTS = (0.0, 1.0, -1.0)
+#: Twice the logarithm of a likelihood ratio that is strong evidence (Kass and Raftery).
+STRONG = 6.0
+
+
+@dataclass(frozen=True)
+class Omitted:
+    """A parameter for which the trials speak, although the fit holds it."""
+
+    parameter: Parameter
+    #: The fit with it.
+    fit: FitResult
+    #: The parameters in whose place it stands; empty where it is freed beside them.
+    instead: tuple[str, ...]
+    #: Twice the logarithm of the likelihood ratio, above zero where the fit with it is the better one.
+    evidence: float
+    #: Probability of an estimate this far from the held value by chance, Bonferroni for all held parameters.
+    p_value: float
+
+    @property
+    def text(self) -> str:
+        """Its name and its estimate."""
+        name = self.parameter.name
+        size = numbers.measured(self.fit.value(name), self.fit.stderr(name), self.parameter.unit)
+        return f"{name} {size}" + (f" in the place of {', '.join(self.instead)}" if self.instead else "")
+
+    @property
+    def criterion(self) -> float:
+        """Schwarz's criterion against the stated fit; the lower, the better."""
+        return (0.0 if self.instead else math.log(self.fit.samples)) - self.evidence
+
+    @property
+    def command(self) -> str:
+        """The options that fit with it."""
+        held = "".join(f" --fix {name}=0" for name in self.instead)
+        if any(p.name == self.parameter.name and p.free for p in self.fit.model.parameters):
+            return f"leave out --fix {self.parameter.name}"
+        free = next(p for p in self.fit.parameters if p.name == self.parameter.name)
+        start = "" if free.free else f"--fix {free.name}={free.start:g}"
+        return f"use {start or f'--free {free.name}'}{held}"
+
+
+def omitted_parameters(plain: FitResult) -> list[Omitted]:
+    """Return the held parameters for which the trials speak, the best fit first.
+
+    A freed one counts where chance would take its estimate this far from the held value with a probability below
+    :data:`SIGNIFICANCE`, all held ones together. One in the place of others counts where the stated fit is not
+    better by :data:`STRONG` evidence and the answer would lie outside a stated 95 % interval.
+    """
+    held = [p for p in plain.parameters if not p.free and not p.per_trial]
+    found = []
+    for parameter in held:
+        fit = freed(plain, parameter.name)
+        error = None if fit is None else fit.stderr(parameter.name)
+        if fit is not None and error and fit.status[parameter.name] == "estimated":
+            z = abs(fit.value(parameter.name) - parameter.start) / error
+            sides = 1.0 if parameter.start in parameter.bounds else 2.0
+            p_value = min(1.0, len(held) * sides * float(stats.norm.sf(z)))
+            if p_value < SIGNIFICANCE and _evidence(plain, fit) > 0.0:
+                found.append(Omitted(parameter, fit, (), _evidence(plain, fit), p_value))
+        fit, instead = _replacing(plain, parameter)
+        if fit is not None and _evidence(plain, fit) > -STRONG and moved(plain, fit):
+            found.append(Omitted(parameter, fit, instead, _evidence(plain, fit), math.nan))
+    return sorted(found, key=lambda omitted: omitted.criterion)
+
+
+def freed(plain: FitResult, name: str) -> FitResult | None:
+    """Return the best fit with one more parameter free, from several starts; None where none has an answer."""
+    held = next((p for p in plain.parameters if p.name == name and not p.free), None)
+    return None if held is None else _best(plain, held, chosen(plain.parameters, freed=(name,)))
+
+
+def _replacing(plain: FitResult, held: Parameter) -> tuple[FitResult | None, tuple[str, ...]]:
+    """Return the fit with a parameter in the place of those that act alike, and their names.
+
+    A parameter that the user holds against the model's default is not meant to act.
+    """
+    alike = next((names for names in ALIKE if held.name in names), ())
+    others = [p for p in plain.parameters if p.name in alike and p is not held and (p.free or p.start != 0.0)]
+    by_default = any(p.name == held.name and not p.free for p in plain.model.parameters)
+    if (
+        not others
+        or not by_default
+        or held.start != 0.0
+        or not all(p.lower <= 0.0 <= p.upper for p in others)
+    ):
+        return None, ()
+    names = tuple(p.name for p in others)
+    parameters = chosen(plain.parameters, fixed=dict.fromkeys(names, 0.0), freed=(held.name,))
+    if not any(p.free for p in others):
+        whole = sum(p.start for p in others)
+        parameters = chosen(plain.parameters, fixed={**dict.fromkeys(names, 0.0), held.name: whole})
+    return _best(plain, held, parameters), names
+
+
+def _best(plain: FitResult, held: Parameter, parameters: tuple[Parameter, ...]) -> FitResult | None:
+    """Return the best fit with other choices of parameters, from several values of the one that was held."""
+    free = any(p.name == held.name and p.free for p in parameters)
+    fits = []
+    for start in STARTS if free else STARTS[:1]:
+        value = held.start + start * held.scale
+        if not held.lower <= value <= held.upper:
+            continue
+        begun = []
+        for p in parameters:
+            known = p.free and p.name in plain.labels
+            begun.append(replace(p, start=plain.value(p.name)) if known else p)
+        if free:
+            begun = [replace(p, start=value) if p.name == held.name else p for p in begun]
+        try:
+            # a search that ends in a valley is no news where another one ends lower
+            with recorded():
+                fits.append(output_error.fit(plain.model, plain.trials, parameters=begun, tested=False))
+        except NoTrustworthyResult:
+            continue
+    best = min(fits, key=lambda fit: fit.cost, default=None)
+    return None if best is None else replace(best, parameters=parameters)
+
+
+def _evidence(plain: FitResult, fit: FitResult) -> float:
+    """Return twice the logarithm of the likelihood ratio of a fit against the stated one."""
+    return plain.samples * math.log(max(plain.cost, 1e-300) / max(fit.cost, 1e-300))
+
+
+def omission_checks(plain: FitResult, omitted: Sequence[Omitted]) -> list[ev.Check]:
+    """Return the check that the trials speak for no held parameter; warn of those they speak for."""
+    name = "no parameter left out"
+    limit = f"p ≥ {SIGNIFICANCE:g}, and no other law explains as much"
+    if not omitted:
+        held = [p.name for p in plain.parameters if not p.free and not p.per_trial]
+        tried = f"each of {', '.join(held)} was tried in a fit of its own" if held else "none is held"
+        return [blocks.check(name, "none", limit, True, text=tried)]
+    warn(
+        "SWM024",
+        "; ".join(_sentence(plain, o) for o in omitted) + f". To see whether it acts, {_commands(omitted)}",
+    )
+    best = omitted[0]
+    contradicted = not best.instead or best.evidence > STRONG
+    other = moved(plain, best.fit)
+    text = f"with it {', '.join(other)} would lie outside the stated interval" if other else ""
+    return [
+        blocks.check(
+            name, best.text, limit, False, otherwise="fail" if other and contradicted else "warn", text=text
+        )
+    ]
+
+
+def _sentence(plain: FitResult, omitted: Omitted) -> str:
+    share = 100.0 * (1.0 - omitted.fit.cost / plain.cost)
+    if not omitted.instead:
+        return (
+            f"{omitted.text} would explain {share:.2g} % of the squared residuals "
+            f"({blocks.p_text(omitted.p_value)}); it is held at {omitted.parameter.start:g}"
+        )
+    if omitted.evidence > STRONG:
+        return f"{omitted.text} would explain {share:.2g} % of the squared residuals with no more unknowns"
+    return f"{omitted.text} would explain the trials as well"
+
+
+def _commands(omitted: Sequence[Omitted]) -> str:
+    return ", or ".join(dict.fromkeys(o.command for o in omitted))
+
+
+def moved(stated: FitResult, other: FitResult) -> list[str]:
+    """Return the shared parameters whose stated 95 % interval lacks the other fit's value."""
+    found = []
+    for label in stated.shared:
+        if stated.status[label] == "unidentifiable":
+            continue
+        error = stated.stderr(label)
+        if error is None or abs(other.value(label) - stated.value(label)) > 1.96 * error:
+            found.append(label)
+    return found
