@@ -99,7 +99,9 @@ def possible(experiment: Experiment, result: FitResult) -> list[ev.Check]:
     force widened would let a wrong force pass with whatever follows from it.
     """
     limits = [_most_added(experiment, result), _most_drag(experiment, result)]
-    checks = [_estimate_possible(result, *limit) for limit in limits if limit is not None]
+    # a value that the trials do not tell is no evidence of anything impossible
+    told = [limit for limit in limits if limit and result.status[limit[0]] != "unidentifiable"]
+    checks = [_estimate_possible(result, *limit) for limit in told]
     return [*checks, *_force_possible(experiment)]
 
 

@@ -299,8 +299,10 @@ def _start(coordinate: str, *, length: float, speed: float, free: bool) -> tuple
     )
 
 
-def falling_weight(*, mass_kg: float, force_N: float, area_known: bool, pulley: bool) -> RigModel:
-    """The falling-weight model (boxfish paper, Eqs 7, 8), for a typical inertia and driving force.
+def falling_weight(
+    *, mass_kg: float, force_N: float, area_known: bool, pulley: bool, speed_m_s: float = 0.3
+) -> RigModel:
+    """The falling-weight model (boxfish paper, Eqs 7, 8), for a typical inertia, driving force and speed.
 
     ``area_known``: the drag coefficient is estimated, else the quadratic coefficient itself; without a
     ``pulley`` its friction is fixed at zero.
@@ -313,20 +315,20 @@ def falling_weight(*, mass_kg: float, force_N: float, area_known: bool, pulley: 
         _parameter(
             "pulley_friction", "N", friction, 0.2 * force_N, "pulley friction f_c", free=pulley, source="Eq 7"
         ),
-        _parameter("linear_drag", "N s/m", 0.0, 0.1, "linear drag", free=False),
+        _parameter("linear_drag", "N s/m", 0.0, 0.1 * force_N / speed_m_s, "linear drag", free=False),
         _signed("friction_deviation", "N", 0.05 * force_N, common, free=False, per_trial=True),
         *_start("x_m", length=0.01, speed=0.05, free=False),
     )
     return RigModel("falling-weight", parameters, "x_m")
 
 
-def towed(*, mass_kg: float, force_N: float, area_known: bool) -> RigModel:
+def towed(*, mass_kg: float, force_N: float, area_known: bool, speed_m_s: float = 0.3) -> RigModel:
     """Return the model of a body under a measured force: added mass and drag; the others on request."""
     half = 0.5 * max(mass_kg, 0.1)
     parameters = (
         _drag(area_known),
         _parameter("added_mass", "kg", half, half, "added mass"),
-        _parameter("linear_drag", "N s/m", 0.0, 1.0, "linear drag", free=False),
+        _parameter("linear_drag", "N s/m", 0.0, 0.1 * force_N / speed_m_s, "linear drag", free=False),
         _parameter("dry_friction", "N", 0.0, 0.2 * force_N, "dry friction", free=False, kinked=True),
         _signed("force_offset", "N", 0.1 * force_N, "force added to the measured one", free=False),
         _signed("force_drift", "N/s", 0.01 * force_N, "rate of the force added to it", free=False),

@@ -124,6 +124,7 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
         force_N=float(np.median([k.pull for k in known])),
         area_known=factors[0] is not None,
         pulley=any(k.pulley for k in known),
+        speed_m_s=_typical([np.ptp(r.position) / np.ptp(r.time_s) for r in records]),
     )
     span = min(float(record.time_s[-1] - record.time_s[0]) for record in records)
     model.parameters = chosen(
@@ -269,10 +270,23 @@ def _towed(path: Path, entries: Towed, robot: Robot) -> Experiment:
         mass_kg=float(np.median([t.rig.inertia for t in trials])),
         force_N=max(float(np.median(forces)), 1e-9),
         area_known=factors[0] is not None,
+        speed_m_s=_typical([_mean_speed(t) for t in trials]),
     )
     if not any("x_m" in t.measured for t in trials):
         model.parameters = chosen(model.parameters, fixed={"start_offset": 0.0})
     return Experiment("towed", robot, model, trials, inputs_of(path, entries, logs))
+
+
+def _mean_speed(trial: Trial) -> float:
+    if "u_m_s" in trial.measured:
+        return float(np.nanmean(np.abs(trial.measured["u_m_s"])))
+    x = trial.measured["x_m"]
+    return float((np.nanmax(x) - np.nanmin(x)) / np.ptp(trial.time_s))
+
+
+def _typical(speeds: Sequence[float]) -> float:
+    """Return the median of speeds, m/s; that of a slow swimmer where nothing moves."""
+    return float(np.median(speeds)) or 0.1
 
 
 # ------------------------------------------------------------ free decay
@@ -379,8 +393,7 @@ def _swings(values: Array, log: Log, name: str) -> _Swings:
     InputError
         When the record has fewer than three.
     """
-    rough = np.abs(np.diff(values, 3))
-    noise = float(np.median(rough)) / (0.6745 * math.sqrt(20.0)) if len(rough) else 0.0
+    noise = encoder.third_difference_sd(values)
     found = None
     # the end of a record has mostly come to rest; where it has not, or was held for long, the middle serves
     for level in (float(np.median(values[len(values) * 3 // 4 :])), 0.5 * float(values.max() + values.min())):
