@@ -2,9 +2,10 @@
 
 ``M (v' - w') = F - dry sgn(v) - linear (v - w) - quadratic (v - w) |v - w| - R(x - rest)``
 
-with the velocity ``w`` of the water and the restoring force ``R(d) = stiffness d + gravity sin(d) + cubic d^3``;
-``gravity`` is m g l of a pendulum. Water that accelerates carries along the body and the water that moves with
-it, as it does a neutrally buoyant body. At rest in still water it is Eqs 7 and 8 of the boxfish paper.
+with the velocity ``w`` of the water and the restoring force
+``R(d) = stiffness d + gravity sin(d) + cubic d^3``;
+``gravity`` is m g l of a pendulum. Water that accelerates carries along the body and the water that moves
+with it, as it does a neutrally buoyant body. At rest in still water it is Eqs 7 and 8 of the boxfish paper.
 """
 
 from __future__ import annotations

@@ -184,7 +184,7 @@ def _best_fit(
 
 
 def _from_starts(first: FitResult, progress: Progress) -> tuple[FitResult, list[ev.Check]]:
-    """Return the best fit from several starts, and the check that more than one leads to it; warn of a better one.
+    """Return the best fit from several starts, and the check that two lead to it; warn of a better one.
 
     Where the residuals are white they leave nothing that a better minimum could explain.
     """
@@ -203,8 +203,8 @@ def _from_starts(first: FitResult, progress: Progress) -> tuple[FitResult, list[
         change = 100 * (1 - best.cost / first.cost)
         warn(
             "SWM073",
-            f"the search from the start values ended in a poorer minimum: another start lowered the mean squared "
-            f"residual by {change:.3g} %, and its answer is reported",
+            "the search from the start values ended in a poorer minimum: another start lowered the mean "
+            f"squared residual by {change:.3g} %, and its answer is reported",
         )
     agree = agreeing(ends)
     value = f"{agree} of {len(ends)} starts end in it"

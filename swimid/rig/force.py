@@ -1,4 +1,4 @@
-"""The measured force of a towed body: does it have the right sign, and is it zero while the body stands still?"""
+"""Checks of the measured force of a towed body: its sign, and its value while the body stands still."""
 
 from __future__ import annotations
 
@@ -53,12 +53,13 @@ def _sign(result: FitResult) -> ev.Check:
         math.sqrt(float(np.mean([_error(r, t, r.values(t.id)) for t in trials if t.role == "fit"])))
         for r, trials in ((result, result.trials), (found, turned))
     )
-    unit = result.model.channels[0].unit
+    unit = next(c.unit for c in result.model.channels if c.name == _channel(result))
     change = f"from {numbers.number(before, 2, unit)} to {numbers.number(after, 2, unit)}"
     warn(
         "SWM110",
-        f"with force_N times -1 in {where} the error of {_channel(result)} falls {change}: force_N must be the force "
-        "on the body, positive along x_m. Turn its sign with factor: -1 in the mapping of the import, or in the log",
+        f"with force_N times -1 in {where} the error of {_channel(result)} falls {change}: force_N must be the "
+        "force on the body, positive along x_m. Turn its sign in the log, or with factor: -1 in the mapping of "
+        "an import",
     )
     return blocks.check(
         name, f"wrong in {where}", limit, False, otherwise="fail", text=f"the error falls {change}"
@@ -97,15 +98,18 @@ def _at_rest(result: FitResult) -> list[ev.Check]:
     size = numbers.measured(*beyond[worst][:2], "N")
     warn(
         "SWM111",
-        f"force_N is {size} in {worst} while the body stands still, and is not zero in {len(beyond)} of {len(loads)} "
-        "trials that begin at rest: a sensor that was not tared (--free force_offset), one that drifts (--free "
-        "force_drift), or dry friction that holds the body (--free dry_friction)",
+        f"force_N is {size} in {worst} while the body stands still, and is not zero in {len(beyond)} of "
+        f"{len(loads)} trials that begin at rest: a sensor that was not tared (--free force_offset), one that "
+        "drifts (--free force_drift), or dry friction that holds the body (--free dry_friction)",
     )
     return [blocks.check(name, f"{size} in {worst}", allowed, False)]
 
 
 def _still(trial: Trial) -> int:
-    """Return the number of samples at the start of a trial in which the body does not move."""
+    """Return the number of samples at the start of a trial in which the body stands still.
+
+    It is half of those before a motion shows, because the force that makes it begins earlier.
+    """
     counts = []
     for values in trial.measured.values():
         there = np.flatnonzero(np.isfinite(values))
@@ -116,7 +120,7 @@ def _still(trial: Trial) -> int:
         first = float(np.median(x[:MIN_SAMPLES]))
         away = np.flatnonzero(np.abs(x - first) > MOVED * noise)
         counts.append(int(there[away[0]]) if len(away) else 0)
-    return min(counts, default=0)
+    return min(counts, default=0) // 2
 
 
 def _load(result: FitResult, trial: Trial, count: int) -> tuple[float, float, float]:

@@ -5,9 +5,9 @@ One equation serves all three::
     (m + m_added + m_pull + m_pulley) x'' = F - dry sgn(x') - linear x'
                                             - quadratic x' |x'| - R(x - x_rest)
 
-with ``R(d) = stiffness d + gravity sin(d) + cubic d^3`` and ``quadratic = rho C_d A / 2`` for a body of known
-frontal area (boxfish paper, Eqs 7, 8). For a rotation, moments of inertia take the place of masses and moments
-that of forces.
+with ``R(d) = stiffness d + gravity sin(d) + cubic d^3`` and ``quadratic = rho C_d A / 2`` for a body of
+known frontal area (boxfish paper, Eqs 7, 8). For a rotation, moments of inertia take the place of masses and
+moments that of forces.
 """
 
 from __future__ import annotations

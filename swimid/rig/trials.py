@@ -437,8 +437,8 @@ def _period(time: Array, crossings: Array) -> float:
 def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
     """Return time and coordinate of a decay from its release on, its period and its first amplitude.
 
-    Swings do not grow in a free decay: all from the first of the largest swings on belong to it. Where the body
-    was held at an excursion, or stood still before somebody deflected it, the decay begins at the end of that.
+    Swings do not grow in a free decay: all from the first of the largest swings on belong to it. Where the
+    body was held at an excursion, or stood still before somebody deflected it, the decay begins after that.
     """
     there = np.isfinite(log[name])
     time, values = log.time_s[there], log[name][there]
