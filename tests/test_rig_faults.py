@@ -1,4 +1,4 @@
-"""Effects and faults that the default model of a rig lacks are named, and nothing of a decay is thrown away."""
+"""Effects and faults that the default model of a rig lacks are named; a decay is kept whole."""
 
 from __future__ import annotations
 

@@ -57,9 +57,9 @@ def _sign(result: FitResult) -> ev.Check:
     change = f"from {numbers.number(before, 2, unit)} to {numbers.number(after, 2, unit)}"
     warn(
         "SWM110",
-        f"with force_N times -1 in {where} the error of {_channel(result)} falls {change}: force_N must be the "
-        "force on the body, positive along x_m. Turn its sign in the log, or with factor: -1 in the mapping of "
-        "an import",
+        f"with force_N times -1 in {where} the error of {_channel(result)} falls {change}: force_N must be "
+        "the force on the body, positive along x_m. Turn its sign in the log, or with factor: -1 in the mapping "
+        "of an import",
     )
     return blocks.check(
         name, f"wrong in {where}", limit, False, otherwise="fail", text=f"the error falls {change}"
@@ -99,8 +99,8 @@ def _at_rest(result: FitResult) -> list[ev.Check]:
     warn(
         "SWM111",
         f"force_N is {size} in {worst} while the body stands still, and is not zero in {len(beyond)} of "
-        f"{len(loads)} trials that begin at rest: a sensor that was not tared (--free force_offset), one that "
-        "drifts (--free force_drift), or dry friction that holds the body (--free dry_friction)",
+        f"{len(loads)} trials that begin at rest: a sensor that was not tared (--free force_offset), one "
+        "that drifts (--free force_drift), or dry friction that holds the body (--free dry_friction)",
     )
     return [blocks.check(name, f"{size} in {worst}", allowed, False)]
 

@@ -1,10 +1,10 @@
 """Lack-of-fit test of a rig: do the trials speak for a parameter that the fit holds?
 
 Every parameter that all trials share and that is held is tried in two ways. First it is freed beside the
-others. The fit is judged by the parameter's standard error, which allows for coloured residuals and for trials
-that disagree. Then it is put in the place of those that act alike (:data:`swimid.rig.model.ALIKE`): dry friction
-in the place of a linear damping, gravity in the place of a spring. This fit has no more unknowns than the stated
-one, so that their likelihoods can be compared. One test thus serves every parameter of a rig.
+others. The fit is judged by the parameter's standard error, which allows for coloured residuals and for
+trials that disagree. Then it is put in the place of those that act alike (:data:`swimid.rig.model.ALIKE`):
+dry friction in the place of a linear damping, gravity in the place of a spring. This fit has no more unknowns
+than the stated one, so that their likelihoods can be compared. One test thus serves every parameter.
 
 References
 ----------
@@ -84,8 +84,8 @@ def omitted_parameters(plain: FitResult) -> list[Omitted]:
     """Return the held parameters for which the trials speak, the best fit first.
 
     A freed one counts where chance would take its estimate this far from the held value with a probability
-    below :data:`SIGNIFICANCE`, all held ones together. One in the place of others counts where the evidence for
-    the stated fit is not :data:`STRONG`, and a stated 95 % interval lacks its answer.
+    below :data:`SIGNIFICANCE`, all held ones together. One in the place of others counts where the evidence
+    for the stated fit is not :data:`STRONG`, and a stated 95 % interval lacks its answer.
     """
     held = [p for p in plain.parameters if not p.free and not p.per_trial]
     found = []
@@ -117,9 +117,9 @@ def freed(plain: FitResult, name: str) -> FitResult | None:
 def _force_error(fit: FitResult, name: str) -> float:
     """Return the standard error of an estimate that the noise of a measured force makes, to first order.
 
-    Noise of a force moves the simulated body on a random walk. The autocorrelation of the residuals shows only
-    a part of that. The size of the noise comes from third differences, which a smooth force hardly has, and its
-    effect on the estimate from :data:`N_DRAWS` simulations.
+    Noise of a force moves the simulated body on a random walk. The autocorrelation of the residuals shows
+    only a part of that. The size of the noise comes from third differences, which a smooth force hardly has,
+    and its effect on the estimate from :data:`N_DRAWS` simulations.
     """
     fitted = [t for t in fit.trials if t.role == "fit"]
     if not any("force_N" in t.inputs for t in fitted):

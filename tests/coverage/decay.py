@@ -1,7 +1,7 @@
 """Coverage of a roll decay: added inertia, damping and natural period, integrated by LSODA.
 
-Noise, amplitude, sampling, damping and rest position are drawn for every recording. Half of the recordings are
-held before the release. A third have dry friction, which is then fitted.
+Noise, amplitude, sampling, damping and rest position are drawn for every recording. Half of the recordings
+are held before the release. A third have dry friction, which is then fitted.
 """
 
 from __future__ import annotations
