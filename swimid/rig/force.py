@@ -58,8 +58,8 @@ def _sign(result: FitResult) -> ev.Check:
     warn(
         "SWM110",
         f"with force_N times -1 in {where} the error of {_channel(result)} falls {change}: force_N must be "
-        "the force on the body, positive along x_m. Turn its sign in the log, or with factor: -1 in the mapping "
-        "of an import",
+        "the force on the body, positive along x_m. Turn its sign in the log, or with factor: -1 in the "
+        "mapping of an import",
     )
     return blocks.check(
         name, f"wrong in {where}", limit, False, otherwise="fail", text=f"the error falls {change}"

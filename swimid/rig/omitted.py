@@ -65,7 +65,7 @@ class Omitted:
 
     @property
     def criterion(self) -> float:
-        """Schwarz's criterion against the stated fit; the lower, the better."""
+        """Schwarz's criterion against the stated fit: minus twice the logarithm of the Bayes factor."""
         return (0.0 if self.instead else math.log(self.fit.samples)) - self.evidence
 
     @property
@@ -98,6 +98,8 @@ def omitted_parameters(plain: FitResult) -> list[Omitted]:
             noise = _force_error(fit, parameter.name) if away > 2.0 * error else 0.0
             z = away / math.hypot(error, noise)
             sides = 1.0 if parameter.start in parameter.bounds else 2.0
+            # the likelihood ratio does not depend on how a parameter is scaled, as the standard error does
+            z = min(z, math.sqrt(max(compute_evidence(plain, fit), 0.0)))
             p_value = min(1.0, len(held) * sides * float(stats.norm.sf(z)))
             if p_value < SIGNIFICANCE and compute_evidence(plain, fit) > 0.0:
                 found.append(Omitted(parameter, fit, (), compute_evidence(plain, fit), p_value))
@@ -212,7 +214,7 @@ def omission_checks(plain: FitResult, omitted: Sequence[Omitted]) -> list[ev.Che
     more = f"; {len(omitted) - MAX_NAMED} more parameters, less well" if len(omitted) > MAX_NAMED else ""
     warn("SWM024", "; ".join(_sentence(plain, o) for o in omitted[:MAX_NAMED]) + more)
     best = omitted[0]
-    contradicted = not best.instead or best.evidence > STRONG
+    contradicted = -best.criterion > STRONG
     other = moved(plain, best.fit)
     text = f"with it {', '.join(other)} would lie outside the stated interval" if other else ""
     return [

@@ -85,7 +85,8 @@ def test_the_tare_of_a_load_cell_is_named(case: Case, swimid: Run, record: str, 
     ran = swimid("fit-drag", f"{record}.yaml")
     assert verdict(ran) == "BAD"
     found = re.search(r"force_offset −(\S+) ±", ran.err)
-    assert found and float(found[1]) == pytest.approx(tare, abs=0.001)
+    assert found
+    assert float(found[1]) == pytest.approx(tare, abs=0.001)
     assert "--free force_offset" in ran.err
     assert "SWM111" in ran.err
 
