@@ -99,7 +99,9 @@ def possible(experiment: Experiment, result: FitResult) -> list[ev.Check]:
     force widened would let a wrong force pass with whatever follows from it.
     """
     limits = [_most_added(experiment, result), _most_drag(experiment, result)]
-    checks = [_estimate_possible(result, *limit) for limit in limits if limit is not None]
+    # a value that the trials do not tell is no evidence of anything impossible
+    told = [limit for limit in limits if limit and result.status[limit[0]] != "unidentifiable"]
+    checks = [_estimate_possible(result, *limit) for limit in told]
     return [*checks, *_force_possible(experiment)]
 
 
@@ -221,14 +223,13 @@ def _most_water(experiment: Experiment, trial: Trial) -> float:
 
 def _terminal_speed(c: Mapping[str, float], force: float) -> float:
     push = force - c["dry"]
-    if push <= 0 or c["quadratic"] <= 0:
-        return math.nan
-    root = math.sqrt(c["linear"] ** 2 + 4 * c["quadratic"] * push)
-    return (root - c["linear"]) / (2 * c["quadratic"])
+    brake = c["linear"] + math.sqrt(c["linear"] ** 2 + 4 * max(c["quadratic"], 0.0) * max(push, 0.0))
+    return 2 * push / brake if push > 0 and brake > 0 else math.nan
 
 
 def _rate(c: Mapping[str, float]) -> float:
-    return math.sqrt(max(c["stiffness"], 0.0) / c["inertia"])
+    """Return the natural frequency of small swings, rad/s."""
+    return math.sqrt(max(c["stiffness"] + c["gravity"], 0.0) / c["inertia"])
 
 
 def _period(c: Mapping[str, float]) -> float:

@@ -83,6 +83,17 @@ def understand(time_s: Array, position: Array, resolution: float | None = None) 
     return plain
 
 
+def third_difference_sd(values: Array) -> float:
+    """Return the standard deviation of white noise on a smooth signal, from its third differences.
+
+    >>> round(third_difference_sd(np.random.default_rng(0).normal(0.0, 2.0, 4000)), 1)
+    2.0
+    """
+    rough = np.abs(np.diff(values, 3))
+    # normal noise: 0.6745 standard deviations to the median, and 1 + 9 + 9 + 1 variances in a difference
+    return float(np.median(rough)) / (0.6745 * float(np.sqrt(20.0))) if len(rough) else 0.0
+
+
 def true_position(record: Displacement, rounding: str) -> Array:
     """Positions behind the counts, shape (n,), if the count is rounded that way."""
     if record.kind != "sampled" or record.resolution is None:

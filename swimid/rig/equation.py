@@ -1,8 +1,11 @@
 """The equation of one degree of freedom, integrated: compiled kernels of the rig.
 
-``M (v' - w') = F - dry sgn(v) - linear (v - w) - quadratic (v - w) |v - w| - stiffness (x - rest)``, with the
-velocity ``w`` of the water. Water that accelerates carries along the body and the water that moves with it,
-as it does a neutrally buoyant body. At rest in still water it is Eqs 7 and 8 of the boxfish paper.
+``M (v' - w') = F - dry sgn(v) - linear (v - w) - quadratic (v - w) |v - w| - R(x - rest)``
+
+with the velocity ``w`` of the water and the restoring force
+``R(d) = stiffness d + gravity sin(d) + cubic d^3``;
+``gravity`` is m g l of a pendulum. Water that accelerates carries along the body and the water that moves
+with it, as it does a neutrally buoyant body. At rest in still water it is Eqs 7 and 8 of the boxfish paper.
 """
 
 from __future__ import annotations
@@ -41,14 +44,27 @@ def breakaway(push, slope, dry, left):  # type: ignore[no-untyped-def]
     return (after, side) if after < left else (left, 0.0)
 
 
+@numba.njit(cache=True, nogil=True)
+def restoring(x, c):  # type: ignore[no-untyped-def]
+    """Return the restoring force at a displacement, for the coefficients of the equation of motion."""
+    _, _, _, _, stiffness, rest, gravity, cubic = c
+    away = x - rest
+    pull = stiffness * away
+    if gravity != 0.0:
+        pull += gravity * math.sin(away)
+    if cubic != 0.0:
+        pull += cubic * away * away * away
+    return pull
+
+
 # In still water without further forces ``extra`` is None: numba then compiles these functions without them.
 
 
 @numba.njit(cache=True, nogil=True)
 def _acceleration(t, x, v, side, force, w, dw, c, extra):  # type: ignore[no-untyped-def]
-    inertia, quadratic, linear, dry, stiffness, rest = c
+    inertia, quadratic, linear, dry, _, _, _, _ = c
     if extra is None:
-        push = force - linear * v - quadratic * v * abs(v) - stiffness * (x - rest)
+        push = force - linear * v - quadratic * v * abs(v) - restoring(x, c)
         return (push - dry * side) / inertia
     through = v - w
     scratch, acting, (c1, f1), (c2, f2), (c3, f3), (c4, f4) = extra
@@ -62,7 +78,7 @@ def _acceleration(t, x, v, side, force, w, dw, c, extra):  # type: ignore[no-unt
         f3(t, pose, velocity, c3, wrench)
     if acting > 3:
         f4(t, pose, velocity, c4, wrench)
-    push = force + wrench[0] - linear * through - quadratic * through * abs(through) - stiffness * (x - rest)
+    push = force + wrench[0] - linear * through - quadratic * through * abs(through) - restoring(x, c)
     return (push - dry * side) / inertia + dw
 
 
@@ -83,7 +99,7 @@ def _rk4(t, x, v, side, h, f0, f1, w0, dw, c, extra):  # type: ignore[no-untyped
 @numba.njit(cache=True, nogil=True)
 def _with_friction(t, x, v, h, f0, f1, w0, dw, c, extra):  # type: ignore[no-untyped-def]
     """One step under dry friction, cut where the body stops and where it moves again."""
-    inertia, _, _, dry, stiffness, rest = c
+    inertia, dry = c[0], c[3]
     slope = (f1 - f0) / h
     done = 0.0
     for _ in range(MOST_EVENTS):
@@ -91,7 +107,7 @@ def _with_friction(t, x, v, h, f0, f1, w0, dw, c, extra):  # type: ignore[no-unt
         if v == 0.0:
             left = h - done
             if extra is None:
-                after, side = breakaway(f - stiffness * (x - rest), slope, dry, left)
+                after, side = breakaway(f - restoring(x, c), slope, dry, left)
             else:
                 # forces of other kinds are taken as linear in what is left of the step
                 push = inertia * _acceleration(t + done, x, v, 0.0, f, w, dw, c, extra)
@@ -158,9 +174,22 @@ def _run(time, start, max_step, force, c, x0, v0, water, extra):  # type: ignore
 
 @numba.njit(cache=True, nogil=True)
 def integrate(  # type: ignore[no-untyped-def]
-    time, start, max_step, force, inertia, quadratic, linear, dry, stiffness, rest, x0, v0
+    time,
+    start,
+    max_step,
+    force,
+    inertia,
+    quadratic,
+    linear,
+    dry,
+    stiffness,
+    rest,
+    x0,
+    v0,
+    gravity=0.0,
+    cubic=0.0,
 ):
-    """Positions and speeds at given times, by fixed-step fourth-order Runge-Kutta.
+    """Return positions and speeds at given times, by fixed-step fourth-order Runge-Kutta.
 
     Parameters
     ----------
@@ -173,8 +202,10 @@ def integrate(  # type: ignore[no-untyped-def]
         the steps do not depend on the parameters and finite differences stay smooth.
     force : ndarray, shape (n,) or (1,)
         Applied force at the samples (linear in between), or one constant value.
-    inertia, quadratic, linear, dry, stiffness, rest, x0, v0 : float
-        Coefficients of the equation of motion; initial position and speed.
+    inertia, quadratic, linear, dry, stiffness, rest, gravity, cubic : float
+        Coefficients of the equation of motion.
+    x0, v0 : float
+        Initial position and speed.
 
     Returns
     -------
@@ -187,7 +218,7 @@ def integrate(  # type: ignore[no-untyped-def]
     it moves again. Both instants move with the parameters: kept to the grid of steps, the
     motion would be a staircase of the friction, and its derivative wrong.
     """
-    c = (inertia, quadratic, linear, dry, stiffness, rest)
+    c = (inertia, quadratic, linear, dry, stiffness, rest, gravity, cubic)
     return _run(time, start, max_step, force, c, x0, v0, None, None)
 
 
@@ -202,7 +233,8 @@ def integrate_forced(  # type: ignore[no-untyped-def]
     water : ndarray, shape (steps + 1,), m/s
         Velocity of the water at :func:`step_ends`, linear in between.
     c : tuple of float
-        Inertia, quadratic drag, linear drag, dry friction, stiffness and rest position.
+        Inertia, quadratic drag, linear drag, dry friction, stiffness, rest position, gravity stiffness and
+        cubic stiffness.
     acting : int
         How many of the forces act.
     f1, c1, f2, c2, f3, c3, f4, c4

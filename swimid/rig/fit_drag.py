@@ -11,10 +11,12 @@ from swimid.errors import NoTrustworthyResult
 from swimid.files import provenance
 from swimid.fitting import fit_common, output_error, start_states
 from swimid.fitting.experiment import Experiment
+from swimid.fitting.fit_result import FitResult
 from swimid.fitting.model import Parameter, chosen
+from swimid.fitting.multistart import agreeing, multistart
 from swimid.fitting.profile import profile_interval
 from swimid.logs.trials import TrialSet
-from swimid.notices import recorded
+from swimid.notices import recorded, warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers
@@ -24,8 +26,13 @@ from swimid.results.parameters import Estimate, Fit, ParameterFile
 from swimid.rig import derived as fit_drag_derived
 from swimid.rig import theory, two_point
 from swimid.rig import trials as rig_experiment
+from swimid.rig.force import force_checks
+from swimid.rig.omitted import compute_evidence, omission_checks, omitted_parameters
 from swimid.rig.options import FitDragOptions
 from swimid.rig.trial_effects import FRICTION, STARTS, Explained, explained, misfit, odd_check, odd_one
+
+#: Number of searches, the first from the parameters' own start values.
+SEARCHES = 4
 
 
 @takes(FitDragOptions)
@@ -158,17 +165,52 @@ def _best_fit(
         for name, trials in readings.items()
     }
     name = min(fits, key=lambda key: misfit(fits[key]))
-    plain = fits[name]
+    plain, starts = _from_starts(fits[name], progress)
     best, odd = Explained(plain), odd_one(plain)
     masses = experiment.facts.get("pulling_mass_kg", {})
+    told = False
     if experiment.name == "falling-weight":
         free_start = any(p.free for p in choices if p.name in STARTS)
         if friction or (start_state == "auto" and not free_start):
             best = explained(plain, choices, masses, odd, insist=friction)
+            told = True
+    if not told:
+        best = replace(best, checks=omission_checks(plain, omitted_parameters(plain)))
+    forces = force_checks(best.result) if experiment.name == "towed" else []
     result = start_states.with_held_out(best.result)
-    checks = [*best.checks, *([odd_check(result, odd, masses)] if odd else [])]
+    checks = [*starts, *best.checks, *forces, *([odd_check(result, odd, masses)] if odd else [])]
     facts = {**({"encoder_rounding": name} if name else {}), **best.facts}
     return replace(best, result=result, facts=facts, checks=checks)
+
+
+def _from_starts(first: FitResult, progress: Progress) -> tuple[FitResult, list[ev.Check]]:
+    """Return the best fit from several starts, and the check that two lead to it; warn of a better one.
+
+    Where the residuals are white they leave nothing that a better minimum could explain.
+    """
+    if first.interrupted or not any(len(noise.autoregression) for noise in first.noise.values()):
+        return first, []
+    best, ends = multistart(
+        first.model,
+        first.trials,
+        first.parameters,
+        starts=SEARCHES,
+        begins=[first.estimate],
+        progress=progress,
+    )
+    gain = compute_evidence(first, best)
+    if gain > output_error.ANOTHER:
+        change = 100 * (1 - best.cost / first.cost)
+        warn(
+            "SWM073",
+            "the search from the start values ended in a poorer minimum: another start lowered the mean "
+            f"squared residual by {change:.3g} %, and its answer is reported",
+        )
+    agree = agreeing(ends)
+    value = f"{agree} of {len(ends)} starts end in it"
+    return best, [
+        blocks.check("one minimum", value, "two at least", agree > 1, text="the lowest is reported")
+    ]
 
 
 def _profiles(

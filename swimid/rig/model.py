@@ -3,10 +3,11 @@
 One equation serves all three::
 
     (m + m_added + m_pull + m_pulley) x'' = F - dry sgn(x') - linear x'
-                                            - quadratic x' |x'| - stiffness (x - x_rest)
+                                            - quadratic x' |x'| - R(x - x_rest)
 
-with ``quadratic = rho C_d A / 2`` for a body of known frontal area (boxfish paper, Eqs 7, 8).
-For a rotation, moments of inertia take the place of masses and moments that of forces.
+with ``R(d) = stiffness d + gravity sin(d) + cubic d^3`` and ``quadratic = rho C_d A / 2`` for a body of
+known frontal area (boxfish paper, Eqs 7, 8). For a rotation, moments of inertia take the place of masses and
+moments that of forces.
 """
 
 from __future__ import annotations
@@ -32,12 +33,22 @@ COORDINATES: dict[str, tuple[str, str, bool]] = {
     "pitch_rad": ("rad", "rad/s", True),
     "yaw_rad": ("rad", "rad/s", True),
 }
+#: Coordinates in which gravity restores.
+TILTS = ("roll_rad", "pitch_rad")
+#: Parameters that act alike: of each group one may stand in the place of the others.
+ALIKE = (
+    (
+        *("drag_coefficient", "quadratic_drag", "quadratic_damping"),
+        *("linear_drag", "linear_damping", "dry_friction"),
+    ),
+    ("stiffness", "gravity_stiffness"),
+)
 #: Largest integration step, s, before the accuracy check refines it.
 DEFAULT_STEP = 0.01
 #: A trial so long that it would take more such steps starts with longer ones.
 MOST_STEPS = 5_000
 #: Coefficients of the equation of motion, in the order :func:`integrate` takes them.
-EQUATION = ("inertia", "quadratic", "linear", "dry", "stiffness", "rest")
+EQUATION = ("inertia", "quadratic", "linear", "dry", "stiffness", "rest", "gravity", "cubic")
 
 
 class RigScales(Scales):
@@ -54,8 +65,13 @@ class RigScales(Scales):
         """Typical speed; of a decay, the extent of the motion times its natural frequency."""
         if not self.model.rig.swings:
             return super().speed
-        rate = math.sqrt(max(self.model.start("stiffness"), 1e-12) / self.inertia)
+        rate = math.sqrt(max(self.stiffness, 1e-12) / self.inertia)
         return self.span * rate or 0.1
+
+    @property
+    def stiffness(self) -> float:
+        """The stiffness of small swings, N/m or N m/rad."""
+        return self.model.start("stiffness") + self.model.start("gravity_stiffness")
 
     @property
     def inertia(self) -> float:
@@ -67,7 +83,7 @@ class RigScales(Scales):
     def force(self) -> float:
         """The pull, or the restoring force over the extent of the motion, N or N m."""
         if self.model.rig.swings:
-            return max(self.model.start("stiffness"), 1e-12) * self.span
+            return max(self.stiffness, 1e-12) * self.span
         known = [float(np.sqrt(np.mean(np.square(t.inputs.get("force_N", t.rig.pull))))) for t in self.trials]
         return float(np.median(known)) or 0.1 if known else 0.1
 
@@ -149,6 +165,8 @@ class RigModel(Model):
             "dry": friction + self._value(values, "dry_friction"),
             "stiffness": self._value(values, "stiffness"),
             "rest": self._value(values, "rest_position"),
+            "gravity": self._value(values, "gravity_stiffness"),
+            "cubic": self._value(values, "cubic_stiffness"),
         }
 
     def _whole(self, values: Array, trial: Trial) -> dict[str, float]:
@@ -156,6 +174,7 @@ class RigModel(Model):
         return {
             **self.coefficients(values, trial.rig),
             "force": self._value(values, "force_offset") + trial.rig.pull,
+            "drift": self._value(values, "force_drift"),
             "x0": trial.rig.x0 + self._value(values, "start_offset"),
             "v0": self._value(values, "initial_speed"),
         }
@@ -180,17 +199,21 @@ class RigModel(Model):
             return self._broken(trial)
         measured, known = trial.inputs.get("force_N"), c["force"]
         forced = bool(hooks.force or hooks.flow)
-        constant = c["linear"] == c["stiffness"] == c["v0"] == 0 and known >= 0 and c["quadratic"] >= 0
+        unbent = c["linear"] == c["stiffness"] == c["gravity"] == c["cubic"] == c["v0"] == 0
+        constant = unbent and known >= 0 and c["quadratic"] >= 0
         if measured is None and constant and not forced:
             x, v = falling_weight_closed_form(
                 trial.time_s, release, c["inertia"], c["quadratic"], known - c["dry"]
             )
             return {self.coordinate: x + c["x0"], self.speed: v}
-        force = np.array([known]) if measured is None else measured + known
+        force = np.array([known])
+        if measured is not None:
+            force = measured + known + c["drift"] * (trial.time_s - trial.rig.begin_s)
         equation = tuple(c[name] for name in EQUATION)
         step = self._step(trial.time_s)
         if not forced:
-            x, v = integrate(trial.time_s, release, step, force, *equation, c["x0"], c["v0"])
+            place = (c["x0"], c["v0"])
+            x, v = integrate(trial.time_s, release, step, force, *equation[:6], *place, *equation[6:])
             return {self.coordinate: x, self.speed: v}
         ends = step_ends(trial.time_s, release, step)
         water = np.zeros(len(ends))
@@ -276,8 +299,10 @@ def _start(coordinate: str, *, length: float, speed: float, free: bool) -> tuple
     )
 
 
-def falling_weight(*, mass_kg: float, force_N: float, area_known: bool, pulley: bool) -> RigModel:
-    """The falling-weight model (boxfish paper, Eqs 7, 8), for a typical inertia and driving force.
+def falling_weight(
+    *, mass_kg: float, force_N: float, area_known: bool, pulley: bool, speed_m_s: float = 0.3
+) -> RigModel:
+    """The falling-weight model (boxfish paper, Eqs 7, 8), for a typical inertia, driving force and speed.
 
     ``area_known``: the drag coefficient is estimated, else the quadratic coefficient itself; without a
     ``pulley`` its friction is fixed at zero.
@@ -290,31 +315,38 @@ def falling_weight(*, mass_kg: float, force_N: float, area_known: bool, pulley: 
         _parameter(
             "pulley_friction", "N", friction, 0.2 * force_N, "pulley friction f_c", free=pulley, source="Eq 7"
         ),
-        _parameter("linear_drag", "N s/m", 0.0, 0.1, "linear drag", free=False),
+        _parameter("linear_drag", "N s/m", 0.0, 0.1 * force_N / speed_m_s, "linear drag", free=False),
         _signed("friction_deviation", "N", 0.05 * force_N, common, free=False, per_trial=True),
         *_start("x_m", length=0.01, speed=0.05, free=False),
     )
     return RigModel("falling-weight", parameters, "x_m")
 
 
-def towed(*, mass_kg: float, force_N: float, area_known: bool) -> RigModel:
-    """A body under a measured force: added mass and drag; friction and offset on request."""
+def towed(*, mass_kg: float, force_N: float, area_known: bool, speed_m_s: float = 0.3) -> RigModel:
+    """Return the model of a body under a measured force: added mass and drag; the others on request."""
     half = 0.5 * max(mass_kg, 0.1)
     parameters = (
         _drag(area_known),
         _parameter("added_mass", "kg", half, half, "added mass"),
-        _parameter("linear_drag", "N s/m", 0.0, 1.0, "linear drag", free=False),
+        _parameter("linear_drag", "N s/m", 0.0, 0.1 * force_N / speed_m_s, "linear drag", free=False),
         _parameter("dry_friction", "N", 0.0, 0.2 * force_N, "dry friction", free=False, kinked=True),
-        _signed("force_offset", "N", 0.1 * force_N, "force sensor offset", free=False),
+        _signed("force_offset", "N", 0.1 * force_N, "force added to the measured one", free=False),
+        _signed("force_drift", "N/s", 0.01 * force_N, "rate of the force added to it", free=False),
         *_start("x_m", length=0.01, speed=0.05, free=True),
     )
     return RigModel("towed", parameters, "x_m")
 
 
 def free_decay(
-    coordinate: str, *, inertia: float, stiffness: float | None, guess: float, amplitude: float
+    coordinate: str,
+    *,
+    inertia: float,
+    stiffness: float | None,
+    guess: float,
+    amplitude: float,
+    gravity: float = 0.0,
 ) -> RigModel:
-    """Free decay of one of :data:`COORDINATES`.
+    """Return the model of a free decay of one of :data:`COORDINATES`.
 
     Parameters
     ----------
@@ -328,6 +360,8 @@ def free_decay(
         Stiffness suggested by the period.
     amplitude : float
         Of the first swing, for scales.
+    gravity : float
+        Known gravity stiffness m g l, in roll and pitch.
     """
     unit, _, rotation = COORDINATES[coordinate]
     force, mass = ("N m", "kg m^2") if rotation else ("N", "kg")
@@ -335,18 +369,24 @@ def free_decay(
     rate = math.sqrt(guess / inertia)
     damping, speed = 0.01 * inertia * rate, amplitude * rate
     quadratic, known = damping / speed, stiffness is not None
+    restoring = f"{force}/{unit}"
+    cubic = guess / (6.0 * amplitude**2)
+    meaning = "m g l of a restoring moment m g l sin(angle)"
+    pendulum = replace(_signed("gravity_stiffness", restoring, guess, meaning, free=False), start=gravity)
     parameters = (
         _parameter(f"added_{kind}", mass, 0.0, 0.3 * inertia, f"added {kind}", free=known),
         _parameter(f"quadratic_{loss}", f"{force} s^2/{unit}^2", quadratic, quadratic, "quadratic damping"),
         _parameter(f"linear_{loss}", f"{force} s/{unit}", damping, damping, "linear damping"),
         _parameter(
             "stiffness",
-            f"{force}/{unit}",
-            guess if stiffness is None else stiffness,
+            restoring,
+            guess - gravity if stiffness is None else stiffness,
             guess,
-            "restoring stiffness",
+            "stiffness of a linear spring",
             free=not known,
         ),
+        _signed("cubic_stiffness", f"{restoring}^3", cubic, "cubic restoring stiffness", free=False),
+        *([pendulum] if coordinate in TILTS else []),
         _parameter(
             "dry_friction", force, 0.0, 0.01 * guess * amplitude, "dry friction", free=False, kinked=True
         ),

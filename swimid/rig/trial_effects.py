@@ -12,9 +12,9 @@ import numpy as np
 from scipy import optimize, stats
 
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting import output_error, random_effect
+from swimid.fitting import random_effect
 from swimid.fitting.fit_result import FitResult
-from swimid.fitting.model import Parameter, chosen
+from swimid.fitting.model import Parameter
 from swimid.fitting.odd_trial import ODD, TIMES, Odd, odd_trial
 from swimid.fitting.residual_tests import fit_autoregression
 from swimid.fitting.sandwich import HETEROGENEITY
@@ -22,6 +22,7 @@ from swimid.notices import warn
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results.parameters import Estimate
+from swimid.rig.omitted import freed, moved, omission_checks, omitted_parameters
 
 #: Another explanation than rest at the first sample is taken when it improves the fit beyond chance ...
 SIGNIFICANCE = 1e-6
@@ -34,8 +35,6 @@ STARTS = {
 }
 #: The number that differs by chance, and the shared one it deviates from.
 FRICTION, COMMON = "friction_deviation", "pulley_friction"
-#: A drag that no parameter fitted by default stands for.
-DRAG = "linear_drag"
 #: A friction follows a setting when chance would let it do so less often than this.
 TREND = 1e-2
 
@@ -81,27 +80,24 @@ def explained(
         When a friction was insisted on that these trials do not tell.
     """
     if insist:
-        return _by_chance(plain, choices, pulling_kg, odd, *_friction(plain, odd))
+        return _by_chance(plain, pulling_kg, odd, *_friction(plain, odd))
     fits: dict[str, FitResult] = {}
-    for name in (*STARTS, DRAG):
-        rival = _freed(plain, choices, name)
+    for name in STARTS:
+        rival = freed(plain, name)
         if rival is not None and _significant(plain, rival):
             fits[name] = rival
     with suppress(NoTrustworthyResult):
         chance, spread = _friction(plain, odd)
         if spread.p_value < HETEROGENEITY:
             fits[FRICTION] = chance
-    rest = {"start_state": "rest"}
-    if not fits:
-        return Explained(plain, rest)
-    least = min(misfit(rival) for rival in fits.values())
-    drag = fits.pop(DRAG, None)
-    if drag is not None and (not fits or misfit(drag) < 1.1 * least):
+    omitted = omitted_parameters(plain)
+    least = min((misfit(rival) for rival in fits.values()), default=math.inf)
+    if not fits or (omitted and misfit(omitted[0].fit) < 1.1 * least):
         # one number for all trials explains as much as one for each
-        return Explained(plain, rest, checks=[_lacks_drag(plain, drag)])
+        return Explained(plain, {"start_state": "rest"}, checks=omission_checks(plain, omitted))
     reason = min(fits, key=lambda name: misfit(fits[name]))
     if reason == FRICTION:
-        return _by_chance(plain, choices, pulling_kg, odd, chance, spread)
+        return _by_chance(plain, pulling_kg, odd, chance, spread)
     best = fits[reason]
     unit = next(p.unit for p in choices if p.name == reason)
     warn(
@@ -110,9 +106,7 @@ def explained(
         "Use --start-state rest to insist on rest at the first sample",
     )
     # starts of their own take up a part of what all trials lack
-    drag = _freed(best, best.parameters, DRAG)
-    lacking = [_lacks_drag(best, drag)] if drag is not None and _significant(best, drag) else []
-    return Explained(best, {"start_state": reason}, checks=lacking)
+    return Explained(best, {"start_state": reason}, checks=omission_checks(best, omitted_parameters(best)))
 
 
 def odd_one(plain: FitResult) -> Odd | None:
@@ -142,7 +136,15 @@ def odd_check(result: FitResult, odd: Odd, pulling_kg: Mapping[str, float | None
     )
     value = f"{odd.trial}: {times} times the others' error"
     limit = f"below {TIMES:g} times, or p ≥ {ODD:g}"
-    return _answer_moved("no trial contradicts the others", value, limit, result, odd.others, "without")
+    other = moved(result, odd.others)
+    return blocks.check(
+        "no trial contradicts the others",
+        value,
+        limit,
+        False,
+        otherwise="fail" if other else "warn",
+        text=f"without it {', '.join(other)} would lie outside the stated interval" if other else "",
+    )
 
 
 # ------------------------------------------------------------ friction by chance
@@ -165,7 +167,6 @@ def _friction(plain: FitResult, odd: Odd | None) -> tuple[FitResult, random_effe
 
 def _by_chance(
     plain: FitResult,
-    choices: tuple[Parameter, ...],
     pulling_kg: Mapping[str, float | None],
     odd: Odd | None,
     chance: FitResult,
@@ -174,14 +175,7 @@ def _by_chance(
     facts: dict[str, Any] = {"start_state": "rest"}
     if spread.sd == 0.0:
         return Explained(plain, facts)
-    checks = []
-    drag = _freed(plain, choices, DRAG)
-    if drag is not None:
-        with suppress(NoTrustworthyResult):
-            drag, _ = _friction(drag, None)
-        error = drag.stderr(DRAG)
-        if error and drag.value(DRAG) > float(stats.norm.isf(SIGNIFICANCE / 2)) * error:
-            checks.append(_lacks_drag(chance, drag))
+    checks = omission_checks(chance, omitted_parameters(chance))
     # an odd trial has a reason of its own: it neither makes a trend nor hides one
     own = random_effect.own_numbers(chance if odd is None else odd.others, FRICTION, COMMON)
     masses = np.array([pulling_kg.get(name) or math.nan for name in own.trials])
@@ -221,45 +215,7 @@ def _by_chance(
     )
 
 
-# ------------------------------------------------------------ what is common
-
-
-def _freed(plain: FitResult, choices: tuple[Parameter, ...], name: str) -> FitResult | None:
-    """The fit with one more parameter free; None where there is none to free, or it cannot be estimated."""
-    if not any(p.name == name and not p.free for p in choices):
-        return None
-    try:
-        return output_error.fit(
-            plain.model, plain.trials, parameters=chosen(choices, freed=(name,)), tested=False
-        )
-    except NoTrustworthyResult:
-        return None
-
-
-def _lacks_drag(without: FitResult, drag: FitResult) -> ev.Check:
-    """That a drag is missing, and what it does to the others; warns of it."""
-    size = numbers.measured(drag.value(DRAG), drag.stderr(DRAG), "N s/m")
-    warn(
-        "SWM024",
-        "a linear drag beside the quadratic one would explain most of what the fit leaves over "
-        f"({size}): try --free {DRAG}",
-    )
-    return _answer_moved("no drag left out", f"{DRAG} {size}", "0 within chance", without, drag, "with")
-
-
-def _answer_moved(
-    name: str, value: str, limit: str, stated: FitResult, other: FitResult, how: str
-) -> ev.Check:
-    """A check that is not passed; it fails where a 95 % interval does not hold the other fit's value."""
-    moved = []
-    for label in stated.labels:
-        error = stated.stderr(label)
-        if "[" in label or label not in other.labels:
-            continue
-        if error is None or abs(other.value(label) - stated.value(label)) > 1.96 * error:
-            moved.append(label)
-    text = f"{how} it {', '.join(moved)} would lie outside the stated interval" if moved else ""
-    return blocks.check(name, value, limit, False, otherwise="fail" if moved else "warn", text=text)
+# ------------------------------------------------------------ the start of a trial
 
 
 def _significant(plain: FitResult, rival: FitResult) -> bool:

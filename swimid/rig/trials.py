@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,13 @@ from swimid.rig import encoder
 from swimid.rig import model as rig
 from swimid.robots.file import Robot
 
+#: A sample is near an excursion when it lies within 5 % of it; a swing is as large as the largest within 5 %.
+NEAR = 0.95
+#: Share of a period after which a body near one place is held there. A free swing is within 5 % of its
+#: extreme for ``2 arccos(0.95) / (2 pi)`` of a period.
+STILL = 0.1
+#: Rounds in which the level of the crossings is found.
+LEVEL_ROUNDS = 3
 _INERTIA = "trials.inertial_mass_kg"
 _DRAG = ("trials.frontal_area_m2", "trials.fluid_density_kg_m3")
 #: The keys of a trials file that are used, by experiment.
@@ -116,6 +124,7 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
         force_N=float(np.median([k.pull for k in known])),
         area_known=factors[0] is not None,
         pulley=any(k.pulley for k in known),
+        speed_m_s=_typical([np.ptp(r.position) / np.ptp(r.time_s) for r in records]),
     )
     span = min(float(record.time_s[-1] - record.time_s[0]) for record in records)
     model.parameters = chosen(
@@ -261,10 +270,23 @@ def _towed(path: Path, entries: Towed, robot: Robot) -> Experiment:
         mass_kg=float(np.median([t.rig.inertia for t in trials])),
         force_N=max(float(np.median(forces)), 1e-9),
         area_known=factors[0] is not None,
+        speed_m_s=_typical([_mean_speed(t) for t in trials]),
     )
     if not any("x_m" in t.measured for t in trials):
         model.parameters = chosen(model.parameters, fixed={"start_offset": 0.0})
     return Experiment("towed", robot, model, trials, inputs_of(path, entries, logs))
+
+
+def _mean_speed(trial: Trial) -> float:
+    if "u_m_s" in trial.measured:
+        return float(np.nanmean(np.abs(trial.measured["u_m_s"])))
+    x = trial.measured["x_m"]
+    return float((np.nanmax(x) - np.nanmin(x)) / np.ptp(trial.time_s))
+
+
+def _typical(speeds: Sequence[float]) -> float:
+    """Return the median of speeds, m/s; that of a slow swimmer where nothing moves."""
+    return float(np.median(speeds)) or 0.1
 
 
 # ------------------------------------------------------------ free decay
@@ -279,8 +301,7 @@ def _free_decay(path: Path, entries: FreeDecay, robot: Robot, coordinate: str | 
     for entry, log in zip(entries.trials, logs, strict=True):
         if name not in log:
             raise InputError("this column is missing", file=log.path, column=name)
-        time, values = _from_first_peak(log, name)
-        period, amplitude = _swing(time, values, log, name)
+        time, values, period, amplitude = _decay(log, name)
         periods.append(period)
         amplitudes.append(amplitude)
         inertia = _inertia(entry, robot, axis, rotation, path)
@@ -288,6 +309,9 @@ def _free_decay(path: Path, entries: FreeDecay, robot: Robot, coordinate: str | 
         trials.append(Trial(entry.id, entry.role, time, {name: values}, rig=known))
     inertia = trials[0].rig.inertia
     stiffness = getattr(robot.rig, f"{axis}_stiffness_N_m_rad" if rotation else "stiffness_N_m", None)
+    gravity = getattr(robot.rig, f"{axis}_gravity_stiffness_N_m_rad", None)
+    if gravity is not None and stiffness is None:
+        stiffness = 0.0
     guess = inertia * (2 * math.pi / float(np.median(periods))) ** 2
     if stiffness is None:
         warn(
@@ -296,7 +320,12 @@ def _free_decay(path: Path, entries: FreeDecay, robot: Robot, coordinate: str | 
             "inertia is held at zero and the stiffness estimated",
         )
     model = rig.free_decay(
-        name, inertia=inertia, stiffness=stiffness, guess=guess, amplitude=float(np.median(amplitudes))
+        name,
+        inertia=inertia,
+        stiffness=stiffness,
+        guess=guess,
+        amplitude=float(np.median(amplitudes)),
+        gravity=gravity or 0.0,
     )
     facts = {"period_s": {t.id: p for t, p in zip(trials, periods, strict=True)}}
     inputs = inputs_of(path, entries, [log.source for log in logs])
@@ -344,46 +373,109 @@ def _inertia(entry: RigTrial, robot: Robot, axis: str, rotation: bool, path: Pat
     return float(inertia)
 
 
-def _from_first_peak(log: Log, name: str) -> tuple[Array, Array]:
-    """The decay from its largest excursion on: what comes before is the hold and the release."""
-    time, values = log.time_s, log[name]
-    tail = values[len(values) * 3 // 4 :]
-    rest = float(np.nanmedian(tail))
-    peak = int(np.nanargmax(np.abs(values - rest)))
-    if peak > 0.5 * len(values):
+@dataclass(frozen=True)
+class _Swings:
+    """Half swings of a decay: parts of the record on either side of a level that both sides pass clearly."""
+
+    #: Index of the first sample of each half swing but the first.
+    crossings: Array
+    #: Most distant value of each half swing, shape (n,); the record begins in the first.
+    extremes: Array
+    #: Standard deviation of the noise from third differences, which a smooth swing hardly has.
+    noise: float
+
+
+def _swings(values: Array, log: Log, name: str) -> _Swings:
+    """Return the half swings of a record without missing samples.
+
+    Raises
+    ------
+    InputError
+        When the record has fewer than three.
+    """
+    noise = encoder.third_difference_sd(values)
+    found = None
+    # the end of a record has mostly come to rest; where it has not, or was held for long, the middle serves
+    for level in (float(np.median(values[len(values) * 3 // 4 :])), 0.5 * float(values.max() + values.min())):
+        for _ in range(LEVEL_ROUNDS):
+            crossings, extremes = _half_swings(values, level, noise)
+            if len(extremes) < 3:
+                break
+            found = _Swings(crossings, extremes, noise)
+            # the mean over two swings misses the rest position by the square of the decrement only
+            level = float(extremes[-3:] @ (0.25, 0.5, 0.25))
+        if found is not None:
+            return found
+    raise InputError(
+        "does not swing: it crosses its rest position fewer than two times", file=log.path, column=name
+    )
+
+
+def _half_swings(values: Array, level: float, noise: float) -> tuple[Array, Array]:
+    """Return where the values have changed to the other side of a level, and the extreme of each part."""
+    away = values - level
+    amplitude = float(np.max(np.abs(away)))
+    # both sides are passed clearly, so that noise about the level does not count
+    band = min(max(0.1 * amplitude, 4.0 * noise), 0.25 * amplitude)
+    state = np.where(away > band, 1, np.where(away < -band, -1, 0))
+    marked = np.flatnonzero(state)
+    crossings = marked[1:][np.diff(state[marked]) != 0]
+    extremes = [part[np.argmax(np.abs(part))] for part in np.split(away, crossings)]
+    return crossings, np.array(extremes) + level
+
+
+def _period(time: Array, crossings: Array) -> float:
+    """Return the mean period of the swings up to the first irregular one."""
+    halves = np.diff(time[crossings])
+    regular = np.abs(halves / np.median(halves) - 1.0) < 0.3
+    count = len(halves) if regular.all() else max(int(np.argmin(regular)), 1)
+    # whole periods, because half swings about a level beside the rest position differ
+    count -= count % 2 if count > 1 else 0
+    return 2.0 * float(np.sum(halves[:count])) / count
+
+
+def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
+    """Return time and coordinate of a decay from its release on, its period and its first amplitude.
+
+    Swings do not grow in a free decay: all from the first of the largest swings on belong to it. Where the
+    body was held at an excursion, or stood still before somebody deflected it, the decay begins after that.
+    """
+    there = np.isfinite(log[name])
+    time, values = log.time_s[there], log[name][there]
+    swings = _swings(values, log, name)
+    heights = np.abs(np.diff(swings.extremes))
+    largest = float(heights.max())
+    slack = max((1.0 - NEAR) * largest, 3.0 * math.sqrt(2.0) * swings.noise)
+    first = int(np.argmax(heights >= largest - slack))
+    begin = int(swings.crossings[first - 1]) if first else 0
+    period = _period(time, swings.crossings[first:])
+    amplitude = 0.5 * float(heights[first])
+    end = int(swings.crossings[first])
+    part, extreme = values[begin:end], float(swings.extremes[first])
+    margin = max((1.0 - NEAR) * amplitude, 3.0 * swings.noise)
+    near = np.flatnonzero(np.abs(part - extreme) <= margin)
+    held = time[begin + near[-1]] - time[begin + near[0]] > STILL * period
+    still = np.flatnonzero(np.abs(part - part[0]) > margin)
+    waits = first == 0 and len(still) > 0 and time[begin + still[0]] - time[begin] > STILL * period
+    late = time[begin + near[0]] - time[begin] > 0.5 * period
+    if held:
+        level = float(np.median(part[near]))
+        spread = 1.4826 * float(np.median(np.abs(part[near] - level)))
+        begin += int(np.flatnonzero(np.abs(part - level) <= max(3.0 * spread, 1e-3 * amplitude))[-1])
+    elif first or waits or late:
+        begin += int(np.argmax(np.abs(part - part[-1])))
+    if begin > 0.5 * len(values):
         raise InputError(
-            f"its largest excursion comes at {time[peak]:g} s, in the second half: this is no free decay",
+            f"its largest swing comes at {time[begin]:g} s, in the second half: this is no free decay",
             file=log.path,
             column=name,
             hint="cut the log with start_s and end_s in the trials file",
         )
-    # Held at the excursion, noise may set its maximum long before the release: the decay starts
-    # where the coordinate last stood near that excursion before it first came to rest.
-    side = np.sign(values[peak] - rest)
-    across = np.flatnonzero((np.arange(len(values)) > peak) & ((values - rest) * side < 0))
-    if len(across):
-        near = np.flatnonzero((values[: across[0]] - rest) * side >= 0.95 * (values[peak] - rest) * side)
-        peak = int(near[-1])
-    if peak > 3:
+    if begin > 3:
         warn(
             "SWM018",
-            f"{log.path.name}: {time[peak] - time[0]:.3g} s before the release from the largest excursion "
+            f"{log.path.name}: {time[begin] - time[0]:.3g} s before the release from the largest excursion "
             "left out",
         )
-    return time[peak:], values[peak:]
-
-
-def _swing(time: Array, values: Array, log: Log, name: str) -> tuple[float, float]:
-    """Period and first amplitude, from the crossings of the rest position."""
-    there = np.isfinite(values)
-    t, x = time[there], values[there] - float(np.nanmedian(values))
-    amplitude = float(np.max(np.abs(x)))
-    # crossings with hysteresis, so that noise about zero does not count
-    state = np.where(x > 0.1 * amplitude, 1, np.where(x < -0.1 * amplitude, -1, 0))
-    marked = np.flatnonzero(state)
-    turns = marked[1:][np.diff(state[marked]) != 0]
-    if len(turns) < 2:
-        raise InputError(
-            "does not swing: fewer than two crossings of the rest position", file=log.path, column=name
-        )
-    return 2.0 * float(np.median(np.diff(t[turns]))), amplitude
+    start = int(np.flatnonzero(there)[begin])
+    return log.time_s[start:], log[name][start:], period, amplitude

@@ -51,6 +51,9 @@ class Rig(yamlio.Document):
     roll_stiffness_N_m_rad: NonNegative | None = None
     pitch_stiffness_N_m_rad: NonNegative | None = None
     yaw_stiffness_N_m_rad: NonNegative | None = None
+    #: m g l of a pendulum or m g GM of a ship, whose restoring moment goes with the sine of the angle.
+    roll_gravity_stiffness_N_m_rad: float | None = None
+    pitch_gravity_stiffness_N_m_rad: float | None = None
 
 
 class Theory(yamlio.Document):
