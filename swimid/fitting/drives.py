@@ -69,6 +69,8 @@ class Beat:
     phase_rad: float = 0.0
     #: Phase by which each driven joint lags the one before it, beyond what the robot file says.
     lag_rad: float = 0.0
+    #: The beat has always gone on: it has no ramp and no beginning.
+    steady: bool = False
 
     def motion(
         self,
@@ -99,7 +101,8 @@ class Beat:
             ends = [self._wave(time_s + side * cell_s, phase)[1] for side in (-0.5, 0.5)]
             bend = (ends[1] - ends[0]) / cell_s
         a, b = gain * self.amplitude_rad, bias_gain * self.bias_rad
-        return _ramped(time_s, self.ramp_s, (a * value + b, a * rate, a * bend))
+        whole = (a * value + b, a * rate, a * bend)
+        return whole if self.steady else _ramped(time_s, self.ramp_s, whole)
 
     def _wave(self, time_s: Array, phase_rad: float) -> Motion:
         omega = 2.0 * math.pi * self.frequency_hz
@@ -174,6 +177,8 @@ class Cycle:
     cycles: float = math.inf
     #: Phase at time zero.
     phase_rad: float = 0.0
+    #: The stroke has always gone on: it has no ramp, no beginning and no end.
+    steady: bool = False
 
     def motion(self, hinge: str, time_s: Array, *, phase_rad: float = 0.0) -> Motion:
         """Angle, rate and acceleration of a hinge; those the stroke does not name stay straight.
@@ -188,11 +193,13 @@ class Cycle:
         angles = np.radians(self.law.angles_deg[hinge])
         spline = interpolate.CubicSpline(knots, angles, bc_type="periodic")
         begun = self.frequency_hz * time_s
-        share = np.clip(begun, 0.0, self.cycles) + (self.phase_rad + phase_rad) / (2.0 * math.pi)
+        first_cycle, last_cycle = (-math.inf, math.inf) if self.steady else (0.0, self.cycles)
+        share = np.clip(begun, first_cycle, last_cycle) + (self.phase_rad + phase_rad) / (2.0 * math.pi)
         at = np.mod(share, 1.0)
-        f = self.frequency_hz * ((begun >= 0.0) & (begun <= self.cycles))
+        f = self.frequency_hz * ((begun >= first_cycle) & (begun <= last_cycle))
         first = float(angles[0])
         value = self.scale * (spline(at) - first)
         rate, bend = self.scale * f * spline(at, 1), self.scale * f**2 * spline(at, 2)
-        angle, rate, bend = _ramped(time_s, self.ramp_s, (value, rate, bend))
+        whole = (value, rate, bend)
+        angle, rate, bend = whole if self.steady else _ramped(time_s, self.ramp_s, whole)
         return first + angle, rate, bend

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +63,19 @@ class SwimInput:
     def drive(self) -> Beat | Cycle | None:
         """The beat or the stroke; None where measured joints, or nothing, move it."""
         return self.stroke if self.beat is None else self.beat
+
+    @property
+    def steady(self) -> bool:
+        """Whether the run begins on the limit cycle of its drive."""
+        return self.drive is not None and self.drive.steady
+
+    def begun(self) -> SwimInput:
+        """Return the same run in steady swimming: it begins on the limit cycle of its drive."""
+        if self.stroke is not None:
+            return replace(self, stroke=replace(self.stroke, steady=True, ramp_s=0.0, cycles=math.inf))
+        if self.beat is None:
+            return self
+        return replace(self, beat=replace(self.beat, steady=True, ramp_s=0.0))
 
     @property
     def measured(self) -> bool:

@@ -1,14 +1,20 @@
-"""How far a simulation is from a measurement."""
+"""Errors of a simulation against a measurement.
+
+A pose has no natural origin and no natural axes: errors of a pose are relative to each trial's own motion.
+Positions in the horizontal plane are turned into the trial's mean heading (:func:`own_axes`), and ranges and
+variances are those about each trial's own mean (:func:`score_trials`).
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from swimid.fitting.model import Array
+from swimid.fitting.model import Array, Model
 
 
 @dataclass(frozen=True)
@@ -17,7 +23,7 @@ class Score:
 
     #: Root-mean-square error, in the channel's unit.
     rmse: float
-    #: RMSE over the measured range (maximum minus minimum).
+    #: RMSE over the measured range (maximum minus minimum); of a pose over the root mean square of the trials' own.
     nrmse: float
     #: Variance accounted for, ``1 - var(error) / var(measured)``.
     vaf: float
@@ -52,6 +58,93 @@ def score(measured: Array, simulated: Array) -> Score:
         bias=float(np.mean(e)),
         samples=len(y),
     )
+
+
+def score_trials(parts: Sequence[tuple[Array, Array]], *, own_motion: bool) -> Score:
+    """Score one channel over several trials.
+
+    Parameters
+    ----------
+    parts : sequence of (ndarray, ndarray), each shape (n_k,)
+        Measured and simulated values of each trial.
+    own_motion : bool
+        The channel is part of a pose: range and variance are about each trial's own mean. Otherwise they are
+        those of all trials together.
+
+    Examples
+    --------
+    Two trials that head in different directions, each with the same motion and the same error:
+
+    >>> wave = np.array([0.0, 1.0, 0.0, -1.0])
+    >>> pair = (wave, 0.5 * wave)
+    >>> turned = (wave + 90.0, 0.5 * wave + 90.0)
+    >>> round(score_trials([pair, turned], own_motion=True).vaf, 3), round(score(*pair).vaf, 3)
+    (0.75, 0.75)
+    """
+    there = [pair for pair in (_both(y, z) for y, z in parts) if len(pair[0])]
+    if not there:
+        return score(np.empty(0), np.empty(0))
+    measured, simulated = (np.concatenate(side) for side in zip(*there, strict=True))
+    pooled = score(measured, simulated)
+    if not own_motion or len(there) == 1:
+        return pooled
+    share = np.array([len(y) for y, _ in there]) / len(measured)
+    span = math.sqrt(float(share @ [np.ptp(y) ** 2 for y, _ in there]))
+    variance = float(share @ [np.var(y) for y, _ in there])
+    missed = float(share @ [np.var(y - z) for y, z in there])
+    return replace(
+        pooled,
+        nrmse=pooled.rmse / span if span > 0 else np.nan,
+        vaf=1.0 - missed / variance if variance > 0 else np.nan,
+        fit_percent=100.0 * (1.0 - pooled.rmse / math.sqrt(variance)) if variance > 0 else np.nan,
+    )
+
+
+def pose_channels(model: Model) -> tuple[str, ...]:
+    """Channels of the pose of a robot that moves freely; none of any other model."""
+    swimmer = model.swimmer
+    return tuple(swimmer.pose) if swimmer is not None and swimmer.free_base else ()
+
+
+def own_axes(
+    measured: Mapping[str, Array], simulated: Mapping[str, Array]
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Turn the horizontal position of one trial into the trial's own axes.
+
+    Parameters
+    ----------
+    measured, simulated : mapping of channel name to ndarray, each shape (n,)
+        The axes are along and across the mean measured heading; where no heading was measured, the way from the
+        first to the last measured position.
+
+    Returns
+    -------
+    measured, simulated : dict of channel name to ndarray
+        ``x_m`` is the coordinate along, ``y_m`` the one across. Without both, the series as they were.
+
+    Examples
+    --------
+    >>> y, z = own_axes({"x_m": np.zeros(2), "y_m": np.array([0.0, 1.0])}, {"x_m": np.zeros(2), "y_m": np.zeros(2)})
+    >>> y["x_m"].round(9).tolist(), z["x_m"].tolist()
+    ([0.0, 1.0], [0.0, 0.0])
+    """
+    turned = dict(measured), dict(simulated)
+    if not all(name in side for name in ("x_m", "y_m") for side in turned):
+        return turned
+    heading = measured.get("yaw_rad", np.empty(0))
+    there = np.isfinite(measured["x_m"]) & np.isfinite(measured["y_m"])
+    if np.isfinite(heading).any():
+        angle = float(np.nanmean(heading))
+    elif there.any():
+        x, y = (measured[name][there] for name in ("x_m", "y_m"))
+        angle = math.atan2(y[-1] - y[0], x[-1] - x[0])
+    else:
+        return turned
+    c, s = math.cos(angle), math.sin(angle)
+    for side in turned:
+        x, y = side["x_m"], side["y_m"]
+        side["x_m"], side["y_m"] = c * x + s * y, c * y - s * x
+    return turned
 
 
 def peak_error(measured: Array, simulated: Array) -> tuple[float, float]:

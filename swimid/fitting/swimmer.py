@@ -4,12 +4,28 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 from swimid.fitting.body import Axis
 from swimid.fitting.energetics import Energetics
 from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Array, Model, Trial
 from swimid.robots.file import Robot
+
+
+class Cruise(NamedTuple):
+    """Steady swimming of a model.
+
+    Attributes
+    ----------
+    speed_m_s : float
+        Path length over one period of the drive, over the period; NaN where the speed never settles.
+    settling_s : float
+        Time in which a difference from the steady speed falls by a factor e; infinite where it never settles.
+    """
+
+    speed_m_s: float
+    settling_s: float
 
 
 class Swimmer(Model):
@@ -74,6 +90,16 @@ class Swimmer(Model):
         list of (channels, Energetics)
             NaN throughout, and None, where a run breaks down.
         """
+
+    def cruise(self, values: Array, trial: Trial) -> Cruise | None:
+        """Speed at which the model settles under a trial's drive.
+
+        Returns
+        -------
+        Cruise or None
+            None where the question has no answer: no periodic drive, a fixed base, or motion in space.
+        """
+        return None
 
     @abstractmethod
     def forget(self, trials: Sequence[Trial]) -> None:

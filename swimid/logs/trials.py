@@ -114,6 +114,8 @@ class FreeSwimTrial(Trial):
     ) = None
     #: Coefficients that were set otherwise in this trial (a spring's stiffness, say).
     coefficients: dict[str, float] = {}
+    #: State at the first sample: at rest, estimated, or steady swimming under the drive.
+    start_state: Literal["auto", "rest", "estimate", "steady"] = "auto"
 
 
 class Trials(yamlio.Document):

@@ -61,7 +61,7 @@ def load(trials: str | Path | TrialSet, options: Any) -> Loaded:
         Of a verb: ``params`` (a parameter file, or None for the values of the robot file, else the model's
         start values), ``robot`` (accept the parameters for it although the file names another one),
         ``readings`` (over those of the parameter file), ``dt`` (integration step of a robot with links, s),
-        and where the verb has it ``chosen`` (values that win over the file's).
+        and where the verb has it ``chosen`` (values that win over the file's) and ``start_state``.
 
     Raises
     ------
@@ -88,7 +88,10 @@ def load(trials: str | Path | TrialSet, options: Any) -> Loaded:
         _check_robot(entries.robot, trials_path, file, path)
     if file.model in ("multilink", "multibody"):
         readings = {**file.settings.get("readings", {}), **readings}
-        experiment = swimmer.load(trials, readings=readings, max_step=max_step)
+        start = getattr(options, "start_state", "auto")
+        if start == "auto":
+            start = file.settings.get("start_state", "auto")
+        experiment = swimmer.load(trials, readings=readings, start_state=start, max_step=max_step)
     elif file.model in ("falling-weight", "towed", "free-decay"):
         experiment = _rig(trials, file)
     elif file.model == "arma":

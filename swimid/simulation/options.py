@@ -31,6 +31,7 @@ class CompareOptions(Options):
         flag="--refit-start/--no-refit-start",
         help="Estimate the start state of trials the parameter file does not know.",
     )
+    start_state: swimmers.SwimStart = swimmers.start_state()
     chosen: Mapping[str, float] = chosen()
     readings: Mapping[str, str] = swimmers.readings()
     dt: float = swimmers.step()

@@ -360,6 +360,7 @@ def _file(
         "readings": dict(options.readings),
         "shared": {name: list(members) for name, members in model.groups.items()},
         "fixed_as_unidentifiable": left_out,
+        "start_state": options.start_state if options.start_state != "auto" else "",
     }
     file = fit_common.parameter_file(
         result,

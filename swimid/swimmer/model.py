@@ -7,7 +7,7 @@ import threading
 from abc import abstractmethod
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -20,12 +20,13 @@ from swimid.fitting.energetics import Energetics
 from swimid.fitting.hooks import NONE, Hooks
 from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Array, Channel, Parameter, Trial, unless_broken
-from swimid.fitting.swimmer import Swimmer
+from swimid.fitting.swimmer import Cruise, Swimmer
 from swimid.progress import Progress, silent
 from swimid.robots.file import Robot
 from swimid.swimmer.lanes.kernel import Engine, Kernel
 from swimid.swimmer.lanes.source import LANES
 from swimid.swimmer.lanes.wide import Room, WideKernel
+from swimid.swimmer.limit_cycle import STATE_RTOL, LimitCycle, limit_cycle
 from swimid.swimmer.options import STEP_S
 from swimid.swimmer.planar import drive
 from swimid.swimmer.planar.engine import PASSIVE, sampled
@@ -35,6 +36,8 @@ from swimid.swimmer.tree import Tree, coefficients, law_of
 Kept = TypeVar("Kept")
 #: Trajectories kept per trial: what changes only how they are seen costs no simulation.
 KEPT = 4
+#: Limit cycles kept.
+CYCLES = 64
 #: Tables of the drive kept per trial: derivatives to what changes a command ask for the same few in turn.
 TABLES = 12
 
@@ -142,6 +145,7 @@ class LinkedModel(Swimmer):
         self._motions: dict[tuple[Any, ...], list[Motion]] = {}
         self._grids: dict[str, tuple[Array, tuple[float, float, int]]] = {}
         self._commands: dict[str, tuple[SwimInput, Array, list[tuple[Array, Array, float]]]] = {}
+        self._cycles: dict[tuple[Any, ...], LimitCycle | None] = {}
         self._lock = threading.Lock()
         #: Coefficients that were not refused, the last of them.
         self._sound: bytes | None = None
@@ -466,7 +470,106 @@ class LinkedModel(Swimmer):
             # a table without coefficients is the robot's own: an effect must not write into that
             own = {name: t.copy() if isinstance(t, np.ndarray) else t for name, t in tables.items()}
             tables = hooks.changed(own, "tables")
-        return Run(values, trial, hooks, key, begin, step, None, start, driven, tables)
+        run = Run(values, trial, hooks, key, begin, step, None, start, driven, tables)
+        return replace(run, start=self._steady_state(run)) if trial.swim.steady else run
+
+    # -------------------------------------------------------- steady swimming
+
+    def _memory(self) -> list[int]:
+        """Places in a state that one period of the drive hands to the next: no place, heading where it acts."""
+        passives = len(self.passive)
+        angles = list(range(self.coordinates, self.coordinates + passives))
+        first = self.coordinates + passives
+        rates = list(range(first + self.speeds, first + self.speeds + passives))
+        if not self.free_base:
+            return [*angles, *rates]
+        return [*self._attitude(), *angles, *range(first, first + self.speeds), *rates]
+
+    def _attitude(self) -> list[int]:
+        """Places in a state of the angles of the base that act on the motion."""
+        return []
+
+    def _limit_cycle(self, run: Run) -> tuple[LimitCycle | None, Callable[..., Array]]:
+        """Limit cycle of a run's drive at phase zero, and a function that integrates from such a state.
+
+        The function takes the time (s), the state there and a length (periods), and gives the engine's states.
+        """
+        command, memory = run.trial.swim.drive, self._memory()
+        assert command is not None
+        period = 1.0 / command.frequency_hz
+
+        def states(begin_s: float, state: Array, periods: float = 1.0) -> Array:
+            # the number of steps depends on whole periods alone, so that derivatives are smooth
+            steps = math.floor(periods) * math.ceil(period / self.max_step)
+            step = periods * period / steps
+            driven = self._moved(
+                run.trial, begin_s, step, steps, self._value(run.values, "drive_phase"),
+                self._servos_at(run.values), run.hooks,
+            )  # fmt: skip
+            begin = run.start.copy()
+            begin[memory] = state
+            own = replace(run, begin_s=begin_s, step_s=step, start=begin, drive=driven)
+            return self._integrate(own)[0]
+
+        section = run.begin_s - self._since_phase_zero(run)
+        driven = replace(command, phase_rad=0.0)
+        moved = [i for i in self._influences(run.hooks) if self.parameters[i].name != "drive_phase"]
+        kind = (driven, run.hooks.key, self.max_step)
+        key = (*kind, run.values[moved].tobytes())
+        with self._lock:
+            missing = key not in self._cycles
+            known, near = self._cycles.get(key), self._cycles.get(kind)
+        if missing:
+            rest = np.zeros(len(memory))
+            known = limit_cycle(lambda state: states(section, state)[:, memory], rest, near=near)
+            with self._lock:
+                self._cycles[key] = known
+                if known is not None:
+                    self._cycles[kind] = known
+                while len(self._cycles) > CYCLES:
+                    self._cycles.pop(next(iter(self._cycles)))
+        return known, states
+
+    def _since_phase_zero(self, run: Run) -> float:
+        """Time from the last phase zero of the drive to the beginning of a run, s."""
+        command = run.trial.swim.drive
+        assert command is not None
+        phase = command.phase_rad + self._value(run.values, "drive_phase")
+        cycles = command.frequency_hz * run.begin_s + phase / (2.0 * math.pi)
+        return (cycles % 1.0) / command.frequency_hz
+
+    def _steady_state(self, run: Run) -> Array:
+        """State of steady swimming at the beginning of a run; NaN where the motion never settles."""
+        drive = run.trial.swim.drive
+        assert drive is not None
+        cycle, states = self._limit_cycle(run)
+        start = run.start.copy()
+        memory = self._memory()
+        start[memory] = np.nan
+        if cycle is not None:
+            # from one period before, so that no step becomes small
+            period = 1.0 / drive.frequency_hz
+            ahead = self._since_phase_zero(run) + period
+            start[memory] = states(run.begin_s - ahead, cycle.state, ahead / period)[-1, memory]
+        return start
+
+    def cruise(self, values: Array, trial: Trial) -> Cruise | None:
+        """Speed at which the model settles (see :meth:`Swimmer.cruise`)."""
+        if trial.swim.drive is None or not self.free_base or self.in_space:
+            return None
+        trial = replace(trial, id=f"{trial.id} (steady)", swim=trial.swim.begun())
+        run = self._asked(values, trial, NONE)
+        cycle, states = self._limit_cycle(run)
+        if cycle is None:
+            return Cruise(math.nan, math.inf)
+        period = 1.0 / trial.swim.drive.frequency_hz
+        end = states(run.begin_s - self._since_phase_zero(run), cycle.state)[[0, -1]]
+        seen = self._seen(values, trial, end)
+        x, y, turned = (float(np.diff(seen[name])[0]) for name in self.pose)
+        arc = math.hypot(x, y) / float(np.sinc(turned / (2.0 * math.pi)))
+        return Cruise(arc / period, -period / math.log(max(cycle.multiplier, 1e-12)))
+
+    # -------------------------------------------------------- runs
 
     def _trajectories(self, runs: Sequence[Run]) -> list[Trajectory]:
         """Of each run; what is asked twice is run once."""
@@ -545,14 +648,29 @@ class LinkedModel(Swimmer):
         if trial.swim.measured:
             hooks = NONE  # measured joints are what the actuators did
         phase = self._value(values, "drive_phase")
-        named = dict(zip(self.tree.names, values, strict=False))
-        servos = tuple(s and tuple(q.at(named) for q in s) for s in self._servos)
+        servos = self._servos_at(values)
         key = (trial.id, begin, step, steps, phase, servos, hooks.command_key)
         return self._cached(
             self._drives, TABLES, key, lambda: self._moved(trial, begin, step, steps, phase, servos, hooks)
         )
 
+    def _servos_at(self, values: Array) -> tuple[tuple[float, float] | None, ...]:
+        """Natural frequency (Hz) and damping ratio of each driven joint's servo."""
+        named = dict(zip(self.tree.names, values, strict=False))
+        return tuple(s and (s[0].at(named), s[1].at(named)) for s in self._servos)
+
     def _moved(
+        self, trial: Trial, begin: float, step: float, steps: int, phase: float, servos: Any, hooks: Hooks
+    ) -> Drive:
+        lead = _memory_s(trial.swim, servos, hooks)
+        if lead > 0.0:
+            # actuators that remember have followed the steady beat for long
+            before = math.ceil(lead / step)
+            whole = self._actuated(trial, begin - before * step, step, steps + before, phase, servos, hooks)
+            return Drive(whole.table[2 * before :], whole.angles[before:], whole.rates[before:])
+        return self._actuated(trial, begin, step, steps, phase, servos, hooks)
+
+    def _actuated(
         self, trial: Trial, begin: float, step: float, steps: int, phase: float, servos: Any, hooks: Hooks
     ) -> Drive:
         half = begin + 0.5 * step * np.arange(2.0 * steps + 1.0)
@@ -663,6 +781,18 @@ def joint_motion(axis: Axis, number: int, swim: SwimInput, time_s: Array, phase_
     return swim.beat.motion(
         time_s, gain=law.gain, bias_gain=bias_gain, phase_rad=phase, cell_s=drives.cells(time_s)
     )
+
+
+def _memory_s(swim: SwimInput, servos: Sequence[tuple[float, float] | None], hooks: Hooks) -> float:
+    """Time after which an actuator on a steady beat has forgotten how it began, s; 0 for any other run.
+
+    A servo forgets at the rate of its damping. Backlash and limits of rate repeat from the second period on.
+    """
+    if not swim.steady or swim.drive is None:
+        return 0.0
+    rates = [2.0 * math.pi * s[0] * min(s[1], 1.0 / max(2.0 * s[1], 1e-9)) for s in servos if s is not None]
+    forgotten = max((-math.log(STATE_RTOL) / max(rate, 1e-3) for rate in rates), default=0.0)
+    return forgotten + (2.0 / swim.drive.frequency_hz if hooks.command else 0.0)
 
 
 def elastic(passive: Array, angle: Array, rate: Array) -> tuple[Array, Array]:

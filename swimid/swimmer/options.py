@@ -10,7 +10,6 @@ from pydantic import model_validator
 
 from swimid.errors import UsageError
 from swimid.fitting import options as fits
-from swimid.fitting.options import StartState
 from swimid.options import Options, Source, option
 
 #: Integration step of a robot with links, at most, s.
@@ -30,6 +29,18 @@ def readings() -> Any:
 def step(recorded: str = "dt") -> Any:
     """The longest integration step, s."""
     return option(STEP_S, gt=0, help="Integration step, s.", recorded=recorded)
+
+
+SwimStart = Literal["auto", "rest", "estimate", "steady"]
+
+
+def start_state() -> Any:
+    """State of the trials at their first samples."""
+    return option(
+        "auto",
+        help="State at the first sample: at rest, estimated, or steady swimming under the drive (its limit cycle). "
+        "auto: each trial's start_state, else at rest unless the log's first stretch moves.",
+    )
 
 
 #: The part of the options that the search for a front depends on.
@@ -53,10 +64,7 @@ class FitGrayboxOptions(Options):
         metavar="A,B",
         help="Columns to fit. Default: the pose where it is logged, else velocities; passive joints.",
     )
-    start_state: StartState = option(
-        "auto",
-        help="Do trials start at rest at their first sample? auto: unless a log's first stretch moves.",
-    )
+    start_state: SwimStart = start_state()
     start_from: Source = option(None, help="Parameter file to start the search from.", recorded=False)
     loss: Literal["linear", "huber"] = option("linear", help="huber: robust loss, outliers weigh less.")
     starts: int = option(1, ge=1, help="Start from so many points in the bounds.")

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError, UsageError, suggestion
-from swimid.fitting import drives
+from swimid.fitting import drives, metrics
 from swimid.fitting.drives import Cycle
 from swimid.fitting.experiment import Experiment, inputs_of, read_log
 from swimid.fitting.inputs import SwimInput
@@ -45,11 +45,13 @@ UNDER_WAY = 0.3
 USES = dict.fromkeys(
     ("free-swim", "multibody"),
     trials_format.EVERYWHERE
-    | {"trials.coefficients", "trials.drive"}
+    | {"trials.coefficients", "trials.drive", "trials.start_state"}
     | {f"trials.drive.{key}" for kind in (Drive, StrokeDrive) for key in kind.model_fields},
 )
 #: The beat is looked for up to this multiple of the stated frequency.
 BEAT_RANGE = 8.0
+#: Phases of the drive tried for a trial that begins in steady swimming.
+PHASES = 12
 #: A track has set out once it is this share of its farthest from where it began.
 SETS_OUT = 0.25
 
@@ -101,8 +103,9 @@ def load(
     channels : sequence of str
         Columns to fit. By default the pose where it is logged, else the velocities, and the angles of
         passive joints (and of driven ones behind a servo) where they are logged.
-    start_state : {"auto", "rest", "estimate"}
-        Whether the body starts at rest; ``auto`` lets each log's first stretch say.
+    start_state : {"auto", "rest", "estimate", "steady"}
+        State at the first sample. ``auto`` takes each trial's own key ``start_state``, and where that is absent
+        lets the log's first stretch say. ``steady`` is the limit cycle of the trial's drive.
 
     Raises
     ------
@@ -131,20 +134,29 @@ def load(
     }
     if any(_headless(model, log) and model.pose[0] in t.measured for t, log in pairs):
         free.add(model.starts[2])
-    if start_state == "estimate" or (start_state == "auto" and moving):
-        free |= set(model.initial([c for t in trials for c in t.measured]))
-    held = {
-        t.id: tuple(n for n in free if n.startswith("initial_"))
-        for t in trials
-        if start_state == "auto" and t.id not in moving
+    states = {
+        e.id: _start_state(e, start_state, moving=e.id in moving, model=model, path=path)
+        for e in entries.trials
     }
-    trials = [replace(t, held=held.get(t.id, ()), starts=_starts(t, log, model)) for t, log in pairs]
+    initial = set(model.initial([c for t in trials for c in t.measured]))
+    own = {"rest": set(), "estimate": initial, "steady": {"drive_phase"}}
+    free |= set().union(*(own[state] for state in states.values()))
+    trials = [
+        replace(
+            t,
+            held=tuple(sorted(free & {"drive_phase", *initial} - own[states[t.id]])),
+            starts=_starts(t, log, model),
+            swim=t.swim.begun() if states[t.id] == "steady" else t.swim,
+        )
+        for t, log in pairs
+    ]
     model.parameters = tuple(replace(p, free=p.free or p.name in free) for p in model.parameters)
+    trials = [_in_phase(t, model) if t.swim.steady else t for t in trials]
     _check_course(path, model, read, [getattr(e.drive, "frequency_hz", None) for e in entries.trials])
     facts = {
         "beats": found,
         "moving": moving,
-        "start_state": start_state,
+        "start_states": states,
         "profiles": {entry.id: _profile(entry) for entry in entries.trials},
     }
     return Experiment(
@@ -156,6 +168,63 @@ def load(
         facts=facts,
         robot_path=robot_format.locate(entries.robot, path.parent),
     )
+
+
+def _start_state(
+    entry: FreeSwimTrial, chosen: str, *, moving: bool, model: LinkedModel, path: Path
+) -> str:
+    """State in which a trial begins: ``rest``, ``estimate`` or ``steady``.
+
+    Raises
+    ------
+    InputError
+        When a trial without a periodic drive, or of a robot in space, is to begin in steady swimming.
+    """
+    state = entry.start_state if chosen == "auto" else chosen
+    if state == "auto":
+        return "estimate" if moving else "rest"
+    if state == "steady" and (entry.drive is None or model.in_space):
+        lacking = "robots in space are not supported" if model.in_space else "it has no 'drive'"
+        raise InputError(
+            f"the trial '{entry.id}' cannot begin in steady swimming: {lacking}",
+            file=path,
+            column="start_state" if chosen == "auto" else "drive",
+            hint="give the beat under 'drive', or start it from an estimated state (start_state: estimate)",
+        )
+    return state
+
+
+def _in_phase(trial: Trial, model: LinkedModel) -> Trial:
+    """The trial with the phase of its drive from which a search starts: that of the stated robot's best run."""
+    stated = {**{p.name: p.start for p in model.parameters}, **model.stated()}
+    values = np.array([stated[p.name] for p in model.parameters])
+    phase = model.index("drive_phase")
+    tried = np.linspace(0.0, 2.0 * math.pi, PHASES, endpoint=False)
+    runs = [np.array([*values[:phase], angle, *values[phase + 1 :]]) for angle in tried]
+    simulated = [model.attempt(run, trial) for run in runs]
+    model.forget([trial])
+    if not all(np.isfinite(run[name]).all() for run in simulated for name in trial.measured):
+        return trial
+    misses = [_shape_error(trial, run) for run in simulated]
+    return replace(trial, starts={**trial.starts, "drive_phase": float(tried[int(np.nanargmin(misses))])})
+
+
+def _shape_error(trial: Trial, simulated: Mapping[str, Array]) -> float:
+    """Squared error of the beat of a trial, relative to its size, summed over channels.
+
+    Trends and the direction of the path are left out: they are no part of the beat.
+    """
+    total = 0.0
+    measured, simulated = metrics.own_axes(trial.measured, simulated)
+    for name, values in measured.items():
+        there = np.isfinite(values)
+        trend = np.polynomial.Polynomial.fit
+        y, z = (
+            side[name][there] - trend(trial.time_s[there], side[name][there], 1)(trial.time_s[there])
+            for side in (measured, simulated)
+        )
+        total += float(np.sum((y - z) ** 2) / max(float(np.sum(y**2)), 1e-300))
+    return total
 
 
 def _check_course(

@@ -151,6 +151,9 @@ class MultilinkModel(LinkedModel):
     def _heading_matters(self) -> bool:
         return self.tree.world_forces and self.free_base
 
+    def _attitude(self) -> list[int]:
+        return [2] if self._heading_matters() else []
+
     def _heading(self, values: Array, trial: Trial) -> float:
         """At the first sample."""
         return float(trial.swim.posed()[2]) + self._value(values, self.starts[2])
