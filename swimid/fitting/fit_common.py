@@ -13,11 +13,11 @@ import numpy as np
 
 from swimid.errors import Interrupted
 from swimid.files import atomic
-from swimid.fitting import metrics
+from swimid.fitting import grading, metrics
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.fit_result import FitResult
 from swimid.fitting.identifiability import combinations, sentences
-from swimid.fitting.model import Channel, Parameter, chosen
+from swimid.fitting.model import Array, Channel, Parameter, chosen
 from swimid.fitting.output_error import STEP_ERROR
 from swimid.fitting.residual_tests import autocorrelation, joined, ljung_box
 from swimid.fitting.sandwich import HETEROGENEITY
@@ -107,15 +107,29 @@ def _combination(result: FitResult, first: str, second: str) -> str:
     return f"best determined is {first}^{power[0]:.2f} · {second}^{power[1]:.2f}, to {percent:.2g} %"
 
 
-def scores(result: FitResult, role: str) -> dict[str, dict[str, Any]]:
-    """Error of each measured channel over all trials of a role, for the parameter file."""
-    found = {}
-    for channel in result.model.channels:
-        parts = result.series_of(channel.name, role)
-        if parts:
-            measured, simulated = np.hstack([(s.measured, s.simulated) for s in parts])
-            found[channel.name] = metrics.score(measured, simulated).as_dict(channel.unit)
-    return found
+def scores(result: FitResult, role: str, trials: Sequence[str] | None = None) -> dict[str, metrics.Score]:
+    """Errors of each measured channel over all trials of a role, or over some of them."""
+    ids = [t.id for t in result.trials if t.role == role and (trials is None or t.id in trials)]
+    pose = metrics.pose_channels(result.model)
+    found: dict[str, list[tuple[Array, Array]]] = {}
+    for trial in ids:
+        series = [s for s in result.series if s.trial == trial]
+        measured, simulated = metrics.own_axes(
+            {s.channel: s.measured for s in series}, {s.channel: s.simulated for s in series}
+        )
+        for s in series:
+            found.setdefault(s.channel, []).append((measured[s.channel], simulated[s.channel]))
+    return {
+        c.name: metrics.score_trials(found[c.name], own_motion=c.name in pose)
+        for c in result.model.channels
+        if c.name in found
+    }
+
+
+def _listed(result: FitResult, role: str) -> dict[str, dict[str, Any]]:
+    """Errors of each measured channel for the parameter file."""
+    units = {c.name: c.unit for c in result.model.channels}
+    return {name: score.as_dict(units[name]) for name, score in scores(result, role).items()}
 
 
 def refuse_interrupted(result: FitResult) -> None:
@@ -149,7 +163,7 @@ def parameter_file(
         for channel, n in result.noise.items()
     }
     trials = {role: [t.id for t in result.trials if t.role == role] for role in ("fit", "validate")}
-    validation = scores(result, "validate")
+    validation = _listed(result, "validate")
     known_sums = {
         c.text.rpartition(" = ")[0]: Estimate(value=c.value, stderr=c.stderr, unit=c.unit, status="estimated")
         for c in combinations(result)
@@ -164,7 +178,7 @@ def parameter_file(
         settings=settings or {},
         fit=Fit(
             trials=trials["fit"],
-            channels=scores(result, "fit"),
+            channels=_listed(result, "fit"),
             validation={"trials": trials["validate"], "channels": validation} if validation else {},
             converged=result.converged,
             message=result.message,  # type: ignore[call-arg]
@@ -261,6 +275,25 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
         )
     held_out = [c for c in result.model.channels if result.series_of(c.name, "validate")]
     return found + [_validation(result, c) for c in held_out if c.name in result.noise]
+
+
+def error_checks(result: FitResult) -> list[ev.Check]:
+    """Errors of fitted and of held-out trials against the limits of ``compare``."""
+    found = []
+    for role in ("fit", "validate"):
+        found += grading.error_checks(
+            {name: score for name, score in scores(result, role).items() if name in result.noise},
+            fitted=result.noise,
+            noise=[name for name in result.noise if _is_white(result, name, role)],
+            held_out=role == "validate",
+        )
+    return found
+
+
+def _is_white(result: FitResult, channel: str, role: str) -> bool:
+    """Whether the residuals of a channel cannot be told from white noise."""
+    parts = [s.weighted for s in result.series_of(channel, role)]
+    return bool(parts) and ljung_box(joined(parts, gap=30), fitted=0).passed
 
 
 def _yes(fact: bool) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 
 from swimid.errors import NoTrustworthyResult
 from swimid.files import atomic, provenance
+from swimid.fitting import metrics
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
 from swimid.options import takes
@@ -139,6 +140,7 @@ def compare(
         origin = provenance.collect(experiment.inputs, settings=options.settings(buoyancy_band=buoyancy))
         profiles = compare_strokes.profiles(experiment, done, buoyancy=buoyancy)
         channels = [c.name for c in experiment.model.channels]
+        pose = metrics.pose_channels(experiment.model)
         file = ComparisonFile(
             verdict="caution",
             model=experiment.model.name,
@@ -146,9 +148,9 @@ def compare(
             experiment=experiment.name,
             params=parameters_format.place(options.params).name,
             channels={
-                name: compare_series.scored(parts)
+                name: compare_series.scored(parts, own_motion=name in pose)
                 for name in channels
-                if (parts := [d.pairs[name] for d in done if name in d.pairs])
+                if (parts := [d.own[name] for d in done if name in d.own])
             },
             trials=[d.record for d in done],
             profiles=[p.record for p in profiles],
@@ -157,7 +159,9 @@ def compare(
         if file.mean_speeds:
             errors = [measured - simulated for _, measured, simulated in file.mean_speeds]
             file.mean_speed_rmse_m_s = float(np.sqrt(np.mean(np.square(errors))))
-        checks = compare_evidence.checks(file)
+        known = applied.file.fit if applied.file is not None else None
+        fitted = list(file.channels) if known is None else list(known.channels)
+        checks = compare_evidence.checks(file, fitted)
     verdict = blocks.verdict(checks, compare_evidence.answer(file))
     file.verdict = verdict.level
     evidence = ev.Evidence(

@@ -8,8 +8,10 @@ from typing import TypeVar
 
 import numpy as np
 
+from swimid.fitting import grading
 from swimid.fitting.body import Body
 from swimid.fitting.experiment import Experiment
+from swimid.fitting.grading import GOOD_SPEED, USABLE_SPEED
 from swimid.fitting.model import Array
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
@@ -17,10 +19,6 @@ from swimid.simulation import compare_series, compare_strokes_evidence
 from swimid.simulation.compare_series import Compared, Pair
 from swimid.simulation.comparison_file import ChannelScore, ComparisonFile, TrialComparison
 
-#: Error over the measured range, up to which a channel is described well, and up to which at all.
-GOOD, USABLE = 0.15, 0.30
-#: The same for the mean speeds of the trials, over those measured.
-GOOD_SPEED, USABLE_SPEED = 0.10, 0.25
 #: Trials drawn one by one.
 MAX_TRIALS = 8
 #: Channels drawn for each of them, and samples of each.
@@ -40,40 +38,60 @@ T = TypeVar("T")
 # ------------------------------------------------------------ verdict
 
 
-def checks(file: ComparisonFile) -> list[ev.Check]:
-    """Errors against their limits, and which start states were estimated."""
-    what = "root-mean-square error over all trials, over the measured range"
-    graded = [
-        _graded(f"error of {name}", score.nrmse, GOOD, USABLE, "measured range", what)
-        for name, score in file.channels.items()
-    ]
+def checks(file: ComparisonFile, fitted: Iterable[str]) -> list[ev.Check]:
+    """Checks of errors and speeds against their limits, and which start states were estimated.
+
+    Parameters
+    ----------
+    fitted : iterable of str
+        Channels that the parameters were fitted to.
+    """
+    graded = grading.error_checks(file.channels, fitted=fitted)
     share = _speed_share(file)
     if share is not None:
         what = "root-mean-square difference over the trials, over the root mean square measured"
-        graded.append(_graded("error of mean speeds", share, GOOD_SPEED, USABLE_SPEED, "measured", what))
-    fitted = [t.id for t in file.trials if t.start == "estimated"]
-    if fitted:
+        graded.append(
+            grading.share_check("error of mean speeds", share, GOOD_SPEED, USABLE_SPEED, "measured", what)
+        )
+    graded += _cruise_checks(file)
+    own = [t.id for t in file.trials if t.start == "estimated"]
+    if own:
         what = (
             "from the trials themselves, all shared parameters held: offsets of pose and start speed do not "
             "count as errors (--no-refit-start)"
         )
-        value = f"estimated for {len(fitted)} of {len(file.trials)} trials"
+        value = f"estimated for {len(own)} of {len(file.trials)} trials"
         graded.append(ev.check("start states", value, None, text=what))
     return graded
 
 
-def _graded(name: str, share: float | None, good: float, usable: float, of: str, text: str) -> ev.Check:
-    """A check that warns above the first limit and fails above the second."""
-    value = math.inf if share is None else share
-    limit = f"≤ {100 * good:g} % of the {of} (fail above {100 * usable:g} %)"
-    return blocks.check(
-        name,
-        numbers.percent(share),
-        limit,
-        value <= good,
-        otherwise="warn" if value <= usable else "fail",
-        text=text,
+def _cruise_checks(file: ComparisonFile) -> list[ev.Check]:
+    """Checks of the speed at which the model settles, where trials begin in motion."""
+    begun = [(t, t.cruise) for t in file.trials if t.cruise is not None]
+    if not begun:
+        return []
+    never = [t.id for t, cruise in begun if cruise.settled is None]
+    if never:
+        text = (
+            f"under the drive of {', '.join(never)} the speed of the model never settles: without drag, nothing "
+            "slows it down. The simulated speed is the start speed, which comes from the trial itself"
+        )
+        return [blocks.check("cruising speed", "none", "a steady speed", False, otherwise="fail", text=text)]
+    rows = [
+        (t.mean_speed.measured, cruise.settled)
+        for t, cruise in begun
+        if cruise.steady and t.mean_speed is not None and t.mean_speed.measured and cruise.settled is not None
+    ]
+    text = (
+        "the start speeds of these trials come from the trials themselves; the speed at which the model settles "
+        "is compared with the measured speed of the last beats"
     )
+    if not rows:
+        text += ", but that is not steady in any of them"
+        return [blocks.check("cruising speed", "not tested", "steady swimming in a trial", False, text=text)]
+    measured, settles = np.array(rows).T
+    share = float(np.sqrt(np.mean((measured - settles) ** 2) / np.mean(measured**2)))
+    return [grading.share_check("cruising speed", share, GOOD_SPEED, USABLE_SPEED, "measured", text)]
 
 
 def _speed_share(file: ComparisonFile) -> float | None:
@@ -406,6 +424,15 @@ def _stroke_panels(name: str, members: Sequence[TrialComparison]) -> tuple[ev.Pa
     )
 
 
+def _settles(t: TrialComparison) -> str:
+    """Speed at which the model settles, for the terminal; empty where the trial begins at rest."""
+    if t.cruise is None:
+        return ""
+    if t.cruise.settled is None:
+        return "  never settles"
+    return f"  settles at {numbers.number(t.cruise.settled, 3, 'm/s')}"
+
+
 def summary(file: ComparisonFile, evidence: ev.Evidence) -> str:
     """Plain text for the terminal."""
     lines = [f"{file.robot}, {file.experiment}: {len(file.trials)} trials against {file.params}", ""]
@@ -422,7 +449,7 @@ def summary(file: ComparisonFile, evidence: ev.Evidence) -> str:
         wide = max(len(t.id) for t, _, _ in file.mean_speeds)
         for t, *speeds in file.mean_speeds:
             measured, simulated = (numbers.number(v, 3, "m/s") for v in speeds)
-            lines.append(f"  {t.id:<{wide}}  {measured:>12}  {simulated:>12}")
+            lines.append(f"  {t.id:<{wide}}  {measured:>12}  {simulated:>12}{_settles(t)}")
     lines += compare_strokes_evidence.summary(file.profiles)
     estimated = sum(t.start == "estimated" for t in file.trials)
     if estimated:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
-from swimid.fitting import metrics, start_states
+from swimid.fitting import grading, metrics, start_states
 from swimid.fitting.body import Body
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array, Channel, Model, Trial
@@ -19,7 +19,7 @@ from swimid.logs.derivative import slope
 from swimid.notices import warn
 from swimid.simulation import cases, cycles, swim_quantities
 from swimid.simulation.applied import Applied
-from swimid.simulation.comparison_file import ChannelScore, Speed, TrialComparison
+from swimid.simulation.comparison_file import ChannelScore, Cruise, Speed, TrialComparison
 
 T = TypeVar("T")
 Start = Literal["file", "estimated", "neutral"]
@@ -54,6 +54,8 @@ class Compared(NamedTuple):
 
     trial: Trial
     pairs: dict[str, Pair]
+    #: The same with positions in the trial's own axes (:func:`swimid.fitting.metrics.own_axes`), for scores.
+    own: dict[str, Pair]
     values: Array
     record: TrialComparison
 
@@ -121,6 +123,11 @@ def compared(
             n: table(p.time_s, p.measured, p.simulated, frequency_hz=frequency) for n, p in beating.items()
         }
 
+    measured, simulated = metrics.own_axes(
+        {n: p.measured for n, p in pairs.items()}, {n: p.simulated for n, p in pairs.items()}
+    )
+    own = {n: replace(p, measured=measured[n], simulated=simulated[n]) for n, p in pairs.items()}
+    placed = metrics.pose_channels(model)
     record = TrialComparison(
         id=trial.id,
         role=trial.role,  # type: ignore[arg-type]
@@ -128,12 +135,13 @@ def compared(
         start_values=start_values,
         frequency_hz=frequency,
         drive=cases.drive_block(trial.swim) if trial.swim.beat is not None else {},
-        channels={name: scored([p], frequency) for name, p in pairs.items()},
+        channels={name: scored([p], frequency, own_motion=name in placed) for name, p in own.items()},
         cycles=by_stroke(cycles.cycles),
         phases=by_stroke(cycles.phases),
         mean_speed=mean_speed(trial, pairs, body, frequency) if body is not None and frequency else None,
+        cruise=_cruise(applied, trial, values, pairs),
     )
-    return Compared(trial, pairs, values, record)
+    return Compared(trial, pairs, own, values, record)
 
 
 def start_of(applied: Applied, trial: Trial, refit: bool) -> tuple[Array, Start, dict[str, float]]:
@@ -202,7 +210,9 @@ def _noise(applied: Applied, trial: Trial) -> dict[str, float]:
     known = applied.noise()
     noise = {name: known[name] for name in trial.measured if name in known}
     if noise:
-        return noise
+        # axes of the world are no axes of the motion: one noise for both
+        place = [name for name in ("x_m", "y_m") if name in noise]
+        return noise | dict.fromkeys(place, math.hypot(*(noise[n] for n in place)) / math.sqrt(len(place) or 1))
     for name, values in trial.measured.items():
         there = values[np.isfinite(values)]
         noise[name] = (0.01 * float(np.ptp(there)) if len(there) else 0.0) or 1.0
@@ -237,16 +247,20 @@ def _velocities(pose: list[Array], time: Array, half: float) -> list[Array]:
 # ------------------------------------------------------------ numbers
 
 
-def scored(parts: list[Pair], frequency: float | None = None) -> ChannelScore:
-    """Errors of a channel over one trial, or pooled over several."""
-    measured = np.concatenate([p.measured for p in parts])
-    simulated = np.concatenate([p.simulated for p in parts])
+def scored(parts: list[Pair], frequency: float | None = None, *, own_motion: bool = False) -> ChannelScore:
+    """Score a channel over one trial, or over several (see :func:`swimid.fitting.metrics.score_trials`)."""
+    series = [(p.measured, p.simulated) for p in parts]
+    # peaks of a pose are about the trial's own mean
+    middle = [float(np.nanmean(y)) if own_motion else 0.0 for y, _ in series]
+    measured, simulated = (
+        np.concatenate([pair[side] - m for pair, m in zip(series, middle, strict=True)]) for side in (0, 1)
+    )
     peak, relative = metrics.peak_error(measured, simulated)
     timing = _timing(parts[0], frequency) if frequency is not None and len(parts) == 1 else {}
     return ChannelScore(
         unit=parts[0].channel.unit,
         source=parts[0].source,
-        **vars(metrics.score(measured, simulated)),
+        **vars(metrics.score_trials(series, own_motion=own_motion)),
         peak_error=peak,
         peak_error_normalised=relative,
         **timing,
@@ -261,6 +275,34 @@ def _timing(pair: Pair, frequency: float) -> dict[str, float]:
     band = max(1, round(0.25 / (frequency * step)))
     distance = metrics.dtw_distance(pair.measured[keep], pair.simulated[keep], band=band)
     return {"phase_error_rad": phase, "dtw_distance": distance}
+
+
+def _cruise(applied: Applied, trial: Trial, values: Array, pairs: Mapping[str, Pair]) -> Cruise | None:
+    """Steady speed of the model, for a trial whose own start speed is among its parameters; None for others."""
+    model = applied.model
+    swimmer, body = model.swimmer, model.body
+    began = [p.name for p in model.parameters if p.name.startswith("initial_")]
+    if swimmer is None or body is None or not any(values[model.index(name)] for name in began):
+        return None
+    found = swimmer.cruise(values, trial)
+    if found is None:
+        return None
+    frequency = float(trial.swim.drive.frequency_hz) if trial.swim.drive is not None else math.nan
+    half = 0.5 * (trial.time_s[0] + trial.time_s[-1])
+    speeds = []
+    for mine in (trial.time_s <= half, trial.time_s >= half):
+        part = {
+            name: replace(p, time_s=p.time_s[mine], measured=p.measured[mine], simulated=p.simulated[mine])
+            for name, p in pairs.items()
+        }
+        one = mean_speed(replace(trial, time_s=trial.time_s[mine]), part, body, frequency)
+        speeds.append(math.nan if one is None or one.measured is None else one.measured)
+    early, late = speeds
+    return Cruise(
+        settled=found.speed_m_s,
+        settling_s=found.settling_s,
+        steady=abs(late - early) <= grading.GOOD_SPEED * abs(late),
+    )
 
 
 def mean_speed(trial: Trial, pairs: Mapping[str, Pair], body: Body, frequency: float) -> Speed | None:

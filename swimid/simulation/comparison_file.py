@@ -60,6 +60,21 @@ class Speed(yamlio.Document):
     beats: int
 
 
+class Cruise(yamlio.Document):
+    """Steady swimming of the model under the drive of a trial that begins in motion.
+
+    The start speed of such a trial comes from the trial itself, so its simulated speed is no prediction before
+    the speed has settled.
+    """
+
+    #: Speed at which the model settles, m/s; null where it never settles.
+    settled: Number = None
+    #: Time in which a difference from that speed falls by a factor e, s; null where it never settles.
+    settling_s: Number = None
+    #: Whether the measured speed is steady, so that the two can be compared.
+    steady: bool
+
+
 class TrialComparison(yamlio.Document):
     """One trial."""
 
@@ -75,6 +90,7 @@ class TrialComparison(yamlio.Document):
     cycles: dict[str, CycleTable] = {}
     phases: dict[str, PhaseTable] = {}
     mean_speed: Speed | None = None
+    cruise: Cruise | None = None
 
 
 class CycleComparison(yamlio.Document):

@@ -177,7 +177,11 @@ def fit_graybox(
         if options.method == "hybrid":
             stages[front.AFTER] = result
         file = _file(experiment, result, origin, left_out, output, trials, options)
-        checks = [*fit_common.checks(result, file), fit_common.beat_check(experiment.facts["beats"])]
+        checks = [
+            *fit_common.checks(result, file),
+            *fit_common.error_checks(result),
+            fit_common.beat_check(experiment.facts["beats"]),
+        ]
         if ends:
             checks.append(fit_graybox_evidence.starts_check(ends))
         if found is not None:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from swimid.fitting import identifiability, metrics, multistart
+from swimid.fitting import fit_common, identifiability, metrics, multistart
 from swimid.fitting.drives import Beat
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.fit_result import FitResult, Series
@@ -113,7 +113,7 @@ def _metrics_table(result: FitResult) -> ev.Table:
     units = {c.name: c.unit for c in result.model.channels}
     drives = {t.id: t.swim.beat for t in result.trials}
     for s in result.series:
-        score = metrics.score(s.measured, s.simulated)
+        score = fit_common.scores(result, s.role, [s.trial])[s.channel]
         _, relative = metrics.peak_error(s.measured, s.simulated)
         warped = metrics.dtw_distance(s.measured, s.simulated, band=max(1, len(s.measured) // 20))
         rows.append(

@@ -268,11 +268,12 @@ def stages_table(found: Found, stages: Mapping[str, FitResult | None]) -> ev.Tab
         + ["" if s is None else numbers.number(float(s[j]), 3) for s in scored]
         for j, (profile, kind) in enumerate(found.profiles.objectives)
     ]
+    units = {c.name: c.unit for r in stages.values() if r is not None for c in r.model.channels}
     for role, title in (("fit", "fitted trials"), ("validate", "held-out trials")):
         errors = [{} if r is None else fit_common.scores(r, role) for r in stages.values()]
         for channel in dict.fromkeys(c for e in errors for c in e):
             known = [e.get(channel) for e in errors]
-            shown = [numbers.number(e["rmse"], 3, e["unit"]) if e else "" for e in known]
+            shown = [numbers.number(e.rmse, 3, units[channel]) if e else "" for e in known]
             rows.append([f"RMSE, {channel}", title, *shown])
     return ev.Table(
         id="stages",
