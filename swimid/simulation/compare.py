@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,7 +11,8 @@ import numpy as np
 
 from swimid.errors import NoTrustworthyResult
 from swimid.files import atomic, provenance
-from swimid.fitting import metrics
+from swimid.fitting import metrics, mistakes
+from swimid.fitting.model import Trial
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
 from swimid.options import takes
@@ -26,6 +28,7 @@ from swimid.simulation import (
     compare_strokes,
     compare_strokes_evidence,
 )
+from swimid.simulation.applied import Applied
 from swimid.simulation.comparison_file import FORMAT, ComparisonFile
 from swimid.simulation.options import CompareOptions
 
@@ -162,6 +165,13 @@ def compare(
         known = applied.file.fit if applied.file is not None else None
         fitted = list(file.channels) if known is None else list(known.channels)
         checks = compare_evidence.checks(file, fitted)
+        before = {d.trial.id: d.errors for d in done}
+        told = None
+        if options.refit_start and mistakes.is_suspect(checks, before):
+            known = mistakes.catalogue(experiment.model, experiment.trials)
+            tried = len(known) * (len(done) + 1)
+            told = _explained(experiment.trials, applied, known, tried, before)
+            checks.append(mistakes.check(told, tried))
     verdict = blocks.verdict(checks, compare_evidence.answer(file))
     file.verdict = verdict.level
     evidence = ev.Evidence(
@@ -183,3 +193,26 @@ def compare(
         provenance=origin,
     )
     return Comparison.of(file, evidence).saved(output)
+
+
+def _explained(
+    trials: Sequence[Trial],
+    applied: Applied,
+    known: Sequence[mistakes.Mistake],
+    tried: int,
+    before: Mapping[str, mistakes.Errors],
+) -> mistakes.Explanation | None:
+    """A usual mistake that explains the errors; the shared parameters are held."""
+
+    def evaluate(trial: Trial) -> mistakes.Errors:
+        values, _, _ = compare_series.start_of(applied, trial, True)
+        return mistakes.misfits(trial, applied.model.attempt(values, trial))
+
+    best: mistakes.Explanation | None = None
+    for mistake, each in mistakes.screened(trials, known, before, evaluate):
+        gained = [k for k, (_, _, gain) in each.items() if gain >= mistakes.DECISIVE]
+        after = {k: each[k][1] for k in gained}
+        found = mistakes.explained(mistake.says, gained, len(trials), tried, before, after)
+        if found is not None and (best is None or found.gain > best.gain):
+            best = found
+    return best

@@ -454,5 +454,6 @@ def summary(file: ComparisonFile, evidence: ev.Evidence) -> str:
     estimated = sum(t.start == "estimated" for t in file.trials)
     if estimated:
         lines += ["", f"  start states estimated for {estimated} of {len(file.trials)} trials"]
+    lines += [line for c in evidence.checks if c.name == "usual mistakes" for line in ("", c.text)]
     lines += ["", f"{evidence.verdict.level.upper()}: {blocks.judgement(evidence)}"]
     return "\n".join(lines)

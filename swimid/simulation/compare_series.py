@@ -11,7 +11,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
-from swimid.fitting import grading, metrics, start_states
+from swimid.fitting import grading, metrics, mistakes, start_states
 from swimid.fitting.body import Body
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array, Channel, Model, Trial
@@ -59,6 +59,12 @@ class Compared(NamedTuple):
     values: Array
     record: TrialComparison
 
+    @property
+    def errors(self) -> mistakes.Errors:
+        """Errors of the measured channels, as the search for usual mistakes takes them."""
+        simulated = {n: p.simulated for n, p in self.pairs.items() if n in self.trial.measured}
+        return mistakes.misfits(self.trial, simulated)
+
 
 def compared(
     experiment: Experiment, applied: Applied, trial: Trial, *, refit: bool, channels: Sequence[str] = ()
@@ -99,6 +105,12 @@ def compared(
         lost = np.isfinite(pair.measured) & ~np.isfinite(pair.simulated)
         if lost.any() and not model.has_gaps:
             where = trial.time_s[int(np.argmax(lost))]
+            if trial.swim.steady and lost.sum() == np.isfinite(pair.measured).sum():
+                raise NoTrustworthyResult(
+                    f"the model has no steady swimming under the drive of '{trial.id}': its speed never settles",
+                    hint="without drag nothing slows it down; --start-state estimate starts from the trial's "
+                    "own speed",
+                )
             raise NoTrustworthyResult(
                 f"the simulation of '{trial.id}' breaks down at t = {where:.4g} s",
                 hint="check the parameters' signs and units and the drive, or take a smaller --dt",

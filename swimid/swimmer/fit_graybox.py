@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +13,7 @@ import numpy as np
 
 from swimid.errors import InputError, Interrupted, NoTrustworthyResult
 from swimid.files import atomic, provenance
-from swimid.fitting import fit_common, identifiability, multistart, output_error, start_states
+from swimid.fitting import fit_common, identifiability, mistakes, multistart, output_error, start_states
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.fit_result import FitResult
 from swimid.fitting.model import Array, Model, Parameter, Trial
@@ -36,6 +36,8 @@ from swimid.swimmer.front import Found
 from swimid.swimmer.options import FitGrayboxOptions
 from swimid.swimmer.profiles import Profiles
 
+#: Relative tolerance of start states while usual mistakes are tried.
+COARSE = 1e-3
 #: Jacobians that a fit takes, about; the work ahead need be known to half only.
 STEPS = 20
 
@@ -133,6 +135,7 @@ def fit_graybox(
             bounds=options.bounds,
             also=[begin] if isinstance(begin, Path) else [],
         )
+        _insist_steady(experiment, choices)
         ahead_s = _simulated_s(experiment.trials, choices, options)
         origin = provenance.collect(
             [
@@ -186,6 +189,13 @@ def fit_graybox(
             checks.append(fit_graybox_evidence.starts_check(ends))
         if found is not None:
             found.profiles.close()
+        before = {t.id: _misfits(result, t) for t in result.trials}
+        told: mistakes.Explanation | None = None
+        if options.method == "least-squares" and mistakes.is_suspect(checks, before):
+            known = mistakes.catalogue(model, result.trials)
+            tried = len(known) * (len(result.trials) + 1)
+            told = _explained(result, known, tried, before, options, progress)
+            checks.append(mistakes.check(told, tried))
     evidence = ev.Evidence(
         verb="fit-graybox",
         title=f"Gray-box identification of {experiment.robot.name}",
@@ -212,8 +222,9 @@ def fit_graybox(
             *(f"  {line}" for line in file.identifiability),
             *fit_graybox_evidence.scores(file),
             *(front.summary(found, fronts) if found is not None else []),
+            *([told.sentence] if told is not None else []),
             f"{evidence.verdict.level.upper()}: {blocks.judgement(evidence)}",
-            *_next(checks, trials, output),
+            *([] if told is not None else _next(checks, trials, output)),
         ]
     )
     with atomic.together():
@@ -223,7 +234,7 @@ def fit_graybox(
             front.save(path, found)
     if found is not None and output is not None:
         keep.done()
-    _insist(result, file, ends, options.starts, trials, output)
+    _insist(result, file, ends, options.starts, trials, output, told)
     return replace(fitted, outputs=[*fitted.outputs, *fronts])
 
 
@@ -234,6 +245,7 @@ def _insist(
     starts: int,
     source: str | Path | TrialSet,
     output: Path | None,
+    told: mistakes.Explanation | None,
 ) -> None:
     """Raise for a search that did not come to its end, and for one that came to nothing."""
     if result.interrupted or 0 < len(ends) < starts:
@@ -247,7 +259,9 @@ def _insist(
         kept = f"; what it came to is in {output}, marked so" if output else ""
         raise NoTrustworthyResult(
             f"the fit did not converge: {result.message}{kept}",
-            hint="the model may lack an effect, which its coefficients cannot stand in for: "
+            hint=told.sentence
+            if told is not None
+            else "the model may lack an effect, which its coefficients cannot stand in for: "
             f"{_diagnose(source, output)} -o gap.yaml; if not, check units and trial settings",
         )
     unknown = [label for label in result.shared if result.status[label] == "unidentifiable"]
@@ -269,6 +283,84 @@ def _next(checks: Sequence[ev.Check], source: str | Path | TrialSet, output: Pat
     if not any(c.verdict == "warn" and c.name.startswith(coloured) for c in checks):
         return []
     return [f"next: {_diagnose(source, output)} says whether the model lacks an effect, and which"]
+
+
+def _insist_steady(experiment: Experiment, parameters: Sequence[Parameter]) -> None:
+    """Refuse trials that begin in steady swimming where the model has none, from its start to the robot's values."""
+    swimmer_model = experiment.model.swimmer
+    stated = experiment.model.stated()
+    assert swimmer_model is not None
+    known = {p.name: p.start for p in parameters if p.name in [q.name for q in swimmer_model.parameters]}
+    starts = {p.name: known.get(p.name, p.start) for p in swimmer_model.parameters}
+    fixed = {p.name for p in parameters if not p.free}
+    sets = [starts, {**starts, **{n: v for n, v in stated.items() if n not in fixed}}]
+    for trial in (t for t in experiment.trials if t.swim.steady):
+        cruises = [swimmer_model.cruise(np.array(list(values.values())), trial) for values in sets]
+        if all(c is not None and not np.isfinite(c.speed_m_s) for c in cruises):
+            raise NoTrustworthyResult(
+                f"the model has no steady swimming under the drive of '{trial.id}': its speed never settles",
+                hint="without drag nothing slows it down: free a drag coefficient, or use --start-state estimate",
+            )
+
+
+def _misfits(result: FitResult, trial: Trial) -> mistakes.Errors:
+    """Errors of one trial of a fit."""
+    simulated = {s.channel: s.simulated for s in result.series if s.trial == trial.id}
+    return mistakes.misfits(trial, simulated)
+
+
+def _explained(
+    result: FitResult,
+    known: Sequence[mistakes.Mistake],
+    tried: int,
+    before: Mapping[str, mistakes.Errors],
+    options: FitGrayboxOptions,
+    progress: Progress,
+) -> mistakes.Explanation | None:
+    """A usual mistake that explains a bad fit.
+
+    Each mistake is undone in each trial with the coefficients held, as they were estimated and as the robot file
+    states them. The fits of the few most promising corrections decide.
+    """
+    model, trials = result.model, result.trials
+    sd = {name: noise.value_sd for name, noise in result.noise.items()}
+    stated = model.stated()
+    sets = (
+        result.at_estimates(),
+        tuple(replace(p, start=stated.get(p.name, p.start)) for p in result.parameters),
+    )
+
+    def evaluate(trial: Trial) -> mistakes.Errors:
+        found: list[mistakes.Errors] = []
+        for parameters in sets:
+            own = start_states.estimate(model, parameters, trial, sd, tolerance=COARSE)
+            values = np.array([own.get(f"{p.name}[{trial.id}]", p.start) for p in parameters])
+            found.append(mistakes.misfits(trial, model.attempt(values, trial)))
+        found = [errors for errors in found if errors]
+        return min(found, key=lambda e: sum(np.log([m.relative for m in e.values()])), default={})
+
+    best: mistakes.Explanation | None = None
+    with progress("trying usual mistakes") as step:
+        for mistake, each in mistakes.screened(trials, known, before, evaluate)[: mistakes.MAX_REFITS]:
+            step()
+            gained = [k for k, (_, _, gain) in each.items() if gain >= mistakes.DECISIVE]
+            for chosen in dict.fromkeys((tuple(gained), tuple(each))):
+                if not chosen:
+                    continue
+                changed = [each[t.id][0] if t.id in chosen else t for t in trials]
+                names = dict(zip((t.id for t in changed), (t.id for t in trials), strict=True))
+                with suppress(NoTrustworthyResult):
+                    fit = start_states.with_held_out(
+                        output_error.fit(
+                            model, changed, parameters=result.parameters,
+                            jobs=options.jobs, loss=options.loss, tested=False, unfinished=True,
+                        )
+                    )  # fmt: skip
+                    after = {names[t.id]: _misfits(fit, t) for t in fit.trials}
+                    found = mistakes.explained(mistake.says, chosen, len(trials), tried, before, after)
+                    if found is not None and (best is None or found.gain > best.gain):
+                        best = found
+    return best
 
 
 def _simulated_s(

@@ -50,6 +50,8 @@ USES = dict.fromkeys(
 )
 #: The beat is looked for up to this multiple of the stated frequency.
 BEAT_RANGE = 8.0
+#: Largest range of a heading that jumps by whole turns, rad: one turn and the noise of a twentieth.
+WRAPPED_RANGE = 2.1 * math.pi
 #: Phases of the drive tried for a trial that begins in steady swimming.
 PHASES = 12
 #: A track has set out once it is this share of its farthest from where it began.
@@ -380,7 +382,9 @@ def _unwrapped(name: str, values: Array) -> Array:
         return values
     there = np.isfinite(values)
     found = values.copy()
-    found[there] = np.unwrap(values[there])
+    # values beyond one turn do not jump: they go on, or they are no radians
+    if there.any() and np.ptp(values[there]) <= WRAPPED_RANGE:
+        found[there] = np.unwrap(values[there])
     return found
 
 

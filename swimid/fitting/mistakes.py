@@ -1,0 +1,337 @@
+"""Usual mistakes in trials: transformations of the data or of the drive after which the model may fit.
+
+A heading from the tail, a mirrored axis, a unit, a sign: such a mistake in one trial, or in all, makes every fit
+bad and looks like a missing effect. Each is undone in turn, and the model is compared with the trial again. Nothing
+is ever changed without a word: the result is a sentence.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from swimid.errors import NoTrustworthyResult
+from swimid.fitting import metrics
+from swimid.fitting.drives import Beat, Motion
+from swimid.fitting.grading import GOOD
+from swimid.fitting.model import Array, Model, Trial
+from swimid.fitting.residual_tests import autocorrelation
+from swimid.results import blocks, numbers
+from swimid.results import evidence as ev
+
+#: Units of length and of angle that are mixed up.
+FACTORS = (10.0, 100.0, 1000.0, 0.1, 0.01, 0.001)
+DEGREE = math.pi / 180.0
+#: Twice the logarithm of a Bayes factor that is decisive (Kass and Raftery, J. Am. Stat. Assoc. 90, 1995). The
+#: number of alternatives tried comes on top: twice its logarithm.
+DECISIVE = 10.0
+#: Candidates that are fitted again.
+MAX_REFITS = 4
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A transformation that undoes a mistake.
+
+    Attributes
+    ----------
+    says : str
+        In words that follow "With": ``yaw + 180 degrees``.
+    undo : callable
+        From a trial to the corrected one; None where the trial has nothing to correct.
+    """
+
+    says: str
+    undo: Callable[[Trial], Trial | None]
+
+
+class Misfit(NamedTuple):
+    """Error of one channel of one trial."""
+
+    #: Over the measured range.
+    nrmse: float
+    #: The same, of both coordinates of a position together: independent of the direction of the axes.
+    relative: float
+    #: Number of independent samples in the residual.
+    independent: float
+
+
+class Explanation(NamedTuple):
+    """A mistake that explains the error.
+
+    Attributes
+    ----------
+    says : str
+        The mistake.
+    trials : tuple of str
+        Trials that it was undone in.
+    everywhere : bool
+        These are all trials.
+    channel : str
+        The channel whose error falls most.
+    before, after : float
+        Its error over the measured range.
+    gain : float
+        Twice the logarithm of the likelihood ratio, less the allowance for the number of alternatives.
+    """
+
+    says: str
+    trials: tuple[str, ...]
+    everywhere: bool
+    channel: str
+    before: float
+    after: float
+    gain: float
+
+    @property
+    def sentence(self) -> str:
+        """The explanation as it is reported."""
+        where = "all trials" if self.everywhere else f"trial {', '.join(self.trials)}"
+        return (
+            f"With {self.says} in {where} the error of {self.channel} falls from "
+            f"{numbers.percent(self.before)} to {numbers.percent(self.after)}."
+        )
+
+
+Errors = Mapping[str, Misfit]
+Evaluate = Callable[[Trial], Errors]
+
+
+# ------------------------------------------------------------ catalogue
+
+
+def catalogue(model: Model, trials: Sequence[Trial]) -> list[Mistake]:
+    """List the transformations that apply to the trials of a model."""
+    names = list(dict.fromkeys(c for t in trials for c in (*t.measured, *t.inputs)))
+    pose = metrics.pose_channels(model)
+    units = {c.name: c.unit for c in model.channels}
+    place = [name for name in pose if units[name] == "m"]
+    found: list[Mistake] = []
+    if {"x_m", "y_m", "yaw_rad"} <= set(pose):
+        found += [
+            _changed(model, "yaw + 180 degrees", {}, {"yaw_rad": math.pi}),
+            _changed(model, "yaw mirrored", {"yaw_rad": -1.0}),
+            _changed(model, "y mirrored", {"y_m": -1.0}),
+        ]
+    others = [n for n in names if n in units and n not in pose]
+    found += [_changed(model, f"the sign of {name} changed", {name: -1.0}) for name in others]
+    for name in (n for n in names if units.get(n) == "rad"):
+        found.append(_changed(model, f"{name} taken as degrees", {name: DEGREE}))
+        found.append(_changed(model, f"{name} multiplied by 180/pi", {name: 1.0 / DEGREE}))
+    groups = [tuple(place)] if place else []
+    groups += [(name,) for name in names if name in units and (len(place) > 1 or name not in place)]
+    for group in groups:
+        if units[group[0]] != "rad":
+            found += [
+                _changed(model, f"{' and '.join(group)} multiplied by {factor:g}", dict.fromkeys(group, factor))
+                for factor in FACTORS
+            ]
+    amplitudes = {
+        "twice the amplitude of the drive": 2.0,
+        "half the amplitude of the drive": 0.5,
+        "the amplitude of the drive taken as radians": 1.0 / DEGREE,
+        "the amplitude of the drive multiplied by pi/180": DEGREE,
+    }
+    found += [Mistake(says, partial(_driven, factor=factor)) for says, factor in amplitudes.items()]
+    joints = max((len(t.swim.joints) for t in trials if t.swim.joints is not None), default=0)
+    for k in range(joints):
+        found.append(
+            Mistake(f"the sign of driven joint {k + 1} changed", partial(_joint, factor=-1.0, number=k))
+        )
+    if joints:
+        factors = {
+            "the signs of all driven joints changed": -1.0,
+            "the driven joints taken as degrees": DEGREE,
+            "the driven joints multiplied by 180/pi": 1.0 / DEGREE,
+            "the driven joints multiplied by 2": 2.0,
+            "the driven joints multiplied by 0.5": 0.5,
+        }
+        found += [Mistake(says, partial(_joint, factor=factor)) for says, factor in factors.items()]
+    swimmer = model.swimmer
+    if swimmer is not None and not swimmer.in_space:
+        found.append(Mistake("a start in steady swimming (start_state: steady)", _steady))
+    return found
+
+
+def _renamed(trial: Trial, says: str) -> Trial:
+    """The trial under a name of its own: models keep what they simulated by the name."""
+    return replace(trial, id=f"{trial.id} ({says})")
+
+
+def _changed(
+    model: Model, says: str, factors: Mapping[str, float], offsets: Mapping[str, float] | None = None
+) -> Mistake:
+    """A change of channels, ``factor * value + offset``, and of the start pose with them."""
+    offsets = offsets or {}
+    pose = metrics.pose_channels(model)
+    changes = {**dict.fromkeys(offsets, 1.0), **factors}
+
+    def undo(trial: Trial) -> Trial | None:
+        if not any(name in trial.measured for name in changes):
+            return None
+
+        def changed(series: Mapping[str, Array]) -> dict[str, Array]:
+            return {n: changes.get(n, 1.0) * v + offsets.get(n, 0.0) for n, v in series.items()}
+
+        swim = trial.swim
+        if swim.pose is not None:
+            moved = [
+                changes.get(n, 1.0) * p + offsets.get(n, 0.0) for n, p in zip(pose, swim.pose, strict=False)
+            ]
+            swim = replace(swim, pose=(*moved, *swim.pose[len(moved) :]))
+        # start velocities were read off the channels as they are
+        starts = {n: v for n, v in trial.starts.items() if not n.startswith("initial_")}
+        return replace(
+            trial, measured=changed(trial.measured), inputs=changed(trial.inputs), swim=swim, starts=starts
+        )
+
+    return Mistake(says, undo)
+
+
+def _driven(trial: Trial, *, factor: float) -> Trial | None:
+    beat = trial.swim.beat
+    if beat is None or not beat.amplitude_rad:
+        return None
+    changed: Beat = replace(beat, amplitude_rad=factor * beat.amplitude_rad)
+    return replace(trial, swim=replace(trial.swim, beat=changed))
+
+
+def _joint(trial: Trial, *, factor: float, number: int | None = None) -> Trial | None:
+    if trial.swim.joints is None:
+        return None
+
+    def scaled(motion: Callable[[Array], Motion]) -> Callable[[Array], Motion]:
+        def moved(time_s: Array) -> Motion:
+            angle, rate, bend = motion(time_s)
+            return factor * angle, factor * rate, factor * bend
+
+        return moved
+
+    joints = [scaled(m) if number in (None, k) else m for k, m in enumerate(trial.swim.joints)]
+    return replace(trial, swim=replace(trial.swim, joints=joints))
+
+
+def _steady(trial: Trial) -> Trial | None:
+    if trial.swim.drive is None or trial.swim.steady:
+        return None
+    return replace(trial, swim=trial.swim.begun())
+
+
+# ------------------------------------------------------------ search
+
+
+def misfits(trial: Trial, simulated: Mapping[str, Array]) -> dict[str, Misfit]:
+    """Errors of the measured channels of one trial, each relative to the trial's own motion."""
+    measured, simulated = metrics.own_axes(trial.measured, simulated)
+    known = [name for name in measured if name in simulated]
+    scores = {name: metrics.score(measured[name], simulated[name]) for name in known}
+    ranges = {name: float(np.ptp(y[np.isfinite(y)])) for name in known if np.isfinite(y := measured[name]).any()}
+    place = [name for name in ("x_m", "y_m") if name in ranges]
+    found = {}
+    for name in (n for n in ranges if math.isfinite(scores[n].nrmse)):
+        group = place if name in place else [name]
+        error = math.hypot(*(scores[n].rmse for n in group)) / math.hypot(*(ranges[n] for n in group))
+        residual = measured[name] - simulated[name]
+        found[name] = Misfit(max(scores[name].nrmse, 1e-9), max(error, 1e-9), _independent(residual))
+    return found
+
+
+def _independent(residual: Array) -> float:
+    """Number of samples that the variance of a coloured series is worth, ``n / (1 + 2 sum rho_k^2)``.
+
+    Bartlett's formula for the variance of a sample variance, over lags up to a quarter of the record.
+    """
+    count = int(np.isfinite(residual).sum())
+    if count < 8 or not np.nanvar(residual) > 0.0:
+        return float(count)
+    rho = autocorrelation(residual, max_lag=count // 4).values
+    # the squares of a white series sum to their number over n
+    excess = float(np.nansum(rho[1:] ** 2)) - (len(rho) - 1) / count
+    return count / (1.0 + 2.0 * max(excess, 0.0))
+
+
+def gain(before: Errors, after: Errors) -> float:
+    """Twice the logarithm of the likelihood ratio of a trial, by the independent samples that the latter leaves."""
+    shared = [name for name in after if name in before]
+    return float(
+        sum(2.0 * after[n].independent * math.log(before[n].relative / after[n].relative) for n in shared)
+    )
+
+
+def screened(
+    trials: Sequence[Trial], mistakes: Sequence[Mistake], before: Mapping[str, Errors], evaluate: Evaluate
+) -> list[tuple[Mistake, dict[str, tuple[Trial, Errors, float]]]]:
+    """Undo each mistake in each trial.
+
+    Returns
+    -------
+    list of (Mistake, dict of trial id to (Trial, Errors, gain))
+        The best first: by the gain of the trials in which the error falls.
+    """
+    found = []
+    for mistake in mistakes:
+        each: dict[str, tuple[Trial, Errors, float]] = {}
+        for trial in trials:
+            changed = mistake.undo(trial)
+            if changed is None or trial.id not in before:
+                continue
+            changed = _renamed(changed, mistake.says)
+            try:
+                after = evaluate(changed)
+            except (NoTrustworthyResult, np.linalg.LinAlgError):
+                continue
+            if after:
+                each[trial.id] = (changed, after, gain(before[trial.id], after))
+        if each:
+            found.append((mistake, each))
+    return sorted(found, key=lambda pair: -sum(max(g, 0.0) for _, _, g in pair[1].values()))
+
+
+def explained(
+    says: str, trials: Sequence[str], count: int, tried: int, before: Mapping[str, Errors], after: Mapping[str, Errors]
+) -> Explanation | None:
+    """The explanation where the errors fall decisively, and to what a good model leaves; else None.
+
+    Parameters
+    ----------
+    trials : sequence of str
+        Trials in which the mistake was undone.
+    count, tried : int
+        Number of all trials, and of alternatives tried.
+    before, after : mapping of trial id to Errors
+        Of all trials that changed.
+    """
+    total = sum(gain(before[k], after[k]) for k in after) - 2.0 * math.log(max(tried, 1))
+    if not trials or total < DECISIVE or any(m.nrmse > GOOD for k in trials for m in after[k].values()):
+        return None
+    falls = {
+        name: (
+            math.sqrt(np.mean([before[k][name].nrmse ** 2 for k in trials if name in before[k]])),
+            math.sqrt(np.mean([after[k][name].nrmse ** 2 for k in trials if name in after[k]])),
+        )
+        for name in after[trials[0]]
+        if name in before[trials[0]]
+    }
+    channel = max(falls, key=lambda name: falls[name][0] - falls[name][1])
+    return Explanation(says, tuple(trials), len(trials) == count and count > 1, channel, *falls[channel], total)
+
+
+def check(found: Explanation | None, tried: int) -> ev.Check:
+    """What the search for usual mistakes found, for the report."""
+    if found is None:
+        text = f"none of {tried} usual mistakes (a sign, a unit, a mirrored axis, an amplitude) explains the error"
+        return ev.check("usual mistakes", "none found", None, text=text)
+    text = f"{found.sentence} Check how these data were recorded; nothing was changed"
+    return blocks.check("usual mistakes", found.says, "none", False, otherwise="fail", text=text)
+
+
+def is_suspect(checks: Iterable[ev.Check], errors: Mapping[str, Errors]) -> bool:
+    """Whether a result calls for the search: a check fails, or a trial is not described."""
+    return any(c.verdict == "fail" for c in checks) or any(
+        m.nrmse > GOOD for trial in errors.values() for m in trial.values()
+    )
