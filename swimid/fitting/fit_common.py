@@ -277,10 +277,10 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
     return found + [_validation(result, c) for c in held_out if c.name in result.noise]
 
 
-def error_checks(result: FitResult) -> list[ev.Check]:
+def error_checks(result: FitResult, roles: Sequence[str] = ("fit", "validate")) -> list[ev.Check]:
     """Errors of fitted and of held-out trials against the limits of ``compare``."""
     found = []
-    for role in ("fit", "validate"):
+    for role in roles:
         found += grading.error_checks(
             {name: score for name, score in scores(result, role).items() if name in result.noise},
             fitted=result.noise,

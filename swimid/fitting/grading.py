@@ -49,7 +49,9 @@ def error_checks(
     for name, score in scores.items():
         check = share_check(f"{where} of {name}", score.nrmse, GOOD, USABLE, "measured range", text)
         if name in set(noise) and check.verdict != "pass":
-            check = ev.check(check.name, check.value, None, text="the residuals are white: noise alone is left")
+            check = ev.check(
+                check.name, check.value, None, text="the residuals are white: noise alone is left"
+            )
         found.append(check)
     for name in fitted:
         vaf = scores[name].vaf if name in scores else None

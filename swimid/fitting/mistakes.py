@@ -128,7 +128,9 @@ def catalogue(model: Model, trials: Sequence[Trial]) -> list[Mistake]:
     for group in groups:
         if units[group[0]] != "rad":
             found += [
-                _changed(model, f"{' and '.join(group)} multiplied by {factor:g}", dict.fromkeys(group, factor))
+                _changed(
+                    model, f"{' and '.join(group)} multiplied by {factor:g}", dict.fromkeys(group, factor)
+                )
                 for factor in FACTORS
             ]
     amplitudes = {
@@ -230,7 +232,9 @@ def misfits(trial: Trial, simulated: Mapping[str, Array]) -> dict[str, Misfit]:
     measured, simulated = metrics.own_axes(trial.measured, simulated)
     known = [name for name in measured if name in simulated]
     scores = {name: metrics.score(measured[name], simulated[name]) for name in known}
-    ranges = {name: float(np.ptp(y[np.isfinite(y)])) for name in known if np.isfinite(y := measured[name]).any()}
+    ranges = {
+        name: float(np.ptp(y[np.isfinite(y)])) for name in known if np.isfinite(y := measured[name]).any()
+    }
     place = [name for name in ("x_m", "y_m") if name in ranges]
     found = {}
     for name in (n for n in ranges if math.isfinite(scores[n].nrmse)):
@@ -293,7 +297,12 @@ def screened(
 
 
 def explained(
-    says: str, trials: Sequence[str], count: int, tried: int, before: Mapping[str, Errors], after: Mapping[str, Errors]
+    says: str,
+    trials: Sequence[str],
+    count: int,
+    tried: int,
+    before: Mapping[str, Errors],
+    after: Mapping[str, Errors],
 ) -> Explanation | None:
     """The explanation where the errors fall decisively, and to what a good model leaves; else None.
 
@@ -318,13 +327,18 @@ def explained(
         if name in before[trials[0]]
     }
     channel = max(falls, key=lambda name: falls[name][0] - falls[name][1])
-    return Explanation(says, tuple(trials), len(trials) == count and count > 1, channel, *falls[channel], total)
+    return Explanation(
+        says, tuple(trials), len(trials) == count and count > 1, channel, *falls[channel], total
+    )
 
 
-def check(found: Explanation | None, tried: int) -> ev.Check:
-    """What the search for usual mistakes found, for the report."""
+def check(found: Explanation | None, count: int) -> ev.Check:
+    """Result of the search among a number of usual mistakes, for the report."""
     if found is None:
-        text = f"none of {tried} usual mistakes (a sign, a unit, a mirrored axis, an amplitude) explains the error"
+        text = (
+            f"none of {count} usual mistakes (a sign, a unit, a mirrored axis, an amplitude), in one trial or in "
+            "all, explains the error"
+        )
         return ev.check("usual mistakes", "none found", None, text=text)
     text = f"{found.sentence} Check how these data were recorded; nothing was changed"
     return blocks.check("usual mistakes", found.says, "none", False, otherwise="fail", text=text)

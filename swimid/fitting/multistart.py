@@ -40,6 +40,7 @@ def multistart(
     begins: Sequence[Array] | None = None,
     jobs: int | None = None,
     loss: Loss = "linear",
+    first: FitResult | None = None,
     progress: Progress = silent,
 ) -> tuple[FitResult, list[Start]]:
     """Fit from several starts and keep the best.
@@ -53,12 +54,14 @@ def multistart(
         the start on a side without a bound.
     begins : sequence of ndarray, each shape (p,), optional
         Default the parameters' own start alone.
+    first : FitResult, optional
+        Fit from the first start, where it is known.
 
     Returns
     -------
     best : FitResult
-        Of the converged fit with the least cost, tested as
-        :func:`swimid.fitting.output_error.held_to_restarts` does.
+        Of the fit with the least cost; a converged one where both are the same minimum (:data:`SAME`). A
+        converged one is tested as :func:`swimid.fitting.output_error.held_to_restarts` does.
     ends : list of Start
         In the order they were run. After Ctrl-C those still to come are left out.
 
@@ -80,9 +83,13 @@ def multistart(
         for k in range(starts):
             begin = given[k] if k < len(given) else rng.uniform(low, high)
             try:
-                found = output_error.fit(
-                    model, trials, parameters=parameters, jobs=jobs, loss=loss, begin=begin, tested=False
-                )
+                if first is not None and k == 0:
+                    found = first
+                else:
+                    found = output_error.fit(
+                        model, trials, parameters=parameters,
+                        jobs=jobs, loss=loss, begin=begin, tested=False, unfinished=True,
+                    )  # fmt: skip
             except KeyboardInterrupt:
                 if best is None:
                     raise
@@ -93,7 +100,7 @@ def multistart(
             else:
                 ends.append(Start(begin, found.estimate, found.cost, found.converged))
                 results.append(found)
-                if best is None or (not found.converged, found.cost) < (not best.converged, best.cost):
+                if best is None or _is_better(found, best):
                     best = found
                 if found.interrupted:
                     break
@@ -103,7 +110,8 @@ def multistart(
     if best is None:
         assert failure is not None
         raise failure
-    found = output_error.held_to_restarts(best, jobs=jobs or os.cpu_count() or 1)
+    threads = jobs or os.cpu_count() or 1
+    found = output_error.held_to_restarts(best, jobs=threads) if best.converged else best
     others = [r for r in results if r is not best]
     evaluations = found.evaluations + sum(r.evaluations for r in others)
     return replace(
@@ -112,7 +120,7 @@ def multistart(
 
 
 def agreeing(ends: Sequence[Start]) -> int:
-    """How many starts reached the best minimum, by its cost.
+    """Number of starts that reached the lowest cost.
 
     Directions the data do not see may differ between equal minima, so parameters are not compared.
 
@@ -120,5 +128,12 @@ def agreeing(ends: Sequence[Start]) -> int:
     >>> agreeing([Start(where, where, cost, True) for cost in (1.0, 1.0005, 2.0)])
     2
     """
-    least = min((e.cost for e in ends if e.converged), default=math.inf)
-    return sum(e.converged and e.cost <= least * (1 + SAME) for e in ends)
+    least = min((e.cost for e in ends), default=math.inf)
+    return sum(e.cost <= least * (1 + SAME) for e in ends)
+
+
+def _is_better(found: FitResult, best: FitResult) -> bool:
+    """Whether a fit takes the place of the best one so far: lower, or as low and converged."""
+    if max(found.cost, best.cost) <= min(found.cost, best.cost) * (1 + SAME):
+        return (not found.converged, found.cost) < (not best.converged, best.cost)
+    return found.cost < best.cost

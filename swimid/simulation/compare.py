@@ -171,7 +171,7 @@ def compare(
             known = mistakes.catalogue(experiment.model, experiment.trials)
             tried = len(known) * (len(done) + 1)
             told = _explained(experiment.trials, applied, known, tried, before)
-            checks.append(mistakes.check(told, tried))
+            checks.append(mistakes.check(told, len(known)))
     verdict = blocks.verdict(checks, compare_evidence.answer(file))
     file.verdict = verdict.level
     evidence = ev.Evidence(

@@ -224,7 +224,9 @@ def _noise(applied: Applied, trial: Trial) -> dict[str, float]:
     if noise:
         # axes of the world are no axes of the motion: one noise for both
         place = [name for name in ("x_m", "y_m") if name in noise]
-        return noise | dict.fromkeys(place, math.hypot(*(noise[n] for n in place)) / math.sqrt(len(place) or 1))
+        return noise | dict.fromkeys(
+            place, math.hypot(*(noise[n] for n in place)) / math.sqrt(len(place) or 1)
+        )
     for name, values in trial.measured.items():
         there = values[np.isfinite(values)]
         noise[name] = (0.01 * float(np.ptp(there)) if len(there) else 0.0) or 1.0

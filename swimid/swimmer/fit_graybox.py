@@ -38,6 +38,11 @@ from swimid.swimmer.profiles import Profiles
 
 #: Relative tolerance of start states while usual mistakes are tried.
 COARSE = 1e-3
+#: Number of starts by default, where a search is begun again at all.
+DEFAULT_STARTS = 4
+#: A search of fewer integration steps than this is short: it takes about a second on one processor (1.3 us a step
+#: of the tendon fish, ``python -m benchmarks.bench_lanes``).
+SHORT_SEARCH = 1e6
 #: Jacobians that a fit takes, about; the work ahead need be known to half only.
 STEPS = 20
 
@@ -170,7 +175,7 @@ def fit_graybox(
                 stages[front.UNTUNED] = start_states.with_held_out(at(profiles.start))
             stages[front.CHOSEN] = start_states.with_held_out(result)
             if options.method == "hybrid":
-                begins = found.begins(options.starts)
+                begins = found.begins(options.starts or 1)
                 result, ends = _least_squares(model, experiment.trials, choices, begins, options, progress)
         left_out: list[str] = []
         if options.subset and result.converged:
@@ -186,7 +191,7 @@ def fit_graybox(
             fit_common.beat_check(experiment.facts["beats"]),
         ]
         if ends:
-            checks.append(fit_graybox_evidence.starts_check(ends))
+            checks.append(fit_graybox_evidence.starts_check(ends, asked=options.starts is not None))
         if found is not None:
             found.profiles.close()
         before = {t.id: _misfits(result, t) for t in result.trials}
@@ -195,7 +200,7 @@ def fit_graybox(
             known = mistakes.catalogue(model, result.trials)
             tried = len(known) * (len(result.trials) + 1)
             told = _explained(result, known, tried, before, options, progress)
-            checks.append(mistakes.check(told, tried))
+            checks.append(mistakes.check(told, len(known)))
     evidence = ev.Evidence(
         verb="fit-graybox",
         title=f"Gray-box identification of {experiment.robot.name}",
@@ -234,7 +239,7 @@ def fit_graybox(
             front.save(path, found)
     if found is not None and output is not None:
         keep.done()
-    _insist(result, file, ends, options.starts, trials, output, told)
+    _insist(result, file, ends, options.starts or (DEFAULT_STARTS if ends else 1), trials, output, told)
     return replace(fitted, outputs=[*fitted.outputs, *fronts])
 
 
@@ -368,7 +373,7 @@ def _simulated_s(
 ) -> float:
     """How much time of the trials a fit simulates, about, s."""
     lasting = sum(float(t.time_s[-1] - t.time_s[0]) for t in trials)
-    runs = STEPS * (2 + sum(p.free for p in parameters)) * options.starts
+    runs = STEPS * (2 + sum(p.free for p in parameters)) * (options.starts or 1)
     return lasting * (runs if options.method == "least-squares" else options.population * options.generations)
 
 
@@ -381,20 +386,31 @@ def _least_squares(
     progress: Progress,
 ) -> tuple[FitResult, list[multistart.Start]]:
     """The output-error fit, and its starts where there were several."""
-    starts, jobs, loss = max(options.starts, len(begins or [])), options.jobs, options.loss
-    if starts > 1:
-        # where no start converges, what the first one comes to is told as that of a single one is
-        with suppress(NoTrustworthyResult):
-            return multistart.multistart(
-                model, trials, parameters,
-                starts=starts, seed=options.seed, begins=begins, jobs=jobs, loss=loss, progress=progress,
-            )  # fmt: skip
-    begin = None if begins is None else begins[0]
-    found = output_error.fit(
-        model, trials,
-        parameters=parameters, jobs=jobs, loss=loss, begin=begin, unfinished=True, progress=progress,
+    starts, jobs, loss = max(options.starts or 1, len(begins or [])), options.jobs, options.loss
+    first: FitResult | None = None
+    if starts == 1:
+        first = output_error.fit(
+            model, trials,
+            parameters=parameters, jobs=jobs, loss=loss, begin=None if begins is None else begins[0],
+            unfinished=True, progress=progress,
+        )  # fmt: skip
+        if options.starts is not None or first.interrupted or not _deserves_starts(first):
+            return first, []
+        starts = DEFAULT_STARTS
+    return multistart.multistart(
+        model, trials, parameters, starts=starts, seed=options.seed, begins=begins,
+        jobs=jobs, loss=loss, first=first, progress=progress,
     )  # fmt: skip
-    return found, []
+
+
+def _deserves_starts(first: FitResult) -> bool:
+    """Whether a search is begun again from other points: it was short, or its answer is bad."""
+    swimmer_model = first.model.swimmer
+    assert swimmer_model is not None
+    lengths = [float(t.time_s[-1] - t.time_s[0]) for t in first.trials]
+    steps = first.evaluations * float(np.mean(lengths)) / swimmer_model.max_step
+    failing = [c for c in fit_common.error_checks(first, roles=("fit",)) if c.verdict == "fail"]
+    return steps < SHORT_SEARCH or not first.converged or bool(failing)
 
 
 def _tied(model: Model, share: Sequence[str]) -> Model:

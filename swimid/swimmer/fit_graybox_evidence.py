@@ -66,16 +66,14 @@ def _path(result: FitResult, across: str, along: str, view: str) -> list[ev.Figu
     ]
 
 
-def starts_check(ends: Sequence[multistart.Start]) -> ev.Check:
-    """How many starts end in the minimum that is reported."""
+def starts_check(ends: Sequence[multistart.Start], *, asked: bool) -> ev.Check:
+    """Number of starts that end in the reported minimum; a doubt where the user asked for the starts."""
     agree = multistart.agreeing(ends)
-    return blocks.check(
-        "one minimum",
-        f"{agree} of {len(ends)} starts end in it",
-        "every start",
-        agree == len(ends),
-        text="the other starts end higher; the lowest is reported" if agree < len(ends) else "",
-    )
+    value = f"{agree} of {len(ends)} starts end in it"
+    text = "the other starts end higher; the lowest is reported" if agree < len(ends) else ""
+    if not asked:
+        return ev.check("one minimum", value, None, text=text)
+    return blocks.check("one minimum", value, "every start", agree == len(ends), text=text)
 
 
 def tables(experiment: Experiment, result: FitResult, ends: Sequence[multistart.Start]) -> list[ev.Table]:

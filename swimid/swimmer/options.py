@@ -67,7 +67,11 @@ class FitGrayboxOptions(Options):
     start_state: SwimStart = start_state()
     start_from: Source = option(None, help="Parameter file to start the search from.", recorded=False)
     loss: Literal["linear", "huber"] = option("linear", help="huber: robust loss, outliers weigh less.")
-    starts: int = option(1, ge=1, help="Start from so many points in the bounds.")
+    starts: int | None = option(
+        None,
+        ge=1,
+        help="Number of starts within the bounds. Default: 1, or 4 where a search is short or its answer is bad.",
+    )
     seed: int = option(0, help="Of the random starts.")
     subset: bool = option(False, help="Hold what the trials cannot tell, until all the rest is known.")
     readings: Mapping[str, str] = readings()

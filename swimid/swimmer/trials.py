@@ -172,9 +172,7 @@ def load(
     )
 
 
-def _start_state(
-    entry: FreeSwimTrial, chosen: str, *, moving: bool, model: LinkedModel, path: Path
-) -> str:
+def _start_state(entry: FreeSwimTrial, chosen: str, *, moving: bool, model: LinkedModel, path: Path) -> str:
     """State in which a trial begins: ``rest``, ``estimate`` or ``steady``.
 
     Raises
