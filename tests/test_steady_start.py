@@ -1,4 +1,4 @@
-"""Trials that begin in steady swimming: the limit cycle of the model, its speed, and fits that start on it."""
+"""Trials that begin in steady swimming: the limit cycle of the model, its speed, and fits."""
 
 from __future__ import annotations
 

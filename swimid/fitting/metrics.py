@@ -23,7 +23,8 @@ class Score:
 
     #: Root-mean-square error, in the channel's unit.
     rmse: float
-    #: RMSE over the measured range (maximum minus minimum); of a pose over the root mean square of the trials' own.
+    #: RMSE over the measured range (maximum minus minimum);
+    #: of a pose the root mean square of the trials' own.
     nrmse: float
     #: Variance accounted for, ``1 - var(error) / var(measured)``.
     vaf: float
@@ -114,8 +115,8 @@ def own_axes(
     Parameters
     ----------
     measured, simulated : mapping of channel name to ndarray, each shape (n,)
-        The axes are along and across the mean measured heading; where no heading was measured, the way from the
-        first to the last measured position.
+        The axes are along and across the mean measured heading. Where no heading was measured, the first
+        axis points from the first to the last measured position.
 
     Returns
     -------
@@ -124,7 +125,8 @@ def own_axes(
 
     Examples
     --------
-    >>> y, z = own_axes({"x_m": np.zeros(2), "y_m": np.array([0.0, 1.0])}, {"x_m": np.zeros(2), "y_m": np.zeros(2)})
+    >>> still = {"x_m": np.zeros(2), "y_m": np.zeros(2)}
+    >>> y, z = own_axes({"x_m": np.zeros(2), "y_m": np.array([0.0, 1.0])}, still)
     >>> y["x_m"].round(9).tolist(), z["x_m"].tolist()
     ([0.0, 1.0], [0.0, 0.0])
     """

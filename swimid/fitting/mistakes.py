@@ -1,8 +1,8 @@
 """Usual mistakes in trials: transformations of the data or of the drive after which the model may fit.
 
-A heading from the tail, a mirrored axis, a unit, a sign: such a mistake in one trial, or in all, makes every fit
-bad and looks like a missing effect. Each is undone in turn, and the model is compared with the trial again. Nothing
-is ever changed without a word: the result is a sentence.
+Examples are a heading from the tail, a mirrored axis, a unit and a sign. Such a mistake in one trial, or in
+all, makes every fit bad and looks like a missing effect. Each is undone in turn, and the model is compared with
+the trial again. Nothing is changed: the result is a sentence.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from swimid.results import evidence as ev
 #: Units of length and of angle that are mixed up.
 FACTORS = (10.0, 100.0, 1000.0, 0.1, 0.01, 0.001)
 DEGREE = math.pi / 180.0
-#: Twice the logarithm of a Bayes factor that is decisive (Kass and Raftery, J. Am. Stat. Assoc. 90, 1995). The
-#: number of alternatives tried comes on top: twice its logarithm.
+#: Twice the logarithm of a Bayes factor that is decisive (Kass and Raftery, J. Am. Stat. Assoc. 90, 1995).
+#: Twice the logarithm of the number of alternatives comes on top.
 DECISIVE = 10.0
 #: Candidates that are fitted again.
 MAX_REFITS = 4
@@ -260,7 +260,7 @@ def _independent(residual: Array) -> float:
 
 
 def gain(before: Errors, after: Errors) -> float:
-    """Twice the logarithm of the likelihood ratio of a trial, by the independent samples that the latter leaves."""
+    """Twice the logarithm of the likelihood ratio of a trial, from the independent samples that remain."""
     shared = [name for name in after if name in before]
     return float(
         sum(2.0 * after[n].independent * math.log(before[n].relative / after[n].relative) for n in shared)
@@ -336,8 +336,8 @@ def check(found: Explanation | None, count: int) -> ev.Check:
     """Result of the search among a number of usual mistakes, for the report."""
     if found is None:
         text = (
-            f"none of {count} usual mistakes (a sign, a unit, a mirrored axis, an amplitude), in one trial or in "
-            "all, explains the error"
+            f"none of {count} usual mistakes (a sign, a unit, a mirrored axis, an amplitude), in one "
+            "trial or in all, explains the error"
         )
         return ev.check("usual mistakes", "none found", None, text=text)
     text = f"{found.sentence} Check how these data were recorded; nothing was changed"

@@ -166,12 +166,11 @@ def compare(
         fitted = list(file.channels) if known is None else list(known.channels)
         checks = compare_evidence.checks(file, fitted)
         before = {d.trial.id: d.errors for d in done}
-        told = None
         if options.refit_start and mistakes.is_suspect(checks, before):
-            known = mistakes.catalogue(experiment.model, experiment.trials)
-            tried = len(known) * (len(done) + 1)
-            told = _explained(experiment.trials, applied, known, tried, before)
-            checks.append(mistakes.check(told, len(known)))
+            usual = mistakes.catalogue(experiment.model, experiment.trials)
+            tried = len(usual) * (len(done) + 1)
+            told = _explained(experiment.trials, applied, usual, tried, before)
+            checks.append(mistakes.check(told, len(usual)))
     verdict = blocks.verdict(checks, compare_evidence.answer(file))
     file.verdict = verdict.level
     evidence = ev.Evidence(

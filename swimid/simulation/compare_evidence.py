@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from typing import TypeVar
 
@@ -73,8 +72,8 @@ def _cruise_checks(file: ComparisonFile) -> list[ev.Check]:
     never = [t.id for t, cruise in begun if cruise.settled is None]
     if never:
         text = (
-            f"under the drive of {', '.join(never)} the speed of the model never settles: without drag, nothing "
-            "slows it down. The simulated speed is the start speed, which comes from the trial itself"
+            f"under the drive of {', '.join(never)} the speed of the model never settles: without drag, "
+            "nothing slows it down. The simulated speed is the start speed, which comes from the trial itself"
         )
         return [blocks.check("cruising speed", "none", "a steady speed", False, otherwise="fail", text=text)]
     rows = [
@@ -83,8 +82,8 @@ def _cruise_checks(file: ComparisonFile) -> list[ev.Check]:
         if cruise.steady and t.mean_speed is not None and t.mean_speed.measured and cruise.settled is not None
     ]
     text = (
-        "the start speeds of these trials come from the trials themselves; the speed at which the model settles "
-        "is compared with the measured speed of the last beats"
+        "the start speeds of these trials come from the trials themselves; the speed at which the model "
+        "settles is compared with the measured speed of the last beats"
     )
     if not rows:
         text += ", but that is not steady in any of them"

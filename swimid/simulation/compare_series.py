@@ -107,7 +107,8 @@ def compared(
             where = trial.time_s[int(np.argmax(lost))]
             if trial.swim.steady and lost.sum() == np.isfinite(pair.measured).sum():
                 raise NoTrustworthyResult(
-                    f"the model has no steady swimming under the drive of '{trial.id}': its speed never settles",
+                    f"the model has no steady swimming under the drive of '{trial.id}': its speed never "
+                    "settles",
                     hint="without drag nothing slows it down; --start-state estimate starts from the trial's "
                     "own speed",
                 )
@@ -292,7 +293,7 @@ def _timing(pair: Pair, frequency: float) -> dict[str, float]:
 
 
 def _cruise(applied: Applied, trial: Trial, values: Array, pairs: Mapping[str, Pair]) -> Cruise | None:
-    """Steady speed of the model, for a trial whose own start speed is among its parameters; None for others."""
+    """Steady speed of the model, for a trial whose start speed is among its parameters; None for others."""
     model = applied.model
     swimmer, body = model.swimmer, model.body
     began = [p.name for p in model.parameters if p.name.startswith("initial_")]

@@ -63,8 +63,8 @@ class Speed(yamlio.Document):
 class Cruise(yamlio.Document):
     """Steady swimming of the model under the drive of a trial that begins in motion.
 
-    The start speed of such a trial comes from the trial itself, so its simulated speed is no prediction before
-    the speed has settled.
+    The start speed of such a trial comes from the trial itself, so its simulated speed is no prediction
+    before the speed has settled.
     """
 
     #: Speed at which the model settles, m/s; null where it never settles.

@@ -40,8 +40,8 @@ from swimid.swimmer.profiles import Profiles
 COARSE = 1e-3
 #: Number of starts by default, where a search is begun again at all.
 DEFAULT_STARTS = 4
-#: A search of fewer integration steps than this is short: it takes about a second on one processor (1.3 us a step
-#: of the tendon fish, ``python -m benchmarks.bench_lanes``).
+#: A search of fewer integration steps than this is short: it takes about a second on one processor (1.3 us a
+#: step of the tendon fish, ``python -m benchmarks.bench_lanes``).
 SHORT_SEARCH = 1e6
 #: Jacobians that a fit takes, about; the work ahead need be known to half only.
 STEPS = 20
@@ -291,7 +291,7 @@ def _next(checks: Sequence[ev.Check], source: str | Path | TrialSet, output: Pat
 
 
 def _insist_steady(experiment: Experiment, parameters: Sequence[Parameter]) -> None:
-    """Refuse trials that begin in steady swimming where the model has none, from its start to the robot's values."""
+    """Refuse trials that begin in steady swimming where the model has none."""
     swimmer_model = experiment.model.swimmer
     stated = experiment.model.stated()
     assert swimmer_model is not None
@@ -304,7 +304,8 @@ def _insist_steady(experiment: Experiment, parameters: Sequence[Parameter]) -> N
         if all(c is not None and not np.isfinite(c.speed_m_s) for c in cruises):
             raise NoTrustworthyResult(
                 f"the model has no steady swimming under the drive of '{trial.id}': its speed never settles",
-                hint="without drag nothing slows it down: free a drag coefficient, or use --start-state estimate",
+                hint="without drag nothing slows it down: free a drag coefficient, or use "
+                "--start-state estimate",
             )
 
 
@@ -324,8 +325,8 @@ def _explained(
 ) -> mistakes.Explanation | None:
     """A usual mistake that explains a bad fit.
 
-    Each mistake is undone in each trial with the coefficients held, as they were estimated and as the robot file
-    states them. The fits of the few most promising corrections decide.
+    Each mistake is undone in each trial with the coefficients held, as they were estimated and as the robot
+    file states them. The fits of the few most promising corrections decide.
     """
     model, trials = result.model, result.trials
     sd = {name: noise.value_sd for name, noise in result.noise.items()}

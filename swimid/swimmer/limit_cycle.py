@@ -9,8 +9,8 @@ import numpy as np
 
 from swimid.fitting.model import Array
 
-#: Tolerance of the fixed point, relative to the size of the motion. Fits take differences over steps of 1e-6 of
-#: a parameter (:mod:`swimid.fitting.problem`); with this tolerance their derivatives are accurate to 1e-4.
+#: Tolerance of the fixed point, relative to the size of the motion. Fits take differences over steps of 1e-6
+#: of a parameter (:mod:`swimid.fitting.problem`); with this tolerance their derivatives are accurate to 1e-4.
 STATE_RTOL = 1e-10
 #: Periods simulated from rest before Newton's method, and between two of its attempts.
 FIRST_PERIODS, MORE_PERIODS = 20, 60
@@ -68,8 +68,8 @@ def limit_cycle(
     Notes
     -----
     Newton's method on ``period(s) - s = 0``, after some simulated periods (shooting; Nayfeh and Balachandran,
-    *Applied Nonlinear Dynamics*, 1995, section 5.2). The cycle attracts where every eigenvalue of the derivative
-    (Floquet multiplier) lies inside the unit circle.
+    *Applied Nonlinear Dynamics*, 1995, section 5.2). The cycle attracts where every eigenvalue of the
+    derivative (Floquet multiplier) lies inside the unit circle.
 
     Examples
     --------

@@ -476,7 +476,7 @@ class LinkedModel(Swimmer):
     # -------------------------------------------------------- steady swimming
 
     def _memory(self) -> list[int]:
-        """Places in a state that one period of the drive hands to the next: no place, heading where it acts."""
+        """Places in a state that one period of the drive hands to the next."""
         passives = len(self.passive)
         angles = list(range(self.coordinates, self.coordinates + passives))
         first = self.coordinates + passives
@@ -492,7 +492,7 @@ class LinkedModel(Swimmer):
     def _limit_cycle(self, run: Run) -> tuple[LimitCycle | None, Callable[..., Array]]:
         """Limit cycle of a run's drive at phase zero, and a function that integrates from such a state.
 
-        The function takes the time (s), the state there and a length (periods), and gives the engine's states.
+        The function takes the time (s), the state there and a length (periods). It returns states.
         """
         command, memory = run.trial.swim.drive, self._memory()
         assert command is not None
@@ -557,12 +557,12 @@ class LinkedModel(Swimmer):
         """Speed at which the model settles (see :meth:`Swimmer.cruise`)."""
         if trial.swim.drive is None or not self.free_base or self.in_space:
             return None
+        period = 1.0 / trial.swim.drive.frequency_hz
         trial = replace(trial, id=f"{trial.id} (steady)", swim=trial.swim.begun())
         run = self._asked(values, trial, NONE)
         cycle, states = self._limit_cycle(run)
         if cycle is None:
             return Cruise(math.nan, math.inf)
-        period = 1.0 / trial.swim.drive.frequency_hz
         end = states(run.begin_s - self._since_phase_zero(run), cycle.state)[[0, -1]]
         seen = self._seen(values, trial, end)
         x, y, turned = (float(np.diff(seen[name])[0]) for name in self.pose)

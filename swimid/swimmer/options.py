@@ -38,8 +38,8 @@ def start_state() -> Any:
     """State of the trials at their first samples."""
     return option(
         "auto",
-        help="State at the first sample: at rest, estimated, or steady swimming under the drive (its limit cycle). "
-        "auto: each trial's start_state, else at rest unless the log's first stretch moves.",
+        help="State at the first sample: at rest, estimated, or steady swimming under the drive (its limit "
+        "cycle). auto: each trial's start_state, else at rest unless the log's first stretch moves.",
     )
 
 
@@ -70,7 +70,7 @@ class FitGrayboxOptions(Options):
     starts: int | None = option(
         None,
         ge=1,
-        help="Number of starts within the bounds. Default: 1, or 4 where a search is short or its answer is bad.",
+        help="Number of starts within the bounds. Default: 1, or 4 if a search is short or its answer bad.",
     )
     seed: int = option(0, help="Of the random starts.")
     subset: bool = option(False, help="Hold what the trials cannot tell, until all the rest is known.")

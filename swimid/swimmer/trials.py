@@ -106,8 +106,8 @@ def load(
         Columns to fit. By default the pose where it is logged, else the velocities, and the angles of
         passive joints (and of driven ones behind a servo) where they are logged.
     start_state : {"auto", "rest", "estimate", "steady"}
-        State at the first sample. ``auto`` takes each trial's own key ``start_state``, and where that is absent
-        lets the log's first stretch say. ``steady`` is the limit cycle of the trial's drive.
+        State at the first sample. ``auto`` takes each trial's own key ``start_state``; where that is
+        absent the log's first stretch decides. ``steady`` is the limit cycle of the trial's drive.
 
     Raises
     ------
@@ -195,7 +195,7 @@ def _start_state(entry: FreeSwimTrial, chosen: str, *, moving: bool, model: Link
 
 
 def _in_phase(trial: Trial, model: LinkedModel) -> Trial:
-    """The trial with the phase of its drive from which a search starts: that of the stated robot's best run."""
+    """The trial with the phase from which a search starts: that of the stated robot's best run."""
     stated = {**{p.name: p.start for p in model.parameters}, **model.stated()}
     values = np.array([stated[p.name] for p in model.parameters])
     phase = model.index("drive_phase")

@@ -1,4 +1,4 @@
-"""Steady swimming, errors of a pose, and coefficients that nothing uses: recorded inputs with the right answers."""
+"""Steady swimming, errors of a pose, and coefficients that nothing uses, on recorded inputs."""
 
 from __future__ import annotations
 
