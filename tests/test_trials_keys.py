@@ -184,9 +184,10 @@ READERS = {
     "surge": Reader(
         propulsion.load,
         _trials(experiment="free-swim", drive=DRIVE),
-        {**OF_TRIAL, **LOG, **BEAT, "trials.coefficients": {"d_p": 0.02}},
+        {**OF_TRIAL, **LOG, **BEAT, "trials.coefficients": {"d_p": 0.02}, "trials.start_state": "steady"},
         refused={
             "trials.coefficients": "'coefficients', which has no effect here",
+            "trials.start_state": "'start_state', which has no effect here",
             "trials.drive.asymmetry": "'a' swims with the drive a-cpg of asymmetry 0.3, 'b' with sine",
         },
         same={
@@ -197,13 +198,20 @@ READERS = {
     "swimmer, beat": Reader(
         swimmer.load,
         _trials(experiment="free-swim", robot="tfish", drive=DRIVE),
-        {**OF_TRIAL, **LOG, **BEAT, "robot": "dolphin", "trials.coefficients": {"d_p": 0.02}},
+        {
+            **OF_TRIAL,
+            **LOG,
+            **BEAT,
+            "robot": "dolphin",
+            "trials.coefficients": {"d_p": 0.02},
+            "trials.start_state": "steady",
+        },
     ),
     "swimmer, stroke": Reader(
         swimmer.load,
         _trials(experiment="multibody", robot="sealion", drive={"stroke": "characteristic"}),
-        {**OF_TRIAL, **LOG, **STROKE, "robot": "tfish"},
-        refused={"robot": "no stroke"},
+        {**OF_TRIAL, **LOG, **STROKE, "robot": "tfish", "trials.start_state": "steady"},
+        refused={"robot": "no stroke", "trials.start_state": "robots in space are not supported"},
     ),
     "rwls": Reader(
         lambda path: arma.read([path], (), None, None, None),

@@ -1,8 +1,8 @@
 """Usual mistakes in trials: transformations of the data or of the drive after which the model may fit.
 
 Examples are a heading from the tail, a mirrored axis, a unit and a sign. Such a mistake in one trial, or in
-all, makes every fit bad and looks like a missing effect. Each is undone in turn, and the model is compared with
-the trial again. Nothing is changed: the result is a sentence.
+all, makes every fit bad and looks like a missing effect. Each is undone in turn, and the model is compared
+with the trial again. Nothing is changed: the result is a sentence.
 """
 
 from __future__ import annotations

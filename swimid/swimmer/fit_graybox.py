@@ -351,7 +351,7 @@ def _explained(
             step()
             gained = [k for k, (_, _, gain) in each.items() if gain >= mistakes.DECISIVE]
             for chosen in dict.fromkeys((tuple(gained), tuple(each))):
-                if not chosen:
+                if not gained:
                     continue
                 changed = [each[t.id][0] if t.id in chosen else t for t in trials]
                 names = dict(zip((t.id for t in changed), (t.id for t in trials), strict=True))
