@@ -1,4 +1,4 @@
-"""Films of a tendon-driven fish: two are fitted from steady swimming, the speeds of two others are predicted."""
+"""Films of a tendon-driven fish: two are fitted, the speeds of two others are predicted."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ import numpy as np
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import metrics
 from swimid.fitting.drives import Beat, Motion
-from swimid.fitting.grading import GOOD
+from swimid.fitting.grading import GOOD, USABLE
 from swimid.fitting.model import Array, Model, Trial
 from swimid.fitting.residual_tests import autocorrelation
 from swimid.results import blocks, numbers
@@ -124,7 +124,7 @@ def catalogue(model: Model, trials: Sequence[Trial]) -> list[Mistake]:
         found.append(_changed(model, f"{name} taken as degrees", {name: DEGREE}))
         found.append(_changed(model, f"{name} multiplied by 180/pi", {name: 1.0 / DEGREE}))
     groups = [tuple(place)] if place else []
-    groups += [(name,) for name in names if name in units and (len(place) > 1 or name not in place)]
+    groups += [(name,) for name in names if name in units and name not in place]
     for group in groups:
         if units[group[0]] != "rad":
             found += [
@@ -347,5 +347,5 @@ def check(found: Explanation | None, count: int) -> ev.Check:
 def is_suspect(checks: Iterable[ev.Check], errors: Mapping[str, Errors]) -> bool:
     """Whether a result calls for the search: a check fails, or a trial is not described."""
     return any(c.verdict == "fail" for c in checks) or any(
-        m.nrmse > GOOD for trial in errors.values() for m in trial.values()
+        m.nrmse > USABLE for trial in errors.values() for m in trial.values()
     )

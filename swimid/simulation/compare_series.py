@@ -178,8 +178,9 @@ def start_of(applied: Applied, trial: Trial, refit: bool) -> tuple[Array, Start,
     sd = _noise(applied, trial)
     best: dict[str, float] = {}
     least = math.inf
+    unphased = "drive_phase" in names and "drive_phase" not in trial.starts
     # an unknown phase of the beat has a minimum on every side
-    begun = [{"drive_phase": k * math.pi / 2} for k in range(4)] if "drive_phase" in names else [{}]
+    begun = [{"drive_phase": k * math.pi / 2} for k in range(4)] if unphased else [{}]
     for start in begun:
         at = zip(model.parameters, _replaced(model, values, start), strict=True)
         held = tuple(replace(p, start=float(v), free=p.name in names) for p, v in at)
