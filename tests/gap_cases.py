@@ -62,11 +62,9 @@ def _shrinkage(
 
 
 def _channel(
-    channel: str, unit: str, nrmse: float, floor: float, share: float, rmse: float, shipped: float
+    channel: str, unit: str, nrmse: float, floor: float, share: float, rmse: float
 ) -> ChannelGap:
-    return ChannelGap(
-        channel=channel, unit=unit, nrmse=nrmse, floor=floor, share=share, rmse=rmse, shipped=shipped
-    )
+    return ChannelGap(channel=channel, unit=unit, nrmse=nrmse, floor=floor, share=share, rmse=rmse)
 
 
 def _cell(kind: str, label: str, ratio: float, share: float) -> Cell:
@@ -203,9 +201,9 @@ EXPLAINED = GapFile(
     verdict="explained",
     where=Where(
         channels=[
-            _channel("joint4_rad", "rad", 0.020, 0.020, 0.0, 0.003, 0.03),
-            _channel("yaw_rate_rad_s", "rad/s", 0.061, 0.030, 0.29, 0.09, 0.088),
-            _channel("u_m_s", "m/s", 0.142, 0.021, 0.71, 0.031, 0.190),
+            _channel("joint4_rad", "rad", 0.020, 0.020, 0.0, 0.003),
+            _channel("yaw_rate_rad_s", "rad/s", 0.061, 0.030, 0.29, 0.09),
+            _channel("u_m_s", "m/s", 0.142, 0.021, 0.71, 0.031),
         ],
         stage={"actuation": 0.95, "structure": 0.03, "fluid": 0.02, "environment": 0.0, "sensing": 0.0},
         phase=[_cell("phase", f"{30 * k}-{30 * k + 30}°", 1.5 + np.sin(k), 1 / 12) for k in range(12)],

@@ -30,7 +30,7 @@ from swimid.diagnosis import (
     weighting,
 )
 from swimid.diagnosis.candidates import _allowed, own_gains
-from swimid.diagnosis.context import START_PRIOR, Fit, FitContext, errors
+from swimid.diagnosis.context import START_PRIOR, Fit, FitContext, covariance
 from swimid.diagnosis.crossval import Drawn, NormalEquations
 from swimid.diagnosis.floor import Floor, floors, nuisance_residuals, repeats, split
 from swimid.diagnosis.noise_model import NoiseModel, brief, coloured
@@ -651,7 +651,7 @@ def test_chance_differences_are_numbers_with_their_spread_as_prior(context: FitC
     # the conditional optimum of a linear mixed model is the marginal one
     np.testing.assert_allclose(theta, exact, atol=1e-4)
     at = [fit.labels.index(name) for name in ("a", "b")]
-    stderr = errors(fit, noise_model, mixed.expected(fit.problem)[1])[at]
+    stderr = np.sqrt(covariance(fit, noise_model, mixed.expected(fit.problem)[1])[at, at])
     np.testing.assert_allclose(stderr, np.sqrt(np.diag(np.linalg.inv(normal))), rtol=1e-3)
     # without the differences what is left is what the start state alone leaves
     for k, trial in enumerate(context.trials):
@@ -678,9 +678,8 @@ def test_a_linear_fit_is_least_squares(context: FitContext) -> None:
     exact = np.linalg.lstsq(system, np.concatenate([*target, [5.0 * 0.8], np.zeros(5)]))[0]
     np.testing.assert_allclose(fit.theta, exact, atol=1e-4)
     weight = context.expected(fit.problem)[1]
-    np.testing.assert_allclose(
-        errors(fit, noise_model, weight), np.sqrt(np.diag(np.linalg.inv(system.T @ system))), rtol=1e-4
-    )
+    found, exact = covariance(fit, noise_model, weight), np.linalg.inv(system.T @ system)
+    np.testing.assert_allclose(found, exact, atol=1e-4 * exact.diagonal().min())
 
 
 # ---------------------------------------------------------------- failed samples

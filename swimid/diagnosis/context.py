@@ -658,8 +658,8 @@ def beyond(columns: Array, values: Array) -> Array:
     return np.asarray(values - scaled @ np.linalg.lstsq(scaled, values, rcond=1e-10)[0])
 
 
-def errors(fit: Fit, noise_model: NoiseModel, weight: Array) -> Array:
-    """Standard errors of a fit's numbers, shape (p,), prior included.
+def covariance(fit: Fit, noise_model: NoiseModel, weight: Array) -> Array:
+    """Return the covariance of a fit's parameters, shape (p, p), prior included.
 
     Parameters
     ----------
@@ -673,4 +673,4 @@ def errors(fit: Fit, noise_model: NoiseModel, weight: Array) -> Array:
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     scaled = scale[:, None] * normal * scale
     inverse = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True)
-    return np.asarray(scale * np.sqrt(np.maximum(np.diag(inverse), 0.0)))
+    return np.asarray(scale[:, None] * inverse * scale)

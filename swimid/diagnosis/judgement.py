@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from swimid.blackbox import model as arx
 from swimid.diagnosis import conclusion, odd, refutation, remainder, shrinkage
 from swimid.diagnosis.conclusion import Named
 from swimid.diagnosis.context import Fit
-from swimid.diagnosis.floor import Floor, excess
+from swimid.diagnosis.floor import Floor, by_channel, excess, rms
 from swimid.diagnosis.gap_file import Remaining, Verdict
 from swimid.diagnosis.posterior import UNSURE
 from swimid.diagnosis.refutation import Compared
@@ -43,6 +44,8 @@ class Judgement:
     unpredicted : tuple of (str, float)
         Validation trials that the model with the causes does not predict, and by how many times each is off;
         not looked for where the fitted trials show something unexplained.
+    unreproduced : mapping of channel to float
+        Share of a black-box model's output that it reproduces, where that is less than half.
     """
 
     verdict: Verdict
@@ -52,6 +55,7 @@ class Judgement:
     refuted: tuple[str, ...] = ()
     odd: Odd | None = None
     unpredicted: tuple[tuple[str, float], ...] = ()
+    unreproduced: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -102,7 +106,35 @@ def judge(
         told = _by_differences(told, state, gap, noise, left)
     if told.verdict == "none" and dropout:
         told = replace(told, verdict="explained")
+    unreproduced = _unreproduced(state, told.base if told.causes else state.nominal)
+    if unreproduced and told.verdict in ("none", "explained"):
+        # its level is estimated in each trial, so that a black-box model is right without describing anything
+        told = replace(told, verdict="unexplained", causes=(), base=state.nominal, unreproduced=unreproduced)
+        left = Remaining(share=1.0, where=f"all of {', '.join(unreproduced)} but its mean", white=False)
     return told, gap, left
+
+
+def _unreproduced(state: State, fit: Fit) -> dict[str, float]:
+    """Return the share of each output that a black-box model reproduces, of outputs of which it is less than
+    half.
+
+    The share is that of ``rwls`` and ``compare``: one less the root-mean-square error over the standard
+    deviation of the output.
+    """
+    if state.context.model.name != arx.NAME:
+        return {}
+    found = {}
+    for channel, left in by_channel(fit, fit.residuals).items():
+        measured = [
+            trial.measured[channel][mask]
+            for k, trial in enumerate(state.context.trials)
+            for name, mask in zip(fit.problem.channels[k], fit.problem.masks[k], strict=True)
+            if name == channel
+        ]
+        share = 1.0 - rms(left) / max(float(np.std(np.concatenate(measured))), 1e-300)
+        if share < shrinkage.MOST:
+            found[channel] = share
+    return found
 
 
 def _by_fits(state: State) -> Judgement:

@@ -138,18 +138,13 @@ def compare(
         buoyancy = options.buoyancy_band_percent / 100.0
         origin = provenance.collect(experiment.inputs, settings=options.settings(buoyancy_band=buoyancy))
         profiles = compare_strokes.profiles(experiment, done, buoyancy=buoyancy)
-        channels = [c.name for c in experiment.model.channels]
         file = ComparisonFile(
             verdict="caution",
             model=experiment.model.name,
             robot=experiment.robot.name,
             experiment=experiment.name,
             params=parameters_format.place(options.params).name,
-            channels={
-                name: compare_series.scored(parts)
-                for name in channels
-                if (parts := [d.pairs[name] for d in done if name in d.pairs])
-            },
+            channels=compare_series.pooled(done, experiment.model),
             trials=[d.record for d in done],
             profiles=[p.record for p in profiles],
             provenance=origin,

@@ -253,6 +253,12 @@ def scored(parts: list[Pair], frequency: float | None = None) -> ChannelScore:
     )
 
 
+def pooled(done: Sequence[Compared], model: Model) -> dict[str, ChannelScore]:
+    """Return the errors of each channel of a model over all trials that have it, by channel."""
+    parts = {c.name: [one.pairs[c.name] for one in done if c.name in one.pairs] for c in model.channels}
+    return {name: scored(pairs) for name, pairs in parts.items() if pairs}
+
+
 def _timing(pair: Pair, frequency: float) -> dict[str, float]:
     """Phase error at the beat, and the error left when time may be stretched."""
     phase = metrics.phase_error(pair.measured, pair.simulated, pair.time_s, frequency_hz=frequency)
