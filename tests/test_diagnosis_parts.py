@@ -30,7 +30,8 @@ from swimid.diagnosis import (
     weighting,
 )
 from swimid.diagnosis.candidates import _allowed, own_gains
-from swimid.diagnosis.context import START_PRIOR, Fit, FitContext, covariance
+from swimid.diagnosis.context import START_PRIOR, Fit, FitContext
+from swimid.diagnosis.context import covariance as covariance_of
 from swimid.diagnosis.crossval import Drawn, NormalEquations
 from swimid.diagnosis.floor import Floor, floors, nuisance_residuals, repeats, split
 from swimid.diagnosis.noise_model import NoiseModel, brief, coloured
@@ -651,7 +652,7 @@ def test_chance_differences_are_numbers_with_their_spread_as_prior(context: FitC
     # the conditional optimum of a linear mixed model is the marginal one
     np.testing.assert_allclose(theta, exact, atol=1e-4)
     at = [fit.labels.index(name) for name in ("a", "b")]
-    stderr = np.sqrt(covariance(fit, noise_model, mixed.expected(fit.problem)[1])[at, at])
+    stderr = np.sqrt(covariance_of(fit, noise_model, mixed.expected(fit.problem)[1])[at, at])
     np.testing.assert_allclose(stderr, np.sqrt(np.diag(np.linalg.inv(normal))), rtol=1e-3)
     # without the differences what is left is what the start state alone leaves
     for k, trial in enumerate(context.trials):
@@ -678,7 +679,7 @@ def test_a_linear_fit_is_least_squares(context: FitContext) -> None:
     exact = np.linalg.lstsq(system, np.concatenate([*target, [5.0 * 0.8], np.zeros(5)]))[0]
     np.testing.assert_allclose(fit.theta, exact, atol=1e-4)
     weight = context.expected(fit.problem)[1]
-    found, exact = covariance(fit, noise_model, weight), np.linalg.inv(system.T @ system)
+    found, exact = covariance_of(fit, noise_model, weight), np.linalg.inv(system.T @ system)
     np.testing.assert_allclose(found, exact, atol=1e-4 * exact.diagonal().min())
 
 
@@ -1281,13 +1282,16 @@ def test_where_held_out_data_have_no_gap_nothing_of_it_is_to_close() -> None:
     ("after", "without", "distance", "verdict", "named"),
     [
         (0.0, 25.0, 1.0, "explained", ["waves"]),
-        (4.9, 25.0, 1.0, "explained", ["waves"]),
-        (6.0, 25.0, 1.0, "ambiguous", ["waves"]),
+        (4.0, 25.0, 1.0, "explained", ["waves"]),
+        (4.9, 25.0, 1.0, "unexplained", []),
+        (6.0, 25.0, 1.0, "unexplained", []),
         (0.0, 25.0, 3.0, "explained", ["waves"]),
-        (4.9, 25.0, 3.0, "ambiguous", ["waves"]),
+        (4.0, 25.0, 3.0, "ambiguous", ["waves"]),
+        (4.9, 25.0, 3.0, "unexplained", []),
         (0.0, 25.0, 26.0, "unexplained", []),
         (0.0, 25.0, 50.0, "unexplained", []),
-        (4.9, 1.0, 1.1, "ambiguous", ["waves"]),
+        (4.0, 1.0, 1.1, "ambiguous", ["waves"]),
+        (4.9, 1.0, 1.1, "unexplained", []),
         (6.0, 1.0, 1.1, "unexplained", []),
     ],
 )
@@ -1296,7 +1300,7 @@ def test_held_out_errors_may_only_weaken_what_the_fits_say(
 ) -> None:
     """What random effects account for is in the errors, and not in the squared Mahalanobis distance."""
     contradicts = distance > 49.0
-    waves, effect = frozenset({"waves"}), SimpleNamespace(name="waves")
+    waves, effect = frozenset({"waves"}), SimpleNamespace(name="waves", adds_to=None)
     null = posterior.Candidate(frozenset(), 900.0, np.array([900.0]), 0)
     found = posterior.Candidate(waves, 200.0, np.array([200.0]), 1)
     nominal, base = (
@@ -1311,11 +1315,11 @@ def test_held_out_errors_may_only_weaken_what_the_fits_say(
             {frozenset(): 700.0, waves: 0.0},
             (null, found),
         ),
-        rounds=[SimpleNamespace(ranked=[SimpleNamespace(tried=SimpleNamespace(effect=effect))])],
+        rounds=[SimpleNamespace(ranked=[SimpleNamespace(tried=SimpleNamespace(effect=effect))], same=())],
         nominal=nominal,
         base=base,
         left=None,
-        context=SimpleNamespace(trials=[]),
+        context=SimpleNamespace(trials=[], model=SimpleNamespace(name="toy")),
         noise_model=None,
     )
     noise = Floor({}, {"x_m": 0.01}, {}, {}, "")
@@ -1331,11 +1335,11 @@ def test_held_out_errors_may_only_weaken_what_the_fits_say(
     ("outside", "verdict"), [(0.1, "explained"), (0.3, "ambiguous"), (0.6, "unexplained")]
 )
 def test_an_explanation_is_likelier_than_a_cause_from_outside(outside: float, verdict: str) -> None:
-    waves, effect = frozenset({"waves"}), SimpleNamespace(name="waves")
+    waves, effect = frozenset({"waves"}), SimpleNamespace(name="waves", adds_to=None)
     beside = {frozenset[str](): outside, waves: 0.0}
     state = SimpleNamespace(
         posterior=posterior.Posterior({waves: 1.0 - outside}, 0.0, outside, beside, {frozenset(): 9.0}, ()),
-        rounds=[SimpleNamespace(ranked=[SimpleNamespace(tried=SimpleNamespace(effect=effect))])],
+        rounds=[SimpleNamespace(ranked=[SimpleNamespace(tried=SimpleNamespace(effect=effect))], same=())],
         base=SimpleNamespace(effects=[effect]),
     )
     assert judgement._by_fits(state).verdict == verdict
@@ -1353,7 +1357,8 @@ def test_failed_samples_explain_only_where_nothing_else_is_lacking(
     state = SimpleNamespace(
         posterior=posterior.Posterior({}, none, 1.0 - none, outside, {frozenset(): 100.0}, ()),
         rounds=[], nominal=nominal, base=nominal, left=None, random_effects=[],
-        context=SimpleNamespace(trials=[None] * 3), noise_model=SimpleNamespace(random_effects=()),
+        context=SimpleNamespace(trials=[None] * 3, model=SimpleNamespace(name="toy")),
+        noise_model=SimpleNamespace(random_effects=()),
     )  # fmt: skip
     told, *_ = judgement.judge(state, [], Floor({}, {}, {}, {}, ""), None, dropout=dropout)
     assert told.verdict == verdict
@@ -1379,11 +1384,11 @@ def test_beside_something_from_outside_an_effect_is_as_likely_as_such_effects_ar
 def test_a_size_that_its_error_does_not_tell_from_a_bound_is_there(value: float, status: str) -> None:
     """But for the bound at which the effect vanishes."""
     tried = SimpleNamespace(
-        effect=SimpleNamespace(name="slip"), parameters=(parameter("loss", 0.0, lower=0.0, upper=1.0),)
+        effect=SimpleNamespace(name="slip", adds_to=None), parameters=(parameter("loss", 0.0, lower=0.0, upper=1.0),)
     )
     cause = SimpleNamespace(best=SimpleNamespace(tried=tried))
     base = SimpleNamespace(labels=["slip/loss"], value=lambda label: value)
-    found = answer._values(base, cause, {"slip/loss": 0.01})["loss"]
+    found = answer._values(base, cause, {"slip/loss": 0.01}, {})["loss"]
     assert (found.status, found.stderr) == (status, 0.01 if status == "estimated" else None)
 
 

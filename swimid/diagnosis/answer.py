@@ -6,6 +6,7 @@ import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 from scipy import stats
@@ -68,7 +69,7 @@ def answer(
     given: Mapping[str, Estimate],
     raw: Sequence[Trial],
     *,
-    own_data: bool = False,
+    unweighed: Mapping[str, Estimate] = MappingProxyType({}),
     seed: int = 0,
     progress: Progress = silent,
 ) -> tuple[GapFile, Drawings]:
@@ -82,8 +83,8 @@ def answer(
         The coefficients of the parameter file.
     raw : sequence of Trial
         The fitted trials with their failed samples still in.
-    own_data : bool
-        Whether the parameter file was fitted to these trials: then no parameter of it can have changed.
+    unweighed : mapping of name to Estimate
+        Those of them that other trials told, and whose change is no hypothesis.
 
     Returns
     -------
@@ -97,8 +98,7 @@ def answer(
         Where the model, refitted, simulates nothing like these trials.
     """
     context = state.context
-    changed = any(e.adds_to is not None for e in state.base.effects)
-    if changed:
+    if state.changed:
         # the gap is that of the parameters as given
         state.nominal = _as_given(state)
     nominal = state.nominal
@@ -127,7 +127,7 @@ def answer(
             ],
             floor,
         )
-    if changed:
+    if state.changed or judgement.by_coefficients(state):
         held = [replace(piece, before=piece.shipped) for piece in held]
     predicted = None
     if state.base.effects:
@@ -179,7 +179,7 @@ def answer(
         no_gap=state.posterior.none,
         outside=state.posterior.outside,
         at_bound=stuck,
-        moved={} if own_data else _moved(state, told.base, given),
+        moved=_moved(state, told.base, unweighed),
         unreproduced=told.unreproduced,
         hypotheses=conclusion.hypotheses(state),
         samples=sum(len(r) for r in nominal.residuals) or None,
@@ -367,12 +367,10 @@ def _values(
 
 
 def _moved(state: State, base: Fit, given: Mapping[str, Estimate]) -> dict[str, ChangedValue]:
-    """Return the parameters of the file that a fit moved by more than their standard errors allow, less those
-    that are causes.
+    """Return the parameters of the file that a fit moved by more than their standard errors allow.
 
     The level is two-sided 5 % for all of them together (Bonferroni).
     """
-    causes = {e.adds_to for e in base.effects}
     sd = conclusion.parameter_errors(state, base)
     inside = dict(zip(base.labels, base.inside, strict=True))
     names = [p for p in state.context.parameters if p.name in given and inside.get(p.name)]
@@ -381,7 +379,7 @@ def _moved(state: State, base: Fit, given: Mapping[str, Estimate]) -> dict[str, 
     for p in names:
         known, value, stderr = given[p.name], base.value(p.name), sd[p.name]
         times = abs(value - known.value) / max(math.hypot(stderr, known.stderr or 0.0), 1e-300)
-        if times > limit and p.name not in causes:
+        if times > limit:
             found[p.name] = ChangedValue(
                 value=value, stderr=stderr, unit=p.unit, given=known.value, standard_errors=times
             )

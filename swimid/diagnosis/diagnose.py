@@ -167,7 +167,7 @@ def diagnose(
         )  # fmt: skip
         with threadpool_limits(limits=1, user_api="blas"):
             file, drawings = answer.answer(
-                state, validation, begun.given, fitted, own_data=begun.own_data, seed=seed, progress=progress
+                state, validation, begun.given, fitted, unweighed=begun.unweighed, seed=seed, progress=progress
             )
     folds = state.context.folds
     known_before = given is not None and not begun.own_data

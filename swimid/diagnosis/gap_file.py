@@ -280,8 +280,8 @@ class GapFile(yamlio.ResultFile):
     scores: list[Score] = []
     #: Held-out gain of generic residual forces and sensor terms, by axis.
     forces: dict[str, Number] = {}
-    #: Other parameters of the file that the refit moved by more than its standard errors allow: those of the
-    #: file, where it has them, and of the refit.
+    #: Parameters of the file that the refit moved by more than its standard errors allow, and whose change is
+    #: no hypothesis: the file states no standard error, or the model is a black box.
     moved: dict[str, ChangedValue] = {}
     #: Share of a black-box model's output that it reproduces, ``fit_percent`` / 100, where that is less than half.
     unreproduced: dict[str, Number] = {}

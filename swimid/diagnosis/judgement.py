@@ -13,7 +13,7 @@ from swimid.diagnosis.conclusion import Named
 from swimid.diagnosis.context import Fit
 from swimid.diagnosis.floor import Floor, by_channel, excess, rms
 from swimid.diagnosis.gap_file import Remaining, Verdict
-from swimid.diagnosis.posterior import UNSURE
+from swimid.diagnosis.posterior import TENTH, UNSURE
 from swimid.diagnosis.refutation import Compared
 from swimid.diagnosis.search import State
 from swimid.diagnosis.shrinkage import Piece
@@ -99,6 +99,8 @@ def judge(
         model = told.base if told.causes else state.nominal
         off = refutation.unpredicted(state.context, model, state.noise_model, validation)
         told = replace(told, unpredicted=tuple(off))
+        if told.causes and told.unpredicted:
+            told = _by_prediction(told, state, held, floor)
     if told.verdict == "none" and told.unpredicted and not dropout:
         where = f"validation trials {', '.join(trial for trial, _ in told.unpredicted)}"
         return replace(told, verdict="unexplained"), gap, Remaining(share=1.0, where=where, white=False)
@@ -164,21 +166,47 @@ def _by_held_out(
     if predicted.refuted or not shrinkage.sound(held):
         return replace(refused, refuted=told.names)
     lowered, gap = shrinkage.gained(held, floor)
+    if held and not lowered > TENTH * gap:
+        why = f"{', '.join(told.names)}: held-out errors hardly fall with it"
+        return replace(refused, reasons=(why,))
     if predicted.useless and (predicted.before.shown or lowered < 0.0 or told.verdict == "unexplained"):
         why = f"{', '.join(told.names)}: held-out data are no nearer to what the model with it predicts"
         return replace(refused, reasons=(why,))
     close = lowered > shrinkage.MOST * gap or (predicted.borne_out and lowered > 0.0)
-    if close or not held or _by_coefficients(state):
-        return told
-    why = "held-out trials, simulated anew, close less than half of the squared gap with it"
+    if held and not close:
+        return _weakened(told, "held-out trials, simulated anew, close less than half of the squared gap with it")
+    if by_coefficients(state) and not state.changed:
+        return _weakened(told, "refitted without it, the parameters of the file imitate it on held-out data")
+    return told
+
+
+def _weakened(told: Judgement, why: str) -> Judgement:
+    """Return a judgement that explains nothing, for a reason that is told of its causes."""
     verdict = "ambiguous" if told.verdict == "explained" else told.verdict
-    return replace(told, verdict=verdict, reasons=(f"{', '.join(told.names)}: {why}",))
+    return replace(told, verdict=verdict, reasons=(*told.reasons, f"{', '.join(told.names)}: {why}"))
 
 
-def _by_coefficients(state: State) -> bool:
-    """Whether most that tells the causes is that coefficients are known from elsewhere: refitted without them
-    these imitate the causes, and held-out errors are as small.
+def _by_prediction(told: Judgement, state: State, held: Sequence[Piece], floor: Mapping[str, float]) -> Judgement:
+    """Return a judgement that explains nothing where a validation trial is not predicted with the causes.
+
+    They are named only where they close most of the gap of the validation trials.
     """
+    trials = ", ".join(trial for trial, _ in told.unpredicted)
+    lowered, gap = shrinkage.gained(held, floor)
+    if lowered > shrinkage.MOST * gap:
+        return _weakened(told, f"not predicted with it: {trials}")
+    why = f"{', '.join(told.names)}: validation trials are not predicted with it: {trials}"
+    return replace(told, verdict="unexplained", causes=(), base=state.nominal, reasons=(*told.reasons, why))
+
+
+def by_coefficients(state: State) -> bool:
+    """Return whether most that tells the causes is that coefficients are known from elsewhere.
+
+    Refitted without the causes these imitate them, and held-out errors are as small. The causes are then held
+    against the errors of the parameters as given.
+    """
+    if not state.base.effects:
+        return False
     null, *found = state.posterior.candidates
     best = next((c for c in found if c.names == state.posterior.best), null)
     return float(np.sum(null.folds - best.folds)) < 0.5 * (null.score - best.score)

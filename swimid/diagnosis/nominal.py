@@ -53,6 +53,12 @@ class Begun:
     prior: dict[str, tuple[float, float]]
     changes: list[ParameterChange]
 
+    @property
+    def unweighed(self) -> dict[str, Estimate]:
+        """Coefficients that other trials told, and whose change is no hypothesis."""
+        weighed = {e.adds_to for e in self.changes}
+        return {} if self.own_data else {n: e for n, e in self.given.items() if n not in weighed}
+
 
 def begun(loaded: Loaded) -> Begun:
     """Where a diagnosis begins; the model gets the parameters that are refitted."""

@@ -168,6 +168,11 @@ class State:
     #: Why a larger set was or was not taken.
     told: list[str] = field(default_factory=list)
 
+    @property
+    def changed(self) -> bool:
+        """Whether a parameter that has changed is among the causes."""
+        return any(e.adds_to is not None for e in self.base.effects)
+
 
 def coarser(model: Model, vectors: Sequence[Array], trials: Sequence[Trial]) -> Model | None:
     """The model with twice the integration step, where that changes samples by far less than their noise.
@@ -784,7 +789,8 @@ def rounds(search: Search, best: Hypothesis, found: Posterior, dropouts: Dropout
             if effect.adds_to is not None and _same_change(search, base, ranked[0].tried, r.tried)
         )
         state.rounds.append(Round(base.fit, search.screened(base), ranked, search.noise_model, same))
-    state.rounds.sort(key=lambda r: -r.ranked[0].gain)
+    # a changed parameter comes first, as it needs no further physics
+    state.rounds.sort(key=lambda r: (r.ranked[0].tried.effect.adds_to is None, -r.ranked[0].gain))
     return state
 
 

@@ -84,6 +84,9 @@ def verdict_sentence(file: GapFile) -> str:
             if c.equivalent
         ]
         unsure = f"{listed(names)} is the likeliest cause, but not by enough to name it"
+        if file.unpredicted:
+            trials = listed([t.trial for t in file.unpredicted])
+            unsure = f"{listed(names)} closes most of it, and {trials} is not predicted with it all the same"
         return f"The model has a gap; {'; '.join(rivals) or unsure} ({otherwise_text(file)})."
     if file.unreproduced:
         shares = [f"{numbers.percent(v, 2)} of {c}" for c, v in file.unreproduced.items()]
