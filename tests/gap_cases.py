@@ -10,12 +10,14 @@ import numpy as np
 from pydantic import BaseModel
 
 from swimid.diagnosis import evidence as diagnose_evidence
+from swimid.diagnosis import gap_file
 from swimid.diagnosis.figures import Drawings, Overlay
 from swimid.diagnosis.gap_file import (
     Absorbed,
     Advice,
     Cause,
     Cell,
+    ChangedValue,
     ChannelGap,
     Extrapolation,
     GapFile,
@@ -27,6 +29,7 @@ from swimid.diagnosis.gap_file import (
     ranked,
 )
 from swimid.results import evidence as ev
+from swimid.simulation.comparison_file import ChannelScore
 
 Part = TypeVar("Part", bound=BaseModel)
 
@@ -295,6 +298,21 @@ FOLLOWS = replace(
 REREAD = replace(
     _BRIEF, causes=[READING], scores=_scores(READING.effect), at_bound={"c_d4": 6.0, "c_f0": 0.0}
 )
+SOFTER = Cause(
+    effect="parameter:k_t",
+    meaning="k_t 0.06 → 0.0552 N·m/rad (−8 %, 71 standard errors)",
+    probability=0.95,
+    equivalent=["joint-stiffness"],
+    parameters={
+        "k_t": ChangedValue(value=0.0552, stderr=3e-5, unit="N m/rad", given=0.06, standard_errors=71.0)
+    },
+    shrinkage=BACKLASH.shrinkage[:2],
+)
+_OFF = {"u_m_s": ChannelScore(unit="m/s", rmse=0.042, nrmse=0.19, samples=900)}
+CHANGED = replace(_BRIEF, causes=[SOFTER], as_given=_OFF)
+MOVED = replace(NONE, moved=SOFTER.parameters, as_given=_OFF)
+NOT_GIVEN = replace(NONE, params=gap_file.ROBOT_FILE)
+BLACK_BOX = replace(UNEXPLAINED, unreproduced={"u_m_s": 0.003})
 PARTLY = replace(_BRIEF, verdict="unexplained", remaining=_remaining(0.4, "yaw moment", False, 200.0))
 
 ALL = {
@@ -310,6 +328,10 @@ ALL = {
     "unexplained": UNEXPLAINED,
     "partly": PARTLY,
     "reread": REREAD,
+    "changed": CHANGED,
+    "moved": MOVED,
+    "not given": NOT_GIVEN,
+    "black box": BLACK_BOX,
 }
 
 

@@ -16,6 +16,7 @@ from scipy.stats import chi2
 from swimid.diagnosis import (
     answer,
     candidates,
+    conclusion,
     crossval,
     dropouts,
     folds,
@@ -33,11 +34,13 @@ from swimid.diagnosis.candidates import _allowed, own_gains
 from swimid.diagnosis.context import START_PRIOR, Fit, FitContext
 from swimid.diagnosis.context import covariance as covariance_of
 from swimid.diagnosis.crossval import Drawn, NormalEquations
-from swimid.diagnosis.floor import Floor, floors, nuisance_residuals, repeats, split
+from swimid.diagnosis.floor import Floor, disagreement, floors, nuisance_residuals, repeats, split
 from swimid.diagnosis.noise_model import NoiseModel, brief, coloured
 from swimid.diagnosis.random_effects import LARGEST_SD, RandomEffect, kinds, spread
 from swimid.diagnosis.shrinkage import closed
+from swimid.effects.affected import Affected
 from swimid.effects.base import Effect, Inside
+from swimid.effects.parameter_change import ParameterChange
 from swimid.fitting.hooks import Hooks, Stroke
 from swimid.fitting.inputs import CruiseInput, RigInput, SwimInput
 from swimid.fitting.model import Model, Parameter, Trial
@@ -839,6 +842,49 @@ def test_repeats_set_the_floor(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(split(fit, 0, fit.residuals[0])["y"], trials[0].measured["y"])
 
 
+def test_an_encoder_counts_the_same_clicks_in_every_repeat(rng: np.random.Generator) -> None:
+    """Two drops logged at the clicks have the same positions; they are repeats that differ in their times."""
+    clicks = np.arange(0.0, 1.0, 0.01)
+    times = [np.sqrt(clicks) + np.r_[0.0, 1e-3 * rng.normal(size=len(clicks) - 1)] for _ in range(3)]
+    trials = [
+        Trial(f"t{k}", "fit", np.sort(t), {"y": clicks}, rig=RigInput(force=force))
+        for k, (t, force) in enumerate(zip(times, (1.0, 1.0, 2.0), strict=True))
+    ]
+    assert repeats(FitContext(Toy(plainly, PLAIN), PLAIN, trials, {})) == [[0, 1]]
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.3, 0.5])
+def test_repeats_are_compared_as_functions_of_time(shift: float, rng: np.random.Generator) -> None:
+    """Of one pair, sampled at other times: what both share is no noise, and interpolation hides none."""
+    times = [0.01 * (np.arange(4000) + part) for part in (0.0, shift)]
+    series = [(t, np.sin(t) + 0.1 * rng.normal(size=len(t))) for t in times]
+    found = disagreement(series)
+    assert np.sqrt(np.mean(found)) == pytest.approx(0.1, rel=0.05)
+    # only where both were measured
+    assert len(found) == 4000 - (shift > 0)
+
+
+def test_repeats_that_never_overlap_tell_nothing() -> None:
+    early, late = np.arange(3.0), np.arange(5.0, 8.0)
+    assert len(disagreement([(early, early), (late, late)])) == 0
+    assert len(disagreement([(early[:1], early[:1]), (late, late)])) == 0
+
+
+def test_one_pair_sets_the_floor(rng: np.random.Generator) -> None:
+    time, n = np.linspace(0.0, 10.0, 2000), 2000
+    trials = [
+        Trial(f"t{k}", "fit", time, {"y": np.sin(time) + 0.1 * rng.normal(size=n)}, rig=RigInput(force=force))
+        for k, force in enumerate((1.0, 1.0, 2.0, 3.0, 4.0))
+    ]
+    model = Toy(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",))
+    context = FitContext(model, (), trials, {})
+    noise_model = NoiseModel(context.shape.sd)
+    fit = context.at((), noise_model, np.empty(0))
+    floor = floors(context, fit, fit.residuals, 0.0, fit, noise_model)
+    assert (floor.repeated, floor.how) == (True, "2 repeats of 1 settings")
+    assert floor.levels["y"] == pytest.approx(0.1, rel=0.1)
+
+
 def test_noise_that_fitted_numbers_take_up_is_noise(rng: np.random.Generator) -> None:
     """Eight numbers fitted to eight trials of six samples leave 5/6 of the squared noise."""
     numbers, count, n, draws = 8, 8, 6, 30
@@ -1135,6 +1181,37 @@ def test_an_effect_that_ends_where_it_stands_for_others_is_no_hypothesis(
     assert [e.name for e in state.base.effects if e.name == "rise"] == told
     assert any("rise/size ends at a bound" in reason for reason in state.told) == (not told)
     assert told or state.posterior.outside > 0.5
+
+
+@pytest.mark.parametrize(
+    ("given", "rising", "causes"),
+    [(1.0, 0.0, []), (0.8, 0.0, ["parameter:a"]), (0.8, 0.3, ["parameter:a", "slope"])],
+)
+def test_a_parameter_that_changed_is_a_cause_alone_and_beside_an_effect(
+    given: float, rising: float, causes: list[str], rng: np.random.Generator
+) -> None:
+    """The truth is 1; the file says it to 0.005."""
+    own = (parameter("a", given),)
+    changed, slope = ParameterChange(own[0]), Seen("slope", rise)
+    model, trials = Hooked(plainly, own, ("y",)), seen_trials(rng, rising, 0.0)
+    prior, effects = {"a": (given, 0.005)}, [changed, slope, Seen("ring", ring)]
+    state = search.run(model, own, trials, prior, effects, jobs=1)
+    told = [r.ranked[0].tried.effect.name for r in state.rounds] if state.posterior.none < 0.1 else []
+    assert told == causes
+    if causes:
+        now = state.base.value("a") + state.base.value("parameter:a/change")
+        stderr = conclusion.parameter_errors(state, state.base)
+        assert now == pytest.approx(1.0, abs=4 * stderr["parameter:a"])
+        # the new value is told by these trials alone, the old one by the file
+        assert stderr["parameter:a"] < 0.7 * stderr["parameter:a/change"]
+
+
+def test_a_change_stays_within_the_bounds_of_its_parameter() -> None:
+    own = (parameter("a", 0.5, lower=0.0, upper=1.0),)
+    model = Affected(Toy(plainly, own), [ParameterChange(own[0])], [])
+    assert model.shifted(np.array([0.6, 0.2]))[0] == pytest.approx(0.8)
+    assert model.shifted(np.array([0.6, 0.5]))[0] == 1.0
+    assert model.parameters[1].bounds == (-0.5, 0.5)
 
 
 def test_nothing_is_found_in_what_the_model_describes(rng: np.random.Generator) -> None:
