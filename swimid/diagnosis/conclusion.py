@@ -64,7 +64,7 @@ def named(state: State, found: Round) -> Named:
     order = [name, *(n for n in share if n != name)]
     before = np.cumsum([0.0, *(share[n] for n in order[:-1])])
     alike = [n for n, sum_before in zip(order, before, strict=True) if sum_before < CREDIBLE]
-    shown = list(dict.fromkeys([*alike[:SET], *found.same]))
+    shown = list(dict.fromkeys([name, *found.same, *alike]))[:SET]
     return Named(
         best,
         tuple(shown[1:]),

@@ -165,14 +165,15 @@ def _by_held_out(
     refused = replace(told, verdict="unexplained", causes=(), base=state.nominal)
     if predicted.refuted or not shrinkage.sound(held):
         return replace(refused, refuted=told.names)
-    lowered, gap = shrinkage.gained(held, floor)
-    if held and not lowered > TENTH * gap:
+    each, gap = shrinkage.gained(held, floor)
+    lowered = float(each.sum())
+    close = lowered > shrinkage.MOST * gap
+    if held and not close and not lowered > max(TENTH * gap, shrinkage.chance(each)):
         why = f"{', '.join(told.names)}: held-out errors hardly fall with it"
         return replace(refused, reasons=(why,))
     if predicted.useless and (predicted.before.shown or lowered < 0.0 or told.verdict == "unexplained"):
         why = f"{', '.join(told.names)}: held-out data are no nearer to what the model with it predicts"
         return replace(refused, reasons=(why,))
-    close = lowered > shrinkage.MOST * gap or (predicted.borne_out and lowered > 0.0)
     if held and not close:
         return _weakened(told, "held-out trials, simulated anew, close less than half of the squared gap with it")
     if by_coefficients(state) and not state.changed:
@@ -192,8 +193,8 @@ def _by_prediction(told: Judgement, state: State, held: Sequence[Piece], floor: 
     They are named only where they close most of the gap of the validation trials.
     """
     trials = ", ".join(trial for trial, _ in told.unpredicted)
-    lowered, gap = shrinkage.gained(held, floor)
-    if lowered > shrinkage.MOST * gap:
+    each, gap = shrinkage.gained(held, floor)
+    if float(each.sum()) > shrinkage.MOST * gap:
         return _weakened(told, f"not predicted with it: {trials}")
     why = f"{', '.join(told.names)}: validation trials are not predicted with it: {trials}"
     return replace(told, verdict="unexplained", causes=(), base=state.nominal, reasons=(*told.reasons, why))
@@ -263,7 +264,9 @@ def remaining(state: State, base: Fit, residuals: Sequence[Array], floor: Mappin
     if left is None:
         return Remaining(share=0.0, where="", white=True, gain=0.0)
     if left.found:
-        return Remaining(share=state.posterior.left, where=_where(state), white=False, gain=left.gain)
+        # without the causes all of it remains
+        share = state.posterior.left if base is state.base else 1.0
+        return Remaining(share=share, where=_where(state), white=False, gain=left.gain)
     moving = remainder.drifting(state.low_frequency)
     apart = bool(moving or conclusion.differs(state))
     share = float(apart)

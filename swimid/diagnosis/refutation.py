@@ -76,12 +76,6 @@ class Compared:
         """Whether with the causes they are no nearer."""
         return self.after.distance >= self.before.distance
 
-    @property
-    def borne_out(self) -> bool:
-        """Whether with the causes they are as predicted, and nearer by most of what they are off without."""
-        gap = max(self.before.distance - self.before.samples, 0.0)
-        return not self.after.shown and self.before.distance - self.after.distance > MOST * gap
-
 
 def compared(
     context: FitContext, before: Fit, after: Fit, noise_model: NoiseModel, validation: Sequence[Trial]
