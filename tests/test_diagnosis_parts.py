@@ -367,7 +367,7 @@ PRIOR, PULL = np.array([0.0, 4.0, 0.25]), np.array([0.0, 0.3, -0.7])
 
 def _folded(blocks: list[np.ndarray]) -> NormalEquations:
     return NormalEquations(
-        np.array([b.T @ b for b in blocks]), PRIOR, PULL, np.array([float(len(b)) for b in blocks])
+        np.array([b.T @ b for b in blocks]), np.diag(PRIOR), PULL, np.array([float(len(b)) for b in blocks])
     )
 
 
@@ -580,7 +580,7 @@ def test_each_trials_own_start_is_projected_out(context: FitContext) -> None:
         left_over = rows - np.outer(own, own @ rows) / (own @ own)
         expected[max(k - 1, 0)] += left_over.T @ left_over
     np.testing.assert_allclose(found.products, expected, rtol=1e-5, atol=1e-5)
-    np.testing.assert_allclose(found.prior, [25.0, 0.0], rtol=1e-12)
+    np.testing.assert_allclose(found.prior, np.diag([25.0, 0.0]), rtol=1e-12)
     np.testing.assert_allclose(found.pull, [0.3, 0.0], rtol=1e-12)
 
 
@@ -655,7 +655,7 @@ def test_chance_differences_are_numbers_with_their_spread_as_prior(context: FitC
     # the conditional optimum of a linear mixed model is the marginal one
     np.testing.assert_allclose(theta, exact, atol=1e-4)
     at = [fit.labels.index(name) for name in ("a", "b")]
-    stderr = np.sqrt(covariance_of(fit, noise_model, mixed.expected(fit.problem)[1])[at, at])
+    stderr = np.sqrt(covariance_of(fit, noise_model, mixed.precision(fit.problem))[at, at])
     np.testing.assert_allclose(stderr, np.sqrt(np.diag(np.linalg.inv(normal))), rtol=1e-3)
     # without the differences what is left is what the start state alone leaves
     for k, trial in enumerate(context.trials):
@@ -681,9 +681,21 @@ def test_a_linear_fit_is_least_squares(context: FitContext) -> None:
     system = np.vstack([*rows, prior])
     exact = np.linalg.lstsq(system, np.concatenate([*target, [5.0 * 0.8], np.zeros(5)]))[0]
     np.testing.assert_allclose(fit.theta, exact, atol=1e-4)
-    weight = context.expected(fit.problem)[1]
-    found, exact = covariance_of(fit, noise_model, weight), np.linalg.inv(system.T @ system)
+    found, exact = covariance_of(fit, noise_model, context.precision(fit.problem)), np.linalg.inv(system.T @ system)
     np.testing.assert_allclose(found, exact, atol=1e-4 * exact.diagonal().min())
+
+
+def test_what_is_known_of_coefficients_together_is_known_of_their_ratio(context: FitContext) -> None:
+    """Each to 0.2 and 0.5 alone, and their weighted difference to a tenth of that."""
+    known = FitContext(
+        context.model, context.parameters, context.trials, {"a": (0.8, 0.2), "b": (0.3, 0.5)},
+        correlation=(["b", "a"], np.array([[1.0, 0.98], [0.98, 1.0]])),
+    )  # fmt: skip
+    precision = known.precision(known.problem(()))
+    sd = np.array([0.2, 0.5])
+    expected = np.linalg.inv(np.outer(sd, sd) * np.array([[1.0, 0.98], [0.98, 1.0]]))
+    np.testing.assert_allclose(precision[:2, :2], expected, rtol=1e-3)
+    np.testing.assert_allclose(precision[2:, 2:], np.eye(5) / START_PRIOR**2)
 
 
 # ---------------------------------------------------------------- failed samples

@@ -158,7 +158,6 @@ def parameter_errors(state: State, fit: Fit) -> Mapping[str, float]:
 
     The residuals of a few trials are correlated, be it noise or gap: the errors are larger by that.
     """
-    _, weight = state.context.expected(fit.problem)
     # the rows that give the parameters themselves, and each changed parameter with its change
     names, rows = list(fit.labels), list(np.eye(len(fit.labels)))
     for effect in fit.effects:
@@ -172,7 +171,7 @@ def parameter_errors(state: State, fit: Fit) -> Mapping[str, float]:
         variance = np.einsum("ij,jk,ik->i", combined, covariance, combined)
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
-    sd = errors(covariance(fit, state.noise_model, weight))
+    sd = errors(covariance(fit, state.noise_model, state.context.precision(fit.problem)))
     if state.noise_model.long_memory is not None:
         scale = fit.problem.scale
         colour = coloured(fit.problem, fit.residuals, NoiseModel(state.noise_model.sd)).colour

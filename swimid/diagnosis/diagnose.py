@@ -162,7 +162,7 @@ def diagnose(
         others, alike = readings.others(experiment, fitted)
         state = search.run(
             model, model.parameters, fitted, begun.prior, [*tried, *others, *begun.changes],
-            asked=asked, seed=seed, jobs=workers, most=options.max_causes, budget_s=options.budget_s,
+            correlation=begun.correlation, asked=asked, seed=seed, jobs=workers, most=options.max_causes, budget_s=options.budget_s,
             checkpoint=keep, progress=progress,
         )  # fmt: skip
         with threadpool_limits(limits=1, user_api="blas"):

@@ -45,6 +45,8 @@ class Begun:
         Of the coefficients that are refitted.
     changes : list of ParameterChange
         One hypothesis for each coefficient whose standard error other trials told: its value is another now.
+    correlation : tuple of list of str and ndarray, shape (m, m)
+        Names of these coefficients, and the correlation of their estimates.
     """
 
     trials: list[Trial]
@@ -52,6 +54,7 @@ class Begun:
     own_data: bool
     prior: dict[str, tuple[float, float]]
     changes: list[ParameterChange]
+    correlation: tuple[list[str], Array]
 
     @property
     def unweighed(self) -> dict[str, Estimate]:
@@ -73,7 +76,12 @@ def begun(loaded: Loaded) -> Begun:
     same = _own_data(loaded)
     known = set() if same or model.name == arx.NAME else from_elsewhere(model.parameters, given)
     changes = [ParameterChange(p) for p in model.parameters if p.name in known]
-    return Begun(trials, given, same, prior(model.parameters, given, own_data=same, exact=known), changes)
+    names, covariance = applied.uncertain()
+    mine = [i for i, name in enumerate(names) if name in known]
+    sd = np.sqrt(np.diag(covariance))[mine]
+    correlation = covariance[np.ix_(mine, mine)] / np.outer(sd, sd)
+    before = prior(model.parameters, given, own_data=same, exact=known)
+    return Begun(trials, given, same, before, changes, ([names[i] for i in mine], correlation))
 
 
 def from_elsewhere(parameters: Sequence[Parameter], given: Mapping[str, Estimate]) -> set[str]:

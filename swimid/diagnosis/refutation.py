@@ -137,7 +137,7 @@ def _of_trials(
     begin = np.array([known.get(n, start) for n, start in zip(problem.labels, problem.start, strict=True)])
     # what an effect has for each of the fitted trials tells a held-out one nothing
     common = np.array([label in problem.labels for label in shared], dtype=bool)
-    normal = inner.products.sum(axis=0)[:-1, :-1] + np.diag(inner.prior)
+    normal = inner.products.sum(axis=0)[:-1, :-1] + inner.prior
     mixed = normal[np.ix_(~common, common)]
     told = normal[np.ix_(common, common)] - mixed.T @ crossval.solved(normal[np.ix_(~common, ~common)], mixed)
     sizes, vectors = np.linalg.eigh(told)

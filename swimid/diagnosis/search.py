@@ -19,7 +19,15 @@ from threadpoolctl import threadpool_limits
 
 from swimid.diagnosis import candidates, crossval, posterior, remainder
 from swimid.diagnosis.candidates import Refitted, Screen, Tried
-from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext, Optimum
+from swimid.diagnosis.context import (
+    FINE,
+    NO_CORRELATION,
+    STEPS,
+    Correlation,
+    Fit,
+    FitContext,
+    Optimum,
+)
 from swimid.diagnosis.dropouts import Dropouts, look
 from swimid.diagnosis.floor import nuisance_residuals
 from swimid.diagnosis.noise_model import NoiseModel
@@ -628,6 +636,7 @@ def context_of(
     prior: Mapping[str, tuple[float, float]],
     effects: Sequence[Effect],
     *,
+    correlation: Correlation = NO_CORRELATION,
     jobs: int = 1,
 ) -> tuple[FitContext, NoiseModel, Fit, Dropouts]:
     """The trials without failed samples, the noise as the model alone leaves it, and its fit."""
@@ -635,7 +644,7 @@ def context_of(
     fine, model = model, coarser(model, start, trials) or model
 
     def weighed(sound: Sequence[Trial]) -> tuple[FitContext, NoiseModel, Fit]:
-        found = FitContext(model, parameters, sound, prior, jobs=jobs)
+        found = FitContext(model, parameters, sound, prior, correlation=correlation, jobs=jobs)
         return (found, *weigh(found))
 
     context, noise_model, fit = weighed(trials)
@@ -658,6 +667,7 @@ def run(
     prior: Mapping[str, tuple[float, float]],
     effects: Sequence[Effect],
     *,
+    correlation: Correlation = NO_CORRELATION,
     asked: Collection[str] | None = None,
     seed: int = 0,
     jobs: int = 1,
@@ -682,7 +692,9 @@ def run(
         return budget_s is not None and time.monotonic() - begun > budget_s
 
     with threadpool_limits(limits=1, user_api="blas"):
-        context, noise_model, fit, dropouts = context_of(model, parameters, trials, prior, effects, jobs=jobs)
+        context, noise_model, fit, dropouts = context_of(
+            model, parameters, trials, prior, effects, correlation=correlation, jobs=jobs
+        )
         allowed = [e for e in effects if asked is None or e.name in asked]
         with progress("effects", total=2 * len(effects)) as shown:
             search = Search(
