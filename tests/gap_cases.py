@@ -64,9 +64,7 @@ def _shrinkage(
     )
 
 
-def _channel(
-    channel: str, unit: str, nrmse: float, floor: float, share: float, rmse: float
-) -> ChannelGap:
+def _channel(channel: str, unit: str, nrmse: float, floor: float, share: float, rmse: float) -> ChannelGap:
     return ChannelGap(channel=channel, unit=unit, nrmse=nrmse, floor=floor, share=share, rmse=rmse)
 
 

@@ -681,7 +681,10 @@ def test_a_linear_fit_is_least_squares(context: FitContext) -> None:
     system = np.vstack([*rows, prior])
     exact = np.linalg.lstsq(system, np.concatenate([*target, [5.0 * 0.8], np.zeros(5)]))[0]
     np.testing.assert_allclose(fit.theta, exact, atol=1e-4)
-    found, exact = covariance_of(fit, noise_model, context.precision(fit.problem)), np.linalg.inv(system.T @ system)
+    found, exact = (
+        covariance_of(fit, noise_model, context.precision(fit.problem)),
+        np.linalg.inv(system.T @ system),
+    )
     np.testing.assert_allclose(found, exact, atol=1e-4 * exact.diagonal().min())
 
 
@@ -1474,7 +1477,8 @@ def test_beside_something_from_outside_an_effect_is_as_likely_as_such_effects_ar
 def test_a_size_that_its_error_does_not_tell_from_a_bound_is_there(value: float, status: str) -> None:
     """But for the bound at which the effect vanishes."""
     tried = SimpleNamespace(
-        effect=SimpleNamespace(name="slip", adds_to=None), parameters=(parameter("loss", 0.0, lower=0.0, upper=1.0),)
+        effect=SimpleNamespace(name="slip", adds_to=None),
+        parameters=(parameter("loss", 0.0, lower=0.0, upper=1.0),),
     )
     cause = SimpleNamespace(best=SimpleNamespace(tried=tried))
     base = SimpleNamespace(labels=["slip/loss"], value=lambda label: value)

@@ -153,8 +153,9 @@ def differs(state: State) -> list[str]:
 
 
 def parameter_errors(state: State, fit: Fit) -> Mapping[str, float]:
-    """Return the standard errors of a fit's parameters by label, and of a changed parameter's new value by the
-    name of its effect.
+    """Return the standard errors of a fit's parameters by label.
+
+    That of the new value of a changed parameter stands under the name of its effect.
 
     The residuals of a few trials are correlated, be it noise or gap: the errors are larger by that.
     """

@@ -363,9 +363,7 @@ class FitContext:
         return mean, weight
 
     def root(self, problem: Mixed) -> Array:
-        """Return a root of the prior precision of the parameters, shape (m, p): rows of those that have none are
-        left out.
-        """
+        """Return a root of the prior precision, shape (m, p): m of the p parameters have a prior."""
         _, weight = self.expected(problem)
         root, loosened = np.diag(weight), self.loosened(problem)
         names, correlation = self.correlation

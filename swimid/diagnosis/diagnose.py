@@ -29,7 +29,6 @@ from swimid.simulation import compare_series
 from swimid.simulation.catalogue import Loaded
 from swimid.simulation.comparison_file import ChannelScore
 
-
 #: Why no change of a parameter is looked for without a parameter file.
 NOT_GIVEN = (
     "no parameter file was given (--params): the coefficients were refitted from the values of the robot "
@@ -162,12 +161,18 @@ def diagnose(
         others, alike = readings.others(experiment, fitted)
         state = search.run(
             model, model.parameters, fitted, begun.prior, [*tried, *others, *begun.changes],
-            correlation=begun.correlation, asked=asked, seed=seed, jobs=workers, most=options.max_causes, budget_s=options.budget_s,
-            checkpoint=keep, progress=progress,
+            correlation=begun.correlation, asked=asked, seed=seed, jobs=workers, most=options.max_causes,
+            budget_s=options.budget_s, checkpoint=keep, progress=progress,
         )  # fmt: skip
         with threadpool_limits(limits=1, user_api="blas"):
             file, drawings = answer.answer(
-                state, validation, begun.given, fitted, unweighed=begun.unweighed, seed=seed, progress=progress
+                state,
+                validation,
+                begun.given,
+                fitted,
+                unweighed=begun.unweighed,
+                seed=seed,
+                progress=progress,
             )
     folds = state.context.folds
     known_before = given is not None and not begun.own_data
@@ -181,8 +186,8 @@ def diagnose(
     said = [f"{name}: {why}" for name, why in alike.items() if asked is None or name in asked]
     if given is None:
         said.insert(0, NOT_GIVEN)
-    known = {"settings": settings, "reasons": [*said, *file.reasons], "as_given": as_given}
-    file = file.model_copy(update={**about, **known})
+    about |= {"settings": settings, "reasons": [*said, *file.reasons], "as_given": as_given}
+    file = file.model_copy(update=about)
     evidence = diagnose_evidence.evidence(
         file, drawings, sources=experiment.robot.sources, notices=blocks.notices(notices)
     )

@@ -283,7 +283,7 @@ class GapFile(yamlio.ResultFile):
     #: Parameters of the file that the refit moved by more than its standard errors allow, and whose change is
     #: no hypothesis: the file states no standard error, or the model is a black box.
     moved: dict[str, ChangedValue] = {}
-    #: Share of a black-box model's output that it reproduces, ``fit_percent`` / 100, where that is less than half.
+    #: Share of its output that a black-box model reproduces, where that is less than half.
     unreproduced: dict[str, Number] = {}
     #: Coefficients that end at a bound in the refit without effects, and the bound.
     at_bound: dict[str, float] = {}

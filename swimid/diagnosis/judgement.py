@@ -175,7 +175,9 @@ def _by_held_out(
         why = f"{', '.join(told.names)}: held-out data are no nearer to what the model with it predicts"
         return replace(refused, reasons=(why,))
     if held and not close:
-        return _weakened(told, "held-out trials, simulated anew, close less than half of the squared gap with it")
+        return _weakened(
+            told, "held-out trials, simulated anew, close less than half of the squared gap with it"
+        )
     if by_coefficients(state) and not state.changed:
         return _weakened(told, "refitted without it, the parameters of the file imitate it on held-out data")
     return told
@@ -187,7 +189,9 @@ def _weakened(told: Judgement, why: str) -> Judgement:
     return replace(told, verdict=verdict, reasons=(*told.reasons, f"{', '.join(told.names)}: {why}"))
 
 
-def _by_prediction(told: Judgement, state: State, held: Sequence[Piece], floor: Mapping[str, float]) -> Judgement:
+def _by_prediction(
+    told: Judgement, state: State, held: Sequence[Piece], floor: Mapping[str, float]
+) -> Judgement:
     """Return a judgement that explains nothing where a validation trial is not predicted with the causes.
 
     They are named only where they close most of the gap of the validation trials.

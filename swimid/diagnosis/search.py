@@ -51,8 +51,8 @@ PARENTS, SETS = 4, 10
 RIVALS = 4
 #: A set this unlikely against the likeliest is fitted on in so many steps only, once the noise is known.
 HOPELESS, FEW = 1e-4, 2
-#: Least cosine between the changes by an effect and by a parameter that are the same: together they leave less
-#: than a tenth of the square that either makes.
+#: Minimum cosine between the changes by an effect and by a parameter that are the same: each leaves less than
+#: a tenth of the square of the other.
 SAME_COSINE = 0.95
 #: The noise is learnt in so many turns at most, fewer where no spread between trials, in typical sizes,
 #: changes by more than this.

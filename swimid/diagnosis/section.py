@@ -202,8 +202,8 @@ def _channels(file: GapFile) -> Grid:
     columns = ["Channel", "RMSE", "As given", "Refitted", "Noise floor", "Of the gap"]
     floor = f" The floor: {file.floor_from.rstrip('.')}." if file.floor_from else ""
     caption = (
-        "Errors over the measured range without any effect, all trials together. With the parameters as given "
-        "they are those of compare, validation trials included; refitted they are of the fitted trials."
+        "Errors over the measured range without any effect, all trials together. With the parameters as "
+        "given they are those of compare, validation trials included; refitted they are of the fitted trials."
         f"{floor} Good: both as small as the floor."
     )
     return Grid("The gap by channel", columns, rows, caption)

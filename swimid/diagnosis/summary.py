@@ -45,30 +45,7 @@ def verdict_sentence(file: GapFile) -> str:
     """The verdict in one sentence, or in two."""
     names = [named_text(c) for c in file.causes]
     if file.verdict == "none":
-        if not file.told_of_gap:
-            best = likeliest(file)
-            known = f"{best.effect} {numbers.percent(best.probability, 2)}, " if best else ""
-            return f"These trials do not tell whether the model has a gap: {known}{otherwise_text(file)}."
-        if file.moved:
-            return (
-                "No gap is left once the coefficients are refitted, but the parameters as given are others: "
-                f"{changes_text(file.moved)}."
-            )
-        if file.params == gap_format.ROBOT_FILE:
-            return (
-                "No gap is left above the noise floor once the coefficients are refitted. No parameter file "
-                "was given: nothing is said of its values."
-            )
-        if file.unrepeated:
-            return (
-                "No gap that the trials share: they differ from one another by more than the noise within "
-                "them, and without repeats of a setting nothing tells whether that is chance."
-            )
-        if file.single:
-            return "No gap above the noise floor in these trials of one setting; another one is not tested."
-        if any(c.differs for c in file.where.channels):
-            return "No gap above the noise floor: all that is left are noise and what repeats differ by."
-        return "No gap above the noise floor: the model describes these trials as well as their noise allows."
+        return _no_gap_sentence(file)
     if file.verdict == "explained":
         both = f"{listed(names)} together explain" if len(names) > 1 else f"{listed(names)} explains"
         gap = "The model has a gap, and"
@@ -78,16 +55,17 @@ def verdict_sentence(file: GapFile) -> str:
             return f"{gap} {both} it, though less than half closes {held_out_text(file)}."
         return f"{gap} {both} it {held_out_text(file)}."
     if file.verdict == "ambiguous":
-        rivals = [
-            f"these trials cannot tell {c.effect} from {listed(c.equivalent, 'or')}"
+        told = [
+            f"these trials cannot tell {changes_text(c.parameters) or c.effect} from "
+            f"{listed(c.equivalent, 'or')}"
             for c in file.causes
             if c.equivalent
         ]
-        unsure = f"{listed(names)} is the likeliest cause, but not by enough to name it"
         if file.unpredicted:
             trials = listed([t.trial for t in file.unpredicted])
-            unsure = f"{listed(names)} closes most of it, and {trials} is not predicted with it all the same"
-        return f"The model has a gap; {'; '.join(rivals) or unsure} ({otherwise_text(file)})."
+            told.append(f"{listed(names)} closes most of it and does not predict {trials}")
+        unsure = f"{listed(names)} is the likeliest cause, but not by enough to name it"
+        return f"The model has a gap; {'; '.join(told) or unsure} ({otherwise_text(file)})."
     if file.unreproduced:
         shares = [f"{numbers.percent(v, 2)} of {c}" for c, v in file.unreproduced.items()]
         return (
@@ -107,6 +85,34 @@ def verdict_sentence(file: GapFile) -> str:
             "or as an imitation of what is."
         )
     return "The model has a gap, and no effect in the catalogue closes it."
+
+
+def _no_gap_sentence(file: GapFile) -> str:
+    """The verdict ``none`` in one sentence, or in two."""
+    if not file.told_of_gap:
+        best = likeliest(file)
+        known = f"{best.effect} {numbers.percent(best.probability, 2)}, " if best else ""
+        return f"These trials do not tell whether the model has a gap: {known}{otherwise_text(file)}."
+    if file.moved:
+        return (
+            "No gap is left once the coefficients are refitted, but the parameters as given are others: "
+            f"{changes_text(file.moved)}."
+        )
+    if file.params == gap_format.ROBOT_FILE:
+        return (
+            "No gap is left above the noise floor once the coefficients are refitted. No parameter file "
+            "was given: nothing is said of its values."
+        )
+    if file.unrepeated:
+        return (
+            "No gap that the trials share: they differ from one another by more than the noise within "
+            "them, and without repeats of a setting nothing tells whether that is chance."
+        )
+    if file.single:
+        return "No gap above the noise floor in these trials of one setting; another one is not tested."
+    if any(c.differs for c in file.where.channels):
+        return "No gap above the noise floor: all that is left are noise and what repeats differ by."
+    return "No gap above the noise floor: the model describes these trials as well as their noise allows."
 
 
 def named_text(cause: Cause) -> str:
