@@ -60,7 +60,8 @@ def named(state: State, found: Round) -> Named:
     best = found.ranked[0]
     name = best.tried.effect.name
     posterior = state.posterior
-    share = posterior.instead(name, frozenset(e.name for e in state.base.effects))
+    exact = best.tried.effect.adds_to is not None
+    share = posterior.instead(name, frozenset(e.name for e in state.base.effects), exact=exact)
     order = [name, *(n for n in share if n != name)]
     before = np.cumsum([0.0, *(share[n] for n in order[:-1])])
     alike = [n for n, sum_before in zip(order, before, strict=True) if sum_before < CREDIBLE]
