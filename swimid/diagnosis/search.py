@@ -798,7 +798,7 @@ def rounds(search: Search, best: Hypothesis, found: Posterior, dropouts: Dropout
         same = tuple(
             r.tried.effect.name
             for r in ranked[1:]
-            if effect.adds_to is not None and _same_change(search, base, ranked[0].tried, r.tried)
+            if effect.adds_to is not None and _same_change(search, found, base, ranked[0].tried, r.tried)
         )
         state.rounds.append(Round(base.fit, search.screened(base), ranked, search.noise_model, same))
     # a changed parameter comes first, as it needs no further physics
@@ -821,13 +821,16 @@ def in_parameters(search: Search, best: Hypothesis, found: Posterior) -> Hypothe
             if not base.key < h.key or rest[0].adds_to is None:
                 continue
             likely = found.known.get(h.names, 0.0) >= UNSURE * found.known.get(best.names, 0.0)
-            if likely and _same_change(search, base, mine, search._tried(base, h, rest[0])):
+            if likely and _same_change(search, found, base, mine, search._tried(base, h, rest[0])):
                 best = h
                 break
     return best
 
 
-def _same_change(search: Search, base: Hypothesis, first: Tried, second: Tried) -> bool:
-    """Return whether two effects change the trials alike beside a hypothesis."""
+def _same_change(search: Search, found: Posterior, base: Hypothesis, first: Tried, second: Tried) -> bool:
+    """Return whether two effects change the trials alike beside a hypothesis, and leave the same but noise."""
+    left = [found.excess.get(base.names | {t.effect.name}, np.inf) for t in (first, second)]
+    if not abs(left[0] - left[1]) <= found.no_evidence:
+        return False
     cosine = candidates.alike(search.context, base.fit, search.noise_model, first, second)
     return abs(cosine) > SAME_COSINE
