@@ -828,7 +828,10 @@ def in_parameters(search: Search, best: Hypothesis, found: Posterior) -> Hypothe
 
 
 def _same_change(search: Search, found: Posterior, base: Hypothesis, first: Tried, second: Tried) -> bool:
-    """Return whether two effects change the trials alike beside a hypothesis, and leave the same but noise."""
+    """Return whether two effects change the trials alike beside a hypothesis.
+
+    What they leave then differs by no more than noise, too.
+    """
     left = [found.excess.get(base.names | {t.effect.name}, np.inf) for t in (first, second)]
     if not abs(left[0] - left[1]) <= found.no_evidence:
         return False
