@@ -10,12 +10,14 @@ import numpy as np
 from pydantic import BaseModel
 
 from swimid.diagnosis import evidence as diagnose_evidence
+from swimid.diagnosis import gap_file
 from swimid.diagnosis.figures import Drawings, Overlay
 from swimid.diagnosis.gap_file import (
     Absorbed,
     Advice,
     Cause,
     Cell,
+    ChangedValue,
     ChannelGap,
     Extrapolation,
     GapFile,
@@ -27,6 +29,7 @@ from swimid.diagnosis.gap_file import (
     ranked,
 )
 from swimid.results import evidence as ev
+from swimid.simulation.comparison_file import ChannelScore
 
 Part = TypeVar("Part", bound=BaseModel)
 
@@ -61,12 +64,8 @@ def _shrinkage(
     )
 
 
-def _channel(
-    channel: str, unit: str, nrmse: float, floor: float, share: float, rmse: float, shipped: float
-) -> ChannelGap:
-    return ChannelGap(
-        channel=channel, unit=unit, nrmse=nrmse, floor=floor, share=share, rmse=rmse, shipped=shipped
-    )
+def _channel(channel: str, unit: str, nrmse: float, floor: float, share: float, rmse: float) -> ChannelGap:
+    return ChannelGap(channel=channel, unit=unit, nrmse=nrmse, floor=floor, share=share, rmse=rmse)
 
 
 def _cell(kind: str, label: str, ratio: float, share: float) -> Cell:
@@ -203,9 +202,9 @@ EXPLAINED = GapFile(
     verdict="explained",
     where=Where(
         channels=[
-            _channel("joint4_rad", "rad", 0.020, 0.020, 0.0, 0.003, 0.03),
-            _channel("yaw_rate_rad_s", "rad/s", 0.061, 0.030, 0.29, 0.09, 0.088),
-            _channel("u_m_s", "m/s", 0.142, 0.021, 0.71, 0.031, 0.190),
+            _channel("joint4_rad", "rad", 0.020, 0.020, 0.0, 0.003),
+            _channel("yaw_rate_rad_s", "rad/s", 0.061, 0.030, 0.29, 0.09),
+            _channel("u_m_s", "m/s", 0.142, 0.021, 0.71, 0.031),
         ],
         stage={"actuation": 0.95, "structure": 0.03, "fluid": 0.02, "environment": 0.0, "sensing": 0.0},
         phase=[_cell("phase", f"{30 * k}-{30 * k + 30}°", 1.5 + np.sin(k), 1 / 12) for k in range(12)],
@@ -297,6 +296,21 @@ FOLLOWS = replace(
 REREAD = replace(
     _BRIEF, causes=[READING], scores=_scores(READING.effect), at_bound={"c_d4": 6.0, "c_f0": 0.0}
 )
+SOFTER = Cause(
+    effect="parameter:k_t",
+    meaning="k_t 0.06 → 0.0552 N·m/rad (−8 %, 71 standard errors)",
+    probability=0.95,
+    equivalent=["joint-stiffness"],
+    parameters={
+        "k_t": ChangedValue(value=0.0552, stderr=3e-5, unit="N m/rad", given=0.06, standard_errors=71.0)
+    },
+    shrinkage=BACKLASH.shrinkage[:2],
+)
+_OFF = {"u_m_s": ChannelScore(unit="m/s", rmse=0.042, nrmse=0.19, samples=900)}
+CHANGED = replace(_BRIEF, causes=[SOFTER], as_given=_OFF)
+MOVED = replace(NONE, moved=SOFTER.parameters, as_given=_OFF)
+NOT_GIVEN = replace(NONE, params=gap_file.ROBOT_FILE)
+BLACK_BOX = replace(UNEXPLAINED, unreproduced={"u_m_s": 0.003})
 PARTLY = replace(_BRIEF, verdict="unexplained", remaining=_remaining(0.4, "yaw moment", False, 200.0))
 
 ALL = {
@@ -312,6 +326,10 @@ ALL = {
     "unexplained": UNEXPLAINED,
     "partly": PARTLY,
     "reread": REREAD,
+    "changed": CHANGED,
+    "moved": MOVED,
+    "not given": NOT_GIVEN,
+    "black box": BLACK_BOX,
 }
 
 

@@ -320,6 +320,9 @@ def test_only_the_effects_asked_for_are_tried(rig: tuple[Path, Path]) -> None:
     assert result["verdict"] == "none"
     assert {s["effect"] for s in result["scores"]} <= {"pulley-viscous", "current", "tether"}
     assert {s["effect"] for s in result["scores"]}
+    compared = command("compare", rig[0], "--params", rig[1], "--json")
+    assert compared.status == 0, compared.err
+    assert result["as_given"] == compared.json["result"]["channels"]
 
 
 def test_a_validation_trial_that_is_not_predicted_is_told(tmp_path: Path) -> None:
@@ -361,6 +364,7 @@ def test_without_a_parameter_file_the_robot_file_is_refitted(rig: tuple[Path, Pa
     assert "trials against the robot file" in ran.out
     file = GapFile.read(out)
     assert file.params == "the robot file"
+    assert any("no parameter file was given" in reason for reason in file.reasons)
     assert command("report", out, "-o", tmp_path / "gap.html").status == 0
 
 

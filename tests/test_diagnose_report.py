@@ -46,6 +46,10 @@ LEVELS = {
     "unexplained": "bad",
     "partly": "caution",
     "reread": "good",
+    "changed": "good",
+    "moved": "caution",  # the parameters as given do not describe the trials
+    "not given": "good",
+    "black box": "bad",  # the model reproduces nothing of its output
 }
 
 
@@ -123,6 +127,29 @@ def test_the_other_verdicts_in_words() -> None:
     assert "servo-backlash and current together explain it" in flat(said("pair"))
     assert "no effect in the catalogue closes it" in said("unexplained")
     assert "servo-backlash closes part of it, at work or as an imitation" in flat(said("partly"))
+
+
+def test_a_parameter_that_changed_is_said_first() -> None:
+    text = flat(said("changed"))
+    change = "k_t 0.06 → 0.0552 N·m/rad (−8 %, 71 standard errors)"
+    first = f"all others unchanged, {change}, not to be told from joint-stiffness, explains it"
+    assert f"EXPLAINED: The model with the parameters as given has a gap; {first}" in text
+    assert "as given u_m_s 19 % of the measured range, as compare has it" in text
+    assert "gap u_m_s" not in text
+    result = Diagnosis("diagnose", text, {}, document=ranked(cases.ALL["changed"]))
+    assert result.causes.iloc[0]["effect"] == "parameter:k_t"
+    assert f"but the parameters as given are others: {change}" in flat(said("moved"))
+
+
+def test_a_changed_parameter_is_written_with_its_value_in_the_file(tmp_path: Path) -> None:
+    path = cases.written(tmp_path, "changed")
+    assert "from: 0.06" in path.read_text()
+    assert GapFile.read(path).causes[0].parameters == cases.SOFTER.parameters
+
+
+def test_what_no_parameter_file_and_a_poor_black_box_leave_open_is_said() -> None:
+    assert "No parameter file was given: nothing is said of its values." in flat(said("not given"))
+    assert "UNEXPLAINED: The model reproduces 0.3 % of u_m_s: whether" in flat(said("black box"))
 
 
 def test_a_reading_is_named_with_its_question_and_how_to_work_with_it() -> None:

@@ -6,8 +6,10 @@ import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
+from scipy import stats
 
 from swimid.diagnosis import (
     advice,
@@ -19,16 +21,18 @@ from swimid.diagnosis import (
     remainder,
     settings,
     shrinkage,
+    summary,
 )
 from swimid.diagnosis.conclusion import Named
-from swimid.diagnosis.context import FINE, Fit, FitContext
+from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext
 from swimid.diagnosis.figures import Drawings
-from swimid.diagnosis.floor import by_channel, enough, excess, floors, repeats, rms, split
+from swimid.diagnosis.floor import by_channel, excess, floors, repeats, rms, split
 from swimid.diagnosis.folds import Folds
 from swimid.diagnosis.gap_file import (
     Absorbed,
     Advice,
     Cause,
+    ChangedValue,
     ChannelGap,
     Extrapolation,
     GapFile,
@@ -43,12 +47,17 @@ from swimid.diagnosis.gap_file import (
 from swimid.diagnosis.judgement import Judgement
 from swimid.diagnosis.refutation import Compared, Misfit, compared
 from swimid.diagnosis.search import State
+from swimid.effects.base import Effect
 from swimid.effects.sensing.marker_dropout import MarkerDropout
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting.model import Array, Parameter, Trial
 from swimid.progress import Progress, silent
 from swimid.results.parameters import Estimate
 
+#: Chance that a parameter is said to have moved though none has.
+MOVED = 0.05
+#: Standard deviation of the prior that holds a parameter as given, in typical sizes.
+PINNED = 1e-6
 #: How to tell a gap from what coefficients imitate, and from chance.
 ANOTHER = "run another setting: what coefficients imitate at one they do not imitate at all"
 REPEAT = "repeat one setting three times: what repeats is physics, what does not is chance"
@@ -60,6 +69,7 @@ def answer(
     given: Mapping[str, Estimate],
     raw: Sequence[Trial],
     *,
+    unweighed: Mapping[str, Estimate] = MappingProxyType({}),
     seed: int = 0,
     progress: Progress = silent,
 ) -> tuple[GapFile, Drawings]:
@@ -73,6 +83,8 @@ def answer(
         The coefficients of the parameter file.
     raw : sequence of Trial
         The fitted trials with their failed samples still in.
+    unweighed : mapping of name to Estimate
+        Those of them that other trials told, and whose change is no hypothesis.
 
     Returns
     -------
@@ -85,7 +97,11 @@ def answer(
     NoTrustworthyResult
         Where the model, refitted, simulates nothing like these trials.
     """
-    context, nominal = state.context, state.nominal
+    context = state.context
+    if state.changed:
+        # the gap is that of the parameters as given
+        state.nominal = _as_given(state)
+    nominal = state.nominal
     ranges = _ranges(context, nominal)
     _insist_simulated(nominal, ranges)
     alike = _alone(state, nominal), _alone(state, state.base)
@@ -111,6 +127,8 @@ def answer(
             ],
             floor,
         )
+    if state.changed or judgement.by_coefficients(state):
+        held = [replace(piece, before=piece.shipped) for piece in held]
     predicted = None
     if state.base.effects:
         predicted = compared(context, nominal, state.base, state.noise_model, validation)
@@ -140,7 +158,7 @@ def answer(
     units = {c.name: c.unit for c in context.model.channels}
     cells = places.Map(context, nominal, gap, floor)
     where = Where(
-        channels=_channels(nominal, gap, floor, units, held, ranges),
+        channels=_channels(nominal, gap, floor, units, ranges),
         stage=stages,
         phase=places.phases(cells) if told.verdict != "none" else [],
         regime=places.regimes(cells),
@@ -161,13 +179,15 @@ def answer(
         no_gap=state.posterior.none,
         outside=state.posterior.outside,
         at_bound=stuck,
+        moved=_moved(state, told.base, unweighed),
+        unreproduced=told.unreproduced,
         hypotheses=conclusion.hypotheses(state),
         samples=sum(len(r) for r in nominal.residuals) or None,
         tried=state.tried or None,
         held_out="validation" if validation else "trials" if context.folds.whole else "stretches",
         predicted=_predicted(predicted) if told.causes else None,
         floor_from=how,
-        repeats=enough(repeats(context)),
+        repeats=bool(repeats(context)),
         scores=rows,
         forces={**generic.places} if generic is not None else {},
         rounds=state.told,
@@ -180,6 +200,22 @@ def answer(
         overlays=shrinkage.overlays(held, units),
         forces=generic.forces if generic is not None and generic.found else {},
     )
+
+
+def _as_given(state: State) -> Fit:
+    """Return the model with the parameters as given, fitted in what each trial has for itself alone."""
+    context, noise_model = state.context, state.noise_model
+    problem = context.problem((), noise_model.random_effects)
+    noise_model.install(problem)
+    mean, weight = context.expected(problem)
+    start = context.start((), noise_model, state.nominal)
+    for j, (_, owner) in enumerate(problem.slots):
+        if owner is None:
+            start[j] = mean[j] = problem.start[j]
+            weight[j] = 1.0 / (PINNED * problem.scale[j])
+    root = np.diag(weight)[weight > 0]
+    found = context.search(problem, noise_model, [start], FINE, STEPS, (mean, root))
+    return context.at((), noise_model, found.x)
 
 
 def _predicted(found: Compared | None) -> Predicted | None:
@@ -234,17 +270,14 @@ def _channels(
     residuals: Sequence[Array],
     floor: Mapping[str, float],
     units: Mapping[str, str],
-    held: Sequence[shrinkage.Piece],
     ranges: Mapping[str, float],
 ) -> list[ChannelGap]:
-    pieces = shrinkage.by_channel(held)
     beyond = excess(nominal, residuals, floor)
     within = {c: rms(v) for c, v in by_channel(nominal, nominal.residuals).items()}
     total = sum(beyond.values()) or 1.0
     found = []
     for channel, left in by_channel(nominal, residuals).items():
         rmse, size = rms(left), ranges[channel]
-        errors = [p.seen(p.measured - p.shipped) for p in pieces.get(channel, ())]
         found.append(
             ChannelGap(
                 channel=channel,
@@ -253,7 +286,6 @@ def _channels(
                 share=beyond[channel] / total,
                 rmse=rmse,
                 unit=units.get(channel, "1"),
-                shipped=rms(np.concatenate(errors)) / size if errors else None,
                 within=within[channel] / size,
             )
         )
@@ -266,19 +298,20 @@ def _causes(
     if not told.causes:
         return []
     sd = conclusion.parameter_errors(state, told.base)
+    sizes = [_values(told.base, c, sd, given) for c in told.causes]
     causes = [
         Cause(
             effect=c.best.tried.effect.name,
             probability=float(np.clip(c.probability, 0.0, 1.0)),
             equivalent=list(c.equivalent),
-            parameters=_values(told.base, c, sd),
+            parameters=parameters,
             stage=c.best.tried.effect.stage,
-            meaning=c.best.tried.effect.meaning,
+            meaning=summary.changes_text(parameters) or c.best.tried.effect.meaning,
             sources=list(c.best.tried.effect.sources),
             gain=c.best.gain,
             gain_stderr=c.best.stderr,
         )
-        for c in told.causes
+        for c, parameters in zip(told.causes, sizes, strict=True)
     ]
     first = {
         "shrinkage": closing,
@@ -288,9 +321,33 @@ def _causes(
     return [causes[0].model_copy(update=first), *causes[1:]]
 
 
-def _values(base: Fit, cause: Named, sd: Mapping[str, float]) -> dict[str, Value]:
+def _changed(
+    base: Fit, effect: Effect, sd: Mapping[str, float], given: Mapping[str, Estimate]
+) -> dict[str, Value | ChangedValue]:
+    """Return the parameter that an effect changes, with its value in the file and now."""
+    (change,) = effect.parameters(base.problem.model, ())
+    name, label = str(effect.adds_to), f"{effect.name}/{change.name}"
+    known, at = given[name], base.labels.index(label)
+    value, stderr = base.value(name) + base.value(label), sd[effect.name]
+    found = ChangedValue(
+        value=value,
+        stderr=stderr if base.inside[at] else None,
+        unit=change.unit,
+        status="estimated" if base.inside[at] else "at-bound",
+        given=known.value,
+        standard_errors=abs(value - known.value) / math.hypot(stderr, known.stderr or 0.0),
+    )
+    return {name: found}
+
+
+def _values(
+    base: Fit, cause: Named, sd: Mapping[str, float], given: Mapping[str, Estimate]
+) -> dict[str, Value | ChangedValue]:
     """The size of a cause: parameters of its effect, those of single trials by their root mean square."""
-    found = {}
+    effect = cause.best.tried.effect
+    if effect.adds_to is not None:
+        return _changed(base, effect, sd, given)
+    found: dict[str, Value | ChangedValue] = {}
     for p in cause.best.tried.parameters:
         name = f"{cause.best.tried.effect.name}/{p.name}"
         labels = [n for n in base.labels if n.split("[")[0] == name]
@@ -306,6 +363,26 @@ def _values(base: Fit, cause: Named, sd: Mapping[str, float]) -> dict[str, Value
             found[p.name] = Value(value=values[0], unit=p.unit, status="at-bound")
         else:
             found[p.name] = Value(value=values[0], stderr=sd.get(labels[0]), unit=p.unit)
+    return found
+
+
+def _moved(state: State, base: Fit, given: Mapping[str, Estimate]) -> dict[str, ChangedValue]:
+    """Return the parameters of the file that a fit moved by more than their standard errors allow.
+
+    The level is two-sided 5 % for all of them together (Bonferroni).
+    """
+    sd = conclusion.parameter_errors(state, base)
+    inside = dict(zip(base.labels, base.inside, strict=True))
+    names = [p for p in state.context.parameters if p.name in given and inside.get(p.name)]
+    limit = float(stats.norm.isf(0.5 * MOVED / max(len(names), 1)))
+    found = {}
+    for p in names:
+        known, value, stderr = given[p.name], base.value(p.name), sd[p.name]
+        times = abs(value - known.value) / max(math.hypot(stderr, known.stderr or 0.0), 1e-300)
+        if times > limit:
+            found[p.name] = ChangedValue(
+                value=value, stderr=stderr, unit=p.unit, given=known.value, standard_errors=times
+            )
     return found
 
 
@@ -333,8 +410,10 @@ def _absorbed(
             return Value(value=fit.value(p.name), stderr=None, unit=p.unit, status="at-bound")
         return Value(value=fit.value(p.name), stderr=error.get(p.name), unit=p.unit)
 
+    # a parameter that has changed is a cause itself
+    causes = {e.adds_to for e in base.effects}
     for p in state.context.parameters:
-        if p.per_trial or p.name not in nominal.labels:
+        if p.per_trial or p.name not in nominal.labels or p.name in causes:
             continue
         known = given.get(p.name)
         found.append(
@@ -385,7 +464,8 @@ def _advice(state: State, told: Judgement, left: str, floor: Mapping[str, float]
     if not told.causes:
         return _repeat(left) if told.verdict == "unexplained" else []
     first = state.rounds[0]
-    names = told.causes[0].alike
+    # nothing tells a changed parameter from an effect that does the same
+    names = [n for n in told.causes[0].alike if n not in first.same]
     rivals = [next(r for r in first.ranked if r.tried.effect.name == n) for n in names]
     if len(rivals) == 1:
         rivals += [r for r in first.ranked if r.tried.effect.name != names[0]][:1]

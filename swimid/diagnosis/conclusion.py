@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from swimid.diagnosis.candidates import Refitted, Tried
-from swimid.diagnosis.context import Fit, errors
+from swimid.diagnosis.context import Fit, covariance
 from swimid.diagnosis.gap_file import Hypothesis, Score, Stage
 from swimid.diagnosis.noise_model import NoiseModel, coloured
 from swimid.diagnosis.search import Round, State
@@ -36,7 +36,8 @@ class Named:
         That it, or one of these, closes most of what is closed, even if only as an imitation of something
         from outside the catalogue.
     alone : float
-        How likely it is against its rivals, the other causes given.
+        Probability of it, and of those that change the trials just like it, against its rivals, the other
+        causes given.
     crowded : bool
         Whether more effects than are told cannot be told from it.
     """
@@ -59,17 +60,18 @@ def named(state: State, found: Round) -> Named:
     best = found.ranked[0]
     name = best.tried.effect.name
     posterior = state.posterior
-    share = posterior.instead(name, frozenset(e.name for e in state.base.effects))
+    exact = best.tried.effect.adds_to is not None
+    share = posterior.instead(name, frozenset(e.name for e in state.base.effects), exact=exact)
     order = [name, *(n for n in share if n != name)]
     before = np.cumsum([0.0, *(share[n] for n in order[:-1])])
     alike = [n for n, sum_before in zip(order, before, strict=True) if sum_before < CREDIBLE]
-    shown = alike[:SET]
+    shown = list(dict.fromkeys([name, *found.same, *alike]))[:SET]
     return Named(
         best,
         tuple(shown[1:]),
         posterior.having(*shown),
         posterior.closing(*shown),
-        share[name],
+        share[name] + sum(share.get(n, 0.0) for n in found.same),
         len(alike) > SET,
     )
 
@@ -152,16 +154,30 @@ def differs(state: State) -> list[str]:
 
 
 def parameter_errors(state: State, fit: Fit) -> Mapping[str, float]:
-    """Standard errors of a fit's numbers, by label.
+    """Return the standard errors of a fit's parameters by label.
 
-    What few trials leave is correlated, be it noise or gap: it makes them as much larger as it does.
+    That of the new value of a changed parameter stands under the name of its effect.
+
+    The residuals of a few trials are correlated, be it noise or gap: the errors are larger by that.
     """
-    _, weight = state.context.expected(fit.problem)
-    sd = errors(fit, state.noise_model, weight)
+    # the rows that give the parameters themselves, and each changed parameter with its change
+    names, rows = list(fit.labels), list(np.eye(len(fit.labels)))
+    for effect in fit.effects:
+        if effect.adds_to is not None:
+            parts = (effect.adds_to, f"{effect.name}/change")
+            names.append(effect.name)
+            rows.append(np.isin(fit.labels, parts).astype(float))
+    combined = np.array(rows)
+
+    def errors(covariance: Array) -> Array:
+        variance = np.einsum("ij,jk,ik->i", combined, covariance, combined)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+    sd = errors(covariance(fit, state.noise_model, state.context.precision(fit.problem)))
     if state.noise_model.long_memory is not None:
         scale = fit.problem.scale
         colour = coloured(fit.problem, fit.residuals, NoiseModel(state.noise_model.sd)).colour
-        rows = [r * scale for r in fit.rows]
-        covariance = sandwich(fit.problem, rows, list(fit.residuals), dict(colour)).covariance
-        sd = np.fmax(sd, scale * np.sqrt(np.maximum(np.diag(covariance), 0.0)))
-    return dict(zip(fit.labels, sd, strict=True))
+        derivatives = [r * scale for r in fit.rows]
+        robust = sandwich(fit.problem, derivatives, list(fit.residuals), dict(colour)).covariance
+        sd = np.fmax(sd, errors(scale[:, None] * robust * scale))
+    return dict(zip(names, sd, strict=True))

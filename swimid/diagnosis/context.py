@@ -41,6 +41,13 @@ LOOSE = 0.3
 NEAR = 0.3
 
 
+#: Names of coefficients and the correlation of what is known of them.
+Correlation = tuple[Sequence[str], Array]
+NO_CORRELATION: Correlation = ((), np.empty((0, 0)))
+#: Added to the diagonal of a correlation, which files hold to a few digits.
+ROUNDING = 1e-6
+
+
 class Mixed(Problem):
     """Residuals of a model on trials with random effects.
 
@@ -226,6 +233,8 @@ class FitContext:
         Those that take part in fits.
     prior : mapping of name to (mean, sd)
         Of shared coefficients.
+    correlation : tuple of sequence of str and ndarray, shape (m, m), optional
+        Names of coefficients, and the correlation of their priors; others are independent.
     jobs : int
     """
 
@@ -236,12 +245,14 @@ class FitContext:
         trials: Sequence[Trial],
         prior: Mapping[str, tuple[float, float]],
         *,
+        correlation: Correlation = NO_CORRELATION,
         jobs: int = 1,
     ) -> None:
         self.model = model
         self.parameters = tuple(parameters)
         self.trials = list(trials)
         self.prior = dict(prior)
+        self.correlation = correlation
         self.jobs = jobs
         self._known: dict[tuple[int, ...], Affected] = {}
         self._without: list[tuple[Fit, NoiseModel, list[Array]]] = []
@@ -350,6 +361,25 @@ class FitContext:
                 m, sd = known[p.name]
                 mean[j], weight[j] = m, 1.0 / sd if sd > 0 else 0.0
         return mean, weight
+
+    def root(self, problem: Mixed) -> Array:
+        """Return a root of the prior precision, shape (m, p): m of the p parameters have a prior."""
+        _, weight = self.expected(problem)
+        root, loosened = np.diag(weight), self.loosened(problem)
+        names, correlation = self.correlation
+        at = {problem.parameters[i].name: j for j, (i, owner) in enumerate(problem.slots) if owner is None}
+        known = [(at[n], i) for i, n in enumerate(names) if n in at and n not in loosened]
+        if known:
+            places, rows = (list(ends) for ends in zip(*known, strict=True))
+            own = correlation[np.ix_(rows, rows)]
+            inverse = np.linalg.inv(own + ROUNDING * np.eye(len(rows)))
+            root[np.ix_(places, places)] = np.linalg.cholesky(inverse).T * weight[places]
+        return np.asarray(root[weight > 0])
+
+    def precision(self, problem: Mixed) -> Array:
+        """Return the prior precision of the parameters, shape (p, p); see :meth:`root`."""
+        root = self.root(problem)
+        return np.asarray(root.T @ root)
 
     def begins(self, problem: Mixed, theta: Array) -> list[Array]:
         """Numbers to fit from: given ones and, where their coefficients are far from what is known of them,
@@ -481,8 +511,7 @@ class FitContext:
         prior : tuple of ndarray, shapes (p,) and (m, p), optional
             What is known of the numbers: their mean, and a root of their precision; default that of a fit.
         """
-        mean, weight = self.expected(problem)
-        mean, root = prior or (mean, np.diag(weight)[weight > 0])
+        mean, root = prior or (self.expected(problem)[0], self.root(problem))
 
         def whitened(k: int, rows: Array) -> Array:
             seen = noise_model.whiten(problem, k, rows)
@@ -658,19 +687,19 @@ def beyond(columns: Array, values: Array) -> Array:
     return np.asarray(values - scaled @ np.linalg.lstsq(scaled, values, rcond=1e-10)[0])
 
 
-def errors(fit: Fit, noise_model: NoiseModel, weight: Array) -> Array:
-    """Standard errors of a fit's numbers, shape (p,), prior included.
+def covariance(fit: Fit, noise_model: NoiseModel, precision: Array) -> Array:
+    """Return the covariance of a fit's parameters, shape (p, p), prior included.
 
     Parameters
     ----------
-    weight : ndarray, shape (p,)
-        Inverse standard deviations of the prior.
+    precision : ndarray, shape (p, p)
+        Of the prior.
     """
-    normal = np.diag(weight**2)
+    normal = precision.copy()
     for k, rows in enumerate(fit.rows):
         seen = noise_model.whiten(fit.problem, k, rows)
         normal += seen.T @ seen
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     scaled = scale[:, None] * normal * scale
     inverse = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True)
-    return np.asarray(scale * np.sqrt(np.maximum(np.diag(inverse), 0.0)))
+    return np.asarray(scale[:, None] * inverse * scale)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from swimid.diagnosis.context import Fit, FitContext
 from swimid.diagnosis.noise_model import NoiseModel
@@ -31,8 +32,8 @@ class NormalEquations:
     ----------
     products : ndarray, shape (folds, c, c)
         Columns: shared numbers first (``shared`` of them), then others, the residual last.
-    prior : ndarray, shape (shared,)
-        Inverse variances of the shared numbers.
+    prior : ndarray, shape (shared, shared)
+        Precision of what is known of the shared numbers.
     pull : ndarray, shape (shared,)
         Prior mean less the present value, of the shared numbers.
     samples : ndarray, shape (folds,)
@@ -115,7 +116,7 @@ def normal_equations(
     """
     problem = fit.problem
     whole = context.folds.whole
-    mean, weight = context.expected(problem)
+    mean, _ = context.expected(problem)
     shared = context.shared(fit)
     count = context.folds.count
     width = len(shared) + len(columns) + 1
@@ -136,7 +137,8 @@ def normal_equations(
                 part = seen[: len(block)][owner == f]
                 products[f] += part.T @ part
                 samples[f] += len(part)
-    return NormalEquations(products, weight[shared] ** 2, (mean - fit.theta)[shared], samples)
+    prior = context.precision(problem)[np.ix_(shared, shared)]
+    return NormalEquations(products, prior, (mean - fit.theta)[shared], samples)
 
 
 def held_out(
@@ -168,9 +170,9 @@ def held_out(
         (np.arange(equations.shared), equations.shared + np.asarray(chosen, dtype=int))
     ).astype(int)
     inner = equations.products[:, at[:, None], at[None, :]]
-    ridge = np.diag(np.concatenate((equations.prior, np.asarray(prior, dtype=float))))
+    ridge = block_diag(equations.prior, np.diag(np.asarray(prior, dtype=float)))
     off = equations.pull[:, None] if draws is None else draws.pull
-    pull = np.concatenate((equations.prior[:, None] * off, np.zeros((len(chosen), off.shape[1]))))
+    pull = np.concatenate((equations.prior @ off, np.zeros((len(chosen), off.shape[1]))))
     right = equations.products[:, at, -1][:, :, None] if draws is None else draws.right[:, at, :]
     theta = _without(inner, ridge, right, pull, equations.shared)
     misfit = np.sum(theta * (inner @ theta - 2.0 * right), axis=1) + _strain(equations, theta, off)
@@ -181,11 +183,12 @@ def predictive(equations: NormalEquations) -> Array:
     """Squared Mahalanobis distance of each fold in what the others predict, shape (folds,): by how much it
     raises the squared residuals of the fit to all.
     """
-    off, shared = float(equations.prior @ equations.pull**2), equations.shared
+    shared = equations.shared
+    off = float(equations.pull @ equations.prior @ equations.pull)
 
     def left(products: Array) -> float:
-        normal = products[:shared, :shared] + np.diag(equations.prior)
-        right = (products[:shared, -1] + equations.prior * equations.pull)[:, None]
+        normal = products[:shared, :shared] + equations.prior
+        right = (products[:shared, -1] + equations.prior @ equations.pull)[:, None]
         return float(products[-1, -1] + off - (right.T @ solved(normal, right))[0, 0])
 
     whole = equations.products.sum(axis=0)
@@ -204,7 +207,7 @@ def _without(inner: Array, ridge: Array, right: Array, pull: Array, shared: int)
 def _strain(equations: NormalEquations, theta: Array, off: Array) -> Array:
     """Each fold's part of how far numbers are from what is known of them, shape (folds, m)."""
     apart = theta[:, : equations.shared] - off
-    return np.asarray(np.einsum("j,fjm->fm", equations.prior, apart**2) / len(theta))
+    return np.asarray(np.einsum("jk,fjm,fkm->fm", equations.prior, apart, apart) / len(theta))
 
 
 def held_out_less(equations: NormalEquations, column: int, factor: float = 1.0) -> Array:
@@ -214,7 +217,7 @@ def held_out_less(equations: NormalEquations, column: int, factor: float = 1.0) 
     inner = equations.products[:, at[:, None], at[None, :]]
     right = (equations.products[:, at, -1] - factor * equations.products[:, at, c])[:, :, None]
     off = equations.pull[:, None]
-    theta = _without(inner, np.diag(equations.prior), right, equations.prior[:, None] * off, equations.shared)
+    theta = _without(inner, equations.prior, right, equations.prior @ off, equations.shared)
     misfit = (np.sum(theta * (inner @ theta - 2.0 * right), axis=1) + _strain(equations, theta, off))[:, 0]
     products = equations.products
     return np.asarray(
@@ -245,10 +248,8 @@ def together(equations: NormalEquations, chosen: Sequence[int], prior: Sequence[
         (np.arange(equations.shared), equations.shared + np.asarray(chosen, dtype=int))
     ).astype(int)
     total = equations.products.sum(axis=0)
-    normal = total[np.ix_(at, at)] + np.diag(
-        np.concatenate((equations.prior, np.asarray(prior, dtype=float)))
-    )
-    right = total[at, -1] + np.concatenate((equations.prior * equations.pull, np.zeros(len(chosen))))
+    normal = total[np.ix_(at, at)] + block_diag(equations.prior, np.diag(np.asarray(prior, dtype=float)))
+    right = total[at, -1] + np.concatenate((equations.prior @ equations.pull, np.zeros(len(chosen))))
     return solved(normal, right[:, None])[:, 0]
 
 
@@ -261,7 +262,7 @@ def projected(equations: NormalEquations) -> Array:
     """
     total = equations.products.sum(axis=0)
     s = equations.shared
-    normal = total[:s, :s] + np.diag(equations.prior)
+    normal = total[:s, :s] + equations.prior
     mixed = total[:s, s:]
     return np.asarray(total[s:, s:] - mixed.T @ solved(normal, mixed))
 
@@ -274,6 +275,9 @@ def noise_draws(equations: NormalEquations, rng: np.random.Generator, count: int
         sizes, vectors = np.linalg.eigh(inner / np.outer(scale, scale))
         root = vectors * np.sqrt(np.maximum(sizes, 0.0))
         found[f] = scale[:, None] * (root @ rng.standard_normal((len(scale), count)))
-    known = np.zeros_like(equations.prior)
-    np.divide(1.0, np.sqrt(equations.prior), out=known, where=equations.prior > 0)
-    return Drawn(found, known[:, None] * rng.standard_normal((len(known), count)))
+    known = np.flatnonzero(np.diag(equations.prior) > 0)
+    root = np.linalg.cholesky(equations.prior[np.ix_(known, known)])
+    off = np.zeros((equations.shared, count))
+    drawn = rng.standard_normal((equations.shared, count))
+    off[known] = np.linalg.solve(root.T, drawn[known])
+    return Drawn(found, off)

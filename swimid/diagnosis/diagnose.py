@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 from swimid.diagnosis import answer, nominal, power, power_file, readings, search
 from swimid.diagnosis import evidence as diagnose_evidence
 from swimid.diagnosis.diagnosed import Diagnosis
+from swimid.diagnosis.gap_file import ROBOT_FILE
 from swimid.diagnosis.options import DiagnoseOptions
 from swimid.diagnosis.power_file import DetectionPower, PowerFile
 from swimid.effects import catalogue as effect_catalogue
@@ -24,6 +25,28 @@ from swimid.progress import Progress, silent
 from swimid.results import blocks
 from swimid.results import parameters as parameters_format
 from swimid.simulation import catalogue as experiment_catalogue
+from swimid.simulation import compare_series
+from swimid.simulation.catalogue import Loaded
+from swimid.simulation.comparison_file import ChannelScore
+
+#: Why no change of a parameter is looked for without a parameter file.
+NOT_GIVEN = (
+    "no parameter file was given (--params): the coefficients were refitted from the values of the robot "
+    "file, of which nothing is taken as known, so that no change of a parameter can be named"
+)
+
+
+def _as_given(loaded: Loaded) -> dict[str, ChannelScore]:
+    """Return the errors of the model with the parameters as given, by channel, as ``compare`` has them."""
+    experiment, applied = loaded
+    try:
+        done = [
+            compare_series.compared(experiment, applied, trial, refit=True) for trial in experiment.trials
+        ]
+    except NoTrustworthyResult:
+        # a simulation with them breaks down: there are no errors, and the refit may do better
+        return {}
+    return compare_series.pooled(done, experiment.model)
 
 
 @takes(DiagnoseOptions)
@@ -101,11 +124,13 @@ def diagnose(
         own = [e for path in options.own_effects for e in effect_catalogue.from_file(path)]
         # the noise is what the best of all leaves, whichever are asked for
         known = [*effect_catalogue.catalogue(), *own]
+        as_given = _as_given(loaded)
+        begun = nominal.begun(loaded)
         asked = None
         if options.effects:
-            named, read = readings.asked(options.effects, experiment)
-            asked = {*read, *(e.name for e in (*effect_catalogue.chosen(named), *own))}
-        begun = nominal.begun(loaded)
+            changes = {e.name for e in begun.changes} & set(options.effects)
+            named, read = readings.asked([n for n in options.effects if n not in changes], experiment)
+            asked = {*changes, *read, *(e.name for e in (*effect_catalogue.chosen(named), *own))}
         fitted = [t for t in begun.trials if t.role == "fit"]
         validation = [t for t in begun.trials if t.role == "validate"]
         if not fitted:
@@ -123,7 +148,7 @@ def diagnose(
             "model": model.name,
             "robot": experiment.robot.name,
             "experiment": experiment.name,
-            "params": str(parameters_format.place(given)) if given is not None else "the robot file",
+            "params": str(parameters_format.place(given)) if given is not None else ROBOT_FILE,
             "trials": [t.id for t in experiment.trials],
             "provenance": origin,
         }
@@ -137,13 +162,19 @@ def diagnose(
             return DetectionPower.of(could, power_file.evidence(could, blocks.notices(notices))).saved(output)
         others, alike = readings.others(experiment, fitted)
         state = search.run(
-            model, model.parameters, fitted, begun.prior, [*tried, *others],
-            asked=asked, seed=seed, jobs=workers, most=options.max_causes, budget_s=options.budget_s,
-            checkpoint=keep, progress=progress,
+            model, model.parameters, fitted, begun.prior, [*tried, *others, *begun.changes],
+            correlation=begun.correlation, asked=asked, seed=seed, jobs=workers, most=options.max_causes,
+            budget_s=options.budget_s, checkpoint=keep, progress=progress,
         )  # fmt: skip
         with threadpool_limits(limits=1, user_api="blas"):
             file, drawings = answer.answer(
-                state, validation, begun.given, fitted, seed=seed, progress=progress
+                state,
+                validation,
+                begun.given,
+                fitted,
+                unweighed=begun.unweighed,
+                seed=seed,
+                progress=progress,
             )
     folds = state.context.folds
     known_before = given is not None and not begun.own_data
@@ -155,7 +186,10 @@ def diagnose(
         "folds": folds.labels if len(folds.labels) <= 30 else [],
     }
     said = [f"{name}: {why}" for name, why in alike.items() if asked is None or name in asked]
-    file = file.model_copy(update={**about, "settings": settings, "reasons": [*file.reasons, *said]})
+    if given is None:
+        said.insert(0, NOT_GIVEN)
+    about |= {"settings": settings, "reasons": [*said, *file.reasons], "as_given": as_given}
+    file = file.model_copy(update=about)
     evidence = diagnose_evidence.evidence(
         file, drawings, sources=experiment.robot.sources, notices=blocks.notices(notices)
     )

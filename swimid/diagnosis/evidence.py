@@ -97,6 +97,31 @@ def checks(file: GapFile) -> list[ev.Check]:
 
 
 def _data(file: GapFile) -> Iterable[ev.Check]:
+    if file.as_given:
+        errors = [f"{c} {numbers.percent(s.nrmse)}" for c, s in file.as_given.items()]
+        yield ev.check(
+            "errors with the parameters as given",
+            "; ".join(errors),
+            None,
+            text="root-mean-square error over the measured range, all trials, as compare has it",
+        )
+    if file.moved:
+        yield ev.check(
+            "parameters as given",
+            words.changes_text(file.moved),
+            False,
+            "within their standard errors",
+            "values in the parameter file and in the refit",
+        )
+    if file.unreproduced:
+        yield blocks.check(
+            "output that the model reproduces",
+            "; ".join(f"{numbers.percent(v, 2)} of {c}" for c, v in file.unreproduced.items()),
+            "at least 50 %",
+            False,
+            otherwise="fail",
+            text="one less the error over the standard deviation of the output",
+        )
     if file.at_bound:
         yield ev.check(
             "bounds without effects",

@@ -13,8 +13,8 @@ from swimid.diagnosis.noise_model import NoiseModel
 from swimid.diagnosis.settings import repeated
 from swimid.fitting.model import Array
 
-#: Fewest repeats (beyond the first of each setting) from which the noise is read.
-FEWEST = 2
+#: Minimum number of samples in the longest trial for a comparison of repeats.
+MIN_SAMPLES = 20
 
 
 def split(fit: Fit, k: int, residual: Array) -> dict[str, Array]:
@@ -30,21 +30,21 @@ def split(fit: Fit, k: int, residual: Array) -> dict[str, Array]:
 
 
 def repeats(context: FitContext) -> list[list[int]]:
-    """Trials of one setting, where there are several; a recording given twice is no repeat."""
+    """Return the trials of each setting that was repeated; a recording that is given twice is no repeat.
+
+    The setting tells a repeat, not the samples: an encoder logs the same positions in every drop, at other
+    times.
+    """
     groups: dict[str, list[int]] = {}
     seen: set[tuple[str, ...]] = set()
     for k, trial in enumerate(context.trials):
         setting = repeated(trial)
-        recording = (setting, *(f"{c} {y.tobytes()!r}" for c, y in sorted(trial.measured.items())))
+        samples = ("", trial.time_s), *sorted(trial.measured.items())
+        recording = (setting, *(f"{name} {values.tobytes()!r}" for name, values in samples))
         if recording not in seen:
             groups.setdefault(setting, []).append(k)
         seen.add(recording)
     return [g for g in groups.values() if len(g) > 1]
-
-
-def enough(groups: Sequence[Sequence[int]]) -> bool:
-    """Whether repeats are enough to read the noise from."""
-    return sum(len(g) - 1 for g in groups) >= FEWEST
 
 
 def nuisance_residuals(fit: Fit, residuals: Sequence[Array], random_effects: Sequence[Array]) -> list[Array]:
@@ -216,18 +216,53 @@ def floors(
 def _between_repeats(
     context: FitContext, last: Fit, residuals: Sequence[Array]
 ) -> tuple[dict[str, float], str | None]:
-    """What repeats of one setting do not share, by channel, and of how many, in words; nothing of too few."""
-    groups = [g for g in repeats(context) if len({context.trials[k].time_s.tobytes() for k in g}) == 1]
-    if not enough(groups) or all(len(r) < 20 for r in last.residuals):
+    """Return what repeats of one setting do not share, by channel, and how many repeats there are, in words.
+
+    Nothing is returned where there are no repeats, or too few samples in every trial.
+    """
+    groups = repeats(context)
+    if not groups or all(len(r) < MIN_SAMPLES for r in last.residuals):
         return {}, None
     parts: dict[str, list[Array]] = {}
     for group in groups:
-        split_up = [split(last, k, residuals[k]) for k in group]
-        for channel in split_up[0]:
-            stack = np.array([p[channel] for p in split_up if channel in p])
-            if len(stack) > 1:
-                with np.errstate(all="ignore"):
-                    spread = np.nanvar(stack, axis=0, ddof=1)
-                parts.setdefault(channel, []).append(spread[np.isfinite(spread)])
-    lower = {c: float(np.sqrt(np.mean(np.concatenate(v)))) for c, v in parts.items() if v}
+        series: dict[str, list[tuple[Array, Array]]] = {}
+        for k in group:
+            for channel, values in split(last, k, residuals[k]).items():
+                there = np.isfinite(values)
+                series.setdefault(channel, []).append((context.trials[k].time_s[there], values[there]))
+        for channel, mine in series.items():
+            if len(mine) > 1:
+                parts.setdefault(channel, []).append(disagreement(mine))
+    lower = {c: float(np.sqrt(np.mean(np.concatenate(v)))) for c, v in parts.items() if any(map(len, v))}
     return lower, f"{sum(len(g) for g in groups)} repeats of {len(groups)} settings"
+
+
+def disagreement(series: Sequence[tuple[Array, Array]]) -> Array:
+    """Return the variance between repeats at the times of the first one that all of them cover, shape (n,).
+
+    The others are interpolated linearly. An interpolated sample is a weighted mean of its two neighbours, and
+    has less noise than these: the variance is divided by the mean share of it that is left.
+
+    Parameters
+    ----------
+    series : sequence of (ndarray, ndarray), shapes (n_i,)
+        Times (s, increasing) and values of each repeat.
+
+    Examples
+    --------
+    >>> first = np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 0.0])
+    >>> disagreement([first, (first[0], first[1] + 2.0)]).tolist()
+    [2.0, 2.0, 2.0]
+    """
+    if any(len(t) < 2 for t, _ in series):
+        return np.empty(0)
+    begin, end = max(t[0] for t, _ in series), min(t[-1] for t, _ in series)
+    at = series[0][0]
+    at = at[(at >= begin) & (at <= end)]
+    values, shares = [], []
+    for time, own in series:
+        after = np.clip(np.searchsorted(time, at, side="right"), 1, len(time) - 1)
+        share = (at - time[after - 1]) / (time[after] - time[after - 1])
+        values.append((1.0 - share) * own[after - 1] + share * own[after])
+        shares.append((1.0 - share) ** 2 + share**2)
+    return np.asarray(np.var(values, axis=0, ddof=1) / np.mean(shares, axis=0))

@@ -6,11 +6,12 @@ import math
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from swimid.files import yamlio
 from swimid.files.yamlio import Number, Pair
 from swimid.results.parameters import Status
+from swimid.simulation.comparison_file import ChannelScore
 
 FORMAT: Literal["swimid-gap/1"] = "swimid-gap/1"
 Verdict = Literal["none", "explained", "ambiguous", "unexplained"]
@@ -29,6 +30,8 @@ WORDS: dict[Verdict, str] = {
     "ambiguous": "Ambiguous",
     "unexplained": "Unexplained",
 }
+#: ``params`` of a diagnosis without a parameter file.
+ROBOT_FILE = "the robot file"
 #: The causes should close at least this share of a channel's gap.
 HALF = 0.5
 Stage = Literal["actuation", "structure", "fluid", "environment", "sensing", "rig"]
@@ -45,8 +48,6 @@ class ChannelGap(yamlio.Document):
     share: Number
     rmse: Number = None
     unit: str = "1"
-    #: ``nrmse`` of the parameters as given.
-    shipped: Number = None
     #: The error once each trial has had what differs from trial to trial: noise within trials.
     within: Number = None
 
@@ -87,6 +88,17 @@ class Value(yamlio.Document):
     stderr: Number = None
     unit: str
     status: Status = "estimated"
+
+
+class ChangedValue(Value):
+    """An estimate of a parameter that is no longer what the parameter file says."""
+
+    model_config = ConfigDict(populate_by_name=True, serialize_by_alias=True)
+
+    #: Value in the parameter file.
+    given: float = Field(alias="from")
+    #: Size of the change in standard errors, those of the file and of the estimate together.
+    standard_errors: Number = None
 
 
 class Predicted(yamlio.Document):
@@ -148,7 +160,7 @@ class Cause(yamlio.Document):
     #: Effects these trials cannot tell from it.
     equivalent: list[str] = []
     #: None of another reading of the robot (``reading:NAME=OPTION``): it holds as a whole.
-    parameters: dict[str, Value]
+    parameters: dict[str, Value | ChangedValue]
     shrinkage: list[Shrinkage] = []
     stage: Stage | None = None
     meaning: str = ""
@@ -234,6 +246,8 @@ class GapFile(yamlio.ResultFile):
     kind: ClassVar[str] = "gap file"
     format: Literal["swimid-gap/1"] = FORMAT
     verdict: Verdict
+    #: Errors of the model with the parameters as given, by channel, as ``compare`` has them: all trials.
+    as_given: dict[str, ChannelScore] = {}
     where: Where
     #: Ranked; the first is the answer. Several form one answer together.
     causes: list[Cause]
@@ -266,6 +280,11 @@ class GapFile(yamlio.ResultFile):
     scores: list[Score] = []
     #: Held-out gain of generic residual forces and sensor terms, by axis.
     forces: dict[str, Number] = {}
+    #: Parameters of the file that the refit moved by more than its standard errors allow, and whose change is
+    #: no hypothesis: the file states no standard error, or the model is a black box.
+    moved: dict[str, ChangedValue] = {}
+    #: Share of its output that a black-box model reproduces, where that is less than half.
+    unreproduced: dict[str, Number] = {}
     #: Coefficients that end at a bound in the refit without effects, and the bound.
     at_bound: dict[str, float] = {}
     #: What each round did, and why the verdict is what it is, in words.
@@ -288,13 +307,18 @@ class GapFile(yamlio.ResultFile):
         tried, that there is no gap is not told for sure, or held-out errors do not bear a cause out.
         """
         if self.verdict == "none":
-            sure = self.told_of_gap and not self.unrepeated and self.remaining.white
+            sure = self.told_of_gap and not self.unrepeated and self.remaining.white and not self.moved
             return "good" if sure and not self.single and not self.at_bound else "caution"
         if self.verdict == "explained":
             weak = self.bounded or self.stuck or self.unpredicted or self.single or self.lost
             return "caution" if weak or self.mostly_open else "good"
         left = self.remaining.share
         return "bad" if self.verdict == "unexplained" and (left is None or left > 0.5) else "caution"
+
+    @property
+    def changed(self) -> bool:
+        """Whether a parameter that has changed is among the causes."""
+        return any(isinstance(v, ChangedValue) for c in self.causes for v in c.parameters.values())
 
     @property
     def told_of_gap(self) -> bool:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from swimid.blackbox import model as arx
 from swimid.diagnosis import conclusion, odd, refutation, remainder, shrinkage
 from swimid.diagnosis.conclusion import Named
 from swimid.diagnosis.context import Fit
-from swimid.diagnosis.floor import Floor, excess
+from swimid.diagnosis.floor import Floor, by_channel, excess, rms
 from swimid.diagnosis.gap_file import Remaining, Verdict
-from swimid.diagnosis.posterior import UNSURE
+from swimid.diagnosis.posterior import TENTH, UNSURE
 from swimid.diagnosis.refutation import Compared
 from swimid.diagnosis.search import State
 from swimid.diagnosis.shrinkage import Piece
@@ -43,6 +44,8 @@ class Judgement:
     unpredicted : tuple of (str, float)
         Validation trials that the model with the causes does not predict, and by how many times each is off;
         not looked for where the fitted trials show something unexplained.
+    unreproduced : mapping of channel to float
+        Share of a black-box model's output that it reproduces, where that is less than half.
     """
 
     verdict: Verdict
@@ -52,6 +55,7 @@ class Judgement:
     refuted: tuple[str, ...] = ()
     odd: Odd | None = None
     unpredicted: tuple[tuple[str, float], ...] = ()
+    unreproduced: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -95,6 +99,8 @@ def judge(
         model = told.base if told.causes else state.nominal
         off = refutation.unpredicted(state.context, model, state.noise_model, validation)
         told = replace(told, unpredicted=tuple(off))
+        if told.causes and told.unpredicted:
+            told = _by_prediction(told, state, held, floor)
     if told.verdict == "none" and told.unpredicted and not dropout:
         where = f"validation trials {', '.join(trial for trial, _ in told.unpredicted)}"
         return replace(told, verdict="unexplained"), gap, Remaining(share=1.0, where=where, white=False)
@@ -102,7 +108,35 @@ def judge(
         told = _by_differences(told, state, gap, noise, left)
     if told.verdict == "none" and dropout:
         told = replace(told, verdict="explained")
+    unreproduced = _unreproduced(state, told.base if told.causes else state.nominal)
+    if unreproduced and told.verdict in ("none", "explained"):
+        # its level is estimated in each trial, so that a black-box model is right without describing anything
+        told = replace(told, verdict="unexplained", causes=(), base=state.nominal, unreproduced=unreproduced)
+        left = Remaining(share=1.0, where=f"all of {', '.join(unreproduced)} but its mean", white=False)
     return told, gap, left
+
+
+def _unreproduced(state: State, fit: Fit) -> dict[str, float]:
+    """Return the share of each output that a black-box model reproduces, of outputs of which it is less than
+    half.
+
+    The share is that of ``rwls`` and ``compare``: one less the root-mean-square error over the standard
+    deviation of the output.
+    """
+    if state.context.model.name != arx.NAME:
+        return {}
+    found = {}
+    for channel, left in by_channel(fit, fit.residuals).items():
+        measured = [
+            trial.measured[channel][mask]
+            for k, trial in enumerate(state.context.trials)
+            for name, mask in zip(fit.problem.channels[k], fit.problem.masks[k], strict=True)
+            if name == channel
+        ]
+        share = 1.0 - rms(left) / max(float(np.std(np.concatenate(measured))), 1e-300)
+        if share < shrinkage.MOST:
+            found[channel] = share
+    return found
 
 
 def _by_fits(state: State) -> Judgement:
@@ -131,22 +165,53 @@ def _by_held_out(
     refused = replace(told, verdict="unexplained", causes=(), base=state.nominal)
     if predicted.refuted or not shrinkage.sound(held):
         return replace(refused, refuted=told.names)
-    lowered, gap = shrinkage.gained(held, floor)
+    each, gap = shrinkage.gained(held, floor)
+    lowered = float(each.sum())
+    close = lowered > shrinkage.MOST * gap
+    if held and not close and not lowered > max(TENTH * gap, shrinkage.chance(each)):
+        why = f"{', '.join(told.names)}: held-out errors hardly fall with it"
+        return replace(refused, reasons=(why,))
     if predicted.useless and (predicted.before.shown or lowered < 0.0 or told.verdict == "unexplained"):
         why = f"{', '.join(told.names)}: held-out data are no nearer to what the model with it predicts"
         return replace(refused, reasons=(why,))
-    close = lowered > shrinkage.MOST * gap or (predicted.borne_out and lowered > 0.0)
-    if close or not held or _by_coefficients(state):
-        return told
-    why = "held-out trials, simulated anew, close less than half of the squared gap with it"
+    if held and not close:
+        return _weakened(
+            told, "held-out trials, simulated anew, close less than half of the squared gap with it"
+        )
+    if by_coefficients(state) and not state.changed:
+        return _weakened(told, "refitted without it, the parameters of the file imitate it on held-out data")
+    return told
+
+
+def _weakened(told: Judgement, why: str) -> Judgement:
+    """Return a judgement that explains nothing, for a reason that is told of its causes."""
     verdict = "ambiguous" if told.verdict == "explained" else told.verdict
-    return replace(told, verdict=verdict, reasons=(f"{', '.join(told.names)}: {why}",))
+    return replace(told, verdict=verdict, reasons=(*told.reasons, f"{', '.join(told.names)}: {why}"))
 
 
-def _by_coefficients(state: State) -> bool:
-    """Whether most that tells the causes is that coefficients are known from elsewhere: refitted without them
-    these imitate the causes, and held-out errors are as small.
+def _by_prediction(
+    told: Judgement, state: State, held: Sequence[Piece], floor: Mapping[str, float]
+) -> Judgement:
+    """Return a judgement that explains nothing where a validation trial is not predicted with the causes.
+
+    They are named only where they close most of the gap of the validation trials.
     """
+    trials = ", ".join(trial for trial, _ in told.unpredicted)
+    each, gap = shrinkage.gained(held, floor)
+    if float(each.sum()) > shrinkage.MOST * gap:
+        return _weakened(told, f"not predicted with it: {trials}")
+    why = f"{', '.join(told.names)}: validation trials are not predicted with it: {trials}"
+    return replace(told, verdict="unexplained", causes=(), base=state.nominal, reasons=(*told.reasons, why))
+
+
+def by_coefficients(state: State) -> bool:
+    """Return whether most that tells the causes is that coefficients are known from elsewhere.
+
+    Refitted without the causes these imitate them, and held-out errors are as small. The causes are then held
+    against the errors of the parameters as given.
+    """
+    if not state.base.effects:
+        return False
     null, *found = state.posterior.candidates
     best = next((c for c in found if c.names == state.posterior.best), null)
     return float(np.sum(null.folds - best.folds)) < 0.5 * (null.score - best.score)
@@ -203,7 +268,9 @@ def remaining(state: State, base: Fit, residuals: Sequence[Array], floor: Mappin
     if left is None:
         return Remaining(share=0.0, where="", white=True, gain=0.0)
     if left.found:
-        return Remaining(share=state.posterior.left, where=_where(state), white=False, gain=left.gain)
+        # without the causes all of it remains
+        share = state.posterior.left if base is state.base else 1.0
+        return Remaining(share=share, where=_where(state), white=False, gain=left.gain)
     moving = remainder.drifting(state.low_frequency)
     apart = bool(moving or conclusion.differs(state))
     share = float(apart)

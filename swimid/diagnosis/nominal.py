@@ -9,7 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from swimid.blackbox import model as arx
 from swimid.diagnosis.random_effects import FEWEST, OWN
+from swimid.effects.parameter_change import ParameterChange
 from swimid.files.provenance import digests_of
 from swimid.fitting.model import Array, Channel, Model, Parameter, Trial
 from swimid.results.parameters import Estimate
@@ -18,9 +20,11 @@ from swimid.simulation.catalogue import Loaded
 #: Endings of logs among the inputs.
 LOGS = (".csv", ".parquet")
 
-#: Prior of a coefficient that these very trials told: a factor of its size. Of one from other trials: its
-#: standard error, and this share of its value on top, since days differ.
-OWN_PRIOR, OTHER_PRIOR = 0.6, 0.03
+#: Prior standard deviation of a coefficient of which no other trials tell anything, as a share of its size.
+OWN_PRIOR = 0.6
+#: Share of its value that is added to the standard error of a black-box coefficient: days differ, and one
+#: coefficient of these means nothing by itself, so that no single one is said to have changed.
+OTHER_PRIOR = 0.03
 #: A rate whose noise follows the differenced pose this closely was computed from it.
 DERIVED = 0.3
 
@@ -39,12 +43,24 @@ class Begun:
         Whether that was fitted to one of these very logs.
     prior : dict of name to (mean, sd)
         Of the coefficients that are refitted.
+    changes : list of ParameterChange
+        One hypothesis for each coefficient whose standard error other trials told: its value is another now.
+    correlation : tuple of list of str and ndarray, shape (m, m)
+        Names of these coefficients, and the correlation of their estimates.
     """
 
     trials: list[Trial]
     given: dict[str, Estimate]
     own_data: bool
     prior: dict[str, tuple[float, float]]
+    changes: list[ParameterChange]
+    correlation: tuple[list[str], Array]
+
+    @property
+    def unweighed(self) -> dict[str, Estimate]:
+        """Coefficients that other trials told, and whose change is no hypothesis."""
+        weighed = {e.adds_to for e in self.changes}
+        return {} if self.own_data else {n: e for n, e in self.given.items() if n not in weighed}
 
 
 def begun(loaded: Loaded) -> Begun:
@@ -58,7 +74,20 @@ def begun(loaded: Loaded) -> Begun:
     model.parameters = refitted(model.parameters, given, applied.values(), own=own)
     trials = [widened(t, model.channels) for t in apart(model, loaded.experiment.trials)]
     same = _own_data(loaded)
-    return Begun(trials, given, same, prior(model.parameters, given, own_data=same))
+    known = set() if same or model.name == arx.NAME else from_elsewhere(model.parameters, given)
+    changes = [ParameterChange(p) for p in model.parameters if p.name in known]
+    names, covariance = applied.uncertain()
+    mine = [i for i, name in enumerate(names) if name in known]
+    sd = np.sqrt(np.diag(covariance))[mine]
+    correlation = covariance[np.ix_(mine, mine)] / np.outer(sd, sd)
+    before = prior(model.parameters, given, own_data=same, exact=known)
+    return Begun(trials, given, same, before, changes, ([names[i] for i in mine], correlation))
+
+
+def from_elsewhere(parameters: Sequence[Parameter], given: Mapping[str, Estimate]) -> set[str]:
+    """Return the names of the shared free coefficients whose standard error the parameter file states."""
+    stated = {name for name, e in given.items() if e.stderr and math.isfinite(e.stderr)}
+    return {p.name for p in parameters if p.free and not p.per_trial and p.name in stated}
 
 
 def _given(loaded: Loaded) -> dict[str, Estimate]:
@@ -101,14 +130,21 @@ def refitted(
 
 
 def prior(
-    parameters: Sequence[Parameter], given: Mapping[str, Estimate], *, own_data: bool
+    parameters: Sequence[Parameter],
+    given: Mapping[str, Estimate],
+    *,
+    own_data: bool,
+    exact: Collection[str] = (),
 ) -> dict[str, tuple[float, float]]:
-    """Mean and standard deviation of each refitted coefficient before these trials.
+    """Return the mean and the standard deviation of each refitted coefficient before these trials.
 
     Parameters
     ----------
     own_data : bool
         Whether the file was fitted to these very trials: then it says nothing beyond them.
+    exact : collection of str
+        Coefficients that are known to their standard error in the file. That one of them has changed since is
+        a hypothesis of its own.
     """
     found = {}
     for p in parameters:
@@ -117,7 +153,9 @@ def prior(
         size = max(abs(p.start), 0.1 * p.scale)
         known = given.get(p.name)
         sd = OWN_PRIOR * max(size, p.scale if known is None else 0.0)
-        if known is not None and not own_data and known.stderr and math.isfinite(known.stderr):
+        if p.name in exact and known is not None and known.stderr:
+            sd = min(sd, known.stderr)
+        elif known is not None and not own_data and known.stderr and math.isfinite(known.stderr):
             sd = min(sd, math.hypot(known.stderr, OTHER_PRIOR * size))
         elif known is not None and known.stderr and math.isfinite(known.stderr):
             sd = max(sd, 3.0 * known.stderr)

@@ -121,6 +121,8 @@ class Posterior:
         What was weighed, the model as it is first.
     acts : float
         As of the calibration.
+    no_evidence : float
+        Excess that is no evidence against a hypothesis of exact form.
     """
 
     sets: dict[frozenset[str], float]
@@ -130,6 +132,7 @@ class Posterior:
     excess: dict[frozenset[str], float]
     candidates: tuple[Candidate, ...]
     acts: float = CALIBRATED.acts
+    no_evidence: float = math.inf
 
     @property
     def known(self) -> dict[frozenset[str], float]:
@@ -166,12 +169,19 @@ class Posterior:
         """Probability that one of some effects closes most of what is closed, at work or as an imitation."""
         return min(sum(p for found, p in self.known.items() if found & set(names)), 1.0)
 
-    def instead(self, name: str, among: frozenset[str]) -> dict[str, float]:
-        """How likely each effect is in the place of one of a set, the others given; they sum to one."""
+    def instead(self, name: str, among: frozenset[str], *, exact: bool = False) -> dict[str, float]:
+        """How likely each effect is in the place of one of a set, the others given; they sum to one.
+
+        Parameters
+        ----------
+        exact : bool
+            The effect has no other form than its own, so that none takes its place that leaves more.
+        """
+        most = self.excess[among] + self.no_evidence if exact else math.inf
         rest = among - {name}
         found = {}
         for names, p in self.known.items():
-            if len(names) == len(among) and rest < names:
+            if len(names) == len(among) and rest < names and self.excess.get(names, 0.0) <= most:
                 (other,) = names - rest
                 found[other] = p
         total = sum(found.values())
@@ -333,6 +343,7 @@ def posterior(
         {c.names: float(e) for c, e in zip(every, excess, strict=True)},
         tuple(every),
         calibration.acts,
+        unit(record, 0.0, calibration),
     )
 
 

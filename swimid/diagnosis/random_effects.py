@@ -283,8 +283,9 @@ def _spread(
 
 
 def _most(estimates: Mapping[int, tuple[float, float]], repeats: Sequence[Sequence[int]]) -> float:
-    """The largest spread that may be chance: what repeats of one setting differ by at most, where there are
-    enough.
+    """Return the largest spread that may be chance: the upper bound of what repeats of one setting differ by.
+
+    Without repeats it is :data:`LARGEST_SD`, and with few of them no more than that or than they differ by.
     """
     squares, freedom = 0.0, 0
     for group in repeats:
@@ -292,6 +293,8 @@ def _most(estimates: Mapping[int, tuple[float, float]], repeats: Sequence[Sequen
         if len(b) > 1:
             squares += float(np.sum((b - b.mean()) ** 2))
             freedom += len(b) - 1
-    if freedom < FEWEST - 1:
+    if not freedom:
         return LARGEST_SD
-    return math.sqrt(squares / float(chi2.ppf(1.0 - LEVEL, freedom)))
+    bound = math.sqrt(squares / float(chi2.ppf(1.0 - LEVEL, freedom)))
+    # one pair leaves the bound wide: it shows more than that only where the pair itself differs by more
+    return min(bound, max(LARGEST_SD, math.sqrt(squares / freedom)))

@@ -76,12 +76,6 @@ class Compared:
         """Whether with the causes they are no nearer."""
         return self.after.distance >= self.before.distance
 
-    @property
-    def borne_out(self) -> bool:
-        """Whether with the causes they are as predicted, and nearer by most of what they are off without."""
-        gap = max(self.before.distance - self.before.samples, 0.0)
-        return not self.after.shown and self.before.distance - self.after.distance > MOST * gap
-
 
 def compared(
     context: FitContext, before: Fit, after: Fit, noise_model: NoiseModel, validation: Sequence[Trial]
@@ -143,7 +137,7 @@ def _of_trials(
     begin = np.array([known.get(n, start) for n, start in zip(problem.labels, problem.start, strict=True)])
     # what an effect has for each of the fitted trials tells a held-out one nothing
     common = np.array([label in problem.labels for label in shared], dtype=bool)
-    normal = inner.products.sum(axis=0)[:-1, :-1] + np.diag(inner.prior)
+    normal = inner.products.sum(axis=0)[:-1, :-1] + inner.prior
     mixed = normal[np.ix_(~common, common)]
     told = normal[np.ix_(common, common)] - mixed.T @ crossval.solved(normal[np.ix_(~common, ~common)], mixed)
     sizes, vectors = np.linalg.eigh(told)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from swimid.diagnosis import crossval
 from swimid.diagnosis.candidates import within
@@ -145,7 +146,7 @@ def find(
 def _freedom(inner: crossval.NormalEquations, prior: Sequence[float]) -> float:
     """How many numbers without a prior the generic terms are worth: the trace of their hat matrix."""
     normal = inner.products.sum(axis=0)[:-1, :-1]
-    ridge = np.diag(np.concatenate((inner.prior, prior)))
+    ridge = block_diag(inner.prior, np.diag(prior))
     return float(np.trace(crossval.solved(normal + ridge, normal)[inner.shared :, inner.shared :]))
 
 

@@ -19,11 +19,19 @@ from threadpoolctl import threadpool_limits
 
 from swimid.diagnosis import candidates, crossval, posterior, remainder
 from swimid.diagnosis.candidates import Refitted, Screen, Tried
-from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext, Optimum
+from swimid.diagnosis.context import (
+    FINE,
+    NO_CORRELATION,
+    STEPS,
+    Correlation,
+    Fit,
+    FitContext,
+    Optimum,
+)
 from swimid.diagnosis.dropouts import Dropouts, look
 from swimid.diagnosis.floor import nuisance_residuals
 from swimid.diagnosis.noise_model import NoiseModel
-from swimid.diagnosis.posterior import TENTH, Candidate, Posterior, Record
+from swimid.diagnosis.posterior import TENTH, UNSURE, Candidate, Posterior, Record
 from swimid.diagnosis.random_effects import RandomEffect
 from swimid.diagnosis.remainder import Left, LowFrequency
 from swimid.diagnosis.weighting import random_effect_columns, see, settled, tells_noise, weigh
@@ -43,6 +51,9 @@ PARENTS, SETS = 4, 10
 RIVALS = 4
 #: A set this unlikely against the likeliest is fitted on in so many steps only, once the noise is known.
 HOPELESS, FEW = 1e-4, 2
+#: Minimum cosine between the changes by an effect and by a parameter that are the same: each leaves less than
+#: a tenth of the square of the other.
+SAME_COSINE = 0.95
 #: The noise is learnt in so many turns at most, fewer where no spread between trials, in typical sizes,
 #: changes by more than this.
 TURNS, STAYS = 6, 0.02
@@ -120,12 +131,15 @@ class Round:
     ranked : list of Refitted
         Best first; the cause itself at the head.
     noise_model : NoiseModel
+    same : tuple of str
+        Names of the effects that change the trials just like a changed parameter that is the cause.
     """
 
     base: Fit
     screen: Screen
     ranked: list[Refitted]
     noise_model: NoiseModel
+    same: tuple[str, ...] = ()
 
 
 @dataclass
@@ -161,6 +175,11 @@ class State:
     tried: int = 0
     #: Why a larger set was or was not taken.
     told: list[str] = field(default_factory=list)
+
+    @property
+    def changed(self) -> bool:
+        """Whether a parameter that has changed is among the causes."""
+        return any(e.adds_to is not None for e in self.base.effects)
 
 
 def coarser(model: Model, vectors: Sequence[Array], trials: Sequence[Trial]) -> Model | None:
@@ -617,6 +636,7 @@ def context_of(
     prior: Mapping[str, tuple[float, float]],
     effects: Sequence[Effect],
     *,
+    correlation: Correlation = NO_CORRELATION,
     jobs: int = 1,
 ) -> tuple[FitContext, NoiseModel, Fit, Dropouts]:
     """The trials without failed samples, the noise as the model alone leaves it, and its fit."""
@@ -624,7 +644,7 @@ def context_of(
     fine, model = model, coarser(model, start, trials) or model
 
     def weighed(sound: Sequence[Trial]) -> tuple[FitContext, NoiseModel, Fit]:
-        found = FitContext(model, parameters, sound, prior, jobs=jobs)
+        found = FitContext(model, parameters, sound, prior, correlation=correlation, jobs=jobs)
         return (found, *weigh(found))
 
     context, noise_model, fit = weighed(trials)
@@ -647,6 +667,7 @@ def run(
     prior: Mapping[str, tuple[float, float]],
     effects: Sequence[Effect],
     *,
+    correlation: Correlation = NO_CORRELATION,
     asked: Collection[str] | None = None,
     seed: int = 0,
     jobs: int = 1,
@@ -671,7 +692,9 @@ def run(
         return budget_s is not None and time.monotonic() - begun > budget_s
 
     with threadpool_limits(limits=1, user_api="blas"):
-        context, noise_model, fit, dropouts = context_of(model, parameters, trials, prior, effects, jobs=jobs)
+        context, noise_model, fit, dropouts = context_of(
+            model, parameters, trials, prior, effects, correlation=correlation, jobs=jobs
+        )
         allowed = [e for e in effects if asked is None or e.name in asked]
         with progress("effects", total=2 * len(effects)) as shown:
             search = Search(
@@ -751,6 +774,7 @@ def _told(smaller: frozenset[str], larger: frozenset[str], found: Posterior) -> 
 
 def rounds(search: Search, best: Hypothesis, found: Posterior, dropouts: Dropouts, told: list[str]) -> State:
     """What was found, cause by cause: each beside the others, with its rivals there."""
+    best = in_parameters(search, best, found)
     null = search.null
     ones = search.best(1)
     ended = {label for h in search.pool.values() if h.score < null.score for label in h.ends}
@@ -771,6 +795,45 @@ def rounds(search: Search, best: Hypothesis, found: Posterior, dropouts: Dropout
         size = len(best.names)
         rivals = [h for h in search.best(size) if base.key < h.key and h.key != best.key]
         ranked = [*search.ranked(base, [best]), *search.ranked(base, rivals)]
-        state.rounds.append(Round(base.fit, search.screened(base), ranked, search.noise_model))
-    state.rounds.sort(key=lambda r: -r.ranked[0].gain)
+        same = tuple(
+            r.tried.effect.name
+            for r in ranked[1:]
+            if effect.adds_to is not None and _same_change(search, found, base, ranked[0].tried, r.tried)
+        )
+        state.rounds.append(Round(base.fit, search.screened(base), ranked, search.noise_model, same))
+    # a changed parameter comes first, as it needs no further physics
+    state.rounds.sort(key=lambda r: (r.ranked[0].tried.effect.adds_to is None, -r.ranked[0].gain))
     return state
+
+
+def in_parameters(search: Search, best: Hypothesis, found: Posterior) -> Hypothesis:
+    """Return a hypothesis in which each effect that does the same as a changed parameter is that parameter.
+
+    The value of a parameter that the model has anyway needs no further physics.
+    """
+    for effect in best.fit.effects:
+        if effect.adds_to is not None:
+            continue
+        base = search.without(best, effect)
+        mine = search._tried(base, best, effect)
+        for h in search.best(len(best.names)):
+            rest = [e for e in h.fit.effects if id(e) not in base.key]
+            if not base.key < h.key or rest[0].adds_to is None:
+                continue
+            likely = found.known.get(h.names, 0.0) >= UNSURE * found.known.get(best.names, 0.0)
+            if likely and _same_change(search, found, base, mine, search._tried(base, h, rest[0])):
+                best = h
+                break
+    return best
+
+
+def _same_change(search: Search, found: Posterior, base: Hypothesis, first: Tried, second: Tried) -> bool:
+    """Return whether two effects change the trials alike beside a hypothesis.
+
+    What they leave then differs by no more than noise, too.
+    """
+    left = [found.excess.get(base.names | {t.effect.name}, np.inf) for t in (first, second)]
+    if not abs(left[0] - left[1]) <= found.no_evidence:
+        return False
+    cosine = candidates.alike(search.context, base.fit, search.noise_model, first, second)
+    return abs(cosine) > SAME_COSINE

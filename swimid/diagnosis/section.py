@@ -193,7 +193,8 @@ def _channels(file: GapFile) -> Grid:
         [
             Cell(c.channel, "code"),
             _number(c.rmse, c.unit),
-            *(_percent(v) for v in (c.shipped, c.nrmse, c.floor)),
+            _percent(file.as_given[c.channel].nrmse if c.channel in file.as_given else None),
+            *(_percent(v) for v in (c.nrmse, c.floor)),
             _percent(c.share, 2),
         ]
         for c in file.where.channels
@@ -201,8 +202,9 @@ def _channels(file: GapFile) -> Grid:
     columns = ["Channel", "RMSE", "As given", "Refitted", "Noise floor", "Of the gap"]
     floor = f" The floor: {file.floor_from.rstrip('.')}." if file.floor_from else ""
     caption = (
-        "Errors over the measured range without any effect, all trials together, with the parameters as "
-        f"given and refitted.{floor} Good: refitted as small as the floor."
+        "Errors over the measured range without any effect, all trials together. With the parameters as "
+        "given they are those of compare, validation trials included; refitted they are of the fitted trials."
+        f"{floor} Good: both as small as the floor."
     )
     return Grid("The gap by channel", columns, rows, caption)
 

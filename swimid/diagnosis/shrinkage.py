@@ -332,16 +332,23 @@ def capped(floors: Mapping[str, float], found: Sequence[Piece]) -> dict[str, flo
     return result
 
 
-def gained(found: Sequence[Piece], floors: Mapping[str, float]) -> tuple[float, float]:
-    """By how much the causes lower squared held-out errors, and how much of these is gap, in units of the
-    noise.
+def gained(found: Sequence[Piece], floors: Mapping[str, float]) -> tuple[Array, float]:
+    """Return by how much the causes lower the squared errors of each held-out trial, shape (trials,), and how
+    much of all these errors is gap, in units of the noise.
     """
-    lowered, gap = 0.0, 0.0
+    lowered: dict[str, float] = {}
+    gap = 0.0
     for p in (p for p in found if p.channel in floors):
         before, after = (_errors(p, which, floors) for which in ("before", "after"))
-        lowered += float(np.sum(before - after))
+        lowered[p.trial.id] = lowered.get(p.trial.id, 0.0) + float(np.sum(before - after))
         gap += float(np.sum(before - 1.0))
-    return lowered, max(gap, 0.0)
+    return np.array(list(lowered.values())), max(gap, 0.0)
+
+
+def chance(each: Array) -> float:
+    """Return what a sum over trials must exceed to be above zero at 95 % (Student); 0 of a single trial."""
+    n = len(each)
+    return float(stats.t.ppf(0.95, n - 1) * np.sqrt(n * np.var(each, ddof=1))) if n > 1 else 0.0
 
 
 def _errors(piece: Piece, which: str, floors: Mapping[str, float]) -> Array:

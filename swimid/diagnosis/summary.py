@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 
 from swimid.diagnosis import gap_file as gap_format
-from swimid.diagnosis.gap_file import Absorbed, Cell, ChannelGap, GapFile, Score, Shrinkage, Value
+from swimid.diagnosis.gap_file import (
+    Absorbed,
+    Cause,
+    Cell,
+    ChangedValue,
+    ChannelGap,
+    GapFile,
+    Score,
+    Shrinkage,
+    Value,
+)
 from swimid.effects.reading import PREFIX
 from swimid.results import numbers
 
@@ -16,7 +27,7 @@ MOST_LINES, WIDTH = 24, 100
 #: A coefficient has moved when it did by more standard errors than this, and by this share of its value.
 MOVED_STDERR, MOVED_SHARE = 2.0, 0.10
 #: Of these so many are named on one screen.
-_CHANNELS, _CELLS, _CAUSES, _MOVED = 3, 3, 3, 2
+_CHANNELS, _CELLS, _CAUSES, _MOVED, _GIVEN = 3, 3, 3, 2, 4
 #: A channel with a smaller share of the gap is left to the report.
 _SMALL = 0.02
 #: Width of the left column.
@@ -31,41 +42,36 @@ def listed(names: Sequence[str], last: str = "and") -> str:
 
 
 def verdict_sentence(file: GapFile) -> str:
-    """The verdict in one sentence."""
-    names = [
-        f"{c.effect} (or {listed(c.equivalent, 'or')}, which these trials cannot tell from it)"
-        if c.equivalent
-        else c.effect
-        for c in file.causes
-    ]
+    """The verdict in one sentence, or in two."""
+    names = [named_text(c) for c in file.causes]
     if file.verdict == "none":
-        if not file.told_of_gap:
-            best = likeliest(file)
-            known = f"{best.effect} {numbers.percent(best.probability, 2)}, " if best else ""
-            return f"These trials do not tell whether the model has a gap: {known}{otherwise_text(file)}."
-        if file.unrepeated:
-            return (
-                "No gap that the trials share: they differ from one another by more than the noise within "
-                "them, and without repeats of a setting nothing tells whether that is chance."
-            )
-        if file.single:
-            return "No gap above the noise floor in these trials of one setting; another one is not tested."
-        if any(c.differs for c in file.where.channels):
-            return "No gap above the noise floor: all that is left are noise and what repeats differ by."
-        return "No gap above the noise floor: the model describes these trials as well as their noise allows."
+        return _no_gap_sentence(file)
     if file.verdict == "explained":
         both = f"{listed(names)} together explain" if len(names) > 1 else f"{listed(names)} explains"
+        gap = "The model has a gap, and"
+        if file.changed:
+            gap = "The model with the parameters as given has a gap; all others unchanged,"
         if file.mostly_open:
-            return f"The model has a gap, and {both} it, though less than half closes {held_out_text(file)}."
-        return f"The model has a gap, and {both} it {held_out_text(file)}."
+            return f"{gap} {both} it, though less than half closes {held_out_text(file)}."
+        return f"{gap} {both} it {held_out_text(file)}."
     if file.verdict == "ambiguous":
-        rivals = [
-            f"these trials cannot tell {c.effect} from {listed(c.equivalent, 'or')}"
+        told = [
+            f"these trials cannot tell {changes_text(c.parameters) or c.effect} from "
+            f"{listed(c.equivalent, 'or')}"
             for c in file.causes
             if c.equivalent
         ]
+        if file.unpredicted:
+            trials = listed([t.trial for t in file.unpredicted])
+            told.append(f"{listed(names)} closes most of it and does not predict {trials}")
         unsure = f"{listed(names)} is the likeliest cause, but not by enough to name it"
-        return f"The model has a gap; {'; '.join(rivals) or unsure} ({otherwise_text(file)})."
+        return f"The model has a gap; {'; '.join(told) or unsure} ({otherwise_text(file)})."
+    if file.unreproduced:
+        shares = [f"{numbers.percent(v, 2)} of {c}" for c, v in file.unreproduced.items()]
+        return (
+            f"The model reproduces {listed(shares)}: whether what it leaves is noise or what it lacks, these "
+            "trials do not tell."
+        )
     if file.follows:
         trials = listed([t.trial for t in file.unpredicted])
         return f"The model follows the trials it is fitted to, and does not predict {trials}."
@@ -79,6 +85,60 @@ def verdict_sentence(file: GapFile) -> str:
             "or as an imitation of what is."
         )
     return "The model has a gap, and no effect in the catalogue closes it."
+
+
+def _no_gap_sentence(file: GapFile) -> str:
+    """The verdict ``none`` in one sentence, or in two."""
+    if not file.told_of_gap:
+        best = likeliest(file)
+        known = f"{best.effect} {numbers.percent(best.probability, 2)}, " if best else ""
+        return f"These trials do not tell whether the model has a gap: {known}{otherwise_text(file)}."
+    if file.moved:
+        return (
+            "No gap is left once the coefficients are refitted, but the parameters as given are others: "
+            f"{changes_text(file.moved)}."
+        )
+    if file.params == gap_format.ROBOT_FILE:
+        return (
+            "No gap is left above the noise floor once the coefficients are refitted. No parameter file "
+            "was given: nothing is said of its values."
+        )
+    if file.unrepeated:
+        return (
+            "No gap that the trials share: they differ from one another by more than the noise within "
+            "them, and without repeats of a setting nothing tells whether that is chance."
+        )
+    if file.single:
+        return "No gap above the noise floor in these trials of one setting; another one is not tested."
+    if any(c.differs for c in file.where.channels):
+        return "No gap above the noise floor: all that is left are noise and what repeats differ by."
+    return "No gap above the noise floor: the model describes these trials as well as their noise allows."
+
+
+def named_text(cause: Cause) -> str:
+    """A cause and its equivalents, as a sentence has them; of a parameter, how it has changed."""
+    changes = changes_text(cause.parameters)
+    text = changes or cause.effect
+    if not cause.equivalent:
+        return text
+    if changes:
+        return f"{text}, not to be told from {listed(cause.equivalent, 'or')},"
+    return f"{text} (or {listed(cause.equivalent, 'or')}, which these trials cannot tell from it)"
+
+
+def changes_text(parameters: Mapping[str, Value]) -> str:
+    """How parameters have changed: ``k_t 0.06 → 0.0552 N·m/rad (-8 %, 71 standard errors)``."""
+    changed = ((name, value) for name, value in parameters.items() if isinstance(value, ChangedValue))
+    return listed([_change(name, value) for name, value in changed])
+
+
+def _change(name: str, value: ChangedValue) -> str:
+    change = math.nan if value.value is None else value.value - value.given
+    share = numbers.percent(change / abs(value.given), 2) if value.given else None
+    times = f"{numbers.number(value.standard_errors, 2)} standard errors"
+    sizes = ", ".join(part for part in (share, times) if part)
+    now = numbers.number(value.value, 4, value.unit)
+    return f"{name} {numbers.number(value.given, 4)} → {now} ({sizes})"
 
 
 def held_out_text(file: GapFile) -> str:
@@ -220,9 +280,15 @@ def _rows(file: GapFile) -> Iterable[tuple[str, str]]:
     if file.odd_trial is not None:
         odd, times = file.odd_trial.trial, numbers.number(file.odd_trial.times, 2)
         yield "odd", f"{odd}: the others predict it {times} times worse than one another"
+    if file.as_given:
+        errors = [f"{c} {numbers.percent(s.nrmse)}" for c, s in file.as_given.items()]
+        yield "as given", f"{', '.join(errors[:_GIVEN])} of the measured range, as compare has it"
+    if file.moved:
+        yield "moved", f"{changes_text(file.moved)} in the refit"
     if file.at_bound:
         yield "bounds", f"{bounds_text(file)} in the refit without effects: look there first"
-    yield from _gap_rows(file)
+    if not file.changed:
+        yield from _gap_rows(file)
     if file.verdict == "none":
         best = likeliest(file)
         if best is not None:

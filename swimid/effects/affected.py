@@ -42,6 +42,11 @@ class Affected(Model):
         self._contents = [effect.content() for effect in self.effects]
         self._null = [np.array([p.start for p in parameters]) for parameters in self.own]
         self._latest: dict[str, tuple[Trial, bytes, Hooks]] = {}
+        at, self._added = len(model.parameters), []
+        for effect, parameters in zip(self.effects, self.own, strict=True):
+            if effect.adds_to is not None:
+                self._added.append((model.index(effect.adds_to), at))
+            at += len(parameters)
         self.parameters = (
             *model.parameters,
             *(
@@ -62,7 +67,7 @@ class Affected(Model):
         for effect, null, content in zip(self.effects, self._null, self._contents, strict=True):
             own = values[at : at + len(null)]
             at += len(null)
-            if np.array_equal(own, null):
+            if effect.adds_to is not None or np.array_equal(own, null):
                 continue
             acting = effect.hooks(own, trial, self.model)
             key = content + own.tobytes() if acting.moves else b""
@@ -73,9 +78,26 @@ class Affected(Model):
             self._latest[trial.id] = trial, point, hooks
         return hooks
 
+    def shifted(self, values: Array) -> Array:
+        """Return the parameters of the model with the changes that effects add to them, within bounds.
+
+        Parameters
+        ----------
+        values : ndarray, shape (len(parameters),)
+
+        Returns
+        -------
+        ndarray, shape (len(model.parameters),)
+        """
+        own = values[: len(self.model.parameters)].copy()
+        for index, at in self._added:
+            p = self.model.parameters[index]
+            own[index] = np.clip(own[index] + values[at], p.lower, p.upper)
+        return own
+
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Simulate one trial (see :meth:`Model.simulate`)."""
-        own = values[: len(self.model.parameters)]
+        own = self.shifted(values)
         hooks = self.hooks(values, trial)
         if hooks is hook_places.NONE:
             return self.model.simulate(own, trial)
@@ -88,12 +110,11 @@ class Affected(Model):
 
     def simulate_many(self, runs: Sequence[tuple[Array, Trial]]) -> list[dict[str, Array]]:
         """Simulate several runs (see :meth:`Model.simulate_many`)."""
-        own = len(self.model.parameters)
         acting = unless_broken(self.hooks, runs)
         asked = zip(runs, acting, strict=True)
         simulated = iter(
             self.model.hooked_many(
-                [(values[:own], trial, h) for (values, trial), h in asked if h is not None]
+                [(self.shifted(values), trial, h) for (values, trial), h in asked if h is not None]
             )
         )
         return [

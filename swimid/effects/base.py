@@ -53,6 +53,8 @@ class Effect(ABC):
     inside : mapping of name to end
         Bounds, ``lower`` or ``upper``, from which parameters must end by their typical size at least: nearer
         the effect could stand for others, and is no hypothesis.
+    adds_to : str or None
+        Name of the model's parameter to which its only parameter is added; it has no hooks then.
     """
 
     name: ClassVar[str]
@@ -63,6 +65,7 @@ class Effect(ABC):
     scatters: ClassVar[bool] = False
     smooth: ClassVar[bool] = False
     inside: ClassVar[Inside] = {}
+    adds_to: ClassVar[str | None] = None
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()

@@ -11,7 +11,7 @@ import numpy as np
 
 from swimid.errors import NoTrustworthyResult
 from swimid.files import atomic, provenance
-from swimid.fitting import metrics, mistakes
+from swimid.fitting import mistakes
 from swimid.fitting.model import Trial
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
@@ -142,19 +142,13 @@ def compare(
         buoyancy = options.buoyancy_band_percent / 100.0
         origin = provenance.collect(experiment.inputs, settings=options.settings(buoyancy_band=buoyancy))
         profiles = compare_strokes.profiles(experiment, done, buoyancy=buoyancy)
-        channels = [c.name for c in experiment.model.channels]
-        pose = metrics.pose_channels(experiment.model)
         file = ComparisonFile(
             verdict="caution",
             model=experiment.model.name,
             robot=experiment.robot.name,
             experiment=experiment.name,
             params=parameters_format.place(options.params).name,
-            channels={
-                name: compare_series.scored(parts, own_motion=name in pose)
-                for name in channels
-                if (parts := [d.own[name] for d in done if name in d.own])
-            },
+            channels=compare_series.pooled(done, experiment.model),
             trials=[d.record for d in done],
             profiles=[p.record for p in profiles],
             provenance=origin,

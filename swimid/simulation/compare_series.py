@@ -283,6 +283,13 @@ def scored(parts: list[Pair], frequency: float | None = None, *, own_motion: boo
     )
 
 
+def pooled(done: Sequence[Compared], model: Model) -> dict[str, ChannelScore]:
+    """Return the errors of each channel of a model over all trials that have it, by channel."""
+    pose = metrics.pose_channels(model)
+    parts = {c.name: [one.own[c.name] for one in done if c.name in one.own] for c in model.channels}
+    return {name: scored(pairs, own_motion=name in pose) for name, pairs in parts.items() if pairs}
+
+
 def _timing(pair: Pair, frequency: float) -> dict[str, float]:
     """Phase error at the beat, and the error left when time may be stretched."""
     phase = metrics.phase_error(pair.measured, pair.simulated, pair.time_s, frequency_hz=frequency)

@@ -1,0 +1,72 @@
+"""Recorded inputs of ``diagnose``: a parameter that changed, and black boxes that describe little."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from swimid.diagnosis.gap_file import ChangedValue, GapFile
+from swimid.simulation.comparison_file import ComparisonFile
+from tests.conftest import Ran
+
+Case = Callable[..., Path]
+Run = Callable[..., Ran]
+
+
+@pytest.mark.slow
+def test_a_spring_that_became_softer_is_the_cause(case: Case, swimid: Run) -> None:
+    folder = case("n-softer-spring")
+    trials = folder / "soft" / "trials.yaml"
+    ran = swimid("diagnose", trials, "--params", folder / "day1.yaml", "-o", folder / "gap.yaml")
+    assert ran.status == 0, ran.err
+    assert "EXPLAINED" in ran.out
+    file = GapFile.read(folder / "gap.yaml")
+    (cause,) = file.causes
+    assert (cause.effect, cause.equivalent) == ("parameter:k_t", ["joint-stiffness"])
+    value = cause.parameters["k_t"]
+    assert isinstance(value, ChangedValue)
+    assert value.given == pytest.approx(0.0599757, abs=1e-7)
+    assert value.value == pytest.approx(0.0552, abs=3 * value.stderr)
+    assert 60 < value.standard_errors < 90
+    assert all(s.closed > 0.9 for s in cause.shrinkage if s.closed is not None)
+    # the errors as given are those of compare, to the last digit
+    compared = swimid("compare", trials, "--params", folder / "day1.yaml", "-o", folder / "compared.yaml")
+    assert compared.status == 0, compared.err
+    assert file.as_given == ComparisonFile.read(folder / "compared.yaml").channels
+
+
+@pytest.mark.slow
+def test_the_spring_as_it_is_now_leaves_no_gap(case: Case, swimid: Run) -> None:
+    folder = case("n-softer-spring")
+    now = folder / "day2.yaml"
+    text = (folder / "day1.yaml").read_text()
+    now.write_text(text.replace("k_t: {value: 0.059975735532110656", "k_t: {value: 0.0552"))
+    ran = swimid("diagnose", folder / "soft" / "trials.yaml", "--params", now, "-o", folder / "gap.yaml")
+    assert ran.status == 0, ran.err
+    file = GapFile.read(folder / "gap.yaml")
+    assert (file.verdict, file.level, file.causes, file.moved) == ("none", "good", [], {})
+
+
+@pytest.mark.slow
+def test_a_black_box_of_unrelated_noise_describes_nothing(case: Case, swimid: Run) -> None:
+    folder = case("r-diagnose-none-noise", "make.py")
+    made = swimid("rwls", "t.yaml", "--na", "3", "--nb", "2", "--validate", "0.25", "-o", "arx.yaml")
+    assert made.status == 0, made.err
+    ran = swimid("diagnose", "t.yaml", "--params", "arx.yaml", "-o", "gap.yaml")
+    assert ran.status == 0, ran.err
+    assert "The model reproduces 0.3" in ran.out
+    file = GapFile.read(folder / "gap.yaml")
+    assert (file.verdict, file.level, file.causes) == ("unexplained", "bad", [])
+    assert file.unreproduced["y"] < 0.02
+
+
+@pytest.mark.slow
+def test_a_rate_loop_that_a_black_box_does_not_follow_stays_unexplained(case: Case, swimid: Run) -> None:
+    folder = case("r-diagnose-none-unfit", "make.py")
+    made = swimid("rwls", "fit.yaml", "--na", "3", "--nb", "2", "-o", "arx.yaml")
+    assert made.status in (0, 4), made.err
+    ran = swimid("diagnose", "load.yaml", "--params", "arx.yaml", "-o", "gap.yaml")
+    assert ran.status == 0, ran.err
+    assert GapFile.read(folder / "gap.yaml").verdict == "unexplained"

@@ -1,0 +1,89 @@
+"""``swimid diagnose`` on trials that other code made with a parameter that changed, or with repeats."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from swimid.diagnosis.gap_file import ChangedValue, GapFile
+from tests.conftest import Ran
+from tests.generators.rig import click_log, write_falls
+
+Run = Callable[..., Ran]
+#: The drag coefficient of the first day, and of the second.
+FIRST, SECOND = 0.705, 0.7755
+
+
+@pytest.fixture
+def first_day(swimid: Run, tmp_path: Path) -> Path:
+    """Parameters of a falling-weight rig from trials of the first day."""
+    rng = np.random.default_rng(11)
+    trials = write_falls(tmp_path / "first", rng, drag_coefficient=FIRST)
+    ran = swimid("fit-drag", trials, "-o", tmp_path / "drag.yaml", "-q")
+    assert ran.status == 0, ran.err
+    return tmp_path / "drag.yaml"
+
+
+def diagnosed(swimid: Run, trials: Path, *options: str | Path) -> tuple[GapFile, str]:
+    """The gap file, and what is printed."""
+    out = trials.with_name("gap.yaml")
+    ran = swimid("diagnose", trials, "-o", out, *options)
+    assert ran.status == 0, ran.err
+    return GapFile.read(out), ran.out
+
+
+@pytest.mark.slow
+def test_a_drag_coefficient_that_changed(swimid: Run, first_day: Path, tmp_path: Path) -> None:
+    rng = np.random.default_rng(12)
+    trials = write_falls(tmp_path / "second", rng, held_out=(25,), drag_coefficient=SECOND)
+    file, said = diagnosed(swimid, trials, "--params", first_day)
+    assert file.verdict == "explained"
+    assert "drag_coefficient 0.7051 → 0.775" in said
+    (cause,) = file.causes
+    value = cause.parameters["drag_coefficient"]
+    assert (cause.effect, isinstance(value, ChangedValue)) == ("parameter:drag_coefficient", True)
+    assert value.value == pytest.approx(SECOND, abs=3 * value.stderr)
+    assert file.as_given["x_m"].nrmse > 20 * cause.shrinkage[0].after
+
+
+@pytest.mark.slow
+def test_the_same_rig_on_another_day(swimid: Run, first_day: Path, tmp_path: Path) -> None:
+    trials = write_falls(tmp_path / "second", np.random.default_rng(13), drag_coefficient=FIRST)
+    file, _ = diagnosed(swimid, trials, "--params", first_day)
+    assert (file.verdict, file.causes, file.moved) == ("none", [], {})
+
+
+@pytest.mark.slow
+def test_of_values_without_standard_errors_none_is_not_good(
+    swimid: Run, first_day: Path, tmp_path: Path
+) -> None:
+    """Nothing tells how well they were known; the refit says how far they are off."""
+    first_day.write_text(re.sub(r"stderr: [-0-9.e]+", "stderr: null", first_day.read_text()))
+    trials = write_falls(tmp_path / "second", np.random.default_rng(12), drag_coefficient=SECOND)
+    file, said = diagnosed(swimid, trials, "--params", first_day)
+    assert (file.verdict, file.level, list(file.moved)) == ("none", "caution", ["drag_coefficient"])
+    assert "the parameters as given are others: drag_coefficient 0.7051 → " in " ".join(said.split())
+
+
+@pytest.mark.slow
+def test_settings_that_differ_more_than_their_repeats_are_a_gap(swimid: Run, tmp_path: Path) -> None:
+    """Each weight is dropped twice before an encoder, and has a friction of its own: that is no chance."""
+    rng = np.random.default_rng(12)
+    lines = ["format: swimid-trials/1", "experiment: falling-weight", "robot: boxfish", "trials:"]
+    for weight, friction in ((10, 33.0), (15, 28.0), (20, 33.5), (30, 28.5), (40, 33.0)):
+        for drop in "ab":
+            times, displacement = click_log(float(weight), rng, friction_mN=friction)
+            rows = "\n".join(f"{t:.6f},{x:.5f}" for t, x in zip(times, displacement, strict=True))
+            name = f"w{weight}{drop}"
+            (tmp_path / f"{name}.csv").write_text(f"# encoder_resolution_m: 0.00785\nt_s,x_m\n{rows}\n")
+            lines.append(f"  - {{log: {name}.csv, id: {name}, pulling_mass_kg: {weight / 1000:g}}}")
+    trials = tmp_path / "trials.yaml"
+    trials.write_text("\n".join(lines) + "\n")
+    file, said = diagnosed(swimid, trials)
+    assert file.repeats
+    assert (file.verdict, file.causes) == ("unexplained", [])
+    assert "without repeats" not in said
