@@ -98,7 +98,7 @@ def _even_times(time_s: Array, values: Array, held: Held) -> _Even | None:
         kept = _every(rows, lasts, factor)
         times = time_s[kept]
         return _Even(kept, times, usual_step(times))
-    if held.repeated.any() and held.measured_sd_s == 0.0:
+    if held.even:
         times = held.measured_s[rows]
         return _Even(rows, times + float(np.min(time_s[rows] - times)), held.period_s)
     return None

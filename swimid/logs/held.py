@@ -51,6 +51,8 @@ class Held:
         stamps where the measurements are not evenly spaced.
     measured_sd_s : float
         Standard deviation of ``measured_s`` about the true times and the constant offset, s.
+    even : bool
+        Whether measurements at an even rate explain all stamps.
     """
 
     repeated: Flags
@@ -58,6 +60,7 @@ class Held:
     lateness_s: float
     measured_s: Array
     measured_sd_s: float
+    even: bool = False
 
 
 def find_held(time_s: Array, channels: Sequence[Array]) -> Held:
@@ -229,4 +232,4 @@ def _timed(time_s: Array, rows: NDArray[np.intp], repeated: Flags) -> Held:
     # a repeated sample shows the measurement of the fresh sample before it
     shown = np.clip(np.searchsorted(fresh, np.arange(len(time_s)), side="right") - 1, 0, None)
     # the last measurement moves evenly over the slack; each end has its half of the variance
-    return Held(repeated, period, step, measured[shown], slack / np.sqrt(24.0))
+    return Held(repeated, period, step, measured[shown], slack / np.sqrt(24.0), even=True)
