@@ -156,6 +156,12 @@ def _best_fit(
     model = experiment.model
     if start_state == "estimate":
         choices = chosen(choices, freed=("start_offset", "initial_speed"))
+    if any(p.name == "stiffness" and not p.free and p.start == 0.0 for p in choices):
+        # without a spring the search for gravity begins at the stiffness that the period suggests
+        begun = [
+            replace(p, start=p.scale) if p.name == "gravity_stiffness" and p.free else p for p in choices
+        ]
+        choices = tuple(begun)
     # a friction of each trial is a random effect, never a free number
     friction = any(p.name == FRICTION and p.free for p in choices)
     choices = tuple(replace(p, free=False) if p.name == FRICTION else p for p in choices)

@@ -372,7 +372,7 @@ def free_decay(
     restoring = f"{force}/{unit}"
     cubic = guess / (6.0 * amplitude**2)
     meaning = "m g l of a restoring moment m g l sin(angle)"
-    pendulum = replace(_signed("gravity_stiffness", restoring, guess, meaning, free=False), start=gravity)
+    pendulum = _parameter("gravity_stiffness", restoring, gravity, guess, meaning, free=False)
     parameters = (
         _parameter(f"added_{kind}", mass, 0.0, 0.3 * inertia, f"added {kind}", free=known),
         _parameter(f"quadratic_{loss}", f"{force} s^2/{unit}^2", quadratic, quadratic, "quadratic damping"),

@@ -52,8 +52,8 @@ class Rig(yamlio.Document):
     pitch_stiffness_N_m_rad: NonNegative | None = None
     yaw_stiffness_N_m_rad: NonNegative | None = None
     #: m g l of a pendulum or m g GM of a ship, whose restoring moment goes with the sine of the angle.
-    roll_gravity_stiffness_N_m_rad: float | None = None
-    pitch_gravity_stiffness_N_m_rad: float | None = None
+    roll_gravity_stiffness_N_m_rad: NonNegative | None = None
+    pitch_gravity_stiffness_N_m_rad: NonNegative | None = None
 
 
 class Theory(yamlio.Document):
