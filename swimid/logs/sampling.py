@@ -124,17 +124,48 @@ def _plain_rate(steps: np.ndarray, typical: float) -> Rate:
     return Rate(typical, jitter, float(np.mean((off <= ON_GRID) & (whole <= 10))))
 
 
-def _rounded_grid(time_s: np.ndarray, starts: Sequence[float]) -> tuple[float, np.ndarray] | None:
-    """Step and sample numbers of a uniform grid whose rounded times are these stamps.
+def late_grid(time_s: np.ndarray, step_s: float, lateness_s: float) -> tuple[float, np.ndarray] | None:
+    """Return the step and the times of an even sensor whose samples are stamped late.
 
-    ``starts`` are guesses of the step. The line through stamps and numbers is fitted on a growing
-    part of the record, so that the guess need be good for a few samples only. None where some
-    stamp lies farther from the grid than its rounding.
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+        Strictly increasing stamps, s.
+    step_s : float
+        First guess of the sensor's step, s.
+    lateness_s : float
+        Maximum time from a measurement to its stamp, s.
+
+    Returns
+    -------
+    step_s : float
+    measured_s : ndarray, shape (n,)
+        The latest even times that no stamp precedes, s. None in place of both where no even times fit.
+    """
+    first = np.arange(-0.5, 0.6, 0.25) * lateness_s
+    lines = (_rounded_grid(time_s + late, (step_s,), lateness_s, time_s[0]) for late in first)
+    fits = [line for line in lines if line is not None]
+    if not fits:
+        return None
+    # of the steps that fit the longest: it needs the fewest missing samples
+    step, number = max(fits, key=lambda line: line[0])
+    return step, step * number + np.min(time_s - step * number)
+
+
+def _rounded_grid(
+    time_s: np.ndarray, starts: Sequence[float], unit: float | None = None, first_s: float | None = None
+) -> tuple[float, np.ndarray] | None:
+    """Return step and sample numbers of a uniform grid whose rounded times are these stamps.
+
+    ``starts`` are guesses of the step, ``unit`` is the rounding (default: the last decimal place) and
+    ``first_s`` is a guess of the first grid point (default: the first stamp). The line through stamps and
+    numbers is fitted on a growing part of the record, so that the guess must be good for a few samples only.
+    The result is None where some stamp lies farther from the grid than its rounding.
     """
     time_s = np.asarray(time_s, dtype=float)
-    n, unit = len(time_s), quantum(time_s)
+    n, unit = len(time_s), quantum(time_s) if unit is None else unit
     for start in starts if n >= 3 and unit > 0 else ():
-        step, origin = float(start), float(time_s[0])
+        step, origin = float(start), float(time_s[0] if first_s is None else first_s)
         size = min(n, 8)
         while True:
             part = time_s[:size]
