@@ -9,6 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from swimid.errors import InputError
 from swimid.notices import warn
@@ -41,6 +42,9 @@ class Plane:
     residual_px, residual : float
         Root mean square error of the calibration points, in px and world units; 0 where
         the map is exact.
+    variants : tuple of ndarray, each shape (3, 3)
+        ``matrix`` with one coordinate of one calibration point moved by its standard deviation, which the
+        residual gives; empty for four points, which have no residual.
     """
 
     unit: str
@@ -52,6 +56,7 @@ class Plane:
     far_x: float = 0.0
     residual_px: float = 0.0
     residual: float = 0.0
+    variants: tuple[Array, ...] = ()
 
     def to_world(self, x: Array, y: Array) -> Array:
         """World coordinates of image points, shape (2, n); NaN stays NaN."""
@@ -60,6 +65,12 @@ class Plane:
     def to_image(self, x: Array, y: Array) -> Array:
         """Image points of world coordinates, shape (2, n); the inverse of :meth:`to_world`."""
         return _of_known(self._backward, x, y)
+
+    def variations(self, world: Array) -> Array:
+        """Return how far each of the ``variants`` moves points of the world, shape (k, 2, n), from (2, n)."""
+        x, y = self.to_image(*world)
+        moved = [replace(self, matrix=matrix).to_world(x, y) - world for matrix in self.variants]
+        return np.array(moved).reshape(-1, 2, world.shape[1])
 
     def _forward(self, points: Array) -> Array:
         mapped = _mapped(_undistorted(points, self.lens), self.matrix)
@@ -77,7 +88,9 @@ class Plane:
         if self.runs_left == left:
             return self
         turn = np.array([[-1.0, 0, self.far_x], [0, 1, 0], [0, 0, 1]])
-        return replace(self, matrix=turn @ self.matrix, foot=_mapped(self.foot[None], turn)[0])
+        variants = tuple(turn @ matrix for matrix in self.variants)
+        foot = _mapped(self.foot[None], turn)[0]
+        return replace(self, matrix=turn @ self.matrix, foot=foot, variants=variants)
 
     @property
     def runs_left(self) -> bool:
@@ -138,6 +151,7 @@ def build(setup: Setup, width: int, height: int, *, file: str | None = None) -> 
         lens = (np.array(setup.camera.matrix), np.array(setup.camera.distortion))
         camera_centre = lens[0][:2, 2]
     scale, factor, shrink, residuals = setup.scale, 1.0, 1.0, (0.0, 0.0)
+    variants: tuple[Array, ...] = ()
     points = np.zeros((0, 2))
     if scale is None:
         warn(
@@ -160,7 +174,9 @@ def build(setup: Setup, width: int, height: int, *, file: str | None = None) -> 
         factor * (width - 1),
     )
     if scale is not None and scale.points_m is not None:
-        matrix, residuals = _homography(points, np.array(scale.points_m, dtype=float), file)
+        world = np.array(scale.points_m, dtype=float)
+        matrix, residuals = _homography(points, world, file)
+        variants = _variants(points, world, residuals[0])
         far_x = 0.0
         if setup.plane == "horizontal" and np.linalg.det(matrix) / matrix[2, 2] ** 3 > 0:
             warn(
@@ -169,7 +185,7 @@ def build(setup: Setup, width: int, height: int, *, file: str | None = None) -> 
                 "yaw is counter-clockwise from x to y there, clockwise in the picture",
             )
     foot = _mapped(camera_centre[None], matrix)[0]
-    plane = Plane("px" if scale is None else "m", matrix, lens, shrink, foot, middle, far_x, *residuals)
+    plane = Plane("px" if scale is None else "m", matrix, lens, shrink, foot, middle, far_x, *residuals, variants)
     if setup.plane == "vertical" and plane.upside_down:
         warn(
             "SWM048",
@@ -199,6 +215,20 @@ def _homography(image: Array, world: Array, file: str | None) -> tuple[Array, tu
     errors = (_mapped(world, np.linalg.inv(matrix)) - image, _mapped(image, matrix) - world)
     in_image, in_world = (float(np.sqrt(np.mean(np.sum(error**2, 1)))) for error in errors)
     return matrix, (in_image, in_world)
+
+
+def _variants(image: Array, world: Array, residual_px: float) -> tuple[Array, ...]:
+    """Return the maps with one coordinate of one point moved by its standard deviation.
+
+    The residual has ``2 n - 8`` degrees of freedom. The deviation is that of a normal variable whose 95 %
+    interval is Student's with so many.
+    """
+    freedom = 2 * len(image) - 8
+    if freedom < 1:
+        return ()
+    sd = residual_px * np.sqrt(len(image) / freedom) * stats.t.isf(0.025, freedom) / stats.norm.isf(0.025)
+    moves = sd * np.eye(image.size).reshape(-1, *image.shape)
+    return tuple(cv2.findHomography(image + move, world)[0] for move in moves)
 
 
 def _thin(points: Array) -> bool:
