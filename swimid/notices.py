@@ -81,6 +81,8 @@ CODES: dict[str, str] = {
     "SWM084": "rests contradict the motion between them",
     "SWM086": "a motion that cannot be is left empty",
     "SWM087": "two logs of one trial contradict each other",
+    "SWM100": "the robot swims tail first",
+    "SWM101": "a body larger than a marker is followed",
 }
 
 

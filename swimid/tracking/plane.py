@@ -13,9 +13,18 @@ from scipy import stats
 
 from swimid.errors import InputError
 from swimid.notices import warn
-from swimid.tracking.setup import Setup
+from swimid.tracking.setup import Camera, Setup
 
 Array = NDArray[np.float64]
+
+#: Largest distance of the principal point from the middle of the picture, as a share of its size, where the size
+#: of the calibration's pictures is not known. Calibrated cameras have a few per cent; a matrix for pictures 4/3 as
+#: large, the least ratio of common sizes, has 17 %.
+MAX_OFF_CENTRE = 0.12
+#: Largest focal length in widths of the picture there: a field of view of 19 degrees.
+MAX_FOCAL_WIDTHS = 3.0
+#: Largest difference of the two scales from one picture size to another: sizes are rounded to even pixels.
+MAX_PROPORTION_ERROR = 0.02
 
 
 @dataclass(frozen=True)
@@ -57,6 +66,11 @@ class Plane:
     residual_px: float = 0.0
     residual: float = 0.0
     variants: tuple[Array, ...] = ()
+
+    @property
+    def exact(self) -> bool:
+        """Whether a homography fits its points exactly, so that nothing tells their error."""
+        return bool(self.matrix[2, :2].any()) and not self.variants
 
     def to_world(self, x: Array, y: Array) -> Array:
         """World coordinates of image points, shape (2, n); NaN stays NaN."""
@@ -148,7 +162,7 @@ def build(setup: Setup, width: int, height: int, *, file: str | None = None) -> 
     lens = None
     camera_centre = middle = np.array([(width - 1) / 2, (height - 1) / 2])
     if setup.camera is not None:
-        lens = (np.array(setup.camera.matrix), np.array(setup.camera.distortion))
+        lens = (camera_matrix(setup.camera, width, height, file), np.array(setup.camera.distortion))
         camera_centre = lens[0][:2, 2]
     scale, factor, shrink, residuals = setup.scale, 1.0, 1.0, (0.0, 0.0)
     variants: tuple[Array, ...] = ()
@@ -193,6 +207,53 @@ def build(setup: Setup, width: int, height: int, *, file: str | None = None) -> 
             "z and the pitch have the wrong sign (they are right if the camera hung upside down)",
         )
     return plane
+
+
+def camera_matrix(camera: Camera, width: int, height: int, file: str | None) -> Array:
+    """Return the camera matrix for pictures of this size.
+
+    Raises
+    ------
+    InputError
+        The matrix is for pictures of other proportions, or, where their size is not given, the principal point is
+        far from the middle of the picture or the focal length is many picture widths.
+    """
+    matrix, film = np.array(camera.matrix), f"{width} x {height} pixels"
+    hint = f"give the size of the pictures that the matrix is for, size_px: [width, height]; [{width}, {height}] "
+    hint += "if it is for this film"
+    if camera.size_px is not None:
+        across, down = width / camera.size_px[0], height / camera.size_px[1]
+        if abs(across / down - 1) > MAX_PROPORTION_ERROR:
+            size = " x ".join(f"{v:g}" for v in camera.size_px)
+            raise InputError(
+                f"the matrix is for pictures of {size} pixels; the film has {film}, which is not that size scaled",
+                file=file,
+                column="camera.size_px",
+                hint="calibrate the camera in the mode in which it films",
+            )
+        # the middle of the first pixel is at 0: scaled about the corner of the picture, half a pixel before it
+        half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
+        return np.asarray(np.linalg.inv(half) @ np.diag([across, down, 1.0]) @ half @ matrix)
+    off = np.abs(matrix[:2, 2] / (width, height) - 0.5)
+    if np.any(off > MAX_OFF_CENTRE):
+        raise InputError(
+            f"the principal point ({matrix[0, 2]:g}, {matrix[1, 2]:g}) of the camera matrix is "
+            f"{100 * off.max():.0f} % of the picture from its middle (allowed {100 * MAX_OFF_CENTRE:g} %): the film "
+            f"has {film}",
+            file=file,
+            column="camera.matrix",
+            hint=hint,
+        )
+    focal = max(matrix[0, 0], matrix[1, 1]) / width
+    if focal > MAX_FOCAL_WIDTHS:
+        raise InputError(
+            f"the focal length of the camera matrix is {focal:.1f} widths of the picture (allowed "
+            f"{MAX_FOCAL_WIDTHS:g}): the film has {film}",
+            file=file,
+            column="camera.matrix",
+            hint=hint,
+        )
+    return matrix
 
 
 def _homography(image: Array, world: Array, file: str | None) -> tuple[Array, tuple[float, float]]:

@@ -36,6 +36,8 @@ LASTING_LAGS, MIN_PRODUCTS = (2, 3, 4, 5, 6), 50
 #: Share of films of a whole marker in which it is said to be hidden in part somewhere, were areas normal and
 #: independent from frame to frame; and how much farther a lone frame must be off, since they are not.
 FALSE_ALARM, ALONE = 1e-3, 2.0
+#: Standard deviations to either side of a 95 % interval: that of a hidden marker reaches its bound.
+TWO_SIDED = 1.96
 #: Share of a normal variable within two standard deviations.
 TWO_SIGMA = 0.9545
 
@@ -182,11 +184,14 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
         raw_angle[~measured] = np.nan
         turn = np.sqrt(2) / max(float(np.nanmedian(separation)), 1e-12)
         angle = smooth(clock, raw_angle[None], both, segments, least_sd=turn * white, trusted=trusted)
-        angle = replace(angle, position_sd=np.hypot(angle.position_sd, turn * seen[1]))
+        # Errors of a marker hidden in part last as long as it is: they do not average out.
+        off = np.hypot(*hidden[rows]) * pixel / TWO_SIDED / np.nanmedian(separation)
+        angle = replace(angle, position_sd=np.sqrt(angle.position_sd**2 + (turn * seen[1]) ** 2 + off**2))
         # Tilted by the smoothed heading: the raw one would add its noise to the path.
         raw = raw + _turned(lever, angle.position[0])
     path = smooth(clock, raw, weights, segments, least_sd=white, trusted=trusted)
-    path = replace(path, position_sd=np.hypot(path.position_sd, lasting))
+    off = hidden[rows if places is not None else [head]].max(axis=0) * pixel / TWO_SIDED
+    path = replace(path, position_sd=np.sqrt(path.position_sd**2 + lasting**2 + off**2))
     if angle is not None:
         # An error of the heading moves the reference point across the lever.
         across = np.abs(_turned(np.array([-lever[1], lever[0]]), angle.position[0]))
@@ -341,10 +346,7 @@ def _weights(track: RawTrack, marker: int, hidden: Array) -> Array:
         usual = float(np.median(track.confidence[marker, seen]))
         weights[seen] = np.clip(usual / np.maximum(track.confidence[marker, seen], 1e-3), 1, 5) ** 2
     noise = max(_noise_px(track, marker), LEAST_NOISE_PX)
-    for start, end in runs(hidden > 0):
-        # The errors of a stretch are alike: together they count as one measurement, not as many.
-        weights[start:end] += (end - start) * (hidden[start:end] / noise) ** 2
-    return weights
+    return np.asarray(weights + (hidden / TWO_SIDED / noise) ** 2)
 
 
 def _noise_px(track: RawTrack, marker: int) -> float:

@@ -322,11 +322,3 @@ def partners(first: Candidate, others: list[Candidate]) -> list[Candidate]:
         if middle > 3 and spread < SECOND_SPREAD * middle and 0.1 < sizes < 10:
             found.append((spread / middle, other))
     return [other for _, other in sorted(found, key=lambda item: item[0])]
-
-
-def leads(first: Candidate, second: Candidate) -> bool:
-    """Whether the first of two markers is ahead: the pair moves towards it."""
-    step = np.diff(0.5 * (first.place + second.place), axis=0)
-    axis = (first.place - second.place)[:-1]
-    known = np.isfinite(step).all(axis=1) & np.isfinite(axis).all(axis=1)
-    return bool(np.sum(step[known] * axis[known]) >= 0)

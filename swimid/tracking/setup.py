@@ -160,6 +160,8 @@ class Camera(Document):
     """Lens calibration as OpenCV gives it."""
 
     matrix: tuple[tuple[float, float, float], ...]
+    #: Width and height of the pictures that the matrix was estimated from; it is scaled to the film's.
+    size_px: tuple[_Positive, _Positive] | None = None
     distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
@@ -185,6 +187,8 @@ class Setup(Document):
     plane: Literal["horizontal", "vertical"] = "horizontal"
     #: Vertical plane: which way the robot faces in the picture, and x of the log runs.
     facing: Literal["auto", "right", "left"] = "auto"
+    #: Direction of motion: a track that goes the other way most of the time is bad.
+    swims: Literal["head-first", "tail-first"] = "head-first"
     #: Robot whose file gives the places of the markers named as its own, where ``at_m`` does not.
     robot: str | None = None
     #: Reference point seen from the head marker: forward, and to port (up in the vertical plane), m.

@@ -143,6 +143,9 @@ def track_setup(
         lines.append(f"{name}: found in {100 * share:.1f} % of the frames, hue {hue}, area {area} px")
     lines += [f"passed over: {one}" for one in passed]
     lines.append(f"head {setup.head}{f', tail {setup.tail}' if setup.tail else '; no tail, so no yaw'}")
+    share = None if setup.tail is None else motion.head_first(run.track, setup.head_name, setup.tail)
+    if share is not None:
+        lines.append(f"swims head first in {100 * share:.0f} % of the steps")
     if setup.scale is None:
         lines.append("no scale yet: positions will be in pixels. Fill in 'scale' in the file")
     if output is not None:
@@ -154,6 +157,7 @@ def track_setup(
         "markers": [m.model_dump(mode="json", exclude_none=True) for m in setup.markers],
         "head": setup.head,
         "tail": setup.tail,
+        "head_first_share": share,
         "found_share": shares,
         "passed_over": [{"colour": p.name, "hue_deg": p.hue_deg, "reason": p.reason} for p in passed],
     }
@@ -184,13 +188,12 @@ def _unattended(
     for k, first in enumerate(found[:_TRIES]):
         for second in [*propose.partners(first, found[k + 1 :])[: _TRIES - 1], None]:
             pair = [first] if second is None else [first, second]
-            if second is not None and not propose.leads(first, second):
-                pair.reverse()
             run = _tried(video, pair, common, progress)
             scene = camera.between(shift, samples.indices, len(run.track.times))
             faults = _faults(run, pair, scene)
             reasons |= {id(pair[i]): text for i, text in faults.items()}
             if not faults:
+                run = _led_by_its_head(run)
                 rest = [c for c in found if c not in pair]
                 passed += [c.passed(reasons.get(id(c)) or _weaker(c, pair)) for c in rest]
                 return run, [c.remark for c in pair], passed
@@ -202,6 +205,14 @@ def _unattended(
         f"{colour.describe_colours(samples.frames[::6])}",
         hint="pick the markers by hand: --marker name@x,y with --frame",
     )
+
+
+def _led_by_its_head(run: Run) -> Run:
+    """Return a trial whose head is the marker towards which the pair moves in most steps."""
+    head, tail = run.setup.head, run.setup.tail
+    if head is None or tail is None or (motion.head_first(run.track, head, tail) or 0.0) >= 0.5:
+        return run
+    return replace(run, setup=run.setup.model_copy(update={"head": tail, "tail": head}))
 
 
 def _tried(video: Path, pair: list[Candidate], common: dict[str, Any], progress: Progress) -> Run:
@@ -290,6 +301,13 @@ def _doubts(setup: Setup, run: Run, shares: dict[str, float]) -> None:
             )
     if setup.head is None or setup.tail is None:
         return
+    share = motion.head_first(run.track, setup.head, setup.tail)
+    if share is not None and share < 0.5:
+        warn(
+            "SWM100",
+            f"the robot swims head first in {100 * share:.0f} % of the steps only: exchange head "
+            f"'{setup.head}' and tail '{setup.tail}' in the setup, or say there 'swims: tail-first'",
+        )
     separation = motion.distance(run.track, setup.head, setup.tail)
     if separation is not None and separation.change > motion.DISTANCE_SPREAD[0]:
         change = f"{100 * separation.change:.1f} %"
