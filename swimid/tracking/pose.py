@@ -10,6 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy import stats
 from scipy.interpolate import CubicHermiteSpline
+from scipy.ndimage import maximum_filter1d
 
 from swimid.errors import NoTrustworthyResult
 from swimid.logs.held import Held, find_held
@@ -30,9 +31,12 @@ LEAST_NOISE_PX = 0.01
 #: on rendered H.264 films, and added to the smoother's standard deviations.
 SYSTEMATIC_PX = 0.05
 #: Part of it that two markers share and their distance does not show, px.
-COMMON_PX = 0.02
+COMMON_PX = 0.03
 #: Distances of samples, in frames, over which errors of centroids are compared, and the fewest such pairs.
 LASTING_LAGS, MIN_PRODUCTS = (2, 3, 4, 5, 6), 50
+#: Change of the picture about the markers below which a frame may repeat the one before: as a share of the largest
+#: nearby, and of that of the frames on both sides; and the longest run of repeats, frames.
+SMALL_CHANGE, MAX_HELD_FRAMES = (0.2, 0.33), 15
 #: Share of films of a whole marker in which it is said to be hidden in part somewhere, were areas normal and
 #: independent from frame to frame; and how much farther a lone frame must be off, since they are not.
 FALSE_ALARM, ALONE = 1e-3, 2.0
@@ -146,7 +150,7 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
     markers = np.array([plane.to_world(*track.centre(i)) for i in everyone])
     rows = [track.row(name) for name in setup.roles]
     head = rows[0]
-    held = find_held(times, [values for row in rows for values in track.centre(row)])
+    held = _held_pictures(track, rows)
     clock, clock_sd = _picture_times(times, held)
     measured: NDArray[np.bool_] = np.all(track.found[rows], axis=0) & ~held.repeated
     segment, segments = _segments(times, measured, setup.max_gap_s)
@@ -206,6 +210,27 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
     path, angle = _with_plane_error(path, angle, plane, separation)
     heading = (raw_angle, angle, markers, separation)
     return Pose(times, measured, segment, raw, path, *heading, held, hidden, plane, rows)
+
+
+def _held_pictures(track: RawTrack, rows: list[int]) -> Held:
+    """Return the frames that repeat the picture before, by how little changes about the markers.
+
+    Nothing changes there either while the robot rests or turns round. Therefore the change must be large right
+    before and after, and the markers must go on in the same direction. The sum of the changes, in which repeats
+    are exact, is the channel whose held samples give the times of the pictures.
+    """
+    change = np.zeros(len(track.times)) if track.change is None else np.nan_to_num(track.change)
+    usual = maximum_filter1d(change, 2 * MAX_HELD_FRAMES + 3)
+    place = np.concatenate([np.stack(track.centre(row)) for row in rows])
+    repeated = np.zeros(len(change), dtype=bool)
+    for start, end in runs(change < SMALL_CHANGE[0] * usual):
+        sides = [k for k in (start - 1, end) if 1 <= k < len(change)]
+        sharp = SMALL_CHANGE[1] * change[sides].min() > change[start:end].max()
+        steps = [place[:, k] - place[:, k - 1] for k in sides]
+        onward = len(steps) < 2 or steps[0] @ steps[1] > 0
+        first = max(start, 1)
+        repeated[first:end] = sharp and onward and 0 < end - first <= MAX_HELD_FRAMES
+    return find_held(track.times, [np.cumsum(np.where(repeated, 0.0, change))])
 
 
 def _picture_times(times: Array, held: Held) -> tuple[Array, float]:

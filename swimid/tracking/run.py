@@ -15,6 +15,7 @@ from swimid.tracking.follow import Follower
 from swimid.tracking.rawtrack import RawTrack
 from swimid.tracking.reader import Frame, FrameKeeper, Video
 from swimid.tracking.setup import Box, Setup
+from swimid.tracking.silhouette import Silhouette, empty_scene
 
 #: Frames kept for the report.
 REPORT_FRAMES = 6
@@ -63,7 +64,11 @@ def _once(path: Path, setup: Setup, step: Step, file: str | None) -> Run:
     video.demand_clock()
     if setup.camera is not None:
         plane.camera_matrix(setup.camera, video.width, video.height, file)
-    follower = Follower(setup, video.width, video.height)
+    follower: Follower | Silhouette
+    if setup.markers[0].method == "background":
+        follower = Silhouette(setup, empty_scene(path, setup), video.width, video.height)
+    else:
+        follower = Follower(setup, video.width, video.height)
     keeper = FrameKeeper(4 * REPORT_FRAMES - 1)
     for index, (time, frame) in enumerate(video.frames()):
         follower.step(time, frame)

@@ -127,9 +127,11 @@ def track_setup(
             raise UsageError(f"{output} exists", hint="name another file, or give --force to replace it")
     video = Path(video)
     common = {"scale": options.scale, "plane": options.plane, "frame_rate_hz": options.fps}
+    passed: list[Passed] = []
     if options.picks:
-        passed: list[Passed] = []
         run, remarks = _by_hand(video, options, common, progress)
+    elif options.background:
+        run, remarks = _by_background(video, common, progress)
     else:
         run, remarks, passed = _unattended(video, common, progress)
     setup = _measured(run)
@@ -138,9 +140,9 @@ def track_setup(
     lines = []
     for name, share in shares.items():
         marker = setup.marker(name)
-        hue = "{:g}..{:g} deg".format(*marker.colour_range().hue_deg)
+        hue = "hue {:g}..{:g} deg".format(*marker.colour_range().hue_deg) if marker.method == "colour" else "any colour"
         area = "any" if marker.area_px is None else "{:g}..{:g}".format(*marker.area_px)
-        lines.append(f"{name}: found in {100 * share:.1f} % of the frames, hue {hue}, area {area} px")
+        lines.append(f"{name}: found in {100 * share:.1f} % of the frames, {hue}, area {area} px")
     lines += [f"passed over: {one}" for one in passed]
     lines.append(f"head {setup.head}{f', tail {setup.tail}' if setup.tail else '; no tail, so no yaw'}")
     share = None if setup.tail is None else motion.head_first(run.track, setup.head_name, setup.tail)
@@ -287,6 +289,25 @@ def _by_hand(
     return replace(run, setup=setup), remarks
 
 
+def _by_background(video: Path, common: dict[str, Any], progress: Progress) -> tuple[Run, list[str]]:
+    """Return a trial of the body that differs from the empty scene, and a remark on it.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        When nothing differs in most frames.
+    """
+    setup = _setup([Marker(name="body", method="background")], common)
+    with progress(f"trying {setup.head}") as step:
+        run = follow(video, setup, step=step)
+    if run.track.found[0].mean() < motion.LEAST_SHARE:
+        raise NoTrustworthyResult(
+            f"nothing in {video.name} differs from the empty scene",
+            hint="the scene is the median of the film: the body must leave its place for more than half of it",
+        )
+    return run, ["the whole body, by its difference from the empty scene"]
+
+
 def _doubts(setup: Setup, run: Run, shares: dict[str, float]) -> None:
     """Warn of markers hardly found, of those that do not move, and of a pair that keeps no distance."""
     for name, share in shares.items():
@@ -350,14 +371,11 @@ def _text(
         "markers:",
     ]
     for marker, remark in zip(setup.markers, remarks, strict=True):
-        hsv = marker.colour_range()
         found = ", ".join(f"{100 * shares[name]:.1f} %" for name in marker.names)
         lines += [
             f"  - name: {marker.name}",
             f"    # Found in {found} of the frames; {remark}.",
-            "    # Hue runs from the first to the second angle, through 0 for red.",
-            f"    hsv: {{hue_deg: {_list(hsv.hue_deg)}, saturation: {_list(hsv.saturation)}, "
-            f"value: {_list(hsv.value)}}}",
+            *_look(marker),
             f"    area_px: {_list(marker.area_px or (12.0, 1e5))}",
         ]
         if marker.number > 1:
@@ -392,6 +410,18 @@ def _text(
     else:
         lines += ["# ignore_px: [[left, top, right, bottom]]"]
     return "\n".join(lines) + "\n"
+
+
+def _look(marker: Marker) -> list[str]:
+    """Lines of a setup that say how a marker is told from the rest."""
+    if marker.method == "background":
+        return ["    method: background"]
+    hsv = marker.colour_range()
+    return [
+        "    # Hue runs from the first to the second angle, through 0 for red.",
+        f"    hsv: {{hue_deg: {_list(hsv.hue_deg)}, saturation: {_list(hsv.saturation)}, "
+        f"value: {_list(hsv.value)}}}",
+    ]
 
 
 def _list(values: Any) -> str:

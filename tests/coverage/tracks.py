@@ -76,6 +76,8 @@ class Camera:
     noise: float
     blur: float
     light: Array
+    #: Change of the light from one side of a disc to the other, as a share, in columns and rows.
+    shading: Array
     texture: Array
     crf: float
 
@@ -93,7 +95,7 @@ class Camera:
         slope = rng.uniform(-0.15, 0.15, 2)
         x, y = np.meshgrid(np.linspace(-1, 1, WIDTH), np.linspace(-1, 1, HEIGHT))
         return cls(
-            matrix, rng.uniform(1, 6), rng.uniform(0.5, 1.2), 1 + slope[0] * x + slope[1] * y,
+            matrix, rng.uniform(1, 6), rng.uniform(0.5, 1.2), 1 + slope[0] * x + slope[1] * y, rng.uniform(-0.15, 0.15, 2),
             grain / grain.std() * rng.uniform(1, 6), rng.uniform(12, 22),
         )  # fmt: skip
 
@@ -129,7 +131,11 @@ class Camera:
                 )
                 for outline, shade in discs:
                     drawn = (self.to_image(outline) - (x0, y0) + 0.5) * fine - 0.5
-                    cv2.fillPoly(part, [np.round(drawn * 256).astype(np.int32)], shade, shift=8)
+                    cover = np.zeros(part.shape[:2], np.uint8)
+                    cv2.fillPoly(cover, [np.round(drawn * 256).astype(np.int32)], 1, shift=8)
+                    row, column = np.nonzero(cover)
+                    inside = np.stack([column, row], axis=1) - drawn.mean(axis=0)
+                    part[row, column] = (1 + inside @ self.shading / np.ptp(drawn))[:, None] * shade
                 picture = water.copy()
                 picture[y0:y1, x0:x1] = cv2.resize(part, (x1 - x0, y1 - y0), interpolation=cv2.INTER_AREA)
                 picture = cv2.GaussianBlur(picture, (0, 0), self.blur)
