@@ -250,8 +250,8 @@ def _direction(pose: Pose, setup: Setup, track: RawTrack) -> Iterator[Check]:
     """Whether the robot swims the way that head and tail say.
 
     It swims the other way if that is most of its way, and it gets that way by more than the distance of the
-    markers, or by more than a marker's radius and than its longest stretch in the stated direction: a robot on the
-    spot moves to and fro.
+    markers, or by more than a marker's radius and than its longest stretch in the stated direction: a robot
+    on the spot moves to and fro.
     """
     if pose.body_velocity is None or pose.separation is None:
         return
@@ -268,10 +268,14 @@ def _direction(pose: Pose, setup: Setup, track: RawTrack) -> Iterator[Check]:
     if wrong:
         warn(
             "SWM100",
-            f"the robot swims {way} over {100 * share:.0f} % of its way only: exchange head '{setup.head}' and tail "
+            f"the robot swims {way} over {100 * share:.0f} % of its way only: exchange head "
+            f"'{setup.head}' and tail "
             f"'{setup.tail}' in the setup, or say there how it swims (swims: head-first or tail-first)",
         )
-    text = "The way that the reference point makes along the heading. Exchanged markers turn the heading by 180 deg."
+    text = (
+        "The way that the reference point makes along the heading. Exchanged markers turn the "
+        "heading by 180 deg."
+    )
     value = f"{100 * share:.0f} % of the way"
     if setup.plane == "vertical":
         side = "left" if pose.plane.runs_left else "right"
@@ -301,11 +305,15 @@ def _repeated(pose: Pose) -> Iterator[Check]:
     rate = 1 / pose.held.period_s
     warn(
         "SWM058",
-        f"{count} of {total} pictures repeat the one before: the camera took {rate:.4g} pictures a second. They are "
+        f"{count} of {total} pictures repeat the one before: the camera took {rate:.4g} pictures a "
+        f"second. They are "
         "left out, and the others were taken up to "
         f"{1000 * pose.held.lateness_s:.3g} ms before their stamps, which the stated deviations contain",
     )
-    text = "A recorder that is faster than the camera repeats its last picture. Record at the rate of the camera."
+    text = (
+        "A recorder that is faster than the camera repeats its last picture. Record at the rate of "
+        "the camera."
+    )
     yield check("Repeated pictures", f"{count} of {total}; {rate:.4g} pictures/s", False, "none", text)
 
 

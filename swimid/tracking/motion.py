@@ -30,8 +30,8 @@ NOISE_SIGMA = math.sqrt(-2 * math.log(0.003))
 DISTANCE_SPREAD = (0.02, 0.06)
 #: Number of steps of a film over which the direction of motion is compared with that of the markers ...
 VOTES = 100
-#: ... and how far the distance of the markers may be from its median there, as a share: otherwise another thing
-#: stood in for one of them. A camera askew changes it by less.
+#: ... and how far the distance of the markers may be from its median there, as a share: otherwise another
+#: thing stood in for one of them. A camera askew changes it by less.
 PAIR_SPREAD = 0.3
 #: A robot that turns by less may owe a change of the distance to a bend of its body, rad.
 BEND_RAD = math.radians(60.0)
@@ -91,7 +91,7 @@ def scatter(values: Array) -> float:
 
 
 def head_first(track: RawTrack, head: str, tail: str) -> float | None:
-    """Return the share of steps in which two markers move towards the head; None for fewer than four steps."""
+    """Return the share of steps in which two markers move towards the head; None below four steps."""
     i, j = track.row(head), track.row(tail)
     every = slice(None, None, max(len(track.times) // VOTES, 1))
     front, rear = (np.stack(track.centre(row))[:, every] for row in (i, j))

@@ -141,7 +141,8 @@ def _marker(hsv: Mask, name: str, masks: list[Mask], place: dict[str, Any]) -> M
     if max(areas) > LARGE * masks[0].size:
         warn(
             "SWM101",
-            f"the patch of '{name}' has {max(areas)} pixels, {100 * max(areas) / masks[0].size:.0f} % of the picture, more "
+            f"the patch of '{name}' has {max(areas)} pixels, {100 * max(areas) / masks[0].size:.0f} % of "
+            f"the picture, more "
             f"than the {100 * LARGE:g} % of a usual marker: it is followed as a whole, with area_px up to "
             f"{math.ceil(3 * max(areas))}; its centre moves with its outline",
         )

@@ -17,9 +17,9 @@ from swimid.tracking.setup import Camera, Setup
 
 Array = NDArray[np.float64]
 
-#: Largest distance of the principal point from the middle of the picture, as a share of its size, where the size
-#: of the calibration's pictures is not known. Calibrated cameras have a few per cent; a matrix for pictures 4/3 as
-#: large, the least ratio of common sizes, has 17 %.
+#: Largest distance of the principal point from the middle of the picture, as a share of its size, where the
+#: size of the calibration's pictures is not known. Calibrated cameras have a few per cent; a matrix for
+#: pictures 4/3 as large, the least ratio of common sizes, has 17 %.
 MAX_OFF_CENTRE = 0.12
 #: Largest focal length in widths of the picture there: a field of view of 19 degrees.
 MAX_FOCAL_WIDTHS = 3.0
@@ -199,7 +199,9 @@ def build(setup: Setup, width: int, height: int, *, file: str | None = None) -> 
                 "yaw is counter-clockwise from x to y there, clockwise in the picture",
             )
     foot = _mapped(camera_centre[None], matrix)[0]
-    plane = Plane("px" if scale is None else "m", matrix, lens, shrink, foot, middle, far_x, *residuals, variants)
+    plane = Plane(
+        "px" if scale is None else "m", matrix, lens, shrink, foot, middle, far_x, *residuals, variants
+    )
     if setup.plane == "vertical" and plane.upside_down:
         warn(
             "SWM048",
@@ -215,30 +217,36 @@ def camera_matrix(camera: Camera, width: int, height: int, file: str | None) -> 
     Raises
     ------
     InputError
-        The matrix is for pictures of other proportions, or, where their size is not given, the principal point is
-        far from the middle of the picture or the focal length is many picture widths.
+        The matrix is for pictures of other proportions, or, where their size is not given, the principal
+        point is far from the middle of the picture or the focal length is many picture widths.
     """
     matrix, film = np.array(camera.matrix), f"{width} x {height} pixels"
-    hint = f"give the size of the pictures that the matrix is for, size_px: [width, height]; [{width}, {height}] "
+    hint = (
+        f"give the size of the pictures that the matrix is for, size_px: [width, height]; [{width}, "
+        f"{height}] "
+    )
     hint += "if it is for this film"
     if camera.size_px is not None:
         across, down = width / camera.size_px[0], height / camera.size_px[1]
         if abs(across / down - 1) > MAX_PROPORTION_ERROR:
             size = " x ".join(f"{v:g}" for v in camera.size_px)
             raise InputError(
-                f"the matrix is for pictures of {size} pixels; the film has {film}, which is not that size scaled",
+                f"the matrix is for pictures of {size} pixels; the film has {film}, which is not that "
+                f"size scaled",
                 file=file,
                 column="camera.size_px",
                 hint="calibrate the camera in the mode in which it films",
             )
-        # the middle of the first pixel is at 0: scaled about the corner of the picture, half a pixel before it
+        # the middle of the first pixel is at 0: scaled about the corner of the picture, half a pixel before
+        # it
         half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
         return np.asarray(np.linalg.inv(half) @ np.diag([across, down, 1.0]) @ half @ matrix)
     off = np.abs(matrix[:2, 2] / (width, height) - 0.5)
     if np.any(off > MAX_OFF_CENTRE):
         raise InputError(
             f"the principal point ({matrix[0, 2]:g}, {matrix[1, 2]:g}) of the camera matrix is "
-            f"{100 * off.max():.0f} % of the picture from its middle (allowed {100 * MAX_OFF_CENTRE:g} %): the film "
+            f"{100 * off.max():.0f} % of the picture from its middle (allowed {100 * MAX_OFF_CENTRE:g} "
+            f"%): the film "
             f"has {film}",
             file=file,
             column="camera.matrix",

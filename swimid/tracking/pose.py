@@ -15,7 +15,7 @@ from scipy.ndimage import maximum_filter1d
 from swimid.errors import NoTrustworthyResult
 from swimid.logs.held import Held, find_held
 from swimid.logs.log import runs
-from swimid.tracking import motion
+from swimid.logs.sampling import usual_step
 from swimid.tracking.plane import Plane
 from swimid.tracking.rawtrack import CUT, LOST, STATUS, RawTrack
 from swimid.tracking.setup import Setup
@@ -30,13 +30,13 @@ LEAST_NOISE_PX = 0.01
 #: Error of a centroid that does not average out (pixel phase, codec, uneven light), px: measured
 #: on rendered H.264 films, and added to the smoother's standard deviations.
 SYSTEMATIC_PX = 0.05
-#: Part of it that two markers share and their distance does not show, px.
-COMMON_PX = 0.03
 #: Distances of samples, in frames, over which errors of centroids are compared, and the fewest such pairs.
 LASTING_LAGS, MIN_PRODUCTS = (2, 3, 4, 5, 6), 50
-#: Change of the picture about the markers below which a frame may repeat the one before: as a share of the largest
-#: nearby, and of that of the frames on both sides; and the longest run of repeats, frames.
+#: Change of the picture about the markers below which a frame may repeat the one before: as a share of the
+#: largest nearby, and of that of the frames on both sides; and the longest run of repeats, frames.
 SMALL_CHANGE, MAX_HELD_FRAMES = (0.2, 0.33), 15
+#: Fewer such runs are chance: a marker that stops, or passes behind something.
+MIN_HELD_RUNS = 4
 #: Share of films of a whole marker in which it is said to be hidden in part somewhere, were areas normal and
 #: independent from frame to frame; and how much farther a lone frame must be off, since they are not.
 FALSE_ALARM, ALONE = 1e-3, 2.0
@@ -174,7 +174,7 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
         forward = markers[head] - markers[tail]
         separation = np.hypot(forward[0], forward[1])
         seen = _centroid_errors(np.where(measured & trusted, separation, np.nan))
-        white, lasting = max(white, seen[0]), np.hypot(seen[1], COMMON_PX * pixel)
+        white, lasting = max(white, seen[0]), float(np.hypot(seen[1], lasting))
         both = np.maximum(weights, _weights(track, tail, hidden[tail]))
         if places is not None:
             # Seen from the mid-point; frames with one marker only would mix in errors of the scale.
@@ -190,7 +190,9 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
         angle = smooth(clock, raw_angle[None], both, segments, least_sd=turn * white, trusted=trusted)
         # Errors of a marker hidden in part last as long as it is: they do not average out.
         off = np.hypot(*hidden[rows]) * pixel / TWO_SIDED / np.nanmedian(separation)
-        angle = replace(angle, position_sd=np.sqrt(angle.position_sd**2 + (turn * seen[1]) ** 2 + off**2))
+        # Both ends of a silhouette are of one outline: its length does not show all errors of its direction.
+        along = lasting if setup.marker(setup.head_name).method == "background" else seen[1]
+        angle = replace(angle, position_sd=np.sqrt(angle.position_sd**2 + (turn * along) ** 2 + off**2))
         # Tilted by the smoothed heading: the raw one would add its noise to the path.
         raw = raw + _turned(lever, angle.position[0])
     path = smooth(clock, raw, weights, segments, least_sd=white, trusted=trusted)
@@ -215,9 +217,9 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
 def _held_pictures(track: RawTrack, rows: list[int]) -> Held:
     """Return the frames that repeat the picture before, by how little changes about the markers.
 
-    Nothing changes there either while the robot rests or turns round. Therefore the change must be large right
-    before and after, and the markers must go on in the same direction. The sum of the changes, in which repeats
-    are exact, is the channel whose held samples give the times of the pictures.
+    Nothing changes there either while the robot rests or turns round. Therefore the change must be large
+    right before and after, and the markers must go on in the same direction. The sum of the changes, in which
+    repeats are exact, is the channel whose held samples give the times of the pictures.
     """
     change = np.zeros(len(track.times)) if track.change is None else np.nan_to_num(track.change)
     usual = maximum_filter1d(change, 2 * MAX_HELD_FRAMES + 3)
@@ -230,15 +232,18 @@ def _held_pictures(track: RawTrack, rows: list[int]) -> Held:
         onward = len(steps) < 2 or steps[0] @ steps[1] > 0
         first = max(start, 1)
         repeated[first:end] = sharp and onward and 0 < end - first <= MAX_HELD_FRAMES
-    return find_held(track.times, [np.cumsum(np.where(repeated, 0.0, change))])
+    if len(runs(repeated)) < MIN_HELD_RUNS:
+        return Held(np.zeros_like(repeated), usual_step(track.times), 0.0, track.times, 0.0)
+    least = float(np.median(change[~repeated]))
+    return find_held(track.times, [np.cumsum(np.where(repeated, 0.0, np.maximum(change, least)))])
 
 
 def _picture_times(times: Array, held: Held) -> tuple[Array, float]:
-    """Return when the picture of each frame was taken, and the standard deviation of a common offset, s.
+    """Return when the picture of each frame was taken, and the largest error of a common offset, s.
 
-    A picture is stamped up to ``lateness_s`` after it was taken. The times of an even camera are known but for
-    what the spread of their lateness leaves of that; the middle is taken. Frames that repeat a picture lie
-    between.
+    A picture is stamped up to ``lateness_s`` after it was taken. The times of an even camera are known but
+    for what the spread of their lateness leaves of that; the middle is taken. Frames that repeat a picture
+    lie between.
     """
     fresh = np.flatnonzero(~held.repeated)
     taken = held.measured_s[fresh]
@@ -247,13 +252,16 @@ def _picture_times(times: Array, held: Held) -> tuple[Array, float]:
     clock = np.interp(np.arange(len(times)), fresh, taken - left / 2)
     outside = np.arange(len(times)) > fresh[-1]
     clock[outside] = times[outside] - between[outside]
-    return clock, left / np.sqrt(12)
+    return clock, left / 2
 
 
 def _at_stamps(
     values: Smoothed, clock: Array, times: Array, segments: list[tuple[int, int]], clock_sd: float
 ) -> Smoothed:
-    """Return coordinates smoothed at the times of the pictures at the stamps of the frames."""
+    """Return coordinates smoothed at the times of the pictures at the stamps of the frames.
+
+    ``clock_sd`` is half of the range of their offset, so that the 95 % band holds every offset in it.
+    """
     position, velocity = values.position.copy(), values.velocity.copy()
     for a, b in segments:
         curve = CubicHermiteSpline(clock[a:b], values.position[:, a:b], values.velocity[:, a:b], axis=1)
@@ -281,8 +289,8 @@ def _centroid_errors(separation: Array) -> tuple[float, float]:
     """Standard deviations of a centroid's white and lasting error, from the distance of two rigid markers.
 
     The distance is constant: half of its variance is that of one centroid's error along it. The covariance of
-    samples that are :data:`LASTING_LAGS` frames apart is that of errors that last; the rest is white and averages
-    out. A few outliers are drawn in to four robust standard deviations.
+    samples that are :data:`LASTING_LAGS` frames apart is that of errors that last; the rest is white and
+    averages out. A few outliers are drawn in to four robust standard deviations.
     """
     off = separation - np.nanmedian(separation)
     off = np.clip(off, *(np.array([-4.0, 4.0]) * 1.4826 * np.nanmedian(np.abs(off))))

@@ -148,7 +148,8 @@ def candidates(samples: Samples) -> tuple[list[Candidate], list[Passed]]:
             f"no coloured marker moves in {samples.video.path.name}. "
             f"{colour.describe_colours(samples.frames[::6])}",
             hint="put a saturated sticker (red, yellow, green) on the robot and keep the film in colour; a "
-            "marker that hardly moves, or is white, grey or black, is picked by hand: --marker name@x,y; a whole body "
+            "marker that hardly moves, or is white, grey or black, is picked by hand: --marker name@x,y; "
+            "a whole body "
             "in front of its empty scene is followed with --background",
         )
     judged = [_judge(samples, hsv, peak) for peak in _peaks(hsv, len(samples.frames))]

@@ -48,8 +48,8 @@ class RawTrack:
         Markers that were first mistaken for something else: how many sights of it were taken back, and its
         area, px.
     change : ndarray, shape (n,), optional
-        Mean difference of the picture about the markers from the picture before, grey levels; the largest of all
-        markers, NaN where none was seen in the frame before.
+        Mean difference of the picture about the markers from the picture before, grey levels; the largest of
+        all markers, NaN where none was seen in the frame before.
     """
 
     times: NDArray[np.float64]

@@ -79,7 +79,9 @@ class Marker(Document):
             raise ValueError(f"marker name '{self.name}' must be letters, digits, - and _, a letter first")
         if self.method == "background":
             if self.hsv is not None or self.colour is not None or self.number > 1:
-                raise ValueError(f"marker '{self.name}' has method: background; it takes no colour, and number 1")
+                raise ValueError(
+                    f"marker '{self.name}' has method: background; it takes no colour, and number 1"
+                )
         elif (self.hsv is None) == (self.colour is None):
             raise ValueError(f"marker '{self.name}' needs either hsv or colour")
         if self.tolerance is not None and self.colour is None:

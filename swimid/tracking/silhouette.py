@@ -36,8 +36,8 @@ def empty_scene(path: Path, setup: Setup) -> Frame:
 class Silhouette:
     """Follows the largest thing that differs from the empty scene, frame by frame.
 
-    Two points stand for it: the centre of the silhouette, and a point behind it on the main axis, at the half-axis
-    of the ellipse that has the same second moments.
+    Two points stand for it: the centre of the silhouette, and a point behind it on the main axis, at the
+    half-axis of the ellipse that has the same second moments.
 
     Parameters
     ----------
@@ -81,7 +81,8 @@ class Silhouette:
         difference = cv2.max(cv2.max(blue, green), red)
         noise = float(np.median(difference))
         mask = cv2.bitwise_and(
-            np.where(difference > max(MIN_CHANGE, NOISE_RATIO * noise), 255, 0).astype(np.uint8), self._allowed
+            np.where(difference > max(MIN_CHANGE, NOISE_RATIO * noise), 255, 0).astype(np.uint8),
+            self._allowed,
         )
         _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
         sizes = np.where((stats[:, 4] >= self._area[0]) & (stats[:, 4] <= self._area[1]), stats[:, 4], 0)

@@ -140,14 +140,18 @@ def track_setup(
     lines = []
     for name, share in shares.items():
         marker = setup.marker(name)
-        hue = "hue {:g}..{:g} deg".format(*marker.colour_range().hue_deg) if marker.method == "colour" else "any colour"
+        hue = (
+            "hue {:g}..{:g} deg".format(*marker.colour_range().hue_deg)
+            if marker.method == "colour"
+            else "any colour"
+        )
         area = "any" if marker.area_px is None else "{:g}..{:g}".format(*marker.area_px)
         lines.append(f"{name}: found in {100 * share:.1f} % of the frames, {hue}, area {area} px")
     lines += [f"passed over: {one}" for one in passed]
     lines.append(f"head {setup.head}{f', tail {setup.tail}' if setup.tail else '; no tail, so no yaw'}")
-    share = None if setup.tail is None else motion.head_first(run.track, setup.head_name, setup.tail)
-    if share is not None:
-        lines.append(f"swims head first in {100 * share:.0f} % of the steps")
+    ahead = None if setup.tail is None else motion.head_first(run.track, setup.head_name, setup.tail)
+    if ahead is not None:
+        lines.append(f"swims head first in {100 * ahead:.0f} % of the steps")
     if setup.scale is None:
         lines.append("no scale yet: positions will be in pixels. Fill in 'scale' in the file")
     if output is not None:
@@ -159,7 +163,7 @@ def track_setup(
         "markers": [m.model_dump(mode="json", exclude_none=True) for m in setup.markers],
         "head": setup.head,
         "tail": setup.tail,
-        "head_first_share": share,
+        "head_first_share": ahead,
         "found_share": shares,
         "passed_over": [{"colour": p.name, "hue_deg": p.hue_deg, "reason": p.reason} for p in passed],
     }
@@ -303,7 +307,7 @@ def _by_background(video: Path, common: dict[str, Any], progress: Progress) -> t
     if run.track.found[0].mean() < motion.LEAST_SHARE:
         raise NoTrustworthyResult(
             f"nothing in {video.name} differs from the empty scene",
-            hint="the scene is the median of the film: the body must leave its place for more than half of it",
+            hint="the scene is the film's median: the body must leave its place for more than half of it",
         )
     return run, ["the whole body, by its difference from the empty scene"]
 
@@ -322,11 +326,11 @@ def _doubts(setup: Setup, run: Run, shares: dict[str, float]) -> None:
             )
     if setup.head is None or setup.tail is None:
         return
-    share = motion.head_first(run.track, setup.head, setup.tail)
-    if share is not None and share < 0.5:
+    ahead = motion.head_first(run.track, setup.head, setup.tail)
+    if ahead is not None and ahead < 0.5:
         warn(
             "SWM100",
-            f"the robot swims head first in {100 * share:.0f} % of the steps only: exchange head "
+            f"the robot swims head first in {100 * ahead:.0f} % of the steps only: exchange head "
             f"'{setup.head}' and tail '{setup.tail}' in the setup, or say there 'swims: tail-first'",
         )
     separation = motion.distance(run.track, setup.head, setup.tail)

@@ -1,8 +1,8 @@
 """Coverage of the 95 % bands of position and heading on rendered films.
 
-Each seed renders a film of a robot with a red and a yellow disc three times: under a camera that looks straight
-down, under a tilted camera whose calibration points are known to a fraction of a pixel, and by a slow camera whose
-pictures a recorder repeats. Everything is drawn here; nothing of the tracker is used.
+Each seed renders a film of a robot with a red and a yellow disc three times: under a camera that looks
+straight down, under a tilted camera whose calibration points are known to a fraction of a pixel, and by a
+slow camera whose pictures a recorder repeats. Everything is drawn here; nothing of the tracker is used.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pandas as pd
+
 import swimid
 from tests.generators import film_writer
 
@@ -84,7 +85,9 @@ class Camera:
     @classmethod
     def draw(cls, rng: np.random.Generator, *, tilted: bool) -> Camera:
         """Draw a camera; the tilted one sees the tank's rectangle as a quadrangle."""
-        world = METRES_PER_PIXEL * np.array([[0, 0], [WIDTH - 1, 0], [WIDTH - 1, HEIGHT - 1], [0, HEIGHT - 1]])
+        world = METRES_PER_PIXEL * np.array(
+            [[0, 0], [WIDTH - 1, 0], [WIDTH - 1, HEIGHT - 1], [0, HEIGHT - 1]]
+        )
         seen = np.array([[0, HEIGHT - 1], [WIDTH - 1, HEIGHT - 1], [WIDTH - 1, 0], [0, 0]], float)
         if tilted:
             far = rng.uniform(0.05, 0.15)
@@ -95,13 +98,16 @@ class Camera:
         slope = rng.uniform(-0.15, 0.15, 2)
         x, y = np.meshgrid(np.linspace(-1, 1, WIDTH), np.linspace(-1, 1, HEIGHT))
         return cls(
-            matrix, rng.uniform(1, 6), rng.uniform(0.5, 1.2), 1 + slope[0] * x + slope[1] * y, rng.uniform(-0.15, 0.15, 2),
+            matrix, rng.uniform(1, 6), rng.uniform(0.5, 1.2), 1 + slope[0] * x + slope[1] * y,
+            rng.uniform(-0.25, 0.25, 2),
             grain / grain.std() * rng.uniform(1, 6), rng.uniform(12, 22),
         )  # fmt: skip
 
     def to_image(self, points: Array) -> Array:
         """Return the pixels of points of the plane, shape (n, 2)."""
-        return cv2.perspectiveTransform(np.asarray(points, float).reshape(-1, 1, 2), self.matrix).reshape(-1, 2)
+        return cv2.perspectiveTransform(np.asarray(points, float).reshape(-1, 1, 2), self.matrix).reshape(
+            -1, 2
+        )
 
     def pictures(self, swim: Swim, times: Array, rng: np.random.Generator) -> Iterator[Array]:
         """Yield the picture of each time, uint8 BGR; equal times give one picture, with its noise, again."""
@@ -182,7 +188,12 @@ def one(seed: int) -> dict[str, float]:
     stamps = np.arange(round(DURATION_S * RATE_HZ)) / RATE_HZ
     straight, out = {"metres_per_pixel": METRES_PER_PIXEL}, {}
     for kind in KINDS:
-        swim, camera, times, scale = Swim.draw(rng), Camera.draw(rng, tilted=kind == "tilted"), stamps, straight
+        swim, camera, times, scale = (
+            Swim.draw(rng),
+            Camera.draw(rng, tilted=kind == "tilted"),
+            stamps,
+            straight,
+        )
         if kind == "tilted":
             count = int(rng.integers(6, 10))
             marks = METRES_PER_PIXEL * rng.uniform(0.02, 0.98, (count - 4, 2)) * (WIDTH, HEIGHT)
