@@ -83,6 +83,8 @@ CODES: dict[str, str] = {
     "SWM086": "a motion that cannot be is left empty",
     "SWM087": "two logs of one trial contradict each other",
     "SWM090": "two columns of a log contradict each other",
+    "SWM100": "the robot swims tail first",
+    "SWM101": "a body larger than a marker is followed",
     "SWM110": "a measured force has the wrong sign",
     "SWM111": "a measured force is not zero while the body stands still",
     "SWM150": "lines of a checkpoint ignored",

@@ -131,7 +131,7 @@ def test_pose_and_deviations(starboard):
     _assert_pose(log)
     error = log.pitch_rad - side_video.motion(log.t_s.to_numpy())["pitch_rad"]
     assert 0.4 < np.sqrt(np.mean((error / log.pitch_sd_rad) ** 2)) < 1.6
-    assert "right, and swims forwards" in output.output
+    assert "% of the way; faces right" in output.output
     assert "Marker distance against the robot" in output.output
     assert "SWM" not in output.output
 
@@ -145,7 +145,7 @@ def test_the_log_says_what_its_pose_is_that_of(starboard):
     assert head["reference"] == "sealion"
     assert head["markers_at_m"] == {"front": list(FRONT), "rear": list(REAR)}
     proof = evidence.read(folder / "run.evidence.json")
-    assert {c.name: c.verdict for c in proof.checks}["Facing"] == "pass"
+    assert {c.name: c.verdict for c in proof.checks}["Swims head first"] == "pass"
 
 
 def _assert_pose(log):
@@ -163,7 +163,7 @@ def test_a_robot_that_swims_to_the_left(port):
     folder, log, output = port
     _assert_pose(log)
     assert log.front_x_px.iloc[-1] < log.front_x_px.iloc[0]
-    assert "left, and swims forwards" in output.output
+    assert "% of the way; faces left" in output.output
     assert "# facing: left" in (folder / "run.csv").read_text()
     assert "SWM" not in output.output
 
@@ -281,10 +281,10 @@ def test_exchanged_markers_and_a_wrong_scale_are_noticed():
     view = View(duration_s=9.0)
     scale = side_video.scale(view)
     exchanged = {"scale": scale, "head": "rear", "tail": "front"}
-    assert posed(view, exchanged, places=False)[2]["Facing"].verdict == "warn"
+    assert posed(view, exchanged, places=False)[2]["Swims head first"].verdict == "fail"
     # Where the markers sit on the robot is known, their order does not matter.
     result, truth, found, _ = posed(view, exchanged)
-    assert found["Facing"].verdict == "pass"
+    assert found["Swims head first"].verdict == "pass"
     np.testing.assert_allclose(result.raw[0], truth["x_m"], atol=0.002)
     np.testing.assert_allclose(result.raw_angle, truth["pitch_rad"], atol=0.002)
     # Measured through a flat window as if in air: lengths come out 1.33 times as large.

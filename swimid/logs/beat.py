@@ -468,6 +468,9 @@ def _power(t: Array, x: Array, grid: Array) -> Array:
     steps = np.diff(t)
     step = float(np.mean(steps))
     if np.ptp(steps) > EVEN * step:
-        return np.asarray(signal.lombscargle(t, x, 2 * np.pi * grid))
+        # scipy builds arrays of frequencies times samples: in parts they do not grow with the square of the
+        # length
+        parts = np.array_split(2 * np.pi * grid, 1 + len(t) * len(grid) // 1_000_000)
+        return np.concatenate([signal.lombscargle(t, x, part) for part in parts])
     count = 1 << int(np.ceil(np.log2(20 * len(x))))
     return np.interp(grid, np.fft.rfftfreq(count, step), np.abs(np.fft.rfft(x, count)) ** 2)

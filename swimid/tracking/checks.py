@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from swimid.logs.log import runs
 from swimid.notices import warn
 from swimid.results.evidence import Check, check
 from swimid.tracking import camera, motion
@@ -69,8 +70,9 @@ def run(track: RawTrack, pose: Pose, setup: Setup, kept: dict[int, Frame] | None
         *_others(track, setup),
         *_separation(pose),
         *_against_robot(pose, setup),
-        *_facing(pose, setup),
+        *_direction(pose, setup, track),
         _timing(pose),
+        *_repeated(pose),
         _edges(track, pose),
         _hidden(pose),
         _jumps(pose),
@@ -82,16 +84,17 @@ def run(track: RawTrack, pose: Pose, setup: Setup, kept: dict[int, Frame] | None
 
 
 def _found(pose: Pose, span: Presence) -> Check:
-    count, total = int(pose.measured.sum()), len(pose.times)
+    fresh = ~pose.held.repeated
+    count, total = int(pose.measured.sum()), int(fresh.sum())
     # Out of the picture a body is not lost; but a film that shows it for a part only is never all good.
-    inside = slice(span.first if span.enters else 0, span.last + 1 if span.leaves else total)
-    lost = 1 - float(pose.measured[inside].mean())
+    inside = slice(span.first if span.enters else 0, span.last + 1 if span.leaves else len(fresh))
+    lost = 1 - float(pose.measured[inside][fresh[inside]].mean())
     if count < total:
         warn(
             "SWM040",
             f"{total - count} of {total} frames show no marker (not all of them, or not whole): "
-            f"{int(pose.interpolated.sum())} are bridged and flagged interpolated, "
-            f"{int((pose.segment == 0).sum())} are empty",
+            f"{int((pose.interpolated & fresh).sum())} are bridged and flagged interpolated, "
+            f"{int(((pose.segment == 0) & fresh).sum())} are empty",
         )
     text = "Frames in which every marker the pose needs was really seen, and whole."
     if span.enters or span.leaves:
@@ -243,19 +246,43 @@ def _against_robot(pose: Pose, setup: Setup) -> Iterator[Check]:
     yield graded(name, value, "within 2 %", abs(off), LENGTH_ERROR, text)
 
 
-def _facing(pose: Pose, setup: Setup) -> Iterator[Check]:
-    """Which way the robot looks, and whether it swims that way."""
-    if setup.plane == "horizontal" or pose.body_velocity is None or pose.separation is None:
+def _direction(pose: Pose, setup: Setup, track: RawTrack) -> Iterator[Check]:
+    """Whether the robot swims the way that head and tail say.
+
+    It swims the other way if that is most of its way, and it gets that way by more than the distance of the
+    markers, or by more than a marker's radius and than its longest stretch in the stated direction: a robot
+    on the spot moves to and fro.
+    """
+    if pose.body_velocity is None or pose.separation is None:
         return
-    ahead = float(np.nanmean(pose.body_velocity[0])) * float(np.ptp(pose.times))
-    backwards = ahead < -float(np.nanmedian(pose.separation))
-    side = "left" if pose.plane.runs_left else "right"
-    value = f"{side}, and swims {'backwards' if backwards else 'forwards'}"
+    step = np.gradient(pose.times) * pose.body_velocity[0]
+    step = np.where(np.isfinite(step), step, 0.0) * (1 if setup.swims == "head-first" else -1)
+    ahead, astern = float(step[step > 0].sum()), float(-step[step < 0].sum())
+    longest = max((float(step[a:b].sum()) for a, b in runs(step > 0)), default=0.0)
+    head = pose.rows[0]
+    x, y, area = (float(np.nanmedian(values[head])) for values in (track.x, track.y, track.area))
+    radius = math.sqrt(area / math.pi) * pose.plane.size_of_pixel(x, y)
+    least = min(float(np.nanmedian(pose.separation)), max(radius, longest))
+    wrong, share = astern - ahead > least, ahead / max(ahead + astern, 1e-300)
+    way = setup.swims.replace("-", " ")
+    if wrong:
+        warn(
+            "SWM100",
+            f"the robot swims {way} over {100 * share:.0f} % of its way only: exchange head "
+            f"'{setup.head}' and tail "
+            f"'{setup.tail}' in the setup, or say there how it swims (swims: head-first or tail-first)",
+        )
     text = (
-        f"x runs to the {side} of the picture, and pitch is nose up. Where a robot seems to swim backwards, "
-        "head and tail marker may be exchanged in the setup."
+        "The way that the reference point makes along the heading. Exchanged markers turn the "
+        "heading by 180 deg."
     )
-    yield check("Facing", value, not backwards, "forwards", text)
+    value = f"{100 * share:.0f} % of the way"
+    if setup.plane == "vertical":
+        side = "left" if pose.plane.runs_left else "right"
+        value += f"; faces {side}"
+        text += f" x runs to the {side} of the picture, and pitch is nose up."
+    verdict: Literal["pass", "fail"] = "fail" if wrong else "pass"
+    yield Check(name=f"Swims {way}", value=value, limit="most of the way", verdict=verdict, text=text)
 
 
 def _timing(pose: Pose) -> Check:
@@ -269,6 +296,25 @@ def _timing(pose: Pose) -> Check:
     value = f"{100 * share:.1f} % uneven, longest step {largest:.2f} x usual"
     text = "Times are the frames' own stamps, or set by the frame rate given."
     return check("Frame timing", value, share <= 0.01, "<= 1 % uneven", text)
+
+
+def _repeated(pose: Pose) -> Iterator[Check]:
+    count, total = int(pose.held.repeated.sum()), len(pose.times)
+    if not count:
+        return
+    rate = 1 / pose.held.period_s
+    warn(
+        "SWM058",
+        f"{count} of {total} pictures repeat the one before: the camera took {rate:.4g} pictures a "
+        f"second. They are "
+        "left out, and the others were taken up to "
+        f"{1000 * pose.held.lateness_s:.3g} ms before their stamps, which the stated deviations contain",
+    )
+    text = (
+        "A recorder that is faster than the camera repeats its last picture. Record at the rate of "
+        "the camera."
+    )
+    yield check("Repeated pictures", f"{count} of {total}; {rate:.4g} pictures/s", False, "none", text)
 
 
 def _edges(track: RawTrack, pose: Pose) -> Check:
@@ -316,6 +362,9 @@ def _jumps(pose: Pose) -> Check:
 
 def _calibration(pose: Pose) -> Iterator[Check]:
     plane = pose.plane
+    if plane.exact:
+        text = "Four points fit any camera: their error is not known, and not in the stated deviations."
+        yield check("Calibration", "four points", None, "five points or more tell their error", text)
     if plane.unit == "px":
         text = "Positions are in pixels. A scale in the setup gives metres."
         yield check("Calibration", "none", False, text=text)

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, fields
 from itertools import combinations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
@@ -137,6 +138,9 @@ class Follower:
         #: Earlier frames, and where the markers were in them.
         self._memory: deque[tuple[Frame, dict[str, tuple[float, float]]]] = deque(maxlen=MEMORIES)
         self._rows: list[list[tuple[float, ...]]] = []
+        #: Where each marker was in the last frame, and the picture there.
+        self._last: dict[str, tuple[tuple[slice, slice], Frame]] = {}
+        self._changes: list[float] = []
         #: Whole sights that were taken back as another thing's, and its area.
         self._mistaken: dict[str, tuple[int, float]] = {}
         self._times: list[float] = []
@@ -150,6 +154,9 @@ class Follower:
     def step(self, time: float, frame: Frame) -> None:
         """Find every marker in the next frame."""
         row: list[tuple[float, ...]] = []
+        changes = [cv2.absdiff(frame[here], before).mean() for here, before in self._last.values()]
+        self._changes.append(float(max(changes, default=math.nan)))
+        self._last = {}
         for group in self.groups:
             sights = self._follow(group, time, frame)
             for target in group.targets:
@@ -159,6 +166,9 @@ class Follower:
                     row.append(_NOT_SEEN)
                     continue
                 row.append(_row(target, blob))
+                left, top, right, bottom = blob.box
+                here = (slice(max(top - 2, 0), bottom + 2), slice(max(left - 2, 0), right + 2))
+                self._last[target.name] = (here, frame[here].copy())
                 target.see(blob, time)
                 if self._frame % ADAPT_EVERY == 0 and blob.confidence > 0.3 and not blob.at_edge:
                     group.model.adapt(blob.hsv)
@@ -196,6 +206,7 @@ class Follower:
             drift={g.marker.name: g.model.largest_drift for g in self.groups if g.model.drifted},
             rivals={g.marker.name: g.most_rivals for g in self.groups if g.most_rivals},
             mistaken=self._mistaken,
+            change=np.array(self._changes),
         )
         for i in range(len(names)):
             drop_false_detections(track, i, table[:, i, 6:])

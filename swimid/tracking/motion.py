@@ -28,6 +28,11 @@ LEAST_SHARE = 0.05
 NOISE_SIGMA = math.sqrt(-2 * math.log(0.003))
 #: Spread of the distance of two markers of a rigid part, as a share: good up to here, bearable up to here.
 DISTANCE_SPREAD = (0.02, 0.06)
+#: Number of steps of a film over which the direction of motion is compared with that of the markers ...
+VOTES = 100
+#: ... and how far the distance of the markers may be from its median there, as a share: otherwise another
+#: thing stood in for one of them. A camera askew changes it by less.
+PAIR_SPREAD = 0.3
 #: A robot that turns by less may owe a change of the distance to a bend of its body, rad.
 BEND_RAD = math.radians(60.0)
 
@@ -83,6 +88,18 @@ def scatter(values: Array) -> float:
         return math.nan
     second = values[2:] - 2 * values[1:-1] + values[:-2]
     return 1.4826 * float(np.median(np.abs(second - np.median(second)))) / math.sqrt(6)
+
+
+def head_first(track: RawTrack, head: str, tail: str) -> float | None:
+    """Return the share of steps in which two markers move towards the head; None below four steps."""
+    i, j = track.row(head), track.row(tail)
+    every = slice(None, None, max(len(track.times) // VOTES, 1))
+    front, rear = (np.stack(track.centre(row))[:, every] for row in (i, j))
+    line = front - rear
+    length = np.hypot(*line)
+    sound = np.abs(length / np.nanmedian(length) - 1) <= PAIR_SPREAD
+    ahead = np.sum(np.diff(front + rear, axis=1) * line[:, :-1], axis=0)[sound[1:] & sound[:-1]]
+    return float(np.mean(ahead > 0)) if len(ahead) >= 4 else None
 
 
 @dataclass(frozen=True)

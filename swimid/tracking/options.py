@@ -90,6 +90,9 @@ class TrackSetupOptions(Options):
         help="Pick a marker of any shade by one of its pixels; head first, then tail. "
         "Equal markers: one name.",
     )
+    background: bool = option(
+        False, help="Follow a whole body of any shade, by its difference from the empty scene."
+    )
     frame: int = option(0, ge=0, help="Frame the --marker pixels are in.")
     metres_per_pixel: float | None = option(None, gt=0, help="Scale as a factor.")
     scale_points: tuple[float, float, float, float] | None = option(
@@ -102,6 +105,8 @@ class TrackSetupOptions(Options):
     @model_validator(mode="after")
     def _one_scale(self) -> Self:
         points, distance = self.scale_points, self.scale_distance_m
+        if self.background and self.picks:
+            raise UsageError("--background and --marker contradict each other: give one of them")
         if self.metres_per_pixel is not None and (points is not None or distance is not None):
             raise UsageError(
                 "contradicting scales: give --metres-per-pixel, or --scale-points with --scale-distance-m"

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
+from swimid.notices import warn
 from swimid.tracking import colour
 from swimid.tracking.colour import SLACK, ColourModel
 from swimid.tracking.propose import colour_range, two_digits
@@ -25,8 +26,8 @@ WIDEST = (20.0, 0.3, 0.3)
 SHARES = (0.25, 0.35, 0.5, 0.7, 1.0)
 #: A patch of fewer pixels is none.
 SMALLEST = 5
-#: Largest share of the picture a marker has.
-LARGEST = 0.05
+#: Share of the picture above which a patch is no usual marker, which is said, and above which it is none.
+LARGE, LARGEST = 0.05, 0.5
 #: Width of the ring about a patch that shows its surroundings, px, beyond the blurred rim.
 RING, RIM = 10, 3
 #: Share of the surroundings that must not have the marker's colours.
@@ -137,6 +138,14 @@ def _marker(hsv: Mask, name: str, masks: list[Mask], place: dict[str, Any]) -> M
             **place,
         )
     areas = [np.count_nonzero(mask) for mask in masks]
+    if max(areas) > LARGE * masks[0].size:
+        warn(
+            "SWM101",
+            f"the patch of '{name}' has {max(areas)} pixels, {100 * max(areas) / masks[0].size:.0f} % of "
+            f"the picture, more "
+            f"than the {100 * LARGE:g} % of a usual marker: it is followed as a whole, with area_px up to "
+            f"{math.ceil(3 * max(areas))}; its centre moves with its outline",
+        )
     area = (max(math.floor(0.3 * min(areas)), 1.0), math.ceil(3 * max(areas)))
     middles = [np.argwhere(mask).mean(axis=0).round(1) for mask in masks]
     starts = tuple((float(x), float(y)) for y, x in middles)

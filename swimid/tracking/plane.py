@@ -9,12 +9,22 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from swimid.errors import InputError
 from swimid.notices import warn
-from swimid.tracking.setup import Setup
+from swimid.tracking.setup import Camera, Setup
 
 Array = NDArray[np.float64]
+
+#: Largest distance of the principal point from the middle of the picture, as a share of its size, where the
+#: size of the calibration's pictures is not known. Calibrated cameras have a few per cent; a matrix for
+#: pictures 4/3 as large, the least ratio of common sizes, has 17 %.
+MAX_OFF_CENTRE = 0.12
+#: Largest focal length in widths of the picture there: a field of view of 19 degrees.
+MAX_FOCAL_WIDTHS = 3.0
+#: Largest difference of the two scales from one picture size to another: sizes are rounded to even pixels.
+MAX_PROPORTION_ERROR = 0.02
 
 
 @dataclass(frozen=True)
@@ -41,6 +51,9 @@ class Plane:
     residual_px, residual : float
         Root mean square error of the calibration points, in px and world units; 0 where
         the map is exact.
+    variants : tuple of ndarray, each shape (3, 3)
+        ``matrix`` with one coordinate of one calibration point moved by its standard deviation, which the
+        residual gives; empty for four points, which have no residual.
     """
 
     unit: str
@@ -52,6 +65,12 @@ class Plane:
     far_x: float = 0.0
     residual_px: float = 0.0
     residual: float = 0.0
+    variants: tuple[Array, ...] = ()
+
+    @property
+    def exact(self) -> bool:
+        """Whether a homography fits its points exactly, so that nothing tells their error."""
+        return bool(self.matrix[2, :2].any()) and not self.variants
 
     def to_world(self, x: Array, y: Array) -> Array:
         """World coordinates of image points, shape (2, n); NaN stays NaN."""
@@ -60,6 +79,12 @@ class Plane:
     def to_image(self, x: Array, y: Array) -> Array:
         """Image points of world coordinates, shape (2, n); the inverse of :meth:`to_world`."""
         return _of_known(self._backward, x, y)
+
+    def variations(self, world: Array) -> Array:
+        """Return how far each of the ``variants`` moves points of the world, shape (k, 2, n), from (2, n)."""
+        x, y = self.to_image(*world)
+        moved = [replace(self, matrix=matrix).to_world(x, y) - world for matrix in self.variants]
+        return np.array(moved).reshape(-1, 2, world.shape[1])
 
     def _forward(self, points: Array) -> Array:
         mapped = _mapped(_undistorted(points, self.lens), self.matrix)
@@ -77,7 +102,9 @@ class Plane:
         if self.runs_left == left:
             return self
         turn = np.array([[-1.0, 0, self.far_x], [0, 1, 0], [0, 0, 1]])
-        return replace(self, matrix=turn @ self.matrix, foot=_mapped(self.foot[None], turn)[0])
+        variants = tuple(turn @ matrix for matrix in self.variants)
+        foot = _mapped(self.foot[None], turn)[0]
+        return replace(self, matrix=turn @ self.matrix, foot=foot, variants=variants)
 
     @property
     def runs_left(self) -> bool:
@@ -135,9 +162,10 @@ def build(setup: Setup, width: int, height: int, *, file: str | None = None) -> 
     lens = None
     camera_centre = middle = np.array([(width - 1) / 2, (height - 1) / 2])
     if setup.camera is not None:
-        lens = (np.array(setup.camera.matrix), np.array(setup.camera.distortion))
+        lens = (camera_matrix(setup.camera, width, height, file), np.array(setup.camera.distortion))
         camera_centre = lens[0][:2, 2]
     scale, factor, shrink, residuals = setup.scale, 1.0, 1.0, (0.0, 0.0)
+    variants: tuple[Array, ...] = ()
     points = np.zeros((0, 2))
     if scale is None:
         warn(
@@ -160,7 +188,9 @@ def build(setup: Setup, width: int, height: int, *, file: str | None = None) -> 
         factor * (width - 1),
     )
     if scale is not None and scale.points_m is not None:
-        matrix, residuals = _homography(points, np.array(scale.points_m, dtype=float), file)
+        world = np.array(scale.points_m, dtype=float)
+        matrix, residuals = _homography(points, world, file)
+        variants = _variants(points, world, residuals[0])
         far_x = 0.0
         if setup.plane == "horizontal" and np.linalg.det(matrix) / matrix[2, 2] ** 3 > 0:
             warn(
@@ -169,7 +199,9 @@ def build(setup: Setup, width: int, height: int, *, file: str | None = None) -> 
                 "yaw is counter-clockwise from x to y there, clockwise in the picture",
             )
     foot = _mapped(camera_centre[None], matrix)[0]
-    plane = Plane("px" if scale is None else "m", matrix, lens, shrink, foot, middle, far_x, *residuals)
+    plane = Plane(
+        "px" if scale is None else "m", matrix, lens, shrink, foot, middle, far_x, *residuals, variants
+    )
     if setup.plane == "vertical" and plane.upside_down:
         warn(
             "SWM048",
@@ -177,6 +209,59 @@ def build(setup: Setup, width: int, height: int, *, file: str | None = None) -> 
             "z and the pitch have the wrong sign (they are right if the camera hung upside down)",
         )
     return plane
+
+
+def camera_matrix(camera: Camera, width: int, height: int, file: str | None) -> Array:
+    """Return the camera matrix for pictures of this size.
+
+    Raises
+    ------
+    InputError
+        The matrix is for pictures of other proportions, or, where their size is not given, the principal
+        point is far from the middle of the picture or the focal length is many picture widths.
+    """
+    matrix, film = np.array(camera.matrix), f"{width} x {height} pixels"
+    hint = (
+        f"give the size of the pictures that the matrix is for, size_px: [width, height]; [{width}, "
+        f"{height}] "
+    )
+    hint += "if it is for this film"
+    if camera.size_px is not None:
+        across, down = width / camera.size_px[0], height / camera.size_px[1]
+        if abs(across / down - 1) > MAX_PROPORTION_ERROR:
+            size = " x ".join(f"{v:g}" for v in camera.size_px)
+            raise InputError(
+                f"the matrix is for pictures of {size} pixels; the film has {film}, which is not that "
+                f"size scaled",
+                file=file,
+                column="camera.size_px",
+                hint="calibrate the camera in the mode in which it films",
+            )
+        # the middle of the first pixel is at 0: scaled about the corner of the picture, half a pixel before
+        # it
+        half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
+        return np.asarray(np.linalg.inv(half) @ np.diag([across, down, 1.0]) @ half @ matrix)
+    off = np.abs(matrix[:2, 2] / (width, height) - 0.5)
+    if np.any(off > MAX_OFF_CENTRE):
+        raise InputError(
+            f"the principal point ({matrix[0, 2]:g}, {matrix[1, 2]:g}) of the camera matrix is "
+            f"{100 * off.max():.0f} % of the picture from its middle (allowed {100 * MAX_OFF_CENTRE:g} "
+            f"%): the film "
+            f"has {film}",
+            file=file,
+            column="camera.matrix",
+            hint=hint,
+        )
+    focal = max(matrix[0, 0], matrix[1, 1]) / width
+    if focal > MAX_FOCAL_WIDTHS:
+        raise InputError(
+            f"the focal length of the camera matrix is {focal:.1f} widths of the picture (allowed "
+            f"{MAX_FOCAL_WIDTHS:g}): the film has {film}",
+            file=file,
+            column="camera.matrix",
+            hint=hint,
+        )
+    return matrix
 
 
 def _homography(image: Array, world: Array, file: str | None) -> tuple[Array, tuple[float, float]]:
@@ -199,6 +284,20 @@ def _homography(image: Array, world: Array, file: str | None) -> tuple[Array, tu
     errors = (_mapped(world, np.linalg.inv(matrix)) - image, _mapped(image, matrix) - world)
     in_image, in_world = (float(np.sqrt(np.mean(np.sum(error**2, 1)))) for error in errors)
     return matrix, (in_image, in_world)
+
+
+def _variants(image: Array, world: Array, residual_px: float) -> tuple[Array, ...]:
+    """Return the maps with one coordinate of one point moved by its standard deviation.
+
+    The residual has ``2 n - 8`` degrees of freedom. The deviation is that of a normal variable whose 95 %
+    interval is Student's with so many.
+    """
+    freedom = 2 * len(image) - 8
+    if freedom < 1:
+        return ()
+    sd = residual_px * np.sqrt(len(image) / freedom) * stats.t.isf(0.025, freedom) / stats.norm.isf(0.025)
+    moves = sd * np.eye(image.size).reshape(-1, *image.shape)
+    return tuple(cv2.findHomography(image + move, world)[0] for move in moves)
 
 
 def _thin(points: Array) -> bool:

@@ -9,9 +9,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from scipy import stats
+from scipy.interpolate import CubicHermiteSpline
+from scipy.ndimage import maximum_filter1d
 
 from swimid.errors import NoTrustworthyResult
+from swimid.logs.held import Held, find_held
 from swimid.logs.log import runs
+from swimid.logs.sampling import usual_step
 from swimid.tracking.plane import Plane
 from swimid.tracking.rawtrack import CUT, LOST, STATUS, RawTrack
 from swimid.tracking.setup import Setup
@@ -26,9 +30,18 @@ LEAST_NOISE_PX = 0.01
 #: Error of a centroid that does not average out (pixel phase, codec, uneven light), px: measured
 #: on rendered H.264 films, and added to the smoother's standard deviations.
 SYSTEMATIC_PX = 0.05
+#: Distances of samples, in frames, over which errors of centroids are compared, and the fewest such pairs.
+LASTING_LAGS, MIN_PRODUCTS = (2, 3, 4, 5, 6), 50
+#: Change of the picture about the markers below which a frame may repeat the one before: as a share of the
+#: largest nearby, and of that of the frames on both sides; and the longest run of repeats, frames.
+SMALL_CHANGE, MAX_HELD_FRAMES = (0.2, 0.33), 15
+#: Fewer such runs are chance: a marker that stops, or passes behind something.
+MIN_HELD_RUNS = 4
 #: Share of films of a whole marker in which it is said to be hidden in part somewhere, were areas normal and
 #: independent from frame to frame; and how much farther a lone frame must be off, since they are not.
 FALSE_ALARM, ALONE = 1e-3, 2.0
+#: Standard deviations to either side of a 95 % interval: that of a hidden marker reaches its bound.
+TWO_SIDED = 1.96
 #: Share of a normal variable within two standard deviations.
 TWO_SIGMA = 0.9545
 
@@ -57,6 +70,8 @@ class Pose:
         Measured world position of every marker, NaN where it was not measured.
     separation : ndarray, shape (n,), or None
         Distance of head and tail marker, world units.
+    held : Held
+        Frames that repeat the picture before, and when each picture was taken.
     hidden : ndarray, shape (m, n)
         How far each centre may be off because part of the marker is hidden, px; 0 where none is.
     plane : Plane
@@ -73,6 +88,7 @@ class Pose:
     angle: Smoothed | None
     markers: Array
     separation: Array | None
+    held: Held
     hidden: Array
     plane: Plane
     rows: list[int]
@@ -88,8 +104,9 @@ class Pose:
     @property
     def gaps(self) -> list[tuple[float, float]]:
         """From the last sight before each gap to the first after it, s."""
+        fresh = ~self.held.repeated
         seen = self.times[self.measured]
-        holes = np.flatnonzero(np.diff(np.flatnonzero(self.measured)) > 1)
+        holes = np.flatnonzero(np.diff(np.flatnonzero(self.measured[fresh])) > 1)
         return [(float(seen[k]), float(seen[k + 1])) for k in holes]
 
     @property
@@ -133,7 +150,9 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
     markers = np.array([plane.to_world(*track.centre(i)) for i in everyone])
     rows = [track.row(name) for name in setup.roles]
     head = rows[0]
-    measured: NDArray[np.bool_] = np.all(track.found[rows], axis=0)
+    held = _held_pictures(track, rows)
+    clock, clock_sd = _picture_times(times, held)
+    measured: NDArray[np.bool_] = np.all(track.found[rows], axis=0) & ~held.repeated
     segment, segments = _segments(times, measured, setup.max_gap_s)
     if not segments:
         raise NoTrustworthyResult(
@@ -143,15 +162,19 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
     measured &= segment > 0
     pixel = plane.size_of_pixel(*(float(np.nanmedian(values)) for values in track.centre(head)))
     hidden = np.array([hidden_px(track, i, plane) for i in everyone])
+    trusted = ~np.any(hidden[rows] > 0, axis=0)
     weights = _weights(track, head, hidden[head])
-    raw = np.where(segment > 0, markers[head], np.nan)
+    raw = np.where((segment > 0) & ~held.repeated, markers[head], np.nan)
     lever = np.array(setup.reference_offset_m)
     places = None if setup.places is None else np.array(setup.places)
     angle = raw_angle = separation = None
+    white, lasting = LEAST_NOISE_PX * pixel, SYSTEMATIC_PX * pixel
     if len(rows) > 1:
         tail = rows[1]
         forward = markers[head] - markers[tail]
         separation = np.hypot(forward[0], forward[1])
+        seen = _centroid_errors(np.where(measured & trusted, separation, np.nan))
+        white, lasting = max(white, seen[0]), float(np.hypot(seen[1], lasting))
         both = np.maximum(weights, _weights(track, tail, hidden[tail]))
         if places is not None:
             # Seen from the mid-point; frames with one marker only would mix in errors of the scale.
@@ -163,14 +186,18 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
         known = np.isfinite(raw_angle)
         raw_angle[known] = np.unwrap(raw_angle[known])
         raw_angle[~measured] = np.nan
-        least = 1.4 * LEAST_NOISE_PX * pixel / max(float(np.nanmedian(separation)), 1e-12)
-        angle = smooth(times, raw_angle[None], both, segments, least_sd=least)
-        error = least / LEAST_NOISE_PX * SYSTEMATIC_PX
-        angle = replace(angle, position_sd=np.hypot(angle.position_sd, error))
+        turn = np.sqrt(2) / max(float(np.nanmedian(separation)), 1e-12)
+        angle = smooth(clock, raw_angle[None], both, segments, least_sd=turn * white, trusted=trusted)
+        # Errors of a marker hidden in part last as long as it is: they do not average out.
+        off = np.hypot(*hidden[rows]) * pixel / TWO_SIDED / np.nanmedian(separation)
+        # Both ends of a silhouette are of one outline: its length does not show all errors of its direction.
+        along = lasting if setup.marker(setup.head_name).method == "background" else seen[1]
+        angle = replace(angle, position_sd=np.sqrt(angle.position_sd**2 + (turn * along) ** 2 + off**2))
         # Tilted by the smoothed heading: the raw one would add its noise to the path.
         raw = raw + _turned(lever, angle.position[0])
-    path = smooth(times, raw, weights, segments, least_sd=LEAST_NOISE_PX * pixel)
-    path = replace(path, position_sd=np.hypot(path.position_sd, SYSTEMATIC_PX * pixel))
+    path = smooth(clock, raw, weights, segments, least_sd=white, trusted=trusted)
+    off = hidden[rows if places is not None else [head]].max(axis=0) * pixel / TWO_SIDED
+    path = replace(path, position_sd=np.sqrt(path.position_sd**2 + lasting**2 + off**2))
     if angle is not None:
         # An error of the heading moves the reference point across the lever.
         across = np.abs(_turned(np.array([-lever[1], lever[0]]), angle.position[0]))
@@ -179,8 +206,100 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
             position_sd=np.hypot(path.position_sd, across * angle.position_sd),
             velocity_sd=np.hypot(path.velocity_sd, across * angle.velocity_sd),
         )
+    if held.repeated.any():
+        path = _at_stamps(path, clock, times, segments, clock_sd)
+        angle = None if angle is None else _at_stamps(angle, clock, times, segments, clock_sd)
+    path, angle = _with_plane_error(path, angle, plane, separation)
     heading = (raw_angle, angle, markers, separation)
-    return Pose(times, measured, segment, raw, path, *heading, hidden, plane, rows)
+    return Pose(times, measured, segment, raw, path, *heading, held, hidden, plane, rows)
+
+
+def _held_pictures(track: RawTrack, rows: list[int]) -> Held:
+    """Return the frames that repeat the picture before, by how little changes about the markers.
+
+    Nothing changes there either while the robot rests or turns round. Therefore the change must be large
+    right before and after, and the markers must go on in the same direction. The sum of the changes, in which
+    repeats are exact, is the channel whose held samples give the times of the pictures.
+    """
+    change = np.zeros(len(track.times)) if track.change is None else np.nan_to_num(track.change)
+    usual = maximum_filter1d(change, 2 * MAX_HELD_FRAMES + 3)
+    place = np.concatenate([np.stack(track.centre(row)) for row in rows])
+    repeated = np.zeros(len(change), dtype=bool)
+    for start, end in runs(change < SMALL_CHANGE[0] * usual):
+        sides = [k for k in (start - 1, end) if 1 <= k < len(change)]
+        sharp = SMALL_CHANGE[1] * change[sides].min() > change[start:end].max()
+        steps = [place[:, k] - place[:, k - 1] for k in sides]
+        onward = len(steps) < 2 or steps[0] @ steps[1] > 0
+        first = max(start, 1)
+        repeated[first:end] = sharp and onward and 0 < end - first <= MAX_HELD_FRAMES
+    if len(runs(repeated)) < MIN_HELD_RUNS:
+        return Held(np.zeros_like(repeated), usual_step(track.times), 0.0, track.times, 0.0)
+    least = float(np.median(change[~repeated]))
+    return find_held(track.times, [np.cumsum(np.where(repeated, 0.0, np.maximum(change, least)))])
+
+
+def _picture_times(times: Array, held: Held) -> tuple[Array, float]:
+    """Return when the picture of each frame was taken, and the largest error of a common offset, s.
+
+    A picture is stamped up to ``lateness_s`` after it was taken. The times of an even camera are known but
+    for what the spread of their lateness leaves of that; the middle is taken. Frames that repeat a picture
+    lie between.
+    """
+    fresh = np.flatnonzero(~held.repeated)
+    taken = held.measured_s[fresh]
+    left = max(held.lateness_s - float(np.max(times[fresh] - taken)), 0.0)
+    between = np.interp(np.arange(len(times)), fresh, times[fresh] - taken + left / 2)
+    clock = np.interp(np.arange(len(times)), fresh, taken - left / 2)
+    outside = np.arange(len(times)) > fresh[-1]
+    clock[outside] = times[outside] - between[outside]
+    return clock, left / 2
+
+
+def _at_stamps(
+    values: Smoothed, clock: Array, times: Array, segments: list[tuple[int, int]], clock_sd: float
+) -> Smoothed:
+    """Return coordinates smoothed at the times of the pictures at the stamps of the frames.
+
+    ``clock_sd`` is half of the range of their offset, so that the 95 % band holds every offset in it.
+    """
+    position, velocity = values.position.copy(), values.velocity.copy()
+    for a, b in segments:
+        curve = CubicHermiteSpline(clock[a:b], values.position[:, a:b], values.velocity[:, a:b], axis=1)
+        position[:, a:b], velocity[:, a:b] = curve(times[a:b]), curve(times[a:b], 1)
+    sd = np.hypot(values.position_sd, np.abs(velocity) * clock_sd)
+    return replace(values, position=position, velocity=velocity, position_sd=sd)
+
+
+def _with_plane_error(
+    path: Smoothed, angle: Smoothed | None, plane: Plane, separation: Array | None
+) -> tuple[Smoothed, Smoothed | None]:
+    """Return path and heading with the error of the calibration points in their standard deviations."""
+    moved = plane.variations(path.position)
+    path = replace(path, position_sd=np.sqrt(path.position_sd**2 + np.sum(moved**2, axis=0)))
+    if angle is None or separation is None:
+        return path, angle
+    way = float(np.nanmedian(separation)) * np.stack([np.cos(angle.position[0]), np.sin(angle.position[0])])
+    # across the line of the markers, as the one end moves against the other
+    apart = (moved - plane.variations(path.position - way)) / np.nansum(way**2, axis=0)
+    turned = apart[:, 1] * way[0] - apart[:, 0] * way[1]
+    return path, replace(angle, position_sd=np.sqrt(angle.position_sd**2 + np.sum(turned**2, axis=0)))
+
+
+def _centroid_errors(separation: Array) -> tuple[float, float]:
+    """Standard deviations of a centroid's white and lasting error, from the distance of two rigid markers.
+
+    The distance is constant: half of its variance is that of one centroid's error along it. The covariance of
+    samples that are :data:`LASTING_LAGS` frames apart is that of errors that last; the rest is white and
+    averages out. A few outliers are drawn in to four robust standard deviations.
+    """
+    off = separation - np.nanmedian(separation)
+    off = np.clip(off, *(np.array([-4.0, 4.0]) * 1.4826 * np.nanmedian(np.abs(off))))
+    total = float(np.nanmean(off**2)) / 2
+    products = np.concatenate([off[lag:] * off[:-lag] for lag in LASTING_LAGS])
+    if np.isfinite(products).sum() < MIN_PRODUCTS:
+        return 0.0, 0.0
+    lasting = min(max(float(np.nanmean(products)) / 2, 0.0), total)
+    return float(np.sqrt(total - lasting)), float(np.sqrt(lasting))
 
 
 def _turned(vector: Array, angle: Array) -> Array:
@@ -260,10 +379,7 @@ def _weights(track: RawTrack, marker: int, hidden: Array) -> Array:
         usual = float(np.median(track.confidence[marker, seen]))
         weights[seen] = np.clip(usual / np.maximum(track.confidence[marker, seen], 1e-3), 1, 5) ** 2
     noise = max(_noise_px(track, marker), LEAST_NOISE_PX)
-    for start, end in runs(hidden > 0):
-        # The errors of a stretch are alike: together they count as one measurement, not as many.
-        weights[start:end] += (end - start) * (hidden[start:end] / noise) ** 2
-    return weights
+    return np.asarray(weights + (hidden / TWO_SIDED / noise) ** 2)
 
 
 def _noise_px(track: RawTrack, marker: int) -> float:

@@ -148,7 +148,9 @@ def candidates(samples: Samples) -> tuple[list[Candidate], list[Passed]]:
             f"no coloured marker moves in {samples.video.path.name}. "
             f"{colour.describe_colours(samples.frames[::6])}",
             hint="put a saturated sticker (red, yellow, green) on the robot and keep the film in colour; a "
-            "marker that hardly moves, or is white, grey or black, is picked by hand: --marker name@x,y",
+            "marker that hardly moves, or is white, grey or black, is picked by hand: --marker name@x,y; "
+            "a whole body "
+            "in front of its empty scene is followed with --background",
         )
     judged = [_judge(samples, hsv, peak) for peak in _peaks(hsv, len(samples.frames))]
     passed = [c for c in judged if isinstance(c, Passed)]
@@ -322,11 +324,3 @@ def partners(first: Candidate, others: list[Candidate]) -> list[Candidate]:
         if middle > 3 and spread < SECOND_SPREAD * middle and 0.1 < sizes < 10:
             found.append((spread / middle, other))
     return [other for _, other in sorted(found, key=lambda item: item[0])]
-
-
-def leads(first: Candidate, second: Candidate) -> bool:
-    """Whether the first of two markers is ahead: the pair moves towards it."""
-    step = np.diff(0.5 * (first.place + second.place), axis=0)
-    axis = (first.place - second.place)[:-1]
-    known = np.isfinite(step).all(axis=1) & np.isfinite(axis).all(axis=1)
-    return bool(np.sum(step[known] * axis[known]) >= 0)

@@ -47,6 +47,9 @@ class RawTrack:
     mistaken : dict of str to (int, float)
         Markers that were first mistaken for something else: how many sights of it were taken back, and its
         area, px.
+    change : ndarray, shape (n,), optional
+        Mean difference of the picture about the markers from the picture before, grey levels; the largest of
+        all markers, NaN where none was seen in the frame before.
     """
 
     times: NDArray[np.float64]
@@ -60,6 +63,7 @@ class RawTrack:
     drift: dict[str, NDArray[np.float64]]
     rivals: dict[str, int]
     mistaken: dict[str, tuple[int, float]] = field(default_factory=dict)
+    change: NDArray[np.float64] | None = None
 
     @property
     def seen(self) -> NDArray[np.bool_]:

@@ -10,11 +10,12 @@ import numpy as np
 
 from swimid.notices import warn
 from swimid.progress import Step
-from swimid.tracking import motion
+from swimid.tracking import motion, plane
 from swimid.tracking.follow import Follower
 from swimid.tracking.rawtrack import RawTrack
 from swimid.tracking.reader import Frame, FrameKeeper, Video
 from swimid.tracking.setup import Box, Setup
+from swimid.tracking.silhouette import Silhouette, empty_scene
 
 #: Frames kept for the report.
 REPORT_FRAMES = 6
@@ -34,18 +35,18 @@ class Run:
     kept: dict[int, Frame]
 
 
-def follow(path: Path, setup: Setup, *, step: Step) -> Run:
+def follow(path: Path, setup: Setup, *, step: Step, file: str | None = None) -> Run:
     """Follow the markers of ``setup`` through a video.
 
     A thing of the marker's colour that never moves, while something else of the colour is
     about, is not the marker: the video is then read again with that thing left out, and the
-    second result is taken when it moves.
+    second result is taken when it moves. ``file`` names the setup in messages.
     """
-    first = _once(path, setup, step)
+    first = _once(path, setup, step, file)
     boxes = _motionless(first)
     if not boxes:
         return first
-    second = _once(path, setup.model_copy(update={"ignore_px": [*setup.ignore_px, *boxes]}), step)
+    second = _once(path, setup.model_copy(update={"ignore_px": [*setup.ignore_px, *boxes]}), step, file)
     for name in second.track.names:
         if motion.reach(second.track, name).radii < _LEAST_WAY and name in _static_names(first):
             return first
@@ -58,10 +59,16 @@ def follow(path: Path, setup: Setup, *, step: Step) -> Run:
     return second
 
 
-def _once(path: Path, setup: Setup, step: Step) -> Run:
+def _once(path: Path, setup: Setup, step: Step, file: str | None) -> Run:
     video = Video(path, frame_rate_hz=setup.frame_rate_hz, apply_rotation=setup.apply_rotation)
     video.demand_clock()
-    follower = Follower(setup, video.width, video.height)
+    if setup.camera is not None:
+        plane.camera_matrix(setup.camera, video.width, video.height, file)
+    follower: Follower | Silhouette
+    if setup.markers[0].method == "background":
+        follower = Silhouette(setup, empty_scene(path, setup), video.width, video.height)
+    else:
+        follower = Follower(setup, video.width, video.height)
     keeper = FrameKeeper(4 * REPORT_FRAMES - 1)
     for index, (time, frame) in enumerate(video.frames()):
         follower.step(time, frame)

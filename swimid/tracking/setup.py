@@ -60,6 +60,8 @@ class Marker(Document):
     """One kind of marker: its colour, how many there are, and how large they look."""
 
     name: Annotated[str, Field(min_length=1, max_length=40)]
+    #: ``background``: the whole body, by its difference from the empty scene; it needs no colour.
+    method: Literal["colour", "background"] = "colour"
     hsv: HsvRange | None = None
     #: ``"#rrggbb"``, with ``tolerance`` about it.
     colour: str | None = None
@@ -75,7 +77,12 @@ class Marker(Document):
     def _one_colour(self) -> Marker:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", self.name):
             raise ValueError(f"marker name '{self.name}' must be letters, digits, - and _, a letter first")
-        if (self.hsv is None) == (self.colour is None):
+        if self.method == "background":
+            if self.hsv is not None or self.colour is not None or self.number > 1:
+                raise ValueError(
+                    f"marker '{self.name}' has method: background; it takes no colour, and number 1"
+                )
+        elif (self.hsv is None) == (self.colour is None):
             raise ValueError(f"marker '{self.name}' needs either hsv or colour")
         if self.tolerance is not None and self.colour is None:
             raise ValueError(f"marker '{self.name}': tolerance goes with colour, not with hsv")
@@ -90,6 +97,8 @@ class Marker(Document):
     @property
     def names(self) -> list[str]:
         """Names of the single markers: the name, or name1, name2, ... when there are several."""
+        if self.method == "background":
+            return [self.name, f"{self.name}_rear"]
         return [self.name] if self.number == 1 else [f"{self.name}{i + 1}" for i in range(self.number)]
 
     def colour_range(self) -> HsvRange:
@@ -160,6 +169,8 @@ class Camera(Document):
     """Lens calibration as OpenCV gives it."""
 
     matrix: tuple[tuple[float, float, float], ...]
+    #: Width and height of the pictures that the matrix was estimated from; it is scaled to the film's.
+    size_px: tuple[_Positive, _Positive] | None = None
     distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
@@ -185,6 +196,8 @@ class Setup(Document):
     plane: Literal["horizontal", "vertical"] = "horizontal"
     #: Vertical plane: which way the robot faces in the picture, and x of the log runs.
     facing: Literal["auto", "right", "left"] = "auto"
+    #: Direction of motion: a track that goes the other way most of the time is bad.
+    swims: Literal["head-first", "tail-first"] = "head-first"
     #: Robot whose file gives the places of the markers named as its own, where ``at_m`` does not.
     robot: str | None = None
     #: Reference point seen from the head marker: forward, and to port (up in the vertical plane), m.
@@ -215,6 +228,8 @@ class Setup(Document):
             raise ValueError("tail is given without head")
         if self.head is not None and self.head == self.tail:
             raise ValueError(f"head and tail are both '{self.head}'")
+        if len(self.markers) > 1 and any(marker.method == "background" for marker in self.markers):
+            raise ValueError("a marker with method: background is the only marker of a setup")
         if self.head is None and len(self.markers) > 1:
             raise ValueError(f"say which marker is the head (and the tail); there are: {', '.join(names)}")
         if self.reference_offset_m != (0.0, 0.0) and (self.tail is None or self.scale is None):

@@ -345,6 +345,7 @@ def smooth(
     segments: list[tuple[int, int]],
     *,
     least_sd: float = 0.0,
+    trusted: NDArray[np.bool_] | None = None,
 ) -> Smoothed:
     """Smooth coordinates that share their noise, segment by segment.
 
@@ -359,7 +360,10 @@ def smooth(
     segments : list of (start, end)
         Stretches to smooth, ``end`` exclusive; outside of them the result is NaN.
     least_sd : float
-        The measurement noise is not believed to be below this.
+        Lower bound of the measurement noise.
+    trusted : ndarray of bool, shape (n,), optional
+        Measurements that the noise is estimated from. The errors of the others are not independent from
+        sample to sample: with them the likelihood would take the noise for motion.
 
     Returns
     -------
@@ -379,10 +383,11 @@ def smooth(
     d, n = values.shape
     names = ("position", "velocity", "position_sd", "velocity_sd", "innovation")
     out = {name: np.full((d, n), np.nan) for name in names}
+    told = values if trusted is None else np.where(trusted, values, np.nan)
     pieces = [
         (times[a:b], row[a:b], weights[a:b])
         for a, b in segments
-        for row in values
+        for row in told
         if np.count_nonzero(~np.isnan(row[a:b])) >= 6
     ]
     typical = float(np.median(np.diff(times))) if n > 1 else 1.0

@@ -127,9 +127,11 @@ def track_setup(
             raise UsageError(f"{output} exists", hint="name another file, or give --force to replace it")
     video = Path(video)
     common = {"scale": options.scale, "plane": options.plane, "frame_rate_hz": options.fps}
+    passed: list[Passed] = []
     if options.picks:
-        passed: list[Passed] = []
         run, remarks = _by_hand(video, options, common, progress)
+    elif options.background:
+        run, remarks = _by_background(video, common, progress)
     else:
         run, remarks, passed = _unattended(video, common, progress)
     setup = _measured(run)
@@ -138,11 +140,18 @@ def track_setup(
     lines = []
     for name, share in shares.items():
         marker = setup.marker(name)
-        hue = "{:g}..{:g} deg".format(*marker.colour_range().hue_deg)
+        hue = (
+            "hue {:g}..{:g} deg".format(*marker.colour_range().hue_deg)
+            if marker.method == "colour"
+            else "any colour"
+        )
         area = "any" if marker.area_px is None else "{:g}..{:g}".format(*marker.area_px)
-        lines.append(f"{name}: found in {100 * share:.1f} % of the frames, hue {hue}, area {area} px")
+        lines.append(f"{name}: found in {100 * share:.1f} % of the frames, {hue}, area {area} px")
     lines += [f"passed over: {one}" for one in passed]
     lines.append(f"head {setup.head}{f', tail {setup.tail}' if setup.tail else '; no tail, so no yaw'}")
+    ahead = None if setup.tail is None else motion.head_first(run.track, setup.head_name, setup.tail)
+    if ahead is not None:
+        lines.append(f"swims head first in {100 * ahead:.0f} % of the steps")
     if setup.scale is None:
         lines.append("no scale yet: positions will be in pixels. Fill in 'scale' in the file")
     if output is not None:
@@ -154,6 +163,7 @@ def track_setup(
         "markers": [m.model_dump(mode="json", exclude_none=True) for m in setup.markers],
         "head": setup.head,
         "tail": setup.tail,
+        "head_first_share": ahead,
         "found_share": shares,
         "passed_over": [{"colour": p.name, "hue_deg": p.hue_deg, "reason": p.reason} for p in passed],
     }
@@ -184,13 +194,12 @@ def _unattended(
     for k, first in enumerate(found[:_TRIES]):
         for second in [*propose.partners(first, found[k + 1 :])[: _TRIES - 1], None]:
             pair = [first] if second is None else [first, second]
-            if second is not None and not propose.leads(first, second):
-                pair.reverse()
             run = _tried(video, pair, common, progress)
             scene = camera.between(shift, samples.indices, len(run.track.times))
             faults = _faults(run, pair, scene)
             reasons |= {id(pair[i]): text for i, text in faults.items()}
             if not faults:
+                run = _led_by_its_head(run)
                 rest = [c for c in found if c not in pair]
                 passed += [c.passed(reasons.get(id(c)) or _weaker(c, pair)) for c in rest]
                 return run, [c.remark for c in pair], passed
@@ -202,6 +211,14 @@ def _unattended(
         f"{colour.describe_colours(samples.frames[::6])}",
         hint="pick the markers by hand: --marker name@x,y with --frame",
     )
+
+
+def _led_by_its_head(run: Run) -> Run:
+    """Return a trial whose head is the marker towards which the pair moves in most steps."""
+    head, tail = run.setup.head, run.setup.tail
+    if head is None or tail is None or (motion.head_first(run.track, head, tail) or 0.0) >= 0.5:
+        return run
+    return replace(run, setup=run.setup.model_copy(update={"head": tail, "tail": head}))
 
 
 def _tried(video: Path, pair: list[Candidate], common: dict[str, Any], progress: Progress) -> Run:
@@ -276,6 +293,25 @@ def _by_hand(
     return replace(run, setup=setup), remarks
 
 
+def _by_background(video: Path, common: dict[str, Any], progress: Progress) -> tuple[Run, list[str]]:
+    """Return a trial of the body that differs from the empty scene, and a remark on it.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        When nothing differs in most frames.
+    """
+    setup = _setup([Marker(name="body", method="background")], common)
+    with progress(f"trying {setup.head}") as step:
+        run = follow(video, setup, step=step)
+    if run.track.found[0].mean() < motion.LEAST_SHARE:
+        raise NoTrustworthyResult(
+            f"nothing in {video.name} differs from the empty scene",
+            hint="the scene is the film's median: the body must leave its place for more than half of it",
+        )
+    return run, ["the whole body, by its difference from the empty scene"]
+
+
 def _doubts(setup: Setup, run: Run, shares: dict[str, float]) -> None:
     """Warn of markers hardly found, of those that do not move, and of a pair that keeps no distance."""
     for name, share in shares.items():
@@ -290,6 +326,13 @@ def _doubts(setup: Setup, run: Run, shares: dict[str, float]) -> None:
             )
     if setup.head is None or setup.tail is None:
         return
+    ahead = motion.head_first(run.track, setup.head, setup.tail)
+    if ahead is not None and ahead < 0.5:
+        warn(
+            "SWM100",
+            f"the robot swims head first in {100 * ahead:.0f} % of the steps only: exchange head "
+            f"'{setup.head}' and tail '{setup.tail}' in the setup, or say there 'swims: tail-first'",
+        )
     separation = motion.distance(run.track, setup.head, setup.tail)
     if separation is not None and separation.change > motion.DISTANCE_SPREAD[0]:
         change = f"{100 * separation.change:.1f} %"
@@ -332,14 +375,11 @@ def _text(
         "markers:",
     ]
     for marker, remark in zip(setup.markers, remarks, strict=True):
-        hsv = marker.colour_range()
         found = ", ".join(f"{100 * shares[name]:.1f} %" for name in marker.names)
         lines += [
             f"  - name: {marker.name}",
             f"    # Found in {found} of the frames; {remark}.",
-            "    # Hue runs from the first to the second angle, through 0 for red.",
-            f"    hsv: {{hue_deg: {_list(hsv.hue_deg)}, saturation: {_list(hsv.saturation)}, "
-            f"value: {_list(hsv.value)}}}",
+            *_look(marker),
             f"    area_px: {_list(marker.area_px or (12.0, 1e5))}",
         ]
         if marker.number > 1:
@@ -374,6 +414,18 @@ def _text(
     else:
         lines += ["# ignore_px: [[left, top, right, bottom]]"]
     return "\n".join(lines) + "\n"
+
+
+def _look(marker: Marker) -> list[str]:
+    """Lines of a setup that say how a marker is told from the rest."""
+    if marker.method == "background":
+        return ["    method: background"]
+    hsv = marker.colour_range()
+    return [
+        "    # Hue runs from the first to the second angle, through 0 for red.",
+        f"    hsv: {{hue_deg: {_list(hsv.hue_deg)}, saturation: {_list(hsv.saturation)}, "
+        f"value: {_list(hsv.value)}}}",
+    ]
 
 
 def _list(values: Any) -> str:

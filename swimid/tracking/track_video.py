@@ -139,7 +139,7 @@ def track_video(
     made = Path(f"{video.stem}.csv") if output is None else output
     with recorded(repeat=True) as notices:
         with progress(f"tracking {video.name}") as step:
-            run = follow(video, rules, step=step)
+            run = follow(video, rules, step=step, file=str(provenance.path_of(source)))
         result, painter = _told(run, source, made, options, metadata or {}, notices)
         with atomic.together():
             result = result.saved(output)
