@@ -14,6 +14,7 @@ from tests.generators import rig_faults as generator
 Run = Callable[..., Ran]
 
 
+@pytest.mark.slow
 def test_a_pitching_pendulum_of_unknown_stiffness(swimid: Run, tmp_path: Path) -> None:
     trials = generator.pitch_pendulum(tmp_path)
     assert "--free gravity_stiffness --fix stiffness=0" in swimid("fit-drag", trials).err
