@@ -2,7 +2,7 @@
 
     python -m tests.generators.sprung_tail DATA FOLDER
 
-DATA is the folder ``fishsim`` of the recordings. They are not part of this project. The camera looks down, and
+DATA is the folder ``fishsim`` of the recordings. They are not part of this project. The camera looks down;
 the picture's y axis points down. The distance of the two markers on the rigid head sets the scale.
 """
 
