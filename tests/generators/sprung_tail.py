@@ -2,8 +2,8 @@
 
     python -m tests.generators.sprung_tail DATA FOLDER
 
-DATA is the folder ``fishsim`` of the recordings, which are not part of this project. The camera looks down,
-with the y axis of the picture pointing down. The distance of the two markers on the rigid head sets the scale.
+DATA is the folder ``fishsim`` of the recordings. They are not part of this project. The camera looks down;
+the picture's y axis points down. The distance of the two markers on the rigid head sets the scale.
 """
 
 from __future__ import annotations
