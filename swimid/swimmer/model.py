@@ -513,7 +513,8 @@ class LinkedModel(Swimmer):
 
         section = run.begin_s - self._since_phase_zero(run)
         driven = replace(command, phase_rad=0.0)
-        moved = [i for i in self._influences(run.hooks) if self.parameters[i].name != "drive_phase"]
+        others = ("drive_phase", "initial_")
+        moved = [i for i in self._influences(run.hooks) if not self.parameters[i].name.startswith(others)]
         kind = (driven, run.hooks.key, self.max_step)
         key = (*kind, run.values[moved].tobytes())
         with self._lock:
