@@ -135,7 +135,9 @@ def _row_checks(found: Examined) -> list[Check]:
         blocks.check("Rows kept", value, limit, dropped <= MAX_DROPPED * n, otherwise="fail", text=why)
     )
     unknown = ", ".join(mapped.unknown)
-    why = f"nothing states the quantity of {unknown}: map it to a name with a unit, or to unit: '1'"
+    why = "every name states a quantity and its unit"
+    if unknown:
+        why = f"nothing states the quantity of {unknown}: map it to a name with a unit, or to unit: '1'"
     value = f"{len(mapped.unknown)} columns unknown"
     checks.append(
         blocks.check(
