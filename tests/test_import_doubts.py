@@ -196,3 +196,15 @@ def test_one_unreadable_file_does_not_end_the_others(swimid: Run, tmp_path: Path
     assert "1 of 3 logs" in ran.err
     assert "b.csv" in ran.err
     assert {path.name for path in (tmp_path / "out").glob("*.csv")} == {"a.csv", "c.csv"}
+
+
+@pytest.mark.parametrize("decimals", [3, 4])
+def test_rounding_of_a_steady_motion_is_no_stroke(decimals: int, imported: Any, tmp_path: Path) -> None:
+    """A line of constant speed, rounded: the rounding error is periodic, and fits a sine without an error."""
+    time = np.arange(600) / 30.0
+    table = pd.DataFrame({"t_s": time, "x_m": np.round(0.2 * time, decimals)})
+    table.to_csv(tmp_path / "a.csv", index=False)
+    assert "unknown" in imported()["stroke"]
+    table["x_m"] = np.round(0.2 * time + 0.01 * np.sin(2 * np.pi * 1.3 * time), decimals)
+    table.to_csv(tmp_path / "a.csv", index=False)
+    assert imported()["stroke"]["frequency_hz"] == pytest.approx(1.3, abs=2e-3)

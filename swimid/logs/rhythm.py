@@ -22,7 +22,7 @@ from swimid.logs.beat import (
     find_slow_motion,
     multiple,
 )
-from swimid.logs.sampling import longest_even
+from swimid.logs.sampling import longest_even, quantum
 
 Array = NDArray[np.float64]
 #: Channels that swing once a stroke, to one side and to the other.
@@ -267,7 +267,25 @@ def _motions(
             turning = Beat(turns / float(np.ptp(time_s)), 0.0, 0.0, 0.0, turns)
             resolution = 1.0 / float(np.ptp(time_s))
             seen[name] = [b for b in seen[name] if not 1 <= multiple(b, turning, resolution) <= DEVIATION]
+        last_place = _last_place(columns, name)
+        seen[name] = [beat for beat in seen[name] if not _is_rounding(beat, last_place)]
     return channels, {name: beats for name, beats in seen.items() if beats}
+
+
+def _last_place(columns: Mapping[str, Array], name: str) -> float:
+    """Return the step of the last decimal of a channel, or of the positions that it is made of."""
+    place = _place(columns)
+    made_of = [columns[name]] if name in columns else [] if place is None else list(place.T)
+    return sum(quantum(values) for values in made_of)
+
+
+def _is_rounding(beat: Beat, last_place: float) -> bool:
+    """Return whether rounding to the last decimal may cause a beat.
+
+    A rounding error is at most half of the last place. A steady motion makes it periodic. Where the whole
+    motion about its drift is no larger, nothing tells the beat from it.
+    """
+    return beat.amplitude <= last_place / 2 * np.sqrt(2.0 * beat.share)
 
 
 def _is_lap(time_s: Array, columns: Mapping[str, Array], frequency_hz: float) -> bool:
