@@ -311,7 +311,7 @@ def test_sample_is_small_and_tracks(tmp_path, samples):
 
 
 def test_a_scale_a_thousand_times_too_large_is_never_good(tmp_path, plain, by_hand):
-    """Corners given in millimetres as metres: a fish of 200 m/s. The stated unit is believed, with caution."""
+    """Corners given in millimetres as metres: a fish of 200 m/s. The stated unit is believed."""
     text = by_hand.read_text()
     line = next(line for line in text.splitlines() if "points_m" in line)
     key, numbers = line.split(":", 1)
