@@ -209,7 +209,7 @@ def omission_checks(plain: FitResult, omitted: Sequence[Omitted]) -> list[ev.Che
     limit = f"p ≥ {SIGNIFICANCE:g}, and no other law explains as much"
     if not omitted:
         held = [p.name for p in plain.parameters if not p.free and not p.per_trial]
-        tried = f"each of {', '.join(held)} was tried in a fit of its own" if held else "none is held"
+        tried = f"tried, each in a fit of its own: {', '.join(held)}" if held else "none is held"
         return [blocks.check(name, "none", limit, True, text=tried)]
     more = f"; {len(omitted) - MAX_NAMED} more parameters, less well" if len(omitted) > MAX_NAMED else ""
     warn("SWM024", "; ".join(_sentence(plain, o) for o in omitted[:MAX_NAMED]) + more)
