@@ -71,7 +71,7 @@ _SPELLED = {
     "tick": ("ticks",),
 }
 #: Columns of the log format without a unit.
-_NO_UNIT = re.compile(r"q[wxyz]|(.+_)?(likelihood|score|confidence)|found|interpolated")
+_NO_UNIT = re.compile(r"q[wxyz]|m[xyz]|(.+_)?(likelihood|score|confidence)|found|interpolated")
 _SPELLINGS = {spelling: unit for unit, others in _SPELLED.items() for spelling in others}
 
 
