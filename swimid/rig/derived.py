@@ -102,7 +102,23 @@ def possible(experiment: Experiment, result: FitResult) -> list[ev.Check]:
     # a value that the trials do not tell is no evidence of anything impossible
     told = [limit for limit in limits if limit and result.status[limit[0]] != "unidentifiable"]
     checks = [_estimate_possible(result, *limit) for limit in told]
-    return [*checks, *_force_possible(experiment)]
+    return [*checks, *_force_possible(experiment), *_swing_possible(experiment)]
+
+
+def _swing_possible(experiment: Experiment) -> list[ev.Check]:
+    """Check that no body swings by more than half a turn in roll or pitch: beyond it, it turns over."""
+    swings = [
+        (float(np.nanmax(np.abs(values - np.nanmedian(values)))), trial.id)
+        for trial in experiment.trials
+        for name, values in trial.measured.items()
+        if experiment.name == "free-decay" and name in ("roll_rad", "pitch_rad")
+    ]
+    if not swings:
+        return []
+    swing, name = max(swings)
+    text = "a body that swings farther in roll or pitch turns over: are these degrees?"
+    value, limit = f"{numbers.number(swing, 3, 'rad')} in {name}", f"≤ {numbers.number(math.pi, 3, 'rad')}"
+    return [blocks.check("swing possible", value, limit, swing <= math.pi, otherwise="fail", text=text)]
 
 
 #: The name of an estimate, the most it can be, of what body, and what to look at where it is more.
