@@ -19,6 +19,7 @@ from pydantic import Field, field_validator, model_validator
 
 from swimid.errors import InputError
 from swimid.files import yamlio
+from swimid.files.delimited import number_hint
 from swimid.files.provenance import path_of
 from swimid.logs import clock, instances, likelihood, profiles, units
 from swimid.logs.choices import Choices
@@ -409,11 +410,7 @@ def _of_text(table: Table, name: str, path: Path) -> Array:
         raise InputError("holds text, not numbers", file=path, column=name)
     row = int(np.argmax(bad))
     cell = str(cells.iloc[row]).strip()[:40]
-    hint = (
-        "leave the cell empty where the sample is missing, or name its mark under 'missing:' of the mapping"
-    )
-    if pd.notna(pd.to_numeric(cell.replace(",", "."), errors="coerce")):
-        hint = "write the decimal point as a dot, or set 'decimal:' under 'reader:' of the mapping"
+    hint = f"{number_hint(cell)}, or name what marks it under 'missing:' of the mapping"
     raise InputError(f"'{cell}' is not a number", file=path, column=name, hint=hint, **table.place(row))
 
 

@@ -57,11 +57,6 @@ class Layout:
     units: list[str]
     notes: list[str]
 
-    def readable(self, cell: str) -> bool:
-        """Return whether a cell is a number or marks a missing sample."""
-        text = cell.strip()
-        return text in MISSING or text in self.missing or _value(text, self.decimal) is not None
-
 
 def find(path: Path, options: Options) -> Layout:
     """Return the layout of a file: stated by the options, else found in its first lines.
