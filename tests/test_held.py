@@ -30,6 +30,17 @@ def test_the_times_of_an_even_camera_are_found(share: float) -> None:
     assert np.ptp(off) < max(4.0 * found.measured_sd_s, 1e-3)
 
 
+def test_a_log_that_begins_amid_a_hold_keeps_the_period_of_the_camera() -> None:
+    # the first sample of 100 shows a picture that was almost a period old
+    stamps, late = np.arange(100) / 30, 0.99
+    picture = np.floor(0.45 * np.arange(100) + late).astype(int)
+    place = np.random.default_rng(4).normal(size=(2, 100))[:, picture]
+    found = find_held(stamps, place)
+    assert found.even
+    off = found.measured_s - picture / 0.45 / 30
+    assert np.ptp(off) < 4.0 * found.measured_sd_s + 1e-3
+
+
 def test_a_sensor_of_a_third_of_the_rate_is_told_from_one_at_rest() -> None:
     rng = np.random.default_rng(1)
     slow = np.repeat(np.cumsum(rng.normal(size=(200, 3)), axis=0), 3, axis=0).T

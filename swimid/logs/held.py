@@ -224,11 +224,13 @@ def _timed(time_s: Array, rows: NDArray[np.intp], repeated: Flags) -> Held:
     stamps, step = time_s[fresh], usual_step(time_s)
     gaps = np.diff(stamps)
     period = float(np.mean(gaps[gaps <= LONG_HOLD * np.median(gaps)]))
-    line = late_grid(stamps, period, step)
+    # the log may begin amid a hold: the lateness of the first stamp has no limit of one step
+    line = late_grid(stamps[1:], period, step)
     # uneven stamps fit an even sensor by chance, each with the probability step / period
-    if line is None or (len(stamps) - 2) * np.log(line[0] / step) < -np.log(FALSE_ALARM):
+    if line is None or (len(stamps) - 3) * np.log(line[0] / step) < -np.log(FALSE_ALARM):
         return Held(repeated, period, step, time_s, step / np.sqrt(12.0))
     period, measured, slack = line
+    measured = np.append(measured[0] - period, measured)
     # a repeated sample shows the measurement of the fresh sample before it
     shown = np.clip(np.searchsorted(fresh, np.arange(len(time_s)), side="right") - 1, 0, None)
     # the last measurement moves evenly over the slack; each end has its half of the variance

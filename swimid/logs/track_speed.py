@@ -131,9 +131,14 @@ def net_speed(
     Notes
     -----
     A polynomial and two harmonics are fitted by least squares: to both ends of the track, or to all of a
-    short one. There the Bayesian information criterion chooses the order and the frequency, and an amplitude
-    that changes linearly covers the error of the frequency. Correlated residuals widen the interval by the
-    factor of a first-order autoregressive process.
+    short one. There orders and frequencies are averaged with the weights of the Bayesian information
+    criterion [1]_, and an amplitude that changes linearly covers the error of the frequency. Correlated
+    residuals widen the interval by the factor of a first-order autoregressive process.
+
+    References
+    ----------
+    .. [1] Hoeting, J. A., Madigan, D., Raftery, A. E., Volinsky, C. T. (1999). Bayesian model averaging: a
+       tutorial. Statistical Science 14, 382-417. doi:10.1214/ss/1009212519
     """
     if len(time_s) < MIN_SAMPLES:
         return None
@@ -148,8 +153,14 @@ def net_speed(
             _fit_path(time_s, place, (first, last), order, near, changes=True)
             for order, near in product(range(1, MAX_ORDER + 1), near_hz)
         ]
-        _, ends, cover, freedom = min(fits, key=lambda fit: fit[0])
-        away, variance = ends[1] - ends[0], cover[0, 0] + cover[1, 1] - 2.0 * cover[0, 1]
+        criteria = np.array([criterion for criterion, *_ in fits])
+        weights = np.exp(-0.5 * (criteria - criteria.min()))
+        weights /= weights.sum()
+        moves = np.array([ends[1] - ends[0] for _, ends, _, _ in fits])
+        variances = np.array([cover[0, 0] + cover[1, 1] - 2.0 * cover[0, 1] for _, _, cover, _ in fits])
+        away = weights @ moves
+        variance = weights @ (variances + (moves - away) ** 2)
+        freedom = min(freedom for *_, freedom in fits)
     else:
         counts = np.searchsorted(time_s, [first + end_s, last - end_s])
         head, tail = max(int(counts[0]), MIN_SAMPLES), min(int(counts[1]), len(time_s) - MIN_SAMPLES)
