@@ -21,6 +21,7 @@ from swimid.fitting.drives import Beat, Motion
 from swimid.fitting.grading import GOOD, USABLE
 from swimid.fitting.model import Array, Model, Trial
 from swimid.fitting.residual_tests import autocorrelation
+from swimid.notices import recorded
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 
@@ -32,6 +33,8 @@ DEGREE = math.pi / 180.0
 DECISIVE = 10.0
 #: Candidates that are fitted again.
 MAX_REFITS = 4
+#: Relative tolerance of start states while mistakes are tried.
+START_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -286,7 +289,9 @@ def screened(
                 continue
             changed = _renamed(changed, mistake.says)
             try:
-                after = evaluate(changed)
+                # a correction that cannot be simulated is no problem of the recording
+                with recorded():
+                    after = evaluate(changed)
             except (NoTrustworthyResult, np.linalg.LinAlgError):
                 continue
             if after:

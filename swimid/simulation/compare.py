@@ -198,7 +198,7 @@ def _explained(
     """A usual mistake that explains the errors; the shared parameters are held."""
 
     def evaluate(trial: Trial) -> mistakes.Errors:
-        values, _, _ = compare_series.start_of(applied, trial, True)
+        values, _, _ = compare_series.start_of(applied, trial, True, mistakes.START_TOLERANCE)
         return mistakes.misfits(trial, applied.model.attempt(values, trial))
 
     best: mistakes.Explanation | None = None

@@ -157,7 +157,9 @@ def compared(
     return Compared(trial, pairs, own, values, record)
 
 
-def start_of(applied: Applied, trial: Trial, refit: bool) -> tuple[Array, Start, dict[str, float]]:
+def start_of(
+    applied: Applied, trial: Trial, refit: bool, tolerance: float = start_states.TOLERANCE
+) -> tuple[Array, Start, dict[str, float]]:
     """Parameters of a trial with its start state: from the file, estimated, or neutral."""
     model = applied.model
     values = applied.values(trial.id)
@@ -185,7 +187,7 @@ def start_of(applied: Applied, trial: Trial, refit: bool) -> tuple[Array, Start,
         at = zip(model.parameters, _replaced(model, values, start), strict=True)
         held = tuple(replace(p, start=float(v), free=p.name in names) for p, v in at)
         try:
-            labelled = start_states.estimate(model, held, trial, sd)
+            labelled = start_states.estimate(model, held, trial, sd, tolerance=tolerance)
         except (NoTrustworthyResult, np.linalg.LinAlgError):
             continue
         tried = {label.split("[")[0]: v for label, v in labelled.items()}

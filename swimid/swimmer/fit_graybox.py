@@ -36,8 +36,6 @@ from swimid.swimmer.front import Found
 from swimid.swimmer.options import FitGrayboxOptions
 from swimid.swimmer.profiles import Profiles
 
-#: Relative tolerance of start states while usual mistakes are tried.
-COARSE = 1e-3
 #: Number of starts by default, where a search is begun again at all.
 DEFAULT_STARTS = 4
 #: A search of fewer integration steps than this is short: it takes about a second on one processor (1.3 us a
@@ -339,7 +337,7 @@ def _explained(
     def evaluate(trial: Trial) -> mistakes.Errors:
         found: list[mistakes.Errors] = []
         for parameters in sets:
-            own = start_states.estimate(model, parameters, trial, sd, tolerance=COARSE)
+            own = start_states.estimate(model, parameters, trial, sd, tolerance=mistakes.START_TOLERANCE)
             values = np.array([own.get(f"{p.name}[{trial.id}]", p.start) for p in parameters])
             found.append(mistakes.misfits(trial, model.attempt(values, trial)))
         found = [errors for errors in found if errors]
