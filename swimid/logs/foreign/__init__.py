@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
 from swimid.errors import InputError, suggestion
 from swimid.files import yamlio
-from swimid.logs.foreign.base import Options, Reader, Table
+from swimid.logs.foreign.base import Options, Reader, Table, reading
 from swimid.logs.log import Log
 
 
@@ -69,18 +67,8 @@ def open_table(given: str | Path | Log, options: Options | None = None) -> Table
         return Table(dict(given.columns), comments=yamlio.dumps_flat(given.metadata).splitlines())
     path, options = Path(given), options or Options()
     reader = reader_of(path, options)
-    with extra_needed(path, reader.title, reader.extra):
-        return reader.open(path, options)
-
-
-@contextmanager
-def extra_needed(path: Path, title: str, extra: str) -> Iterator[None]:
-    """Turn a failed import of a library into an :class:`InputError` that names the extra to install."""
-    try:
-        yield
-    except ImportError as error:
-        raise InputError(
-            f"is a {title}, and {error.name} to read it is not installed",
-            file=path,
-            hint=f"pip install 'swimid[{extra}]'",
-        ) from error
+    with reading(path, reader.title, reader.extra):
+        table = reader.open(path, options)
+    if not table.columns:
+        raise InputError("holds no samples", file=path)
+    return table

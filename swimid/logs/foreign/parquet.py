@@ -5,15 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 from swimid.logs import log
-from swimid.logs.foreign.base import Options, Reader, Table, reading
+from swimid.logs.foreign.base import Options, Reader, Table
 
 
 def _open(path: Path, options: Options) -> Table:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    with reading(path, "Parquet file"):
-        table = pq.read_table(path)
+    table = pq.read_table(path)
     nested = [
         field.name
         for field in table.schema

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from swimid.errors import InputError
 from swimid.logs.choices import Choices
-from swimid.logs.foreign import extra_needed
 from swimid.logs.foreign.base import Table, reading
 
 
@@ -99,7 +98,7 @@ class Profile:
         """
         Peek.of(path)
         try:
-            with extra_needed(path, self.title, self.extra), reading(path, self.title):
+            with reading(path, self.title, self.extra):
                 return self.read(path, choices)
         except InputError as error:
             if error.hint is None:
