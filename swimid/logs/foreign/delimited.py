@@ -67,10 +67,13 @@ def _open(path: Path, options: Options) -> Table:
     text, notes = _read_utf8(path, options)
     comment = re.compile(rb"(?m)^[ \t]*" + re.escape(options.comment.encode()) + rb"(.*)")
     comments = [line.decode(errors="replace") for line in comment.findall(text[:SAMPLE])]
+    lines = comment.sub(b"", text[:SAMPLE]).decode(errors="replace").split("\n")
+    if len(text) > SAMPLE:
+        lines.pop()
+    found = _find_layout(lines, options, path, notes)
+    text = text.split(b"\n", found.first_line - 1)[-1]
     if options.comment.encode() in text:
         text = comment.sub(b"", text)
-    found = _find_layout(text, options, path, notes)
-    text = text.split(b"\n", found.first_line - 1)[-1]
     if found.delimiter == " ":
         text = _EDGES.sub(b"", _BLANKS.sub(b" ", text))
     try:
@@ -86,13 +89,13 @@ def _open(path: Path, options: Options) -> Table:
             stated |= {name: unit} if unit else {}
         else:
             columns[name] = cells.to_numpy()
-    lines = np.arange(parsed.num_rows, dtype=np.int64) + found.first_line
+    rows = np.arange(parsed.num_rows, dtype=np.int64) + found.first_line
     if text.count(b"\n") + (not text.endswith(b"\n")) != parsed.num_rows:
-        numbered = [at_line for at_line in enumerate(text.split(b"\n"), start=found.first_line) if at_line[1]]
-        lines = np.array([at for at, line in numbered if line not in ragged], dtype=np.int64)
+        numbered = list(enumerate(text.split(b"\n"), start=found.first_line))
+        rows = np.array([at for at, line in numbered if line and line not in ragged], dtype=np.int64)
         broken = [(at, ragged[line]) for at, line in numbered if line.strip() and line in ragged]
-        notes += _note_ragged(broken, len(found.names), len(lines), path)
-    return Table(columns, units=stated, notes=notes, comments=comments, lines=lines)
+        notes += _note_ragged(broken, len(found.names), len(rows), path)
+    return Table(columns, units=stated, notes=notes, comments=comments, lines=rows)
 
 
 def _read_utf8(path: Path, options: Options) -> tuple[bytes, list[str]]:
@@ -113,11 +116,8 @@ def _read_utf8(path: Path, options: Options) -> tuple[bytes, list[str]]:
     return text.encode().replace(b"\r\n", b"\n").replace(b"\r", b"\n"), notes
 
 
-def _find_layout(text: bytes, options: Options, path: Path, notes: list[str]) -> Layout:
-    """Return the layout of a text: stated by the options, else found in its first lines; add to the notes."""
-    lines = text[:SAMPLE].decode(errors="replace").split("\n")
-    if len(text) > SAMPLE:
-        lines.pop()
+def _find_layout(lines: list[str], options: Options, path: Path, notes: list[str]) -> Layout:
+    """Return the layout of a file: stated by the options, else found in its first lines; add to the notes."""
     skip = options.skip_rows or 0
     kept = [(at, line) for at, line in enumerate(lines, start=1) if at > skip and line.strip()]
     if not kept:
