@@ -19,13 +19,9 @@ from swimid.logs.log import Log
 @cache
 def readers() -> dict[str, Reader]:
     """Return every format by its name."""
-    found: dict[str, Reader] = {}
-    for entry in pkgutil.iter_modules(__path__):
-        module = importlib.import_module(f"{__name__}.{entry.name}")
-        reader = getattr(module, "READER", None)
-        if isinstance(reader, Reader):
-            found[reader.name] = reader
-    return found
+    names = [f"{__name__}.{entry.name}" for entry in pkgutil.iter_modules(__path__)]
+    modules = [module for module in map(importlib.import_module, names) if hasattr(module, "READER")]
+    return {module.READER.name: module.READER for module in modules}
 
 
 def reader_of(path: Path, options: Options) -> Reader:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from swimid.errors import InputError, first_line, nearest
+from swimid.errors import InputError, first_line, suggestion
 from swimid.files import yamlio
 from swimid.logs import log
 
@@ -31,7 +31,7 @@ class Options(yamlio.Document):
     #: The format, where neither ending nor content says it.
     kind: str | None = None
     #: Delimiter of a text file: one character, ``tab`` or ``whitespace``.
-    delimiter: Annotated[str, Field(min_length=1, max_length=10)] | None = None
+    delimiter: Annotated[str, Field(pattern=r"^([ !#-~\t]|tab|whitespace)$")] | None = None
     #: Whether a line of names stands above the samples.
     header: bool | None = None
     #: Number of lines before the header, or before the samples.
@@ -97,7 +97,7 @@ class Table:
         loose = [name for name in names if name.strip().lower() == key.strip().lower()]
         if len(loose) == 1:
             return loose[0]
-        hint = _suggest(key, names, "the file has")
+        hint = suggestion(key, names, "the file has")
         raise InputError("there is no such column", file=path, column=key, hint=hint)
 
     def place(self, row: int) -> dict[str, int]:
@@ -190,11 +190,6 @@ def of_records(records: Sequence[dict[str, Any]]) -> dict[str, NDArray[Any]]:
     return log.arrays(frame, "records")
 
 
-def _suggest(word: str, known: Sequence[str], else_say: str) -> str:
-    close = nearest(word, list(known))
-    return f"did you mean '{close}'?" if close else f"{else_say}: {', '.join(known[:30])}"
-
-
 def one_of(wanted: str | None, known: Sequence[str], *, file: Path, what: str, key: str = TOPIC) -> str:
     """Return the topic or group that was asked for, or the only one there is.
 
@@ -211,17 +206,17 @@ def one_of(wanted: str | None, known: Sequence[str], *, file: Path, what: str, k
         hint = f"{key} one of: {', '.join(known[:20])}"
         raise InputError(f"holds {len(known)} {what}s; name one", file=file, hint=hint)
     if wanted is not None and wanted not in known:
-        hint = _suggest(wanted, known, "it holds")
+        hint = suggestion(wanted, list(known), "it holds")
         raise InputError(f"holds no {what} '{wanted}'", file=file, hint=hint)
     return wanted or known[0]
 
 
-def of_tree(
-    content: Any, options: Options, path: Path, parts: Callable[[Any], Any] = lambda value: value
-) -> Table:
+def of_tree(content: Any, options: Options, path: Path, parts: Callable[[Any], Any]) -> Table:
     """Return the table of the nested arrays of a file, or of the group that ``options.dataset`` names.
 
-    Text becomes metadata. ``parts`` is that of :func:`flat`.
+    The columns of a matrix are ``name[1]``, ``name[2]``, ... A row vector is one column. A matrix that is
+    wider than long is transposed if the other arrays have its width as their length. Single numbers become
+    scalars, text becomes metadata. ``parts`` is that of :func:`flat`.
 
     Raises
     ------
@@ -234,25 +229,13 @@ def of_tree(
         chosen = one_of(part, names, file=path, what="struct or group", key=DATASET)
         content = parts(content[chosen])
         content = content if isinstance(content, dict) else {chosen: content}
-    arrays: dict[str, NDArray[Any]] = {}
-    metadata: dict[str, Any] = {}
+    table, arrays = Table({}), {}
     for name, value in flat(content, parts, "{}"):
         array = np.atleast_1d(np.asarray(value))
         if isinstance(value, str) and value.strip():
-            metadata[name] = value.strip()
+            table.metadata[name] = value.strip()
         elif array.dtype.kind in "iufb" and array.ndim <= 2 and array.size:
             arrays[name] = array
-    return of_arrays(arrays, metadata)
-
-
-def of_arrays(arrays: dict[str, NDArray[Any]], metadata: dict[str, Any]) -> Table:
-    """Return the table of named arrays of one or two dimensions.
-
-    The columns of a matrix are ``name[1]``, ``name[2]``, ... A row vector is one column. A matrix that is
-    wider than long is transposed if the other arrays have its width as their length. Single numbers become
-    scalars.
-    """
-    table = Table({}, metadata=metadata)
     lengths = Counter(chain.from_iterable(set(values.shape) for values in arrays.values()))
     lengths[1] = 0
     longest = max(lengths, key=lambda n: (lengths[n], n))

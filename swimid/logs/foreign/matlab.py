@@ -21,17 +21,18 @@ def load(path: Path, options: Options) -> Table:
     from h5py import is_hdf5
     from pymatreader import read_mat
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about objects, which only MATLAB reads
+    # it warns about objects, which only MATLAB reads
+    with warnings.catch_warnings(action="ignore"):
         content = read_mat(path, ignore_fields=["#subsystem#"])
     # pymatreader returns the fields of version 7.3 in any order
     arranged = sorted if is_hdf5(path) else list
 
     def parts(value: Any) -> Any:
-        return {name: value[name] for name in arranged(value)} if isinstance(value, dict) else value
+        if not isinstance(value, dict):
+            return value
+        return {name: value[name] for name in arranged(value) if not name.startswith("__")}
 
-    variables = {name: value for name, value in content.items() if not name.startswith("__")}
-    table = of_tree(variables, options, path, parts)
+    table = of_tree(content, options, path, parts)
     if not table.columns:
         hint = "only MATLAB reads a MATLAB table: save its columns, or use writetable"
         raise InputError("holds no columns of numbers", file=path, hint=hint)

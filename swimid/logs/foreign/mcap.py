@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +11,6 @@ import numpy as np
 from swimid.logs.foreign.base import Options, Reader, Table, flat, of_records, one_of
 
 MAGIC = b"\x89MCAP0\r\n"
-
-
-class Json:
-    """Decoder of messages that are JSON texts."""
-
-    def decoder_for(self, encoding: str, schema: Any) -> Callable[[bytes], Any] | None:
-        """Return the function that decodes a message."""
-        return json.loads if encoding == "json" else None
 
 
 def topics(path: Path) -> dict[str, str]:
@@ -48,26 +39,26 @@ def load(path: Path, options: Options) -> Table:
 
     known = topics(path)
     topic = one_of(options.topic, list(known), file=path, what="topic")
-    records = []
+    records, decoders = [], DecoderFactory()
     with path.open("rb") as stream:
-        reader = make_reader(stream, decoder_factories=[DecoderFactory(), Json()])
-        for found in reader.iter_decoded_messages(topics=[topic], log_time_order=False):
+        found = make_reader(stream).iter_messages(topics=[topic], log_time_order=False)
+        for schema, channel, message in found:
+            decode = decoders.decoder_for(channel.message_encoding, schema) or json.loads
             record = {
-                "log_time": np.datetime64(found.message.log_time, "ns"),
-                "publish_time": np.datetime64(found.message.publish_time, "ns"),
+                "log_time": np.datetime64(message.log_time, "ns"),
+                "publish_time": np.datetime64(message.publish_time, "ns"),
             }
-            records.append(record | dict(flat(found.decoded_message, _parts)))
+            records.append(record | dict(flat(decode(message.data), _parts)))
     return Table(of_records(records), metadata={"topic": topic, "type": known[topic]})
 
 
 def _parts(value: Any) -> Any:
     """Return the fields of a message as a dict; a stamp of seconds and nanoseconds as a date."""
-    names = getattr(value, "__slots__", None) or getattr(value, "__dict__", None)
-    if names is not None:
-        value = {name: getattr(value, name) for name in names if not name.startswith("_")}
+    if hasattr(value, "__slots__"):
+        value = {name: getattr(value, name) for name in value.__slots__}
     if isinstance(value, dict) and {"sec", "nanosec"} <= set(value):
         return np.datetime64(int(value["sec"]) * 1_000_000_000 + int(value["nanosec"]), "ns")
     return value
 
 
-READER = Reader("mcap", "MCAP recording", (".mcap",), load, magic=(MAGIC,), extra="mcap")
+READER = Reader("mcap", "MCAP file of ROS 2 or JSON messages", (".mcap",), load, magic=(MAGIC,), extra="mcap")
