@@ -12,7 +12,7 @@ from pathlib import Path
 
 from swimid.errors import InputError, suggestion
 from swimid.files import yamlio
-from swimid.logs.foreign.base import Options, Reader, Table, reading
+from swimid.logs.foreign.base import Options, Reader, Table, first_bytes, reading
 from swimid.logs.log import Log
 
 
@@ -32,13 +32,7 @@ def reader_of(path: Path, options: Options) -> Reader:
     InputError
         The file cannot be read, or there is no such format.
     """
-    known = readers()
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(512)
-    except OSError as error:
-        hint = "check the path" if isinstance(error, FileNotFoundError) else None
-        raise InputError(f"cannot be read: {error.strerror or error}", file=path, hint=hint) from error
+    known, head = readers(), first_bytes(path, 512)
     if not head:
         raise InputError("is empty", file=path)
     if options.kind is None:

@@ -139,6 +139,22 @@ def is_text(values: NDArray[Any]) -> bool:
     return values.dtype.kind in "USO"
 
 
+def first_bytes(path: Path, count: int) -> bytes:
+    """Return the beginning of a file.
+
+    Raises
+    ------
+    InputError
+        It cannot be read.
+    """
+    try:
+        with path.open("rb") as stream:
+            return stream.read(count)
+    except OSError as error:
+        hint = "check the path" if isinstance(error, FileNotFoundError) else None
+        raise InputError(f"cannot be read: {error.strerror or error}", file=path, hint=hint) from error
+
+
 @contextmanager
 def reading(path: Path, title: str, extra: str = "") -> Iterator[None]:
     """Turn every exception of a library into an :class:`InputError`: the file is no readable ``title``.

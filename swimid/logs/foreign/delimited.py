@@ -26,6 +26,7 @@ SAMPLE, LINES = 1 << 18, 200
 MAX_RAGGED = 0.01
 #: Delimiters with their weight: commas also mark decimals, and blanks (any run of them) stand within cells.
 DELIMITERS = {",": 0.9, ";": 1.0, "\t": 1.0, "|": 1.0, " ": 0.7}
+_MARKS: dict[str | None, str] = {"tab": "\t", "whitespace": " "}
 _ENCODINGS = {codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 #: Characters to replace so that the decimal mark is a point; the other mark is then none of a number.
 _POINTS: dict[str, dict[int, int]] = {".": {}, ",": str.maketrans(",.", ".,")}
@@ -119,7 +120,8 @@ def _find_layout(lines: list[str], options: Options, path: Path, notes: list[str
     kept = [(at, line) for at, line in numbered if line.strip()]
     if not kept:
         raise InputError("holds no samples", file=path)
-    delimiter = _delimiter([line for _, line in kept[:LINES]], options)
+    stated_mark = _MARKS.get(options.delimiter, options.delimiter)
+    delimiter = stated_mark or _likely_delimiter([line for _, line in kept[:LINES]])
     table = [_cells(line, delimiter) for _, line in kept]
     decimal = options.decimal or _decimal(table[:LINES], delimiter)
     if delimiter == decimal:
@@ -148,9 +150,7 @@ def _find_layout(lines: list[str], options: Options, path: Path, notes: list[str
     return Layout(names, stated, list(compress(names, numbers)), delimiter, decimal, kept[first][0])
 
 
-def _delimiter(lines: list[str], options: Options) -> str:
-    if options.delimiter is not None:
-        return {"tab": "\t", "whitespace": " "}.get(options.delimiter, options.delimiter)
+def _likely_delimiter(lines: list[str]) -> str:
     scores = {}
     for mark, weight in DELIMITERS.items():
         width, times = Counter(len(_cells(line, mark)) for line in lines).most_common(1)[0]
@@ -215,7 +215,7 @@ def _names(levels: list[list[str]], width: int) -> list[str]:
     joined = ["_".join(filter(None, cells)) for cells in zip(*telling, levels[-1], strict=True)]
     if len(levels) > 1:
         # the cells of the first column name the levels; in a table of DeepLabCut it counts the frames
-        joined[0] = levels[-1][0].replace("coords", "frame")
+        joined[0] = levels[-1][0].replace("coords", "") or "frame"
     names: list[str] = []
     for at, name in enumerate(joined, start=1):
         again = joined[:at].count(name)
