@@ -251,7 +251,7 @@ def _parse(text: bytes, found: Layout, options: Options) -> tuple[pa.Table, dict
 def _convert(column: pa.ChunkedArray, decimal: str) -> tuple[NDArray[Any], str | None]:
     """Return a column, and the unit in its cells.
 
-    Text stays text unless each cell is a number, or a number and the same unit.
+    Text stays text unless each cell is a number, or a number and a unit of one quantity.
     """
     import pandas as pd
 
@@ -263,9 +263,12 @@ def _convert(column: pa.ChunkedArray, decimal: str) -> tuple[NDArray[Any], str |
     if numbers.notna().equals(known):
         return numbers.to_numpy(dtype=float, na_value=np.nan), None
     parts = plain.str.extract(f"^{_QUANTITY}$")
-    stated = {units.canonical(spelled) for spelled in parts[1].dropna().unique()}
-    if parts[1].notna().equals(known) and len(stated) == 1 and stated <= units.KNOWN:
-        return parts[0].to_numpy(dtype=float, na_value=np.nan), stated.pop()
+    stated = {spelled: units.canonical(spelled) for spelled in parts[1].dropna().unique()}
+    table = next((table for table in units.UNITS.values() if {*stated.values()} <= table.keys()), None)
+    if table is not None and parts[1].notna().equals(known):
+        first = next(iter(stated.values()))
+        relative = {spelled: table[unit] / table[first] for spelled, unit in stated.items()}
+        return (parts[0].astype(float) * parts[1].map(relative)).to_numpy(dtype=float), first
     return cells.to_numpy(dtype=object, na_value=None), None
 
 
