@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.logs.log import longest_run
+from swimid.logs.log import TIME, longest_run
 
 Array = NDArray[np.float64]
 #: Of more samples than this share that come late, or of more in a row, the clock was reset.
@@ -33,7 +33,7 @@ class Order:
     untimed : int
         Rows without a time, left out.
     repeated : int
-        Rows that say the same as the row before at the same time, left out.
+        Rows that say the same as another row at the same time, left out.
     clashing : int
         Rows that say something else at a time that is taken already, left out.
     late : int
@@ -80,26 +80,16 @@ def in_order(time_s: Array, columns: Mapping[str, Array]) -> Order:
     Single rows that come late (packets on a network) are put where their time says. A clock that
     goes back and counts on from there was reset; which of its times are right cannot be told.
     """
+    import pandas as pd
+
     index = np.flatnonzero(np.isfinite(time_s))
-    untimed = len(time_s) - len(index)
-    times = time_s[index]
-    if len(times) == 0:
-        return Order(index, untimed)
-    steps = np.diff(times)
-    if np.all(steps > 0):
+    times, untimed = time_s[index], len(time_s) - len(index)
+    if np.all(np.diff(times) > 0):
         return Order(index, untimed)
     behind = times < np.maximum.accumulate(times)
     late = int(behind.sum())
-    if late:
-        if late > max(1, LATE_SHARE * len(times)) or longest_run(behind) > LATE_RUN:
-            return Order(index, untimed, late=late, reset_row=int(index[np.argmax(behind)]))
-        index = index[np.argsort(times, kind="stable")]
-        times = time_s[index]
-    again = np.concatenate(([False], np.diff(times) == 0))
-    same = again.copy()
-    here = np.flatnonzero(again)
-    for values in columns.values():
-        a, b = values[index[here]], values[index[here - 1]]
-        same[here] &= (a == b) | (np.isnan(a) & np.isnan(b))
-    repeated = int(same.sum())
-    return Order(index[~again], untimed, repeated, int(again.sum()) - repeated, late)
+    if late > max(1, LATE_SHARE * len(times)) or longest_run(behind) > LATE_RUN:
+        return Order(index, untimed, late=late, reset_row=int(index[np.argmax(behind)]))
+    rows = pd.DataFrame({**columns, TIME: time_s}).iloc[index].sort_values(TIME, kind="stable")
+    again, repeated = rows.duplicated(TIME), int(rows.duplicated().sum())
+    return Order(rows.index[~again].to_numpy(), untimed, repeated, int(again.sum()) - repeated, late)

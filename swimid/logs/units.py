@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import re
+import unicodedata
 
 from swimid.errors import suggestion
 
 _G = 9.80665  # standard gravity, ISO 80000-3
-_RPM = 2 * math.pi / 60
+_DEG, _REV, _RPM = math.pi / 180, 2 * math.pi, 2 * math.pi / 60
 
 #: Factor to SI of every unit, by what it measures; the unit of SI first.
 UNITS: dict[str, dict[str, float]] = {
@@ -17,25 +18,18 @@ UNITS: dict[str, dict[str, float]] = {
     "pixel speed": {"px/s": 1},
     "pixel acceleration": {"px/s2": 1},
     "length": {"m": 1, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "km": 1e3, "in": 0.0254, "ft": 0.3048},
-    "angle": {
-        "rad": 1,
-        "deg": math.pi / 180,
-        "mrad": 1e-3,
-        "rev": 2 * math.pi,
-        "cdeg": math.pi / 18000,
-        "tick": 2 * math.pi / 4096,
-    },
+    "angle": {"rad": 1, "deg": _DEG, "mrad": 1e-3, "rev": _REV, "cdeg": _DEG / 100, "tick": _REV / 4096},
     "speed": {"m/s": 1, "mm/s": 1e-3, "cm/s": 1e-2, "km/h": 1 / 3.6, "kn": 1852 / 3600},
     "acceleration": {"m/s2": 1, "mm/s2": 1e-3, "cm/s2": 1e-2, "g": _G, "mg": 1e-3 * _G},
     "turn rate": {
         "rad/s": 1,
-        "deg/s": math.pi / 180,
+        "deg/s": _DEG,
         "mrad/s": 1e-3,
-        "deg/h": math.pi / 648000,
+        "deg/h": _DEG / 3600,
         "rpm": _RPM,
-        "rev/s": 2 * math.pi,
+        "rev/s": _REV,
     },
-    "angular acceleration": {"rad/s2": 1, "deg/s2": math.pi / 180},
+    "angular acceleration": {"rad/s2": 1, "deg/s2": _DEG},
     "force": {"N": 1, "mN": 1e-3, "kN": 1e3, "gf": 1e-3 * _G, "kgf": _G, "lbf": 4.4482216152605},
     "torque": {"Nm": 1, "mNm": 1e-3, "Nmm": 1e-3, "Ncm": 1e-2},
     "mass": {"kg": 1, "g": 1e-3, "mg": 1e-6},
@@ -81,18 +75,14 @@ def canonical(unit: str) -> str:
     >>> canonical("m/s^2"), canonical("°/s"), canonical("µT"), canonical("m s-1")
     ('m/s2', 'deg/s', 'uT', 'm/s')
     """
-    text = (
-        unit.strip().replace("µ", "u").replace("μ", "u").replace("²", "2").replace("**", "").replace("^", "")
-    )
-    text = text.replace("meters per second", "m/s").replace("sec", "s") if "/" in text else text
-    for power, over in ((" s-2", "/s2"), (" s-1", "/s"), ("*s-2", "/s2"), ("*s-1", "/s"), ("/s/s", "/s2")):
-        text = text.replace(power, over)
-    for spelled in (text, _SPELLINGS.get(text), _SPELLINGS.get(text.lower()), text.lower()):
-        if spelled in KNOWN:
-            return spelled
-    top, over, below = text.partition("/")
-    joined = f"{_SPELLINGS.get(top.lower(), top)}/{below}" if over else text
-    return joined if joined in KNOWN else text
+    # this form has "m/s2" for "m/s²" and one letter for both signs of micro
+    text = unicodedata.normalize("NFKC", unit.strip()).replace("μ", "u")
+    text = re.sub(r"\*\*|\^", "", text)
+    text = re.sub(r"[ *]s-2|/s/s", "/s2", re.sub(r"[ *]s-1", "/s", text))
+    top, _, below = text.partition("/")
+    joined = f"{_SPELLINGS.get(top.lower(), top)}/{below.replace('sec', 's')}"
+    spelled = (text, _SPELLINGS.get(text), _SPELLINGS.get(text.lower()), text.lower(), joined)
+    return next((name for name in spelled if name in KNOWN), text)
 
 
 def measured(column: str) -> str | None:
@@ -101,10 +91,8 @@ def measured(column: str) -> str | None:
     >>> measured("yaw_rate_rad_s"), measured("x_m"), measured("valve")
     ('turn rate', 'length', None)
     """
-    for suffix in sorted(SUFFIXES, key=len, reverse=True):
-        if column.endswith(f"_{suffix}"):
-            return SUFFIXES[suffix]
-    return None
+    endings = [suffix for suffix in SUFFIXES if column.endswith(f"_{suffix}")]
+    return SUFFIXES.get(max(endings, key=len, default=""))
 
 
 def is_known(column: str) -> bool:
@@ -127,16 +115,15 @@ def factor(unit: str, column: str) -> float:
     >>> factor("g", "ax_m_s2"), factor("g", "load_kg"), factor("ms", "t_s")
     (9.80665, 0.001, 0.001)
     """
-    name = canonical(unit)
-    quantity = measured(column)
+    name, quantity = canonical(unit), measured(column)
     if quantity is None:
         raise ValueError(
             f"'{column}' names no unit to convert '{unit}' to; end it in one (x_m, yaw_rad), or give a factor"
         )
     table = UNITS[quantity]
-    if name in table:
-        return float(table[name])
     others = [known for known, units in UNITS.items() if name in units]
-    if others:
+    if name not in table and others:
         raise ValueError(f"'{unit}' is a unit of {others[0]}, '{column}' is a {quantity}: {', '.join(table)}")
-    raise ValueError(f"unknown unit '{unit}' of {quantity}; {suggestion(name, list(table))}")
+    if name not in table:
+        raise ValueError(f"unknown unit '{unit}' of {quantity}; {suggestion(name, list(table))}")
+    return float(table[name])

@@ -7,27 +7,21 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
 from swimid.errors import InputError, suggestion
 from swimid.files import yamlio
-from swimid.logs.foreign.base import Options, Reader, Table
+from swimid.logs.foreign.base import Options, Reader, Table, first_bytes, reading
 from swimid.logs.log import Log
 
 
 @cache
 def readers() -> dict[str, Reader]:
     """Return every format by its name."""
-    found: dict[str, Reader] = {}
-    for entry in pkgutil.iter_modules(__path__):
-        module = importlib.import_module(f"{__name__}.{entry.name}")
-        reader = getattr(module, "READER", None)
-        if isinstance(reader, Reader):
-            found[reader.name] = reader
-    return found
+    names = [f"{__name__}.{entry.name}" for entry in pkgutil.iter_modules(__path__)]
+    modules = [module for module in map(importlib.import_module, names) if hasattr(module, "READER")]
+    return {module.READER.name: module.READER for module in modules}
 
 
 def reader_of(path: Path, options: Options) -> Reader:
@@ -38,13 +32,7 @@ def reader_of(path: Path, options: Options) -> Reader:
     InputError
         The file cannot be read, or there is no such format.
     """
-    known = readers()
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(512)
-    except OSError as error:
-        hint = "check the path" if isinstance(error, FileNotFoundError) else None
-        raise InputError(f"cannot be read: {error.strerror or error}", file=path, hint=hint) from error
+    known, head = readers(), first_bytes(path, 512)
     if not head:
         raise InputError("is empty", file=path)
     if options.kind is None:
@@ -69,18 +57,8 @@ def open_table(given: str | Path | Log, options: Options | None = None) -> Table
         return Table(dict(given.columns), comments=yamlio.dumps_flat(given.metadata).splitlines())
     path, options = Path(given), options or Options()
     reader = reader_of(path, options)
-    with extra_needed(path, reader.title, reader.extra):
-        return reader.open(path, options)
-
-
-@contextmanager
-def extra_needed(path: Path, title: str, extra: str) -> Iterator[None]:
-    """Turn a failed import of a library into an :class:`InputError` that names the extra to install."""
-    try:
-        yield
-    except ImportError as error:
-        raise InputError(
-            f"is a {title}, and {error.name} to read it is not installed",
-            file=path,
-            hint=f"pip install 'swimid[{extra}]'",
-        ) from error
+    with reading(path, reader.title, reader.extra):
+        table = reader.open(path, options)
+    if not table.columns:
+        raise InputError("holds no samples", file=path)
+    return table

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -13,8 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from swimid.errors import InputError, first_line, nearest
+from swimid.errors import InputError, first_line, suggestion
 from swimid.files import yamlio
+from swimid.logs import log
+
+#: Where a user names the topic, and the struct or group, in the words before its name.
+TOPIC = "--select NAME, or reader: {topic: NAME} in a mapping, with"
+DATASET = "reader: {dataset: NAME} in a mapping, with"
+#: Maximum number of elements of a list that become columns.
+MAX_ELEMENTS = 100
 
 
 class Options(yamlio.Document):
@@ -23,7 +31,7 @@ class Options(yamlio.Document):
     #: The format, where neither ending nor content says it.
     kind: str | None = None
     #: Delimiter of a text file: one character, ``tab`` or ``whitespace``.
-    delimiter: Annotated[str, Field(min_length=1, max_length=10)] | None = None
+    delimiter: Annotated[str, Field(pattern=r"^([ !#-~\t]|tab|whitespace)$")] | None = None
     #: Whether a line of names stands above the samples.
     header: bool | None = None
     #: Number of lines before the header, or before the samples.
@@ -89,8 +97,7 @@ class Table:
         loose = [name for name in names if name.strip().lower() == key.strip().lower()]
         if len(loose) == 1:
             return loose[0]
-        close = nearest(key, names)
-        hint = f"did you mean '{close}'?" if close else f"the file has: {', '.join(names[:30])}"
+        hint = suggestion(key, names, "the file has")
         raise InputError("there is no such column", file=path, column=key, hint=hint)
 
     def place(self, row: int) -> dict[str, int]:
@@ -111,7 +118,8 @@ class Reader:
     endings : tuple of str
         File endings of this format, with their dot.
     open : callable
-        ``open(path, options) -> Table``.
+        ``open(path, options) -> Table``. What a library raises in it, :func:`reading` turns into an
+        :class:`InputError`.
     magic : tuple of bytes
         First bytes of such a file; they decide before the ending does.
     extra : str
@@ -131,57 +139,77 @@ def is_text(values: NDArray[Any]) -> bool:
     return values.dtype.kind in "USO"
 
 
+def first_bytes(path: Path, count: int) -> bytes:
+    """Return the beginning of a file.
+
+    Raises
+    ------
+    InputError
+        It cannot be read.
+    """
+    try:
+        with path.open("rb") as stream:
+            return stream.read(count)
+    except OSError as error:
+        hint = "check the path" if isinstance(error, FileNotFoundError) else None
+        raise InputError(f"cannot be read: {error.strerror or error}", file=path, hint=hint) from error
+
+
 @contextmanager
-def reading(path: Path, what: str) -> Iterator[None]:
-    """Turn every exception of a library into an :class:`InputError`: the file is no readable ``what``."""
+def reading(path: Path, title: str, extra: str = "") -> Iterator[None]:
+    """Turn every exception of a library into an :class:`InputError`: the file is no readable ``title``.
+
+    A library that is not installed is named with the extra to install.
+    """
     try:
         yield
-    except (InputError, ImportError):
+    except InputError:
         raise
+    except ImportError as error:
+        text = f"is a {title}, and {error.name} to read it is not installed"
+        raise InputError(text, file=path, hint=f"pip install 'swimid[{extra}]'") from error
     except Exception as error:
-        raise InputError(f"is no readable {what}: {first_line(error)}", file=path) from error
+        raise InputError(f"is no readable {title}: {first_line(error)}", file=path) from error
 
 
 def flat(
-    value: Any, deepest: int, fields: Callable[[Any], Any] = lambda value: value, name: str = ""
+    value: Any, parts: Callable[[Any], Any] = lambda value: value, brackets: str = "[]", name: str = ""
 ) -> Iterator[tuple[str, Any]]:
-    """Yield the values of a nested record by their dotted names.
+    """Yield the plain values of a nested record by their dotted names.
 
-    Elements of lists with up to 100 elements are ``name[1]``, ``name[2]``, ... ``fields`` turns a value that
-    has parts into a dict and returns any other as it is.
+    Elements of lists are ``name[1]``, ``name[2]``, ... Lists longer than :data:`MAX_ELEMENTS` are left out.
+    ``parts`` turns a value that has parts into a dict or a list and returns any other as it is.
+
+    >>> dict(flat({"a": {"b": [1, 2]}, "c": 3}))
+    {'a.b[1]': 1, 'a.b[2]': 2, 'c': 3}
     """
-    value = fields(value) if deepest > 0 else value
-    if isinstance(value, dict) and deepest > 0:
+    value = parts(value)
+    if isinstance(value, dict):
         for key, inner in value.items():
-            yield from flat(inner, deepest - 1, fields, f"{name}.{key}" if name else str(key))
-    elif isinstance(value, list | tuple | np.ndarray) and deepest > 0 and len(value) <= 100:
-        for at, inner in enumerate(value, start=1):
-            yield from flat(inner, deepest - 1, fields, f"{name}[{at}]")
-    else:
+            yield from flat(inner, parts, brackets, f"{name}.{key}" if name else str(key))
+    elif not isinstance(value, list | tuple):
         yield name, value
+    elif len(value) <= MAX_ELEMENTS:
+        for at, inner in enumerate(value, start=1):
+            yield from flat(inner, parts, brackets, f"{name}{brackets[0]}{at}{brackets[1]}")
 
 
 def of_records(records: Sequence[dict[str, Any]]) -> dict[str, NDArray[Any]]:
     """Return the columns of flat records: numbers (NaN where a record lacks one), dates or text."""
     import pandas as pd
 
-    columns: dict[str, NDArray[Any]] = {}
-    for name in dict.fromkeys(key for record in records for key in record):
-        values = [record.get(name) for record in records]
-        known = [value for value in values if value is not None]
-        if any(isinstance(value, str) for value in known):
-            columns[name] = np.array(values, dtype=object)
-        elif known and all(isinstance(value, np.datetime64) for value in known):
-            columns[name] = np.array(values, dtype="datetime64[ns]")
-        elif known and all(isinstance(value, bool | int | float | np.number) for value in known):
-            # a whole number of hundreds of digits is no measurement
-            numbers = pd.to_numeric(pd.Series(values, dtype=object), errors="coerce")
-            columns[name] = numbers.to_numpy(dtype=numbers.dtype if numbers.dtype.kind in "iu" else float)
-    return columns
+    frame = pd.DataFrame.from_records(records)
+    for name, values in frame.items():
+        # whole numbers of more than 64 bits, or values that some records lack
+        if values.dtype == object and not values.map(lambda value: isinstance(value, str)).any():
+            frame[name] = pd.to_numeric(values, errors="coerce").astype(float)
+    return log.arrays(frame, "records")
 
 
-def one_of(wanted: str | None, known: Sequence[str], *, file: Path, what: str, key: str) -> str:
+def one_of(wanted: str | None, known: Sequence[str], *, file: Path, what: str, key: str = TOPIC) -> str:
     """Return the topic or group that was asked for, or the only one there is.
+
+    ``key`` says to the user where to name it.
 
     Raises
     ------
@@ -190,51 +218,51 @@ def one_of(wanted: str | None, known: Sequence[str], *, file: Path, what: str, k
     """
     if not known:
         raise InputError(f"holds no {what} with samples", file=file)
-    if wanted is None:
-        if len(known) > 1:
-            text = f"holds {len(known)} {what}s; name one"
-            raise InputError(text, file=file, hint=f"{key} one of: {', '.join(known[:20])}")
-        return known[0]
-    if wanted not in known:
-        close = nearest(wanted, list(known))
-        hint = f"did you mean '{close}'?" if close else f"it holds: {', '.join(known[:20])}"
+    if wanted is None and len(known) > 1:
+        hint = f"{key} one of: {', '.join(known[:20])}"
+        raise InputError(f"holds {len(known)} {what}s; name one", file=file, hint=hint)
+    if wanted is not None and wanted not in known:
+        hint = suggestion(wanted, list(known), "it holds")
         raise InputError(f"holds no {what} '{wanted}'", file=file, hint=hint)
-    return wanted
+    return wanted or known[0]
 
 
-def of_arrays(
-    arrays: dict[str, NDArray[Any]],
-    path: Path,
-    metadata: dict[str, Any] | None = None,
-    *,
-    hint: str | None = None,
-) -> Table:
-    """Return the table of a file of named arrays.
+def of_tree(content: Any, options: Options, path: Path, parts: Callable[[Any], Any]) -> Table:
+    """Return the table of the nested arrays of a file, or of the group that ``options.dataset`` names.
 
     The columns of a matrix are ``name[1]``, ``name[2]``, ... A row vector is one column. A matrix that is
     wider than long is transposed if the other arrays have its width as their length. Single numbers become
-    scalars.
+    scalars, text becomes metadata. ``parts`` is that of :func:`flat`.
 
     Raises
     ------
     InputError
-        There is no column; ``hint`` says what to do.
+        There is no such group.
     """
-    lengths = Counter(size for values in arrays.values() for size in {n for n in values.shape if n > 1})
-    longest = max(lengths, key=lambda n: (lengths[n], n), default=1)
-    columns: dict[str, NDArray[Any]] = {}
-    scalars: dict[str, float] = {}
+    content = parts(content)
+    for part in filter(None, (options.dataset or "").replace("/", ".").split(".")):
+        names = list(content) if isinstance(content, dict) else []
+        chosen = one_of(part, names, file=path, what="struct or group", key=DATASET)
+        content = parts(content[chosen])
+        content = content if isinstance(content, dict) else {chosen: content}
+    table, arrays = Table({}), {}
+    for name, value in flat(content, parts, "{}"):
+        array = np.atleast_1d(np.asarray(value))
+        if isinstance(value, str) and value.strip():
+            table.metadata[name] = value.strip()
+        elif array.dtype.kind in "iufb" and array.ndim <= 2 and array.size:
+            arrays[name] = array
+    lengths = Counter(chain.from_iterable(set(values.shape) for values in arrays.values()))
+    lengths[1] = 0
+    longest = max(lengths, key=lambda n: (lengths[n], n))
     for name, values in arrays.items():
+        matrix = values.reshape(len(values), -1)
+        if len(matrix) == 1 or len(matrix) != longest == matrix.shape[1]:
+            matrix = matrix.T
         if values.size == 1 and longest > 1:
-            scalars[name] = float(values.reshape(-1)[0])
-        elif values.ndim <= 2 and values.size:
-            if values.ndim == 2 and len(values) != longest and longest in values.shape[1:]:
-                values = values.T
-            if values.ndim == 2 and len(values) == 1:
-                values = values.T
-            matrix = values.reshape(len(values), -1)
-            single = matrix.shape[1] == 1
-            columns |= {name if single else f"{name}[{k}]": part for k, part in enumerate(matrix.T, start=1)}
-    if not columns:
-        raise InputError("holds no columns of numbers", file=path, hint=hint)
-    return Table(columns, metadata=metadata or {}, scalars=scalars)
+            table.scalars[name] = float(values.item())
+        elif matrix.shape[1] == 1:
+            table.columns[name] = matrix[:, 0]
+        else:
+            table.columns |= {f"{name}[{k}]": part for k, part in enumerate(matrix.T, start=1)}
+    return table

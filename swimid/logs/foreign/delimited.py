@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import codecs
+import csv
 import re
+from collections import Counter
+from dataclasses import dataclass, replace
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -10,141 +15,274 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from swimid.errors import InputError, first_line
-from swimid.files.delimited import MISSING
+from swimid.errors import InputError
+from swimid.files.delimited import MISSING, number
 from swimid.logs import units
-from swimid.logs.foreign import layout
 from swimid.logs.foreign.base import Options, Reader, Table
 
+#: Bytes in which the layout is found, and lines in which delimiter and decimal mark are.
+SAMPLE, LINES = 1 << 18, 200
 #: Largest share of rows with a wrong number of cells that are left out; with more the file is refused.
 MAX_RAGGED = 0.01
-_BLANKS, _EDGES = re.compile(rb"[ \t]+"), re.compile(rb"(?m)^ | (?=\r?$)")
+#: Delimiters with their weight: commas also mark decimals, and blanks (any run of them) stand within cells.
+DELIMITERS = {",": 0.9, ";": 1.0, "\t": 1.0, "|": 1.0, " ": 0.7}
+_MARKS: dict[str | None, str] = {"tab": "\t", "whitespace": " "}
+_ENCODINGS = {codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+#: Characters to replace so that the decimal mark is a point; the other mark is then none of a number.
+_POINTS: dict[str, dict[int, int]] = {".": {}, ",": str.maketrans(",.", ".,")}
+_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+#: A number with a unit, as in ``0.05 kg``.
+_QUANTITY = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?) ?([^\d\s.,+:/-][^\d\s.,:]*[\d]?)"
+#: A cell of a sample that is no plain number: a date, a time of day, or a number with a unit.
+_SAMPLE = re.compile(rf"\d{{1,4}}[-/.]\d\d?[-/.]\d{{1,4}}([T ].*)?|\d\d?:\d\d(:\d\d)?.*|{_QUANTITY}")
+_BLANKS, _EDGES = re.compile(rb"[ \t]+"), re.compile(rb"(?m)^ | $")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The layout of one file.
+
+    Attributes
+    ----------
+    names : list of str
+        Column names; ``"1"``, ``"2"``, ... if the file has no header.
+    units : list of str
+        Line of units under the header; empty without one.
+    numbers : list of str
+        Columns to read as numbers: those whose cells are numbers in the first rows.
+    delimiter : str
+        One character; a space if any run of blanks separates the cells.
+    first_line : int
+        Line of the first sample, from 1.
+    """
+
+    names: list[str]
+    units: list[str]
+    numbers: list[str]
+    delimiter: str
+    decimal: str
+    first_line: int
 
 
 def _open(path: Path, options: Options) -> Table:
-    found = layout.find(path, options)
-    text = _samples(path, found)
-    ragged: list[str] = []
-    wanted = [pa.float64() if number else pa.string() for number in found.numbers]
+    text, notes = _read_utf8(path, options)
+    comment = re.compile(rb"(?m)^[ \t]*" + re.escape(options.comment.encode()) + rb"(.*)")
+    comments = [line.decode(errors="replace") for line in comment.findall(text[:SAMPLE])]
+    lines = comment.sub(b"", text[:SAMPLE]).decode(errors="replace").split("\n")
+    if len(text) > SAMPLE:
+        lines.pop()
+    found = _find_layout(lines, options, path, notes)
+    text = text.split(b"\n", found.first_line - 1)[-1]
+    if options.comment.encode() in text:
+        text = comment.sub(b"", text)
+    if found.delimiter == " ":
+        text = _EDGES.sub(b"", _BLANKS.sub(b" ", text))
     try:
-        parsed = _parse(text, found, wanted, ragged)
+        parsed, ragged = _parse(text, found, options)
     except pa.ArrowInvalid:
         # some cell is no number: its column stays text, and is refused if a mapping asks for it
-        ragged.clear()
-        try:
-            parsed = _parse(text, found, [pa.string()] * len(wanted), ragged)
-        except pa.ArrowInvalid as error:
-            raise InputError(f"cannot be parsed: {first_line(error)}", file=path) from error
+        parsed, ragged = _parse(text, replace(found, numbers=[]), options)
     columns, stated = {}, dict(zip(found.names, found.units, strict=False))
-    for name, number in zip(found.names, found.numbers, strict=True):
-        cells = parsed.column(name)
-        if pa.types.is_string(cells.type):
-            columns[name] = _converted(cells.to_pandas(), found, number, name, stated)
-        else:
-            columns[name] = cells.to_numpy()
-    rows = parsed.num_rows
-    unbroken = text.count(b"\n") + (not text.endswith(b"\n")) == rows and found.comment.encode() not in text
-    lines = np.arange(rows, dtype=np.int64) + found.first_line if unbroken else _lines(path, found, ragged)
-    notes = [*found.notes, *_ragged(path, found, ragged, rows)]
-    return Table(columns, units=stated, notes=notes, comments=found.comments, lines=lines)
+    for name in found.names:
+        columns[name], unit = _convert(parsed.column(name), found.decimal)
+        if unit:
+            stated[name] = unit
+    rows = np.arange(parsed.num_rows, dtype=np.int64) + found.first_line
+    if text.count(b"\n") + (not text.endswith(b"\n")) != parsed.num_rows:
+        numbered = list(enumerate(text.split(b"\n"), start=found.first_line))
+        rows = np.array([at for at, line in numbered if line and line not in ragged], dtype=np.int64)
+        broken = [(at, ragged[line]) for at, line in numbered if line.strip() and line in ragged]
+        notes += _note_ragged(broken, len(found.names), len(rows), path)
+    return Table(columns, units=stated, notes=notes, comments=comments, lines=rows)
 
 
-def _samples(path: Path, found: layout.Layout) -> bytes:
-    """Return the lines of samples as UTF-8 text, without comments."""
-    text = path.read_bytes()
-    if found.encoding not in ("utf-8", "ascii"):
-        text = text.decode(found.encoding, "replace").encode()
-    start = 0
-    for _ in range(found.first_line - 1):
-        start = text.index(b"\n", start) + 1
-    text, mark = text[start:], found.comment.encode()
-    if mark in text:
-        text = b"\n".join(line for line in text.split(b"\n") if not line.lstrip().startswith(mark))
-    return _EDGES.sub(b"", _BLANKS.sub(b" ", text)) if found.blanks else text
+def _read_utf8(path: Path, options: Options) -> tuple[bytes, list[str]]:
+    """Return the file as UTF-8 text with line feeds at the ends of lines, and notes for the user."""
+    raw, notes = path.read_bytes(), []
+    encoding = options.encoding or _ENCODINGS.get(raw[:2], "utf-8-sig")
+    try:
+        text = raw.decode(encoding)
+    except UnicodeDecodeError as error:
+        if options.encoding is not None:
+            line = raw[: error.start].count(b"\n") + 1
+            raise InputError(f"is not {encoding} text", file=path, line=line) from error
+        text = raw.decode("cp1252", "replace")
+        notes.append("is not UTF-8; read as Western European text (cp1252)")
+    if "\x00" in text[:SAMPLE]:
+        hint = "name its format under 'reader:' of the mapping: {kind: ...}"
+        raise InputError("is no text file", file=path, hint=hint)
+    return text.encode().replace(b"\r\n", b"\n").replace(b"\r", b"\n"), notes
 
 
-def _parse(text: bytes, found: layout.Layout, kinds: list[Any], ragged: list[str]) -> pa.Table:
-    from pyarrow import csv
+def _find_layout(lines: list[str], options: Options, path: Path, notes: list[str]) -> Layout:
+    """Return the layout of a file: stated by the options, else found in its first lines; add to the notes."""
+    numbered = list(enumerate(lines, start=1))[options.skip_rows :]
+    kept = [(at, line) for at, line in numbered if line.strip()]
+    if not kept:
+        raise InputError("holds no samples", file=path)
+    stated_mark = _MARKS.get(options.delimiter, options.delimiter)
+    delimiter = stated_mark or _likely_delimiter([line for _, line in kept[:LINES]])
+    table = [_cells(line, delimiter) for _, line in kept]
+    decimal = options.decimal or _decimal(table[:LINES], delimiter)
+    if delimiter == decimal:
+        raise InputError("a comma cannot both separate cells and mark decimals", file=path)
+    width = Counter(map(len, table)).most_common(1)[0][0]
+    first = _first_sample(table, width, decimal, options)
+    if first is None or first == len(table):
+        hint = "give delimiter, header or skip_rows under 'reader:'"
+        raise InputError("no line holds numbers", file=path, line=kept[0][0], hint=hint)
+    above, samples = table[:first], [cells for cells in table[first:] if len(cells) == width]
+    stated: list[str] = []
+    if above and _are_units(above[-1]) and (len(above) > 1 or not _differ(above[-1])):
+        stated = [_unit(cell) for cell in above.pop()]
+    if above and len(above[-1]) == width - 1 and not any(cells[-1] for cells in samples):
+        # a delimiter at the end of every line of samples, and none under the names
+        above[-1] = [*above[-1], ""]
+    levels: list[list[str]] = []
+    # a line of names that stand more than once needs the line above to tell them apart
+    while above and len(above[-1]) == width and not (levels and _differ(levels[0])):
+        levels.insert(0, above.pop())
+    if levels and above and options.skip_rows is None:
+        notes.append(f"{kept[first][0] - 1} lines above the samples are not read as samples")
+    names = _names(levels, width)
+    known = [{*column} - {*MISSING, *map(str, options.missing)} for column in zip(*samples, strict=True)]
+    numbers = [all(_value(cell, decimal) is not None for cell in cells) for cells in known]
+    return Layout(names, stated, list(compress(names, numbers)), delimiter, decimal, kept[first][0])
+
+
+def _likely_delimiter(lines: list[str]) -> str:
+    scores = {}
+    for mark, weight in DELIMITERS.items():
+        width, times = Counter(len(_cells(line, mark)) for line in lines).most_common(1)[0]
+        # the more lines of one width the better; among equals the more cells
+        scores[mark] = weight * times * (1 + min(width, 50) / 1000) if width > 1 else 0.0
+    return max(scores, key=lambda mark: scores[mark])
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    """Return the cells of one line, without blanks around them."""
+    if delimiter == " ":
+        line = " ".join(line.split())
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter))]
+
+
+def _decimal(table: list[list[str]], delimiter: str) -> str:
+    cells = [cell for row in table for cell in row]
+    commas = sum(bool(_COMMA.fullmatch(cell)) for cell in cells)
+    dots = sum(number(cell) is not None and "." in cell for cell in cells)
+    return "," if commas > dots and delimiter != "," else "."
+
+
+def _value(cell: str, decimal: str) -> float | None:
+    """Return the number in a cell; None if it is none."""
+    return number(cell.translate(_POINTS[decimal]))
+
+
+def _first_sample(table: list[list[str]], width: int, decimal: str, options: Options) -> int | None:
+    """Return the index of the first line of samples."""
+    if options.header is False:
+        return 0
+    for at, cells in enumerate(table):
+        sampled = any(_value(cell, decimal) is not None or _SAMPLE.fullmatch(cell) for cell in cells)
+        if len(cells) == width and sampled and (at > 0 or not options.header):
+            return at
+    return None
+
+
+def _are_units(cells: list[str]) -> bool:
+    texts = [text for text in map(_unit, cells) if text]
+    return sum(units.canonical(text) in units.KNOWN or text in ("-", "1") for text in texts) > len(texts) / 2
+
+
+def _unit(cell: str) -> str:
+    return cell.strip("[]()")
+
+
+def _differ(cells: list[str]) -> bool:
+    filled = [cell for cell in cells if cell]
+    return len(set(filled)) == len(filled)
+
+
+def _names(levels: list[list[str]], width: int) -> list[str]:
+    """Return a name for each column, all different: ``x``, ``x (2)``, ``column 3``; numbers without a header.
+
+    Tables of pandas have one line for each level of the names: ``nose`` above ``x`` becomes ``nose_x``. A
+    line that is equal in all columns is left out.
+    """
+    if not levels:
+        return [str(k + 1) for k in range(width)]
+    telling = [row for row in levels[:-1] if len(set(row[1:])) > 1]
+    joined = ["_".join(filter(None, cells)) for cells in zip(*telling, levels[-1], strict=True)]
+    if len(levels) > 1:
+        # the cells of the first column name the levels; in a table of DeepLabCut it counts the frames
+        joined[0] = levels[-1][0].replace("coords", "") or "frame"
+    names: list[str] = []
+    for at, name in enumerate(joined, start=1):
+        again = joined[:at].count(name)
+        unique = f"{name} ({again})" if again > 1 else name
+        names.append(unique if name else f"column {at}")
+    return names
+
+
+def _parse(text: bytes, found: Layout, options: Options) -> tuple[pa.Table, dict[bytes, int]]:
+    """Return the samples, and the number of cells of each line that has a wrong number."""
+    from pyarrow import csv as arrow_csv
+
+    ragged: dict[bytes, int] = {}
 
     def skip(row: Any) -> str:
-        ragged.append(row.text)
+        ragged[row.text.encode()] = row.actual_columns
         return "skip"
 
-    return csv.read_csv(
+    parsed = arrow_csv.read_csv(
         pa.BufferReader(text),
-        read_options=csv.ReadOptions(column_names=found.names),
-        parse_options=csv.ParseOptions(
-            delimiter=found.delimiter,
-            quote_char='"' if b'"' in text else False,
-            invalid_row_handler=skip,
-        ),
-        convert_options=csv.ConvertOptions(
-            column_types=dict(zip(found.names, kinds, strict=True)),
-            null_values=[*MISSING, *found.missing],
+        read_options=arrow_csv.ReadOptions(column_names=found.names),
+        parse_options=arrow_csv.ParseOptions(delimiter=found.delimiter, invalid_row_handler=skip),
+        convert_options=arrow_csv.ConvertOptions(
+            column_types=dict.fromkeys(found.names, pa.string()) | dict.fromkeys(found.numbers, pa.float64()),
+            null_values=[*MISSING, *map(str, options.missing)],
             strings_can_be_null=True,
             decimal_point=found.decimal,
         ),
     )
+    return parsed, ragged
 
 
-def _converted(
-    cells: Any, found: layout.Layout, number: bool, name: str, stated: dict[str, str]
-) -> NDArray[Any]:
-    """Return a column of text as numbers if each cell is a number, or a number with a unit; else as it is."""
+def _convert(column: pa.ChunkedArray, decimal: str) -> tuple[NDArray[Any], str | None]:
+    """Return a column, and the unit in its cells.
+
+    Text stays text unless each cell is a number, or a number and a unit of one quantity.
+    """
     import pandas as pd
 
-    known = cells.notna()
-    plain = cells.str.strip()
-    if number:
-        numbers = pd.to_numeric(plain.str.replace(found.decimal, ".", regex=False), errors="coerce")
-        if numbers.notna().equals(known):
-            return numbers.to_numpy(dtype=float, na_value=np.nan)
-    parts = plain[known].str.fullmatch(layout.QUANTITY)
-    if known.any() and parts.all():
-        split = plain[known].str.extract(f"^{layout.QUANTITY}$")
-        names = {spelled: units.canonical(spelled) for spelled in split[1].unique()}
-        quantities = [{q for q, table in units.UNITS.items() if unit in table} for unit in names.values()]
-        shared = set.intersection(*quantities)
-        if shared:
-            table = units.UNITS[min(shared, key=list(units.UNITS).index)]
-            values = np.full(len(cells), np.nan)
-            first = next(iter(names.values()))
-            factors = split[1].map({s: table[unit] / table[first] for s, unit in names.items()})
-            values[known.to_numpy()] = split[0].astype(float) * factors
-            stated[name] = first
-            return values
-    return cells.to_numpy(dtype=object, na_value=None)
+    if not pa.types.is_string(column.type):
+        return column.to_numpy(), None
+    cells = column.to_pandas()
+    known, plain = cells.notna(), cells.str.strip()
+    numbers = pd.to_numeric(plain.str.translate(_POINTS[decimal]), errors="coerce")
+    if numbers.notna().equals(known):
+        return numbers.to_numpy(dtype=float, na_value=np.nan), None
+    parts = plain.str.extract(f"^{_QUANTITY}$")
+    stated = {spelled: units.canonical(spelled) for spelled in parts[1].dropna().unique()}
+    table = next((table for table in units.UNITS.values() if {*stated.values()} <= table.keys()), None)
+    if table is not None and parts[1].notna().equals(known):
+        first = next(iter(stated.values()))
+        relative = {spelled: table[unit] / table[first] for spelled, unit in stated.items()}
+        return (parts[0].astype(float) * parts[1].map(relative)).to_numpy(dtype=float), first
+    return cells.to_numpy(dtype=object, na_value=None), None
 
 
-def _lines(path: Path, found: layout.Layout, ragged: list[str]) -> NDArray[np.int64]:
-    """Return the line of each sample; blank lines, comments and ragged lines are skipped."""
-    skipped = {text.strip() for text in ragged}
-    samples = layout.rows(path, found)
-    numbers = (at for at, cells in samples if found.delimiter.join(cells).strip() not in skipped)
-    return np.fromiter(numbers, dtype=np.int64)
-
-
-def _ragged(path: Path, found: layout.Layout, ragged: list[str], rows: int) -> list[str]:
-    """Return the note about rows with a wrong number of cells, or refuse the file for too many."""
-    if not ragged:
+def _note_ragged(broken: list[tuple[int, int]], width: int, rows: int, path: Path) -> list[str]:
+    """Return the note about lines with a wrong number of cells, or refuse the file for too many."""
+    if not broken:
         return []
-    texts = {text.strip() for text in ragged}
-    samples = layout.rows(path, found)
-    line, cells = next(
-        ((at, len(cells)) for at, cells in samples if found.delimiter.join(cells).strip() in texts), (None, 0)
-    )
-    if len(ragged) > max(1, MAX_RAGGED * rows):
-        more = f" (and {len(ragged) - 1} more such lines)" if len(ragged) > 1 else ""
-        raise InputError(
-            f"has {cells} cells where {len(found.names)} columns are expected{more}",
-            file=path,
-            line=line,
-            hint="give delimiter, header or skip_rows under 'reader:' of the mapping",
-        )
-    return [
-        f"{len(ragged)} of {rows + len(ragged)} lines have a wrong number of cells and are left out "
-        f"(first: line {line})"
-    ]
+    line, cells = broken[0]
+    if len(broken) > max(1, MAX_RAGGED * rows):
+        text = f"has {cells} cells where {width} columns are expected ({len(broken)} such lines)"
+        hint = "give delimiter, header or skip_rows under 'reader:' of the mapping"
+        raise InputError(text, file=path, line=line, hint=hint)
+    share = f"{len(broken)} of {rows + len(broken)} lines"
+    return [f"{share} have a wrong number of cells and are left out (first: line {line})"]
 
 
 READER = Reader("delimited", "delimited text file", (".csv", ".txt", ".tsv", ".dat", ".asc", ".log"), _open)

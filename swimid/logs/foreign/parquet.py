@@ -5,20 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 from swimid.logs import log
-from swimid.logs.foreign.base import Options, Reader, Table, reading
+from swimid.logs.foreign.base import Options, Reader, Table
 
 
 def _open(path: Path, options: Options) -> Table:
-    import pyarrow as pa
     import pyarrow.parquet as pq
+    from pyarrow.types import is_binary, is_nested
 
-    with reading(path, "Parquet file"):
-        table = pq.read_table(path)
-    nested = [
-        field.name
-        for field in table.schema
-        if pa.types.is_nested(field.type) or pa.types.is_binary(field.type)
-    ]
+    table = pq.read_table(path)
+    nested = [field.name for field in table.schema if is_nested(field.type) or is_binary(field.type)]
     notes = [f"columns that hold no plain values left out: {', '.join(nested)}"] if nested else []
     stored = (table.schema.metadata or {}).get(b"swimid", b"")
     frame = table.drop_columns(nested).to_pandas(ignore_metadata=True)

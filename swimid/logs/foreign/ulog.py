@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import re
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,10 @@ MAGIC = b"ULog\x01\x12\x35"
 
 def _load(path: Path) -> tuple[Any, dict[str, Any]]:
     """Return the recording and its topics by name; several instances of one are ``name[0]``, ``name[1]``."""
-    from pyulog import ULog
+    with reading(path, "ULog recording", "ulog"), contextlib.redirect_stdout(io.StringIO()):
+        # the library prints warnings about a damaged file; stdout is for results
+        from pyulog import ULog
 
-    # the library prints warnings about a damaged file; stdout is for results
-    with reading(path, "ULog file"), contextlib.redirect_stdout(io.StringIO()):
         log = ULog(str(path))
     several = {data.name for data in log.data_list if data.multi_id}
     return log, {f"{d.name}[{d.multi_id}]" if d.name in several else d.name: d for d in log.data_list}
@@ -26,16 +27,14 @@ def _load(path: Path) -> tuple[Any, dict[str, Any]]:
 
 def topics(path: Path) -> list[str]:
     """Return the topics of a recording; none if it cannot be read."""
-    try:
+    with contextlib.suppress(InputError):
         return list(_load(path)[1])
-    except (InputError, ImportError):
-        return []
+    return []
 
 
 def _open(path: Path, options: Options) -> Table:
     log, topics = _load(path)
-    key = "--select NAME, or reader: {topic: NAME} in a mapping, with"
-    topic = one_of(options.topic, list(topics), file=path, what="topic", key=key)
+    topic = one_of(options.topic, list(topics), file=path, what="topic")
     values = {_field(name): column for name, column in topics[topic].data.items()}
     notes = [f"{len(log.dropouts)} dropouts while it was recorded"] if log.dropouts else []
     if log.file_corruption:
@@ -49,9 +48,7 @@ def _field(name: str) -> str:
     >>> _field("q[3]"), _field("timestamp")
     ('q[4]', 'timestamp')
     """
-    base, bracket, index = name.partition("[")
-    digits = index.rstrip("]")
-    return f"{base}[{int(digits) + 1}]" if bracket and digits.isdecimal() else name
+    return re.sub(r"\[(\d+)\]$", lambda index: f"[{int(index[1]) + 1}]", name)
 
 
 READER = Reader("ulog", "ULog recording", (".ulg", ".ulog"), _open, magic=(MAGIC,), extra="ulog")

@@ -10,8 +10,7 @@ from pathlib import Path
 
 from swimid.errors import InputError
 from swimid.logs.choices import Choices
-from swimid.logs.foreign import extra_needed
-from swimid.logs.foreign.base import Table, reading
+from swimid.logs.foreign.base import Table, first_bytes, reading
 
 
 @dataclass(frozen=True)
@@ -30,12 +29,7 @@ class Peek:
         InputError
             It cannot be read.
         """
-        try:
-            with path.open("rb") as stream:
-                return cls(path, stream.read(1 << 14))
-        except OSError as error:
-            hint = "check the path" if isinstance(error, FileNotFoundError) else None
-            raise InputError(f"cannot be read: {error.strerror or error}", file=path, hint=hint) from error
+        return cls(path, first_bytes(path, 1 << 14))
 
     @cached_property
     def lines(self) -> list[str]:
@@ -99,7 +93,7 @@ class Profile:
         """
         Peek.of(path)
         try:
-            with extra_needed(path, self.title, self.extra), reading(path, self.title):
+            with reading(path, self.title, self.extra):
                 return self.read(path, choices)
         except InputError as error:
             if error.hint is None:
