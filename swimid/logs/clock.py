@@ -1,20 +1,23 @@
-"""Sample times of a foreign table: numbers, frames, dates, times of day, or parts in several columns."""
+"""Sample times of a foreign table: numbers, frames, dates, times of day, or parts in several columns.
+
+:class:`Time` is the part ``time:`` of a mapping, and :class:`Stated` the base of all its parts.
+"""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import PositiveFloat, model_validator
+from pydantic import Field, PositiveFloat, field_validator, model_validator
 
 from swimid.errors import InputError
+from swimid.files import yamlio
 from swimid.logs import units
 from swimid.logs.foreign.base import Table, is_text
 from swimid.logs.log import TIME
-from swimid.logs.stated import ColumnKey, Stated
 
 Array = NDArray[np.float64]
 DAY_S = 86400.0
@@ -26,6 +29,23 @@ _COUNTER_BITS = (16, 32)
 COUNT = re.compile(
     r"(frame|index|idx|row|sample|num(ber)?|n|no|count)s?([ _.#]*(number|num|index|idx|no|id|#))?"
 )
+
+#: Mark in a drafted mapping of what nobody has stated yet.
+ASK = "ASK"
+#: A column by its name in the file, or by its number from 1.
+ColumnKey = Annotated[str | int, Field(union_mode="left_to_right")]
+
+
+class Stated(yamlio.Document):
+    """A part of a mapping in which no value is ``ASK``."""
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _nothing_is_open(cls, value: Any) -> Any:
+        inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else [value]
+        if any(part == ASK for part in inner if isinstance(part, str)):
+            raise ValueError(f"is still {ASK}: state it, or delete the line")
+        return value
 
 
 class Time(Stated):
@@ -52,9 +72,8 @@ class Time(Stated):
     def _one_way(self) -> Time:
         if self.frame is None and self.rate_hz is not None and isinstance(self.source, str | int):
             self.frame, self.source = self.source, None
-        if self.frame is not None and (self.source is not None or self.rate_hz is None):
-            raise ValueError("'frame' (a column of frame numbers) goes with 'rate_hz', and without 'source'")
-        if self.frame is None and (self.source is None) == (self.rate_hz is None):
+        given = (self.source is not None, self.frame is not None, self.rate_hz is not None)
+        if given not in ((True, False, False), (False, False, True), (False, True, True)):
             raise ValueError("give 'source' (a column), or 'rate_hz', or 'frame' and 'rate_hz'")
         for unit in [self.unit] if isinstance(self.unit, str) else self.unit:
             units.factor(unit, TIME)
@@ -114,12 +133,11 @@ def seconds(table: Table, time: Time, rows: int, path: Path, metadata: dict[str,
 def _rate(given: float | str, table: Table, path: Path) -> float:
     if not isinstance(given, str):
         return given
-    if given not in table.scalars:
-        hint = f"single numbers in it: {', '.join(table.scalars) or 'none'}"
-        raise InputError(f"holds no number '{given}' for the rate", file=path, hint=hint)
-    rate = table.scalars[given]
-    if not (np.isfinite(rate) and rate > 0):
-        raise InputError(f"its rate '{given}' is {rate:g} Hz", file=path)
+    rate = table.scalars.get(given, np.nan)
+    if not 0 < rate < np.inf:
+        known = ", ".join(f"{name} = {value:g}" for name, value in table.scalars.items())
+        hint = f"single numbers in it: {known or 'none'}"
+        raise InputError(f"holds no positive number '{given}' for the rate", file=path, hint=hint)
     return rate
 
 

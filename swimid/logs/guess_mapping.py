@@ -15,11 +15,11 @@ from swimid.errors import InputError
 from swimid.files import atomic, mark, yamlio
 from swimid.files.provenance import path_of
 from swimid.logs import clock, instances, log, mapping, profiles, units
+from swimid.logs.clock import ASK
 from swimid.logs.foreign import open_table
 from swimid.logs.foreign.base import Table, is_text
 from swimid.logs.log import TIME, LogLike
 from swimid.logs.mapping import Mapping
-from swimid.logs.stated import ASK
 from swimid.results.result import Result
 
 #: Names of single numbers that are a rate, and of columns that are parts of a time, in small letters.
@@ -42,9 +42,8 @@ _NAMES: list[tuple[str, str]] = [
     (r"sway[ _.]?(vel(ocity)?|speed)", "v_m_s"),
     (r"heave[ _.]?(vel(ocity)?|speed)", "w_m_s"),
     (r"(yaw|heading)[ _.]?(rate|vel(ocity)?|speed)", "yaw_rate_rad_s"),
-    (r"yaw|heading", "yaw_rad"),
-    (r"roll", "roll_rad"),
-    (r"pitch", "pitch_rad"),
+    (r"heading", "yaw_rad"),
+    (r"(?P<axis>roll|pitch|yaw)", "{axis}_rad"),
     (r"(net[ _.]?)?force|thrust|load[ _.]?cell", "force_N"),
     (r"joint[ _.]?(angle)?[ _.\[]*(?P<axis>\d+)\]?", "joint{axis}_rad"),
     (r"(cmd|command|setpoint)[ _.\[]*(?P<axis>\d+)\]?", "cmd{axis}_rad"),
@@ -167,7 +166,7 @@ def _of_names(name: str, table: Table) -> list[str]:
             seconds = clock.seconds(table, stated, usual, Path(name), {})
             by, there = instances.find_mixed(Table(columns), seconds, np.ones(usual, dtype=bool), taken)
             if there:
-                lines.append(_line("where", {json.dumps(by, ensure_ascii=False): ASK}, ", ".join(there)))
+                lines.append(_line("where", {_written("", by): ASK}, ", ".join(there)))
                 taken.add(by)
     lines += [_line("time", time, comment), "columns:"]
     seen = {ASK}
@@ -175,17 +174,15 @@ def _of_names(name: str, table: Table) -> list[str]:
         if source in taken:
             continue
         target, unit = named(source, table.units.get(source))
-        entries = {"source": source, "target": target, "unit": unit}
-        if is_text(values) or values.dtype.kind == "M":
+        if is_text(values) or values.dtype.kind == "M" or not np.isfinite(values.astype(float)).any():
             left_out = _line("-", {"source": source, "target": "..."}, f"no numbers: {_first(values)}")
             lines.append(f"  # {left_out}")
-        elif not np.isfinite(values.astype(float)).any():
-            lines.append(f"  # {_written('source', source)} is empty")
-        else:
-            if target in seen:
-                entries |= {"target": ASK, "unit": unit or ASK}
-            seen.add(target)
-            lines.append("  " + _line("-", entries, _first(values)))
+            continue
+        if target in seen:
+            target, unit = ASK, unit or ASK
+        seen.add(target)
+        entries = {"source": source, "target": target, "unit": unit}
+        lines.append("  " + _line("-", entries, _first(values)))
     lines.append("metadata: {}   # robot: ..., frequency_hz: ... (of the stroke, if known)")
     return lines
 

@@ -88,9 +88,8 @@ def import_log(
         digests = beside.submit(provenance.digests_of, inputs)
         read = mapping.apply(rules, given, options.stated, progress=progress)
         found = examine(read, options)
-        origin = provenance.collect(
-            inputs, settings=options.settings(clean=found.cleaned), digests=digests.result()
-        )
+        settings = options.settings(clean=found.cleaned)
+        origin = provenance.collect(inputs, settings=settings, digests=digests.result())
         name = f"{found.path.stem}.csv" if output is None else output.name
         result = imported.result(found, name, origin, tuple(notices), progress)
     return result.saved(output)
@@ -145,12 +144,9 @@ def import_logs(
         raise InputError(text, hint=f"the others were written: {written}")
     if len(done) == 1:
         return done[0]
-    return Result(
-        "import",
-        "\n".join(outcome.text for outcome in done),
-        {"logs": [outcome.data for outcome in done]},
-        [path for outcome in done for path in outcome.outputs],
-    )
+    text = "\n".join(outcome.text for outcome in done)
+    outputs = [path for outcome in done for path in outcome.outputs]
+    return Result("import", text, {"logs": [outcome.data for outcome in done]}, outputs)
 
 
 def destinations(paths: Sequence[Path], output: Path) -> list[Path]:

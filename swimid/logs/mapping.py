@@ -22,12 +22,11 @@ from swimid.files import yamlio
 from swimid.files.delimited import number_hint
 from swimid.files.provenance import path_of
 from swimid.logs import clock, instances, profiles, units
-from swimid.logs.clock import Time
+from swimid.logs.clock import ColumnKey, Stated, Time
 from swimid.logs.foreign import open_table
 from swimid.logs.foreign.base import Options, Table, is_text
 from swimid.logs.log import TIME, Log, metadata_of, written_by
 from swimid.logs.rotation import AXES, rearranged
-from swimid.logs.stated import ColumnKey, Stated
 from swimid.notices import warn
 from swimid.progress import Progress, silent
 
@@ -58,10 +57,8 @@ class Column(Stated):
 
     @model_validator(mode="after")
     def _unit_fits(self) -> Column:
-        if self.factor == 0:
+        if self.scale == 0:
             raise ValueError("a factor of 0 leaves nothing of the column")
-        if self.unit not in (None, NO_UNIT):
-            units.factor(self.unit, self.target)
         return self
 
     @property

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.errors import InputError, suggestion
+from swimid.errors import InputError
 from swimid.logs.foreign import extra_needed
 from swimid.logs.foreign.base import Table, is_text, one_of, reading
 from swimid.logs.units import UNITS, canonical
@@ -143,14 +143,11 @@ def length(unit: str | None, path: Path) -> tuple[float, str]:
     InputError
         The unit is None or empty, or no unit of length.
     """
-    if not unit:
-        hint = "add --length-unit mm (or m, cm, px)"
-        raise InputError("states no unit of length", file=path, hint=hint)
     factors = {"px": 1.0, **UNITS["length"]}
-    name = canonical(unit)
+    name = canonical(unit or "")
     if name not in factors:
-        hint = suggestion(name, list(factors))
-        raise InputError(f"'{name}' is no unit of length", file=path, hint=hint)
+        text = f"'{name}' is no unit of length" if name else "states no unit of length"
+        raise InputError(text, file=path, hint=f"add --length-unit with one of: {', '.join(factors)}")
     return factors[name], "px" if name == "px" else "m"
 
 
@@ -189,3 +186,21 @@ def rows(table: Table, kept: NDArray[np.bool_]) -> Table:
     """Return a table with some of its rows."""
     lines = None if table.lines is None else table.lines[kept]
     return replace(table, columns={name: v[kept] for name, v in table.columns.items()}, lines=lines)
+
+
+def numbers(path: Path, start: int, delimiter: str, width: int) -> tuple[Array, NDArray[np.int64]]:
+    """Return the numbers below ``start`` lines, shape (n, width), and their lines; empty cells are NaN.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    import pandas as pd
+
+    layout = {"sep": delimiter, "skiprows": start, "names": range(width), "index_col": False}
+    table = pd.read_csv(path, skip_blank_lines=False, **layout)
+    table = table.apply(pd.to_numeric).dropna(how="all")
+    if table.empty:
+        raise InputError("holds no samples under its header", file=path)
+    return table.to_numpy(dtype=float), table.index.to_numpy() + start + 1

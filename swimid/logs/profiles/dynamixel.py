@@ -18,13 +18,12 @@ from swimid.logs import clock, units
 from swimid.logs.foreign import open_table
 from swimid.logs.foreign.base import Table, is_text
 from swimid.logs.log import TIME
-from swimid.logs.profiles.base import Array, Peek, Profile
+from swimid.logs.profiles.base import Peek, Profile
 
 TICKS_PER_TURN, MIDDLE_TICK, REV_PER_MIN = 4096, 2048, 0.229
 _FIELD = re.compile(
-    r"(dxl|id|servo|motor|joint)?[ _]*(?P<before>\d*)[ _:.-]*"
-    r"(?P<what>present|goal)[ _]*(?P<which>position|velocity)"
-    r"[ _\[(#id]*(?P<after>\d*)[\])]?",
+    r"(dxl|id|servo|motor|joint)?[ _]*\d*[ _:.-]*(?P<what>present|goal)[ _]*(?P<which>position|velocity)"
+    r"[ _\[(#id]*\d*[\])]?",
     re.I,
 )
 _TIME = re.compile(r"(t|time|timestamp)[ _]*[(\[]?(?P<unit>s|ms|us|ns|sec|seconds)?[)\]]?", re.I)
@@ -41,10 +40,17 @@ def _read(path: Path, select: str | None, length_unit: str | None) -> Table:
     if not fields:
         hint = "its columns are named as in the control table: Present Position, Goal Position"
         raise InputError("has no position of a servo", file=path, hint=hint)
-    servos = {name: int(hit["before"] or hit["after"] or "1") for name, hit in fields.items()}
+    servos = {name: int([*re.findall(r"\d+", name), "1"][0]) for name in fields}
     # joints count from 1, in the order of the file; servos may have any number
     numbers = list(dict.fromkeys(servos.values()))
-    columns = _times(table, len(next(iter(table.columns.values()))), path)
+    rows = len(table.columns[next(iter(fields))])
+    columns = {"frame": np.arange(rows, dtype=float)}
+    for name in table.columns:
+        hit = _TIME.fullmatch(name.strip())
+        unit = hit and (hit["unit"] or table.units.get(name))
+        if unit and TIME not in columns:
+            time = clock.Time(source=name, unit=units.canonical(unit))
+            columns = {TIME: clock.seconds(table, time, rows, path, {})}
     for name, hit in fields.items():
         if is_text(table.columns[name]):
             raise InputError("holds text, not ticks", file=path, column=name)
@@ -56,17 +62,6 @@ def _read(path: Path, select: str | None, length_unit: str | None) -> Table:
         else:
             columns[f"{joint}_rad_s"] = ticks * REV_PER_MIN * units.UNITS["turn rate"]["rpm"]
     return replace(table, columns=columns, metadata={"servos": numbers}, units={})
-
-
-def _times(table: Table, rows: int, path: Path) -> dict[str, Array]:
-    """Return the column of times, or of the numbers of the rows."""
-    for name in table.columns:
-        hit = _TIME.fullmatch(name.strip())
-        unit = hit and (hit["unit"] or table.units.get(name))
-        if unit:
-            time = clock.Time(source=name, unit=units.canonical(unit))
-            return {TIME: clock.seconds(table, time, rows, path, {})}
-    return {"frame": np.arange(rows, dtype=float)}
 
 
 PROFILE = Profile("dynamixel", "log of Dynamixel servos", _recognises, _read)

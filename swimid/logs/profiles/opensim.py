@@ -7,25 +7,22 @@ Forces are in N, torques in N m, points of application in m.
 
 from __future__ import annotations
 
-import io
 import re
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from swimid.errors import InputError
 from swimid.logs.foreign.base import Table
 from swimid.logs.log import TIME
-from swimid.logs.profiles.base import Array, Peek, Profile, length, safe
+from swimid.logs.profiles.base import Array, Peek, Profile, length, numbers, safe
 from swimid.notices import warn
 
 #: Units of the columns of a motion, by pattern; the first that fits counts.
 _UNITS = {
-    r".*force.*_p[xyz]": "m",
+    r".*(force.*_p|_t)[xyz]": "m",
     r".*(torque|moment).*": "Nm",
     r".*force.*": "N",
-    r".*_t[xyz]": "m",
     r".*": "rad",
 }
 #: Value or speed of a coordinate, ``/jointset/hip/hip_flexion/value``.
@@ -44,27 +41,13 @@ def _read(path: Path, select: str | None, length_unit: str | None) -> Table:
     return _motion(lines, path)
 
 
-def _rows(lines: list[str], start: int, width: int, path: Path) -> tuple[Array, NDArray[np.int64]]:
-    """Return the numbers below ``start`` lines, shape (n, width), and their lines; empty cells are NaN."""
-    import pandas as pd
-
-    # a TRC file is separated by tabs and has empty cells; a storage may be aligned by blanks
-    delimiter = "\t" if "\t" in lines[start] else r"\s+"
-    samples = io.StringIO("\n".join(lines[start:]))
-    table = pd.read_csv(samples, sep=delimiter, header=None, names=range(width), skip_blank_lines=False)
-    table = table.apply(pd.to_numeric).dropna(how="all")
-    if table.empty:
-        raise InputError("holds no samples under its header", file=path)
-    return table.to_numpy(dtype=float), table.index.to_numpy() + start + 1
-
-
 def _markers(lines: list[str], length_unit: str | None, path: Path) -> Table:
     if len(lines) < 6:
         raise InputError("ends within its header", file=path, line=len(lines))
     head = dict(zip(lines[1].split(), lines[2].split(), strict=False))
     factor, unit = length(length_unit or head.get("Units"), path)
     names = [safe(name) for name in lines[3].split("\t")[2:] if name.strip()]
-    values, at = _rows(lines, 5, 2 + 3 * len(names), path)
+    values, at = numbers(path, 5, "\t", 2 + 3 * len(names))
     targets = [f"{name}_{axis}_{unit}" for name in names for axis in "xyz"]
     time_s = values[:, 1]
     columns = {TIME: time_s, **dict(zip(targets, values.T[2:] * factor, strict=True))}
@@ -86,7 +69,9 @@ def _motion(lines: list[str], path: Path) -> Table:
     if not {"indegrees=yes", "indegrees=no"} & set(head):
         hint = "add the line inDegrees=yes or inDegrees=no above 'endheader'"
         raise InputError("states no 'inDegrees'", file=path, line=end + 1, hint=hint)
-    values, at = _rows(lines, end + 2, len(names), path)
+    # a storage is separated by tabs, or aligned by blanks
+    delimiter = "\t" if "\t" in lines[end + 2] else r"\s+"
+    values, at = numbers(path, end + 2, delimiter, len(names))
     columns: dict[str, Array] = {TIME: values[:, 0]}
     has_coordinates = path.suffix.lower() == ".mot" or "coordinates" in head[0]
     left_out = []
@@ -97,10 +82,9 @@ def _motion(lines: list[str], path: Path) -> Table:
         rate = "_s" if hit and hit["kind"] == "speed" else ""
         if unit == "rad" and not (has_coordinates or hit):
             left_out.append(name)
-        elif unit == "rad" and "indegrees=yes" in head:
-            columns[f"{word}_rad{rate}"] = np.radians(cells)
-        else:
-            columns[f"{word}_{unit}{rate}"] = cells
+            continue
+        in_degrees = unit == "rad" and "indegrees=yes" in head
+        columns[f"{word}_{unit}{rate}"] = np.radians(cells) if in_degrees else cells
     if left_out:
         text = f"columns that are no coordinates are left out: {', '.join(left_out[:20])}"
         warn("SWM004", f"{path.name}: {text}")

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from swimid.errors import InputError
 from swimid.logs.foreign import ulog
 from swimid.logs.foreign.base import Options, Table
 from swimid.logs.log import TIME
@@ -41,9 +40,7 @@ def _known(path: Path) -> list[str]:
 def _read(path: Path, select: str | None, length_unit: str | None) -> Table:
     topic = choose(select, _known(path), "topic", path)
     table = ulog.READER.open(path, Options(topic=topic))
-    if "timestamp" not in table.columns:
-        raise InputError("this column is missing", file=path, column="timestamp")
-    time_s = table.columns["timestamp"].astype(np.int64) * 1e-6
+    time_s = table.columns[table.column("timestamp", path)].astype(np.int64) * 1e-6
     columns = renamed(table, TOPICS[topic.partition("[")[0]])
     return replace(table, columns={TIME: time_s, **with_angles(from_frd(columns))})
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -34,8 +33,7 @@ def _of_text(path: Path, select: str | None) -> Table:
     import pandas as pd
 
     table = open_table(path)
-    if "frame_idx" not in table.columns:
-        raise InputError("this column is missing", file=path, column="frame_idx")
+    frames = table.column("frame_idx", path)
     if "track" in table.columns:
         tracks = pd.Series(table.columns["track"]).dropna().astype(str)
         names = list(tracks.unique())
@@ -44,7 +42,7 @@ def _of_text(path: Path, select: str | None) -> Table:
             table = rows(table, table.columns["track"].astype(str) == chosen)
     cells = [name for name, values in table.columns.items() if _CELL.fullmatch(name) and not is_text(values)]
     found = points({name: table.columns[name].astype(float) for name in cells})
-    return replace(table, columns={"frame": table.columns["frame_idx"], **found})
+    return replace(table, columns={"frame": table.columns[frames], **found})
 
 
 def _of_hdf5(path: Path, select: str | None) -> Table:
@@ -52,8 +50,8 @@ def _of_hdf5(path: Path, select: str | None) -> Table:
 
     with h5py.File(path, "r") as file:
         tracks = np.asarray(file["tracks"], dtype=float)
-        nodes = [_word(name) for name in file["node_names"]]
-        names = [_word(name) for name in file.get("track_names", [])]
+        nodes = [name.decode() for name in file["node_names"]]
+        names = [name.decode() for name in file.get("track_names", [])]
         scores = np.asarray(file.get("point_scores", []), dtype=float)
     if tracks.ndim != 4 or tracks.shape[1] != 2 or tracks.shape[2] != len(nodes):
         text = f"'tracks' has the shape {tracks.shape}; it must be (tracks, 2, {len(nodes)} nodes, frames)"
@@ -67,10 +65,6 @@ def _of_hdf5(path: Path, select: str | None) -> Table:
         if scores.shape == tracks[:, 0].shape:
             found[f"{node}.score"] = scores[at, k]
     return Table({"frame": np.arange(tracks.shape[3], dtype=float), **points(found)})
-
-
-def _word(name: Any) -> str:
-    return name.decode() if isinstance(name, bytes) else str(name)
 
 
 PROFILE = Profile("sleap", "analysis file of SLEAP", _recognises, _read)

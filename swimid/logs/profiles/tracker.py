@@ -9,12 +9,10 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import numpy as np
-
 from swimid.errors import InputError
 from swimid.logs.foreign.base import Table
 from swimid.logs.log import TIME
-from swimid.logs.profiles.base import Array, Peek, Profile, choose, length, safe
+from swimid.logs.profiles.base import Peek, Profile, choose, length, numbers, safe
 
 _NAME = re.compile(
     r"(t|step|frame|(?P<kind>[va]?)_?\{?(?P<axis>[xyr])\}?)(\s*[(\[](?P<unit>[^)\]/]*)[^)\]]*[)\]])?"
@@ -51,14 +49,13 @@ def _read(path: Path, select: str | None, length_unit: str | None) -> Table:
         hint = "Tracker exports a line with the track, a line 't x y', and the samples"
         raise InputError("is no export of Tracker", file=path, hint=hint)
     height, mark, above, names = found
-    table = pd.read_csv(path, sep=mark, header=None, skiprows=height, skip_blank_lines=False)
-    table = table.iloc[:, : len(names)].apply(pd.to_numeric, errors="coerce").dropna(how="all")
+    values, lines = numbers(path, height, mark, len(names))
     # the name of a track stands above the first of its columns
     filled = pd.Series(above).reindex(range(len(names)))
     owners = filled.where(filled != "").ffill().fillna("").tolist()
     tracks = [track for track in dict.fromkeys(owners[1:]) if track]
     track = choose(select, tracks, "track", path) if select else None
-    columns: dict[str, Array] = {TIME: table[0].to_numpy(dtype=float)}
+    columns = {TIME: values[:, 0]}
     is_unit_known = length_unit is not None
     for k, name in enumerate(names):
         hit = _NAME.fullmatch(name)
@@ -69,12 +66,10 @@ def _read(path: Path, select: str | None, length_unit: str | None) -> Table:
         target = f"{hit['kind']}{hit['axis']}_{unit}{_PER[hit['kind']]}"
         if len(tracks) > 1 and track is None:
             target = f"{safe(owners[k])}_{target}"
-        columns[target] = table[k].to_numpy(dtype=float) * factor
-    default = (
-        "the file states no unit of length; metres are Tracker's default (another one: --length-unit cm)"
-    )
+        columns[target] = values[:, k] * factor
+    default = "the file states no unit of length; metres are Tracker's default (else add --length-unit cm)"
     notes = [] if is_unit_known else [default]
-    return Table(columns, notes=notes, lines=np.asarray(table.index + height + 1, dtype=np.int64))
+    return Table(columns, notes=notes, lines=lines)
 
 
 PROFILE = Profile("tracker", "export of Tracker", _recognises, _read)
