@@ -56,19 +56,18 @@ def _read(path: Path, select: str | None, length_unit: str | None) -> Table:
     tracks = [track for track in dict.fromkeys(owners[1:]) if track]
     track = choose(select, tracks, "track", path) if select else None
     columns = {TIME: values[:, 0]}
-    is_unit_known = length_unit is not None
-    for k, name in enumerate(names):
-        hit = _NAME.fullmatch(name)
-        if hit is None or hit["axis"] is None or track not in (None, owners[k]):
-            continue
-        is_unit_known = is_unit_known or bool(hit["unit"])
+    taken = [k for k in range(len(names)) if track in (None, owners[k])]
+    hits = {k: hit for k in taken if (hit := _NAME.fullmatch(names[k])) and hit["axis"]}
+    for k, hit in hits.items():
         factor, unit = length(length_unit or hit["unit"] or "m", path)
         target = f"{hit['kind']}{hit['axis']}_{unit}{_PER[hit['kind']]}"
         if len(tracks) > 1 and track is None:
             target = f"{safe(owners[k])}_{target}"
         columns[target] = values[:, k] * factor
-    default = "the file states no unit of length; metres are Tracker's default (else add --length-unit cm)"
-    notes = [] if is_unit_known else [default]
+    notes = []
+    if length_unit is None and not any(hit["unit"] for hit in hits.values()):
+        default = "metres are Tracker's default (else add --length-unit cm)"
+        notes.append(f"the file states no unit of length; {default}")
     return Table(columns, notes=notes, lines=lines)
 
 
