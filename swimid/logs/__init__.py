@@ -4,9 +4,8 @@
 ``plot``, ``figures`` and ``section`` show logs, ``options`` are those of the commands.
 
 Import: ``foreign`` (a reader per file format), ``profiles`` (a profile per known program), ``mapping``,
-``choices``, ``clock``, ``units``, ``likelihood`` and ``instances`` (which samples to take), ``guess_mapping``
-(a drafted mapping), ``import_log``, ``examine``, ``consistency`` (contradicting columns), ``imported`` (the
-result).
+``clock``, ``units``, ``instances`` (which samples to take), ``guess_mapping`` (a drafted mapping),
+``import_log``, ``examine``, ``consistency`` (contradicting columns), ``imported`` (the result).
 
 Samples: ``sampling``, ``time_order``, ``plausible``, ``derivative``, ``rotation``.
 Tracks: ``track_cleaning``, ``track_speed``, ``course``, ``projection``, ``swimming``.

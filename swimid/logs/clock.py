@@ -1,31 +1,51 @@
-"""Sample times of a foreign table: numbers, frames, dates, times of day, or parts in several columns."""
+"""Sample times of a foreign table: numbers, frames, dates, times of day, or parts in several columns.
+
+:class:`Time` is the part ``time:`` of a mapping, and :class:`Stated` the base of all its parts.
+"""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import PositiveFloat, model_validator
+from pydantic import Field, PositiveFloat, field_validator, model_validator
 
 from swimid.errors import InputError
+from swimid.files import yamlio
 from swimid.logs import units
 from swimid.logs.foreign.base import Table, is_text
 from swimid.logs.log import TIME
-from swimid.logs.stated import ColumnKey, Stated
 
 Array = NDArray[np.float64]
 DAY_S = 86400.0
-_TIME_OF_DAY = r"(\d{1,2}):(\d\d)(?::(\d\d(?:\.\d+)?))?"
-_DATE = r"(\d{1,2})[/.-](\d{1,2})[/.-](\d{4})(?:[T ]+(.*))?"
+_TIME_OF_DAY = r"\d{1,2}:\d\d(:\d\d(\.\d+)?)?"
+_DATE = r"^(\d{1,2})[/.-](\d{1,2})[/.-](\d{4})(?:[T ]+|$)"
 #: Widths of the counters of microcontrollers, bits.
 _COUNTER_BITS = (16, 32)
 #: Names of columns that count frames or rows.
 COUNT = re.compile(
     r"(frame|index|idx|row|sample|num(ber)?|n|no|count)s?([ _.#]*(number|num|index|idx|no|id|#))?"
 )
+
+#: Mark in a drafted mapping of what nobody has stated yet.
+ASK = "ASK"
+#: A column by its name in the file, or by its number from 1.
+ColumnKey = Annotated[str | int, Field(union_mode="left_to_right")]
+
+
+class Stated(yamlio.Document):
+    """A part of a mapping in which no value is ``ASK``."""
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _nothing_is_open(cls, value: Any) -> Any:
+        inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else [value]
+        if any(part == ASK for part in inner if isinstance(part, str)):
+            raise ValueError(f"is still {ASK}: state it, or delete the line")
+        return value
 
 
 class Time(Stated):
@@ -52,9 +72,8 @@ class Time(Stated):
     def _one_way(self) -> Time:
         if self.frame is None and self.rate_hz is not None and isinstance(self.source, str | int):
             self.frame, self.source = self.source, None
-        if self.frame is not None and (self.source is not None or self.rate_hz is None):
-            raise ValueError("'frame' (a column of frame numbers) goes with 'rate_hz', and without 'source'")
-        if self.frame is None and (self.source is None) == (self.rate_hz is None):
+        given = (self.source is not None, self.frame is not None, self.rate_hz is not None)
+        if given not in ((True, False, False), (False, False, True), (False, True, True)):
             raise ValueError("give 'source' (a column), or 'rate_hz', or 'frame' and 'rate_hz'")
         for unit in [self.unit] if isinstance(self.unit, str) else self.unit:
             units.factor(unit, TIME)
@@ -81,43 +100,29 @@ def seconds(table: Table, time: Time, rows: int, path: Path, metadata: dict[str,
         A column or rate is missing, or a cell is no time; names line and column.
     """
     names = [table.column(key, path) for key in time.sources]
-    if time.rate_hz is not None:
-        rate = _rate(time.rate_hz, table, path)
-        counts = _frames(table, names[0], path) if names else np.arange(rows, dtype=float)
-        return _from_origin([(counts, 1.0 / rate)], time, metadata)
     parts = [table.columns[name] for name in names]
-    if any(is_text(part) for part in parts):
-        stamps = _parsed(parts, table, time, names, path)
-        # times of day are seconds already, dates are not
-        parts, spelled = [stamps], ["s"]
-    else:
-        spelled = time.unit if isinstance(time.unit, list) else [time.unit] * len(parts)
-    terms: list[tuple[NDArray[Any], float]] = []
-    for part, unit in zip(parts, spelled, strict=True):
-        if part.dtype.kind == "M":
-            terms.append((part.astype("datetime64[ns]"), 1e-9))
-            continue
-        values = part if time.wraps_at is None else unwrapped(part, time.wraps_at)
-        terms.append((values, units.factor(unit, TIME)))
-    return _from_origin(terms, time, metadata)
-
-
-def _from_origin(terms: list[tuple[NDArray[Any], float]], time: Time, metadata: dict[str, Any]) -> Array:
-    """Return the sum of the terms (values, factor to s) from the origin that was asked for."""
-    known = np.ones(len(terms[0][0]), dtype=bool)
-    numbers = []
-    for values, factor in terms:
-        there = ~np.isnat(values) if values.dtype.kind == "M" else np.isfinite(values)
-        known &= there
-        if values.dtype.kind == "M":
-            values = np.where(there, values.astype(np.int64), 0)
-        numbers.append((values, factor))
+    units_of = time.unit if isinstance(time.unit, list) else [time.unit] * len(parts)
+    factors = [units.factor(unit, TIME) for unit in units_of]
+    if time.rate_hz is not None:
+        parts = [_frames(table, names[0], path)] if names else [np.arange(rows, dtype=float)]
+        factors = [1.0 / _rate(time.rate_hz, table, path)]
+    elif any(is_text(part) for part in parts):
+        # times of day are seconds already
+        parts, factors = [_parsed(parts, table, time, names, path)], [1.0]
+    known = np.logical_and.reduce([np.isfinite(part) for part in parts])
     if not known.any():
         return np.full(len(known), np.nan)
-    row, total = int(np.argmax(known)), np.zeros(len(known))
-    first = sum(float(values[row]) * factor for values, factor in numbers)
-    for values, factor in numbers:
-        total += (values - values[row]) * factor if time.origin == "first" else values * factor
+    row = int(np.argmax(known))
+    first, total = 0.0, np.zeros(len(known))
+    for part, factor in zip(parts, factors, strict=True):
+        values = part
+        if part.dtype.kind == "M":
+            values, factor = part.astype("datetime64[ns]").astype(np.int64), 1e-9
+        elif time.wraps_at is not None:
+            values = unwrapped(part, time.wraps_at)
+        first += float(values[row]) * factor
+        start = values[row] if time.origin == "first" else 0
+        total += (values - start) * factor
     if time.origin == "first":
         metadata.setdefault("first_stamp_s", first)
     elif not isinstance(time.origin, str):
@@ -128,12 +133,11 @@ def _from_origin(terms: list[tuple[NDArray[Any], float]], time: Time, metadata: 
 def _rate(given: float | str, table: Table, path: Path) -> float:
     if not isinstance(given, str):
         return given
-    if given not in table.scalars:
-        hint = f"single numbers in it: {', '.join(table.scalars) or 'none'}"
-        raise InputError(f"holds no number '{given}' for the rate", file=path, hint=hint)
-    rate = table.scalars[given]
-    if not (np.isfinite(rate) and rate > 0):
-        raise InputError(f"its rate '{given}' is {rate:g} Hz", file=path)
+    rate = table.scalars.get(given, np.nan)
+    if not 0 < rate < np.inf:
+        known = ", ".join(f"{name} = {value:g}" for name, value in table.scalars.items())
+        hint = f"single numbers in it: {known or 'none'}"
+        raise InputError(f"holds no positive number '{given}' for the rate", file=path, hint=hint)
     return rate
 
 
@@ -163,16 +167,13 @@ def unwrapped(counts: NDArray[Any], period: float) -> Array:
     return values + period * np.concatenate(([0.0], np.cumsum(steps < -period / 2)))
 
 
-def wrap_hint(times: Array, factor: float) -> str:
-    """Return the hint for a clock that goes back where a counter of 16 or 32 bits would start again; else ''.
-
-    ``times`` are in s, ``factor`` is that of their unit.
-    """
-    known = times[np.isfinite(times)] / factor
-    back = np.flatnonzero(np.diff(known) < 0)
+def wrap_hint(times_s: Array, time: Time | None) -> str:
+    """Return the hint for a clock that goes back where a counter of 16 or 32 bits restarts; else ''."""
+    unit = time.unit if time is not None and isinstance(time.unit, str) else "s"
+    steps = np.diff(times_s[np.isfinite(times_s)]) / units.factor(unit, TIME)
+    back = steps[steps < 0]
     for bits in _COUNTER_BITS:
-        step = np.median(np.abs(np.diff(known)))
-        if len(back) and np.all(np.abs(np.diff(known)[back] + 2.0**bits) < 10 * step):
+        if len(back) and np.all(np.abs(back + 2.0**bits) < 10 * np.median(np.abs(steps))):
             return f"a counter of {bits} bits starts again at {2**bits}: add 'wraps_at: {2**bits}' to 'time:'"
     return ""
 
@@ -183,50 +184,34 @@ def _parsed(
     """Return text as dates (``datetime64[ns]``), or as times of day in s."""
     import pandas as pd
 
-    cells = pd.Series(_words(parts[0]), dtype="string")
-    for part in parts[1:]:
-        cells = cells.str.cat(pd.Series(_words(part), dtype="string"), sep=" ")
-    known = cells.notna()
-    plain = cells.str.strip().str.replace(",", ".", regex=False)
+    # whole numbers beside a text are written without a decimal point
+    columns = [pd.Series(part).convert_dtypes().astype("string").str.strip() for part in parts]
+    cells = columns[0].str.cat(columns[1:], sep=" ") if columns[1:] else columns[0]
+    plain = cells.str.replace(",", ".", regex=False)
+    of_day = plain.str.fullmatch(_TIME_OF_DAY)
     if time.format is not None:
-        stamps = pd.to_datetime(cells.str.strip(), format=time.format, errors="coerce", utc=True)
-    elif plain[known].str.fullmatch(_TIME_OF_DAY).mean() > 0.5:
-        split = plain.str.extract(f"^{_TIME_OF_DAY}$").astype(float)
-        of_day = (3600 * split[0] + 60 * split[1] + split[2].fillna(0.0)).to_numpy(dtype=float)
-        _refuse(known.to_numpy() & np.isnan(of_day), cells, table, names, path)
-        return unwrapped(of_day, DAY_S)
+        stamps = pd.to_datetime(cells, format=time.format, errors="coerce", utc=True)
+    elif of_day.mean() > 0.5:
+        minutes = plain.where(of_day).str.replace(r"^(\d+:\d+)$", r"\1:00", regex=True)
+        stamps = pd.to_timedelta(minutes, errors="coerce")
     else:
-        split = plain.str.extract(f"^{_DATE}$")
-        if split[2].notna().sum() > known.sum() / 2:
+        if plain.str.match(_DATE).mean() > 0.5:
             if time.day_first is None:
                 raise InputError(
-                    f"'{cells[known].iloc[0]}' may have the day or the month first",
+                    f"'{cells[cells.notna()].iloc[0]}' may have the day or the month first",
                     file=path,
                     column=names[0],
                     hint="add 'day_first: true' (or false) to 'time:' of the mapping",
                 )
-            day, month = (split[0], split[1]) if time.day_first else (split[1], split[0])
-            plain = (
-                split[2] + "-" + month.str.zfill(2) + "-" + day.str.zfill(2) + " " + split[3].fillna("00:00")
-            )
+            iso = r"\3-\2-\1 " if time.day_first else r"\3-\1-\2 "
+            plain = plain.str.replace(_DATE, iso, regex=True).str.strip()
         stamps = pd.to_datetime(plain, errors="coerce", format="ISO8601", utc=True)
-    _refuse((known & stamps.isna()).to_numpy(dtype=bool), cells, table, names, path)
+    bad = (cells.notna() & stamps.isna()).to_numpy(dtype=bool)
+    if bad.any():
+        row = int(np.argmax(bad))
+        text = f"'{cells.iloc[row][:40]}' is neither a number nor a date or time that is known"
+        hint = "state how it is written under 'time:' of the mapping, as in format: '%d.%m.%Y %H:%M:%S'"
+        raise InputError(text, file=path, column=" and ".join(names), hint=hint, **table.place(row))
+    if stamps.dtype.kind == "m":
+        return unwrapped(stamps.dt.total_seconds().to_numpy(), DAY_S)
     return stamps.dt.tz_localize(None).to_numpy(dtype="datetime64[ns]")
-
-
-def _words(part: NDArray[Any]) -> list[Any]:
-    """Return cells as text; whole numbers without a decimal point, missing cells as None."""
-    return [
-        None if cell is None or cell != cell else f"{cell:g}" if isinstance(cell, float) else str(cell)
-        for cell in part.tolist()
-    ]
-
-
-def _refuse(bad: NDArray[np.bool_], cells: Any, table: Table, names: list[str], path: Path) -> None:
-    """Raise at the first cell that is neither a number nor a time."""
-    if not bad.any():
-        return
-    row = int(np.argmax(bad))
-    hint = "state how it is written under 'time:' of the mapping, as in format: '%d.%m.%Y %H:%M:%S'"
-    text = f"'{str(cells.iloc[row])[:40]}' is neither a number nor a date or time that is known"
-    raise InputError(text, file=path, column=" and ".join(names), hint=hint, **table.place(row))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 from dataclasses import dataclass
@@ -14,17 +15,18 @@ from swimid.errors import InputError
 from swimid.files import atomic, mark, yamlio
 from swimid.files.provenance import path_of
 from swimid.logs import clock, instances, log, mapping, profiles, units
-from swimid.logs.choices import Choices
+from swimid.logs.clock import ASK
 from swimid.logs.foreign import open_table
 from swimid.logs.foreign.base import Table, is_text
 from swimid.logs.log import TIME, LogLike
 from swimid.logs.mapping import Mapping
-from swimid.logs.stated import ASK
 from swimid.results.result import Result
 
 #: Names of single numbers that are a rate, and of columns that are parts of a time, in small letters.
 RATES, SECONDS = ("fs", "rate", "rate_hz", "fps", "sample_rate"), ("secs", "sec", "s", "seconds")
 NANOSECONDS = ("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds", "ns")
+#: Stand-ins for what is still open in a drafted time; the scale of the time does not tell instances apart.
+ANSWERS = {"unit": "s", "rate_hz": 1.0, "day_first": True}
 #: Number of values that are shown beside a question.
 SHOWN = 3
 _XYZ = r"[ _.\[]*(?P<axis>[xyz])\]?"
@@ -40,9 +42,8 @@ _NAMES: list[tuple[str, str]] = [
     (r"sway[ _.]?(vel(ocity)?|speed)", "v_m_s"),
     (r"heave[ _.]?(vel(ocity)?|speed)", "w_m_s"),
     (r"(yaw|heading)[ _.]?(rate|vel(ocity)?|speed)", "yaw_rate_rad_s"),
-    (r"yaw|heading", "yaw_rad"),
-    (r"roll", "roll_rad"),
-    (r"pitch", "pitch_rad"),
+    (r"heading", "yaw_rad"),
+    (r"(?P<axis>roll|pitch|yaw)", "{axis}_rad"),
     (r"(net[ _.]?)?force|thrust|load[ _.]?cell", "force_N"),
     (r"joint[ _.]?(angle)?[ _.\[]*(?P<axis>\d+)\]?", "joint{axis}_rad"),
     (r"(cmd|command|setpoint)[ _.\[]*(?P<axis>\d+)\]?", "cmd{axis}_rad"),
@@ -75,16 +76,6 @@ class Draft(Result):
     def _write(self, path: Path) -> list[Path]:
         atomic.write_text(path, mark.draft(self.document))
         return [path]
-
-
-@dataclass(frozen=True)
-class Drafted:
-    """What the name of one column and the file state about it; None where nothing is stated."""
-
-    source: str
-    target: str | None = None
-    unit: str | None = None
-    needs_unit: bool = False
 
 
 def guess_mapping(source: LogLike, *, output: str | Path | None = None) -> Draft:
@@ -120,12 +111,13 @@ def guess_mapping(source: LogLike, *, output: str | Path | None = None) -> Draft
     """
     given = log.unread(source)
     path = path_of(given)
-    profile = profiles.find(path, Choices()) if isinstance(given, Path) else None
+    profile = profiles.find(path) if isinstance(given, Path) else None
     if profile is not None and profile.name != "swimid":
-        text = _of_profile(profile, path)
+        lines = _of_profile(profile, path)
     else:
-        text = _of_names(path.name, open_table(given))
-    asked = sum(ASK in line.partition("#")[0] for line in text.splitlines())
+        lines = _of_names(path.name, open_table(given))
+    asked = sum(ASK in line.partition("#")[0] for line in lines)
+    text = "".join(re.sub(r"[\r\n]", " ", line) + "\n" for line in lines)
     data = {"file": str(path), "mapping": text, "open": asked}
     if output is None:
         return Draft("import", text.rstrip("\n"), data, document=text)
@@ -134,32 +126,28 @@ def guess_mapping(source: LogLike, *, output: str | Path | None = None) -> Draft
     return Draft("import", told, data, document=text).save(output)
 
 
-def _of_profile(profile: profiles.Profile, path: Path) -> str:
-    """Return the draft for a file of a known format."""
+def _of_profile(profile: profiles.Profile, path: Path) -> list[str]:
+    """Return the lines of the draft for a file of a known format."""
     lines = [
         f"# Drafted from {path.name} ({profile.title}) by swimid import --guess.",
         f"format: {mapping.FORMAT}",
+        f"as: {profile.name}",
     ]
-    lines.append(f"as: {profile.name}")
     try:
-        table = profile.table(path, Choices())
+        table = profile.table(path)
     except InputError as error:
-        lines.append(f"select: {ASK}   # {error}; {error.hint or ''}".replace("\n", " "))
-        return "\n".join(lines) + "\n"
+        return [*lines, _line("select", ASK, f"{error}; {error.hint or ''}")]
     lines += [f"# {note}" for note in table.notes]
     if TIME not in table.columns and "rate_hz" not in table.scalars:
-        lines.append(
-            f"time: {{rate_hz: {ASK}}}   # frames per second of the film; the file does not state them"
-        )
-    lines += ["# the log gets these columns; 'columns:' takes some of them, under other names:"]
-    lines += [
-        f"#   - {{source: {name}, target: {name}}}" for name in table.columns if name not in (TIME, "frame")
-    ]
-    return "\n".join(lines) + "\n"
+        comment = "frames per second of the film; the file does not state them"
+        lines.append(_line("time", {"rate_hz": ASK}, comment))
+    lines.append("# the log gets these columns; 'columns:' takes some of them, under other names:")
+    names = [name for name in table.columns if name not in (TIME, "frame")]
+    return [*lines, *(f"#   - {{source: {name}, target: {name}}}" for name in names)]
 
 
-def _of_names(name: str, table: Table) -> str:
-    """Return the draft that follows from names and stated units."""
+def _of_names(name: str, table: Table) -> list[str]:
+    """Return the lines of the draft that follow from names and stated units."""
     usual = max((len(v) for v in table.columns.values()), default=0)
     columns = {key: values for key, values in table.columns.items() if len(values) == usual}
     lines = [
@@ -168,67 +156,84 @@ def _of_names(name: str, table: Table) -> str:
         f"format: {mapping.FORMAT}",
     ]
     if "topic" in table.metadata:
-        lines.append(f"reader: {{topic: {_scalar(table.metadata['topic'])}}}")
-    time, taken = _time(table, columns)
-    mixed, by = _mixed(table, columns, time, taken)
-    lines += mixed
-    taken |= by
-    found: list[str] = []
-    seen: set[str] = set()
+        lines.append(_line("reader", {"topic": table.metadata["topic"]}))
+    time, comment = _time(table, columns)
+    taken: set[str] = set()
+    if isinstance(time, dict):
+        stated = clock.Time(**{key: ANSWERS[key] if value == ASK else value for key, value in time.items()})
+        taken = {str(key) for key in stated.sources}
+        with contextlib.suppress(InputError):
+            seconds = clock.seconds(table, stated, usual, Path(name), {})
+            by, there = instances.find_mixed(Table(columns), seconds, np.ones(usual, dtype=bool), taken)
+            if there:
+                lines.append(_line("where", {_written("", by): ASK}, ", ".join(there)))
+                taken.add(by)
+    lines += [_line("time", time, comment), "columns:"]
+    seen = {ASK}
     for source, values in columns.items():
         if source in taken:
             continue
-        shown = _first(values)
-        drafted = named(source, table.units.get(source))
-        if is_text(values) or values.dtype.kind == "M":
-            found.append(f"  # - {{source: {_source(source)}, target: ...}}   # no numbers: {shown}")
+        target, unit = named(source, table.units.get(source))
+        if is_text(values) or values.dtype.kind == "M" or not np.isfinite(values.astype(float)).any():
+            left_out = _line("-", {"source": source, "target": "..."}, f"no numbers: {_first(values)}")
+            lines.append(f"  # {left_out}")
             continue
-        if not np.isfinite(values.astype(float)).any():
-            found.append(f"  # {_scalar(source)} is empty")
-            continue
-        target = drafted.target if drafted.target not in seen else None
-        unit = (
-            f", unit: {_scalar(drafted.unit)}"
-            if drafted.unit
-            else f", unit: {ASK}"
-            if drafted.needs_unit
-            else ""
-        )
-        unit = unit if target else f", unit: {_scalar(drafted.unit) if drafted.unit else ASK}"
-        found.append(f"  - {{source: {_source(source)}, target: {target or ASK}{unit}}}   # {shown}")
-        seen |= {target} if target else set()
-    lines += [
-        time,
-        "columns:",
-        *found,
-        "metadata: {}   # robot: ..., frequency_hz: ... (of the stroke, if known)",
-    ]
-    return "\n".join(line.replace("\r", " ") for line in lines) + "\n"
+        if target in seen:
+            target, unit = ASK, unit or ASK
+        seen.add(target)
+        entries = {"source": source, "target": target, "unit": unit}
+        lines.append("  " + _line("-", entries, _first(values)))
+    lines.append("metadata: {}   # robot: ..., frequency_hz: ... (of the stroke, if known)")
+    return lines
 
 
-def named(source: str, written: str | None = None) -> Drafted:
-    """Return what the name of a column and a unit written beside it state.
+def _line(key: str, value: Any, comment: str = "") -> str:
+    """Return a line of YAML, ``key: value   # comment``, or an item of a list where the key is a dash."""
+    text = _written(key, value)
+    if isinstance(value, dict):
+        entries = [f"{name}: {_written(name, v)}" for name, v in value.items() if v is not None]
+        text = f"{{{', '.join(entries)}}}"
+    start = key if key == "-" else f"{key}:"
+    return f"{start} {text}   # {comment}" if comment else f"{start} {text}"
 
-    >>> named("Yaw [deg]").target, named("Yaw [deg]").unit
-    ('yaw_rad', 'deg')
-    >>> named("accX").target, named("accX").needs_unit
-    ('ax_m_s2', True)
+
+def _written(key: str, value: Any) -> str:
+    """Return a value as YAML: names and units of the file in quotes, columns by number and words without."""
+    if value == ASK or key in ("target", "origin") or (key in ("source", "frame") and str(value).isdecimal()):
+        return str(value)
+    return json.dumps(value, ensure_ascii=False)
+
+
+def named(source: str, written: str | None = None) -> tuple[str, str | None]:
+    """Return the target and the unit that the name of a column and a unit written beside it state.
+
+    A target or a unit that they do not state is ``ASK``. The unit is None for a column of the log format.
+
+    >>> named("Yaw [deg]"), named("accX"), named("x_m"), named("level (mm)")
+    (('yaw_rad', 'deg'), ('ax_m_s2', 'ASK'), ('x_m', None), ('level_m', 'mm'))
     """
     name = source.strip()
     if re.fullmatch(r"[A-Za-z]\w*", name, re.A) and units.is_known(name) and not written:
-        return Drafted(source, name)
-    bare, unit = name, written
-    if hit := _UNIT.fullmatch(name):
-        bare, unit = hit["bare"], unit or hit["inside"] or hit["over"]
-    elif hit := _ENDING.fullmatch(name):
-        ending = units.canonical(re.sub(r"(?<=.)_(s2?)$", r"/\1", hit["unit"]))
-        if unit is None and ending in units.KNOWN:
-            bare, unit = hit["bare"], ending
-    unit = units.canonical(unit) if unit else None
-    if unit not in units.KNOWN:
-        unit = None
+        return name, None
+    bare, unit = _split(name)
+    unit = written or unit
+    unit = units.canonical(unit or "")
+    unit = unit if unit in units.KNOWN else None
     target = _target(bare.strip(" _.").lower(), unit)
-    return Drafted(source, target, unit, needs_unit=target is not None and unit is None and target[0] != "q")
+    if target is not None and units.measured(target) is None:
+        return target, unit
+    return target or ASK, unit or ASK
+
+
+def _split(name: str) -> tuple[str, str | None]:
+    """Return the name of a column without its unit, and the unit; None if the name states none."""
+    if hit := _UNIT.fullmatch(name):
+        return hit["bare"], hit["inside"] or hit["over"]
+    if hit := _ENDING.fullmatch(name):
+        unit = units.canonical(re.sub(r"(?<=.)_(s2?)$", r"/\1", hit["unit"]))
+        if unit in units.KNOWN:
+            return hit["bare"], unit
+    return name, None
 
 
 def _target(bare: str, unit: str | None) -> str | None:
@@ -237,7 +242,8 @@ def _target(bare: str, unit: str | None) -> str | None:
         hit = re.fullmatch(pattern, bare)
         if hit is not None:
             wanted = target.format(**hit.groupdict())
-            return wanted if unit is None or _fits(unit, wanted) else None
+            fitting = units.UNITS.get(units.measured(wanted) or "", {})
+            return wanted if unit is None or unit in fitting else None
     if unit is None or bare == "":
         return None
     # a word with a unit: the unit states the quantity, if it is that of one quantity only
@@ -248,56 +254,40 @@ def _target(bare: str, unit: str | None) -> str | None:
     return f"{word}_{next(iter(units.UNITS[quantities[0]])).replace('/', '_')}"
 
 
-def _fits(unit: str, target: str) -> bool:
-    try:
-        units.factor(unit, target)
-    except ValueError:
-        return False
-    return True
-
-
-def _time(table: Table, columns: dict[str, Any]) -> tuple[str, set[str]]:
-    """Return the line of the time, and the columns it takes."""
-    stamps = [name for name in columns if _is_time(name)]
+def _time(table: Table, columns: dict[str, Any]) -> tuple[dict[str, Any] | str, str]:
+    """Return the value of ``time:`` and the comment beside it."""
     # the stamp of the sensor before that of the recorder
-    stamps.sort(key=lambda name: "header" not in name.lower())
+    stamps = sorted(filter(_is_time, columns), key=lambda name: "header" not in name.lower())
     counts = [name for name, values in columns.items() if _counts(name, values)]
+    rates = [name for name in table.scalars if name.lower() in RATES]
     if TIME in columns:
-        return f"time: {{source: {TIME}, unit: s}}", {TIME}
+        return {"source": TIME, "unit": "s"}, ""
     if not stamps and counts:
-        return f"time: {{frame: {_source(counts[0])}, rate_hz: {ASK}}}   # frames per second", {counts[0]}
+        return {"frame": counts[0], "rate_hz": ASK}, "frames per second"
+    if not stamps and rates:
+        return {"rate_hz": rates[0]}, f"= {table.scalars[rates[0]]:g}"
     if not stamps:
-        rate = next((name for name in table.scalars if name.lower() in RATES), None)
-        if rate is not None:
-            return f"time: {{rate_hz: {_scalar(rate)}}}   # = {table.scalars[rate]:g}", set()
-        ways = "{source: ..., unit: ...}, {frame: ..., rate_hz: ...} or {rate_hz: ...}"
-        return f"time: {ASK}   # {ways}", set()
+        return ASK, "{source: ..., unit: ...}, {frame: ..., rate_hz: ...} or {rate_hz: ...}"
     chosen = stamps[0]
-    values, shown = columns[chosen], _first(columns[chosen])
-    if values.dtype.kind == "M":
-        return f"time: {{source: {_source(chosen)}, origin: first}}   # {shown}", {chosen}
-    if is_text(values):
+    time: dict[str, Any] = {"source": chosen, "origin": "first"}
+    rest = [name for name in columns if name.strip().lower() in NANOSECONDS]
+    if is_text(columns[chosen]):
         parts = [name for name in stamps if is_text(columns[name])][:2]
         parts.sort(key=lambda name: "date" not in name.lower())
-        source = _source(parts[0]) if len(parts) == 1 else f"[{', '.join(map(_source, parts))}]"
-        ambiguous = re.match(r"\d{1,2}[/.-]\d{1,2}[/.-]\d{4}", str(columns[parts[0]][0]))
-        day = f", day_first: {ASK}" if ambiguous else ""
-        return f"time: {{source: {source}, origin: first{day}}}   # {_first(columns[parts[0]])}", set(parts)
-    rest = next((name for name in columns if name.strip().lower() in NANOSECONDS), None)
-    if rest is not None and chosen.strip().lower() in SECONDS:
-        source = f"[{_source(chosen)}, {_source(rest)}]"
-        return f"time: {{source: {source}, unit: [s, ns], origin: first}}   # {shown}", {chosen, rest}
-    unit = named(chosen, table.units.get(chosen)).unit
-    unit = unit if unit in units.UNITS["time"] else None
-    return f"time: {{source: {_source(chosen)}, unit: {unit or ASK}}}   # {shown}", {chosen}
+        chosen = parts[0]
+        time["source"] = parts if len(parts) > 1 else chosen
+        if re.match(r"\d{1,2}[/.-]\d{1,2}[/.-]\d{4}", str(columns[chosen][0])):
+            time["day_first"] = ASK
+    elif rest and chosen.strip().lower() in SECONDS:
+        time = {"source": [chosen, rest[0]], "unit": ["s", "ns"], "origin": "first"}
+    elif columns[chosen].dtype.kind != "M":
+        _, unit = named(chosen, table.units.get(chosen))
+        time = {"source": chosen, "unit": unit if unit in units.UNITS["time"] else ASK}
+    return time, _first(columns[chosen])
 
 
 def _is_time(name: str) -> bool:
-    bare = name.strip().lower()
-    if (hit := _UNIT.fullmatch(bare)) or (
-        (hit := _ENDING.fullmatch(bare)) and units.canonical(hit["unit"]) in units.UNITS["time"]
-    ):
-        bare = hit["bare"]
+    bare, _ = _split(name.strip().lower())
     return _TIME.fullmatch(re.sub(r"(us|ms|ns)$", "", bare).strip(" _.")) is not None
 
 
@@ -309,33 +299,6 @@ def _counts(name: str, values: Any) -> bool:
     whole = len(known) > 2 and bool(np.all(known == np.round(known)) and np.all(np.diff(known) >= 0))
     named_so = clock.COUNT.fullmatch(name.strip().lower()) or name.lower().startswith(("column 1", "unnamed"))
     return whole and bool(named_so or np.all(np.diff(known) == 1))
-
-
-def _mixed(table: Table, columns: dict[str, Any], line: str, taken: set[str]) -> tuple[list[str], set[str]]:
-    """Return the line that chooses one of several instances whose rows stand in turn, and its column."""
-    # the scale of the time does not matter here, thus a rate or a unit may still be open
-    answered = line.partition(": ")[2].replace(f"unit: {ASK}", "unit: s").replace(ASK, "1")
-    stated = yamlio.parse_scalar(answered)
-    if not isinstance(stated, dict):
-        return [], set()
-    rows = len(next(iter(columns.values())))
-    try:
-        time = clock.seconds(table, clock.Time(**stated), rows, Path(""), {})
-        instances.refuse_mixed(Table(columns), time, np.ones(rows, dtype=bool), taken, Path(""))
-    except InputError as error:
-        if "instances" in error.reason and error.column is not None:
-            there = error.reason.rpartition(": ")[2]
-            return [f"where: {{{_source(error.column)}: {ASK}}}   # {there}"], {error.column}
-    return [], set()
-
-
-def _scalar(value: Any) -> str:
-    """Return a value as YAML on one line; JSON is YAML."""
-    return json.dumps(value, ensure_ascii=False)
-
-
-def _source(name: str) -> str:
-    return name if name.isdecimal() else _scalar(name)
 
 
 def _first(values: Any) -> str:

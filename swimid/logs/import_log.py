@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -85,11 +86,10 @@ def import_log(
     with recorded(repeat=True) as notices, ThreadPoolExecutor(1) as beside:
         # hash a long file while it is read
         digests = beside.submit(provenance.digests_of, inputs)
-        read = mapping.apply(rules, given, options.choices, progress=progress)
+        read = mapping.apply(rules, given, options.stated, progress=progress)
         found = examine(read, options)
-        origin = provenance.collect(
-            inputs, settings=options.settings(clean=found.cleaned), digests=digests.result()
-        )
+        settings = options.settings(clean=found.cleaned)
+        origin = provenance.collect(inputs, settings=settings, digests=digests.result())
         name = f"{found.path.stem}.csv" if output is None else output.name
         result = imported.result(found, name, origin, tuple(notices), progress)
     return result.saved(output)
@@ -144,12 +144,9 @@ def import_logs(
         raise InputError(text, hint=f"the others were written: {written}")
     if len(done) == 1:
         return done[0]
-    return Result(
-        "import",
-        "\n".join(outcome.text for outcome in done),
-        {"logs": [outcome.data for outcome in done]},
-        [path for outcome in done for path in outcome.outputs],
-    )
+    text = "\n".join(outcome.text for outcome in done)
+    outputs = [path for outcome in done for path in outcome.outputs]
+    return Result("import", text, {"logs": [outcome.data for outcome in done]}, outputs)
 
 
 def destinations(paths: Sequence[Path], output: Path) -> list[Path]:
@@ -168,14 +165,13 @@ def destinations(paths: Sequence[Path], output: Path) -> list[Path]:
         raise UsageError(text, hint="name a folder with -o")
     atomic.check_writable(output.parent / "x")
     output.mkdir(exist_ok=True)
-    stems = [path.stem for path in paths]
+    stems = Counter(path.stem for path in paths)
     names = [
-        s if stems.count(s) == 1 else f"{p.resolve().parent.name}-{s}"
-        for s, p in zip(stems, paths, strict=True)
+        path.stem if stems[path.stem] == 1 else f"{path.resolve().parent.name}-{path.stem}" for path in paths
     ]
     # some file systems ignore capitals
-    folded = [name.casefold() for name in names]
-    twice = next((name for name, key in zip(names, folded, strict=True) if folded.count(key) > 1), None)
+    folded = Counter(name.casefold() for name in names)
+    twice = [name for name in names if folded[name.casefold()] > 1]
     if twice:
-        raise UsageError(f"two logs would be written to {twice}.csv", hint="import them one by one")
+        raise UsageError(f"two logs would be written to {twice[0]}.csv", hint="import them one by one")
     return [atomic.check_writable(output / f"{name}.csv", inputs=tuple(paths)) for name in names]

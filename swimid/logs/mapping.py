@@ -21,14 +21,12 @@ from swimid.errors import InputError
 from swimid.files import yamlio
 from swimid.files.delimited import number_hint
 from swimid.files.provenance import path_of
-from swimid.logs import clock, instances, likelihood, profiles, units
-from swimid.logs.choices import Choices
-from swimid.logs.clock import Time
+from swimid.logs import clock, instances, profiles, units
+from swimid.logs.clock import ColumnKey, Stated, Time
 from swimid.logs.foreign import open_table
 from swimid.logs.foreign.base import Options, Table, is_text
 from swimid.logs.log import TIME, Log, metadata_of, written_by
 from swimid.logs.rotation import AXES, rearranged
-from swimid.logs.stated import ColumnKey, Stated
 from swimid.notices import warn
 from swimid.progress import Progress, silent
 
@@ -59,10 +57,8 @@ class Column(Stated):
 
     @model_validator(mode="after")
     def _unit_fits(self) -> Column:
-        if self.factor == 0:
+        if self.scale == 0:
             raise ValueError("a factor of 0 leaves nothing of the column")
-        if self.unit not in (None, NO_UNIT):
-            units.factor(self.unit, self.target)
         return self
 
     @property
@@ -72,7 +68,7 @@ class Column(Stated):
         return self.factor * unit
 
     @property
-    def known(self) -> bool:
+    def is_known(self) -> bool:
         """Whether its quantity is stated: by the name of the target, or as a number without a dimension."""
         return self.unit == NO_UNIT or units.is_known(self.target)
 
@@ -95,7 +91,7 @@ class Mapping(Stated):
     #: Unit of lengths, for a profile whose file states none.
     length_unit: str | None = None
     #: A tracked point with a likelihood below this is left empty.
-    min_likelihood: Annotated[float, Field(ge=0, le=1)] = likelihood.MIN_LIKELIHOOD
+    min_likelihood: Annotated[float, Field(ge=0, le=1)] = instances.MIN_LIKELIHOOD
     reader: Options = Options()
     time: Time | None = None
     #: Rows to take: by column the value, or values, they have there.
@@ -195,7 +191,7 @@ def of(given: str | Path | Mapping | dict[str, Any]) -> Mapping:
 def apply(
     mapping: Mapping | None,
     given: str | Path | Log,
-    choices: Choices | None = None,
+    stated: dict[str, Any] | None = None,
     *,
     progress: Progress = silent,
 ) -> MappedLog:
@@ -208,8 +204,10 @@ def apply(
         names of the log format.
     given : path or Log
         The foreign log; or one in memory (:func:`swimid.logs.log.unread`).
-    choices : Choices, optional
-        What the user states beside the file, for a profile.
+    stated : dict, optional
+        What the user states beside the mapping: ``profile``, ``select``, ``length_unit`` and
+        ``min_likelihood`` replace what the mapping states; ``rate_hz`` is the rate of the frames, Hz, if the
+        mapping states no time.
     progress : Progress
         Shows the reading.
 
@@ -218,52 +216,61 @@ def apply(
     InputError
         The file cannot be read, has no such column, or a cell is no number; names file, line and column.
     """
-    path, choices = path_of(given), choices or Choices()
-    if mapping is not None:
-        choices = choices.completed(mapping.profile, mapping.select, mapping.length_unit)
+    path, stated = path_of(given), dict(stated or {})
+    rules = mapping or Mapping(format=FORMAT, **{"as": ""})
+    rate = stated.pop("rate_hz", None)
+    if rate is not None and rules.time is None:
+        stated["time"] = Time(rate_hz=rate)
+    rules = rules.model_copy(update=stated)
     with progress(f"reading {path.name}", total=1) as step:
         profile = None
-        if not isinstance(given, Log) and (mapping is None or mapping.profile is not None):
-            profile = profiles.find(path, choices)
+        if isinstance(given, Log):
+            rules.profile = None if rules.profile is None else ""
+        elif rules.profile is not None:
+            profile = profiles.find(path, rules.profile)
         if profile is None:
-            table = open_table(given, None if mapping is None else mapping.reader)
+            table = open_table(given, rules.reader)
         else:
-            table = profile.table(path, choices)
+            rules.profile = profile.name
+            select = None if rules.select is None else str(rules.select)
+            table = profile.table(path, select, rules.length_unit)
         step(1)
-    name = "" if profile is None else profile.name
-    return _mapped(mapping or Mapping(format=FORMAT, **{"as": name}), table, path, name, choices)
+    return _mapped(rules, table, path)
 
 
-def _mapped(mapping: Mapping, table: Table, path: Path, profile: str, choices: Choices) -> MappedLog:
-    metadata = {
-        **metadata_of(table.comments, path, strict=False),
-        **_short(table.metadata),
-        **mapping.metadata,
-    }
+def _mapped(mapping: Mapping, table: Table, path: Path) -> MappedLog:
+    metadata = metadata_of(table.comments, path, strict=False)
+    metadata |= {key: _short(value) for key, value in table.metadata.items()} | mapping.metadata
     notes = list(table.notes)
     columns = mapping.columns or _identity(table, path, metadata)
     sources = {column.target: table.column(column.source, path) for column in columns}
     columns = [_with_unit(column, table.units.get(sources[column.target]), notes) for column in columns]
-    time = _time(mapping, table, sources, choices, path)
+    time = _time(mapping, table, sources, path)
     used = [table.column(key, path) for key in (*time.sources, *mapping.where)] if time else []
     rows = _same_length([*sources.values(), *used], table, path)
     found: dict[str, Array] = {}
-    factor = 1.0
     if time is not None:
         found[TIME] = clock.seconds(table, time, rows, path, metadata)
-        factor = units.factor(time.unit, TIME) if isinstance(time.unit, str) else 1.0
-    by_target = {column.target: column for column in columns}
-    for target in sorted(sources, key=lambda name: name != TIME):
-        values = _numbers(table, sources[target], mapping.reader.missing, path)
-        found.setdefault(target, values * by_target[target].scale + by_target[target].offset)
+    for column in sorted(columns, key=lambda column: column.target != TIME):
+        values = _numbers(table, sources[column.target], mapping.reader.missing, path)
+        if values is None:
+            kind = "text" if is_text(table.columns[sources[column.target]]) else "dates"
+            text = f"holds {kind}, not numbers"
+            raise InputError(text, file=path, column=sources[column.target])
+        found.setdefault(column.target, values * column.scale + column.offset)
     chosen = instances.chosen(table, mapping.where, rows, path)
-    instances.refuse_mixed(table, found[TIME], chosen, {*used, sources.get(TIME, "")}, path)
+    by, there = instances.find_mixed(table, found[TIME], chosen, {*used, sources.get(TIME, "")})
+    if there:
+        text = f"its rows are those of {len(there)} instances in turn: {', '.join(there)}"
+        hint = f"choose one in the mapping: where: {{{by}: {there[0]}}}"
+        raise InputError(text, file=path, column=by, hint=hint)
     if not chosen.all():
         found = {name: values[chosen] for name, values in found.items()}
-    infinite = [name for name, values in found.items() if _without_infinity(values)]
+    infinite = [name for name, values in found.items() if np.isinf(values).any()]
+    for name in infinite:
+        found[name][np.isinf(found[name])] = np.nan
     notes += [f"infinite values taken as missing in {', '.join(infinite)}"] if infinite else []
-    points = likelihood.points(list(found), sources)
-    unlikely = likelihood.empty(found, points, choices.cut(mapping.min_likelihood))
+    unlikely = instances.empty_unlikely(found, sources, mapping.min_likelihood)
     if set(AXES) <= set(found):
         q = np.column_stack([found[axis] for axis in AXES])
         q = rearranged(q, mapping.quaternion.order, mapping.quaternion.direction)
@@ -271,99 +278,78 @@ def _mapped(mapping: Mapping, table: Table, path: Path, profile: str, choices: C
     if time is not None and time.frame is None and time.sources:
         notes += _contradicted(table, table.column(time.sources[0], path))
     lines = np.arange(1, rows + 1, dtype=np.int64) if table.lines is None else table.lines
+    known = written_by(metadata, "swimid")
     return MappedLog(
         path,
         found,
         lines[:rows][chosen],
         metadata,
         notes,
-        {c.target: (str(c.source), c.scale, c.offset) for c in columns},
-        [c.target for c in columns if c.target != TIME and not c.known] if not _own(metadata) else [],
-        profile,
+        {column.target: (str(column.source), column.scale, column.offset) for column in columns},
+        [column.target for column in columns if not (known or column.is_known)],
+        mapping.profile or "",
         unlikely,
-        clock.wrap_hint(found[TIME], factor),
+        clock.wrap_hint(found[TIME], time),
     )
 
 
 def _with_unit(column: Column, stated: str | None, notes: list[str]) -> Column:
     """Return a column with the unit that the file states for it, unless the mapping states one."""
     unit = units.canonical(stated or "")
-    quantity = units.measured(column.target)
-    if quantity is None or unit not in units.UNITS[quantity]:
+    if unit not in units.UNITS.get(units.measured(column.target) or "", {}):
         return column
+    of_file = column.model_copy(update={"unit": unit})
     if column.unit is None:
-        return column.model_copy(update={"unit": unit})
-    if column.unit == NO_UNIT or column.scale != column.factor * units.factor(unit, column.target):
+        return of_file
+    if column.scale != of_file.scale:
         text = f"the file states {unit} for '{column.source}', the mapping states {column.unit}"
         notes.append(f"{text}: the mapping is believed")
     return column
 
 
-def _own(metadata: dict[str, Any]) -> bool:
-    return written_by(metadata, "swimid")
-
-
-def _short(metadata: dict[str, Any]) -> dict[str, Any]:
-    """Return the remarks of a file as one line each."""
-    return {
-        key: value.strip().splitlines()[0][:120] if isinstance(value, str) and value.strip() else value
-        for key, value in metadata.items()
-    }
+def _short(value: Any) -> Any:
+    """Return the first line of a remark; any other value as it is."""
+    return value.strip().partition("\n")[0][:120] if isinstance(value, str) else value
 
 
 def _identity(table: Table, path: Path, metadata: dict[str, Any]) -> list[Column]:
     """Return the columns that are named as in the log format; the others are left out, with a warning."""
+    names = ", ".join(list(table.columns)[:20])
+    hint = f"a mapping says which column is which (swimid import --guess drafts one); the file has: {names}"
     if not {TIME, "frame"} & set(table.columns):
-        raise _missing_time(table, path)
+        raise InputError("this column is missing", file=path, column=TIME, hint=hint)
     kept, out = [], []
-    for name, values in table.columns.items():
-        numbers = values.dtype.kind != "M" and (not is_text(values) or _mostly_numbers(values))
-        known = name == TIME or units.is_known(name) or _own(metadata)
-        if numbers and known and _NAME.fullmatch(name):
+    own = written_by(metadata, "swimid")
+    for name in table.columns:
+        known = (own or units.is_known(name)) and _NAME.fullmatch(name)
+        if known and _numbers(table, name, [], path) is not None:
             kept.append(Column(source=name, target=name))
-        else:
+        elif name != "frame":
             out.append(name)
     if not [column for column in kept if column.target != TIME]:
-        raise InputError(
-            "no column is named with its quantity and unit as in the log format (x_m, yaw_rad)",
-            file=path,
-            hint=f"write a mapping (swimid import --guess drafts one); the file has: {', '.join(out[:20])}",
-        )
-    out = [name for name in out if name != "frame"]
-    if out and not _own(metadata):
+        text = "no column is named with its quantity and unit as in the log format (x_m, yaw_rad)"
+        raise InputError(text, file=path, hint=hint)
+    if out and not own:
         warn("SWM004", f"{path.name}: columns whose names state no unit are left out: {', '.join(out[:20])}")
     return kept
 
 
-def _time(
-    mapping: Mapping, table: Table, sources: dict[str, str], choices: Choices, path: Path
-) -> Time | None:
+def _time(mapping: Mapping, table: Table, sources: dict[str, str], path: Path) -> Time | None:
     """Return where the time comes from; None if it is a column of the log format."""
-    rate = choices.rate_hz
-    stated = mapping.time or (None if rate is None else Time(rate_hz=rate))
+    time, has_frames = mapping.time, "frame" in table.columns and mapping.profile is not None
     if TIME in sources:
-        if stated is not None:
+        if time is not None:
             text = f"states its times in {sources[TIME]}: a sample rate contradicts them"
             raise InputError(text, file=path, hint="leave the rate out")
         return None
-    if stated is not None and not stated.sources and "frame" in table.columns and mapping.profile is not None:
-        return stated.model_copy(update={"frame": "frame"})
-    if stated is None and "rate_hz" in table.scalars and "frame" in table.columns:
-        return Time(frame="frame", rate_hz="rate_hz")
-    if stated is None:
-        if mapping.profile:
-            hint = "add --rate-hz with the frames per second of the film, as in --rate-hz 30"
-            raise InputError("states no frame rate, thus no times", file=path, hint=hint)
-        raise _missing_time(table, path)
-    return stated
-
-
-def _missing_time(table: Table, path: Path) -> InputError:
-    hint = (
-        "a mapping says which column is which (swimid import --guess drafts one); "
-        f"the file has: {', '.join(list(table.columns)[:20])}"
-    )
-    return InputError("this column is missing", file=path, column=TIME, hint=hint)
+    if time is None and has_frames and "rate_hz" in table.scalars:
+        time = Time(rate_hz="rate_hz")
+    if time is None:
+        hint = "add --rate-hz with the frames per second of the film, as in --rate-hz 30"
+        raise InputError("states neither times nor a frame rate", file=path, hint=hint)
+    if has_frames and not time.sources:
+        time = time.model_copy(update={"frame": "frame"})
+    return time
 
 
 def _same_length(names: Sequence[str], table: Table, path: Path) -> int:
@@ -379,57 +365,37 @@ def _same_length(names: Sequence[str], table: Table, path: Path) -> int:
     return rows
 
 
-def _numbers(table: Table, name: str, missing: Sequence[float | str], path: Path) -> Array:
-    """Return a column as numbers, with the marks of missing samples as NaN."""
+def _numbers(table: Table, name: str, missing: Sequence[float | str], path: Path) -> Array | None:
+    """Return a column as numbers, with the marks of missing samples as NaN; None for one of dates or text."""
+    import pandas as pd
+
     values = table.columns[name]
     if values.dtype.kind == "M":
-        raise InputError("holds dates, not numbers", file=path, column=name)
+        return None
     if is_text(values):
-        values = _of_text(table, name, path)
-    numbers = values.astype(float)
+        cells = values
+        values = pd.to_numeric(pd.Series(cells, dtype=object), errors="coerce").to_numpy(dtype=float)
+        bad = np.isnan(values) & pd.notna(cells)
+        if bad.any() and bad.sum() >= pd.notna(values).sum():
+            return None
+        if bad.any():
+            row = int(np.argmax(bad))
+            cell = str(cells[row]).strip()[:40]
+            text = f"'{cell}' is not a number"
+            hint = f"{number_hint(cell)}, or name what marks it under 'missing:' of the mapping"
+            raise InputError(text, file=path, column=name, hint=hint, **table.place(row))
+    numbers = values.astype(float, copy=False)
     marks = [mark for mark in missing if isinstance(mark, int | float)]
     return np.where(np.isin(numbers, marks), np.nan, numbers) if marks else numbers
-
-
-def _mostly_numbers(cells: NDArray[Any]) -> bool:
-    import pandas as pd
-
-    there = pd.Series(cells, dtype=object).dropna()
-    return bool(pd.to_numeric(there, errors="coerce").notna().sum() > len(there) / 2)
-
-
-def _of_text(table: Table, name: str, path: Path) -> Array:
-    import pandas as pd
-
-    cells = pd.Series(table.columns[name], dtype=object)
-    numbers = pd.to_numeric(cells, errors="coerce")
-    bad = (numbers.isna() & cells.notna()).to_numpy(dtype=bool)
-    if not bad.any():
-        return numbers.to_numpy(dtype=float)
-    if not _mostly_numbers(table.columns[name]):
-        raise InputError("holds text, not numbers", file=path, column=name)
-    row = int(np.argmax(bad))
-    cell = str(cells.iloc[row]).strip()[:40]
-    hint = f"{number_hint(cell)}, or name what marks it under 'missing:' of the mapping"
-    raise InputError(f"'{cell}' is not a number", file=path, column=name, hint=hint, **table.place(row))
-
-
-def _without_infinity(values: Array) -> bool:
-    """Replace infinite values by NaN in place; return whether there were any."""
-    infinite = np.isinf(values)
-    values[infinite] = np.nan
-    return bool(infinite.any())
 
 
 def _contradicted(table: Table, name: str) -> list[str]:
     """Return the note about a time whose name and steps are those of a frame number."""
     values = table.columns[name]
-    if is_text(values) or values.dtype.kind == "M" or not clock.COUNT.fullmatch(name.strip().lower()):
+    if values.dtype.kind not in "iuf" or not clock.COUNT.fullmatch(name.strip().lower()):
         return []
     steps = np.diff(values[np.isfinite(values)])
     if len(steps) == 0 or np.median(steps) != 1:
         return []
-    return [
-        f"'{name}' is mapped as a time, but its name and its steps of 1 are those of a frame number: "
-        f"write time: {{frame: {name}, rate_hz: ...}}"
-    ]
+    text = f"'{name}' is mapped as a time, but its name and its steps of 1 are those of a frame number"
+    return [f"{text}: write time: {{frame: {name}, rate_hz: ...}}"]

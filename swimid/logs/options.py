@@ -8,7 +8,6 @@ from typing import Any, Self
 from pydantic import model_validator
 
 from swimid.errors import UsageError
-from swimid.logs.choices import Choices
 from swimid.options import Options, Source, option
 
 
@@ -68,9 +67,10 @@ class ImportOptions(Options):
     )
 
     @property
-    def choices(self) -> Choices:
-        """What was stated beside the file."""
-        return Choices(self.profile, self.select, self.rate_hz, self.length_unit, self.min_likelihood)
+    def stated(self) -> dict[str, Any]:
+        """What was stated about the file beside its mapping, without what was not given."""
+        names = {"profile", "select", "rate_hz", "length_unit", "min_likelihood"}
+        return self.model_dump(include=names, exclude_none=True)
 
     @model_validator(mode="after")
     def _can_be_meant(self) -> Self:

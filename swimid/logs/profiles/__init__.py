@@ -12,7 +12,6 @@ from functools import cache
 from pathlib import Path
 
 from swimid.errors import InputError, suggestion
-from swimid.logs.choices import Choices
 from swimid.logs.profiles.base import Peek, Profile
 
 __all__ = ["Profile", "find", "known"]
@@ -29,18 +28,18 @@ def known() -> dict[str, Profile]:
     return found
 
 
-def find(path: Path, choices: Choices) -> Profile | None:
-    """Return the profile that was asked for, or the one that recognises the file; None if none does.
+def find(path: Path, name: str | None = None) -> Profile | None:
+    """Return the profile of this name, or without a name the one that recognises the file; None if none does.
 
     Raises
     ------
     InputError
         There is no profile of the name, or the file cannot be read.
     """
-    if choices.profile:
-        if choices.profile not in known():
-            hint = suggestion(choices.profile, list(known()))
-            raise InputError(f"there is no profile '{choices.profile}'", file=path, hint=hint)
-        return known()[choices.profile]
+    if name:
+        if name not in known():
+            hint = suggestion(name, list(known()))
+            raise InputError(f"there is no profile '{name}'", file=path, hint=hint)
+        return known()[name]
     peek = Peek.of(path)
     return next((profile for profile in known().values() if profile.recognises(peek)), None)

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import codecs
-from collections.abc import Callable
-from dataclasses import dataclass
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from swimid.errors import InputError
-from swimid.logs.choices import Choices
-from swimid.logs.foreign.base import Table, first_bytes, reading
+from swimid.logs.foreign.base import Table, first_bytes, is_text, one_of, reading
+from swimid.logs.units import UNITS, canonical
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -47,15 +53,12 @@ class Peek:
 
     def holds(self, *names: str) -> bool:
         """Return whether the file is HDF5 and has data sets or groups of these names."""
-        if not self.head.startswith(b"\x89HDF"):
-            return False
-        import h5py
+        if self.head.startswith(b"\x89HDF"):
+            import h5py
 
-        try:
-            with h5py.File(self.path, "r") as file:
+            with contextlib.suppress(OSError), h5py.File(self.path, "r") as file:
                 return all(name in file for name in names)
-        except OSError:
-            return False
+        return False
 
 
 @dataclass(frozen=True)
@@ -71,8 +74,10 @@ class Profile:
     recognises : callable
         ``recognises(peek) -> bool``: whether a file has the fingerprint of the format.
     read : callable
-        ``read(path, choices) -> Table``: columns named as in the log format, in SI. Times are in ``t_s``; a
-        format without times has ``frame``, and the rate in ``scalars["rate_hz"]`` if the file states it.
+        ``read(path, select, length_unit) -> Table``: columns named as in the log format, in SI. ``select`` is
+        the track, individual, instance, topic or message type to take, ``length_unit`` the unit of lengths of
+        a file that states none; both are None if the user states nothing. Times are in ``t_s``; a format
+        without times has ``frame``, and the rate in ``scalars["rate_hz"]`` if the file states it.
     extra : str
         The optional dependency to install.
     """
@@ -80,11 +85,11 @@ class Profile:
     name: str
     title: str
     recognises: Callable[[Peek], bool]
-    read: Callable[[Path, Choices], Table]
+    read: Callable[[Path, str | None, str | None], Table]
     extra: str = ""
 
-    def table(self, path: Path, choices: Choices) -> Table:
-        """Read a file.
+    def table(self, path: Path, select: str | None = None, length_unit: str | None = None) -> Table:
+        """Read a file; the arguments are those of ``read``.
 
         Raises
         ------
@@ -94,7 +99,7 @@ class Profile:
         Peek.of(path)
         try:
             with reading(path, self.title, self.extra):
-                return self.read(path, choices)
+                return self.read(path, select, length_unit)
         except InputError as error:
             if error.hint is None:
                 error.hint = f"the file is read as a {self.title}; --as names another format"
@@ -111,3 +116,85 @@ def safe(name: str) -> str:
     while "__" in words:
         words = words.replace("__", "_")
     return words if words[:1].isalpha() else f"p{words}"
+
+
+def choose(select: str | None, names: Sequence[str], what: str, path: Path) -> str:
+    """Return the track, topic or the like that the user selects, or the only one there is.
+
+    Raises
+    ------
+    InputError
+        It is not there, or none was selected and there are several.
+    """
+    return one_of(select, names, file=path, what=what, key="--select with")
+
+
+def length(unit: str | None, path: Path) -> tuple[float, str]:
+    """Return factor to SI and unit of lengths, "m" or "px".
+
+    Raises
+    ------
+    InputError
+        The unit is None or empty, or no unit of length.
+    """
+    factors = {"px": 1.0, **UNITS["length"]}
+    name = canonical(unit or "")
+    if name not in factors:
+        text = f"'{name}' is no unit of length" if name else "states no unit of length"
+        raise InputError(text, file=path, hint=f"add --length-unit with one of: {', '.join(factors)}")
+    return factors[name], "px" if name == "px" else "m"
+
+
+def axes(source: str, target: str, letters: str = "xyz", names: str = "") -> dict[str, str]:
+    """Return the names of the columns of a vector in the file, each with its name in the log.
+
+    >>> axes("Gyr{}", "w{}_rad_s", "XYZ", "xyz")
+    {'GyrX': 'wx_rad_s', 'GyrY': 'wy_rad_s', 'GyrZ': 'wz_rad_s'}
+    """
+    pairs = zip(letters, names or letters, strict=True)
+    return {source.format(letter): target.format(name) for letter, name in pairs}
+
+
+def renamed(table: Table, names: Mapping[str, str]) -> dict[str, Array]:
+    """Return the columns of numbers with these names in the file, under their names in the log."""
+    columns = table.columns
+    found = [name for name in names if name in columns and not is_text(columns[name])]
+    return {names[name]: columns[name].astype(float) for name in found}
+
+
+def points(found: Mapping[str, Array]) -> dict[str, Array]:
+    """Return columns of tracked points, named as in the log: pixels with y turned up, and likelihoods.
+
+    >>> points({"tail tip.y": np.array([2.0]), "tail tip.score": np.array([0.9])})
+    {'tail_tip_y_px': array([-2.]), 'tail_tip_score': array([0.9])}
+    """
+    columns: dict[str, Array] = {}
+    for name, values in found.items():
+        point, _, what = name.rpartition(".")
+        unit = "" if what in ("likelihood", "score") else "_px"
+        columns[f"{safe(point)}_{what}{unit}"] = -values if what == "y" else values
+    return columns
+
+
+def rows(table: Table, kept: NDArray[np.bool_]) -> Table:
+    """Return a table with some of its rows."""
+    lines = None if table.lines is None else table.lines[kept]
+    return replace(table, columns={name: v[kept] for name, v in table.columns.items()}, lines=lines)
+
+
+def numbers(path: Path, start: int, delimiter: str, width: int) -> tuple[Array, NDArray[np.int64]]:
+    """Return the numbers below ``start`` lines, shape (n, width), and their lines; empty cells are NaN.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    import pandas as pd
+
+    layout = {"sep": delimiter, "skiprows": start, "names": range(width), "index_col": False}
+    table = pd.read_csv(path, skip_blank_lines=False, **layout)
+    table = table.apply(pd.to_numeric).dropna(how="all")
+    if table.empty:
+        raise InputError("holds no samples under its header", file=path)
+    return table.to_numpy(dtype=float), table.index.to_numpy() + start + 1

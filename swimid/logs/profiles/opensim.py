@@ -9,20 +9,24 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs.choices import Choices
 from swimid.logs.foreign.base import Table
 from swimid.logs.log import TIME
-from swimid.logs.profiles.base import Peek, Profile, safe
+from swimid.logs.profiles.base import Array, Peek, Profile, length, numbers, safe
 from swimid.notices import warn
 
-#: Columns of measured forces, by pattern, with their unit.
-_FORCES = {r".*force.*_p[xyz]": "m", r".*(torque|moment).*": "Nm", r".*force.*": "N"}
-_TRANSLATION = re.compile(r".*_t[xyz]")
+#: Units of the columns of a motion, by pattern; the first that fits counts.
+_UNITS = {
+    r".*(force.*_p|_t)[xyz]": "m",
+    r".*(torque|moment).*": "Nm",
+    r".*force.*": "N",
+    r".*": "rad",
+}
+#: Value or speed of a coordinate, ``/jointset/hip/hip_flexion/value``.
+_COORDINATE = re.compile(r"(?:.*/)?(?P<name>[^/]+)/(?P<kind>value|speed)")
 
 
 def _recognises(peek: Peek) -> bool:
@@ -30,47 +34,25 @@ def _recognises(peek: Peek) -> bool:
     return bool(starts) and (starts[0].startswith("pathfiletype") or "endheader" in starts)
 
 
-def _read(path: Path, choices: Choices) -> Table:
+def _read(path: Path, select: str | None, length_unit: str | None) -> Table:
     lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     if lines and lines[0].strip().lower().startswith("pathfiletype"):
-        return _markers(lines, choices, path)
+        return _markers(lines, length_unit, path)
     return _motion(lines, path)
 
 
-def _rows(path: Path, start: int, width: int) -> tuple[Any, Any]:
-    """Return the numbers below ``start`` lines, shape (n, width), and their lines; empty cells are NaN."""
-    import pandas as pd
-
-    # a TRC file is separated by tabs and has empty cells; a storage may be aligned by blanks
-    tabs = "\t" in path.read_text(encoding="utf-8-sig", errors="replace").splitlines()[start]
-    table = pd.read_csv(
-        path,
-        sep="\t" if tabs else r"\s+",
-        header=None,
-        skiprows=start,
-        names=range(width),
-        skip_blank_lines=False,
-    )
-    table = table.apply(pd.to_numeric).dropna(how="all")
-    if table.empty:
-        raise InputError("holds no samples under its header", file=path)
-    return table.to_numpy(dtype=float), table.index.to_numpy() + start + 1
-
-
-def _markers(lines: list[str], choices: Choices, path: Path) -> Table:
+def _markers(lines: list[str], length_unit: str | None, path: Path) -> Table:
     if len(lines) < 6:
         raise InputError("ends within its header", file=path, line=len(lines))
     head = dict(zip(lines[1].split(), lines[2].split(), strict=False))
-    factor, si = choices.length(head.get("Units"), path)
-    names = [name.strip() for name in lines[3].split("\t")[2:] if name.strip()]
-    values, at = _rows(path, 5, 2 + 3 * len(names))
-    columns: dict[str, Any] = {TIME: values[:, 1]}
-    for k, name in enumerate(names):
-        for axis, letter in enumerate("xyz"):
-            columns[f"{safe(name)}_{letter}_{si}"] = values[:, 2 + 3 * k + axis] * factor
-    rate = float(head.get("DataRate", "nan"))
-    notes = []
-    step = float(np.median(np.diff(values[:, 1]))) if len(values) > 1 else np.nan
+    factor, unit = length(length_unit or head.get("Units"), path)
+    names = [safe(name) for name in lines[3].split("\t")[2:] if name.strip()]
+    values, at = numbers(path, 5, "\t", 2 + 3 * len(names))
+    targets = [f"{name}_{axis}_{unit}" for name in names for axis in "xyz"]
+    time_s = values[:, 1]
+    columns = {TIME: time_s, **dict(zip(targets, values.T[2:] * factor, strict=True))}
+    rate, notes = float(head.get("DataRate", "nan")), []
+    step = float(np.median(np.diff(time_s))) if len(time_s) > 1 else np.nan
     if abs(step * rate - 1.0) > 0.01:
         notes.append(f"its header states {rate:g} Hz, its times are {1 / step:g} Hz apart")
     return Table(columns, notes=notes, lines=at)
@@ -80,35 +62,32 @@ def _motion(lines: list[str], path: Path) -> Table:
     end = next((k for k, line in enumerate(lines) if line.strip().lower() == "endheader"), None)
     if end is None or len(lines) <= end + 2:
         raise InputError("has no line 'endheader' with samples below it", file=path)
-    head = dict(line.strip().split("=", 1) for line in lines[:end] if "=" in line)
     names = lines[end + 1].split()
     if names[:1] != ["time"]:
         raise InputError("the first column must be 'time'", file=path, line=end + 2)
-    degrees = {key.strip().lower(): value.strip().lower() for key, value in head.items()}.get("indegrees")
-    if degrees not in ("yes", "no"):
+    head = [line.lower().replace(" ", "").strip() for line in lines[:end]]
+    if not {"indegrees=yes", "indegrees=no"} & set(head):
         hint = "add the line inDegrees=yes or inDegrees=no above 'endheader'"
         raise InputError("states no 'inDegrees'", file=path, line=end + 1, hint=hint)
-    values, at = _rows(path, end + 2, len(names))
-    columns: dict[str, Any] = {TIME: values[:, 0]}
-    coordinates = path.suffix.lower() == ".mot" or "coordinates" in lines[0].lower()
+    # a storage is separated by tabs, or aligned by blanks
+    delimiter = "\t" if "\t" in lines[end + 2] else r"\s+"
+    values, at = numbers(path, end + 2, delimiter, len(names))
+    columns: dict[str, Array] = {TIME: values[:, 0]}
+    has_coordinates = path.suffix.lower() == ".mot" or "coordinates" in head[0]
     left_out = []
-    for k, name in enumerate(names[1:], start=1):
-        stem, _, kind = name.rpartition("/")
-        rate = "_s" if kind == "speed" and stem else ""
-        word = safe(stem.rpartition("/")[2] if kind in ("value", "speed") else name)
-        force = next((unit for pattern, unit in _FORCES.items() if re.fullmatch(pattern, word)), None)
-        if force is not None:
-            columns[f"{word}_{force}"] = values[:, k]
-        elif _TRANSLATION.fullmatch(word):
-            columns[f"{word}_m{rate}"] = values[:, k]
-        elif coordinates or kind in ("value", "speed"):
-            columns[f"{word}_rad{rate}"] = np.radians(values[:, k]) if degrees == "yes" else values[:, k]
-        else:
+    for name, cells in zip(names[1:], values.T[1:], strict=True):
+        hit = _COORDINATE.fullmatch(name)
+        word = safe(hit["name"] if hit else name)
+        unit = next(unit for pattern, unit in _UNITS.items() if re.fullmatch(pattern, word))
+        rate = "_s" if hit and hit["kind"] == "speed" else ""
+        if unit == "rad" and not (has_coordinates or hit):
             left_out.append(name)
+            continue
+        in_degrees = unit == "rad" and "indegrees=yes" in head
+        columns[f"{word}_{unit}{rate}"] = np.radians(cells) if in_degrees else cells
     if left_out:
-        warn(
-            "SWM004", f"{path.name}: columns that are no coordinates are left out: {', '.join(left_out[:20])}"
-        )
+        text = f"columns that are no coordinates are left out: {', '.join(left_out[:20])}"
+        warn("SWM004", f"{path.name}: {text}")
     return Table(columns, lines=at)
 
 

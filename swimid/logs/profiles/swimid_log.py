@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from swimid.logs.choices import Choices
 from swimid.logs.foreign import open_table
 from swimid.logs.foreign.base import Table
 from swimid.logs.log import TIME
@@ -17,7 +16,7 @@ def _recognises(peek: Peek) -> bool:
     return TIME in [cell.strip().strip('"') for cell in header.split(",")]
 
 
-def _read(path: Path, choices: Choices) -> Table:
+def _read(path: Path, select: str | None, length_unit: str | None) -> Table:
     return open_table(path)
 
 
