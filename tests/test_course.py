@@ -120,7 +120,15 @@ def test_logs_of_another_kind_are_told_before_they_are_fitted(
     (tmp_path / "trials.yaml").write_text((GAP / "trials.yaml").read_text())
     told = []
     for folder in (GAP, tmp_path):
-        args = ("--params", GAP / "params.yaml", "-o", tmp_path / "c.yaml", "--force", "--json")
+        args = (
+            "--params",
+            GAP / "params.yaml",
+            "--no-refit-start",
+            "-o",
+            tmp_path / "c.yaml",
+            "--force",
+            "--json",
+        )
         ran = swimid("compare", folder / "trials.yaml", *args)
         told.append([w["text"] for w in ran.json["warnings"] if w["code"] == code])
     assert told[0] == []
