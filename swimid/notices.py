@@ -41,6 +41,7 @@ CODES: dict[str, str] = {
     "SWM032": "beat frequency contradicts the metadata",
     "SWM033": "two frequencies, one of which is no stroke",
     "SWM034": "a unit contradicts other columns",
+    "SWM035": "a channel holds one value amid its motion",
     "SWM040": "frames without a marker",
     "SWM041": "no calibration: output in pixels",
     "SWM042": "marker separation is not constant",

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from swimid.logs.held import find_frozen, find_held
 from swimid.logs.sampling import find_uneven
-from tests.conftest import Ran
+from tests.conftest import SAMPLES, Ran
 
 Array = NDArray[np.float64]
+GAP = SAMPLES / "gap"
 
 
 @pytest.mark.parametrize("share", [0.457, 0.8, 0.93])
@@ -147,3 +148,20 @@ def test_further_logs(
         assert found["track"]["repeats"] == 1200
         low, high = found["speed"]["line_ci95"]
         assert low <= 0.15 <= high
+
+
+def test_a_tracker_that_stands_still_is_named_in_a_trial_and_its_samples_stay(
+    swimid: Callable[..., Ran], tmp_path: Path
+) -> None:
+    for path in GAP.glob("run*.csv"):
+        log = pd.read_csv(path, comment="#")
+        if path.stem == "run02":
+            log.loc[100:140, ["x_m", "y_m"]] = log.loc[100, ["x_m", "y_m"]].to_numpy()
+        log.to_csv(tmp_path / path.name, index=False)
+    (tmp_path / "trials.yaml").write_text((GAP / "trials.yaml").read_text())
+    args = ("--params", GAP / "params.yaml", "--no-refit-start", "-o", tmp_path / "c.yaml", "--json")
+    warnings = swimid("compare", tmp_path / "trials.yaml", *args).json["warnings"]
+    frozen = [w["text"] for w in warnings if w["code"] == "SWM035"]
+    assert frozen
+    assert all(text.startswith("run02.csv: ") for text in frozen)
+    assert "SWM058" not in [w["code"] for w in warnings]

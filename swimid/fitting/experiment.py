@@ -14,7 +14,7 @@ from swimid.files.provenance import Input
 from swimid.fitting.model import Array, Model, Trial
 from swimid.fitting.scales import POSITIONS
 from swimid.logs import log as log_format
-from swimid.logs.held import find_held
+from swimid.logs.held import LONG_HOLD, find_frozen, find_held
 from swimid.logs.log import Log
 from swimid.logs.trials import Trial as TrialEntry
 from swimid.logs.trials import Trials
@@ -77,7 +77,14 @@ def read_log(
 def _measured_anew(log: Log) -> Log:
     """The log with empty cells where positions only repeat the picture before."""
     places = [name for name in POSITIONS if name in log]
-    repeats = find_held(log.time_s, [log[name] for name in places]).repeated
+    held = find_held(log.time_s, [log[name] for name in places])
+    repeats = held.repeated.copy()
+    for first, end in log_format.runs(repeats):
+        # a camera or tracker that stood still is a fault of the recording: the residuals must show it
+        if log.time_s[end - 1] - log.time_s[first] > LONG_HOLD * held.period_s:
+            repeats[first:end] = False
+    for name, (start, stop) in find_frozen(log.time_s, {name: log[name] for name in places}).items():
+        warn("SWM035", f"{log.path.name}: {name} holds one value from {start:.4g} to {stop:.4g} s")
     at = np.flatnonzero(repeats)
     if not len(at):
         return log
