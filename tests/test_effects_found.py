@@ -16,20 +16,24 @@ from tests.blind.swim_case import Act
 from tests.generators import gap_trials
 
 
-def found(folder: Path, effect: str, params: str = "params.yaml") -> dict[str, tuple[float, float]]:
+def found(
+    folder: Path, effect: str, params: str = "params.yaml", answer: str = "explained"
+) -> dict[str, tuple[float, float]]:
     """Value and standard error of its parameters, where it alone is tried and is the cause."""
     gap = swimid.diagnose(folder / "trials.yaml", params=folder / params, effects=[effect])
     assert isinstance(gap, Diagnosis)
-    assert gap.answer == "explained"
+    assert gap.answer == answer, gap.summary()
     assert set(gap.causes["effect"]) == {effect}
     return {row["parameter"]: (row["value"], row["stderr"]) for _, row in gap.causes.iterrows()}
 
 
-def rig(folder: Path, robot: str, effect: str, size: float, seed: int) -> dict[str, tuple[float, float]]:
+def rig(
+    folder: Path, robot: str, effect: str, size: float, seed: int, answer: str = "explained"
+) -> dict[str, tuple[float, float]]:
     """The same of a blind case with a calibration of another day."""
     label = rigs.make_case(folder, robot=robot, effect=effect, size=size, rng=np.random.default_rng(seed))
     assert label["prior"]
-    return found(folder, effect, "params_prior.yaml")
+    return found(folder, effect, "params_prior.yaml", answer)
 
 
 @pytest.mark.slow
@@ -43,7 +47,9 @@ def test_friction_of_a_pulley_that_falls_with_speed(tmp_path: Path, size: float,
 
 @pytest.mark.slow
 def test_friction_of_a_pulley_under_load(tmp_path: Path) -> None:
-    value, stderr = rig(tmp_path, "falling-weight", "load-friction", 3.0, 6)["share"]
+    # another drag and added mass imitate it: only what is known of both from another day tells it
+    cause = rig(tmp_path, "falling-weight", "load-friction", 3.0, 6, answer="ambiguous")
+    value, stderr = cause["share"]
     assert value == pytest.approx(0.12, abs=3 * stderr)
     assert stderr < 0.02
 

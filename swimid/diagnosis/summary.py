@@ -64,7 +64,10 @@ def verdict_sentence(file: GapFile) -> str:
         if file.unpredicted:
             trials = listed([t.trial for t in file.unpredicted])
             told.append(f"{listed(names)} closes most of it and does not predict {trials}")
-        unsure = f"{listed(names)} is the likeliest cause, but not by enough to name it"
+        lead = f"{', '.join(c.effect for c in file.causes)}: "
+        reasons = [reason.removeprefix(lead) for reason in file.reasons if reason.startswith(lead)]
+        why = "; ".join(reasons) or "not by enough to name it"
+        unsure = f"{listed(names)} is the likeliest cause, but {why}"
         return f"The model has a gap; {'; '.join(told) or unsure} ({otherwise_text(file)})."
     if file.unreproduced:
         shares = [f"{numbers.percent(v, 2)} of {c}" for c, v in file.unreproduced.items()]
