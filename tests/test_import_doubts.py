@@ -208,3 +208,29 @@ def test_rounding_of_a_steady_motion_is_no_stroke(decimals: int, imported: Any, 
     table["x_m"] = np.round(0.2 * time + 0.01 * np.sin(2 * np.pi * 1.3 * time), decimals)
     table.to_csv(tmp_path / "a.csv", index=False)
     assert imported()["stroke"]["frequency_hz"] == pytest.approx(1.3, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    "header,unit",
+    [("millis", "ms"), ("seconds", "s"), ("Elapsed", "ASK"), ("ts", "ASK"), ("Zeit (ms)", "ms")],
+)
+def test_a_draft_takes_the_unit_that_the_name_of_the_time_states(
+    header: str, unit: str, swimid: Run, tmp_path: Path
+) -> None:
+    (tmp_path / "run.csv").write_text(f"{header},x (mm)\n" + "".join(f"{7 * k},{k}\n" for k in range(20)))
+    assert swimid("import", tmp_path / "run.csv", "--guess", "-o", tmp_path / "m.yaml").status == 0
+    assert f'time: {{source: "{header}", unit: {unit}}}' in (tmp_path / "m.yaml").read_text().replace(
+        f'unit: "{unit}"', f"unit: {unit}"
+    )
+
+
+def test_a_group_above_empty_cells_stands_for_all_its_columns(swimid: Run, tmp_path: Path) -> None:
+    # two markers with three coordinates each, their names above the first coordinate only
+    rows = "".join(f"{k + 1},{k},{2 * k},0,{k - 9},{2 * k},0\n" for k in range(20))
+    text = ",Head,,,Tail,,\nFrame,X,Y,Z,X,Y,Z\n,mm,mm,mm,mm,mm,mm\n" + rows
+    (tmp_path / "run.csv").write_text(text)
+    assert swimid("import", tmp_path / "run.csv", "--guess", "-o", tmp_path / "m.yaml").status == 0
+    draft = (tmp_path / "m.yaml").read_text()
+    for point in ("head", "tail"):
+        for axis in "xyz":
+            assert f"target: {point}_{axis}_m" in draft

@@ -49,7 +49,8 @@ _NAMES: list[tuple[str, str]] = [
     (r"(cmd|command|setpoint)[ _.\[]*(?P<axis>\d+)\]?", "cmd{axis}_rad"),
 ]
 _TIME = re.compile(
-    r"t|time|(time)?[ _.]?stamp|timestamp|seconds|secs?|(header|log)?[ _.]?(stamp|time)|clock|date"
+    r"ts?|_*time|(time)?[ _.]?stamp|timestamp|seconds|secs?|millis|micros|elapsed([ _.]time)?|"
+    r"(header|log)?[ _.]?(stamp|time)|clock|date|datum|(uhr)?zeit"
 )
 _UNIT = re.compile(r"(?P<bare>.*?)[ _]*(?:[\[(](?P<inside>[^\])]+)[\])]|/ ?(?P<over>[^\d\s]\S*))\s*")
 #: Word and unit at the end of a name, as in ``heading_deg`` or ``x mm``.
@@ -273,7 +274,7 @@ def _time(table: Table, columns: dict[str, Any]) -> tuple[dict[str, Any] | str, 
     rest = [name for name in columns if name.strip().lower() in NANOSECONDS]
     if is_text(columns[chosen]):
         parts = [name for name in stamps if is_text(columns[name])][:2]
-        parts.sort(key=lambda name: "date" not in name.lower())
+        parts.sort(key=lambda name: not name.strip().lower().startswith("dat"))
         chosen = parts[0]
         time["source"] = parts if len(parts) > 1 else chosen
         if re.match(r"\d{1,2}[/.-]\d{1,2}[/.-]\d{4}", str(columns[chosen][0])):
@@ -282,7 +283,8 @@ def _time(table: Table, columns: dict[str, Any]) -> tuple[dict[str, Any] | str, 
         time = {"source": [chosen, rest[0]], "unit": ["s", "ns"], "origin": "first"}
     elif columns[chosen].dtype.kind != "M":
         _, unit = named(chosen, table.units.get(chosen))
-        time = {"source": chosen, "unit": unit if unit in units.UNITS["time"] else ASK}
+        stated = [one for one in (unit, units.canonical(chosen)) if one in units.UNITS["time"]]
+        time = {"source": chosen, "unit": [*stated, ASK][0]}
     return time, _first(columns[chosen])
 
 

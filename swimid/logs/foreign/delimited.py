@@ -206,12 +206,12 @@ def _differ(cells: list[str]) -> bool:
 def _names(levels: list[list[str]], width: int) -> list[str]:
     """Return a name for each column, all different: ``x``, ``x (2)``, ``column 3``; numbers without a header.
 
-    Tables of pandas have one line for each level of the names: ``nose`` above ``x`` becomes ``nose_x``. A
-    line that is equal in all columns is left out.
+    A table may have one line for each level of the names: ``nose`` above ``x`` becomes ``nose_x``. A name
+    above empty cells stands for them, too. A line that is equal in all columns is left out.
     """
     if not levels:
         return [str(k + 1) for k in range(width)]
-    telling = [row for row in levels[:-1] if len(set(row[1:])) > 1]
+    telling = [row for row in map(_fill, levels[:-1]) if len(set(row[1:])) > 1]
     joined = ["_".join(filter(None, cells)) for cells in zip(*telling, levels[-1], strict=True)]
     if len(levels) > 1:
         # the cells of the first column name the levels; in a table of DeepLabCut it counts the frames
@@ -222,6 +222,14 @@ def _names(levels: list[list[str]], width: int) -> list[str]:
         unique = f"{name} ({again})" if again > 1 else name
         names.append(unique if name else f"column {at}")
     return names
+
+
+def _fill(cells: list[str]) -> list[str]:
+    """Return the cells with each empty one replaced by the cell before it."""
+    filled = [""]
+    for cell in cells:
+        filled.append(cell or filled[-1])
+    return filled[1:]
 
 
 def _parse(text: bytes, found: Layout, options: Options) -> tuple[pa.Table, dict[bytes, int]]:
