@@ -150,9 +150,10 @@ def fit_graybox(
         found: Found | None = None
         stages: dict[str, FitResult | None] = {}
         ends: list[multistart.Start] = []
+        starts = 1
         if options.method == "least-squares":
             model.prepare(progress, simulated_s=ahead_s)
-            result, ends = _least_squares(model, experiment.trials, choices, None, options, progress)
+            result, ends, starts = _least_squares(model, experiment.trials, choices, None, options, progress)
         else:
             profiles = Profiles(
                 model, choices, experiment.trials, front.profiled(experiment.facts["profiles"], options),
@@ -174,7 +175,9 @@ def fit_graybox(
             stages[front.CHOSEN] = start_states.with_held_out(result)
             if options.method == "hybrid":
                 begins = found.begins(options.starts or 1)
-                result, ends = _least_squares(model, experiment.trials, choices, begins, options, progress)
+                result, ends, starts = _least_squares(
+                    model, experiment.trials, choices, begins, options, progress
+                )
         left_out: list[str] = []
         if options.subset and result.converged:
             result = _starting_here(result, experiment)
@@ -237,7 +240,7 @@ def fit_graybox(
             front.save(path, found)
     if found is not None and output is not None:
         keep.done()
-    _insist(result, file, ends, options.starts or (DEFAULT_STARTS if ends else 1), trials, output, told)
+    _insist(result, file, ends, starts, trials, output, told)
     return replace(fitted, outputs=[*fitted.outputs, *fronts])
 
 
@@ -383,8 +386,8 @@ def _least_squares(
     begins: Sequence[Array] | None,
     options: FitGrayboxOptions,
     progress: Progress,
-) -> tuple[FitResult, list[multistart.Start]]:
-    """The output-error fit, and its starts where there were several."""
+) -> tuple[FitResult, list[multistart.Start], int]:
+    """Return the output-error fit, its starts where there were several, and their planned number."""
     starts, jobs, loss = max(options.starts or 1, len(begins or [])), options.jobs, options.loss
     first: FitResult | None = None
     if starts == 1:
@@ -394,12 +397,13 @@ def _least_squares(
             unfinished=True, progress=progress,
         )  # fmt: skip
         if options.starts is not None or first.interrupted or not _deserves_starts(first):
-            return first, []
+            return first, [], starts
         starts = DEFAULT_STARTS
-    return multistart.multistart(
+    result, ends = multistart.multistart(
         model, trials, parameters, starts=starts, seed=options.seed, begins=begins,
         jobs=jobs, loss=loss, first=first, progress=progress,
     )  # fmt: skip
+    return result, ends, starts
 
 
 def _deserves_starts(first: FitResult) -> bool:
