@@ -350,8 +350,6 @@ def long_run_covariance(scores: np.ndarray) -> np.ndarray:
         Bartlett window is ``floor(4 (n / 100)^(2/9))`` but at least twice the lag at which the
         scores still correlate.
     """
-    from statsmodels.stats.sandwich_covariance import S_hac_simple
-
     scores = np.atleast_2d(np.asarray(scores, dtype=float))
     there = np.all(np.isfinite(scores), axis=1)
     n = int(np.count_nonzero(there))
@@ -362,5 +360,8 @@ def long_run_covariance(scores: np.ndarray) -> np.ndarray:
         memory = max(memory, len(outside) if np.all(outside) else int(np.argmin(outside)))
     lags = max(int(4 * (max(n, 1) / 100) ** (2 / 9)), 2 * memory)
     rows = np.where(there[:, None], scores, 0.0)
-    covariance: np.ndarray = S_hac_simple(rows, min(lags, max(len(rows) - 1, 0)))
+    covariance = rows.T @ rows
+    for lag in range(1, min(lags, max(len(rows) - 1, 0)) + 1):
+        lagged = rows[lag:].T @ rows[:-lag]
+        covariance += (1.0 - lag / (lags + 1.0)) * (lagged + lagged.T)
     return covariance
