@@ -57,16 +57,21 @@ def write(
 
 
 def canvas(
-    figures: Sequence[Figure], *, title: str = "", step: Callable[[int], None] = lambda amount: None
+    figures: Sequence[Figure],
+    *,
+    title: str = "",
+    step: Callable[[int], None] = lambda amount: None,
+    new: Callable[..., Canvas] = Canvas,
 ) -> Canvas:
-    """Figures below each other as one of matplotlib's."""
+    """Draw figures below each other as one of matplotlib's, made by ``new`` (``pyplot.figure`` shows it)."""
     rows = [row for figure in figures for row in _rows(figure)]
     top_room = HEADING if title else 0.0
     height = 2 * MARGIN + top_room + sum(_height(row) for row in rows)
     width = WIDE.width + 2 * MARGIN
     with mpl.rc_context(drawing.SETTINGS | {"svg.fonttype": mpl.rcParams["svg.fonttype"]}):
-        drawn = Canvas(figsize=(width / 72, height / 72), dpi=72, facecolor=PAPER)
-        FigureCanvasAgg(drawn)
+        drawn = new(figsize=(width / 72, height / 72), dpi=72, facecolor=PAPER)
+        if new is Canvas:
+            FigureCanvasAgg(drawn)
         style: dict[str, Any] = {"color": INK, "ha": "left", "va": "top"}
         drawn.text(MARGIN / width, 1 - MARGIN / height, title, fontsize=15, weight="bold", **style)
         top = height - MARGIN - top_room
