@@ -229,10 +229,7 @@ class TestResult:
         assert drawn is pyplot.gcf().axes[0]
         pyplot.savefig(tmp_path / "x.svg")
         pyplot.close("all")
-        assert (
-            "displacement (m)" in (tmp_path / "x.svg").read_text()
-            or (tmp_path / "x.svg").stat().st_size > 1e4
-        )
+        assert (tmp_path / "x.svg").stat().st_size > 10_000
 
     def test_a_result_and_its_trials_are_one_line(self, drag: swimid.Fitted) -> None:
         assert re.fullmatch(r"<Fitted of fit-drag: good, \d+ figures>", repr(drag))
