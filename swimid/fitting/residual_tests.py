@@ -7,6 +7,15 @@ counts only where both are there, so that gaps neither bias nor break a test.
 
 Tests of statsmodels have the same formulas but count all samples of a series: with a fifth of the samples
 missing its Ljung-Box test rejects 0.8 % of white series at the 5 % level, the one here 5.4 %.
+
+References
+----------
+.. [1] G. M. Ljung, G. E. P. Box, "On a measure of lack of fit in time series models",
+   Biometrika 65 (1978), 297-303. doi:10.1093/biomet/65.2.297
+.. [2] L. Ljung, "System Identification: Theory for the User", 2nd ed. (1999), section 16.6.
+.. [3] W. K. Newey, K. D. West, "A simple, positive semi-definite, heteroskedasticity and
+   autocorrelation consistent covariance matrix", Econometrica 55 (1987), 703-708.
+   doi:10.2307/1913610
 """
 
 from __future__ import annotations
