@@ -11,6 +11,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -177,3 +179,22 @@ def suggestion(word: str, allowed: list[str] | tuple[str, ...], lead: str = "the
     """
     close = nearest(word, allowed)
     return f"did you mean '{close}'?" if close else f"{lead}: {', '.join(allowed) or 'none'}"
+
+
+@contextmanager
+def extra_needed(task: str, extra: str) -> Iterator[None]:
+    """Turn the failed import of an optional library into a :class:`UsageError` that names its extra.
+
+    Examples
+    --------
+    >>> with extra_needed("a genetic search", "search"):
+    ...     import no_such_library
+    Traceback (most recent call last):
+    swimid.errors.UsageError: a genetic search needs no_such_library, which is not installed
+      hint: pip install 'swimid[search]'
+    """
+    try:
+        yield
+    except ImportError as error:
+        text = f"{task} needs {error.name}, which is not installed"
+        raise UsageError(text, hint=f"pip install 'swimid[{extra}]'") from error

@@ -221,6 +221,21 @@ class TestResult:
         with pytest.raises(swimid.UsageError, match="there is no figure 'x'"):
             drag.plot("x")
 
+    def test_a_notebook_shows_and_saves_the_figure(self, drag: swimid.Fitted, tmp_path: Path) -> None:
+        from matplotlib import pyplot
+
+        drawn = drag.plot("overlay-x_m")
+        # what the inline backend shows at the end of a cell, and what pyplot.savefig saves
+        assert drawn is pyplot.gcf().axes[0]
+        pyplot.savefig(tmp_path / "x.svg")
+        pyplot.close("all")
+        assert (tmp_path / "x.svg").stat().st_size > 10_000
+
+    def test_a_result_and_its_trials_are_one_line(self, drag: swimid.Fitted) -> None:
+        assert re.fullmatch(r"<Fitted of fit-drag: good, \d+ figures>", repr(drag))
+        trials = swimid.load(SAMPLES / "rig" / "trials.yaml")
+        assert repr(trials) == "<TrialSet trials.yaml: falling-weight, 7 trials>"
+
     def test_saved_and_loaded_it_is_the_same(self, drag: swimid.Fitted, tmp_path: Path) -> None:
         saved = drag.save(tmp_path / "drag.yaml")
         assert sorted(p.name for p in saved.outputs) == ["drag.evidence.json", "drag.yaml"]

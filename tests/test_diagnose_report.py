@@ -319,8 +319,7 @@ def test_every_figure_says_what_good_looks_like() -> None:
 def _svg(drawn: ev.Heat) -> str:
     panel = ev.Panel(x_label="", y_label="ratio", heat=drawn)
     (drawing,) = figures.draw(ev.Figure(id="h", title="t", caption="c", panels=[panel]), "p-")
-    assert drawing.wide is not None
-    return drawing.wide
+    return drawing.svg
 
 
 def test_a_heat_map_prints_every_number_and_shades_by_size() -> None:

@@ -15,7 +15,7 @@ def warped(a: np.ndarray, b: np.ndarray, band: int) -> float:
     for i in range(1, len(a) + 1):
         for j in range(max(1, i - band), min(len(b), i + band) + 1):
             least = min(cost[i - 1, j], cost[i, j - 1], cost[i - 1, j - 1])
-            cost[i, j] = (a[i - 1] - b[j - 1]) ** 2 + least
+            cost[i, j] = np.sum((a[i - 1] - b[j - 1]) ** 2) + least
     return float(np.sqrt(cost[-1, -1] / len(a)))
 
 
@@ -45,6 +45,11 @@ def test_dtw_is_the_least_warping(pair: tuple[np.ndarray, np.ndarray], band: int
     a, b = pair
     assert metrics.dtw_distance(a, b, band=band) == pytest.approx(warped(a, b, band), rel=1e-12)
     assert metrics.dtw_distance(a, b, band=band) <= metrics.score(a, b).rmse * (1 + 1e-12)
+
+
+def test_dtw_warps_several_series_as_one(rng: np.random.Generator) -> None:
+    a, b = np.cumsum(rng.normal(size=(2, 60, 3)), axis=1)
+    assert metrics.dtw_distance(a, b, band=7) == pytest.approx(warped(a, b, 7), rel=1e-12)
 
 
 def test_dtw_without_band_is_the_rmse(pair: tuple[np.ndarray, np.ndarray]) -> None:

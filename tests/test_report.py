@@ -111,10 +111,10 @@ def test_page_stands_alone(mixture: Path) -> None:
 
 
 def test_page_has_its_parts_in_order(mixture: Path) -> None:
-    """Verdicts, checks, results, methods, references, warnings, provenance."""
+    """Verdict, cards, results with their doubts in the open, methods, references, warnings, provenance."""
     parsed = outline(mixture)
     anchors = [attributes.get("id") for tag, attributes in parsed.tags if tag == "section"]
-    order = ["verdict", "checks", "r1", "r2", "r3", "r4", "methods", "references", "warnings", "provenance"]
+    order = ["verdict", "r1", "r2", "r3", "r4", "methods", "references", "warnings", "provenance"]
     assert [name for name in anchors if name in order] == order
     words = parsed.words
     assert "1 of 4 results should not be used." in words
@@ -471,9 +471,8 @@ def test_odd_panels_are_drawn(panel: Panel) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         (drawing,) = draw(Figure(id="f", title="t", caption="c", panels=[panel]), "p")
-    assert drawing.wide is not None
-    assert drawing.wide.endswith("</svg>")
-    assert "NaN" not in drawing.wide
+    assert drawing.svg.endswith("</svg>")
+    assert "NaN" not in drawing.svg
 
 
 def test_long_traces_are_reduced_and_said(tmp_path: Path) -> None:
@@ -498,7 +497,7 @@ def test_every_point_of_a_cloud_is_drawn() -> None:
     y[10:20] = math.nan
     panel = _panel(traces=[Trace(x=np.arange(400.0), y=y, style="points")])
     (drawing,) = draw(Figure(id="f", title="t", caption="c", panels=[panel]), "p")
-    assert drawing.narrow.count("h0") == 390
+    assert drawing.svg.count("h0") == 390
 
 
 def test_parquet_logs_are_read(tmp_path: Path) -> None:

@@ -20,7 +20,16 @@ from swimid.progress import Progress, silent
 from swimid.results.result import Result
 
 #: Packages that widen what can be done.
-OPTIONAL = {"av": "overlay videos that browsers play (pip install 'swimid[video]')"}
+OPTIONAL = {
+    "av": "overlay videos that browsers play (pip install 'swimid[video]')",
+    "h5py": "HDF5, MATLAB and SLEAP files (pip install 'swimid[hdf5]')",
+    "mcap": "recordings of ROS 2 (pip install 'swimid[mcap]')",
+    "pyulog": "recordings of PX4 (pip install 'swimid[ulog]')",
+    "tables": "HDF5 tables of DeepLabCut (pip install 'swimid[deeplabcut]')",
+    "vqf": "attitude in swimid track imu (pip install 'swimid[imu]')",
+    "pymoo": "genetic searches (pip install 'swimid[search]')",
+    "SALib": "the Morris method of swimid sensitivity (pip install 'swimid[sensitivity]')",
+}
 #: Modules with compiled kernels; each has a ``warm_up()`` that compiles all of them.
 KERNELS = (
     "swimid.rig.equation",
@@ -28,6 +37,7 @@ KERNELS = (
     "swimid.swimmer.planar.model",
     "swimid.blackbox.recursive",
     "swimid.blackbox.armax",
+    "swimid.fitting.warping",
     "swimid.tracking.detect",
     "swimid.tracking.smooth",
 )

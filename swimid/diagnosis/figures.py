@@ -56,12 +56,12 @@ class Drawings:
 
 
 def figures(file: GapFile, drawings: Drawings) -> list[ev.Figure]:
-    """Where the gap is, what closes it, and what is left."""
+    """Return the figures: what closes the gap, by how much, where the gap is, and what remains."""
     return [
-        *_maps(drawings.maps),
-        *_parts(file),
         *_ranked(file),
         *_shrinkage(file),
+        *_maps(drawings.maps),
+        *_parts(file),
         *_overlays(drawings.overlays, bool(file.causes)),
         *_sketches(drawings.forces),
     ]

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from swimid.errors import extra_needed
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.model import Array
 
@@ -86,12 +87,13 @@ def nsga2(
     advance : callable
         Called after each generation.
     """
-    from pymoo.algorithms.moo.nsga2 import NSGA2
-    from pymoo.core.evaluator import Evaluator
-    from pymoo.core.problem import Problem
-    from pymoo.operators.crossover.sbx import SBX
-    from pymoo.operators.mutation.pm import PM
-    from pymoo.problems.static import StaticProblem
+    with extra_needed("a genetic search", "search"):
+        from pymoo.algorithms.moo.nsga2 import NSGA2
+        from pymoo.core.evaluator import Evaluator
+        from pymoo.core.problem import Problem
+        from pymoo.operators.crossover.sbx import SBX
+        from pymoo.operators.mutation.pm import PM
+        from pymoo.problems.static import StaticProblem
 
     keep = checkpoint or Checkpoint()
     problem = Problem(n_var=len(lower), n_obj=objectives, xl=lower, xu=upper)

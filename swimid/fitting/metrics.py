@@ -187,14 +187,13 @@ def dtw_distance(measured: Array, simulated: Array, *, band: int) -> float:
     >>> round(dtw_distance(np.array([0.0, 1.0, 0.0, 0.0]), late, band=0), 3)
     0.707
     """
-    from dtaidistance import dtw, dtw_ndim  # type: ignore[import-untyped]
+    from swimid.fitting.warping import warping_cost
 
     y, z = _both(measured, simulated)
     if len(y) == 0:
         return np.nan
-    distance = dtw.distance_fast if y.ndim == 1 else dtw_ndim.distance_fast
-    # its window counts the diagonal
-    return float(distance(y, z, window=int(band) + 1)) / math.sqrt(len(y))
+    cost = warping_cost(y.reshape(len(y), -1), z.reshape(len(z), -1), int(band))
+    return math.sqrt(cost / len(y))
 
 
 def phase_error(measured: Array, simulated: Array, time_s: Array, *, frequency_hz: float) -> float:

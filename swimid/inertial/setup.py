@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
+from swimid.errors import extra_needed
 from swimid.inertial import mounting, rest
 from swimid.inertial.faults.base import Finding
 from swimid.inertial.mounting import Mount
@@ -141,7 +142,8 @@ def _attitude(record: Record, rests: list[Rest]) -> Source:
     """
     if record.quaternion is not None:
         return Source(rotations(record.quaternion), True, QUATERNIONS)
-    import vqf
+    with extra_needed("an attitude from turn rates and accelerations", "imu"):
+        import vqf
 
     t, step = record.time_s, record.step_s
     even = bool(np.ptp(np.diff(t)) < 1e-3 * step)

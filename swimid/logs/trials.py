@@ -227,6 +227,9 @@ class TrialSet:
     entries: Any
     path: Path
 
+    def __repr__(self) -> str:
+        return f"<TrialSet {self.path.name}: {self.experiment}, {len(self.ids)} trials>"
+
     @property
     def experiment(self) -> str:
         """``"falling-weight"``, ``"free-swim"``, ..."""

@@ -1,10 +1,9 @@
 """Figures of the evidence as SVG that follows the page.
 
 Each panel becomes its own SVG without fixed colours: ink is ``currentColor``, the series are
-CSS variables, so that one drawing serves light, dark and print. A panel is drawn twice, wide
-for a screen and narrow for a telephone or for panels side by side, because text that is
-scaled with a wide drawing cannot be read on a narrow one. The legend is data for the page,
-which sets it as text beside the drawing, where it hides nothing.
+CSS variables, so that one drawing serves light, dark and print. A panel is one column wide:
+it can be read on a telephone, and two stand side by side on a screen. The legend is data for
+the page, which sets it as text beside the drawing, where it hides nothing.
 """
 
 from __future__ import annotations
@@ -58,8 +57,8 @@ class Size:
     x_ticks: int
 
 
-WIDE = Size(760.0, 280.0, 11.5, 9)
-NARROW = Size(370.0, 255.0, 11.0, 5)
+#: One column of a page, and of a journal.
+PANEL = Size(400.0, 260.0, 11.0, 5)
 
 
 @dataclass(frozen=True)
@@ -72,18 +71,15 @@ class Drawing:
         Of the panel; may be empty.
     legend : list of Entry
         Empty where there is a single trace without a label.
-    wide : str or None
-        SVG for a wide place; None where the panel stands beside others.
-    narrow : str
-        SVG for a narrow place.
+    svg : str
+        The drawing, one column wide.
     reduced : bool
         A trace had more points than are drawn.
     """
 
     title: str
     legend: list[Entry]
-    wide: str | None
-    narrow: str
+    svg: str
     reduced: bool
 
 
@@ -112,12 +108,10 @@ def draw(figure: Figure, prefix: str) -> list[Drawing]:
     reduced = [any(len(trace.x) > MAX_POINTS for trace in panel.traces) for panel in figure.panels]
     panels = [_reduced(panel) if few else panel for panel, few in zip(figure.panels, reduced, strict=True)]
     with mpl.rc_context(SETTINGS):
-        narrow = _render(panels, styles, NARROW, figure, f"{prefix}n")
-        alone = figure.columns < 2
-        wide = _render(panels, styles, WIDE, figure, f"{prefix}w") if alone else [None] * len(panels)
+        drawn = _render(panels, styles, figure, prefix)
     return [
-        Drawing(panel.title, looks.legend(panel, look), w, n, few)
-        for panel, look, w, n, few in zip(panels, styles, wide, narrow, reduced, strict=True)
+        Drawing(panel.title, looks.legend(panel, look), one, few)
+        for panel, look, one, few in zip(panels, styles, drawn, reduced, strict=True)
     ]
 
 
@@ -143,15 +137,13 @@ def _reduced(panel: Panel) -> Panel:
 # ---------------------------------------------------------------- drawing
 
 
-def _render(
-    panels: list[Panel], styles: list[list[Look]], size: Size, figure: Figure, prefix: str
-) -> list[str]:
-    drawn = [_axes(panel, look, size) for panel, look in zip(panels, styles, strict=True)]
+def _render(panels: list[Panel], styles: list[list[Look]], figure: Figure, prefix: str) -> list[str]:
+    drawn = [_axes(panel, look, PANEL) for panel, look in zip(panels, styles, strict=True)]
     # One left margin for all panels, so that axes that stand below each other line up.
     left = max((_tick_width(canvas, axes) for canvas, axes in drawn), default=40.0)
     texts = []
     for index, ((canvas, axes), panel) in enumerate(zip(drawn, panels, strict=True)):
-        _place(canvas, axes, panel, size, left)
+        _place(canvas, axes, panel, PANEL, left)
         texts.append(svg.for_page(_svg(canvas), f"{prefix}{index}-", figure, panel))
     return texts
 

@@ -16,7 +16,7 @@ from swimid.results import evidence as evidence_format
 from swimid.results import figures
 from swimid.results.evidence import Figure, Verdict
 from swimid.results.figures import Drawing
-from swimid.results.sections import Block, Section, leaves
+from swimid.results.sections import Block, Grid, Section, leaves
 
 #: Word and symbol of every verdict; colour only comes on top.
 LEVELS = {"good": ("✓", "Good"), "caution": ("!", "Caution"), "bad": ("✕", "Bad")}
@@ -27,6 +27,17 @@ CHECKS = {
     "info": ("i", "info", "muted"),
 }
 _ORDER = ["good", "caution", "bad"]
+#: Number of figures and of open tables that stand in the main part of a result; the others are folded.
+MAIN_FIGURES, MAIN_TABLES = 2, 1
+#: Next command after a result, by the verb that made it. ``{trials}`` is its first input.
+NEXT = {
+    **dict.fromkeys(
+        ("fit-drag", "fit-propulsion", "fit-graybox"),
+        "swimid compare {trials} --params {file} -o comparison.yaml",
+    ),
+    "compare": "swimid diagnose {trials} --params PARAMETERS.yaml -o gap.yaml",
+    **dict.fromkeys(("track video", "track imu", "import", "simulate"), "swimid plot {file} -o log.html"),
+}
 
 
 def verdict_badge(verdict: Verdict) -> tuple[str, str]:
@@ -99,10 +110,7 @@ def render(
     """
     total = sum(isinstance(block, Figure) for section in sections for block in section.blocks)
     with progress("drawing", total=total) as step:
-        parts = [
-            [_part(section, block, f"r{k}-{index}", step) for index, block in enumerate(section.blocks, 1)]
-            for k, section in enumerate(sections, 1)
-        ]
+        results = [_result(section, f"r{k}", step) for k, section in enumerate(sections, 1)]
     environment = Environment(
         loader=PackageLoader("swimid.results"),
         autoescape=True,
@@ -116,22 +124,65 @@ def render(
         version=swimid.__version__,
         created=created,
         verdict=overall(sections),
-        results=list(zip(sections, parts, strict=True)),
+        results=results,
         references=references(sections),
         warnings=warnings_by_code(sections),
         digests=digests,
     )
 
 
+def _result(section: Section, anchor: str, step: Step) -> dict[str, Any]:
+    """Return a result as the template takes it: its card, its main parts and its folded parts."""
+    main: list[dict[str, Any]] = []
+    folded: list[dict[str, Any]] = []
+    shown = {Figure: 0, Grid: 0}
+    lead = None
+    for index, block in enumerate(section.blocks, 1):
+        kind = type(block)
+        limit = {Figure: MAIN_FIGURES, Grid: MAIN_TABLES}.get(kind)
+        fits = limit is None or (shown[kind] < limit and not getattr(block, "folded", False))
+        if limit is not None and fits:
+            shown[kind] += 1
+        if isinstance(block, Figure) and lead is None:
+            panel = block.model_copy(update={"panels": block.panels[:1]})
+            lead = _draw(section, panel, f"{anchor}-lead-")[0]
+        place = main if fits else folded
+        place.append(_part(section, block, f"{anchor}-{index}", step))
+    # figures stand before tables, as in a paper
+    folded.sort(key=lambda part: part["kind"] == "grid")
+    words = [CHECKS[check.verdict][1] for check in section.checks]
+    counts = [f"{words.count(word)} {word}" for word in ("pass", "warn", "fail") if word in words]
+    return {
+        "section": section,
+        "anchor": anchor,
+        "main": main,
+        "folded": folded,
+        "lead": lead,
+        "checks": ", ".join(counts),
+        "next": _next(section),
+    }
+
+
+def _next(section: Section) -> str:
+    """Return the next command after a result; empty if none is known."""
+    verb = "" if section.evidence is None else section.evidence.verb
+    inputs = section.provenance.get("inputs") or {}
+    return NEXT.get(verb, "").format(file=section.path.name, trials=next(iter(inputs), "TRIALS.yaml"))
+
+
+def _draw(section: Section, figure: Figure, prefix: str) -> list[Drawing]:
+    try:
+        return figures.draw(figure, prefix)
+    except InputError as error:
+        file = evidence_format.sidecar(section.path)
+        raise InputError(error.reason, file=file, column=error.column) from error
+
+
 def _part(section: Section, block: Block, anchor: str, step: Step) -> dict[str, Any]:
-    """A block on its place in the page."""
+    """Return a block on its place in the page."""
     drawings: list[Drawing] = []
     if isinstance(block, Figure):
-        try:
-            drawings = figures.draw(block, f"{anchor}-")
-        except InputError as error:
-            file = evidence_format.sidecar(section.path)
-            raise InputError(error.reason, file=file, column=error.column) from error
+        drawings = _draw(section, block, f"{anchor}-")
         step()
     return {
         "anchor": anchor,

@@ -110,7 +110,7 @@ class Result:
         return {name: self._canvas(name) for name in self.figure_names}
 
     def plot(self, name: str, axes: Axes | Sequence[Axes] | None = None) -> Axes | list[Axes]:
-        """Draw one figure of the report.
+        """Draw one figure of the report; a notebook shows it, and ``pyplot.savefig`` saves it.
 
         Parameters
         ----------
@@ -133,7 +133,9 @@ class Result:
 
         figure = self._figure(name)
         if axes is None:
-            drawn = list(self._canvas(name).axes)
+            from matplotlib import pyplot
+
+            drawn = list(sheet.canvas([figure], new=pyplot.figure).axes)
         else:
             given = list(np.atleast_1d(np.asarray(axes, dtype=object)).ravel())
             if len(given) != len(figure.panels):
@@ -222,6 +224,15 @@ class Result:
         from swimid.results import sheet
 
         return sheet.canvas([self._figure(name)])
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        # a dataclass writes all its fields, arrays among them, unless its class has a __repr__ of its own
+        cls.__repr__ = Result.__repr__  # type: ignore[method-assign]
+
+    def __repr__(self) -> str:
+        verdict = f" {self.verdict}," if self.verdict else ""
+        return f"<{type(self).__name__} of {self.verb}:{verdict} {len(self.figure_names)} figures>"
 
     def __str__(self) -> str:
         return self.summary()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -79,7 +80,12 @@ def _facts(file: ParameterFile) -> list[tuple[str, str]]:
 def _blocks(file: ParameterFile) -> list[Block]:
     profiled = any(estimate.ci95 is not None for estimate in file.parameters.values())
     end = ", or that of the profile likelihood where one was computed (marked *)." if profiled else "."
-    blocks: list[Block] = [_estimates("Parameters", file.parameters, _PARAMETER_CAPTION + end)]
+    shared = {name: e for name, e in file.parameters.items() if "[" not in name}
+    own = {name: e for name, e in file.parameters.items() if name not in shared}
+    blocks: list[Block] = [_estimates("Parameters", shared, _PARAMETER_CAPTION + end)]
+    if own:
+        grid = _estimates("Parameters of single trials", own, "Estimated for each trial anew.")
+        blocks.append(replace(grid, folded=True))
     if file.derived:
         # what is computed is not bounded
         caption = "Computed from the parameters; their uncertainty is carried over."

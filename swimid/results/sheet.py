@@ -22,9 +22,11 @@ from swimid.files.mark import SOFTWARE
 from swimid.results import figures as drawing
 from swimid.results import looks
 from swimid.results.evidence import Figure, Panel
-from swimid.results.figures import NARROW, WIDE, Size
+from swimid.results.figures import PANEL, Size
 from swimid.results.looks import GRID, INK, PAPER, SERIES, SHADE, Look
 
+#: A panel over the whole width of the sheet.
+WIDE = Size(760.0, 280.0, 11.5, 9)
 #: Points around everything, between panels, and of the heading.
 MARGIN, BETWEEN, HEADING = 14.0, 26.0, 22.0
 #: Pixels a point of a PNG.
@@ -55,16 +57,21 @@ def write(
 
 
 def canvas(
-    figures: Sequence[Figure], *, title: str = "", step: Callable[[int], None] = lambda amount: None
+    figures: Sequence[Figure],
+    *,
+    title: str = "",
+    step: Callable[[int], None] = lambda amount: None,
+    new: Callable[..., Canvas] = Canvas,
 ) -> Canvas:
-    """Figures below each other as one of matplotlib's."""
+    """Draw figures below each other as one of matplotlib's, made by ``new`` (``pyplot.figure`` shows it)."""
     rows = [row for figure in figures for row in _rows(figure)]
     top_room = HEADING if title else 0.0
     height = 2 * MARGIN + top_room + sum(_height(row) for row in rows)
     width = WIDE.width + 2 * MARGIN
     with mpl.rc_context(drawing.SETTINGS | {"svg.fonttype": mpl.rcParams["svg.fonttype"]}):
-        drawn = Canvas(figsize=(width / 72, height / 72), dpi=72, facecolor=PAPER)
-        FigureCanvasAgg(drawn)
+        drawn = new(figsize=(width / 72, height / 72), dpi=72, facecolor=PAPER)
+        if new is Canvas:
+            FigureCanvasAgg(drawn)
         style: dict[str, Any] = {"color": INK, "ha": "left", "va": "top"}
         drawn.text(MARGIN / width, 1 - MARGIN / height, title, fontsize=15, weight="bold", **style)
         top = height - MARGIN - top_room
@@ -92,7 +99,7 @@ def paint(figure: Figure, places: Sequence[Axes]) -> None:
     """Draw each panel of a figure on axes of the caller's."""
     with mpl.rc_context(drawing.SETTINGS):
         for panel, look, axes in zip(figure.panels, looks.assigned(figure), places, strict=True):
-            _panel(axes, panel, look, NARROW)
+            _panel(axes, panel, look, PANEL)
             legend = axes.get_legend()
             if legend is not None:  # inside: beside the axes it might lie over those of the user
                 axes.legend(
@@ -102,8 +109,8 @@ def paint(figure: Figure, places: Sequence[Axes]) -> None:
                     ncols=1 + len(legend.legend_handles) // 5,
                     framealpha=0.7,
                 )
-            axes.set_ylabel(panel.y_label, fontsize=NARROW.font, color=INK)
-            axes.set_title(panel.title, fontsize=NARROW.font, color=INK)
+            axes.set_ylabel(panel.y_label, fontsize=PANEL.font, color=INK)
+            axes.set_title(panel.title, fontsize=PANEL.font, color=INK)
             _coloured(axes.findobj())
 
 
@@ -112,7 +119,7 @@ _Row = tuple[str, list[tuple[Panel, list[Look]]], Size]
 
 def _rows(figure: Figure) -> list[_Row]:
     panels = list(zip(figure.panels, looks.assigned(figure), strict=True))
-    across, size = (2, NARROW) if figure.columns > 1 else (1, WIDE)
+    across, size = (2, PANEL) if figure.columns > 1 else (1, WIDE)
     parts = [panels[k : k + across] for k in range(0, len(panels), across)]
     return [(figure.title if k == 0 else "", part, size) for k, part in enumerate(parts)]
 

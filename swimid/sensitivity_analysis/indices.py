@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import ks_2samp, qmc, sobol_indices
 
-from swimid.errors import NoTrustworthyResult, UsageError
+from swimid.errors import NoTrustworthyResult, UsageError, extra_needed
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.model import Array
 from swimid.fitting.threads import in_threads
@@ -229,8 +229,9 @@ def morris(
     d = len(lower)
     if samples < 2:
         raise UsageError("elementary effects need two trajectories or more")
-    from SALib.analyze.morris import analyze
-    from SALib.sample.morris import sample
+    with extra_needed("the Morris method", "sensitivity"):
+        from SALib.analyze.morris import analyze
+        from SALib.sample.morris import sample
 
     problem = {"num_vars": d, "names": [str(k) for k in range(d)], "bounds": [[0.0, 1.0]] * d}
     unit = sample(problem, samples, num_levels=LEVELS, seed=seed)

@@ -389,8 +389,7 @@ def methods(found: Found, options: FitGrayboxOptions) -> list[str]:
             f"(Deb et al. 2002; pymoo), population {options.population}, {options.generations} generations, "
             f"crossover {options.crossover:g}, seed {options.seed}: {evaluations} points in all. "
             f"Objectives are dynamic-time-warping distances ({', '.join(found.profiles.kinds)}), "
-            f"time stretched by at most {100 * options.band:g} % of the record (Sakoe and Chiba 1978; "
-            "dtaidistance)."
+            f"time stretched by at most {100 * options.band:g} % of the record (Sakoe and Chiba 1978)."
         )
     rule = next((r for r, k in found.rules.items() if k == found.chosen), "")
     by = f"by the rule {options.pick}" if options.pick in found.rules else "by hand"

@@ -23,4 +23,4 @@ def _open(path: Path, options: Options) -> Table:
         return matlab.load(path, options) if file.userblock_size else of_tree(file, options, path, parts)
 
 
-READER = Reader("hdf5", "HDF5 file", (".h5", ".hdf5"), _open, magic=(b"\x89HDF",))
+READER = Reader("hdf5", "HDF5 file", (".h5", ".hdf5"), _open, magic=(b"\x89HDF",), extra="hdf5")

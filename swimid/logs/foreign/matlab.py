@@ -39,4 +39,4 @@ def load(path: Path, options: Options) -> Table:
     return table
 
 
-READER = Reader("mat", "MATLAB file", (".mat",), load, magic=(b"MATLAB 5.0", b"MATLAB 7.3"))
+READER = Reader("mat", "MATLAB file", (".mat",), load, magic=(b"MATLAB 5.0", b"MATLAB 7.3"), extra="hdf5")

@@ -67,4 +67,4 @@ def _of_hdf5(path: Path, select: str | None) -> Table:
     return Table({"frame": np.arange(tracks.shape[3], dtype=float), **points(found)})
 
 
-PROFILE = Profile("sleap", "analysis file of SLEAP", _recognises, _read)
+PROFILE = Profile("sleap", "analysis file of SLEAP", _recognises, _read, extra="hdf5")
