@@ -275,6 +275,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return trials, fitted
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_file(rig: tuple[Path, Path], tmp_path: Path) -> None:
     """However many effects are refitted at a time; but for provenance."""
     documents = []

@@ -84,7 +84,7 @@ def test_torques_of_random_trees(base: str) -> None:
     [
         (MultilinkModel, "tfish", 1.0, 20.0),
         (MultilinkModel, "dolphin", 2.5, 27.0),
-        (MultibodyModel, "dolphin", 2.5, 27.0),
+        pytest.param(MultibodyModel, "dolphin", 2.5, 27.0, marks=pytest.mark.slow),
         pytest.param(MultibodyModel, "tfish", 1.0, 20.0, marks=pytest.mark.slow),
     ],
 )

@@ -58,8 +58,8 @@ class Drawings:
 def figures(file: GapFile, drawings: Drawings) -> list[ev.Figure]:
     """Return the figures: what closes the gap, by how much, where the gap is, and what remains."""
     return [
-        *_ranked(file),
         *_shrinkage(file),
+        *_ranked(file),
         *_maps(drawings.maps),
         *_parts(file),
         *_overlays(drawings.overlays, bool(file.causes)),
@@ -191,10 +191,10 @@ def _shrinkage(file: GapFile) -> list[ev.Figure]:
         blocks.figure(
             "shrinkage",
             "Errors before and after",
-            f"Root-mean-square error over the measured range, {words.held_out_text(file)}. "
+            f"Root-mean-square error over the range that all trials measure, {words.held_out_text(file)}. "
             "Good: with the causes it comes down to the noise floor.",
             "",
-            "error over the measured range (%)",
+            "error over the range of all trials (%)",
             traces,
             x_categories=[s.channel for s in found],
         )

@@ -11,7 +11,7 @@ from swimid.blackbox import model as arx
 from swimid.diagnosis import conclusion, odd, refutation, remainder, shrinkage
 from swimid.diagnosis.conclusion import Named
 from swimid.diagnosis.context import Fit
-from swimid.diagnosis.floor import Floor, by_channel, excess, rms
+from swimid.diagnosis.floor import Floor, by_channel, excess, repeats, rms
 from swimid.diagnosis.gap_file import Remaining, Verdict
 from swimid.diagnosis.posterior import TENTH, UNSURE
 from swimid.diagnosis.refutation import Compared
@@ -22,6 +22,9 @@ from swimid.fitting.odd_trial import Odd
 
 #: Causes explain a gap where they are likelier than something from outside the catalogue by four to one.
 SURE = 0.8
+#: Minimum number of repeats, beyond the first of each setting, from which settings are said to differ by more
+#: than chance: one pair measures the difference by chance with one degree of freedom.
+MIN_REPEATS = 2
 
 
 @dataclass(frozen=True)
@@ -238,7 +241,8 @@ def _by_differences(
         return replace(told, verdict="unexplained", reasons=(*told.reasons, left.where))
     beyond = sum(excess(state.nominal, gap, noise.inside).values())
     samples = sum(len(r) for r in gap)
-    if noise.repeated and beyond > shrinkage.MOST * (beyond + samples):
+    further = noise.repeated and beyond > shrinkage.MOST * (beyond + samples)
+    if further and sum(len(group) - 1 for group in repeats(state.context)) >= MIN_REPEATS:
         why = f"settings differ by more than their {noise.how}"
         return replace(told, verdict="unexplained", reasons=(*told.reasons, why))
     return told

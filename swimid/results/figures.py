@@ -324,6 +324,8 @@ def _place(canvas: Canvas, axes: Axes, panel: Panel, size: Size, left: float) ->
     x_label = textwrap.wrap(panel.x_label, letters) or [""]
     line = size.font * 1.25
     top = 6 + line * len(y_label) + (4 if panel.y_label else 0)
+    if axes.yaxis.get_offset_text().get_text():
+        top += line
     ticks = axes.xaxis.get_tightbbox()
     tick_height = line if ticks is None else max(float(axes.bbox.y0 - ticks.y0), line)
     bottom = tick_height + 5 + (line * len(x_label) if panel.x_label else 0)
