@@ -150,8 +150,8 @@ def _result(section: Section, anchor: str, step: Step) -> dict[str, Any]:
         place.append(_part(section, block, f"{anchor}-{index}", step))
     # figures stand before tables, as in a paper
     folded.sort(key=lambda part: part["kind"] == "grid")
-    words = [CHECKS[check.verdict][1] for check in section.checks]
-    counts = [f"{words.count(word)} {word}" for word in ("pass", "warn", "fail") if word in words]
+    verdicts = [check.verdict for check in section.checks]
+    counts = [f"{verdicts.count(one)} {one}" for one in ("pass", "warn", "fail") if one in verdicts]
     return {
         "section": section,
         "anchor": anchor,
