@@ -234,3 +234,16 @@ def test_a_group_above_empty_cells_stands_for_all_its_columns(swimid: Run, tmp_p
     for point in ("head", "tail"):
         for axis in "xyz":
             assert f"target: {point}_{axis}_m" in draft
+
+
+def test_two_columns_of_one_name_are_not_chosen_from(swimid: Run, tmp_path: Path) -> None:
+    rows = "".join(f"{k / 50},{0.01 * k},{1 - 0.02 * k}\n" for k in range(100))
+    (tmp_path / "run.csv").write_text("t_s,x_m,x_m\n" + rows)
+    ran = swimid("import", tmp_path / "run.csv", "-o", tmp_path / "out.csv")
+    assert ran.status == 3
+    assert "'x_m': several columns have this name" in ran.err
+    mapping = "format: swimid-mapping/1\ntime: {source: t_s, unit: s}\ncolumns: [{source: 3, target: x_m}]\n"
+    (tmp_path / "m.yaml").write_text(mapping)
+    args = ("--map", tmp_path / "m.yaml", "-o", tmp_path / "out.csv")
+    assert swimid("import", tmp_path / "run.csv", *args).status == 0
+    assert log.read(tmp_path / "out.csv")["x_m"][0] == 1.0

@@ -329,6 +329,10 @@ def _identity(table: Table, path: Path, metadata: dict[str, Any]) -> list[Column
     if not [column for column in kept if column.target != TIME]:
         text = "no column is named with its quantity and unit as in the log format (x_m, yaw_rad)"
         raise InputError(text, file=path, hint=hint)
+    twice = [column.target for column in kept if f"{column.target} (2)" in out]
+    if twice:
+        text, hint = "several columns have this name", "a mapping chooses one by its number, as in source: 2"
+        raise InputError(text, file=path, column=twice[0], hint=hint)
     if out and not own:
         warn("SWM004", f"{path.name}: columns whose names state no unit are left out: {', '.join(out[:20])}")
     return kept
