@@ -208,7 +208,7 @@ def _by_prediction(
 
 
 def by_coefficients(state: State) -> bool:
-    """Return whether most that tells the causes is that coefficients are known from elsewhere.
+    """Return whether the causes are identified mainly by what is known of the coefficients from elsewhere.
 
     Refitted without the causes these imitate them, and held-out errors are as small. The causes are then held
     against the errors of the parameters as given.
@@ -233,8 +233,9 @@ def _by_single_trials(told: Judgement, state: State, floor: Mapping[str, float])
 def _by_differences(
     told: Judgement, state: State, gap: Sequence[Array], noise: Floor, left: Remaining
 ) -> Judgement:
-    """That there is no gap, unless trials differ by more than chance makes them: more than in a trim or a
-    friction, or than repeats of one setting do.
+    """Return "unexplained" in place of "none" where the trials differ by more than chance.
+
+    Chance is what differs in a trim or a friction, or between repeats of one setting.
     """
     apart = conclusion.differs(state)
     if apart:
@@ -286,7 +287,7 @@ def remaining(state: State, base: Fit, residuals: Sequence[Array], floor: Mappin
 
 
 def _where(state: State) -> str:
-    """Where what is left acts, in words."""
+    """Return in words where the remaining residuals have structure."""
     left = state.left
     if left is None or not left.found:
         moving = remainder.drifting(state.low_frequency)

@@ -132,7 +132,7 @@ def render(
 
 
 def _result(section: Section, anchor: str, step: Step) -> dict[str, Any]:
-    """Return a result as the template takes it: its card, its main parts and its folded parts."""
+    """Return what the template shows of a result: its card, its main blocks and its folded blocks."""
     main: list[dict[str, Any]] = []
     folded: list[dict[str, Any]] = []
     shown = {Figure: 0, Grid: 0}

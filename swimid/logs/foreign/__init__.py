@@ -18,7 +18,7 @@ from swimid.logs.log import Log
 
 @cache
 def readers() -> dict[str, Reader]:
-    """Return every format by its name."""
+    """Return the reader of each file format by its name."""
     names = [f"{__name__}.{entry.name}" for entry in pkgutil.iter_modules(__path__)]
     modules = [module for module in map(importlib.import_module, names) if hasattr(module, "READER")]
     return {module.READER.name: module.READER for module in modules}
