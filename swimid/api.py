@@ -6,21 +6,20 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swimid.errors import InputError, UsageError
+from swimid.errors import UsageError
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from swimid.logs.log import Log
     from swimid.logs.trials import TrialSet
-    from swimid.results.result import Result
     from swimid.robots.file import Robot
 
 #: Where each public name is found; imported when it is first used, so that ``import swimid`` costs nothing.
 NAMES = {
     # what is read
     "load": "swimid.api",
-    "load_result": "swimid.api",
+    "load_result": "swimid.results.kinds",
     "read_log": "swimid.api",
     "read_robot": "swimid.api",
     "built_in_robots": "swimid.api",
@@ -164,63 +163,6 @@ def load(
         return TrialSet.of([], experiment=experiment, robot=str(robot), table=trials, **keys)
     given: list[Mapping[str, Any]] = list(trials)  # type: ignore[arg-type]
     return TrialSet.of(given, experiment=experiment, robot=str(robot), **keys)
-
-
-def load_result(path: str | Path) -> Result:
-    """Read any result that swimid wrote, with the evidence beside it.
-
-    Parameters
-    ----------
-    path : path
-        A parameter, comparison, gap, power, sensitivity, map, rule or gait file, or a log.
-
-    Returns
-    -------
-    Result
-        Of the class the function that made it returned.
-
-    Raises
-    ------
-    InputError
-        When it is none of these, or broken.
-
-    Examples
-    --------
-    >>> load_result("sample_logs/gap/params.yaml").parameters.loc["c_ma", "unit"]
-    '1'
-    """
-    from importlib import import_module
-
-    from swimid.files import yamlio
-    from swimid.logs.log import PARQUET_ENDINGS
-
-    kinds = [getattr(import_module(NAMES[name]), name) for name in RESULTS]
-    if Path(path).suffix.lower() in (".csv", *PARQUET_ENDINGS):
-        form = "log"
-    else:
-        form = str(yamlio.load(path).get("format"))
-    for kind in kinds:
-        if (kind.format or "log") == form:
-            loaded: Result = kind.load(path)
-            return loaded
-    known = ", ".join(kind.format for kind in kinds if kind.format)
-    raise InputError(f"its format '{form}' is that of no result", file=path, hint=f"known: {known}")
-
-
-#: Results that can be read back.
-RESULTS = (
-    "Fitted",
-    "Comparison",
-    "Diagnosis",
-    "DetectionPower",
-    "Sensitivity",
-    "PerformanceMap",
-    "StiffnessRule",
-    "BestGait",
-    "FinChoice",
-    "SpeedController",
-    "Logged",
-)
 
 
 def read_robot(name: str | Path) -> Robot:

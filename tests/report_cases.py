@@ -306,7 +306,7 @@ def drag(folder: Path, name: str = "drag.yaml", *, proof: bool = True) -> Path:
         provenance=block,
     )
     path = folder / name
-    parameters.write(path, file)
+    file.write(path)
     if proof:
         evidence.write(evidence.sidecar(path), drag_evidence(block))
     return path
@@ -394,7 +394,7 @@ def arma(folder: Path) -> Path:
         provenance=block,
     )
     path = folder / "arma.yaml"
-    parameters.write(path, file)
+    file.write(path)
     record = Evidence(
         verb="rwls",
         title="ARX model of the long-fin vehicle",

@@ -41,7 +41,7 @@ def cruise(tmp_path: Path) -> Path:
         for name, value, unit in (("drag_coefficient", 0.705, "1"), ("added_mass", 0.685, "kg"))
     }
     file = parameters.ParameterFile(model="falling-weight", robot="boxfish", parameters=known)
-    parameters.write(folder / "drag.yaml", file)
+    file.write(folder / "drag.yaml")
     return folder
 
 

@@ -42,7 +42,7 @@ def _params(path: Path, **values: float) -> Path:
         name: Estimate(value=values.get(name, value), unit="1", status="fixed")
         for name, value in swimmer.TFISH.items()
     }
-    parameters_format.write(path, ParameterFile(model="multilink", robot="tfish", parameters=estimates))
+    ParameterFile(model="multilink", robot="tfish", parameters=estimates).write(path)
     return path
 
 
@@ -109,7 +109,7 @@ def test_a_start_state_of_the_file_is_used_and_a_new_one_estimated(swimid: Run, 
     first = _runs()[0].id
     file = parameters_format.read(params)
     file.parameters[f"start_x[{first}]"] = Estimate(value=0.5, unit="m", status="estimated")
-    parameters_format.write(params, file)
+    file.write(params)
     result = swimid("compare", trials, "--params", params, "--json").json["result"]
     known, new = result["trials"]
     assert (known["start"], new["start"]) == ("file", "estimated")

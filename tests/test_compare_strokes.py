@@ -25,7 +25,7 @@ def _params(folder: Path) -> Path:
     values = {"water_volume": 0.0085, "com_offset": 0.016, "z_added_mass": 1.35, "z_drag": 1.65}
     estimates = {n: Estimate(value=v, unit="1", status="fixed") for n, v in values.items()}
     path = folder / "params.yaml"
-    parameters_format.write(path, ParameterFile(model="multibody", robot="sealion", parameters=estimates))
+    ParameterFile(model="multibody", robot="sealion", parameters=estimates).write(path)
     return path
 
 

@@ -117,7 +117,7 @@ def _write(folder: Path, text: str, values: dict[str, float] | None = None) -> P
         for name, value in (values or {"c_a": 0.7}).items()
     }
     path = folder / "params.yaml"
-    parameters.write(path, ParameterFile(model="multilink", robot="robot.yaml", parameters=held))
+    ParameterFile(model="multilink", robot="robot.yaml", parameters=held).write(path)
     return path
 
 
@@ -137,7 +137,7 @@ def _tfish(folder: Path, **changes: Any) -> Path:
         correlation=Correlation(names=names, matrix=np.eye(4).tolist()), **changes,
     )  # fmt: skip
     path = folder / "tfish.yaml"
-    parameters.write(path, file)
+    file.write(path)
     return path
 
 
@@ -467,7 +467,7 @@ def test_gazebo_takes_the_drag_of_a_rigid_body(
 def _towed(folder: Path, robot_name: str, **values: float) -> Path:
     held = {n: Estimate(value=v, stderr=0.01, unit="1", status="estimated") for n, v in values.items()}
     path = folder / "towed.yaml"
-    parameters.write(path, ParameterFile(model="towed", robot=robot_name, parameters=held))
+    ParameterFile(model="towed", robot=robot_name, parameters=held).write(path)
     return path
 
 
@@ -645,7 +645,7 @@ def test_built_in_multilink_robots_export(tmp_path: Path, swimid: Callable[..., 
             k: Estimate(value=c.value, unit=c.unit, status="fixed") for k, c in body.coefficients.items()
         }
         path = tmp_path / f"{name}.yaml"
-        parameters.write(path, ParameterFile(model="multilink", robot=name, parameters=coefficients))
+        ParameterFile(model="multilink", robot=name, parameters=coefficients).write(path)
         for target in ("mjcf", "gazebo", "stonefish", "json"):
             assert swimid("export", path, "--to", target).status == 0, (name, target)
 

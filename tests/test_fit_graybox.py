@@ -658,7 +658,7 @@ class TestBrokenSimulations:
                 }
             }
         )
-        parameters.write(tmp_path / "absurd.yaml", absurd)
+        absurd.write(tmp_path / "absurd.yaml")
         wide = ["--share", "c_f", "--bounds", "c_ma=-2,3", "--bounds", "c_Ia=-2,3"]
         ran = swimid("fit-graybox", trials, *wide, "--start-from", tmp_path / "absurd.yaml")
         assert ran.status in (0, 4)

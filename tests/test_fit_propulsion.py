@@ -140,7 +140,7 @@ class TestCruise:
                 for n, v, u in (("drag_coefficient", 0.705, "1"), ("added_mass", 0.685, "kg"))
             },
         )
-        parameters.write(tmp_path / "drag.yaml", exact)
+        exact.write(tmp_path / "drag.yaml")
         times = {
             s: cruise.swim_time(cruise.fin_inertia(*cruise.FINS[s[0]]), s[1], s[2]) for s in cruise.settings()
         }

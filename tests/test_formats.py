@@ -279,7 +279,7 @@ class TestParameters:
             sample_time_s=0.02375,
             fit=parameters.Fit(trials=["a"], converged=True, channels={"x_m": {"rmse": 1 / 3}}),
         )
-        parameters.write(tmp_path / "p.yaml", file)
+        file.write(tmp_path / "p.yaml")
         assert parameters.read(tmp_path / "p.yaml") == file
 
     def test_unidentifiable_values_are_not_used_further(self, tmp_path: Path) -> None:
@@ -290,7 +290,7 @@ class TestParameters:
 
     def test_wrong_model_and_wrong_file(self, tmp_path: Path) -> None:
         file = parameters.ParameterFile(model="arx", parameters={})
-        parameters.write(tmp_path / "p.yaml", file)
+        file.write(tmp_path / "p.yaml")
         with pytest.raises(InputError, match="'arx', not of falling-weight"):
             parameters.read(tmp_path / "p.yaml", model="falling-weight")
         with pytest.raises(InputError, match="no parameter file"):

@@ -272,7 +272,7 @@ def test_unconverged_without_evidence_is_bad(tmp_path: Path) -> None:
     file = parameters.read(path)
     assert file.fit is not None
     changed = file.model_copy(update={"fit": file.fit.model_copy(update={"converged": False})})
-    parameters.write(path, changed)
+    changed.write(path)
     with recorded():
         assert results.load(path).verdict.level == "bad"
 
@@ -567,7 +567,7 @@ def test_records_of_a_fit_are_a_table(tmp_path: Path) -> None:
         {"fin": "small", "frequency_hz": 2.0, "efficiency": 0.31, "strouhal": {"fin": 0.69, "axle": 0.8}},
     ]
     fit = file.fit.model_copy(update={"operating_points": points, "tried": [{"order": [1, None]}, 3]})
-    parameters.write(path, file.model_copy(update={"fit": fit}))
+    file.model_copy(update={"fit": fit}).write(path)
     with recorded():
         section = results.load(path)
     grid = next(b for b in section.blocks if isinstance(b, sections.Grid) and b.title == "Operating points")

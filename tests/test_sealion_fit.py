@@ -58,7 +58,7 @@ def test_a_hybrid_fit_finds_the_truth_and_predicts_a_manoeuvre(swimid: Run, tmp_
     untuned = tmp_path / "untuned.yaml"
     starts = {n: c["value"] for n, c in sealion.read_robot()["coefficients"].items() if n in CLOSE}
     estimates = {n: Estimate(value=v, unit="1", status="fixed") for n, v in starts.items()}
-    parameters_format.write(untuned, ParameterFile(model="multibody", robot="sealion", parameters=estimates))
+    ParameterFile(model="multibody", robot="sealion", parameters=estimates).write(untuned)
     before, after = (_position_rmse(swimid, folder, p) for p in (untuned, out))
     print(
         f"held-out pitch manoeuvre: position RMSE {1e3 * before:.1f} mm untuned, {1e3 * after:.1f} mm tuned"

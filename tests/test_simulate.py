@@ -322,7 +322,7 @@ def test_values_their_fit_does_not_vouch_for_are_told(swimid: Run, tmp_path: Pat
     file = parameters_format.read(path)
     file.parameters["c_d0"].status = "unidentifiable"
     file.fit = Fit(trials=["a"], converged=False)
-    parameters_format.write(path, file)
+    file.write(path)
     ran = swimid("simulate", "--params", path, *BEAT, "--duration-s", "2", "--json")
     said = [w["text"] for w in ran.json["warnings"] if w["code"] == "SWM062"]
     assert len(said) == 2

@@ -158,7 +158,7 @@ def running(verb: str, shared: Shared) -> Iterator[Run]:
     if shared.as_json:
         _print_json(verb, {"result": _jsonable(run.outcome.data)}, notices, outputs=outputs)
     elif not shared.quiet:
-        _print_text(run.outcome.text, outputs)
+        _print_text(run.outcome.summary(), outputs)
 
 
 @contextmanager

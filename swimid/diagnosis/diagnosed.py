@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from swimid.diagnosis import gap_file, summary
+from swimid.diagnosis import gap_file
 from swimid.diagnosis.gap_file import GapFile, Value
-from swimid.results.evidence import Evidence
 from swimid.results.result import FileResult
 
 if TYPE_CHECKING:
@@ -75,7 +74,3 @@ class Diagnosis(FileResult[GapFile]):
         import pandas as pd
 
         return pd.DataFrame([c.model_dump() for c in self.file.where.channels])
-
-    @classmethod
-    def _told(cls, document: GapFile, evidence: Evidence | None) -> str:
-        return summary.summary(document)

@@ -83,7 +83,7 @@ def verdict(file: GapFile) -> ev.Verdict:
     closed = next((s for s in file.closing if s.closed is not None), None)
     if closed is not None:
         said += f" Of the gap in {closed.channel} {words.closed_text(closed)} is closed."
-    text = blocks.verdict(checks(file), said).text
+    text = ev.judged(said, checks(file)).text
     return ev.Verdict(level=file.level, word=gap_format.WORDS[file.verdict], text=text)
 
 

@@ -117,10 +117,6 @@ class DetectionPower(FileResult[PowerFile]):
 
         return pd.DataFrame([r.model_dump() for r in self.file.effects])
 
-    @classmethod
-    def _told(cls, document: PowerFile, evidence: ev.Evidence | None) -> str:
-        return summary(document)
-
 
 def summary(file: PowerFile) -> str:
     """Plain text for the terminal."""

@@ -25,7 +25,6 @@ from swimid.logs.beat import TOLERANCE
 from swimid.notices import warn
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.results.fitted import Fitted
 from swimid.results.parameters import Correlation, Estimate, Fit, ParameterFile
 
 #: Correlations above this are named.
@@ -36,6 +35,8 @@ VALIDATION_RATIO = 2.0
 OUTLIER = 8.0
 #: Traces of single trials shown in one figure.
 MAX_TRIALS = 10
+#: Maximum number of parameters in the text of a verdict.
+MAX_ANSWERS = 3
 
 
 def estimates(
@@ -446,25 +447,13 @@ def figures(result: FitResult) -> list[ev.Figure]:
 
 
 def answer(file: ParameterFile) -> str:
-    """The shared parameters that were estimated, as one sentence."""
+    """Return the first shared parameters that were estimated, as one sentence."""
     parts = [
         f"{name} {numbers.measured(e.value, e.stderr, e.unit)}"
         for name, e in file.parameters.items()
         if e.status == "estimated" and "[" not in name
     ]
-    return "; ".join(parts) + "." if parts else "Nothing was estimated."
-
-
-def brief(file: ParameterFile) -> ParameterFile:
-    """The file without what belongs to single trials, for the terminal."""
-
-    def shared(block: dict[str, Estimate]) -> dict[str, Estimate]:
-        return {k: v for k, v in block.items() if "[" not in k}
-
-    return file.model_copy(update={"parameters": shared(file.parameters), "derived": shared(file.derived)})
-
-
-def fitted(verb: str, text: str, file: ParameterFile, evidence: ev.Evidence, output: Path | None) -> Fitted:
-    """The result of a fit, written where an output is named."""
-    made = Fitted(verb, text, file.model_dump(mode="json"), evidence=evidence, document=file)
-    return made.saved(output)
+    if not parts:
+        return "Nothing was estimated."
+    more = f"; and {len(parts) - MAX_ANSWERS} more" if len(parts) > MAX_ANSWERS else ""
+    return f"{'; '.join(parts[:MAX_ANSWERS])}{more}."

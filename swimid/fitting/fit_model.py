@@ -14,7 +14,7 @@ from swimid.notices import recorded
 from swimid.progress import Progress, silent
 from swimid.results import blocks
 from swimid.results import evidence as ev
-from swimid.results.fitted import Fitted, rows
+from swimid.results.fitted import Fitted
 
 
 def fit_model(
@@ -127,7 +127,7 @@ def fit_model(
     evidence = ev.Evidence(
         verb=verb,
         title=f"Fit of {whose}",
-        verdict=blocks.verdict(checks, fit_common.answer(file)),
+        verdict=ev.judged(fit_common.answer(file), checks),
         checks=checks,
         figures=fit_common.figures(result),
         notices=blocks.notices(notices),
@@ -139,11 +139,4 @@ def fit_model(
         ],
         provenance=origin,
     )
-    text = "\n".join(
-        [
-            f"{whose}: {used}, {result.samples} samples",
-            rows(fit_common.brief(file)),
-            f"{evidence.verdict.level.upper()}: {blocks.judgement(evidence)}",
-        ]
-    )
-    return fit_common.fitted(verb, text, file, evidence, target)
+    return Fitted.of(file, evidence).saved(target)

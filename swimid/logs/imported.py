@@ -112,7 +112,7 @@ def _evidence(
     return Evidence(
         verb="import",
         title=f"Log {made.name}, imported from {found.path.name}",
-        verdict=judged(checks, f"{len(found.time_s)} samples in {len(found.columns) - 1} channels"),
+        verdict=judged(f"{len(found.time_s)} samples in {len(found.columns) - 1} channels.", checks),
         checks=checks,
         tables=[_columns(found), *_speeds(found), *_strokes(found)],
         figures=figures,

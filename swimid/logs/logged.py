@@ -7,9 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swimid.logs import log
+import numpy as np
+
+from swimid.logs import figures, log
 from swimid.logs.log import Log
-from swimid.results.evidence import Evidence
+from swimid.logs.sampling import pauses
+from swimid.results import numbers
+from swimid.results.evidence import Evidence, Table, Verdict, leaf_table
 from swimid.results.result import Result
 
 if TYPE_CHECKING:
@@ -39,6 +43,7 @@ class Logged(Result):
 
     table: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
+    kind = "Log"
     ending = ".csv"
 
     @property
@@ -62,8 +67,38 @@ class Logged(Result):
     def _read(cls, path: str | Path) -> Log:
         return log.read(path)
 
-    @classmethod
-    def _told(cls, document: Log, evidence: Evidence | None) -> str:
-        span = document.time_s[-1] - document.time_s[0]
-        text = f"{document.path.name}: {len(document)} samples over {span:.4g} s"
-        return f"{text}\n{super()._told(document, evidence)}".rstrip()
+    def _own_facts(self) -> dict[str, str]:
+        span = float(self.log.time_s[-1] - self.log.time_s[0])
+        rate = 1.0 / float(np.median(np.diff(self.log.time_s)))
+        return {
+            "Samples": str(len(self.log)),
+            "Duration": numbers.number(span, unit="s"),
+            "Median rate": numbers.number(rate, unit="Hz"),
+        }
+
+    def _own_tables(self) -> list[Table]:
+        rows: list[list[Any]] = []
+        after = pauses(self.log.time_s)
+        for name, values in self.log.columns.items():
+            if name == log.TIME:
+                continue
+            known = values[np.isfinite(values)]
+            gaps = figures.missing(self.log.time_s, values, after)
+            ends = (float(known.min()), float(known.max())) if len(known) else (None, None)
+            missing = numbers.percent(1 - len(known) / len(values))
+            longest = max((end - start for start, end in gaps), default=0.0)
+            rows.append([name, *ends, missing, numbers.number(longest, 3, "s")])
+        columns = ["channel", "smallest", "largest", "missing", "longest gap"]
+        return [Table(id="channels", title="Channels", columns=columns, rows=rows)]
+
+    def _bare(self) -> Evidence:
+        verdict = Verdict(level="caution", text="A log without evidence of how it was made.")
+        if self.log.metadata.get("made_by") == "swimid simulate":
+            verdict = Verdict(level="good", text="A simulated run.")
+        return Evidence(
+            verb=self.verb,
+            title=f"Log {self.path.name}",
+            verdict=verdict,
+            figures=figures.figures([self.log]),
+            tables=[leaf_table("metadata", "Metadata of the log", self.log.metadata)],
+        )

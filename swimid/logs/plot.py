@@ -17,10 +17,9 @@ from swimid.logs.options import PlotOptions
 from swimid.notices import recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
-from swimid.results import blocks, page, sheet
+from swimid.results import blocks, drawing, page
 from swimid.results.evidence import Evidence, Verdict
 from swimid.results.result import Result
-from swimid.results.sections import Section
 
 PAGES = (".html", ".htm")
 PICTURES = (".svg", ".png")
@@ -37,6 +36,8 @@ class Drawn(Result):
     progress : Progress
         Shows the drawing.
     """
+
+    kind = "Log"
 
     inputs: Sequence[provenance.Input] = ()
     progress: Progress = field(default=silent, repr=False)
@@ -57,7 +58,8 @@ class Drawn(Result):
         if path.suffix.lower() in PAGES:
             digests = {str(provenance.path_of(one)): provenance.digest_of(one) for one in self.inputs}
             text = page.render(
-                [self.section()],
+                [self],
+                template="report.html",
                 title=self.evidence.title,
                 created=datetime.now(UTC),
                 digests=digests,
@@ -66,20 +68,13 @@ class Drawn(Result):
             atomic.write_text(path, text)
         else:
             with self.progress("drawing", total=sum(len(figure.panels) for figure in figures)) as step:
-                sheet.write(path, figures, title=self.evidence.title, step=step)
+                drawing.write(path, figures, title=self.evidence.title, step=step)
         return replace(self, outputs=(*self.outputs, path))
 
-    def section(self) -> Section:
-        """The figures as a section of a report."""
-        assert self.evidence is not None
-        return Section(
-            path=provenance.path_of(self.inputs[0]),
-            kind="Log" if len(self.inputs) == 1 else "Logs",
-            title=self.evidence.title,
-            verdict=_nothing_judged(self.document),
-            blocks=list(self.evidence.figures),
-            notices=self.evidence.notices,
-        )
+    @property
+    def path(self) -> Path:
+        """The first of the logs."""
+        return provenance.path_of(self.inputs[0])
 
 
 @takes(PlotOptions)

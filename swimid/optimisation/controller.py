@@ -401,7 +401,7 @@ def _evidence(
     return ev.Evidence(
         verb="optimise gait",
         title=f"Controller of {file.output}",
-        verdict=blocks.verdict(checks, _answer(file)),
+        verdict=ev.judged(_answer(file), checks),
         checks=checks,
         tables=[blocks.table("steps", "From steps to speeds", rows, caption)],
         figures=[_steps(file, plant, closed), _bode(file, plant)],

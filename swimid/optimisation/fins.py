@@ -363,7 +363,7 @@ def _evidence(
     return ev.Evidence(
         verb="optimise gait",
         title=f"Fin of {file.robot}",
-        verdict=blocks.verdict(checks, _answer(file)),
+        verdict=ev.judged(_answer(file), checks),
         checks=checks,
         tables=[table],
         figures=[figure],

@@ -37,7 +37,7 @@ def evidence(file: GaitFile, notices: Sequence[Notice], origin: dict[str, Any]) 
     return ev.Evidence(
         verb="optimise gait",
         title=f"Gait of {file.robot}",
-        verdict=blocks.verdict(checks, answer(file)),
+        verdict=ev.judged(answer(file), checks),
         checks=checks,
         tables=[_gaits(file), *_searches(file)],
         figures=_figures(file),

@@ -49,7 +49,7 @@ def evidence(file: MapFile, notices: Sequence[Notice], origin: dict[str, Any]) -
     return ev.Evidence(
         verb="map",
         title=f"Map of {file.robot}",
-        verdict=blocks.verdict(checks, answer(file)),
+        verdict=ev.judged(answer(file), checks),
         checks=checks,
         tables=_tables(file),
         figures=_figures(file),

@@ -38,7 +38,7 @@ def evidence(file: RuleFile, notices: Sequence[Notice], origin: dict[str, Any]) 
     return ev.Evidence(
         verb="optimise stiffness",
         title=f"Stiffness rule of {file.robot}",
-        verdict=blocks.verdict(checks, answer(file)),
+        verdict=ev.judged(answer(file), checks),
         checks=checks,
         tables=[_curves(file), _optima(file)],
         figures=_figures(file),

@@ -87,7 +87,7 @@ def fit(
     evidence = ev.Evidence(
         verb="fit-propulsion",
         title=f"Propulsion of {experiment.robot.name}: energy recoil law",
-        verdict=blocks.verdict(checks, fit_common.answer(file)),
+        verdict=ev.judged(fit_common.answer(file), checks),
         checks=checks,
         tables=propulsion_cruise_evidence.tables(experiment, points, offsets, departures, everything, result),
         figures=propulsion_cruise_evidence.figures(experiment, result, points),

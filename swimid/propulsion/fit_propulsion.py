@@ -16,7 +16,7 @@ from swimid.propulsion import surge as propulsion_surge
 from swimid.propulsion import trials as experiment_module
 from swimid.propulsion.options import FitPropulsionOptions
 from swimid.results import blocks
-from swimid.results.fitted import Fitted, rows
+from swimid.results.fitted import Fitted
 
 
 @takes(FitPropulsionOptions)
@@ -102,11 +102,4 @@ def fit_propulsion(
             )
     file, evidence = page
     evidence.notices = blocks.notices(notices)
-    summary = "\n".join(
-        [
-            f"{experiment.name} of {experiment.robot.name}",
-            rows(fit_common.brief(file)),
-            f"{evidence.verdict.level.upper()}: {blocks.judgement(evidence)}",
-        ]
-    )
-    return fit_common.fitted("fit-propulsion", summary, file, evidence, output)
+    return Fitted.of(file, evidence).saved(output)

@@ -106,7 +106,7 @@ def fit(
     evidence = ev.Evidence(
         verb="fit-propulsion",
         title=f"Propulsion of {experiment.robot.name}: beat-averaged surge",
-        verdict=blocks.verdict(checks, fit_common.answer(file)),
+        verdict=ev.judged(fit_common.answer(file), checks),
         checks=checks,
         tables=[blocks.table("beats", "Beat frequency", rows)],
         figures=fit_common.figures(result),

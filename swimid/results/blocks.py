@@ -22,7 +22,6 @@ from swimid.results.evidence import (
     Panel,
     Table,
     Trace,
-    Verdict,
     thinned,
 )
 
@@ -62,17 +61,6 @@ def p_text(p: float) -> str:
     ('p = 0.032', 'p < 10⁻¹⁶')
     """
     return f"p = {numbers.number(p, 2)}" if p >= 1e-16 else "p < 10⁻¹⁶"
-
-
-def verdict(checks: Sequence[Check], answer: str) -> Verdict:
-    """Good when every check passes, bad when one fails, caution between."""
-    bad = [c.name for c in checks if c.verdict == "fail"]
-    unsure = [c.name for c in checks if c.verdict == "warn"]
-    if bad:
-        return Verdict(level="bad", text=f"{answer} Not to be relied on: {', '.join(bad)}.")
-    if unsure:
-        return Verdict(level="caution", text=f"{answer} Look at: {', '.join(unsure)}.")
-    return Verdict(level="good", text=answer)
 
 
 def judgement(evidence: Evidence) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -24,6 +24,8 @@ FORMAT: Literal["swimid-evidence/1"] = "swimid-evidence/1"
 POSSIBLE = "Values a swimmer reaches"
 #: A trace longer than this is reduced to its envelope before it is stored.
 MAX_POINTS = 2000
+#: Maximum number of reasons in the text of a verdict.
+MAX_REASONS = 3
 
 
 def _numbers(value: Any) -> Any:
@@ -106,6 +108,8 @@ class Panel(_Part):
     spans: list[Span] = []
     #: Category names in place of numbers on the x axis (``bars``), at 0, 1, 2, ...
     x_categories: list[str] | None = None
+    #: The same on the y axis.
+    y_categories: list[str] | None = None
 
 
 class Figure(_Part):
@@ -129,13 +133,14 @@ class Image(_Part):
 
 
 class Table(_Part):
-    """A table of texts and numbers."""
+    """A table of texts and numbers; a folded table opens on demand and is not printed."""
 
     id: str
     title: str
     columns: list[str]
     rows: list[list[str | float | int | bool | None]]
     caption: str = ""
+    folded: bool = False
 
 
 class Check(_Part):
@@ -146,6 +151,8 @@ class Check(_Part):
     limit: str = ""
     verdict: Literal["pass", "warn", "fail", "info"]
     text: str = ""
+    #: Clause that the verdict of the result gives as its reason where the check does not pass.
+    reason: str = ""
 
 
 class Verdict(_Part):
@@ -173,6 +180,10 @@ class Evidence(_Part):
     verb: str
     title: str
     verdict: Verdict
+    #: Short particulars: robot, model, number of trials.
+    facts: dict[str, str] = Field(default_factory=dict)
+    #: Sentences that stand below the first table.
+    notes: list[str] = []
     checks: list[Check] = []
     tables: list[Table] = []
     figures: list[Figure] = []
@@ -204,23 +215,71 @@ class Evidence(_Part):
         return self
 
 
-def check(name: str, value: str, passed: bool | None, limit: str = "", text: str = "") -> Check:
-    """A check that passed or leaves a doubt; one that only tells something where ``passed`` is None."""
-    verdict: Literal["info", "pass", "warn"] = "info" if passed is None else "pass" if passed else "warn"
-    return Check(name=name, value=value, limit=limit, verdict=verdict, text=text)
+def check(
+    name: str,
+    value: str,
+    passed: bool | None,
+    limit: str = "",
+    text: str = "",
+    *,
+    otherwise: Literal["warn", "fail"] = "warn",
+    reason: str = "",
+) -> Check:
+    """Return the test of a value against a limit; it is for information where ``passed`` is None.
+
+    Parameters
+    ----------
+    name, value, limit, text : str
+        Quantity, its value, the values allowed, and what the value means.
+    passed : bool or None
+    otherwise : {"warn", "fail"}
+        Verdict of a check that does not pass.
+    reason : str
+        Clause for the verdict of the result, ``"residuals are not white in yaw_rad"``.
+    """
+    verdict: Literal["info", "pass", "warn", "fail"] = otherwise
+    if passed is None:
+        verdict = "info"
+    elif passed:
+        verdict = "pass"
+    return Check(name=name, value=value, limit=limit, verdict=verdict, text=text, reason=reason)
 
 
-def judged(
-    checks: Sequence[Check], text: str, *, more: str = "", passed: str = "every check passes"
-) -> Verdict:
-    """The verdict the checks come to: ``text``, those that failed or are in doubt, and ``more`` to say."""
-    failed = [check.name.lower() for check in checks if check.verdict == "fail"]
-    doubted = [check.name.lower() for check in checks if check.verdict == "warn"]
-    if failed:
-        return Verdict(level="bad", text=f"{text}; failed: {', '.join(failed)}.")
-    if doubted:
-        return Verdict(level="caution", text=f"{text}; look at: {', '.join(doubted)}.{more}")
-    return Verdict(level="good", text=f"{text}; {passed}.{more}")
+def judged(answer: str, checks: Sequence[Check]) -> Verdict:
+    """Return the verdict of a result: its answer, and the reasons of the checks that do not pass.
+
+    It is bad where a check fails, caution where one warns, and else good.
+    """
+    for grade, level, words in (("fail", "bad", "Do not rely on it"), ("warn", "caution", "Caution")):
+        found = [c.reason or f"{c.name} {c.value}".strip() for c in checks if c.verdict == grade]
+        if found:
+            more = f"; and {len(found) - MAX_REASONS} more" if len(found) > MAX_REASONS else ""
+            reasons = "; ".join(dict.fromkeys(found[:MAX_REASONS]))
+            return Verdict(level=level, text=f"{answer} {words}: {reasons}{more}.")  # type: ignore[arg-type]
+    return Verdict(level="good", text=answer)
+
+
+def leaf_table(id: str, title: str, entries: dict[str, Any], caption: str = "") -> Table:
+    """Return a folded table of the names and values of a nested mapping, one leaf a row."""
+    rows: list[list[Any]] = [list(leaf) for leaf in leaves(entries)]
+    return Table(id=id, title=title, columns=["quantity", "value"], rows=rows, caption=caption, folded=True)
+
+
+def leaves(entries: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield names and values of the leaves of a nested mapping.
+
+    ``a.b`` is a value inside ``a``, ``a[1].b`` one inside the first of several mappings in ``a``.
+    """
+    for key, value in entries.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, dict):
+            yield from leaves(value, f"{name}.")
+        elif isinstance(value, list | tuple) and any(isinstance(one, dict) for one in value):
+            yield from leaves({f"[{k}]": one for k, one in enumerate(value, 1)}, name)
+        elif isinstance(value, list | tuple):
+            yield name, ", ".join(str(one) for one in value)
+        else:
+            yield name, value if isinstance(value, str | int | float) or value is None else str(value)
 
 
 def sidecar(result: str | Path) -> Path:

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
 from swimid.results import numbers, parameters
-from swimid.results.evidence import Evidence
-from swimid.results.parameters import Estimate, ParameterFile
-from swimid.results.result import Result
+from swimid.results.evidence import Evidence, Table, Verdict, leaf_table
+from swimid.results.parameters import Correlation, Estimate, Fit, ParameterFile
+from swimid.results.result import FileResult
 
 if TYPE_CHECKING:
     import pandas as pd
 
+#: Words for the status of an estimate.
+STATUS = {"at-bound": "at its bound", "unidentifiable": "not identifiable"}
+
 
 @dataclass(frozen=True, eq=False)
-class Fitted(Result):
+class Fitted(FileResult[ParameterFile]):
     """Parameters of a model, as ``fit_drag``, ``fit_propulsion``, ``fit_graybox`` and ``rwls`` give them.
 
     ``fitted["added_mass"]`` is one estimate, with ``value``, ``stderr``, ``unit``, ``bounds`` and ``status``.
@@ -42,13 +44,9 @@ class Fitted(Result):
     ('estimated', 0.066, 'm')
     """
 
+    kind = "Parameters"
     format = parameters.FORMAT
-
-    @property
-    def file(self) -> ParameterFile:
-        """What :meth:`save` writes."""
-        assert isinstance(self.document, ParameterFile)
-        return self.document
+    file_type = ParameterFile
 
     @property
     def parameters(self) -> pd.DataFrame:
@@ -80,39 +78,108 @@ class Fitted(Result):
     def __getitem__(self, name: str) -> Estimate:
         return (self.file.parameters | self.file.derived)[name]
 
-    def _write(self, path: Path) -> list[Path]:
-        parameters.write(path, self.file)
-        return [path]
+    def _own_facts(self) -> dict[str, str]:
+        file = self.file
+        facts = {"Model": file.model, "Robot": file.robot or ""}
+        if file.fit is not None:
+            facts["Trials"] = str(len(file.fit.trials))
+        if file.sample_time_s is not None:
+            facts["Sample time"] = numbers.number(file.sample_time_s, unit="s")
+        if file.delay is not None:
+            facts["Delay"] = f"{file.delay} samples"
+        return {name: value for name, value in facts.items() if value}
 
-    @classmethod
-    def _read(cls, path: str | Path) -> ParameterFile:
-        return parameters.read(path)
+    def _own_notes(self) -> list[str]:
+        return self.file.identifiability
 
-    @classmethod
-    def _told(cls, document: ParameterFile, evidence: Evidence | None) -> str:
-        name = document.model + (f" of {document.robot}" if document.robot else "")
-        return "\n".join([name, rows(document), super()._told(document, evidence)]).rstrip()
+    def _own_tables(self) -> list[Table]:
+        file = self.file
+        shared = {name: e for name, e in file.parameters.items() if "[" not in name}
+        own = {name: e for name, e in file.parameters.items() if name not in shared}
+        tables = [
+            _estimates("parameters", "Parameters", shared),
+            _estimates("parameters-of-trials", "Parameters of single trials", own, folded=True),
+            _estimates("derived", "Derived quantities", file.derived),
+            _channels(file.fit),
+            _poles(file),
+            _correlation(file.correlation),
+        ]
+        if file.fit is not None:
+            details = {"trials": file.fit.trials, "noise": file.fit.noise, **(file.fit.model_extra or {})}
+            tables.append(leaf_table("fit", "Fit details", details))
+        return [table for table in tables if table.rows]
+
+    def _bare(self) -> Evidence:
+        weak = [name for name, e in self.file.parameters.items() if e.status == "unidentifiable"]
+        verdict = Verdict(level="caution", text="No evidence file, so its checks cannot be shown.")
+        if self.file.fit is not None and not self.file.fit.converged:
+            verdict = Verdict(level="bad", text="The fit did not converge.")
+        elif weak:
+            estimated = any(e.status == "estimated" for e in self.file.parameters.values())
+            level: Literal["caution", "bad"] = "caution" if estimated else "bad"
+            verdict = Verdict(level=level, text=f"Not identifiable: {', '.join(weak)}. No evidence file.")
+        title = f"Parameters of {self.file.model}"
+        return Evidence(verb=self.verb, title=title, verdict=verdict, provenance=self.file.provenance)
 
 
-def rows(file: ParameterFile) -> str:
-    """The parameters as lines of plain text."""
-    lines = []
-    for name, e in {**file.parameters, **file.derived}.items():
+def _estimates(id: str, title: str, estimates: dict[str, Estimate], *, folded: bool = False) -> Table:
+    """Return a table of estimates, rounded to two digits of their standard errors."""
+    rows: list[list[Any]] = []
+    for name, e in estimates.items():
+        value, band = numbers.measured(e.value, e.stderr, e.unit), ""
         if e.status == "unidentifiable":
-            text = "not identifiable from these trials"
-        elif e.status == "fixed":
-            if e.value == 0:
-                continue
-            text = f"{numbers.measured(e.value, None, e.unit)}  (fixed)"
-        elif e.status == "at-bound":
-            text = f"{numbers.measured(e.value, None, e.unit)}  (at its bound)"
-        else:
+            value = numbers.NOTHING
+        elif e.status == "estimated":
             ends = interval95(e)
-            band = f"   95 %: {numbers.interval(ends[0], ends[1], e.stderr)}" if ends else ""
-            text = f"{numbers.measured(e.value, e.stderr, e.unit)}{band}"
-        lines.append((name, text))
-    width = max((len(name) for name, _ in lines), default=0)
-    return "\n".join(f"  {name:<{width}}  {text}" for name, text in lines)
+            band = numbers.interval(*ends, e.stderr) if ends else ""
+        elif e.status == "fixed":
+            value = numbers.number(e.value, 6, e.unit)
+        rows.append([name, value, band, numbers.bounds_text(e.bounds), STATUS.get(e.status, e.status)])
+    columns = ["parameter", "value ± sd", "95 % interval", "allowed", "status"]
+    return Table(id=id, title=title, columns=columns, rows=rows, folded=folded)
+
+
+def _correlation(correlation: Correlation | None) -> Table:
+    names = [] if correlation is None else correlation.names
+    matrix = [] if correlation is None else correlation.matrix
+    rows: list[list[Any]] = [
+        [name, *(numbers.fixed(r, 2) for r in row)] for name, row in zip(names, matrix, strict=True)
+    ]
+    return Table(
+        id="correlation",
+        title="Correlation of the estimates",
+        columns=["", *names],
+        rows=rows if len(rows) > 1 else [],
+        caption="Above 0.9 in size the trials determine a combination of two better than either of them.",
+        folded=True,
+    )
+
+
+def _channels(fit: Fit | None) -> Table:
+    """Return the errors of fitted and of validation trials by channel."""
+    rows: list[list[Any]] = []
+    validation = {} if fit is None else fit.validation.get("channels", {})
+    for label, entries in (("fit", {} if fit is None else fit.channels), ("validation", validation)):
+        for name, entry in entries.items():
+            rmse = numbers.number(entry.get("rmse"), 3, str(entry.get("unit", "")))
+            rows.append([name, label, rmse, numbers.percent(entry.get("nrmse")), entry.get("samples")])
+    columns = ["channel", "data", "RMSE", "NRMSE", "samples"]
+    return Table(id="errors", title="Errors by channel", columns=columns, rows=rows)
+
+
+def _poles(file: ParameterFile) -> Table:
+    rows: list[list[Any]] = [
+        [
+            numbers.fixed(p.real, 4),
+            numbers.fixed(p.imag, 4),
+            numbers.measured(p.magnitude, p.stderr_magnitude),
+            "inside" if p.magnitude < 1 else "on or outside",
+        ]
+        for p in file.poles or []
+    ]
+    return Table(
+        id="poles", title="Poles", columns=["real", "imaginary", "magnitude", "unit circle"], rows=rows
+    )
 
 
 def interval95(estimate: Estimate) -> tuple[float, float] | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 from pydantic import ConfigDict, Field, PrivateAttr
 
@@ -60,8 +60,10 @@ class Fit(yamlio.Document):
     noise: dict[str, Any] = {}
 
 
-class ParameterFile(yamlio.Document):
+class ParameterFile(yamlio.ResultFile):
     """A parameter file."""
+
+    kind: ClassVar[str] = "parameter file"
 
     format: Literal["swimid-parameters/1"] = FORMAT
     model: str
@@ -83,20 +85,19 @@ class ParameterFile(yamlio.Document):
     #: The drag file that the recoil law was estimated with, where that was in memory.
     _drag: ParameterFile | None = PrivateAttr(default=None)
 
+    def write(self, path: str | Path) -> None:
+        """Write the file, whole or not at all; every float keeps its last bit."""
+        data = self.model_dump(mode="python", exclude_none=False)
+        for estimate in (*data["parameters"].values(), *data["derived"].values()):
+            if estimate["ci95"] is None:
+                del estimate["ci95"]
+        optional = ("identifiability", "derived", "settings")
+        kept = {k: value for k, value in data.items() if value is not None and (value or k not in optional)}
+        yamlio.write(path, kept)
+
     def value(self, name: str) -> float:
         """Value of one parameter, by name."""
         return self.parameters[name].value
-
-
-def write(path: str | Path, parameters: ParameterFile) -> None:
-    """Write a parameter file, whole or not at all; every float keeps its last bit."""
-    data = parameters.model_dump(mode="python", exclude_none=False)
-    for estimate in (*data["parameters"].values(), *data["derived"].values()):
-        if estimate["ci95"] is None:
-            del estimate["ci95"]
-    optional = ("identifiability", "derived", "settings")
-    kept = {key: value for key, value in data.items() if value is not None and (value or key not in optional)}
-    yamlio.write(path, kept)
 
 
 class HasFile(Protocol):

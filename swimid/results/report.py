@@ -6,18 +6,23 @@ import json
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
+import swimid
 from swimid.errors import UsageError
-from swimid.files import atomic
+from swimid.files import atomic, yamlio
 from swimid.files.provenance import sha256
+from swimid.notices import warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
-from swimid.results import documents, page
-from swimid.results import reader as results
-from swimid.results.evidence import sidecar
+from swimid.results import page
+from swimid.results.evidence import Evidence, sidecar
+from swimid.results.kinds import load_result
 from swimid.results.options import Kind, ReportOptions
 from swimid.results.result import Result, Text
 
+#: ``format`` of the JSON report.
+FORMAT = "swimid-report/1"
 _ENDINGS: dict[str, Kind] = {".html": "html", ".htm": "html", ".md": "md", ".markdown": "md", ".json": "json"}
 
 
@@ -69,28 +74,78 @@ def report(
     kind = options.format or _ENDINGS.get(target.suffix.lower() if target else "", "html")
     if target is not None:
         atomic.check_writable(target, inputs=[*paths, *map(sidecar, paths)])
-    sections = []
+    results = []
     with progress("reading", total=len(sources)) as step:
         for source in sources:
-            sections.append(results.load(source) if isinstance(source, Path) else source.section())
+            results.append(_read(source) if isinstance(source, Path) else source)
             step()
-    heading = options.title or (sections[0].title if len(sections) == 1 else "Identification report")
+    contents = [result.content() for result in results]
+    heading = options.title or (contents[0].title if len(contents) == 1 else "Identification report")
     created = datetime.now(UTC)
-    digests = {str(section.path): "of nothing: it was in memory" for section in sections}
+    digests = {str(result.path): "of nothing: it was in memory" for result in results}
     digests |= {str(path): sha256(path) for path in paths}
-    document = documents.as_json(sections, title=heading, created=created, digests=digests)
-    if kind == "html":
-        text = page.render(sections, title=heading, created=created, digests=digests, progress=progress)
-    elif kind == "md":
-        text = documents.as_markdown(sections, title=heading, created=created, digests=digests)
-    else:
+    document = _as_json(results, contents, title=heading, created=created, digests=digests)
+    if kind == "json":
         text = json.dumps(document, ensure_ascii=False, allow_nan=False, default=str) + "\n"
+    else:
+        text = page.render(
+            results,
+            template=f"report.{kind}",
+            title=heading,
+            created=created,
+            digests=digests,
+            progress=progress,
+        )
     if target is None:
         return Text("report", text.rstrip("\n"), document, document=text)
     atomic.write_text(target, text)
-    whole = page.overall(sections)
-    lines = [f"{page.verdict_badge(whole)[1]}: {whole.text}"]
-    for section in sections:
-        word = page.verdict_badge(section.verdict)[1].lower()
-        lines.append(f"  {section.path.name}: {word}. {section.verdict.text}")
+    whole = page.overall(contents)
+    lines = [f"{whole.level}: {whole.text}"]
+    for result, content in zip(results, contents, strict=True):
+        lines.append(f"  {result.path.name}: {content.verdict.level}. {content.verdict.text}")
     return Text("report", "\n".join(lines), document, [target], document=text)
+
+
+def _read(path: Path) -> Result:
+    """Read a result with its evidence.
+
+    Warns
+    -----
+    SWM050
+        The evidence is missing.
+    """
+    result = load_result(path)
+    if result.evidence is None:
+        warn(
+            "SWM050",
+            f"{path.name} has no evidence beside it ({sidecar(path).name}): its checks are not shown",
+        )
+    return result
+
+
+def _as_json(
+    results: Sequence[Result],
+    contents: Sequence[Evidence],
+    *,
+    title: str,
+    created: datetime,
+    digests: dict[str, str],
+) -> dict[str, Any]:
+    """Return all results and their evidence, at full precision, as plain data."""
+    return {
+        "format": FORMAT,
+        "title": title,
+        "created": created.isoformat(timespec="seconds"),
+        "version": swimid.__version__,
+        "verdict": page.overall(contents).model_dump(include={"level", "text"}),
+        "results": [
+            {
+                "file": str(result.path),
+                "sha256": digests[str(result.path)],
+                "kind": result.kind,
+                "result": yamlio.plain(result.data),
+                "evidence": content.model_dump(mode="json"),
+            }
+            for result, content in zip(results, contents, strict=True)
+        ],
+    }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,8 +12,19 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar
 import numpy as np
 
 from swimid.errors import UsageError
-from swimid.files import atomic
-from swimid.results.evidence import Check, Evidence, sidecar, write_beside
+from swimid.files import atomic, yamlio
+from swimid.notices import warn
+from swimid.results import terminal
+from swimid.results.evidence import (
+    Check,
+    Evidence,
+    NoticeRecord,
+    Table,
+    Verdict,
+    leaf_table,
+    sidecar,
+    write_beside,
+)
 from swimid.results.evidence import read as read_evidence
 
 if TYPE_CHECKING:
@@ -22,7 +34,6 @@ if TYPE_CHECKING:
 
     from swimid.files.yamlio import ResultFile
     from swimid.results.evidence import Figure
-    from swimid.results.sections import Section
 
 File = TypeVar("File", bound="ResultFile")
 
@@ -38,7 +49,7 @@ class Result:
     verb : str
         The command that gives the same, ``"fit-drag"``.
     text : str
-        What the command prints: the answer first.
+        What the command prints where that is no summary of the evidence.
     data : dict
         The same for machines (``--json``), at full precision.
     outputs : sequence of Path
@@ -63,19 +74,40 @@ class Result:
     """
 
     verb: str
-    text: str
+    text: str = ""
     data: dict[str, Any] = field(default_factory=dict)
     outputs: Sequence[Path] = ()
     evidence: Evidence | None = None
     document: Any = None
 
+    #: Kind of result, as a report names it.
+    kind: ClassVar[str] = "Result"
     #: The ``format:`` of the file it is written to, and that file's usual ending.
     format: ClassVar[str] = ""
     ending: ClassVar[str] = ".yaml"
 
     def summary(self) -> str:
         """The answer in plain text, as the command prints it."""
-        return self.text
+        return self.text if self.text or self.evidence is None else terminal.summary(self.content())
+
+    def content(self) -> Evidence:
+        """Return what a report shows: the evidence, preceded by the facts and tables of the file itself.
+
+        Without evidence its verdict is caution.
+        """
+        shown = self._bare() if self.evidence is None else self.evidence
+        own = {
+            "tables": [*self._own_tables(), *shown.tables],
+            "facts": {**self._own_facts(), **shown.facts},
+            "notes": [*self._own_notes(), *shown.notes],
+        }
+        return shown.model_copy(update=own)
+
+    @property
+    def path(self) -> Path:
+        """The file it was written to, or the name that file would have."""
+        written = [path for path in self.outputs if path.suffix == self.ending] or self.outputs
+        return written[0] if written else Path((self.verb or self.kind).replace(" ", "-") + self.ending)
 
     def to_dict(self) -> dict[str, Any]:
         """The answer as plain data at full precision, as ``--json`` prints it."""
@@ -98,7 +130,7 @@ class Result:
 
     def tables(self) -> dict[str, pd.DataFrame]:
         """The tables of the report by their id."""
-        return {table.id: _frame(table.columns, table.rows) for table in self._shown("tables")}
+        return {table.id: _frame(table.columns, table.rows) for table in self.content().tables}
 
     @property
     def figure_names(self) -> list[str]:
@@ -129,18 +161,19 @@ class Result:
         UsageError
             When there is no such figure, or not as many axes as panels.
         """
-        from swimid.results import sheet
+        from swimid.results import drawing
 
         figure = self._figure(name)
         if axes is None:
             from matplotlib import pyplot
 
-            drawn = list(sheet.canvas([figure], new=pyplot.figure).axes)
+            drawn = list(drawing.canvas([figure], new=pyplot.figure).axes)
         else:
             given = list(np.atleast_1d(np.asarray(axes, dtype=object)).ravel())
             if len(given) != len(figure.panels):
                 raise UsageError(f"'{name}' has {len(figure.panels)} panels: give as many axes")
-            sheet.paint(figure, given)
+            for panel, place in zip(figure.panels, given, strict=True):
+                drawing.paint(place, panel, drawing.slots_of(figure))
             drawn = given
         return drawn[0] if len(drawn) == 1 else drawn
 
@@ -183,28 +216,37 @@ class Result:
         document = cls._read(path)
         place = sidecar(path)
         evidence = read_evidence(place) if place.exists() else None
-        text = cls._told(document, evidence)
+        if evidence is not None:
+            evidence = _matched(Path(path), getattr(document, "provenance", {}), evidence)
         data = document.model_dump(mode="json") if hasattr(document, "model_dump") else {}
-        return cls(evidence.verb if evidence else "", text, data, [Path(path)], evidence, document)
+        return cls(evidence.verb if evidence else "", "", data, [Path(path)], evidence, document)
 
-    def section(self) -> Section:
-        """The result as a section of a report."""
-        from swimid.results import reader
+    def _own_facts(self) -> dict[str, str]:
+        """Facts that the file itself holds."""
+        return {}
 
-        if self.evidence is None:
-            raise UsageError(f"the result of {self.verb} has nothing a report could show")
-        written = [path for path in self.outputs if path.suffix == self.ending]
-        name = written[0] if written else Path(self.verb.replace(" ", "-") + self.ending)
-        return reader.of_document(name, self.document, self.format, self.evidence)
+    def _own_notes(self) -> list[str]:
+        """Sentences that the file itself holds."""
+        return []
+
+    def _own_tables(self) -> list[Table]:
+        """Tables of what the file itself holds."""
+        return []
+
+    def _bare(self) -> Evidence:
+        """Return what a report shows of a file whose evidence is missing."""
+        tables = [leaf_table("content", "Content of the file", self.data)] if self.data else []
+        return Evidence(
+            verb=self.verb,
+            title=f"{self.kind} {self.path.name}",
+            verdict=Verdict(level="caution", text="No evidence file, so its checks cannot be shown."),
+            tables=tables,
+            provenance=getattr(self.document, "provenance", {}),
+        )
 
     @classmethod
     def _read(cls, path: str | Path) -> Any:
         raise UsageError(f"{path} cannot be read as {cls.__name__}")
-
-    @classmethod
-    def _told(cls, document: Any, evidence: Evidence | None) -> str:
-        """The summary of a result that was read."""
-        return f"{evidence.verdict.level.upper()}: {evidence.verdict.text}" if evidence else ""
 
     def _write(self, path: Path) -> list[Path]:
         raise UsageError(f"the result of {self.verb} is no file", hint="its text is .summary()")
@@ -221,9 +263,9 @@ class Result:
         raise UsageError(f"there is no figure '{name}'", hint=f"there are: {known}")
 
     def _canvas(self, name: str) -> Canvas:
-        from swimid.results import sheet
+        from swimid.results import drawing
 
-        return sheet.canvas([self._figure(name)])
+        return drawing.canvas([self._figure(name)])
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -262,6 +304,33 @@ class Text(Result):
         return f"<pre>{html.escape(text)}</pre>"
 
 
+def _matched(path: Path, provenance: dict[str, Any], evidence: Evidence) -> Evidence:
+    """Return the evidence of a file, with a lower verdict where it is that of another run.
+
+    Warns
+    -----
+    SWM052
+        The evidence is that of another run.
+    """
+    keys = [key for key in ("created", "command", "version", "inputs", "settings") if key in provenance]
+    differ = [key for key in keys if _plain(provenance[key]) != _plain(evidence.provenance.get(key))]
+    if not differ:
+        return evidence
+    text = (
+        f"the evidence of {path.name} is from another run ({', '.join(differ)} differ): its figures, checks "
+        "and tables may not describe these numbers"
+    )
+    warn("SWM052", text)
+    level = "bad" if evidence.verdict.level == "bad" else "caution"
+    said = f"Evidence and result do not belong together. {evidence.verdict.text}"
+    notices = [*evidence.notices, NoticeRecord(code="SWM052", text=text)]
+    return evidence.model_copy(update={"verdict": Verdict(level=level, text=said), "notices": notices})
+
+
+def _plain(value: Any) -> Any:
+    return json.loads(json.dumps(yamlio.plain(value), default=str))
+
+
 def _frame(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> pd.DataFrame:
     import pandas as pd
 
@@ -284,7 +353,7 @@ class FileResult(Result, Generic[File]):
     def of(cls, file: File, evidence: Evidence) -> Self:
         """The result whose file and evidence these are."""
         data = file.model_dump(mode="json")
-        return cls(evidence.verb, cls._told(file, evidence), data, evidence=evidence, document=file)
+        return cls(evidence.verb, "", data, evidence=evidence, document=file)
 
     @classmethod
     def _read(cls, path: str | Path) -> Any:

@@ -21,7 +21,7 @@ from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.results.fitted import Fitted, rows
+from swimid.results.fitted import Fitted
 from swimid.results.parameters import Estimate, Fit, ParameterFile
 from swimid.rig import derived as fit_drag_derived
 from swimid.rig import theory, two_point
@@ -133,7 +133,7 @@ def fit_drag(
     evidence = ev.Evidence(
         verb="fit-drag",
         title=f"Rig identification of {experiment.robot.name}: {experiment.name}",
-        verdict=blocks.verdict(checks, fit_common.answer(file)),
+        verdict=ev.judged(fit_common.answer(file), checks),
         checks=checks,
         tables=_tables(experiment, file, pair, result),
         figures=fit_common.figures(result) + _speed_figure(pair),
@@ -142,8 +142,7 @@ def fit_drag(
         references=list(experiment.robot.sources),
         provenance=origin,
     )
-    text = _summary(experiment, file, evidence, pair)
-    return fit_common.fitted("fit-drag", text, file, evidence, output)
+    return Fitted.of(file, evidence).saved(output)
 
 
 # ------------------------------------------------------------ fitting
@@ -381,27 +380,3 @@ def _methods(
             f"{pair.points_m[1]:.3f} m."
         )
     return sentences
-
-
-def _summary(
-    experiment: Experiment, file: ParameterFile, evidence: ev.Evidence, pair: two_point.TwoPointResult | None
-) -> str:
-    assert file.fit is not None
-    samples = (file.fit.model_extra or {}).get("samples")
-    lines = [
-        f"{experiment.name} of {experiment.robot.name}: {len(file.fit.trials)} trials"
-        + (f", {samples} samples" if samples is not None else ""),
-        rows(fit_common.brief(file)),
-    ]
-    if pair is not None and not pair.answers:
-        lines.append(
-            "  two-point method: no answer, its speeds do not rise with the pulling mass as Eq 13 says"
-        )
-    elif pair is not None and getattr(file.fit, "method", "") != "two-point":
-        values = [
-            numbers.measured(pair.values[name], pair.stderr[name], unit)
-            for name, unit in zip(two_point.NAMES, ("1", "kg", "N"), strict=True)
-        ]
-        lines.append("  two-point method: " + "; ".join(values))
-    lines.append(f"{evidence.verdict.level.upper()}: " + blocks.judgement(evidence))
-    return "\n".join(lines)

@@ -246,7 +246,7 @@ def sensitivity(
             file.sweep = _sweep(applied, swept, sweep, workers, keep, progress)
             file.measured = _measured(experiment, applied, sweep)
             checks += sensitivity_evidence.sweep_checks(file.sweep, bool(applied.uncertain()[0]))
-    verdict = blocks.verdict(checks, sensitivity_evidence.answer(file))
+    verdict = ev.judged(sensitivity_evidence.answer(file), checks)
     file.verdict = verdict.level
     evidence = ev.Evidence(
         verb="sensitivity",

@@ -66,10 +66,6 @@ class Comparison(FileResult[ComparisonFile]):
             ]
         )
 
-    @classmethod
-    def _told(cls, document: ComparisonFile, evidence: ev.Evidence | None) -> str:
-        return compare_evidence.summary(document, evidence) if evidence else super()._told(document, evidence)
-
 
 @takes(CompareOptions)
 def compare(
@@ -165,7 +161,7 @@ def compare(
             tried = len(usual) * (len(done) + 1)
             told = _explained(experiment.trials, applied, usual, tried, before)
             checks.append(mistakes.check(told, len(usual)))
-    verdict = blocks.verdict(checks, compare_evidence.answer(file))
+    verdict = ev.judged(compare_evidence.answer(file), checks)
     file.verdict = verdict.level
     evidence = ev.Evidence(
         verb="compare",

@@ -26,7 +26,7 @@ from swimid.progress import Progress, silent
 from swimid.results import blocks
 from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
-from swimid.results.fitted import Fitted, rows
+from swimid.results.fitted import Fitted
 from swimid.results.parameters import ParameterFile
 from swimid.robots import file as robot_format
 from swimid.swimmer import fit_graybox_evidence, front
@@ -205,7 +205,7 @@ def fit_graybox(
     evidence = ev.Evidence(
         verb="fit-graybox",
         title=f"Gray-box identification of {experiment.robot.name}",
-        verdict=blocks.verdict(checks, fit_common.answer(file)),
+        verdict=ev.judged(fit_common.answer(file), checks),
         checks=checks,
         tables=fit_graybox_evidence.tables(experiment, result, ends),
         figures=[*fit_graybox_evidence.track(experiment, result), *fit_common.figures(result)],
@@ -220,21 +220,11 @@ def fit_graybox(
         evidence.figures[:0] = front.figures(found, stages)
         evidence.methods[:0] = front.methods(found, options)
         fronts = front.places(output, options) if output else []
-    text = "\n".join(
-        [
-            f"{experiment.robot.name}: {len(result.trials)} trials, {result.samples} samples, "
-            f"{', '.join(result.noise)}",
-            rows(fit_common.brief(file)),
-            *(f"  {line}" for line in file.identifiability),
-            *fit_graybox_evidence.scores(file),
-            *(front.summary(found, fronts) if found is not None else []),
-            *([told.sentence] if told is not None else []),
-            f"{evidence.verdict.level.upper()}: {blocks.judgement(evidence)}",
-            *([] if told is not None else _next(checks, trials, output)),
-        ]
-    )
+        evidence.notes += front.summary(found, fronts)
+    if told is not None:
+        evidence.notes.append(told.sentence)
     with atomic.together():
-        fitted = fit_common.fitted("fit-graybox", text, file, evidence, output)
+        fitted = Fitted.of(file, evidence).saved(output)
         for path in fronts:
             assert found is not None
             front.save(path, found)

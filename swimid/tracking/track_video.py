@@ -18,7 +18,7 @@ from swimid.logs.logged import Logged
 from swimid.notices import Notice, recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
-from swimid.results import blocks, evidence, sheet
+from swimid.results import blocks, drawing, evidence
 from swimid.results.evidence import Check
 from swimid.tracking import checks, motion, pictures, plane, pose, reader, swim
 from swimid.tracking import setup as setup_format
@@ -69,7 +69,7 @@ class Track(Logged):
             return written
         plot = path.with_suffix(".png")
         shown = [figure for figure in self.evidence.figures if figure.id in ("path", "pose")]
-        sheet.write(plot, shown, title=self.evidence.title)
+        drawing.write(plot, shown, title=self.evidence.title)
         return [*written, plot]
 
 
@@ -174,7 +174,7 @@ def _told(
     painter = pictures.Painter(run, result)
     facts = _facts(track, result)
     share = f"Markers found in {facts['found']} of {facts['frames']} frames"
-    verdict = evidence.judged(found, share, more=swum.headline(), passed="every self-check passes")
+    verdict = evidence.judged(f"{share}.{swum.headline()}", found)
     proof = evidence.Evidence(
         verb="track video",
         title=f"Track of {video.path.name}",

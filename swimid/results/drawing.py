@@ -1,0 +1,441 @@
+"""Figures of results, drawn by matplotlib: one column of a journal for each panel.
+
+The same function draws a panel for a notebook, for ``swimid plot`` and for a report. A report takes it as SVG
+whose colours are those of the page, so that one drawing serves light, dark and print.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+import textwrap
+from collections.abc import Callable, Sequence
+from functools import cache
+from html import escape
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import LogFormatter
+from numpy.typing import NDArray
+
+from swimid.errors import InputError
+from swimid.files import atomic
+from swimid.files.mark import SOFTWARE
+from swimid.results import numbers
+from swimid.results.evidence import MAX_POINTS, Figure, Heat, Panel, Trace, thinned
+
+Array = NDArray[np.float64]
+
+#: Width and usual height of a panel, inches: one column.
+WIDTH, HEIGHT = 3.5, 2.3
+#: Font size, points.
+FONT = 8.0
+#: Approximate width of a letter as a share of the font size.
+LETTER = 0.58
+#: Pixels per inch of a PNG.
+DPI = 300
+#: From this many points on a trace is drawn as one path of dots, which takes a tenth of the space.
+MIN_CLOUD = 60
+#: Opacity of the darkest cell of a heat map, on which its number can still be read.
+DARKEST = 0.55
+
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+DASHES = ((4, 2), (1, 1.5), (6, 2, 1, 2))
+HATCHES = ("", "////", "....", "xx")
+
+
+@cache
+def palette() -> dict[str, str]:
+    """Return the colours of the page in daylight by name: ``ink``, ``paper``, ``s1``..."""
+    css = (resources.files("swimid.results") / "templates" / "report.css").read_text(encoding="utf-8")
+    names = ("ink", "grid", "paper", "shade", *(f"s{k}" for k in range(1, 7)))
+    return {name: re.search(rf"--{name}: (#[0-9a-f]+)", css)[1] for name in names}  # type: ignore[index]
+
+
+def style() -> Any:
+    """Return matplotlib's settings for all figures."""
+    ink = palette()["ink"]
+    return {
+        "font.family": "DejaVu Sans",
+        "font.size": FONT,
+        "figure.constrained_layout.use": True,
+        "figure.facecolor": palette()["paper"],
+        "axes.facecolor": "none",
+        "axes.edgecolor": ink,
+        "axes.labelcolor": ink,
+        "axes.titlesize": FONT,
+        "axes.titleweight": "bold",
+        "axes.titlelocation": "left",
+        "axes.linewidth": 0.6,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.grid": True,
+        "axes.axisbelow": True,
+        "axes.xmargin": 0.02,
+        "axes.formatter.limits": (-3, 5),
+        "grid.color": palette()["grid"],
+        "grid.linewidth": 0.5,
+        "text.color": ink,
+        "text.parse_math": False,
+        "xtick.color": ink,
+        "ytick.color": ink,
+        "legend.frameon": False,
+        "legend.fontsize": FONT - 1,
+        "legend.handlelength": 1.6,
+        "legend.borderaxespad": 0.2,
+        "legend.columnspacing": 1.2,
+        "hatch.linewidth": 0.6,
+        "svg.hashsalt": "swimid",
+    }
+
+
+# ---------------------------------------------------------------- one panel
+
+
+def paint(axes: Axes, panel: Panel, slots: dict[Any, int]) -> None:
+    """Draw a panel on axes.
+
+    Parameters
+    ----------
+    axes : Axes
+    panel : Panel
+    slots : dict
+        Number of the colour and marker of each group of traces (:func:`slots_of`).
+
+    Raises
+    ------
+    InputError
+        When the lists of a trace, or the rows of a heat map, differ in length.
+    """
+    if panel.heat is not None:
+        _heat(axes, panel.heat)
+    bars = [trace for trace in panel.traces if trace.style == "bars"]
+    pointed = {trace.group for trace in panel.traces if trace.style == "points"} - {None}
+    seen: dict[tuple[int, str], int] = {}
+    for index, trace in enumerate(panel.traces):
+        slot = slots[_key(trace, index)]
+        repeat = seen.setdefault((slot, trace.style), 0)
+        seen[slot, trace.style] += 1
+        if trace.style == "bars":
+            _bars(axes, trace, slot, bars.index(trace), len(bars))
+        else:
+            _trace(axes, trace, slot, repeat, plain=slot == 0 or trace.group in pointed)
+    _scales(axes, panel)
+    for mark in panel.marks:
+        line = axes.axhline if mark.axis == "y" else axes.axvline
+        line(mark.at, color=palette()["ink"], lw=0.8, dashes=(4, 3), zorder=1.8, label=mark.label or None)
+    _spans(axes, panel)
+    axes.set_xlabel("\n".join(textwrap.wrap(panel.x_label, 52)))
+    axes.set_ylabel("\n".join(textwrap.wrap(panel.y_label, 36)))
+    rows = _legend(axes)
+    axes.set_title("\n".join(textwrap.wrap(panel.title, 52)), pad=4 + rows * 1.35 * (FONT - 1))
+
+
+def slots_of(figure: Figure) -> dict[Any, int]:
+    """Return the number of each group of traces; a group looks the same in every panel."""
+    slots: dict[Any, int] = {}
+    for panel in figure.panels:
+        for index, trace in enumerate(panel.traces):
+            slots.setdefault(_key(trace, index), len(slots))
+    return slots
+
+
+def _key(trace: Trace, index: int) -> Any:
+    return trace.group if trace.group is not None else trace.label or ("trace", index)
+
+
+def _colour(slot: int) -> str:
+    return palette()[f"s{slot % 6 + 1}"]
+
+
+def _array(values: Sequence[float | None]) -> Array:
+    return np.array([math.nan if v is None else v for v in values], dtype=float)
+
+
+def _trace(axes: Axes, trace: Trace, slot: int, repeat: int, *, plain: bool) -> None:
+    """Draw a line or points; a line carries sparse markers unless it is ``plain``."""
+    for name in ("y", "y_error", "lower", "upper"):
+        values = getattr(trace, name)
+        if values is not None and len(values) != len(trace.x):
+            raise InputError(f"'{name}' has {len(values)} numbers for {len(trace.x)} of 'x' in a figure")
+    x, y, colour = _array(trace.x), _array(trace.y), _colour(slot)
+    marker = MARKERS[(slot + repeat) % len(MARKERS)]
+    label = trace.label or None
+    if trace.lower is not None and trace.upper is not None:
+        axes.fill_between(x, _array(trace.lower), _array(trace.upper), color=colour, alpha=0.2, lw=0)
+    elif len(x) > MAX_POINTS:
+        x, y = thinned(x, y)
+    if trace.y_error is not None:
+        axes.errorbar(x, y, yerr=_array(trace.y_error), fmt="none", ecolor=colour, lw=0.9, capsize=2)
+    if trace.style in ("points", "stems"):
+        if trace.style == "stems":
+            axes.vlines(x, 0, y, color=colour, lw=0.9)
+        _points(axes, x, y, colour, marker, label)
+        return
+    (line,) = axes.plot(x, y, color=colour, lw=1.0, label=label, zorder=2)
+    if trace.style == "step":
+        line.set_drawstyle("steps-post")
+    if trace.style == "dashed" or repeat:
+        line.set_dashes(DASHES[repeat % len(DASHES)])
+    if not plain and trace.style != "arrows":
+        line.set(marker=marker, ms=3, markevery=max(len(x) // 6, 1))
+
+
+def _points(axes: Axes, x: Array, y: Array, colour: str, marker: str, label: str | None) -> None:
+    """Draw points above the lines; many as one path of strokes without length."""
+    size = float(np.interp(len(x), [20, 60, 400, 2000], [4.0, 3.0, 2.0, 1.4]))
+    if len(x) < MIN_CLOUD:
+        axes.plot(x, y, ls="", marker=marker, ms=size, mew=0, color=colour, label=label, zorder=2.5)
+        return
+    gap = np.full(len(x), np.nan)
+    end = x + 1e-4 * (float(np.nanmax(x) - np.nanmin(x)) or 1.0)
+    dots = [np.column_stack(parts).ravel() for parts in ((x, end, gap), (y, y, gap))]
+    (line,) = axes.plot(*dots, color=colour, lw=size, solid_capstyle="round", alpha=0.8, zorder=2.5)
+    line.get_path().should_simplify = False
+    axes.plot([], [], ls="", marker="o", ms=3, mew=0, color=colour, label=label)
+
+
+def _bars(axes: Axes, trace: Trace, slot: int, index: int, count: int) -> None:
+    """Draw one of several sets of bars side by side."""
+    x = _array(trace.x)
+    pitch = float(np.min(np.diff(np.sort(x)))) if len(x) > 1 else 1.0
+    width = 0.8 * pitch / count
+    axes.bar(
+        x + (index - (count - 1) / 2) * width,
+        _array(trace.y),
+        yerr=None if trace.y_error is None else _array(trace.y_error),
+        width=0.92 * width,
+        color=_colour(slot),
+        hatch=HATCHES[index % len(HATCHES)],
+        edgecolor=palette()["paper"],
+        lw=0,
+        error_kw={"ecolor": palette()["ink"], "lw": 0.9, "capsize": 2},
+        label=trace.label or None,
+    )
+
+
+def _scales(axes: Axes, panel: Panel) -> None:
+    for name, axis in (("x", axes.xaxis), ("y", axes.yaxis)):
+        values = [v for trace in panel.traces for v in getattr(trace, name) if v is not None]
+        if getattr(panel, f"{name}_scale") == "log" and any(v > 0 for v in values):
+            getattr(axes, f"set_{name}scale")("log", nonpositive="mask")
+            axis.set_major_formatter(LogFormatter())
+            axis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.5)))
+    for names, axis in ((panel.x_categories, axes.xaxis), (panel.y_categories, axes.yaxis)):
+        if names is not None:
+            axis.set_ticks(range(len(names)), [_cut(name) for name in names])
+            axis.grid(False)
+    if panel.x_categories is not None:
+        _slant(axes, panel.x_categories)
+        axes.set_xlim(-0.6, len(panel.x_categories) - 0.4)
+    if panel.equal_aspect:
+        axes.set_aspect("equal", adjustable="datalim")
+    if panel.invert_y:
+        axes.invert_yaxis()
+
+
+def _cut(name: str, letters: int = 24) -> str:
+    return name if len(name) <= letters else name[: letters - 1] + "…"
+
+
+def _slant(axes: Axes, names: Sequence[str]) -> None:
+    """Slant the names below the axis where there is no room for them side by side."""
+    if sum(len(_cut(name)) + 2 for name in names) * LETTER * FONT > 60 * WIDTH:
+        axes.tick_params(axis="x", labelrotation=35)
+        for label in axes.get_xticklabels():
+            label.set(ha="right", rotation_mode="anchor")
+
+
+def _spans(axes: Axes, panel: Panel) -> None:
+    labels = list(dict.fromkeys(span.label for span in panel.spans if span.label))
+    for index, span in enumerate(panel.spans):
+        label = labels[0] if len(labels) == 1 and not index else None
+        axes.axvspan(span.start, span.end, facecolor=palette()["shade"], lw=0, zorder=0.5, label=label)
+        if len(labels) > 1 and span.label:
+            at, across = (span.start + span.end) / 2, axes.get_xaxis_transform()
+            axes.text(at, 0.98, span.label, transform=across, ha="center", va="top", fontsize=FONT - 1.5)
+
+
+def _legend(axes: Axes) -> int:
+    """Set the legend above the axes; return its number of rows."""
+    handles, labels = axes.get_legend_handles_labels()
+    found = dict(zip(labels, handles, strict=True))
+    if not found or (len(found) == 1 and len(axes.lines) + len(axes.patches) == 1):
+        return 0
+    longest = max(len(label) for label in found)
+    columns = max(int(60 * WIDTH / (longest * LETTER * (FONT - 1) + 28)), 1)
+    columns = min(columns, len(found))
+    axes.legend(list(found.values()), list(found), loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns)
+    return math.ceil(len(found) / columns)
+
+
+def _heat(axes: Axes, heat: Heat) -> None:
+    """Draw a table of numbers, each in a cell that is shaded by its size."""
+    shape = {len(row) for row in heat.values}
+    if len(heat.values) != len(heat.rows) or shape - {len(heat.columns)}:
+        raise InputError(
+            f"a heat map has values of {len(heat.values)} rows and {sorted(shape)} columns for "
+            f"{len(heat.rows)} and {len(heat.columns)} labels"
+        )
+    values = np.array([_array(row) for row in heat.values]).reshape(len(heat.rows), len(heat.columns))
+    shades = values
+    if heat.scale == "log":
+        shades = np.log(np.maximum(values, heat.neutral) / heat.neutral)
+    known = shades[np.isfinite(shades)]
+    low, high = (known.min(), known.max()) if len(known) else (0.0, 0.0)
+    if heat.scale == "log":
+        low, high = 0.0, max(high, math.log(3.0))
+    size = min(FONT, 72 * WIDTH * 0.75 / max(len(heat.columns), 1) / (4.4 * LETTER))
+    for (i, j), shade in np.ndenumerate(shades):
+        if np.isfinite(shade):
+            alpha = DARKEST * (shade - low) / (high - low) if high > low else 0.0
+            axes.add_patch(Rectangle((j - 0.5, i - 0.5), 1, 1, facecolor=_colour(0), alpha=alpha, lw=0))
+        text = numbers.number(float(values[i, j]), 2)
+        axes.text(j, i, text, ha="center", va="center", fontsize=max(size, 4.5))
+    axes.set_xticks(range(len(heat.columns)), [_cut(name) for name in heat.columns])
+    axes.set_yticks(range(len(heat.rows)), [_cut(name) for name in heat.rows])
+    axes.set(xlim=(-0.5, len(heat.columns) - 0.5), ylim=(len(heat.rows) - 0.5, -0.5))
+    _slant(axes, heat.columns)
+    axes.tick_params(length=0)
+    axes.grid(False)
+    axes.spines[:].set_visible(False)
+
+
+# ---------------------------------------------------------------- whole figures
+
+
+def _height(panel: Panel) -> float:
+    """Return the height of a panel, inches."""
+    if panel.heat is not None:
+        return 1.0 + 0.2 * len(panel.heat.rows)
+    if panel.y_categories is not None:
+        return max(1.0 + 0.16 * len(panel.y_categories), 1.6)
+    if not panel.equal_aspect:
+        return HEIGHT
+    spans = []
+    for name in ("x", "y"):
+        values = [v for trace in panel.traces for v in getattr(trace, name) if v is not None]
+        spans.append(max(values) - min(values) if values else 0.0)
+    return min(max(WIDTH * spans[1] / spans[0], 0.8), 4.0) + 0.6 if spans[0] else HEIGHT
+
+
+def canvas(
+    figures: Sequence[Figure],
+    *,
+    title: str = "",
+    new: Callable[..., Canvas] = Canvas,
+    step: Callable[[int], None] = lambda amount: None,
+) -> Canvas:
+    """Return figures below each other as one of matplotlib's.
+
+    Parameters
+    ----------
+    figures : sequence of Figure
+    title : str
+        Heading of all.
+    new : callable
+        Makes the canvas; that of ``pyplot.figure`` is shown by a notebook.
+    step : callable
+        Called once for each panel.
+    """
+    rows = [row for figure in figures for row in _rows(figure)]
+    across = max(len(row) for _, row in rows)
+    heights = [max(_height(panel) for panel in row) for _, row in rows]
+    with mpl.rc_context(style()):
+        drawn = new(figsize=(WIDTH * across, sum(heights)))
+        if title:
+            drawn.suptitle(title, x=0.02, ha="left", weight="bold")
+        grid = drawn.add_gridspec(len(rows), across, height_ratios=heights)
+        for k, (figure, row) in enumerate(rows):
+            for n, panel in enumerate(row):
+                cell = grid[k, n] if len(row) > 1 else grid[k, :]
+                titled = panel.model_copy(update={"title": panel.title or figure.title})
+                paint(drawn.add_subplot(cell), titled, slots_of(figure))
+                step(1)
+    return drawn
+
+
+def _rows(figure: Figure) -> list[tuple[Figure, list[Panel]]]:
+    across = 2 if figure.columns > 1 else 1
+    return [(figure, figure.panels[k : k + across]) for k in range(0, len(figure.panels), across)]
+
+
+def write(
+    path: Path, figures: Sequence[Figure], *, title: str, step: Callable[[int], None] = lambda amount: None
+) -> None:
+    """Write figures as ``.svg`` or ``.png``, on white, whole or not at all."""
+    kind = path.suffix.lower().removeprefix(".")
+    metadata = {"Date": None, "Creator": SOFTWARE} if kind == "svg" else {"Software": SOFTWARE}
+    with mpl.rc_context({**style(), "svg.fonttype": "path"}):
+        drawn = canvas(figures, title=title, step=step)
+        with atomic.replacing(path) as temporary:
+            drawn.savefig(temporary, format=kind, dpi=DPI, metadata=metadata)
+
+
+# ---------------------------------------------------------------- on a page
+
+
+def for_page(figure: Figure, prefix: str, step: Callable[[int], None] = lambda amount: None) -> list[str]:
+    """Return each panel of a figure as an SVG element of a page.
+
+    Parameters
+    ----------
+    figure : Figure
+    prefix : str
+        Put before every id inside the SVGs; unique on the page.
+    step : callable
+        Called once.
+    """
+    drawings = []
+    with mpl.rc_context({**style(), "svg.fonttype": "none", "figure.facecolor": "none"}):
+        for index, panel in enumerate(figure.panels):
+            drawn = Canvas(figsize=(WIDTH, _height(panel)))
+            paint(drawn.add_subplot(), panel, slots_of(figure))
+            file = io.StringIO()
+            drawn.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
+            names = ", ".join(trace.label for trace in panel.traces if trace.label)
+            title = f"{figure.title}: {panel.title}" if panel.title else figure.title
+            about = f"{title}. {panel.y_label} over {panel.x_label}. {names}"
+            drawings.append(_inline(file.getvalue(), f"{prefix}{index}-", about))
+    step(1)
+    return drawings
+
+
+def _inline(text: str, prefix: str, about: str) -> str:
+    """Turn an SVG file into an element of a page.
+
+    Style sheet and metadata go, ids get the prefix, colours and fonts become those of the page, and
+    coordinates have a tenth of a point. Only tags are changed, never the text between them.
+    """
+    text = re.sub(r"<(metadata|style)\b.*?</\1>|<!--.*?-->", "", text[text.index("<svg") :], flags=re.DOTALL)
+    used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', text))
+    text = re.sub(r"<[^>]*>", lambda match: _tag(match[0], prefix, used), text)
+    text = re.sub(r">\s+<", "><", re.sub(r"<defs>\s*</defs>", "", text))
+    box = re.search(r'viewBox="[^"]+"', text)
+    inside = text[text.index(">") + 1 :].strip()
+    frame = f'xmlns="http://www.w3.org/2000/svg" {box[0] if box else ""}'
+    return f'<svg {frame} role="img" aria-label="{escape(about, quote=True)}">{inside}'
+
+
+def _tag(tag: str, prefix: str, used: set[str]) -> str:
+    tag = re.sub(r' id="([^"]+)"', lambda m: f' id="{prefix}{m[1]}"' if m[1] in used else "", tag)
+    tag = re.sub(r'(?:xlink:)?href="#([^"]+)"', rf'href="#{prefix}\1"', tag)
+    tag = re.sub(r"url\(#([^)]+)\)", rf"url(#{prefix}\1)", tag)
+    for name, colour in palette().items():
+        tag = tag.replace(colour, "currentColor" if name == "ink" else f"var(--{name})")
+    tag = re.sub(r"font: (?:\w+ )?([\d.]+)px [^;\"]*", r"font-size: \1px", tag)
+    tag = re.sub(r'\bd="([^"]+)"', lambda m: f'd="{_path(m[1])}"', tag)
+    return re.sub(r"(\d\.\d{2})\d+", r"\1", tag)
+
+
+def _path(path: str) -> str:
+    """Return the data of a path with coordinates of a tenth of a point."""
+    path = re.sub(r"-?\d+\.\d+(?:e-?\d+)?", lambda m: f"{float(m[0]):.1f}".removesuffix(".0"), path)
+    return re.sub(r"\s*([MLCQz])\s*", r"\1", path.strip())

@@ -1,0 +1,73 @@
+"""Every kind of result that can be read again, and the class that reads it."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+
+from swimid.errors import InputError, nearest
+from swimid.files import yamlio
+from swimid.results.result import Result
+
+#: Class of each ``format:`` of YAML results.
+FORMATS = {
+    "swimid-parameters/1": "swimid.results.fitted:Fitted",
+    "swimid-comparison/1": "swimid.simulation.compare:Comparison",
+    "swimid-gap/1": "swimid.diagnosis.diagnosed:Diagnosis",
+    "swimid-power/1": "swimid.diagnosis.power_file:DetectionPower",
+    "swimid-sensitivity/1": "swimid.sensitivity_analysis.sensitivity:Sensitivity",
+    "swimid-map/1": "swimid.optimisation.performance_map:PerformanceMap",
+    "swimid-rule/1": "swimid.optimisation.optimise_stiffness:StiffnessRule",
+    "swimid-gait/1": "swimid.optimisation.optimise_gait:BestGait",
+    "swimid-fin/1": "swimid.optimisation.fins:FinChoice",
+    "swimid-controller/1": "swimid.optimisation.controller:SpeedController",
+}
+LOG_ENDINGS = (".csv", ".parquet", ".pq")
+LOG = "swimid.logs.logged:Logged"
+
+
+def load_result(path: str | Path) -> Result:
+    """Read any result that swimid wrote, with the evidence beside it.
+
+    Parameters
+    ----------
+    path : path
+        A parameter, comparison, gap, power, sensitivity, map, rule or gait file, or a log.
+
+    Returns
+    -------
+    Result
+        Of the class the function that made it returned.
+
+    Raises
+    ------
+    InputError
+        When it is none of these, or broken.
+
+    Examples
+    --------
+    >>> load_result("sample_logs/gap/params.yaml").parameters.loc["c_ma", "unit"]
+    '1'
+    """
+    path = Path(path)
+    ending = path.suffix.lower()
+    place = LOG
+    if path.name.endswith(".evidence.json"):
+        stem = path.name.removesuffix(".evidence.json")
+        there = [e for e in (".yaml", ".yml", *LOG_ENDINGS) if path.with_name(stem + e).exists()]
+        result = stem + (there[0] if there else ".yaml")
+        raise InputError("is the evidence of a result", file=path, hint=f"name the result itself: {result}")
+    if ending in (".yaml", ".yml"):
+        form = yamlio.load(path).get("format")
+        if form not in FORMATS:
+            reason = "has no 'format'" if form is None else f"its format '{form}' is that of no result"
+            close = nearest(str(form), sorted(FORMATS))
+            hint = f"did you mean '{close}'?" if close else f"known: {', '.join(sorted(FORMATS))}"
+            raise InputError(reason, file=path, line=1, column="format", hint=hint)
+        place = FORMATS[str(form)]
+    elif ending not in LOG_ENDINGS:
+        allowed = ", ".join([".yaml", *LOG_ENDINGS])
+        raise InputError(f"is no result file: its ending must be one of {allowed}", file=path)
+    module, _, name = place.partition(":")
+    loaded: Result = getattr(import_module(module), name).load(path)
+    return loaded
