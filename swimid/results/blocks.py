@@ -180,7 +180,7 @@ def residuals(
 ) -> Figure:
     """Return the weighted residuals, one row for each of the worst trials, and their autocorrelation."""
     rows = sorted(shown, key=lambda s: -_rms(s.weighted))[:MAX_ROWS]
-    traces = []
+    traces: list[Trace] = []
     for k, s in enumerate(rows):
         x, y = thinned(s.time_s, np.clip(s.weighted, -ROW_SD, ROW_SD), POINTS)
         role = "fit" if s.role == "fit" else "held out"

@@ -77,6 +77,7 @@ def style() -> Any:
         "axes.spines.top": False,
         "axes.spines.right": False,
         "axes.grid": True,
+        "axes.prop_cycle": mpl.cycler(color=[_colour(k) for k in range(6)]),
         "axes.axisbelow": True,
         "axes.xmargin": 0.02,
         "axes.formatter.limits": (-3, 5),
@@ -170,7 +171,7 @@ def _trace(axes: Axes, trace: Trace, slot: int, repeat: int, *, paired: bool, co
     for name in ("y", "y_error", "lower", "upper"):
         values = getattr(trace, name)
         if values is not None and len(values) != len(trace.x):
-            raise InputError(f"'{name}' has {len(values)} numbers for {len(trace.x)} of 'x' in a figure")
+            raise InputError(f"a trace has {len(values)} numbers of '{name}' for {len(trace.x)} of 'x'")
     x, y, colour = _array(trace.x), _array(trace.y), _colour(slot)
     marker = MARKERS[slot % len(MARKERS)]
     label = trace.label or None
@@ -417,7 +418,10 @@ def for_page(figure: Figure, prefix: str, step: Callable[[int], None] = lambda a
     with mpl.rc_context({**style(), "svg.fonttype": "none", "figure.facecolor": "none"}):
         for index, panel in enumerate(figure.panels):
             drawn = Canvas(figsize=(WIDTH, _height(panel)))
-            paint(drawn.add_subplot(), panel, slots_of(figure), compact=True)
+            try:
+                paint(drawn.add_subplot(), panel, slots_of(figure), compact=True)
+            except InputError as error:
+                raise InputError(error.reason, column=f"figures.{figure.id}.panels.{index}") from error
             file = io.StringIO()
             drawn.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
             names = ", ".join(trace.label for trace in panel.traces if trace.label)
@@ -451,6 +455,7 @@ def _tag(tag: str, prefix: str, used: set[str]) -> str:
     for name, colour in palette().items():
         tag = tag.replace(colour, "currentColor" if name == "ink" else f"var(--{name})")
     tag = re.sub(r"font: (?:\w+ )?([\d.]+)px [^;\"]*", r"font-size: \1px", tag)
+    tag = re.sub(r"font-family: [^;\"]*;? ?", "", tag)
     tag = re.sub(r'\bd="([^"]+)"', lambda m: f'd="{_path(m[1])}"', tag)
     return re.sub(r"(\d\.\d{2})\d+", r"\1", tag)
 
