@@ -19,6 +19,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Rectangle
@@ -77,7 +78,7 @@ def style() -> Any:
         "axes.spines.top": False,
         "axes.spines.right": False,
         "axes.grid": True,
-        "axes.prop_cycle": mpl.cycler(color=[_colour(k) for k in range(6)]),
+        "axes.prop_cycle": cycler(color=[_colour(k) for k in range(6)]),
         "axes.axisbelow": True,
         "axes.xmargin": 0.02,
         "axes.formatter.limits": (-3, 5),
@@ -369,8 +370,9 @@ def canvas(
     rows = [row for figure in figures for row in _rows(figure)]
     across = max(len(row) for _, row in rows)
     heights = [max(_height(panel) for panel in row) for _, row in rows]
+    # made outside the settings: the backend of a notebook changes others, which are to stay
+    drawn = new(figsize=(WIDTH * across, sum(heights)), layout="constrained", facecolor=palette()["paper"])
     with mpl.rc_context(style()):
-        drawn = new(figsize=(WIDTH * across, sum(heights)))
         if title:
             drawn.suptitle(title, x=0.02, ha="left", weight="bold")
         grid = drawn.add_gridspec(len(rows), across, height_ratios=heights)
