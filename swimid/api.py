@@ -191,11 +191,10 @@ def load_result(path: str | Path) -> Result:
     """
     from importlib import import_module
 
-    from swimid.files import yamlio
-    from swimid.logs.log import PARQUET_ENDINGS
+    from swimid.files import parquet, yamlio
 
     kinds = [getattr(import_module(NAMES[name]), name) for name in RESULTS]
-    if Path(path).suffix.lower() in (".csv", *PARQUET_ENDINGS):
+    if Path(path).suffix.lower() in (".csv", *parquet.ENDINGS):
         form = "log"
     else:
         form = str(yamlio.load(path).get("format"))

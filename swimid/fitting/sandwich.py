@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 from scipy.linalg import matmul_toeplitz
 
 from swimid.fitting.model import Array
@@ -164,5 +164,5 @@ def _scatter(
         degrees += int(keep.sum())
     if degrees < 1:
         return 1.0, 1.0
-    p_value = float(stats.chi2.sf(statistic, degrees))
+    p_value = float(special.chdtrc(degrees, statistic))
     return (max(math.sqrt(statistic / degrees), 1.0) if p_value < HETEROGENEITY else 1.0), p_value

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from swimid.files import parquet
 from swimid.logs import figures as log_figures
 from swimid.logs import log
 from swimid.logs.log import Log
@@ -17,7 +18,7 @@ from swimid.results.reader import reader
 from swimid.results.sections import LONG_TABLE, Block, Cell, Grid, Section, mapping_grid
 
 
-@reader(endings=(".csv", ".parquet", ".pq"), read=log.read)
+@reader(endings=(".csv", *parquet.ENDINGS), read=log.read)
 def section(path: Path, record: Log, evidence: Evidence | None) -> Section:
     """The section of a log; without evidence its channels over time, gaps shaded."""
     time = record.time_s
