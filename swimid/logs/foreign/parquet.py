@@ -10,7 +10,8 @@ from swimid.logs.foreign.base import Options, Reader, Table
 
 
 def _open(path: Path, options: Options) -> Table:
-    pyarrow = parquet.library()
+    import pyarrow.parquet
+
     table, types = pyarrow.parquet.read_table(path), pyarrow.types
     nested = [f.name for f in table.schema if types.is_nested(f.type) or types.is_binary(f.type)]
     notes = [f"columns that hold no plain values left out: {', '.join(nested)}"] if nested else []
@@ -21,4 +22,4 @@ def _open(path: Path, options: Options) -> Table:
     )
 
 
-READER = Reader("parquet", "Parquet file", parquet.ENDINGS, _open, magic=(b"PAR1",))
+READER = Reader("parquet", "Parquet file", parquet.ENDINGS, _open, magic=(b"PAR1",), extra="parquet")
