@@ -300,7 +300,8 @@ def _read_csv(path: Path, required: Sequence[str], optional: Sequence[str] | Non
     if all(number(name) is not None for name in names):
         raise InputError("the header line with the column names is missing", file=path, line=header_line)
     wanted = _wanted(names, required, optional, path, header_line)
-    source, skip = path, header_line
+    source: Path | bytes = path
+    skip = header_line
     if any('"' in line for line in comments):
         # pandas skips lines up to the next quotation mark
         source, skip = path.read_bytes().split(b"\n", header_line)[-1], 0

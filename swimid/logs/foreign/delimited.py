@@ -84,9 +84,9 @@ def _open(path: Path, options: Options) -> Table:
     if parsed is not None and _is_regular(text, parsed, found.delimiter):
         rows = np.arange(len(parsed), dtype=np.int64) + found.first_line
     else:
-        lines = enumerate(text.split(b"\n"), start=found.first_line)
+        numbered = enumerate(text.split(b"\n"), start=found.first_line)
         blanks = b" \t".replace(found.delimiter.encode(), b"")
-        filled = [(at, line) for at, line in lines if line.strip(blanks)]
+        filled = [(at, line) for at, line in numbered if line.strip(blanks)]
         cells = np.array([count_cells(line.decode(), found.delimiter) for _, line in filled])
         broken = [(at, int(count)) for (at, _), count in zip(filled, cells, strict=True) if count != width]
         filled = list(compress(filled, cells == width))
