@@ -10,6 +10,8 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
+import pandas as pd
 import pytest
 
 from swimid import notices
@@ -151,6 +153,37 @@ def test_help_imports_nothing_heavy() -> None:
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stderr.strip() == "[]"
+
+
+HEAVY = {"pyarrow", "matplotlib", "scipy.signal", "scipy.stats", "control", "numba"}
+
+
+def test_importing_a_log_imports_nothing_heavy(tmp_path: Path) -> None:
+    """A log with a stroke is imported without pyarrow, and without the libraries of fits and figures."""
+    time_s = np.arange(400) / 50
+    log = pd.DataFrame({"t_s": time_s, "yaw_rad": 0.2 * np.sin(2 * np.pi * 1.5 * time_s)})
+    log.to_csv(tmp_path / "raw.csv", index=False)
+    code = (
+        "import sys; sys.modules['pyarrow'] = None; from swimid.cli.main import main; "
+        f"main(['import', 'raw.csv', '-o', 'run.csv'], standalone_mode=False); "
+        f"print({HEAVY!r} & {{name for name, module in sys.modules.items() if module}}, file=sys.stderr)"
+    )
+    command = [sys.executable, "-c", code]
+    run = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path)
+    assert run.stderr.splitlines()[-1] == "set()"
+    assert "stroke" in run.stdout
+
+
+@pytest.mark.parametrize("path", _modules(), ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_heavy_libraries_are_imported_where_they_are_used(path: Path) -> None:
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.Import):
+            names = {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            names = {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+        else:
+            continue
+        assert not names & {"pyarrow", "scipy.signal", "scipy.stats", "control"}
 
 
 def test_every_warning_code_is_used_and_documented() -> None:

@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from functools import partial, wraps
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -28,10 +29,14 @@ from swimid.notices import Notice, recorded
 from swimid.progress import Progress, Step, silent
 
 if TYPE_CHECKING:
+    from click._termui_impl import ProgressBar
+
     from swimid.results.result import Result
 
 #: Version of the ``--json`` envelope.
 ENVELOPE = 1
+#: Terminal codes that go up a line and clear it.
+ERASE_BAR = "\x1b[1A\x1b[2K"
 
 
 @dataclass(frozen=True)
@@ -96,7 +101,7 @@ class Run:
         """Bars on stderr when it is a terminal, else none."""
         shared = self.shared
         hidden = shared.no_progress or shared.quiet or not sys.stderr.isatty() or bool(os.environ.get("CI"))
-        return silent if hidden else _rich_progress
+        return silent if hidden else _bar
 
     def finish(self, outcome: Result) -> None:
         """Take the outcome; it is printed when the run ends."""
@@ -266,30 +271,23 @@ def protect(output: Path | None, shared: Shared, *, inputs: tuple[str | Path, ..
         )
 
 
-class _RichStep:
+class _BarStep:
     """A running bar: call it to advance, note what stands beside it."""
 
-    def __init__(self, bars: Any, task: Any, description: str) -> None:
-        self._bars, self._task, self._description = bars, task, description
+    def __init__(self, bar: ProgressBar[int], description: str) -> None:
+        self._bar, self._description = bar, description
 
     def __call__(self, amount: int = 1) -> None:
-        self._bars.advance(self._task, amount)
+        self._bar.update(amount)
 
     def note(self, text: str) -> None:
-        self._bars.update(self._task, description=f"{self._description}: {text}")
+        self._bar.label = f"{self._description}: {text}"
 
 
 @contextmanager
-def _rich_progress(description: str, total: int | None = None) -> Iterator[Step]:
-    from rich import progress as rich
-    from rich.console import Console
-
-    columns = (
-        rich.TextColumn("{task.description}"),
-        rich.BarColumn(),
-        rich.MofNCompleteColumn(),
-        rich.TimeElapsedColumn(),
-        rich.TimeRemainingColumn(),
-    )
-    with rich.Progress(*columns, console=Console(stderr=True), transient=True) as bars:
-        yield _RichStep(bars, bars.add_task(description, total=total), description)
+def _bar(description: str, total: int | None = None) -> Iterator[Step]:
+    """Draw a progress bar on stderr, and remove it at the end."""
+    steps = count() if total is None else range(total)
+    with click.progressbar(steps, label=description, file=sys.stderr, show_pos=True) as bar:
+        yield _BarStep(bar, description)
+    click.echo(ERASE_BAR, file=sys.stderr, nl=False)

@@ -22,6 +22,7 @@ from swimid.results.result import Result
 #: Packages that widen what can be done.
 OPTIONAL = {
     "av": "overlay videos that browsers play (pip install 'swimid[video]')",
+    "pyarrow": "Parquet files (pip install 'swimid[parquet]')",
     "h5py": "HDF5, MATLAB and SLEAP files (pip install 'swimid[hdf5]')",
     "mcap": "recordings of ROS 2 (pip install 'swimid[mcap]')",
     "pyulog": "recordings of PX4 (pip install 'swimid[ulog]')",

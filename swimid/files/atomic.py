@@ -15,6 +15,7 @@ from pathlib import Path
 from types import FrameType
 
 from swimid.errors import InputError, UsageError
+from swimid.files import parquet
 
 
 def check_writable(path: str | Path, *, inputs: Iterable[object] = ()) -> Path:
@@ -31,9 +32,11 @@ def check_writable(path: str | Path, *, inputs: Iterable[object] = ()) -> Path:
     InputError
         When its folder does not exist or cannot be written.
     UsageError
-        When it is one of ``inputs`` or a folder.
+        When it is one of ``inputs`` or a folder, or a Parquet file, and pyarrow is not installed.
     """
     path = Path(path)
+    if path.suffix.lower() in parquet.ENDINGS:
+        parquet.library()
     folder = path.parent
     if not folder.is_dir():
         raise InputError(

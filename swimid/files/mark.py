@@ -15,6 +15,7 @@ from pathlib import Path
 
 import swimid
 from swimid.errors import InputError
+from swimid.files import parquet
 
 #: Value of a picture's ``Software`` or ``dc:creator``.
 SOFTWARE = "swimid"
@@ -93,12 +94,10 @@ def _digest(text: str) -> str:
 
 
 def _own_parquet(path: Path) -> bool:
-    import pyarrow as pa
-    from pyarrow import parquet
-
+    pyarrow = parquet.library()
     try:
-        stored = (parquet.read_schema(path).metadata or {}).get(b"swimid", b"")
-    except pa.ArrowInvalid:
+        stored = (pyarrow.parquet.read_schema(path).metadata or {}).get(b"swimid", b"")
+    except pyarrow.ArrowInvalid:
         return False
     return any(_LOG.match(line) for line in stored.decode("utf-8", "replace").splitlines())
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, signal, stats
+from scipy import optimize, special
 
 from swimid.inertial.record import Array, resampled
 
@@ -177,7 +177,7 @@ class _Profile:
 
 def _edge(profile: _Profile, value: float, side: float, stderr: float, widening: float) -> float:
     """Where the widened log likelihood has dropped by 1.92."""
-    drop = 0.5 * float(stats.chi2.ppf(0.95, 1)) * widening
+    drop = 0.5 * float(special.chdtri(1, 0.05)) * widening
     best = profile(value)
 
     def above(shift: float) -> float:
@@ -203,6 +203,8 @@ def without_slow(t: Array, channels: Array, slow_s: float) -> Array:
 
 def _correlate(t: Array, reference: Array, seen_t: Array, seen: Array, slow_s: float) -> float | None:
     """Offset of the largest cross-correlation, summed over pairs of channels."""
+    from scipy import signal
+
     step = float(np.median(np.diff(seen_t)))
     a_t, b_t = np.arange(t[0], t[-1], step), np.arange(seen_t[0], seen_t[-1], step)
     if len(a_t) < 16 or len(b_t) < 16:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import signal
 from scipy.spatial.transform import Rotation
 
 from swimid.inertial.aiding import turn_to_angles
@@ -159,6 +158,8 @@ def _high_passed(time_s: Array, values: Array, cutoff_hz: float) -> Array:
     The filter is a Butterworth filter of fourth order without a phase shift. The result is NaN for a record
     that is too short or too slow for it.
     """
+    from scipy import signal
+
     step = float(np.median(np.diff(time_s)))
     even = np.arange(time_s[0], time_s[-1] + 0.5 * step, step)
     if len(even) < 32 or cutoff_hz >= 0.45 / step:

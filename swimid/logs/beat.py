@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, signal, stats
+from scipy import special
 
 from swimid.logs.sampling import has_levels
 from swimid.notices import warn
@@ -25,6 +25,8 @@ FEWEST_CYCLES = 4.0
 #: Time-bandwidth product and number of the tapers of the line test, and the most cycles it is made for: in
 #: longer records a rhythm wanders, and windows have power enough.
 BAND, TAPERS, LINE_CYCLES = 3.0, 5, 30.0
+#: Share of a record at either end that is tapered for its spectrum.
+TAPERED = 0.1
 #: Share of a record that must be known for it.
 KNOWN = 0.8
 #: Chance that noise of any colour, without a beat, is said to beat.
@@ -76,7 +78,7 @@ class Beat:
     @property
     def interval_hz(self) -> tuple[float, float]:
         """95 % interval (Student's t over the cycles), Hz."""
-        half = float(stats.t.ppf(0.975, max(self.cycles - WINDOW - 1.0, 1.0))) * self.stderr_hz
+        half = float(special.stdtrit(max(self.cycles - WINDOW - 1.0, 1.0), 0.975)) * self.stderr_hz
         return self.frequency_hz - half, self.frequency_hz + half
 
 
@@ -284,11 +286,13 @@ def _peaks(t: Array, x: Array, low: float, high: float, duration: float) -> list
         return []
     centred = t - t.mean()
     level = x - np.polyval(np.polyfit(centred / duration, x, 3), centred / duration)
-    tapered = level * signal.windows.tukey(len(x), 0.2)
+    from_end = np.minimum(np.arange(len(x)), np.arange(len(x))[::-1]) / (len(x) - 1)
+    tapered = level * (0.5 - 0.5 * np.cos(np.pi * np.minimum(from_end / TAPERED, 1.0)))
     power = _power(t, tapered - tapered.mean(), grid)
     chosen: list[float] = []
     for spectrum in (power * grid**4, power * grid**2, power):
-        tops = [k for k in signal.find_peaks(spectrum)[0] if grid[k] >= low]
+        rises = np.diff(spectrum) > 0
+        tops = [k for k in np.flatnonzero(rises[:-1] & ~rises[1:]) + 1 if grid[k] >= low]
         ranked = sorted(tops, key=lambda k: -spectrum[k])[:CANDIDATES]
         chosen += [float(grid[k]) for k in ranked if all(abs(grid[k] - f) > 0.5 / duration for f in chosen)]
     return chosen
@@ -376,6 +380,17 @@ def _incoherent(time: Array, amplitude: Complex, width: float, hop: float) -> fl
     return float((1.0 - coherence**2) ** max(independent - 1.0, 0.0))
 
 
+def _slepian_tapers(count: int) -> Array:
+    """Return the tapers most concentrated within :data:`BAND` cycles a record, shape (TAPERS, count)."""
+    from scipy.linalg import eigh_tridiagonal
+
+    k = np.arange(count)
+    diagonal = ((count - 1) / 2 - k) ** 2 * np.cos(2 * np.pi * BAND / count)
+    beside = k[1:] * (count - k[1:]) / 2
+    largest = (count - TAPERS, count - 1)
+    return eigh_tridiagonal(diagonal, beside, select="i", select_range=largest)[1].T
+
+
 def _no_line(t: Array, x: Array, frequency: float) -> float:
     """Chance that noise, alike over :data:`BAND` cycles a record to either side, looks as much like a line.
 
@@ -398,7 +413,7 @@ def _no_line(t: Array, x: Array, frequency: float) -> float:
     weights = np.linalg.lstsq(design[known], values[known], rcond=None)[0]
     values = np.where(known, values, design @ weights)
     values = values - np.polyval(np.polyfit(u, values, DRIFT), u)
-    tapers = signal.windows.dpss(count, BAND, TAPERS)
+    tapers = _slepian_tapers(count)
     sums = tapers.sum(axis=1)
     best = 0.0
     for near in frequency + np.array([-0.1, -0.05, 0.0, 0.05, 0.1]) / duration:
@@ -407,7 +422,7 @@ def _no_line(t: Array, x: Array, frequency: float) -> float:
         left = float(np.sum(np.abs(tapered - line * sums) ** 2))
         best = max(best, (TAPERS - 1) * abs(line) ** 2 * float(sums @ sums) / max(left, 1e-300))
     best *= float(known.mean())
-    return float(stats.f.sf(best, 2, 2 * TAPERS - 2))
+    return float(special.fdtrc(2, 2 * TAPERS - 2, best))
 
 
 def _fitted(
@@ -441,13 +456,15 @@ def _slope(time: Array, phase: Array, size: Array) -> tuple[float, float]:
     The phases' covariance is that of overlapping windows of white noise, each as noisy as its amplitude is
     small, and of a random walk, in a proportion that the likelihood tells.
     """
+    from scipy.linalg import eigh
+
     n = len(time)
     hop = float(np.min(np.diff(time)))
     hops = np.abs(time[:, None] - time[None, :]) / hop
     noise = np.clip(1.0 - hops / WINDOW, 0.0, 1.0) * np.outer(np.mean(size) / size, np.mean(size) / size)
     walk = (np.minimum.outer(time, time) - time[0]) / hop
     # in coordinates where both covariances are diagonal
-    shares, axes = linalg.eigh(walk, noise + RIDGE * np.eye(n))
+    shares, axes = eigh(walk, noise + RIDGE * np.eye(n))
     design = axes.T @ np.column_stack((np.ones(n), time - time.mean()))
     turned = axes.T @ phase
     fits = []
@@ -468,9 +485,11 @@ def _power(t: Array, x: Array, grid: Array) -> Array:
     steps = np.diff(t)
     step = float(np.mean(steps))
     if np.ptp(steps) > EVEN * step:
+        from scipy.signal import lombscargle
+
         # scipy builds arrays of frequencies times samples: in parts they do not grow with the square of the
         # length
         parts = np.array_split(2 * np.pi * grid, 1 + len(t) * len(grid) // 1_000_000)
-        return np.concatenate([signal.lombscargle(t, x, part) for part in parts])
+        return np.concatenate([lombscargle(t, x, part) for part in parts])
     count = 1 << int(np.ceil(np.log2(20 * len(x))))
     return np.interp(grid, np.fft.rfftfreq(count, step), np.abs(np.fft.rfft(x, count)) ** 2)

@@ -206,17 +206,16 @@ def _spectra(record: Log, stroke: Rhythm | None) -> Figure | None:
 
 
 def _spectrum(time: Array, values: Array, stroke: Rhythm | None) -> tuple[Array, Array] | None:
-    from scipy import signal
-
     even_s, even = longest_even(time, values, rhythm.FASTEST_HZ)
     if len(even) < 32 or np.ptp(even) == 0:
         return None
     rate = (len(even_s) - 1) / (even_s[-1] - even_s[0])
     length = 1 << int(np.ceil(np.log2(2 * len(even))))
-    frequency, power = signal.periodogram(
-        even, rate, window="hann", detrend="linear", scaling="spectrum", nfft=length
-    )
-    amplitude = np.sqrt(2 * power)
+    sample = np.arange(len(even))
+    level = even - np.polyval(np.polyfit(sample, even, 1), sample)
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * sample / len(even))
+    frequency = np.fft.rfftfreq(length, 1 / rate)
+    amplitude = 2 * np.abs(np.fft.rfft(window * level, length)) / window.sum()
     highest = frequency[-1] if stroke is None else min(BEYOND * stroke.beat.frequency_hz, frequency[-1])
     shown = (frequency > 0) & (frequency <= highest)
     if not np.any(amplitude[shown] > 0):

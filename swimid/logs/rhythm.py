@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from swimid.logs.beat import (
     FEWEST_CYCLES,
@@ -162,7 +161,7 @@ def swing(columns: Mapping[str, Array], share: float = 1.0 / FEWEST_CYCLES) -> d
     if place.shape[1] == 1:
         return {"surge": place[:, 0]}
     width = max(int(there.sum() * share) | 1, 5)
-    path, tangent = (signal.savgol_filter(place[there], width, 1, deriv=k, axis=0) for k in (0, 1))
+    path, tangent = _averaged_path(place[there], width)
     about = place[there] - path
     ways = ("surge", "sway")
     if np.median(np.linalg.norm(tangent, axis=1)) * width < 2.0 * float(np.sqrt(np.mean(about**2))):
@@ -174,6 +173,21 @@ def swing(columns: Mapping[str, Array], share: float = 1.0 / FEWEST_CYCLES) -> d
     for way, axis in zip(ways, (tangent, normal), strict=True):
         found[way][there] = np.sum(about * axis, axis=1)
     return found
+
+
+def _averaged_path(place: Array, width: int) -> tuple[Array, Array]:
+    """Return the places and the steps per sample of lines fitted to ``width`` samples about each one.
+
+    The first and the last samples lie on the first and the last of these lines.
+    """
+    half = width // 2
+    offsets = np.arange(-half, half + 1)
+    middles = np.column_stack([np.convolve(x, np.full(width, 1 / width), "valid") for x in place.T])
+    slopes = np.column_stack([np.correlate(x, offsets / (offsets @ offsets), "valid") for x in place.T])
+    samples = np.arange(len(place))
+    line = np.clip(samples - half, 0, len(middles) - 1)
+    beyond = samples - half - line
+    return middles[line] + slopes[line] * beyond[:, None], slopes[line]
 
 
 def _place(columns: Mapping[str, Array]) -> Array | None:

@@ -8,7 +8,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from swimid.logs.held import Held, find_held
 from swimid.logs.log import runs
@@ -125,6 +124,8 @@ def gaps(time_s: Array, good: Flags) -> list[tuple[float, float]]:
 
 def _jumps(time: Array, place: Array) -> tuple[Flags, list[int]]:
     """Samples that stay, and samples at which the track goes on elsewhere."""
+    from scipy import ndimage
+
     steps_s, steps = np.diff(time), np.diff(place, axis=0)
     usual_s = float(np.median(steps_s))
     velocity = steps / steps_s[:, None]

@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import interpolate, stats
+from scipy import special
 
 from swimid.logs.track_cleaning import Cleaning
 
@@ -92,7 +92,7 @@ def mean_of_blocks(values: Array, weights: Array, shift: float = 0.0) -> Estimat
         off = means - means.mean()
         together = float(off[1:] @ off[:-1] / max(float(off @ off), 1e-300))
         widen = np.sqrt((1 + max(together, 0.0)) / (1 - min(max(together, 0.0), 0.8)))
-        half = float(stats.t.ppf(0.975, len(means) - 1) * means.std(ddof=1) / np.sqrt(len(means)) * widen)
+        half = float(special.stdtrit(len(means) - 1, 0.975) * means.std(ddof=1) / np.sqrt(len(means)) * widen)
     half = float(np.hypot(half, shift))
     return Estimate(value + shift, value + shift - half, value + shift + half)
 
@@ -171,7 +171,7 @@ def net_speed(
     size = float(np.linalg.norm(away))
     along = float(variance @ (away / max(size, 1e-300)) ** 2)
     late = np.sqrt(2.0) * stamp_sd_s * size / duration
-    half = float(stats.t.ppf(0.975, freedom)) * float(np.hypot(np.sqrt(max(along, 0.0)), late))
+    half = float(special.stdtrit(freedom, 0.975)) * float(np.hypot(np.sqrt(max(along, 0.0)), late))
     return Estimate(size / duration, (size - half) / duration, (size + half) / duration)
 
 
@@ -293,12 +293,14 @@ def _stretches(time_s: Array, cleaning: Cleaning) -> list[NDArray[np.int64]]:
 
 def _smoothed(t: Array, x: Array, strength: Array) -> tuple[Array, Array]:
     """Smoothed coordinates and their rates."""
+    from scipy.interpolate import make_smoothing_spline
+
     step = float(np.mean(np.diff(t)))
     unit = (t - t[0]) / step  # the spline's equations are ill-conditioned in other units
     smooth, slope = np.empty_like(x), np.empty_like(x)
     for axis, lam in enumerate(strength):
         size = max(float(np.ptp(x[:, axis])), 1e-300)
-        spline = interpolate.make_smoothing_spline(unit, (x[:, axis] - x[0, axis]) / size, lam=lam)
+        spline = make_smoothing_spline(unit, (x[:, axis] - x[0, axis]) / size, lam=lam)
         smooth[:, axis] = spline(unit) * size + x[0, axis]
         slope[:, axis] = spline.derivative()(unit) * size / step
     return smooth, slope
@@ -306,12 +308,14 @@ def _smoothed(t: Array, x: Array, strength: Array) -> tuple[Array, Array]:
 
 def _strength(t: Array, x: Array) -> Array:
     """Smoothness of each coordinate with which samples left out are foretold best."""
+    from scipy.interpolate import make_smoothing_spline
+
     unit = (t - t[0]) / float(np.mean(np.diff(t)))
     errors = np.zeros((len(STRENGTHS), x.shape[1]))
     for fold in range(FOLDS):
         out = np.arange(len(t)) % FOLDS == fold
         out[[0, -1]] = False
         for k, lam in enumerate(STRENGTHS):
-            spline = interpolate.make_smoothing_spline(unit[~out], x[~out], lam=lam)
+            spline = make_smoothing_spline(unit[~out], x[~out], lam=lam)
             errors[k] += np.sum((spline(unit[out]) - x[out]) ** 2, axis=0)
     return STRENGTHS[np.argmin(errors, axis=0)]

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from swimid.fitting.model import Array
 
@@ -132,6 +131,8 @@ def descend(
 @cache
 def _cube(width: int) -> Array:
     """Even points of the cube from -1 to 1, its middle among them."""
+    from scipy.stats import qmc
+
     points = 2.0 * qmc.Sobol(width, scramble=False).random(LOOKED) - 1.0
     return np.vstack([np.zeros(width), points])
 

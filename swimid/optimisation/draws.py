@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linprog
-from scipy.stats import truncnorm
 
 from swimid.errors import InputError, NoTrustworthyResult
 from swimid.fitting.model import Array, Model
@@ -139,6 +138,8 @@ def _swept(
     possible : callable
         Whether numbers are possible beyond their bounds: a draw that is not is not taken.
     """
+    from scipy.stats import truncnorm
+
     for j in range(len(z)):
         column = root[:, j]
         rest = root @ z - column * z[j]

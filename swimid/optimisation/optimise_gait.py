@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, provenance
@@ -330,6 +329,8 @@ def _candidates(options: OptimiseGaitOptions) -> int:
 
 def _begun(problem: Problem, options: OptimiseGaitOptions) -> Array:
     """Starts of the gradient search: the best of a Sobol sequence in the cube; sets the goal's size."""
+    from scipy.stats import qmc
+
     width = len(problem.vary)
     points = qmc.Sobol(width, seed=options.seed).random(_candidates(options))
     table = problem.table(points)

@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 
 from swimid.errors import InputError, nearest
-from swimid.files import yamlio
+from swimid.files import parquet, yamlio
 from swimid.results.result import Result
 
 #: Class of each ``format:`` of YAML results.
@@ -22,7 +22,7 @@ FORMATS = {
     "swimid-fin/1": "swimid.optimisation.fins:FinChoice",
     "swimid-controller/1": "swimid.optimisation.controller:SpeedController",
 }
-LOG_ENDINGS = (".csv", ".parquet", ".pq")
+LOG_ENDINGS = (".csv", *parquet.ENDINGS)
 LOG = "swimid.logs.logged:Logged"
 
 

@@ -9,7 +9,6 @@ from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import ks_2samp, qmc, sobol_indices
 
 from swimid.errors import NoTrustworthyResult, UsageError, extra_needed
 from swimid.files.checkpoint import Checkpoint
@@ -129,6 +128,8 @@ def sobol(
     NoTrustworthyResult
         When more than :data:`BROKEN` of the evaluations break down, with the range in which they do.
     """
+    from scipy.stats import qmc, sobol_indices
+
     d = len(lower)
     if d < 2:
         raise UsageError("Sobol indices share an output's variance between parameters: vary two or more")
@@ -340,6 +341,8 @@ class Runs:
 
     def _where(self) -> str:
         """The parameter whose values set the broken points apart most, and their range."""
+        from scipy.stats import ks_2samp
+
         bad = np.array(self.broken)
         low, high = bad.min(axis=0), bad.max(axis=0)
         names = list(self.names) or [f"parameter {k + 1}" for k in range(bad.shape[1])]
