@@ -75,12 +75,6 @@ class OptimiseStiffnessOptions(GaitOptions):
     reach_speed_m_s: float | None = option(
         None, gt=0, help="effort: the least power among stiffnesses that reach this speed."
     )
-    pick: Literal["best", "knee"] = option(
-        "best", help="Of each front, the point best in the objective, or nearest to the best of both."
-    )
-    reference: float | None = option(
-        None, help="Stiffness the gain is told against; default the parameters' own value."
-    )
     population: int = option(24, ge=4, help="NSGA-II: population size.")
     generations: int = option(12, ge=1, help="NSGA-II: number of generations.")
     draws: int = option(

@@ -173,6 +173,7 @@ class Evidence(_Part):
     verb: str
     title: str
     verdict: Verdict
+    facts: dict[str, str] = Field(default_factory=dict)
     checks: list[Check] = []
     tables: list[Table] = []
     figures: list[Figure] = []
