@@ -15,8 +15,7 @@ from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.threads import in_threads
 from swimid.results import evidence
-from swimid.sensitivity_analysis import indices
-from swimid.sensitivity_analysis import outputs as sensitivity_outputs
+from swimid.sensitivity_analysis import indices, sensitivity
 from swimid.sensitivity_analysis.file import SensitivityFile
 from tests.conftest import Ran
 
@@ -283,9 +282,8 @@ class TestCommand:
         assert {f.id for f in beside.figures} == {"indices", "intervals"}
         assert any("Saltelli" in line for line in beside.methods)
         assert not list(tmp_path.glob("*.partial"))
-        page = tmp_path / "page.html"
-        assert swimid("report", out, "-o", page).status == 0
-        assert "Sobol indices" in page.read_text()
+        assert {t.id for t in beside.tables} == {"ranges", "trials"}
+        assert beside.facts["Method"] == "Sobol, 8 rows (80 points)"
 
     def test_the_same_seed_gives_the_same_file(self, swimid: Swimid, tfish: Path, tmp_path: Path) -> None:
         options = ("--samples", "4", "--coefficients", "c_d4,c_ma", "--seed", "7")
@@ -295,9 +293,9 @@ class TestCommand:
     def test_goes_on_after_an_interrupt(
         self, swimid: Swimid, tfish: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        options = ("--samples", "4", "--coefficients", "c_d4,c_ma", "--sweep", "frequency_hz=1:1.4:2")
+        options = ("--samples", "4", "--coefficients", "c_d4,c_ma")
         whole = _run(swimid, tfish, tmp_path / "whole.yaml", *options)
-        plain, calls = sensitivity_outputs.of_columns, 0
+        plain, calls = sensitivity.Run.outputs, 0
 
         def stopping(*given: Any) -> Any:
             nonlocal calls
@@ -307,7 +305,7 @@ class TestCommand:
             return plain(*given)
 
         out = tmp_path / "again.yaml"
-        monkeypatch.setattr(sensitivity_outputs, "of_columns", stopping)
+        monkeypatch.setattr(sensitivity.Run, "outputs", stopping)
         ran = swimid("sensitivity", tfish, "-o", out, "--jobs", "1", *options)
         assert ran.status == 130
         assert f"{out}.partial keeps what was computed: the same command goes on from there" in ran.err
@@ -342,31 +340,6 @@ class TestCommand:
         assert all(e.mu_star >= abs(e.mu) for o in file.outputs for e in o.effects.values())
 
     @pytest.mark.slow
-    def test_sweep(self, swimid: Swimid, tfish: Path, tmp_path: Path) -> None:
-        params = _params(tmp_path, c_ma=0.1, c_d4=0.2)
-        out = tmp_path / "sweep.yaml"
-        options = ("--method", "none", "--sweep", "frequency_hz=1:1.4:2", "--sweep", "amplitude_deg=20:25:2")
-        file = _run(swimid, tfish, out, "--params", params, *options)
-        assert file.sweep is not None
-        assert file.sweep.trial == "f14a25"
-        speed = next(o for o in file.sweep.outputs if o.quantity == "mean_surge_m_s")
-        assert speed.stderr is not None
-        assert all(v is not None and v > 0 for row in speed.stderr for v in row)
-        # a tail that beats faster and wider swims faster
-        assert speed.values[0][0] < speed.values[0][1] < speed.values[1][1]
-        assert speed.values[0][0] < speed.values[1][0]
-        told = swimid(
-            "simulate", "--params", params, "--frequency-hz", "1.4", "--amplitude-deg", "25",
-            "--duration-s", "4", "--json",
-        ).json  # fmt: skip
-        known = told["result"]["runs"][0]["quantities"]["mean_surge_m_s"]
-        # simulate sums 256 samples by rectangles: of a rising speed half a sample's gain is lost
-        assert speed.values[1][1] == pytest.approx(known["value"], abs=2 * known["value"] / 512)
-        assert speed.stderr[1][1] == pytest.approx(known["stderr"], rel=0.05)
-        assert {m.trial: m.inside for m in file.measured} == {"f14a25": True, "f18a20b15": False}
-        assert evidence.read(evidence.sidecar(out)).figures[0].panels[0].heat is not None
-
-    @pytest.mark.slow
     def test_a_robot_in_space(self, swimid: Swimid, tmp_path: Path) -> None:
         time = np.arange(0, 3.0, 1 / 30)
         rows = "\n".join(f"{t:.5f},{0.1 * t:.5f},{-0.01 * t:.5f},0.0" for t in time)
@@ -378,17 +351,10 @@ class TestCommand:
         )
         file = _run(
             swimid, trials, tmp_path / "sens.yaml", "--method", "morris", "--samples", "2",
-            "--sweep", "scale=0.8:1:2",
         )  # fmt: skip
         assert set(file.ranges) == {"water_volume", "com_offset", "z_added_mass", "z_drag"}
         quantities = {o.quantity for o in file.outputs}
         assert {"max_speed_m_s", "final_pitch_rad", "surge_m", "heave_m", "misfit_pitch_rad"} <= quantities
-        assert file.sweep is not None
-        surge = next(o for o in file.sweep.outputs if o.quantity == "surge_m")
-        given = next(o for o in file.outputs if o.quantity == "surge_m")
-        # at full scale the sweep is the trial itself, to what its start state moves it by
-        assert surge.values[1][0] == pytest.approx(given.value, abs=0.2)
-        assert surge.values[0][0] != surge.values[1][0]
 
     @pytest.mark.parametrize(
         ("options", "text"),
@@ -403,13 +369,6 @@ class TestCommand:
             (("--set", "c_d4=3", "--coefficients", "c_d4"), "held by --set"),
             (("--coefficients", "initial_surge"), "no coefficient"),
             (("--coefficients", "c_d4"), "two or more"),
-            (("--method", "none"), "without --sweep"),
-            (("--trial", "f14a25"), "belongs to --sweep"),
-            (("--sweep", "scale=0:1:3"), "no 'scale'"),
-            (("--sweep", "frequency_hz=0:1:3"), "no frequency"),
-            (("--sweep", "frequency_hz=2:1:3"), "LOW below HIGH"),
-            (("--sweep", "frequency_hz=1:2"), "NAME=LOW:HIGH:COUNT"),
-            (("--sweep", "frequency_hz=1:2:3", "--trial", "f14"), "no trial 'f14'"),
         ],
     )  # fmt: skip
     def test_wrong_usage(self, swimid: Swimid, tfish: Path, options: tuple[str, ...], text: str) -> None:

@@ -152,8 +152,8 @@ VERBS = (
         "sensitivity_analysis",
         "sensitivity",
         output="Sensitivity file to write (YAML).",
-        short="Which coefficient each output is most sensitive to; sweeps of the drive.",
-        help="""Vary the coefficients of a robot with links, and its drive.
+        short="Which coefficient each output is most sensitive to.",
+        help="""Vary the coefficients of a robot with links.
 
         TRIALS is a trials file of a free-swim or multibody experiment. Each output (speeds, rates, the misfit
         of each measured channel) is told which coefficients it is sensitive to, over ranges of all at once.
@@ -165,8 +165,6 @@ VERBS = (
           swimid sensitivity trials.yaml --params tfish.yaml --range stderr -o sens.yaml
           swimid sensitivity trials.yaml --range 20% --range c_d4=2,6 --samples 512 -o sens.yaml
           swimid sensitivity strokes.yaml --method morris -o screening.yaml
-          swimid sensitivity strokes.yaml --params sealion.yaml --method none \\
-              --sweep frequency_hz=0.2:0.6:5 --sweep scale=0.6:1.2:5 -o sweep.yaml
         """,
     ),
     _verb(
@@ -266,7 +264,7 @@ VERBS = (
         output="The file to write. Without it, or with -o -, it goes to stdout.",
         argument="PARAMS",
         prints=True,
-        short="Identified coefficients for MuJoCo, Gazebo, Stonefish, or as JSON.",
+        short="Identified coefficients for MuJoCo, Gazebo, or as JSON.",
         help="""Write identified coefficients as a simulator reads them.
 
         PARAMS is a parameter file of a multi-link robot, or of a falling weight or towed body (Gazebo

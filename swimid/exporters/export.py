@@ -8,7 +8,7 @@ from pathlib import Path
 
 import swimid
 from swimid.errors import InputError, UsageError
-from swimid.exporters import gazebo, mjcf, plain, stonefish
+from swimid.exporters import gazebo, mjcf, plain
 from swimid.exporters.common import Exported
 from swimid.exporters.options import AddedMass, ExportOptions
 from swimid.exporters.source import Source
@@ -40,7 +40,6 @@ class Target:
 TARGETS = {
     "mjcf": Target("MuJoCo MJCF", mjcf.export, ("native", "fold", "none"), rigid=False),
     "gazebo": Target("Gazebo SDF", gazebo.export, ("native", "fold", "plugin", "none"), rigid=True),
-    "stonefish": Target("Stonefish scenario", stonefish.export, ("native", "fold", "none"), rigid=False),
     "json": Target("JSON", plain.export, ("native",), rigid=True),
 }
 

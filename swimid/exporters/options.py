@@ -14,7 +14,7 @@ AddedMass = Literal["native", "fold", "plugin", "none"]
 class ExportOptions(Options):
     """What ``export`` can be told."""
 
-    to: Literal["mjcf", "gazebo", "stonefish", "json"] = option(help="What to write.")
+    to: Literal["mjcf", "gazebo", "json"] = option(help="What to write.")
     robot: str | None = option(
         None, metavar="R", help="Built-in name or path of a robot file. Default: the one PARAMS names."
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import chain
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +30,6 @@ TOGETHER = 8
 
 #: Outputs, shape (n, s), at points, shape (n, d); NaN where the model breaks down.
 Evaluate = Callable[[Array], Array]
-Item = TypeVar("Item")
-Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -156,41 +154,31 @@ def sobol(
     both = outputs[:2].transpose(1, 0, 2).reshape(outputs.shape[1], -1)
     mean, sd = both.mean(axis=1), both.std(axis=1)
     outputs = outputs - mean[:, None]
-    estimated = sobol_indices(func={"f_A": outputs[0], "f_B": outputs[1], "f_AB": outputs[2:]}, n=samples)
-    shape = (outputs.shape[1], d)
     rng = np.random.default_rng([seed, 1])
-    drawn = [_resampled(outputs[..., rng.integers(samples, size=samples)], groups) for _ in range(RESAMPLES)]
-    return Sobol(
-        mean,
-        sd,
-        runs.done,
-        len(runs.broken),
-        left_out=unused - samples,
-        first=_pooled(estimated.first_order.reshape(shape), sd**2, groups),
-        total=_pooled(estimated.total_order.reshape(shape), sd**2, groups),
-        first_ci=np.percentile([first for first, _ in drawn], ENDS, axis=0),
-        total_ci=np.percentile([total for _, total in drawn], ENDS, axis=0),
-    )
+    drawn = [_indices(outputs[..., rng.integers(samples, size=samples)], groups) for _ in range(RESAMPLES)]
+    first, total = _indices(outputs, groups)
+    first_ci, total_ci = np.percentile(drawn, ENDS, axis=0).transpose(1, 0, 2, 3)
+    broken = len(runs.broken)
+    return Sobol(mean, sd, runs.done, broken, unused - samples, first, total, first_ci, total_ci)
 
 
-def _resampled(outputs: Array, groups: Sequence[Sequence[int]]) -> tuple[Array, Array]:
-    """Indices of one bootstrap sample, shape (s + g, d), by the estimators of SciPy's sobol_indices."""
+def _indices(outputs: Array, groups: Sequence[Sequence[int]]) -> Array:
+    """First-order and total indices of outputs, shape (d + 2, s, n): shape (2, s + g, d).
+
+    Those of a group are means weighted by the outputs' variances; an output that does not vary has none.
+    """
     a, b, ab = outputs[0], outputs[1], outputs[2:]
     variance = np.var([a, b], axis=(0, -1))
-    size = np.where(variance > 0, variance, 1.0)
-    first = np.mean(b * (ab - a), axis=-1) / size
-    total = 0.5 * np.mean((a - ab) ** 2, axis=-1) / size
-    return _pooled(first.T, variance, groups), _pooled(total.T, variance, groups)
-
-
-def _pooled(indices: Array, variance: Array, groups: Sequence[Sequence[int]]) -> Array:
-    """Indices with those of the groups after them: means weighted by the outputs' variances."""
+    with np.errstate(invalid="ignore"):
+        found = sobol_indices(func={"f_A": a, "f_B": b, "f_AB": ab}, n=a.shape[-1])
+    shape = (2, len(variance), len(ab))
+    indices = np.nan_to_num(np.reshape([found.first_order, found.total_order], shape))
     parts = [indices]
     for members in groups:
         weights = variance[list(members)]
-        known = weights.sum()
-        parts.append(((weights @ indices[list(members)]) / (known if known > 0 else 1.0))[None])
-    return np.concatenate(parts)
+        weights = weights / max(weights.sum(), np.finfo(float).tiny)
+        parts.append(np.einsum("m,kmd->kd", weights, indices[:, list(members)])[:, None])
+    return np.concatenate(parts, axis=1)
 
 
 def morris(
