@@ -222,17 +222,15 @@ VERBS = (
         help="""Find the best stiffness of a passive joint over frequency and amplitude.
 
         At every point of the grid NSGA-II searches the stiffness; a quadratic function of the frequency for
-        each amplitude is the rule, which a controller reads as YAML, as a C header or as a table. A run that
-        was stopped goes on where it was when it is started again.
+        each amplitude is the rule, which a controller reads as YAML or as a C header. A run that was
+        stopped goes on where it was when it is started again.
 
         \b
         Examples:
           swimid optimise stiffness --params tfish.yaml --over frequency_hz=0.6:2:8 \\
-              --over amplitude_deg=15:35:5 -o rule.yaml --header rule.h --table rule.csv
+              --over amplitude_deg=15:35:5 -o rule.yaml --header rule.h
           swimid optimise stiffness --robot dolphin --amplitude-deg 27 --over frequency_hz=1:5:9 \\
               --between 0.1,3 --objective cost-of-transport -o rule.yaml
-          swimid optimise stiffness --robot dolphin --amplitude-deg 27 --over frequency_hz=1:5:9 \\
-              --between 0.1,3 --objective effort --reach-speed-m-s 0.6 -o rule.yaml
         """,
     ),
     _verb(

@@ -20,45 +20,30 @@ AGREE_RTOL = 0.005
 STEADY_RTOL = 0.005
 #: Smallest share of draws of the coefficients in which the limits are kept.
 MIN_KEPT = 0.9
-REFERENCES = [
-    "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin",
-    "Deb, Pratap, Agarwal, Meyarivan (2002): A fast and elitist multiobjective genetic algorithm: NSGA-II. "
-    "IEEE Transactions on Evolutionary Computation 6, doi:10.1109/4235.996017",
-    "Rockafellar, Uryasev (2000): Optimization of conditional value-at-risk. Journal of Risk 2, "
-    "doi:10.21314/JOR.2000.038",
-]
 
 
 def evidence(file: GaitFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
     """Return the evidence of a gait."""
-    checks = [*_checks(file), *trust.coefficients_check(notices)]
-    figures = []
-    if file.front:
-        figures.append(_front(file))
-    if file.drawn:
-        figures.append(_drawn(file))
     limits = [
         f"{name} {numbers.number(limit.at_most or limit.at_least, 4, limit.unit)}"
         for name, limit in file.limits.items()
     ]
-    return ev.Evidence(
-        verb="optimise gait",
-        title=f"Gait of {file.robot}",
-        verdict=blocks.verdict(checks, answer(file)),
-        facts={
-            **trust.facts(file),
+    return trust.evidence(
+        file,
+        "optimise gait",
+        answer(file),
+        _checks(file),
+        {
             "Goal": ", ".join(file.goals),
             "Varied": ", ".join(file.vary),
             "Limits": ", ".join(limits) or "none",
             "Draws": str(file.draws or "none"),
         },
-        checks=checks,
+        notices,
+        origin,
         tables=[_gaits(file), _quantities(file)],
-        figures=figures,
-        notices=blocks.notices(notices),
+        figures=[*([_front(file)] if file.front else []), *([_drawn(file)] if file.drawn else [])],
         methods=_methods(file),
-        references=REFERENCES,
-        provenance=origin,
     )
 
 

@@ -25,39 +25,30 @@ DRAWN = (
 N_LEVELS = 6
 #: Quantities with a best point: its name, and the sign that makes it the largest.
 BEST = {"mean_speed_m_s": ("fastest", 1.0), "cost_of_transport_J_m": ("cheapest", -1.0)}
-REFERENCES = [
-    "D. Chen, Y. Xiong, B. Wang, R. Tong, Y. Meng, J. Yu: Performance Optimization for Bionic Robotic "
-    "Dolphin with Active Variable Stiffness Control",
-    "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin",
-]
 
 
 def evidence(file: MapFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
     """Return the evidence of a map."""
-    checks = [*_checks(file), *trust.coefficients_check(notices)]
-    return ev.Evidence(
-        verb="map",
-        title=f"Map of {file.robot}",
-        verdict=blocks.verdict(checks, answer(file)),
-        facts={
-            **trust.facts(file),
+    axes = " and ".join(f"{axis.name} ({len(axis.values)} values)" for axis in file.axes)
+    return trust.evidence(
+        file,
+        "map",
+        answer(file),
+        _checks(file),
+        {
             "Grid": ", ".join(f"{_axis_range(axis)} × {len(axis.values)}" for axis in file.axes),
             "Trials beside it": str(len(file.measured)),
         },
-        checks=checks,
+        notices,
+        origin,
         tables=[_best_table(file), *_measured_table(file)],
         figures=_figures(file),
-        notices=blocks.notices(notices),
         methods=[
-            f"The gait of {file.robot} was varied over "
-            f"{' and '.join(f'{a.name} ({len(a.values)} values)' for a in file.axes)}; each run of "
-            f"{file.duration_s:g} s began at rest and was judged by its last whole beats. The power of the "
-            "driven joints is that of their torques, by inverse dynamics of the simulated motion; the cost "
-            "of transport is mean positive power over speed. Standard deviations, where known, follow from "
-            "the coefficients' covariance by the delta method."
+            f"The gait of {file.robot} was varied over {axes}; each run of {file.duration_s:g} s began at "
+            "rest and was judged by its last whole beats. The power of driven joints is that of their "
+            "torques, by inverse dynamics of the simulated motion; the cost of transport is mean positive "
+            "power over speed. Standard deviations, where known, are those of the delta method."
         ],
-        references=REFERENCES,
-        provenance=origin,
     )
 
 

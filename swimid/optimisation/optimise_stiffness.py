@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,16 +13,13 @@ from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.model import Array
-from swimid.fitting.threads import in_threads
 from swimid.notices import recorded
 from swimid.optimisation import rule_evidence
-from swimid.optimisation.descent import merit
 from swimid.optimisation.draws import drawn
-from swimid.optimisation.gait_file import Limit
 from swimid.optimisation.options import OptimiseStiffnessOptions
-from swimid.optimisation.performance import Performance, points_of, study_of
+from swimid.optimisation.performance import Performance, in_parallel, points_of, study_of
 from swimid.optimisation.problem import Problem
-from swimid.optimisation.rule import DEGREE, FORMAT, Curve, Optimum, Outside, RuleFile, Swept, fit_curve
+from swimid.optimisation.rule import DEGREE, FORMAT, Curve, Optimum, RuleFile, Swept, fit_curve
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import evidence as ev
@@ -48,23 +44,21 @@ class StiffnessRule(FileResult[RuleFile]):
     ----------
     file : RuleFile
         What :meth:`save` writes: curves, optima with their Pareto fronts, sweeps; ``.header()`` is the rule
-        in C, ``.table()`` as CSV.
+        in C.
     """
 
     format = FORMAT
     file_type = RuleFile
 
-    def stiffness_for(
-        self, frequency_hz: float, amplitude_deg: float | None = None, *, outside: Outside = "refuse"
-    ) -> float:
-        """The stiffness at a frequency and an amplitude (see :meth:`RuleFile.stiffness_for`)."""
-        return self.file.stiffness_for(frequency_hz, amplitude_deg, outside=outside)
+    @property
+    def stiffness_for(self) -> Callable[..., float]:
+        """From frequency_hz and amplitude_deg to the stiffness (see :meth:`RuleFile.stiffness_for`)."""
+        return self.file.stiffness_for
 
-    def interval_for(
-        self, frequency_hz: float, amplitude_deg: float | None = None, *, outside: Outside = "refuse"
-    ) -> tuple[float, float] | None:
+    @property
+    def interval_for(self) -> Callable[..., tuple[float, float] | None]:
         """The 95 % interval of that (see :meth:`RuleFile.interval_for`)."""
-        return self.file.interval_for(frequency_hz, amplitude_deg, outside=outside)
+        return self.file.interval_for
 
     @classmethod
     def _told(cls, document: RuleFile, evidence: ev.Evidence | None) -> str:
@@ -103,7 +97,7 @@ def optimise_stiffness(
     UsageError, InputError
         For bad options and files.
     NoTrustworthyResult
-        When every run breaks down or rests, or no stiffness reaches the speed asked for.
+        When every run breaks down or rests.
 
     References
     ----------
@@ -132,11 +126,10 @@ def optimise_stiffness(
         points = points_of({name: axes[name] for name in ("amplitude_deg", "frequency_hz")})
         problems = [replace(problem, fixed=point) for point in points]
         study = study_of(performance, options)
-        for place in (output, options.header, options.table):
+        for place in (output, options.header):
             if place is not None:
                 allow(atomic.check_writable(place, inputs=study.inputs))
         keep = Checkpoint.beside(output, study.key)
-        jobs = options.jobs or os.cpu_count() or 1
         known = bool(options.draws and performance.applied.uncertain()[0])
         runs = len(points) * (options.population * options.generations + known * options.draws * DRAW_RUNS)
         performance.model.prepare(progress, simulated_s=runs * options.duration_s, checkpoint=keep)
@@ -145,21 +138,12 @@ def optimise_stiffness(
         def front(k: int) -> Array:
             return keep.kept(f"front {k}", lambda: front_at(problems[k], k, reference, options).ravel())
 
-        with (
-            progress("fronts", total=len(points)) as step,
-            in_threads(front, range(len(points)), jobs) as results,
-        ):
-            fronts = [_stepped(found, step).reshape(-1, 3) for found in results]
+        fronts = [
+            found.reshape(-1, 3)
+            for found in in_parallel(front, range(len(points)), options.jobs, "fronts", progress)
+        ]
         optima = [_optimum(one, found) for one, found in zip(problems, fronts, strict=True)]
-        reached = [one.frequency_hz for one in optima if one.stiffness is not None]
-        if not reached:
-            raise NoTrustworthyResult(
-                "at no frequency a simulation with a stiffness runs through and reaches the speed asked for",
-                hint="change the ranges, lower --reach-speed-m-s, or take a smaller --dt",
-            )
-        curves = _curves(optima)
-        frequencies = [f for f in axes["frequency_hz"] if min(reached) <= f <= max(reached)]
-        amplitudes = [curve.amplitude_deg for curve in curves]
+        frequencies, amplitudes = axes["frequency_hz"], axes["amplitude_deg"]
         file = RuleFile(
             **study.said,
             coefficient=coefficient,
@@ -167,18 +151,14 @@ def optimise_stiffness(
             between=between,
             objective=options.objective,
             objectives=tuple(quantity for _, quantity, _ in problem.goals),  # type: ignore[arg-type]
-            reach_speed_m_s=options.reach_speed_m_s,
             reference=reference,
             frequency_hz=(frequencies[0], frequencies[-1]),
             amplitude_deg=(amplitudes[0], amplitudes[-1]),
-            curves=curves,
+            curves=[_curve(optima, amplitude) for amplitude in amplitudes],
             optima=optima,
         )
-        _assess(performance, file, jobs)
+        _assess(performance, file, options.jobs or 1)
         performance.insist_motion(np.array(rule_evidence.largest_speeds(file)))
-        if options.reach_speed_m_s is not None:
-            powered = [o for o in optima if o.power_W is not None]
-            file.least_effort = min(powered, key=lambda o: o.power_W or math.inf, default=None)
         if known:
             performance.applied.warn_without_error("the intervals")
             draws = drawn(performance.applied, options.draws, options.seed)
@@ -187,31 +167,19 @@ def optimise_stiffness(
             def redone(k: int) -> Array:
                 return keep.kept(f"draws {k}", lambda: _redone(problems[k], file, k, draws.vectors).ravel())
 
-            there = [k for k, one in enumerate(optima) if one.stiffness is not None]
-            with (
-                progress("rule in draws", total=len(there)) as step,
-                in_threads(redone, there, jobs) as results,
-            ):
-                tables = [_stepped(found, step).reshape(3, -1) for found in results]
-            _carry(file, [optima[k] for k in there], tables)
+            tables = in_parallel(redone, range(len(optima)), options.jobs, "rule in draws", progress)
+            _carry(file, [table.reshape(2, -1) for table in tables])
         if options.objective == "speed":
             file.sweeps = [_swept(performance, file, frequencies, a) for a in amplitudes]
     evidence = rule_evidence.evidence(file, notices, study.origin)
     file.verdict = evidence.verdict.level
-    written = []
     with atomic.together():
         saved = StiffnessRule.of(file, evidence).saved(output)
-        for place, text in ((options.header, file.header()), (options.table, file.table())):
-            if place is not None:
-                atomic.write_text(place, text)
-                written.append(place)
+        if options.header is not None:
+            atomic.write_text(options.header, file.header())
+            saved = replace(saved, outputs=[*saved.outputs, options.header])
     keep.done()
-    return replace(saved, outputs=[*saved.outputs, *written])
-
-
-def _stepped(found: Array, step: Callable[[], object]) -> Array:
-    step()
-    return found
+    return saved
 
 
 def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> Problem:
@@ -228,8 +196,6 @@ def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> Pro
         )
     if 0 < options.draws < MIN_DRAWS:
         raise UsageError(f"--draws: {MIN_DRAWS} or more, or 0 for none")
-    if (options.reach_speed_m_s is not None) != (options.objective == "effort"):
-        raise UsageError("--objective effort and --reach-speed-m-s belong together")
     name = _coefficient(performance, options)
     p = performance.model.parameters[performance.model.index(name)]
     low, high = options.between or (p.lower, p.upper)
@@ -239,12 +205,8 @@ def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> Pro
     goals, signs = {
         "speed": (("mean_surge_from_start_m_s", f"{performance.turn}_rate_range_rad_s"), (-1.0, 1.0)),
         "cost-of-transport": (("cost_of_transport_J_m", "mean_speed_m_s"), (1.0, -1.0)),
-        "effort": (("mean_positive_power_W", "mean_speed_m_s"), (1.0, -1.0)),
     }[options.objective]
-    limits = {}
-    if options.reach_speed_m_s is not None:
-        limits["speed"] = Limit(quantity="mean_speed_m_s", at_least=options.reach_speed_m_s, unit="m/s")
-    return Problem(performance, {name: (low, high)}, list(zip(goals, goals, signs, strict=True)), limits)
+    return Problem(performance, {name: (low, high)}, list(zip(goals, goals, signs, strict=True)), {})
 
 
 def _coefficient(performance: Performance, options: OptimiseStiffnessOptions) -> str:
@@ -252,16 +214,16 @@ def _coefficient(performance: Performance, options: OptimiseStiffnessOptions) ->
     name, found = options.coefficient, performance.model.yielding()
     if name is None and len(found) == 1:
         return found[0]
-    known = "no coefficient stands in a passive joint's law"
-    if found:
-        known = f"there are {', '.join(found)}"
     if name is None:
-        raise UsageError(f"which stiffness is to be found? {known}", hint="name it: --coefficient NAME")
-    if name not in performance.model.coefficients:
-        hint = suggestion(name, performance.model.coefficients)
-        raise UsageError(f"--coefficient: there is no '{name}'", hint=hint)
+        known = ", ".join(found) or "no coefficient"
+        raise UsageError(
+            f"which stiffness is to be found? in passive joints' laws stands {known}",
+            hint="name it: --coefficient NAME",
+        )
     if name not in found:
-        raise UsageError(f"--coefficient: {name} stands in no passive joint's law", hint=known)
+        raise UsageError(
+            f"--coefficient: {name} stands in no passive joint's law", hint=suggestion(name, found)
+        )
     return name
 
 
@@ -292,22 +254,21 @@ def front_at(problem: Problem, number: int, reference: float, options: OptimiseS
 
 
 def _optimum(problem: Problem, front: Array) -> Optimum:
-    one = Optimum(**problem.fixed, front=front)  # type: ignore[arg-type]
-    if len(front):
-        one.stiffness = float(front[0, 0])
-        ((low, high),) = problem.vary.values()
-        one.at_bound = min(one.stiffness - low, high - one.stiffness) < BOUND_TOL * (high - low)
-    return one
+    if not len(front):
+        raise NoTrustworthyResult(
+            f"every simulation breaks down at {problem.fixed}",
+            hint="narrow the ranges, or take a smaller --dt",
+        )
+    ((low, high),) = problem.vary.values()
+    stiffness = float(front[0, 0])
+    near = min(stiffness - low, high - stiffness) < BOUND_TOL * (high - low)
+    return Optimum(**problem.fixed, front=front, stiffness=stiffness, at_bound=near)  # type: ignore[arg-type]
 
 
-def _curves(optima: Sequence[Optimum]) -> list[Curve]:
-    """The quadratic function of the frequency at each amplitude where an optimum is."""
-    there = [one for one in optima if one.stiffness is not None]
-    curves = []
-    for amplitude in sorted({one.amplitude_deg for one in there}):
-        at = [(one.frequency_hz, one.stiffness) for one in there if one.amplitude_deg == amplitude]
-        curves.append(fit_curve(amplitude, *np.array(at, dtype=float).T))
-    return curves
+def _curve(optima: Sequence[Optimum], amplitude: float) -> Curve:
+    """The quadratic function of the frequency at an amplitude."""
+    at = [(one.frequency_hz, one.stiffness) for one in optima if one.amplitude_deg == amplitude]
+    return fit_curve(amplitude, *np.array(at).T)
 
 
 def _assess(performance: Performance, file: RuleFile, jobs: int) -> None:
@@ -316,16 +277,14 @@ def _assess(performance: Performance, file: RuleFile, jobs: int) -> None:
     for one in file.optima:
         ruled = file.stiffness_for(one.frequency_hz, one.amplitude_deg, outside="hold")
         for prefix, k in (("", one.stiffness), ("rule_", ruled), ("reference_", file.reference)):
-            if k is not None:
-                beat = {"frequency_hz": one.frequency_hz, "amplitude_deg": one.amplitude_deg}
-                gaits.append({**beat, file.coefficient: k})
-                owners.append((one, prefix))
+            beat = {"frequency_hz": one.frequency_hz, "amplitude_deg": one.amplitude_deg}
+            gaits.append({**beat, file.coefficient: k})
+            owners.append((one, prefix))
     told = {
         "speed_m_s": "mean_speed_m_s",
         "cost_of_transport_J_m": "cost_of_transport_J_m",
         "turn_rate_range_rad_s": f"{performance.turn}_rate_range_rad_s",
         "settling_time_s": "settling_time_s",
-        "power_W": "mean_positive_power_W",
     }
     units = list(performance.units)
     for (one, prefix), row in zip(owners, performance.many(gaits, jobs=jobs), strict=True):
@@ -343,41 +302,28 @@ def _redone(problem: Problem, file: RuleFile, number: int, vectors: Sequence[Arr
 
     Returns
     -------
-    ndarray, shape (3, draws)
-        The stiffness, NaN where none reaches the speed asked for; the relative loss of the rule against it;
-        whether the rule reaches the speed.
+    ndarray, shape (2, draws)
+        The stiffness, and the relative loss of the rule against it.
     """
     one, (name,) = file.optima[number], problem.vary
-    problem.scale = one.power_W or 1.0
     ruled = file.stiffness_for(one.frequency_hz, one.amplitude_deg, outside="hold")
-    best = problem.minimise_in_draws(vectors, problem.place({name: one.stiffness or math.nan}))
-    own = problem.table(best.points, vectors)
-    table, cost = problem.costs(problem.place({name: ruled}), vectors)
-    own_cost = merit(problem.parts(own))
-    stiffness = np.array([problem.at(x)[name] for x in best.points])
-    stiffness[~problem.keeps(own)] = math.nan
-    return np.array([stiffness, (cost - own_cost) / np.abs(own_cost), problem.keeps(table)])
+    best = problem.minimise_in_draws(vectors, problem.place({name: one.stiffness}))
+    _, cost = problem.costs(problem.place({name: ruled}), vectors)
+    stiffness = [problem.at(x)[name] for x in best.points]
+    return np.array([stiffness, (cost - best.values) / np.abs(best.values)])
 
 
-def _carry(file: RuleFile, optima: Sequence[Optimum], tables: Sequence[Array]) -> None:
+def _carry(file: RuleFile, tables: Sequence[Array]) -> None:
     """Carry optima in draws of the coefficients into the intervals, losses and curves of a rule."""
-    for one, (stiffness, lost, reached) in zip(optima, tables, strict=True):
-        if np.isfinite(stiffness).any():
-            low, high = np.nanquantile(stiffness, [0.025, 0.975], method="weibull")
-            one.stiffness_ci95 = (float(low), float(high))
-        if file.reach_speed_m_s is None:
-            one.loss_90 = max(float(np.quantile(lost, 0.9, method="higher")), 0.0)
-        else:
-            one.reached_in_draws = float(reached.mean())
+    for one, (stiffness, lost) in zip(file.optima, tables, strict=True):
+        low, high = np.quantile(stiffness, [0.025, 0.975], method="weibull")
+        one.stiffness_ci95 = (float(low), float(high))
+        one.loss_90 = max(float(np.quantile(lost, 0.9, method="higher")), 0.0)
     for curve in file.curves:
-        at = [k for k, one in enumerate(optima) if one.amplitude_deg == curve.amplitude_deg]
-        f = np.array([optima[k].frequency_hz for k in at])
+        at = [k for k, one in enumerate(file.optima) if one.amplitude_deg == curve.amplitude_deg]
+        f = np.array([file.optima[k].frequency_hz for k in at])
         for column in np.array([tables[k][0] for k in at]).T:
-            there = np.isfinite(column)
-            row: Sequence[float | None] = (None, None, None)
-            if there.any():
-                row = fit_curve(curve.amplitude_deg, f[there], column[there]).coefficients
-            curve.drawn.append(list(row))
+            curve.drawn.append([*fit_curve(curve.amplitude_deg, f, column).coefficients])
 
 
 # ------------------------------------------------------------ a frequency sweep in one run
@@ -388,21 +334,18 @@ def sweep(
     frequencies_hz: Sequence[float],
     amplitude_deg: float,
     coefficient: str,
-    laws: Sequence[Callable[[float], float]],
-) -> tuple[Array, Array]:
+    stiffness: Array,
+) -> Array:
     """Swim through frequencies without a stop, each for the performance's duration.
 
     Parameters
     ----------
-    laws : sequence of callable
-        Of each run: the stiffness at a frequency.
+    stiffness : ndarray, shape (runs, frequencies)
 
     Returns
     -------
-    speed_m_s : ndarray, shape (runs, frequencies)
-        Mean speed at each frequency, over the way made in it.
-    distance_m : ndarray, shape (runs,)
-        Way made in all.
+    ndarray, shape (runs,)
+        Way made in all, m.
 
     Notes
     -----
@@ -410,44 +353,30 @@ def sweep(
     phase.
     """
     model = performance.model
-    states = [performance.values.copy() for _ in laws]
-    speeds, ways = [], []
+    states = [performance.values.copy() for _ in stiffness]
+    ways = np.zeros(len(stiffness))
     for number, frequency in enumerate(frequencies_hz):
         point = {"frequency_hz": frequency, "amplitude_deg": amplitude_deg}
         ramp_s = 0.0 if number else performance.ramp_s
         swim, _ = replace(performance, ramp_s=ramp_s).swim(point)
         duration_s = math.ceil(performance.duration_s * frequency - 1e-9) / frequency
         run = Steady.driven(model, f"sweep {number} {point!r}", swim, frequency, duration_s)
-        for values, law in zip(states, laws, strict=True):
-            values[model.index(coefficient)] = law(frequency)
+        for values, k in zip(states, stiffness[:, number], strict=True):
+            values[model.index(coefficient)] = k
         columns = model.simulate_many([(values, run.trial) for values in states])
-        paths = [[column[name][::PER_BEAT] for name in model.pose[:2]] for column in columns]
-        way = np.hypot(*np.diff(np.array(paths), axis=2).transpose(1, 0, 2)).sum(axis=1)
-        ways.append(way)
-        speeds.append(way / run.trial.time_s[-1])
+        paths = np.array([[column[name][::PER_BEAT] for name in model.pose[:2]] for column in columns])
+        ways += np.hypot(*np.diff(paths, axis=2).transpose(1, 0, 2)).sum(axis=1)
         for values, seen in zip(states, columns, strict=True):
             for name, value in model.final_state(seen).items():
                 values[model.index(name)] = value
         model.forget([run.trial])
-    return np.array(speeds).T, np.array(ways).sum(axis=0)
+    return ways
 
 
 def _swept(performance: Performance, file: RuleFile, frequencies: Sequence[float], amplitude: float) -> Swept:
     """A frequency sweep with the rule and with fixed stiffnesses over the range of what it says."""
     ruled = [file.stiffness_for(f, amplitude, outside="hold") for f in frequencies]
-    fixed = sorted({float(k) for k in np.linspace(min(ruled), max(ruled), N_FIXED)} | {file.reference})
-
-    def held(k: float) -> Callable[[float], float]:
-        return lambda _f: k
-
-    laws = [lambda f: file.stiffness_for(f, amplitude, outside="hold"), *(held(k) for k in fixed)]
-    speeds, ways = sweep(performance, frequencies, amplitude, file.coefficient, laws)
-    return Swept(
-        amplitude_deg=amplitude,
-        frequencies_hz=list(frequencies),
-        rule_m_s=speeds[0].tolist(),
-        rule_m=float(ways[0]),
-        fixed=fixed,
-        fixed_m_s=speeds[1:].tolist(),
-        fixed_m=ways[1:].tolist(),
-    )
+    fixed = sorted({*np.linspace(min(ruled), max(ruled), N_FIXED).tolist(), file.reference})
+    stiffness = np.vstack([ruled, np.tile(np.array(fixed)[:, None], len(ruled))])
+    ways = sweep(performance, frequencies, amplitude, file.coefficient, stiffness).tolist()
+    return Swept(amplitude_deg=amplitude, rule_m=ways[0], fixed=fixed, fixed_m=ways[1:])

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Collection, Mapping, Sequence
+import os
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -21,6 +22,7 @@ from swimid.fitting.swimmer import Swimmer
 from swimid.fitting.threads import in_threads
 from swimid.logs.trials import StrokeDrive
 from swimid.optimisation.options import GaitOptions
+from swimid.progress import Progress
 from swimid.results import parameters as parameters_format
 from swimid.robots import file as robot_format
 from swimid.simulation import catalogue, swim_quantities
@@ -349,3 +351,18 @@ def study_of(performance: Performance, options: GaitOptions, more: Sequence[Inpu
         "provenance": {key: origin[key] for key in ("version", "inputs", "settings")},
     }
     return Study(inputs, origin, said)
+
+
+def in_parallel(
+    work: Callable[[int], Array], numbers: Sequence[int], jobs: int | None, label: str, progress: Progress
+) -> list[Array]:
+    """Return the results of work on numbered items, by all processors unless jobs are given."""
+    done = []
+    with (
+        progress(label, total=len(numbers)) as step,
+        in_threads(work, numbers, jobs or os.cpu_count() or 1) as results,
+    ):
+        for found in results:
+            done.append(found)
+            step()
+    return done

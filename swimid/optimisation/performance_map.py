@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,13 +14,12 @@ from swimid.errors import UsageError
 from swimid.files import atomic
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.model import Array
-from swimid.fitting.threads import in_threads
 from swimid.notices import recorded
 from swimid.optimisation import map_evidence
 from swimid.optimisation.map_file import FORMAT, Axis, MapFile, Mapped
 from swimid.optimisation.measured import Recorded, efficiency, recorded_trials
 from swimid.optimisation.options import MapOptions
-from swimid.optimisation.performance import TOGETHER, Performance, Point, points_of, study_of
+from swimid.optimisation.performance import TOGETHER, Performance, Point, in_parallel, points_of, study_of
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import evidence as ev
@@ -185,15 +183,8 @@ def _computed(
     def one(k: int) -> Array:
         return checkpoint.kept(f"points {k}", lambda: compute(parts[k]))
 
-    done = []
-    with (
-        progress("gaits", total=len(points)) as step,
-        in_threads(one, range(len(parts)), jobs or os.cpu_count() or 1) as results,
-    ):
-        for part, found in zip(parts, results, strict=True):
-            done.append(found.reshape(len(part), -1, 2))
-            step(len(part))
-    return np.concatenate(done)
+    found = in_parallel(one, range(len(parts)), jobs, "gaits", progress)
+    return np.concatenate([rows.reshape(-1, len(performance.units), 2) for rows in found])
 
 
 def _unsettled(quantities: dict[str, Mapped]) -> int:

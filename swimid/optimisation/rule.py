@@ -17,8 +17,6 @@ from swimid.files.yamlio import Number, Pair, Rows
 from swimid.fitting.model import Array
 
 FORMAT: Literal["swimid-rule/2"] = "swimid-rule/2"
-#: Number of frequencies in an exported table.
-N_FREQUENCIES = 41
 #: Highest power of the frequency in a curve.
 DEGREE = 2
 
@@ -44,14 +42,11 @@ class Optimum(yamlio.Document):
 
     frequency_hz: float
     amplitude_deg: float
-    #: Missing where no stiffness reaches the speed that was asked for.
-    stiffness: Number = None
+    stiffness: float
     #: 95 % interval: where it lies in draws of the robot's coefficients.
     stiffness_ci95: Pair = (None, None)
-    #: What the rule loses of the objective in nine of ten draws at most, as a share; where a speed is asked
-    #: for, the share of draws in which the rule reaches it.
+    #: What the rule loses of the objective in nine of ten draws at most, as a share.
     loss_90: Number = None
-    reached_in_draws: Number = None
     #: It lies at an end of the range that was searched: the optimum may lie beyond.
     at_bound: bool = False
     #: Mean speed at the end of the run (m/s) and cost of transport (J/m) at this stiffness, with the rule's,
@@ -66,7 +61,6 @@ class Optimum(yamlio.Document):
     turn_rate_range_rad_s: Number = None
     reference_turn_rate_range_rad_s: Number = None
     settling_time_s: Number = None
-    power_W: Number = None
     #: The Pareto front: stiffness and the two objectives, in the order of ``objectives``.
     front: Rows = []
 
@@ -75,13 +69,9 @@ class Swept(yamlio.Document):
     """A frequency sweep at one amplitude: the way made with the rule, and with every fixed stiffness."""
 
     amplitude_deg: float
-    frequencies_hz: list[float]
-    #: Mean speed at each frequency with the rule, m/s, and the way made in all, m.
-    rule_m_s: list[float]
+    #: Way made with the rule, m, and with each fixed stiffness.
     rule_m: float
-    #: One row for each fixed stiffness.
     fixed: list[float]
-    fixed_m_s: list[list[float]]
     fixed_m: list[float]
 
 
@@ -125,9 +115,8 @@ class RuleFile(yamlio.ResultFile):
     coefficient: str
     unit: str
     between: tuple[float, float]
-    objective: Literal["speed", "cost-of-transport", "effort"]
+    objective: Literal["speed", "cost-of-transport"]
     objectives: tuple[str, str]
-    reach_speed_m_s: Number = None
     #: The parameters' own stiffness, which gains are told against.
     reference: float
     #: Outside it the rule says nothing.
@@ -135,8 +124,6 @@ class RuleFile(yamlio.ResultFile):
     amplitude_deg: tuple[float, float]
     curves: list[Curve]
     optima: list[Optimum]
-    #: The frequency and stiffness of least power that reach the speed asked for.
-    least_effort: Optimum | None = None
     sweeps: list[Swept] = []
     #: Number of draws of the coefficients, and the share of draws within the coefficients' bounds.
     draws: int = 0
@@ -232,15 +219,6 @@ class RuleFile(yamlio.ResultFile):
         )
         environment.filters["single"] = _single
         return environment.get_template("rule.h").render(rule=self)
-
-    def table(self) -> str:
-        """Return the rule as CSV: a row for each of even frequencies, a column for each amplitude."""
-        columns = [f"{self.coefficient}_at_{curve.amplitude_deg:g}_deg" for curve in self.curves]
-        lines = [",".join(["frequency_hz", *columns])]
-        for f in np.linspace(*self.frequency_hz, N_FREQUENCIES).tolist():
-            values = [self.stiffness_for(f, curve.amplitude_deg, outside="hold") for curve in self.curves]
-            lines.append(",".join(f"{value:.7g}" for value in (f, *values)))
-        return "\n".join(lines) + "\n"
 
 
 def _within(value: float, ends: tuple[float, float], name: str, outside: Outside) -> float:

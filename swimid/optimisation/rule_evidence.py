@@ -11,44 +11,34 @@ from swimid.fitting.model import Array
 from swimid.notices import Notice
 from swimid.optimisation import trust
 from swimid.optimisation.performance import BEAT
-from swimid.optimisation.rule import Curve, Optimum, RuleFile, Swept
+from swimid.optimisation.rule import Curve, RuleFile
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 
 #: Largest loss of speed, or rise of cost, of the rule against its own optima.
 MAX_LOSS = 0.02
-#: Smallest share of draws in which a rule reaches the speed asked for.
-MIN_REACHED = 0.9
 #: Number of points of a curve, and of panels of a figure.
 N_POINTS, MAX_PANELS = 60, 6
-REFERENCES = [
-    "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin",
-    "D. Chen, Y. Xiong, B. Wang, R. Tong, Y. Meng, J. Yu: Performance Optimization for Bionic Robotic "
-    "Dolphin with Active Variable Stiffness Control",
-    "Deb, Pratap, Agarwal, Meyarivan (2002): A fast and elitist multiobjective genetic algorithm: NSGA-II. "
-    "IEEE Transactions on Evolutionary Computation 6, doi:10.1109/4235.996017",
-]
 
 
 def evidence(file: RuleFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
     """Return the evidence of a rule."""
-    checks = [*_checks(file), *trust.coefficients_check(notices)]
     first, second = (name.replace("_", " ") for name in file.objectives)
-    return ev.Evidence(
-        verb="optimise stiffness",
-        title=f"Stiffness rule of {file.robot}",
-        verdict=blocks.verdict(checks, answer(file)),
-        facts={
-            **trust.facts(file),
+    return trust.evidence(
+        file,
+        "optimise stiffness",
+        answer(file),
+        _checks(file),
+        {
             "Stiffness": f"{file.coefficient}, {numbers.interval(*file.between, None, file.unit)}",
             "Objective": file.objective,
             "Frequency": numbers.interval(*file.frequency_hz, None, "Hz"),
             "Amplitude": numbers.interval(*file.amplitude_deg, None, "deg"),
         },
-        checks=checks,
+        notices,
+        origin,
         tables=[_curves(file), _optima(file)],
-        figures=[_rule(file), _speeds(file), *_sweeps(file)],
-        notices=blocks.notices(notices),
+        figures=[_rule(file), _speeds(file)],
         methods=[
             f"At {len(file.optima)} points of frequency and amplitude the Pareto front of {first} and "
             f"{second} over {file.coefficient} was searched by NSGA-II (Deb et al. 2002, as implemented in "
@@ -56,8 +46,6 @@ def evidence(file: RuleFile, notices: Sequence[Notice], origin: dict[str, Any]) 
             "fitted by a quadratic function of the frequency for each amplitude. Intervals, where known, are "
             f"percentiles of the same over {file.draws} draws of the coefficients from their covariance."
         ],
-        references=REFERENCES,
-        provenance=origin,
     )
 
 
@@ -91,30 +79,27 @@ def largest_speeds(file: RuleFile) -> tuple[float, float]:
 
 
 def _checks(file: RuleFile) -> list[ev.Check]:
-    there = [one for one in file.optima if one.stiffness is not None]
-    count, reached = len(file.optima), len(there)
-    checks = []
-    if reached < count:
-        text = "elsewhere no stiffness reaches the speed"
-        checks.append(ev.check("the speed is reached", f"at {reached} of {count} points", False, "all", text))
-    inside = sum(not one.at_bound for one in there)
-    text = "" if inside == reached else "the rest lie at an end: a better stiffness may lie beyond it"
+    count, inside = len(file.optima), sum(not one.at_bound for one in file.optima)
+    text = "" if inside == count else "the rest lie at an end: a better stiffness may lie beyond it"
     name = "optima within the range searched"
-    checks.append(ev.check(name, f"{inside} of {reached}", inside == reached, "all", text))
+    checks = [ev.check(name, f"{inside} of {count}", inside == count, "all", text)]
     worst = float(np.nanmax(loss(file)))
     name, text = "what the rule loses against its own optima", "the optima are no quadratic function there"
     checks.append(_at_most(name, worst, text))
     if file.objective == "speed":
-        surge = [-min(row[1] for row in o.front if row[1] is not None) for o in there]
+        surge = [-min(row[1] for row in o.front if row[1] is not None) for o in file.optima]
         checks += trust.forwards_check(surge)
-    checks.append(trust.steady_check(sum(one.settling_time_s is not None for one in there), reached))
+    checks.append(trust.steady_check(sum(one.settling_time_s is not None for one in file.optima), count))
     drive = {name: float(value) for name, value in file.drive.items() if name in BEAT}
     grid = [{**drive, "frequency_hz": o.frequency_hz, "amplitude_deg": o.amplitude_deg} for o in file.optima]
     checks.append(trust.region_check(file.identified, grid))
     if file.inside is None:
         checks.append(trust.unknown_check("uncertainty of the rule"))
     else:
-        checks += [trust.draws_check(file.inside), _sure(file, there)]
+        worst = max(one.loss_90 or 0.0 for one in file.optima)
+        text = "the best stiffness depends on what the fit left open: see its intervals"
+        name = "what the rule loses in nine of ten draws of the coefficients"
+        checks += [trust.draws_check(file.inside), _at_most(name, worst, text)]
     if file.sweeps:
         won = sum(s.rule_m >= max(s.fixed_m) for s in file.sweeps)
         name = "a frequency sweep with the rule is faster than with any fixed stiffness"
@@ -130,19 +115,6 @@ def _at_most(name: str, worst: float, text: str) -> ev.Check:
     return ev.check(name, value, sound, limit, "" if sound else text)
 
 
-def _sure(file: RuleFile, there: Sequence[Optimum]) -> ev.Check:
-    """Check what the coefficients' uncertainty does to the rule."""
-    if file.reach_speed_m_s is None:
-        worst = max(one.loss_90 or 0.0 for one in there)
-        text = "the best stiffness depends on what the fit left open: see its intervals"
-        return _at_most("what the rule loses in nine of ten draws of the coefficients", worst, text)
-    least = min(one.reached_in_draws or 0.0 for one in there)
-    sound = least >= MIN_REACHED
-    text = "the rule just reaches it with the estimates: ask for a somewhat higher speed"
-    name, value = "draws in which the rule reaches the speed", f"{numbers.percent(least, 2)} or more"
-    return ev.check(name, value, sound, f"≥ {numbers.percent(MIN_REACHED)}", "" if sound else text)
-
-
 def _signed(value: float, digits: int = 4) -> str:
     return f"{'−' if value < 0 else '+'} {numbers.number(abs(value), digits)}"
 
@@ -150,10 +122,9 @@ def _signed(value: float, digits: int = 4) -> str:
 def answer(file: RuleFile) -> str:
     """Return what the rule says and gains as a sentence."""
     stiffness, f = _column(file, "stiffness"), _column(file, "frequency_hz")
-    there = np.isfinite(stiffness)
-    low, high = float(np.nanmin(stiffness)), float(np.nanmax(stiffness))
+    low, high = float(stiffness.min()), float(stiffness.max())
     trend = "over"
-    if high > low and np.corrcoef(f[there], stiffness[there])[0, 1] > 0.3:
+    if high > low and np.corrcoef(f, stiffness)[0, 1] > 0.3:
         trend = "rising with"
     text = f"{file.coefficient} {numbers.number(low, 3)} to {numbers.number(high, 3, file.unit)}, "
     text += f"{trend} frequency"
@@ -162,12 +133,6 @@ def answer(file: RuleFile) -> str:
         text += (
             f"; highest speed {numbers.number(ruled, 3, 'm/s')} against {numbers.number(fixed, 3, 'm/s')} "
             f"with {numbers.number(file.reference, 3, file.unit)} ({_signed(100 * (ruled / fixed - 1), 3)} %)"
-        )
-    if (o := file.least_effort) is not None:
-        text += (
-            f"; {numbers.number(file.reach_speed_m_s, 3, 'm/s')} is reached with the least power, "
-            f"{numbers.number(o.power_W, 3, 'W')}, at {numbers.number(o.frequency_hz, 3, 'Hz')} and "
-            f"{numbers.number(o.stiffness, 3, file.unit)}"
         )
     return f"{text}."
 
@@ -239,7 +204,7 @@ def _rule(file: RuleFile) -> ev.Figure:
     traces = []
     x = np.linspace(*file.frequency_hz, N_POINTS)
     for group, c in enumerate(file.curves):
-        optima = [o for o in file.optima if o.amplitude_deg == c.amplitude_deg and o.stiffness is not None]
+        optima = [o for o in file.optima if o.amplitude_deg == c.amplitude_deg]
         label = f"{numbers.number(c.amplitude_deg, 3)} deg"
         traces += [
             blocks.points(optima, lambda o: o.frequency_hz, lambda o: o.stiffness, label=label, group=group),
@@ -269,30 +234,8 @@ def _speeds(file: RuleFile) -> ev.Figure:
             ev.Trace(x=x, y=[o.rule_speed_m_s for o in optima], label="rule"),
             ev.Trace(x=x, y=[o.reference_speed_m_s for o in optima], style="dashed", label=fixed),
         ]
-        panels.append(_over_frequency(c.amplitude_deg, traces))
+        title = f"{c.amplitude_deg:g} deg"
+        panels.append(blocks.panel("frequency (Hz)", "mean speed (m/s)", traces, title=title))
     caption = f"Each point is a run of {file.duration_s:g} s from rest (tendon fish, Fig 11)."
     title = "Speed with the rule and with a fixed stiffness"
     return blocks.panels("speeds", title, caption, panels, columns=2)
-
-
-def _over_frequency(amplitude_deg: float, traces: Sequence[ev.Trace]) -> ev.Panel:
-    return blocks.panel("frequency (Hz)", "mean speed (m/s)", traces, title=f"{amplitude_deg:g} deg")
-
-
-def _sweeps(file: RuleFile) -> list[ev.Figure]:
-    panels = [_over_frequency(s.amplitude_deg, _swept(s)) for s in file.sweeps[:MAX_PANELS]]
-    caption = (
-        "One run through all frequencies, with the rule and with the best and the worst fixed stiffness."
-    )
-    if not panels:
-        return []
-    return [blocks.panels("sweep", "A frequency sweep with the rule", caption, panels, columns=1)]
-
-
-def _swept(s: Swept) -> list[ev.Trace]:
-    best, worst = int(np.argmax(s.fixed_m)), int(np.argmin(s.fixed_m))
-    traces = [ev.Trace(x=s.frequencies_hz, y=s.rule_m_s, label=f"rule: {numbers.number(s.rule_m, 4, 'm')}")]
-    for k in (best, worst):
-        label = f"fixed {numbers.number(s.fixed[k], 3)}: {numbers.number(s.fixed_m[k], 4, 'm')}"
-        traces.append(ev.Trace(x=s.frequencies_hz, y=s.fixed_m_s[k], label=label, style="dashed"))
-    return traces

@@ -17,17 +17,43 @@ DOUBTFUL = ("SWM053", "SWM062")
 NEUTRAL = {"bias_deg": 0.0, "asymmetry": 0.0, "lag_deg": 0.0, "scale": 1.0}
 #: Width of the terminal.
 WIDTH = 98
+REFERENCES = [
+    "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin",
+    "D. Chen, Y. Xiong, B. Wang, R. Tong, Y. Meng, J. Yu: Performance Optimization for Bionic Robotic "
+    "Dolphin with Active Variable Stiffness Control",
+    "Deb, Pratap, Agarwal, Meyarivan (2002): A fast and elitist multiobjective genetic algorithm: NSGA-II. "
+    "IEEE Transactions on Evolutionary Computation 6, doi:10.1109/4235.996017",
+    "Rockafellar, Uryasev (2000): Optimization of conditional value-at-risk. Journal of Risk 2, "
+    "doi:10.21314/JOR.2000.038",
+]
 #: The range of the identification trials, by the name of what was varied in them.
 Region = Mapping[str, tuple[float, float]]
 
 
-def facts(file: Any) -> dict[str, str]:
-    """Return the facts that every study of gaits has."""
-    return {
-        "Robot": file.robot,
-        "Parameters": file.params or "the robot file's",
-        "Runs": f"{file.duration_s:g} s from rest",
-    }
+def evidence(
+    file: Any,
+    verb: str,
+    answer: str,
+    checks: Sequence[ev.Check],
+    facts: Mapping[str, str],
+    notices: Sequence[Notice],
+    origin: dict[str, Any],
+    **shown: Any,
+) -> ev.Evidence:
+    """Return the evidence of a study of gaits, with the facts and the check that every study has."""
+    checks = [*checks, *coefficients_check(notices)]
+    robot = {"Robot": file.robot, "Parameters": file.params or "the robot file's"}
+    return ev.Evidence(
+        verb=verb,
+        title=f"{file.kind.removesuffix(' file').capitalize()} of {file.robot}",
+        verdict=blocks.verdict(checks, answer),
+        facts={**robot, "Runs": f"{file.duration_s:g} s from rest", **facts},
+        checks=checks,
+        notices=blocks.notices(notices),
+        references=REFERENCES,
+        provenance=origin,
+        **shown,
+    )
 
 
 def ending(answer: str, evidence: ev.Evidence) -> list[str]:
