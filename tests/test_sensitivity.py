@@ -94,13 +94,12 @@ class TestSobol:
         assert found.first[0] == pytest.approx(np.array([1.0, 4.0, 9.0]) / 14, abs=1 / math.sqrt(256))
         assert found.mean[0] < 3.0
 
-    @pytest.mark.parametrize("method", [indices.sobol, indices.morris])
-    def test_many_are_refused_naming_where(self, method: Callable[..., Any]) -> None:
+    def test_many_are_refused_naming_where(self) -> None:
         def breaking(x: np.ndarray) -> np.ndarray:
             return linear(x) if x[1] < 0.6 else np.full(2, np.inf)
 
         with pytest.raises(NoTrustworthyResult, match=r"c_two between 0\.[67]") as caught:
-            method(
+            indices.sobol(
                 each(breaking),
                 np.zeros(3),
                 np.ones(3),
@@ -120,8 +119,7 @@ class TestSobol:
         with pytest.raises(UsageError, match="two or more"):
             indices.sobol(each(ishigami), -SIDE[:1], SIDE[:1])
 
-    @pytest.mark.parametrize("method", [indices.sobol, indices.morris])
-    def test_takes_up_what_was_kept(self, method: Callable[..., Any], tmp_path: Path) -> None:
+    def test_takes_up_what_was_kept(self, tmp_path: Path) -> None:
         count = 0
 
         def stopping(x: np.ndarray) -> np.ndarray:
@@ -133,13 +131,13 @@ class TestSobol:
 
         path = tmp_path / "kept"
         with pytest.raises(KeyboardInterrupt):
-            method(each(stopping), -SIDE, SIDE, samples=64, checkpoint=Checkpoint(path, "key"))
+            indices.sobol(each(stopping), -SIDE, SIDE, samples=64, checkpoint=Checkpoint(path, "key"))
         kept = len(path.read_text().splitlines())
         # what was evaluated together is kept together
         assert 49 - indices.TOGETHER <= kept < 64 * 4
         before = count
-        again = method(each(stopping), -SIDE, SIDE, samples=64, checkpoint=Checkpoint(path, "key"))
-        whole = method(each(ishigami), -SIDE, SIDE, samples=64)
+        again = indices.sobol(each(stopping), -SIDE, SIDE, samples=64, checkpoint=Checkpoint(path, "key"))
+        whole = indices.sobol(each(ishigami), -SIDE, SIDE, samples=64)
         assert count == before + whole.evaluations - kept
         assert kept % indices.TOGETHER == 0
         for name, value in vars(whole).items():
@@ -167,38 +165,6 @@ def test_what_has_not_begun_at_an_interrupt_never_does() -> None:
         got.extend(results)
     assert begun == [0, 1, 2, 3, 4, 5]
     assert got == [0, 1, 2, 3, 4]
-
-
-class TestMorris:
-    def test_linear(self) -> None:
-        found = indices.morris(
-            each(linear), np.zeros(3), np.array([1.0, 1.0, 2.0]), samples=10, groups=[[0, 1]]
-        )
-        effects = np.array([[1.0, 2.0, 6.0], [4.0, 0.0, 0.0], [2.5, 1.0, 3.0]])
-        assert found.mu == pytest.approx(effects)
-        assert found.mu_star == pytest.approx(effects)
-        assert found.mu_star_ci == pytest.approx(np.array([effects, effects]))
-        assert found.sigma == pytest.approx(np.zeros((3, 3)), abs=1e-12)
-        assert found.evaluations == 10 * 4
-
-    def test_ishigami(self) -> None:
-        """On four levels: 7 sin^2 differs by 7 * 3/4 over 2/3 of the range; the third acts by interaction."""
-        found = indices.morris(each(ishigami), -SIDE, SIDE, samples=200)
-        assert found.mu_star[0, 1] == pytest.approx(7 * 0.75 / (2 / 3))
-        assert abs(found.mu[0, 2]) < found.sigma[0, 2]
-        assert found.sigma[0, 2] > 0.5 * found.mu_star[0, 2]
-
-    def test_a_broken_trajectory_is_dropped(self) -> None:
-        count = 0
-
-        def once(x: np.ndarray) -> np.ndarray:
-            nonlocal count
-            count += 1
-            return linear(x) if count != 7 else np.full(2, np.nan)
-
-        found = indices.morris(each(once), np.zeros(3), np.ones(3), samples=50)
-        assert (found.broken, found.left_out) == (1, 1)
-        assert found.mu_star[0] == pytest.approx([1.0, 2.0, 3.0])
 
 
 # ------------------------------------------------------------ the command
@@ -332,12 +298,11 @@ class TestCommand:
         assert (units["misfit_x_m"], units["misfit_y_m"]) == ("1", "m")
 
     def test_shares_and_single_ranges(self, swimid: Swimid, tfish: Path, tmp_path: Path) -> None:
-        options = ("--range", "20%", "--range", "d_p=0.01,0.05", "--method", "morris", "--samples", "2")
+        options = ("--range", "20%", "--range", "d_p=0.01,0.05", "--samples", "2")
         file = _run(swimid, tfish, tmp_path / "sens.yaml", *options)
         assert file.ranges["c_ma"].low == pytest.approx(0.8 * 1.15971)
         assert file.ranges["c_d0"].high == 5.0
         assert (file.ranges["d_p"].low, file.ranges["d_p"].source) == (0.01, "given")
-        assert all(e.mu_star >= abs(e.mu) for o in file.outputs for e in o.effects.values())
 
     @pytest.mark.slow
     def test_a_robot_in_space(self, swimid: Swimid, tmp_path: Path) -> None:
@@ -350,7 +315,7 @@ class TestCommand:
             "  - {id: stroke, log: stroke.csv, drive: {stroke: characteristic}}\n"
         )
         file = _run(
-            swimid, trials, tmp_path / "sens.yaml", "--method", "morris", "--samples", "2",
+            swimid, trials, tmp_path / "sens.yaml", "--samples", "2",
         )  # fmt: skip
         assert set(file.ranges) == {"water_volume", "com_offset", "z_added_mass", "z_drag"}
         quantities = {o.quantity for o in file.outputs}

@@ -23,7 +23,7 @@ def test_studies_on_one_page(swimid: Callable[..., Ran], samples: Path, tmp_path
     package.optimise_stiffness(over=frequencies, between=(0.1, 2.0), output=files[1], **search, **BEAT)
     package.optimise_gait(vary={"K_s": (0.1, 2.0)}, frequency_hz=3.0, starts=1, output=files[2], **BEAT)
     package.sensitivity(
-        samples / "tfish" / "trials.yaml", method="morris", samples=2, ranges=["20%"],
+        samples / "tfish" / "trials.yaml", samples=2, ranges=["20%"],
         coefficients=["c_ma", "c_d4"], output=files[3],
     )  # fmt: skip
     page = tmp_path / "page.html"

@@ -164,7 +164,6 @@ VERBS = (
           swimid sensitivity trials.yaml -o sens.yaml
           swimid sensitivity trials.yaml --params tfish.yaml --range stderr -o sens.yaml
           swimid sensitivity trials.yaml --range 20% --range c_d4=2,6 --samples 512 -o sens.yaml
-          swimid sensitivity strokes.yaml --method morris -o screening.yaml
         """,
     ),
     _verb(

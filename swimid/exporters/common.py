@@ -123,23 +123,19 @@ def added_mass_limits(source: Source, choice: str) -> list[str]:
     return limits
 
 
-def friction_limits(source: Source) -> list[str]:
-    """Limit of dry friction: swimid rounds it off where a joint nearly rests."""
-    return [
+def joint_limits(source: Source, servo_hz: float) -> list[str]:
+    """Limits of dry friction, which swimid rounds off, and of driven joints, whose motion it prescribes."""
+    limits = [
         f"{name}: swimid rounds the dry friction of {law.friction:.4g} N m off below "
         f"{law.friction_below:g} rad/s; the target holds the joint still there"
         for name, law in source.laws.items()
         if law.friction
     ]
-
-
-def drive_limits(source: Source, servo_hz: float) -> list[str]:
-    """Limit of driven joints: swimid prescribes their motion."""
     driven = [axis.joint for axis in source.assembly.driven]
     assumed = [joint.name for joint in driven if joint.driven and joint.driven.servo is None]
-    if not assumed:
-        return []
-    return [
-        f"driven joints follow their command exactly in swimid; here a position servo of {servo_hz:g} Hz "
-        f"moves them: {', '.join(assumed)}"
-    ]
+    if assumed:
+        limits.append(
+            f"driven joints follow their command exactly in swimid; here a position servo of {servo_hz:g} Hz "
+            f"moves them: {', '.join(assumed)}"
+        )
+    return limits

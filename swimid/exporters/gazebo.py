@@ -168,8 +168,7 @@ def _limits(source: Source, options: ExportOptions) -> list[str]:
     out = "roll, yaw and sway" if source.vertical else "roll, pitch and heave"
     return [
         *limits,
-        *common.friction_limits(source),
-        *common.drive_limits(source, options.servo_hz),
+        *common.joint_limits(source, options.servo_hz),
         f"{out} were not identified: no drag and no added mass there, the moments of inertia are assumed",
     ]
 

@@ -72,20 +72,20 @@ def _checks(file: GaitFile) -> list[ev.Check]:
 
 def _kept_check(file: GaitFile) -> list[ev.Check]:
     """Whether a gait that is told keeps to its limits whatever the coefficients are."""
-    told = {
-        name: gait.kept_in_draws
-        for name, gait in (("best gait", file.optimum), ("robust gait", file.robust))
-        if gait is not None and gait.kept_in_draws is not None
-    }
-    if not told:
+    shares = [gait.kept_in_draws for gait in (file.optimum, file.robust) if gait is not None]
+    known = [share for share in shares if share is not None]
+    if not known:
         return []
-    sound = max(told.values()) >= MIN_KEPT
     text = ""
-    if told["best gait"] < MIN_KEPT:
-        text = "take the robust gait" if sound else "leave more room to the limits, or fit better"
-    value = ", ".join(f"{name} {numbers.percent(share, 2)}" for name, share in told.items())
-    limit = f"≥ {numbers.percent(MIN_KEPT)}"
-    return [ev.check("draws in which the limits are kept to", value, sound, limit, text)]
+    if known[0] < MIN_KEPT:
+        text = "take the robust gait, leave more room to the limits, or fit better"
+    value = ", ".join(
+        f"{word} {numbers.percent(share, 2)}"
+        for word, share in zip(("best gait", "robust gait"), known, strict=False)
+    )
+    limit = f"≥ {numbers.percent(MIN_KEPT)} of one"
+    name = "draws in which the limits are kept to"
+    return [ev.check(name, value, max(known) >= MIN_KEPT, limit, text)]
 
 
 # ------------------------------------------------------------ in words

@@ -226,7 +226,8 @@ def _contours(file: MapFile, name: str) -> ev.Panel:
     traces = []
     if np.ptp(finite) > 0:
         lines = contourpy.contour_generator(along.values, down.values, np.ma.masked_invalid(values))
-        levels = np.asarray(MaxNLocator(N_LEVELS).tick_values(float(finite.min()), float(finite.max())))
+        low, high = float(finite.min()), float(finite.max())
+        levels = [v for v in MaxNLocator(N_LEVELS).tick_values(low, high) if low < v < high]
         for k, level in enumerate(levels):
             # a row of NaN ends each line
             found = [np.vstack([np.asarray(line), [[np.nan, np.nan]]]) for line in lines.lines(level)]

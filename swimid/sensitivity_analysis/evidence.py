@@ -9,9 +9,9 @@ import numpy as np
 from swimid.notices import Notice
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.sensitivity_analysis.file import Output, SensitivityFile
+from swimid.sensitivity_analysis.file import Index, Output, SensitivityFile
 
-#: Largest width of a 95 % interval of a total index (or of mu* over the largest one).
+#: Largest width of a 95 % interval of a total index.
 MAX_WIDTH = 0.3
 #: Largest change with half the integration step, over an output's deviation.
 MAX_STEP_CHANGE = 0.05
@@ -21,23 +21,12 @@ MAX_CORRELATION = 0.5
 N_NAMED, N_ANSWERED, MAX_PANELS = 3, 3, 8
 #: Width of the terminal.
 WIDTH = 100
-#: Sources of each method.
-REFERENCES = {
-    "sobol": [
-        "Saltelli, Annoni, Azzini, Campolongo, Ratto, Tarantola (2010): Variance based sensitivity "
-        "analysis of model output. Computer Physics Communications 181, doi:10.1016/j.cpc.2009.09.018",
-        "Gamboa, Janon, Klein, Lagnoux (2014): Sensitivity analysis for multidimensional and functional "
-        "outputs. Electronic Journal of Statistics 8, doi:10.1214/14-EJS895",
-    ],
-    "morris": [
-        "Morris (1991): Factorial sampling plans for preliminary computational experiments. "
-        "Technometrics 33, doi:10.2307/1269043",
-        "Campolongo, Cariboni, Saltelli (2007): An effective screening design for sensitivity analysis "
-        "of large models. Environmental Modelling & Software 22, doi:10.1016/j.envsoft.2006.10.004",
-        "Herman, Usher (2017): SALib: an open-source Python library for sensitivity analysis. Journal of "
-        "Open Source Software 2, doi:10.21105/joss.00097",
-    ],
-}
+REFERENCES = [
+    "Saltelli, Annoni, Azzini, Campolongo, Ratto, Tarantola (2010): Variance based sensitivity analysis of "
+    "model output. Computer Physics Communications 181, doi:10.1016/j.cpc.2009.09.018",
+    "Gamboa, Janon, Klein, Lagnoux (2014): Sensitivity analysis for multidimensional and functional outputs. "
+    "Electronic Journal of Statistics 8, doi:10.1214/14-EJS895",
+]
 
 
 def evidence(
@@ -56,9 +45,6 @@ def evidence(
         Of two coefficients whose ranges are their standard errors.
     """
     checks = _checks(file, step_change, strongest)
-    figures = [_map(file)]
-    if file.method == "sobol":
-        figures.append(_intervals(file))
     return ev.Evidence(
         verb="sensitivity",
         title=f"Sensitivity of {file.robot}, {file.experiment}",
@@ -67,21 +53,20 @@ def evidence(
             "Robot": file.robot,
             "Parameters": file.params or "the robot file's",
             "Trials": str(len(file.trials)),
-            "Method": _method(file),
+            "Method": _design(file),
         },
         checks=checks,
         tables=[_ranges(file), _trials(file)],
-        figures=figures,
+        figures=[_map(file), _intervals(file)],
         notices=blocks.notices(notices),
         methods=_methods(file),
-        references=list(REFERENCES[file.method]),
+        references=list(REFERENCES),
         provenance=file.provenance,
     )
 
 
-def _method(file: SensitivityFile) -> str:
-    what = "rows" if file.method == "sobol" else "trajectories"
-    return f"{file.method.capitalize()}, {file.samples} {what} ({file.simulations.evaluated} points)"
+def _design(file: SensitivityFile) -> str:
+    return f"Sobol, {file.samples} rows ({file.simulations.evaluated} points)"
 
 
 def _headline(file: SensitivityFile) -> list[Output]:
@@ -93,11 +78,10 @@ def _headline(file: SensitivityFile) -> list[Output]:
     return list(outputs.values())
 
 
-def _ranked(output: Output) -> list[tuple[str, float, tuple[float, float]]]:
-    """Coefficients by total index or mu*, the largest first, with intervals."""
-    entries = [(n, s.total.value, s.total.ci95) for n, s in output.shares.items()]
-    entries += [(n, e.mu_star, e.mu_star_ci95) for n, e in output.effects.items()]
-    return sorted(entries, key=lambda item: -item[1])
+def _ranked(output: Output) -> list[tuple[str, Index]]:
+    """Coefficients by total index, the largest first."""
+    entries = [(name, shares.total) for name, shares in output.shares.items()]
+    return sorted(entries, key=lambda item: -item[1].value)
 
 
 # ------------------------------------------------------------ checks
@@ -107,19 +91,18 @@ def _checks(
     file: SensitivityFile, step_change: float, strongest: tuple[float, str, str] | None
 ) -> list[ev.Check]:
     runs = file.simulations
-    what = "rows of the design replaced" if file.method == "sobol" else "trajectories dropped"
-    widths = [(0.0, "")]
-    for o in _headline(file):
-        size = max((e.mu_star for e in o.effects.values()), default=1.0) or 1.0
-        widths += [((high - low) / size, f"{name} in {o.quantity}") for name, _, (low, high) in _ranked(o)]
-    width, where = max(widths)
+    width, where = max(
+        (index.ci95[1] - index.ci95[0], f"{name} in {o.quantity}")
+        for o in _headline(file)
+        for name, index in [("", Index(value=0.0, ci95=(0.0, 0.0))), *_ranked(o)]
+    )
     checks = [
         ev.check(
             "simulations that broke down",
             f"{runs.broken} of {runs.evaluated}",
             not runs.broken,
             "none (refused above 1 %)",
-            f"{runs.left_out} {what}" if runs.broken else "",
+            f"{runs.left_out} rows of the design replaced" if runs.broken else "",
         ),
         ev.check(
             "narrow intervals",
@@ -152,7 +135,7 @@ def answer(file: SensitivityFile) -> str:
     """Return what the first outputs are most sensitive to as a sentence."""
     parts = []
     for o in _headline(file)[:N_ANSWERED]:
-        named = [f"{name} ({numbers.number(value, 2)})" for name, value, _ in _ranked(o)[:2]]
+        named = [f"{name} ({numbers.number(index.value, 2)})" for name, index in _ranked(o)[:2]]
         if named:
             parts.append(f"{o.quantity} is most sensitive to {', '.join(named)}")
     return "; ".join(parts) + "."
@@ -162,15 +145,16 @@ def summary(file: SensitivityFile, evidence: ev.Evidence) -> str:
     """Return the text for the terminal."""
     lines = [
         f"{file.robot}, {file.experiment}: {len(file.trials)} trials, {len(file.ranges)} coefficients",
-        _method(file),
+        _design(file),
         "",
-        "  total index, 95 %" if file.method == "sobol" else "  mu*, 95 %",
+        "  total index, 95 %",
     ]
     outputs = _headline(file)
     for o in outputs:
         items = [
-            f"{name} {numbers.number(value, 2)} ({numbers.number(low, 2)} … {numbers.number(high, 2)})"
-            for name, value, (low, high) in _ranked(o)[:N_NAMED]
+            f"{name} {numbers.number(index.value, 2)} "
+            f"({' … '.join(numbers.number(end, 2) for end in index.ci95)})"
+            for name, index in _ranked(o)[:N_NAMED]
         ]
         line = f"  {o.quantity:<22}  {', '.join(items) or 'does not vary'}"
         while len(line) > WIDTH:
@@ -205,7 +189,7 @@ def _ranges(file: SensitivityFile) -> ev.Table:
 def _trials(file: SensitivityFile) -> ev.Table:
     rows = []
     for o in file.outputs:
-        sizes = {name: value for name, value, _ in _ranked(o)}
+        sizes = {name: index.value for name, index in _ranked(o)}
         row: dict[str, blocks.Cell] = {
             "output": o.quantity,
             "trial": o.trial or "all",
@@ -214,8 +198,7 @@ def _trials(file: SensitivityFile) -> ev.Table:
             **{name: numbers.number(sizes.get(name), 2) for name in file.ranges},
         }
         rows.append(row)
-    which = "total indices" if file.method == "sobol" else "mean magnitudes of the elementary effects, mu*"
-    caption = f"Value with the given coefficients, standard deviation over the ranges, and {which}."
+    caption = "Value with the given coefficients, standard deviation over the ranges, and total indices."
     return blocks.table("trials", "Trial by trial", rows, caption)
 
 
@@ -223,17 +206,11 @@ def _trials(file: SensitivityFile) -> ev.Table:
 
 
 def _map(file: SensitivityFile) -> ev.Figure:
-    """Indices, or effects over the largest of their output, as a map."""
-    outputs = [o for o in _headline(file) if o.shares or o.effects]
-    names, values = list(file.ranges), []
-    for o in outputs:
-        sizes = {name: value for name, value, _ in _ranked(o)}
-        largest = max(sizes.values()) if o.effects else 1.0
-        values.append([round(sizes[name] / (largest or 1.0), 3) for name in names])
+    outputs = [o for o in _headline(file) if o.shares]
+    names = list(file.ranges)
+    values = [[round(o.shares[name].total.value, 3) for name in names] for o in outputs]
     heat = ev.Heat(rows=[o.quantity for o in outputs], columns=names, values=values, scale="linear")  # type: ignore[arg-type]
     caption = "Total Sobol indices: the share of an output's variance that goes with a coefficient."
-    if file.method == "morris":
-        caption = "Mean magnitude of the elementary effects, over the largest of the output."
     title = "What each output is most sensitive to"
     return blocks.panels("indices", title, caption, [blocks.panel("", "", [], heat=heat)], columns=1)
 
@@ -267,21 +244,10 @@ def _methods(file: SensitivityFile) -> list[str]:
     used = " or ".join(dict.fromkeys(sources[r.source] for r in file.ranges.values()))
     over = f"{', '.join(file.ranges)}, independent and uniform over {used}"
     runs, trials = file.simulations, f"{len(file.trials)} {file.experiment} trials"
-    sentences = [
-        f"Elementary effects (Morris 1991) on the outputs of {trials} of {over}, were taken along "
-        f"{file.samples} trajectories ({runs.evaluated} points) as implemented in SALib; mu* is the mean of "
-        "their magnitudes (Campolongo et al. 2007), with intervals by the bootstrap over the trajectories."
+    return [
+        f"First-order and total Sobol indices of the outputs of {trials} to {over}, were estimated from "
+        f"{file.samples} rows of a scrambled Sobol sequence ({runs.evaluated} points, {runs.broken} of which "
+        "broke down) by the estimators of Saltelli et al. (2010) as implemented in SciPy, with intervals by "
+        "the bootstrap over the rows; those of all trials together are shares of their summed variance "
+        "(Gamboa et al. 2014)."
     ]
-    if file.method == "sobol":
-        sentences = [
-            f"First-order and total Sobol indices of the outputs of {trials} to {over}, were estimated from "
-            f"{file.samples} rows of a scrambled Sobol sequence ({runs.evaluated} points) by the estimators "
-            "of Saltelli et al. (2010) as implemented in SciPy, with intervals by the bootstrap over the "
-            "rows; those of all trials together are shares of their summed variance (Gamboa et al. 2014)."
-        ]
-    if runs.broken:
-        sentences.append(
-            f"{runs.broken} of {runs.evaluated} simulations broke down; their rows were replaced by the next "
-            "of the sequence, or their trajectories dropped."
-        )
-    return sentences

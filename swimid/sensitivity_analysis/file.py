@@ -41,15 +41,6 @@ class Shares(yamlio.Document):
     negligible: bool
 
 
-class Effects(yamlio.Document):
-    """Elementary effects of a coefficient, per whole range, in the output's unit."""
-
-    mu: float
-    mu_star: float
-    mu_star_ci95: tuple[float, float]
-    sigma: float
-
-
 class Output(yamlio.Document):
     """One output of one trial, or of all trials together where ``trial`` is missing."""
 
@@ -62,7 +53,6 @@ class Output(yamlio.Document):
     mean: Number = None
     sd: Number = None
     shares: dict[str, Shares] = {}
-    effects: dict[str, Effects] = {}
 
 
 class Simulations(yamlio.Document):
@@ -70,7 +60,7 @@ class Simulations(yamlio.Document):
 
     evaluated: int
     broken: int
-    #: Rows of the design replaced (Sobol), or trajectories dropped (Morris), because a point broke down.
+    #: Rows of the design replaced because a point broke down.
     left_out: int
 
 
@@ -84,8 +74,7 @@ class SensitivityFile(yamlio.ResultFile):
     robot: str
     experiment: str
     params: str | None = None
-    method: Literal["sobol", "morris"]
-    #: Rows of the design (Sobol), or trajectories (Morris).
+    #: Rows of the design.
     samples: int
     trials: list[str]
     ranges: dict[str, Range]

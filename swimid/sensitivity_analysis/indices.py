@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import ks_2samp, qmc, sobol_indices
 
-from swimid.errors import NoTrustworthyResult, UsageError, extra_needed
+from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.model import Array
 from swimid.fitting.threads import in_threads
@@ -22,9 +22,6 @@ BROKEN = 0.01
 #: Draws behind an interval, and its ends.
 RESAMPLES = 1000
 ENDS = (2.5, 97.5)
-#: Levels of the grid on which Morris's trajectories move; the step is half of them.
-LEVELS = 4
-
 #: Points that are evaluated by one call.
 TOGETHER = 8
 
@@ -33,16 +30,18 @@ Evaluate = Callable[[Array], Array]
 
 
 @dataclass(frozen=True)
-class Indices:
-    """What indices of s outputs to d parameters rest on.
+class Sobol:
+    """Sobol indices of s outputs to d parameters, those of g groups of outputs after them.
 
     Attributes
     ----------
     mean, sd : ndarray, shape (s,)
         Of the outputs over the ranges.
     evaluations, broken, left_out : int
-        Evaluations in all, those that broke down, and rows of the design replaced for it (Sobol) or
-        trajectories dropped (Morris).
+        Evaluations in all, those that broke down, and rows of the design replaced for it.
+    first, total : ndarray, shape (s + g, d)
+    first_ci, total_ci : ndarray, shape (2, s + g, d)
+        Ends of the 95 % intervals.
     """
 
     mean: Array
@@ -50,41 +49,10 @@ class Indices:
     evaluations: int
     broken: int
     left_out: int
-
-
-@dataclass(frozen=True)
-class Sobol(Indices):
-    """Sobol indices, those of g groups of outputs after them.
-
-    Attributes
-    ----------
-    first, total : ndarray, shape (s + g, d)
-    first_ci, total_ci : ndarray, shape (2, s + g, d)
-        Ends of the 95 % intervals.
-    """
-
     first: Array
     total: Array
     first_ci: Array
     total_ci: Array
-
-
-@dataclass(frozen=True)
-class Morris(Indices):
-    """Elementary effects per whole range, in the output's unit; means over g groups of outputs after them.
-
-    Attributes
-    ----------
-    mu, mu_star, sigma : ndarray, shape (s + g, d)
-        Mean, mean magnitude and standard deviation of the effects.
-    mu_star_ci : ndarray, shape (2, s + g, d)
-        Ends of the 95 % interval.
-    """
-
-    mu: Array
-    mu_star: Array
-    sigma: Array
-    mu_star_ci: Array
 
 
 def sobol(
@@ -179,74 +147,6 @@ def _indices(outputs: Array, groups: Sequence[Sequence[int]]) -> Array:
         weights = weights / max(weights.sum(), np.finfo(float).tiny)
         parts.append(np.einsum("m,kmd->kd", weights, indices[:, list(members)])[:, None])
     return np.concatenate(parts, axis=1)
-
-
-def morris(
-    evaluate: Evaluate,
-    lower: Array,
-    upper: Array,
-    *,
-    samples: int = 32,
-    seed: int = 0,
-    groups: Sequence[Sequence[int]] = (),
-    **how: Any,
-) -> Morris:
-    """Elementary effects (Morris 1991, doi:10.2307/1269043; mu* after Campolongo et al. 2007), by SALib.
-
-    Parameters
-    ----------
-    samples : int
-        Trajectories, each of d + 1 points, on a grid of :data:`LEVELS` levels.
-    evaluate, lower, upper, seed, groups, **how
-        As :func:`sobol` takes them.
-
-    Returns
-    -------
-    Morris
-        Intervals by SALib's bootstrap over the trajectories: mu* and 1.96 standard deviations of it. Half
-        the width of a group's is the mean of its members', which is what it is when they move together and
-        too wide otherwise. A trajectory of which a point breaks down is dropped.
-
-    Raises
-    ------
-    UsageError
-        With fewer than two trajectories.
-    NoTrustworthyResult
-        As :func:`sobol`.
-    """
-    d = len(lower)
-    if samples < 2:
-        raise UsageError("elementary effects need two trajectories or more")
-    with extra_needed("the Morris method", "sensitivity"):
-        from SALib.analyze.morris import analyze
-        from SALib.sample.morris import sample
-
-    problem = {"num_vars": d, "names": [str(k) for k in range(d)], "bounds": [[0.0, 1.0]] * d}
-    unit = sample(problem, samples, num_levels=LEVELS, seed=seed)
-    runs = Runs(evaluate, len(unit), **how)
-    labels = [f"trajectory {r}.{p}" for r in range(samples) for p in range(d + 1)]
-    values = runs.of(labels, lower + unit * (upper - lower))
-    whole = np.isfinite(values).all(axis=1).reshape(samples, d + 1).all(axis=1)
-    kept = np.repeat(whole, d + 1)
-    settings = {"num_levels": LEVELS, "num_resamples": RESAMPLES, "seed": seed}
-    parts = [analyze(problem, unit[kept], one, **settings) for one in values[kept].T]
-
-    def averaged(key: str) -> Array:
-        effects = np.array([part[key] for part in parts])
-        return np.concatenate([effects, *(effects[list(m)].mean(axis=0)[None] for m in groups)])
-
-    mu_star, half = averaged("mu_star"), averaged("mu_star_conf")
-    return Morris(
-        values[kept].mean(axis=0),
-        values[kept].std(axis=0),
-        runs.done,
-        len(runs.broken),
-        left_out=int((~whole).sum()),
-        mu=averaged("mu"),
-        mu_star=mu_star,
-        sigma=averaged("sigma"),
-        mu_star_ci=np.array([np.maximum(mu_star - half, 0.0), mu_star + half]),
-    )
 
 
 class Runs:

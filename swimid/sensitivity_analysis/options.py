@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
 
 from swimid.fitting import options as fits
 from swimid.options import Options, Source, option
@@ -16,10 +15,7 @@ class SensitivityOptions(Options):
 
     params: Source = option(None, help="Parameter file of these trials' robot.", recorded=False)
     robot: str | None = simulations.robot()
-    method: Literal["sobol", "morris"] = option("sobol", help="Shares of variance, or elementary effects.")
-    samples: int | None = option(
-        None, ge=2, help="Rows of the Sobol design, a power of two (256), or Morris trajectories (32)."
-    )
+    samples: int = option(256, ge=2, help="Rows of the Sobol design, a power of two.")
     ranges: tuple[str, ...] = option(
         (),
         flag="--range",

@@ -27,10 +27,8 @@ from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
 from swimid.results.result import FileResult
 from swimid.sensitivity_analysis import evidence as sensitivity_evidence
-from swimid.sensitivity_analysis import indices
 from swimid.sensitivity_analysis.file import (
     FORMAT,
-    Effects,
     Index,
     Output,
     Range,
@@ -38,7 +36,7 @@ from swimid.sensitivity_analysis.file import (
     Shares,
     Simulations,
 )
-from swimid.sensitivity_analysis.indices import Morris, Sobol
+from swimid.sensitivity_analysis.indices import Sobol, sobol
 from swimid.sensitivity_analysis.options import SensitivityOptions
 from swimid.simulation import catalogue, compare_series
 from swimid.simulation.applied import Applied, Quantity
@@ -49,8 +47,6 @@ from swimid.swimmer import trials as swimmer
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Rows of the design, or trajectories, where nothing else is asked for.
-SAMPLES = {"sobol": 256, "morris": 32}
 #: A total index whose interval lies below this is negligible.
 NEGLIGIBLE = 0.01
 #: An output that varies less than this share of its size does not vary.
@@ -65,8 +61,7 @@ class Sensitivity(FileResult[SensitivityFile]):
     ----------
     indices : DataFrame
         A row for each coefficient of each output (``output``, ``trial``, ``coefficient``; without a trial of
-        all together): ``first`` and ``total`` Sobol index (1), each a dict of ``value`` and ``ci95``; or by
-        Morris ``mu``, ``mu_star``, ``mu_star_ci95`` and ``sigma``, in the unit of the output.
+        all together): ``first`` and ``total`` Sobol index (1), each a dict of ``value`` and ``ci95``.
     file : SensitivityFile
         What :meth:`save` writes; it also has the ranges.
     """
@@ -76,14 +71,14 @@ class Sensitivity(FileResult[SensitivityFile]):
 
     @property
     def indices(self) -> pd.DataFrame:
-        """A row for each coefficient of each output: Sobol shares, or elementary effects (Morris)."""
+        """A row for each coefficient of each output: its Sobol shares."""
         import pandas as pd
 
         return pd.DataFrame(
             [
                 {"output": o.quantity, "trial": o.trial, "coefficient": name, **index.model_dump()}
                 for o in self.file.outputs
-                for name, index in {**o.shares, **o.effects}.items()
+                for name, index in o.shares.items()
             ]
         )
 
@@ -201,7 +196,7 @@ def sensitivity(
     -------
     Sensitivity
         ``.indices`` has a row for each coefficient of each output: Sobol indices (1) with their 95 %
-        intervals, or elementary effects (in the unit of the output, over the whole range).
+        intervals.
 
     Raises
     ------
@@ -215,9 +210,6 @@ def sensitivity(
     .. [1] Saltelli, Annoni, Azzini, Campolongo, Ratto, Tarantola (2010), doi:10.1016/j.cpc.2009.09.018: Sobol
        indices.
     .. [2] Gamboa, Janon, Klein, Lagnoux (2014), doi:10.1214/14-EJS895: those of several outputs together.
-    .. [3] Morris (1991), doi:10.2307/1269043: elementary effects.
-    .. [4] Campolongo, Cariboni, Saltelli (2007), doi:10.1016/j.envsoft.2006.10.004: mu*.
-    .. [5] Herman, Usher (2017), doi:10.21105/joss.00097: SALib.
 
     Examples
     --------
@@ -225,29 +217,27 @@ def sensitivity(
 
     >>> found = sensitivity(
     ...     "sample_logs/tfish/trials.yaml",
-    ...     method="morris",
-    ...     samples=4,
+    ...     samples=8,
     ...     ranges=["20%"],
     ...     coefficients=["c_ma", "c_d4"],
     ... )
     >>> one = found.indices.query("output == 'yaw_range_in_beat_rad' and trial == 'f10a20'")
-    >>> one.set_index("coefficient")["mu_star"].idxmax()
+    >>> max(zip(one["total"].str["value"], one["coefficient"]))[1]
     'c_d4'
     """
-    method, params = options.method, options.params
-    count = SAMPLES[method] if options.samples is None else options.samples
+    count, params = options.samples, options.params
     with recorded(repeat=True) as notices:
         experiment, applied = _loaded(trials, options)
         if output is not None:
             atomic.check_writable(output, inputs=experiment.inputs)
         over = _ranges(applied, options.ranges, options.coefficients)
-        origin = provenance.collect(experiment.inputs, settings=options.settings(samples=count))
+        origin = provenance.collect(experiment.inputs, settings=options.settings())
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
         # how much time of the trials is simulated
         ahead_s = sum(float(t.time_s[-1] - t.time_s[0]) for t in experiment.trials) * count * (len(over) + 2)
         _swimmer(applied).prepare(progress, simulated_s=ahead_s, checkpoint=keep)
         study = _study(experiment, applied, over)
-        estimates = (indices.sobol if method == "sobol" else indices.morris)(
+        estimates = sobol(
             _evaluation(study),
             np.array([r.low for r in over.values()]),
             np.array([r.high for r in over.values()]),
@@ -265,7 +255,6 @@ def sensitivity(
             robot=experiment.robot.name,
             experiment=experiment.name,
             params=parameters_format.place(params).name if params is not None else None,
-            method=method,
             samples=count,
             trials=[t.id for t in experiment.trials],
             ranges=over,
@@ -465,7 +454,7 @@ def _evaluation(study: Study, model: Swimmer | None = None) -> Callable[[Array],
     return evaluate
 
 
-def _step_change(study: Study, estimates: Sobol | Morris) -> float:
+def _step_change(study: Study, estimates: Sobol) -> float:
     """Largest change of an output when the integration step is halved, over its deviation in the ranges."""
     finer = _swimmer(study.applied).refined()
     given = np.array([r.value for r in study.ranges.values()])
@@ -474,7 +463,7 @@ def _step_change(study: Study, estimates: Sobol | Morris) -> float:
     return float(np.max(change[vary] / estimates.sd[vary], initial=0.0))
 
 
-def _outputs(study: Study, estimates: Sobol | Morris) -> list[Output]:
+def _outputs(study: Study, estimates: Sobol) -> list[Output]:
     outputs = [
         Output(
             quantity=quantity,
@@ -491,9 +480,7 @@ def _outputs(study: Study, estimates: Sobol | Morris) -> list[Output]:
         outputs.append(Output(quantity=quantity, unit=study.columns[members[0]][2], sd=sd))
     for row, one in enumerate(outputs):
         assert one.sd is not None
-        if isinstance(estimates, Morris):
-            one.effects = {name: _effects(estimates, row, k) for k, name in enumerate(study.ranges)}
-        elif one.sd > CONSTANT * abs(one.mean or 0.0):
+        if one.sd > CONSTANT * abs(one.mean or 0.0):
             one.shares = {name: _shares(estimates, row, k) for k, name in enumerate(study.ranges)}
     return outputs
 
@@ -507,12 +494,3 @@ def _shares(sobol: Sobol, row: int, k: int) -> Shares:
     total = Index(value=float(sobol.total[row, k]), ci95=_ci95(sobol.total_ci, row, k))
     negligible = total.ci95[1] < NEGLIGIBLE
     return Shares(first=first, total=total, first_told=first.ci95[0] > 0, negligible=negligible)
-
-
-def _effects(morris: Morris, row: int, k: int) -> Effects:
-    return Effects(
-        mu=float(morris.mu[row, k]),
-        mu_star=float(morris.mu_star[row, k]),
-        mu_star_ci95=_ci95(morris.mu_star_ci, row, k),
-        sigma=float(morris.sigma[row, k]),
-    )
