@@ -51,8 +51,8 @@ def _checks(file: GaitFile) -> list[ev.Check]:
     optimum = file.optimum
     checks = []
     if file.ends:
-        best = next(iter(optimum.goals.values())) or 0.0
-        agree = sum(abs((end or np.inf) - best) <= AGREE_RTOL * abs(best) for end in file.ends)
+        best = file.ends[0]
+        agree = sum(abs(end - best) <= AGREE_RTOL * abs(best) for end in file.ends)
         text = "" if agree > 1 else "a better gait may be elsewhere: look for more with --starts"
         value = f"{agree} of {len(file.ends)}"
         checks.append(ev.check("starts that end at the best gait", value, agree > 1, "two or more", text))

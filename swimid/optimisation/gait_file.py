@@ -69,8 +69,9 @@ class GaitFile(yamlio.ResultFile):
     #: In the words of the options, and the quantity and unit of each.
     goals: dict[str, tuple[str, str]]
     limits: dict[str, Limit] = {}
-    #: Value of the goal at which the search from each start ended; empty for two goals.
-    ends: list[Number] = []
+    #: Value of the goal, with the penalties of the limits, at which the search from each start ended; the
+    #: best first; empty for two goals.
+    ends: list[float] = []
     optimum: Gait
     #: The gait that loses least in the worst tenth of draws; the best one where no other loses less.
     robust: Gait | None = None

@@ -244,7 +244,7 @@ def _one(problem: Problem, options: OptimiseGaitOptions, study: Study, progress:
     starts = _begun(problem, options)
     with progress("search", total=STEPS) as step:
         found = problem.minimise(starts, advance=step)
-    ends = found.values * problem.signs[0]
+    ends = np.sort(found.values) * problem.signs[0]
     return _file(problem, study, found.points[found.best], ends=ends.tolist())
 
 
