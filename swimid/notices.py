@@ -63,7 +63,6 @@ CODES: dict[str, str] = {
     "SWM058": "track cleaned",
     "SWM059": "the track goes on elsewhere after a jump",
     "SWM060": "the target of an export cannot carry something",
-    "SWM061": "exported added mass may make the simulator unstable",
     "SWM062": "parameters in use that their fit does not vouch for",
     "SWM063": "course and heading of a track contradict each other",
     "SWM064": "another thing was first taken for the marker",

@@ -162,8 +162,6 @@ def test_schema_lists_formats(swimid: Run) -> None:
         "map",
         "rule",
         "gait",
-        "fins",
-        "controller",
         "evidence",
     ]
     assert swimid("schema").out.split() == names

@@ -200,7 +200,7 @@ RECORDED = {
     "fit-graybox": "fixed freed bounds share channels start_state loss starts seed subset readings "
     "max_step_s method",
     "compare": "channels refit_start start_state set readings dt buoyancy_band",
-    "sensitivity": "method samples range coefficients sweep trial set readings seed dt",
+    "sensitivity": "samples range coefficients set readings seed dt",
     "diagnose": "effects own_effects seed budget_s max_causes readings max_step_s",
     "import": "",
     "track video": "setup fps max_gap_s from_s to_s",
@@ -232,7 +232,7 @@ def test_only_what_was_asked_of_an_import_is_recorded() -> None:
     [
         (["fit-graybox", "t.yaml", "--resume"], "--front and --resume belong to --method nsga2 or hybrid"),
         (["fit-drag", "t.yaml", "--points", "1"], "--points: '1' should be two numbers with a comma"),
-        (["sensitivity", "t.yaml", "--sweep", "f=1:2"], "--sweep: 'f=1:2' should be NAME=LOW:HIGH:COUNT"),
+        (["map", "--over", "f=1:2"], "--over: 'f=1:2' should be NAME=LOW:HIGH:COUNT"),
         (["track", "setup", "v.mp4", "--marker", "red", "-o", "s.yaml"], "--marker: 'red' must look like"),
         (["import", "a.csv", "--start", "2", "--end", "1", "-o", "b.csv"], "--end 1 lies before --start 2"),
         (["report", "a.yaml"], "an HTML page needs a file"),

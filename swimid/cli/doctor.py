@@ -29,7 +29,6 @@ OPTIONAL = {
     "tables": "HDF5 tables of DeepLabCut (pip install 'swimid[deeplabcut]')",
     "vqf": "attitude in swimid track imu (pip install 'swimid[imu]')",
     "pymoo": "genetic searches (pip install 'swimid[search]')",
-    "SALib": "the Morris method of swimid sensitivity (pip install 'swimid[sensitivity]')",
 }
 #: Modules with compiled kernels; each has a ``warm_up()`` that compiles all of them.
 KERNELS = (

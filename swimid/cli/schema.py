@@ -14,7 +14,7 @@ from swimid.diagnosis import power_file
 from swimid.errors import UsageError, suggestion
 from swimid.files import atomic
 from swimid.logs import mapping, trials
-from swimid.optimisation import controller, fins, gait_file, map_file, rule
+from swimid.optimisation import gait_file, map_file, rule
 from swimid.results import evidence, parameters
 from swimid.results.result import Result
 from swimid.robots import file as robot
@@ -38,8 +38,6 @@ def schemas() -> dict[str, dict[str, Any]]:
         "map": map_file.MapFile,
         "rule": rule.RuleFile,
         "gait": gait_file.GaitFile,
-        "fins": fins.FinFile,
-        "controller": controller.ControllerFile,
         "evidence": evidence.Evidence,
     }
     return {

@@ -152,8 +152,8 @@ VERBS = (
         "sensitivity_analysis",
         "sensitivity",
         output="Sensitivity file to write (YAML).",
-        short="Which coefficient each output is most sensitive to; sweeps of the drive.",
-        help="""Vary the coefficients of a robot with links, and its drive.
+        short="Which coefficient each output is most sensitive to.",
+        help="""Vary the coefficients of a robot with links.
 
         TRIALS is a trials file of a free-swim or multibody experiment. Each output (speeds, rates, the misfit
         of each measured channel) is told which coefficients it is sensitive to, over ranges of all at once.
@@ -164,9 +164,6 @@ VERBS = (
           swimid sensitivity trials.yaml -o sens.yaml
           swimid sensitivity trials.yaml --params tfish.yaml --range stderr -o sens.yaml
           swimid sensitivity trials.yaml --range 20% --range c_d4=2,6 --samples 512 -o sens.yaml
-          swimid sensitivity strokes.yaml --method morris -o screening.yaml
-          swimid sensitivity strokes.yaml --params sealion.yaml --method none \\
-              --sweep frequency_hz=0.2:0.6:5 --sweep scale=0.6:1.2:5 -o sweep.yaml
         """,
     ),
     _verb(
@@ -224,17 +221,15 @@ VERBS = (
         help="""Find the best stiffness of a passive joint over frequency and amplitude.
 
         At every point of the grid NSGA-II searches the stiffness; a quadratic function of the frequency for
-        each amplitude is the rule, which a controller reads as YAML, as a C header or as a table. A run that
-        was stopped goes on where it was when it is started again.
+        each amplitude is the rule, which a controller reads as YAML or as a C header. A run that was
+        stopped goes on where it was when it is started again.
 
         \b
         Examples:
           swimid optimise stiffness --params tfish.yaml --over frequency_hz=0.6:2:8 \\
-              --over amplitude_deg=15:35:5 -o rule.yaml --header rule.h --table rule.csv
+              --over amplitude_deg=15:35:5 -o rule.yaml --header rule.h
           swimid optimise stiffness --robot dolphin --amplitude-deg 27 --over frequency_hz=1:5:9 \\
               --between 0.1,3 --objective cost-of-transport -o rule.yaml
-          swimid optimise stiffness --robot dolphin --amplitude-deg 27 --over frequency_hz=1:5:9 \\
-              --between 0.1,3 --objective effort --reach-speed-m-s 0.6 -o rule.yaml
         """,
     ),
     _verb(
@@ -266,7 +261,7 @@ VERBS = (
         output="The file to write. Without it, or with -o -, it goes to stdout.",
         argument="PARAMS",
         prints=True,
-        short="Identified coefficients for MuJoCo, Gazebo, Stonefish, or as JSON.",
+        short="Identified coefficients for MuJoCo, Gazebo, or as JSON.",
         help="""Write identified coefficients as a simulator reads them.
 
         PARAMS is a parameter file of a multi-link robot, or of a falling weight or towed body (Gazebo

@@ -16,11 +16,6 @@ from swimid.fitting.model import Array
 FIRST, LAST = 0.1, 1e-3
 #: Steps at most.
 STEPS = 24
-#: A limit passed by its own size costs as much as so many times the goal's typical size; one passed by no
-#: more than this share is kept to.
-PENALTY, KEPT_TO = 10.0, 1e-3
-#: Share of draws of the coefficients that count as the worst.
-WORST = 0.1
 #: A value that is no number counts as this.
 BROKEN = 1e9
 #: Points at which a model of the function is looked at, and how often that is repeated in a smaller box.
@@ -40,13 +35,10 @@ class Descended:
     points : ndarray, shape (k, d)
     values : ndarray, shape (k,)
         What is minimised there, with what passing limits costs.
-    history : list of (int, float)
-        After each step: evaluations so far, and the least value found.
     """
 
     points: Array
     values: Array
-    history: list[tuple[int, float]]
 
     @property
     def best(self) -> int:
@@ -94,7 +86,6 @@ def descend(
     parts = evaluate(points, np.arange(count))
     values = merit(parts)
     radius = np.full(count, first)
-    used, history = count, [(count, float(values.min()))]
     for _ in range(steps):
         active = np.flatnonzero(radius >= last)
         if not len(active):
@@ -122,10 +113,8 @@ def descend(
                 points[j], parts[j], values[j] = stencil[n, at], around[n, at], near[at]
             else:
                 radius[j] *= 0.5
-        used += stencil.shape[0] * 2 * width + len(active)
-        history.append((used, float(values.min())))
         advance()
-    return Descended(points, values, history)
+    return Descended(points, values)
 
 
 @cache

@@ -67,19 +67,10 @@ class OptimiseStiffnessOptions(GaitOptions):
     between: tuple[float, float] | None = option(
         None, metavar="LOW,HIGH", help="Where it is searched; default the coefficient's bounds."
     )
-    objective: Literal["speed", "cost-of-transport", "effort"] = option(
+    objective: Literal["speed", "cost-of-transport"] = option(
         "speed",
         help="speed: mean speed from rest against the range of the turning rate (T-Fish, Eq 12). "
-        "cost-of-transport, or effort (power): against mean speed.",
-    )
-    reach_speed_m_s: float | None = option(
-        None, gt=0, help="effort: the least power among stiffnesses that reach this speed."
-    )
-    pick: Literal["best", "knee"] = option(
-        "best", help="Of each front, the point best in the objective, or nearest to the best of both."
-    )
-    reference: float | None = option(
-        None, help="Stiffness the gain is told against; default the parameters' own value."
+        "cost-of-transport: against mean speed.",
     )
     population: int = option(24, ge=4, help="NSGA-II: population size.")
     generations: int = option(12, ge=1, help="NSGA-II: number of generations.")
@@ -90,7 +81,6 @@ class OptimiseStiffnessOptions(GaitOptions):
     header: Path | None = option(
         None, written=True, recorded=False, help="C header of the rule to write (.h)."
     )
-    table: Path | None = option(None, written=True, recorded=False, help="Table of the rule to write (.csv).")
 
 
 Goal = Literal["speed", "radius", "turn-rate", "cost-of-transport", "power"]
