@@ -3,6 +3,6 @@
 ``trials`` gives records on one time grid, ``own_rate`` brings a log to the rate of its measurements,
 ``difference`` is the equation and its free run, ``model`` the same behind the model interface. ``arx``
 regresses, ``armax`` searches the noise polynomial, ``recursive`` is recursive least squares, ``order``
-chooses orders, ``working_point`` decides on means. ``prediction`` predicts and judges; ``rwls`` is the
-command, with ``options``, the ``identified`` model, its ``evidence`` and ``figures``.
+chooses orders, ``working_point`` decides on means, ``prediction`` predicts and judges. ``identified`` puts
+these together; ``rwls`` is the command, with ``options`` and ``evidence``.
 """

@@ -1,24 +1,29 @@
-"""A model that was identified, with all that its result needs."""
+"""Identification of an ARX or ARMAX model: orders, working point, estimate and errors."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from swimid.blackbox.arx import ArxEstimate
-from swimid.blackbox.difference import Pole, Record
+from swimid.blackbox import difference, order, prediction, working_point
+from swimid.blackbox.arx import ArxEstimate, estimate, regression
+from swimid.blackbox.difference import Orders, Pole, Record
 from swimid.blackbox.options import RwlsOptions
 from swimid.blackbox.order import Candidate
 from swimid.blackbox.prediction import Scores
 from swimid.blackbox.trials import Data
 from swimid.blackbox.working_point import WorkingPoint
 from swimid.fitting import residual_tests as rt
+from swimid.notices import warn
+from swimid.progress import Progress
 
 #: Ratio of the free-run error on held-out data to that on the fitted data above which SWM015 is raised.
 WORSE = 2.0
+#: Number of rows at which the parameters of the recursion are kept.
+KEPT = 1000
 
 
 @dataclass(frozen=True)
@@ -63,18 +68,78 @@ class Identified:
         return rt.independence(residuals, source, lags=lags, first=self.estimate.orders.nk)
 
     @property
-    def diverged(self) -> bool:
-        """Whether a free run diverges on any of the data."""
-        return any(s.diverged for s in (self.fit_scores, *self.scores.values()))
-
-    @property
     def worse(self) -> list[str]:
         """Names of the held-out data with a free-run error more than :data:`WORSE` times that of the fit."""
         limit = WORSE * self.fit_scores.free_run.rmse
         return [name for name, s in self.scores.items() if s.free_run.rmse > limit]
 
     @property
+    def deciding(self) -> Pole | None:
+        """The pole that decides on the stability: the largest unstable one, else the largest integrator."""
+        ranked = [p for state in ("unstable", "integrating") for p in self.poles if p.state == state]
+        return next(iter([*ranked, *self.poles]), None)
+
+    @property
     def stability(self) -> str:
         """``stable``, ``integrating`` or ``unstable``."""
-        states = {p.state for p in self.poles}
-        return next((state for state in ("unstable", "integrating") if state in states), "stable")
+        return self.deciding.state if self.deciding else "stable"
+
+
+def identify(data: Data, options: RwlsOptions, progress: Progress) -> Identified:
+    """Choose the orders where they are not given, fit the model, and compute its errors.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        As of :func:`swimid.blackbox.arx.estimate`, or when no model of the grid has a finite free run.
+    """
+    orders = Orders(options.na or 0, options.nb or 1, options.nk, options.nc)
+    candidates: list[Candidate] = []
+    if options.order == "auto":
+        candidates = _search(data, options, progress)
+        orders = replace(order.best(candidates, options.criterion).orders, nc=options.nc)
+    point = working_point.centre(data.fit, orders, options.centre)
+    fit = working_point.shifted(data.fit, point)
+    fitted = estimate(
+        fit,
+        orders,
+        weight=options.weight,
+        forgetting=options.forgetting,
+        prior_scale=options.prior_scale,
+        stride=max(1, -(-len(regression(fit, orders)) // KEPT)),
+    )
+    a, _, _ = orders.split(fitted.theta)
+    poles = difference.poles(a, fitted.covariance[: orders.na, : orders.na], data.sample_time_s)
+    held, scores = {}, {}
+    for name, part in data.held_out.items():
+        held[name], scores[name] = prediction.held_out_scores(
+            working_point.shifted(part, point), fitted, poles, options.horizon, own_level=point.removed
+        )
+    fit_scores = prediction.scores(fit, fitted, poles, options.horizon)
+    return Identified(options, data, point, fit, held, fitted, poles, fit_scores, scores, candidates)
+
+
+def _search(data: Data, options: RwlsOptions, progress: Progress) -> list[Candidate]:
+    """Fit every order of the grid; warn where the best one lies at its edge or uses the held-out data up."""
+    widest = Orders(options.max_na, options.max_nb, options.max_nk)
+    point = working_point.centre(data.fit, replace(widest, nk=1), options.centre)
+    fit = working_point.shifted(data.fit, point)
+    held = [working_point.shifted(part, point) for part in data.held_out.values()]
+    candidates = order.search(fit, held, widest, level_removed=point.removed, progress=progress)
+    best = order.best(candidates, options.criterion).orders
+    # nk = 0 is no edge: none is less
+    edge = [name for name in ("na", "nb", "nk") if getattr(best, name) == getattr(widest, name)]
+    if edge:
+        flags = ", ".join(f"--max-{name}" for name in edge)
+        warn(
+            "SWM023",
+            f"the order chosen ({best}) is the largest tried in {', '.join(edge)} (tried: na 0 to "
+            f"{widest.na}, nb 1 to {widest.nb}, nk 0 to {widest.nk}): widen the grid with {flags}",
+        )
+    if options.criterion == "free-run" and held:
+        warn(
+            "SWM023",
+            "the order was chosen on the held-out data, which therefore no longer judge the model "
+            "independently",
+        )
+    return candidates

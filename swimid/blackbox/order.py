@@ -1,10 +1,10 @@
-"""Choosing the orders of an ARX model: information criteria and free-run error over a grid."""
+"""The search for the orders of an ARX model: information criteria and free-run error over a grid."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from itertools import product
 
 import numpy as np
 
@@ -22,8 +22,6 @@ class Candidate:
 
     Attributes
     ----------
-    one_step_rmse : float
-        On the rows all candidates share, unit of the output.
     aic, bic : float
         Akaike's and the Bayesian information criterion.
     free_run_fit : float
@@ -31,38 +29,25 @@ class Candidate:
     """
 
     orders: Orders
-    one_step_rmse: float
     aic: float
     bic: float
     free_run_fit: float
     stable: bool
 
-    def as_dict(self) -> dict[str, Any]:
-        """For the result as data."""
-        return {
-            **{name: getattr(self.orders, name) for name in ("na", "nb", "nk")},
-            "aic": float(self.aic),
-            "bic": float(self.bic),
-            "free_run_fit_percent": float(self.free_run_fit),
-            "stable": self.stable,
-        }
-
     def score(self, criterion: str) -> float:
-        """What ``criterion`` ("bic", "aic" or "free-run") minimises."""
+        """Return what ``criterion`` ("bic", "aic" or "free-run") minimises."""
         return {"bic": self.bic, "aic": self.aic, "free-run": -self.free_run_fit}[criterion]
 
 
 def search(
     records: Sequence[Record],
     held_out: Sequence[Sequence[Record]],
+    widest: Orders,
     *,
-    max_na: int,
-    max_nb: int,
-    max_nk: int,
     level_removed: bool = False,
     progress: Progress = silent,
 ) -> list[Candidate]:
-    """Every ARX model with na <= max_na, 1 <= nb <= max_nb, 0 <= nk <= max_nk.
+    """Return every ARX model with na and nk from 0, and nb from 1, to those of ``widest``.
 
     Parameters
     ----------
@@ -70,6 +55,7 @@ def search(
         The fit part.
     held_out : sequence of sequence of Record
         Sets on which the free run is judged; the fit part when empty.
+    widest : Orders
     level_removed : bool
         Judge the free run about each set's own level.
 
@@ -79,49 +65,37 @@ def search(
     that their criteria can be compared. One QR factor of the widest regression serves them all.
     ``aic = n ln(RSS / n) + 2 p``, ``bic = n ln(RSS / n) + p ln n``.
     """
-    widest = Orders(max_na, max_nk + max_nb, 0)
-    data = regression(records, widest)
-    check_enough(data, widest)
+    all_lags = Orders(widest.na, widest.nk + widest.nb, 0)
+    data = regression(records, all_lags)
+    check_enough(data, all_lags)
     n = len(data)
     factor: np.ndarray = np.asarray(np.linalg.qr(np.column_stack((data.rows, data.outputs)), mode="r"))
-    floor = n * (EXACT * float(np.std(data.outputs))) ** 2
+    # Below rounding all fits are equal; without a floor noise-free data would reward ever more parameters.
+    floor = max(n * (EXACT * float(np.std(data.outputs))) ** 2, float(np.finfo(float).tiny))
     judged = [list(part) for part in held_out if part] or [list(records)]
-    grid = [
-        Orders(na, nb, nk)
-        for na in range(max_na + 1)
-        for nb in range(1, max_nb + 1)
-        for nk in range(max_nk + 1)
-    ]
+    grid = list(product(range(widest.na + 1), range(1, widest.nb + 1), range(widest.nk + 1)))
     candidates = []
     with progress("trying orders", total=len(grid)) as step:
-        for orders in grid:
-            chosen = [*range(orders.na), *range(max_na + orders.nk, max_na + orders.nk + orders.nb)]
+        for na, nb, nk in grid:
+            orders = Orders(na, nb, nk)
+            chosen = [*range(na), *range(widest.na + nk, widest.na + nk + nb)]
             theta = np.linalg.lstsq(factor[:, chosen], factor[:, -1], rcond=None)[0]
             rss = float(np.sum((factor[:, -1] - factor[:, chosen] @ theta) ** 2))
-            # Below rounding all fits are equal; without a floor noise-free data would
-            # reward ever more parameters.
-            fitted = n * np.log(max(rss, floor, np.finfo(float).tiny) / n)
+            fitted = n * float(np.log(max(rss, floor) / n))
             parts = [about_own_level(r, orders, theta)[0] if level_removed else r for r in judged]
             measured, run = simulate_all([r for part in parts for r in part], orders, theta)
             error = score(measured, run)
             complete = error.samples > 0.5 * np.count_nonzero(np.isfinite(measured))
-            roots = np.roots(np.concatenate(([1.0], theta[: orders.na])))
-            candidates.append(
-                Candidate(
-                    orders,
-                    float(np.sqrt(rss / n)),
-                    fitted + 2 * orders.count,
-                    fitted + np.log(n) * orders.count,
-                    error.fit_percent if complete and np.isfinite(error.fit_percent) else -np.inf,
-                    bool(np.all(np.abs(roots) < 1)),
-                )
-            )
+            gained = error.fit_percent if complete and np.isfinite(error.fit_percent) else -np.inf
+            stable = bool(np.all(np.abs(np.roots([1.0, *theta[:na]])) < 1))
+            aic, bic = fitted + 2 * orders.count, fitted + float(np.log(n)) * orders.count
+            candidates.append(Candidate(orders, aic, bic, gained, stable))
             step()
     return candidates
 
 
 def best(candidates: Sequence[Candidate], criterion: str) -> Candidate:
-    """The candidate of least score; of equals, the one with fewest parameters.
+    """Return the candidate of least score; of equals, the one with fewest parameters.
 
     Raises
     ------
@@ -132,9 +106,3 @@ def best(candidates: Sequence[Candidate], criterion: str) -> Candidate:
     if not finite:
         raise NoTrustworthyResult("no model of the order grid has a free run that stays finite")
     return min(finite, key=lambda c: (c.score(criterion), c.orders.count, c.orders.nk))
-
-
-def on_edge(chosen: Orders, *, max_na: int, max_nb: int, max_nk: int) -> list[str]:
-    """Names of the orders that sit at the largest value of the grid (nk = 0 is no edge: none is less)."""
-    limits = {"na": max_na, "nb": max_nb, "nk": max_nk}
-    return [name for name, limit in limits.items() if getattr(chosen, name) == limit]
