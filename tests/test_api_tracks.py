@@ -271,7 +271,6 @@ def test_an_import_in_memory_is_the_import_on_disk(
     assert made.outputs == ()
     assert made.data == ran.json["result"]
     saved_alike(made, path, tmp_path / "saved")
-    # in its evidence the log has the file's name, and that of the source until there is a file
     here = tmp_path / "polled.csv"
     swimid("import", source, "--map", rules, *options, "-o", here)
     same(made, here)
