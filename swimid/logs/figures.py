@@ -40,8 +40,7 @@ def figures(logs: Sequence[Log], *, found: Rhythm | None = None) -> list[Figure]
     """
     drawn = [channels(logs), track(logs)]
     for record in logs:
-        stroke = found if found is not None else rhythm.find(record.time_s, _signals(record))
-        drawn.append(_spectra(record, stroke))
+        drawn.append(_spectra(record, found or rhythm.find(record.time_s, _signals(record))))
     return [figure for figure in drawn if figure is not None and figure.panels]
 
 
@@ -81,38 +80,29 @@ def channels(logs: Sequence[Log]) -> Figure:
         traces, gaps = [], []
         for number, record, values in by_channel[channel]:
             x, y = thinned(*_broken(record.time_s, values, after[number]))
-            label, group = (names[number], number) if several else ("", None)
+            label, group, lacking = ("", None, "missing")
+            if several:
+                label, group, lacking = names[number], number, f"missing in {names[number]}"
             traces.append(Trace(x=x, y=y, label=label, group=group))
-            label = f"missing in {names[number]}" if several else "missing"
-            gaps += [
-                Span(start=a, end=b, label=label) for a, b in missing(record.time_s, values, after[number])
-            ]
+            ends = missing(record.time_s, values, after[number])
+            gaps += [Span(start=start, end=end, label=lacking) for start, end in ends]
         longest = sorted(gaps, key=lambda gap: gap.start - gap.end)[:MAX_SPANS]
         title, spans = numbers.column_title(channel), sorted(longest, key=lambda gap: gap.start)
         panels.append(Panel(x_label="time (s)", y_label=title, traces=traces, spans=spans))
-    title, further = "Channels over time", len(order) - MAX_PANELS
-    remarks = [
-        "Each channel over time; shaded where samples are missing. Good: smooth curves without jumps, "
-        "and gaps that are few and short."
-    ]
+    title, caption = "Channels over time", "Samples are missing where it is shaded."
     if several:
-        shared = sum(len(found) > 1 for found in by_channel.values())
-        title = "Channels over each other" if shared else "Channels of each log"
-        remarks = [
-            "The logs over each other, each on its own clock. Good: curves that lie on each other; a "
-            "constant shift along the axis is an offset between the clocks.",
-            f"{shared} channels are in more than one log."
-            if shared
-            else "The logs have no channel in common.",
-        ]
+        title = "Channels of several logs"
+        caption += (
+            " Each log is on its own clock: a constant shift along the axis is an offset of the clocks."
+        )
     for record in logs:
         if len(record) > MAX_POINTS:
-            samples = f"{len(record)} samples"
-            warn("SWM051", f"{record.path.name}: {samples} drawn as their envelope of {MAX_POINTS} points")
-            remarks.append(f"{samples} are drawn as their envelope of at most {MAX_POINTS} points.")
-    if further > 0:
-        remarks.append(f"{further} further channels are {'not drawn' if several else 'in the table only'}.")
-    return Figure(id="channels", title=title, caption=" ".join(remarks), panels=panels)
+            text = f"{len(record)} samples drawn as their envelope of {MAX_POINTS} points"
+            warn("SWM051", f"{record.path.name}: {text}")
+            caption += f" The {text.replace('drawn', 'are drawn')}."
+    if len(order) > MAX_PANELS:
+        caption += f" {len(order) - MAX_PANELS} further channels are not drawn."
+    return Figure(id="channels", title=title, caption=caption, panels=panels)
 
 
 def _names(logs: Sequence[Log]) -> list[str]:
@@ -143,12 +133,8 @@ def track(logs: Sequence[Log]) -> Figure | None:
             traces.append(_arrows(x, y, record[heading], f"heading, {name}" if several else "heading"))
     if not traces:
         return None
-    caption = (
-        "The path to scale, arrows along the heading. Good: one continuous line inside the pool, the "
-        "arrows along it; a constant angle between them is a heading offset or drift by a current."
-    )
     title = "Path from above" if across == "y_m" else "Path from the side"
-    y_label = numbers.column_title(across)
+    caption, y_label = "The path to scale, with arrows along the heading.", numbers.column_title(across)
     return blocks.figure("path", title, caption, "x (m)", y_label, traces, equal_aspect=True)
 
 
@@ -166,31 +152,28 @@ def _arrows(x: Array, y: Array, angle: Array, label: str) -> Trace:
     return Trace(x=sides[0], y=sides[1], label=label, style="arrows")
 
 
-def _spectra(record: Log, stroke: Rhythm | None) -> Figure | None:
-    """Amplitude spectra of the channels that tell of the stroke, the stroke and its harmonics marked."""
+def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
+    """Return amplitude spectra of the channels that tell of the stroke, with marks at its harmonics."""
     told = (rhythm.SIDEWAYS, rhythm.PUSHED)
     signals = {n: v for n, v in _signals(record).items() if any(names.fullmatch(n) for names in told)}
-    found = "No stroke was found."
+    caption, beats = "No stroke was found.", []
     if stroke is not None:
         signals = dict(sorted(signals.items(), key=lambda item: item[0] not in stroke.channels))
         track = rhythm.swing(record.columns)
         if stroke.channel in track:
             signals = {f"{stroke.channel}_m": track[stroke.channel], **signals}
         frequency = numbers.measured(stroke.beat.frequency_hz, stroke.beat.stderr_hz, "Hz")
-        found = f"The stroke found in {stroke.channel} is {frequency}."
+        caption, beats = f"The stroke in {stroke.channel} is {frequency}.", [1, 2, 3]
     panels = []
     for name in list(signals)[:MAX_SPECTRA]:
         drawn = _spectrum(record.time_s, signals[name], stroke)
         if drawn is None:
             continue
         marks = []
-        if stroke is not None:
-            beats = {k: k * stroke.beat.frequency_hz for k in (1, 2, 3)}
-            marks = [
-                Mark(at=beat, axis="x", label="stroke" if k == 1 else "2 ×, 3 ×")
-                for k, beat in beats.items()
-                if k == 1 or beat <= drawn[0][-1]
-            ]
+        for k in beats if stroke else []:
+            if k == 1 or k * stroke.beat.frequency_hz <= drawn[0][-1]:
+                label = "stroke" if k == 1 else "2 ×, 3 ×"
+                marks.append(Mark(at=k * stroke.beat.frequency_hz, axis="x", label=label))
         trace, y_label = Trace(x=drawn[0], y=drawn[1]), f"amplitude of {numbers.column_title(name)}"
         panels.append(
             Panel(x_label="frequency (Hz)", y_label=y_label, traces=[trace], y_scale="log", marks=marks)
@@ -198,8 +181,7 @@ def _spectra(record: Log, stroke: Rhythm | None) -> Figure | None:
     return Figure(
         id=f"spectra-{record.path.stem}",
         title=f"Spectra of {record.path.name}",
-        caption=f"{found} Amplitude spectra (Hann window) of the longest stretch without a gap. Good: a "
-        "peak at the stroke in the channels that swing sideways, at twice of it in surge.",
+        caption=f"{caption} Amplitudes (Hann window) of the longest stretch without a gap.",
         panels=panels,
         columns=2 if len(panels) > 1 else 1,
     )

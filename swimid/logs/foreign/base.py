@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +23,7 @@ from swimid.logs import log
 #: Where a user names the topic, and the struct or group, in the words before its name.
 TOPIC = "--select NAME, or reader: {topic: NAME} in a mapping, with"
 DATASET = "reader: {dataset: NAME} in a mapping, with"
+T = TypeVar("T")
 #: Maximum number of elements of a list that become columns.
 MAX_ELEMENTS = 100
 
@@ -132,6 +135,14 @@ class Reader:
     open: Callable[[Path, Options], Table]
     magic: tuple[bytes, ...] = ()
     extra: str = ""
+
+
+def discovered(package: str, kind: type[T]) -> dict[str, T]:
+    """Return every object of a class in the modules of a package, by its ``name``."""
+    entries = pkgutil.iter_modules(importlib.import_module(package).__path__)
+    modules = [importlib.import_module(f"{package}.{entry.name}") for entry in entries]
+    objects: list[Any] = [value for module in modules for value in vars(module).values()]
+    return {one.name: one for one in objects if isinstance(one, kind)}
 
 
 def is_text(values: NDArray[Any]) -> bool:

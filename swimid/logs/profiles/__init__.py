@@ -1,4 +1,4 @@
-"""Profiles of known formats: one module per format, found by itself.
+"""Profiles of known formats: every profile in a module here is found by itself.
 
 A profile recognises its files by a fingerprint. It returns a table whose columns are named as in the log
 format, in SI: it knows the units, axes and conventions of its format, or reads them in the file.
@@ -6,12 +6,11 @@ format, in SI: it knows the units, axes and conventions of its format, or reads 
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from functools import cache
 from pathlib import Path
 
 from swimid.errors import InputError, suggestion
+from swimid.logs.foreign.base import discovered
 from swimid.logs.profiles.base import Peek, Profile
 
 __all__ = ["Profile", "find", "known"]
@@ -20,12 +19,7 @@ __all__ = ["Profile", "find", "known"]
 @cache
 def known() -> dict[str, Profile]:
     """Return every profile by its name."""
-    found: dict[str, Profile] = {}
-    for entry in pkgutil.iter_modules(__path__):
-        profile = getattr(importlib.import_module(f"{__name__}.{entry.name}"), "PROFILE", None)
-        if isinstance(profile, Profile):
-            found[profile.name] = profile
-    return found
+    return discovered(__name__, Profile)
 
 
 def find(path: Path, name: str | None = None) -> Profile | None:
