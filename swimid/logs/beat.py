@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,7 +65,8 @@ class Beat:
     share : float
         Part of the variance about the drift that the fundamental explains.
     cycles : float
-        How many the record holds.
+        How many the record holds. Below :data:`FEWEST_CYCLES` the frequency is approximate, and its standard
+        error and share are not known (NaN).
     """
 
     frequency_hz: float
@@ -78,6 +80,10 @@ class Beat:
         """95 % interval (Student's t over the cycles), Hz."""
         half = float(stats.t.ppf(0.975, max(self.cycles - WINDOW - 1.0, 1.0))) * self.stderr_hz
         return self.frequency_hz - half, self.frequency_hz + half
+
+    def may_cause(self, frequency_hz: float) -> bool:
+        """Return whether a beat at this frequency may be a harmonic of this motion."""
+        return frequency_hz < (HARMONICS + 0.5) * self.frequency_hz
 
 
 #: A beat frequency this far from the stated one, as a share of it, contradicts it.
@@ -179,12 +185,8 @@ def find_beats(
         jumps = np.count_nonzero(np.diff(x))
         sure = [beat for beat in sure if 2.0 * beat.cycles <= jumps + 1.0]
     if slow is not None:
-        fastest = slow.amplitude * slow.frequency_hz
-        sure = [
-            beat
-            for beat in sure
-            if beat.amplitude * beat.frequency_hz > fastest or not slow.may_cause(beat.frequency_hz)
-        ]
+        fastest, harmonics = slow.amplitude * slow.frequency_hz, slow.may_cause
+        sure = [b for b in sure if b.amplitude * b.frequency_hz > fastest or not harmonics(b.frequency_hz)]
     large = [beat for beat in sure if beat.share >= MIN_SHARE]
     if not large:
         return []
@@ -206,30 +208,7 @@ def find_beats(
     return [first, *sorted(others, key=lambda beat: -beat.amplitude)]
 
 
-@dataclass(frozen=True)
-class SlowMotion:
-    """A periodic motion of too few cycles for a beat.
-
-    Attributes
-    ----------
-    frequency_hz : float
-        Approximate frequency.
-    amplitude : float
-        Amplitude in the channel's unit.
-    cycles : float
-        Number of cycles in the record, below :data:`FEWEST_CYCLES`.
-    """
-
-    frequency_hz: float
-    amplitude: float
-    cycles: float
-
-    def may_cause(self, frequency_hz: float) -> bool:
-        """Return whether a beat at this frequency may be a harmonic of the slow motion."""
-        return frequency_hz < (HARMONICS + 0.5) * self.frequency_hz
-
-
-def find_slow_motion(time_s: Array, values: Array) -> SlowMotion | None:
+def find_slow_motion(time_s: Array, values: Array) -> Beat | None:
     """Return the strongest motion of a channel if it is periodic and has too few cycles for a beat.
 
     Parameters
@@ -253,11 +232,11 @@ def find_slow_motion(time_s: Array, values: Array) -> SlowMotion | None:
     parabola, quintic = (np.linalg.qr(powers[:, :k])[0] for k in (3, 6))
     x = x - parabola @ (parabola.T @ x)
     cycles = np.arange(1.0, 1.5 * FEWEST_CYCLES, 0.1)
-    waves = np.exp(2j * np.pi * cycles[:, None] * (t - t[0]) / duration)
-    waves = np.stack([waves.real, waves.imag], axis=-1)
-    waves -= parabola @ (parabola.T @ waves)
-    normal = waves.transpose(0, 2, 1) @ waves
-    right = waves.transpose(0, 2, 1) @ x
+    turns = np.exp(2j * np.pi * cycles[:, None] * (t - t[0]) / duration)
+    sines = np.stack([turns.real, turns.imag], axis=-1)
+    sines -= parabola @ (parabola.T @ sines)
+    normal = sines.transpose(0, 2, 1) @ sines
+    right = sines.transpose(0, 2, 1) @ x
     weights = np.linalg.solve(normal, right[..., None])[..., 0]
     explained = np.sum(right * weights, axis=1)
     best = int(np.argmax(explained))
@@ -265,7 +244,14 @@ def find_slow_motion(time_s: Array, values: Array) -> SlowMotion | None:
     periodic = float(x @ x) - explained[best] < PERIODIC * drift
     if best == 0 or cycles[best] >= FEWEST_CYCLES or not periodic:
         return None
-    return SlowMotion(cycles[best] / duration, float(np.hypot(*weights[best])), float(cycles[best]))
+    amplitude = float(np.hypot(*weights[best]))
+    return Beat(cycles[best] / duration, np.nan, amplitude, np.nan, float(cycles[best]))
+
+
+def waves(t: Array, frequency_hz: float, harmonics: Iterable[int] = (1,)) -> Array:
+    """Return cosine and sine of each harmonic of a frequency, shape (n, 2 k), at times in s, shape (n,)."""
+    turn = 2 * np.pi * frequency_hz * t
+    return np.column_stack([wave(k * turn) for k in harmonics for wave in (np.cos, np.sin)])
 
 
 def multiple(beat: Beat, of: Beat, resolution_hz: float = 0.0) -> int:
@@ -393,8 +379,7 @@ def _no_line(t: Array, x: Array, frequency: float) -> float:
     known = t[after] - t[after - 1] <= 0.25 / frequency
     if known.mean() < KNOWN:
         return 1.0
-    turn = 2 * np.pi * frequency * even
-    design = np.column_stack([u**k for k in range(DRIFT + 1)] + [np.cos(turn), np.sin(turn)])
+    design = np.column_stack((np.vander(u, DRIFT + 1), waves(even, frequency)))
     weights = np.linalg.lstsq(design[known], values[known], rcond=None)[0]
     values = np.where(known, values, design @ weights)
     values = values - np.polyval(np.polyfit(u, values, DRIFT), u)

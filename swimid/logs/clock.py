@@ -197,12 +197,9 @@ def _parsed(
     else:
         if plain.str.match(_DATE).mean() > 0.5:
             if time.day_first is None:
-                raise InputError(
-                    f"'{cells[cells.notna()].iloc[0]}' may have the day or the month first",
-                    file=path,
-                    column=names[0],
-                    hint="add 'day_first: true' (or false) to 'time:' of the mapping",
-                )
+                text = f"'{cells[cells.notna()].iloc[0]}' may have the day or the month first"
+                hint = "add 'day_first: true' (or false) to 'time:' of the mapping"
+                raise InputError(text, file=path, column=names[0], hint=hint)
             iso = r"\3-\2-\1 " if time.day_first else r"\3-\1-\2 "
             plain = plain.str.replace(_DATE, iso, regex=True).str.strip()
         stamps = pd.to_datetime(plain, errors="coerce", format="ISO8601", utc=True)

@@ -156,24 +156,26 @@ def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
     """Return amplitude spectra of the channels that tell of the stroke, with marks at its harmonics."""
     told = (rhythm.SIDEWAYS, rhythm.PUSHED)
     signals = {n: v for n, v in _signals(record).items() if any(names.fullmatch(n) for names in told)}
-    caption, beats = "No stroke was found.", []
+    caption = "No stroke was found."
+    beats: list[tuple[str, float]] = []
     if stroke is not None:
         signals = dict(sorted(signals.items(), key=lambda item: item[0] not in stroke.channels))
         track = rhythm.swing(record.columns)
         if stroke.channel in track:
             signals = {f"{stroke.channel}_m": track[stroke.channel], **signals}
         frequency = numbers.measured(stroke.beat.frequency_hz, stroke.beat.stderr_hz, "Hz")
-        caption, beats = f"The stroke in {stroke.channel} is {frequency}.", [1, 2, 3]
+        caption = f"The stroke in {stroke.channel} is {frequency}."
+        labels = ("stroke", "2 ×, 3 ×", "2 ×, 3 ×")
+        beats = [(label, k * stroke.beat.frequency_hz) for k, label in enumerate(labels, start=1)]
     panels = []
     for name in list(signals)[:MAX_SPECTRA]:
         drawn = _spectrum(record.time_s, signals[name], stroke)
         if drawn is None:
             continue
         marks = []
-        for k in beats if stroke else []:
-            if k == 1 or k * stroke.beat.frequency_hz <= drawn[0][-1]:
-                label = "stroke" if k == 1 else "2 ×, 3 ×"
-                marks.append(Mark(at=k * stroke.beat.frequency_hz, axis="x", label=label))
+        for label, beat_hz in beats:
+            if label == "stroke" or beat_hz <= drawn[0][-1]:
+                marks.append(Mark(at=beat_hz, axis="x", label=label))
         trace, y_label = Trace(x=drawn[0], y=drawn[1]), f"amplitude of {numbers.column_title(name)}"
         panels.append(
             Panel(x_label="frequency (Hz)", y_label=y_label, traces=[trace], y_scale="log", marks=marks)

@@ -14,7 +14,7 @@ import numpy as np
 from swimid.errors import InputError
 from swimid.files import atomic, mark, yamlio
 from swimid.files.provenance import path_of
-from swimid.logs import clock, instances, log, mapping, profiles, units
+from swimid.logs import clock, log, mapping, profiles, units
 from swimid.logs.clock import ASK
 from swimid.logs.foreign import open_table
 from swimid.logs.foreign.base import Table, is_text
@@ -165,7 +165,7 @@ def _of_names(name: str, table: Table) -> list[str]:
         taken = {str(key) for key in stated.sources}
         with contextlib.suppress(InputError):
             seconds = clock.seconds(table, stated, usual, Path(name), {})
-            by, there = instances.find_mixed(Table(columns), seconds, np.ones(usual, dtype=bool), taken)
+            by, there = mapping.find_mixed(Table(columns), seconds, np.ones(usual, dtype=bool), taken)
             if there:
                 lines.append(_line("where", {_written("", by): ASK}, ", ".join(there)))
                 taken.add(by)

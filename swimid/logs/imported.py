@@ -63,9 +63,9 @@ def _tested(
 def _row_checks(found: Examined) -> list[Check]:
     mapped, order, n = found.mapped, found.order, len(found.mapped)
     odd, dropped = sum(order.counts.values()), order.untimed + order.clashing
-    remarks = "; ".join([f"rows {order.summary}"] * bool(odd) + found.notes)
-    why = f"{dropped} of {n} rows have no time of their own: is the time complete?"
-    kept = dropped <= MAX_DROPPED * n
+    remarks = "; ".join([f"rows {order.summary}"] * bool(odd) + found.mapped.notes)
+    if dropped > MAX_DROPPED * n:
+        remarks = f"{dropped} of {n} rows have no time of their own: is the time complete?"
     names = ", ".join(mapped.unknown)
     open_ = f"nothing states the quantity of {names}: map it to a name with a unit, or to unit: '1'"
     disagree = "; ".join(f"{one.column} {one.text} (against {one.against})" for one in found.contradictions)
@@ -75,8 +75,14 @@ def _row_checks(found: Examined) -> list[Check]:
     doubts = "; ".join(f"{doubt.column} {doubt.text}" for doubt in found.doubts)
     beyond = f"{len({doubt.column for doubt in found.doubts})} columns beyond"
     checks = [
-        _tested("Rows in order", f"{odd} of {n} odd", not remarks, "none", remarks),
-        _tested("Rows dropped", f"{dropped} of {n}", kept, f"≤ {100 * MAX_DROPPED:g} %", why, "fail"),
+        _tested(
+            "Rows in order",
+            f"{odd} of {n} odd",
+            not remarks,
+            "none",
+            remarks,
+            _grade(dropped > MAX_DROPPED * n),
+        ),
         _tested("Quantity of every column", names or "known", not names, "known", open_, "fail"),
         _tested(
             "Columns agree", f"{len(found.contradictions)} do not", not disagree, "all", disagree, "fail"
@@ -227,20 +233,18 @@ def _methods(found: Examined) -> list[str]:
     sentences = []
     if found.cleaned:
         sentences.append(
-            "Repeated samples of the camera were collapsed; jumps were told by a Hampel identifier on the "
-            "steps of the track and left out; gaps were not bridged."
+            "Repeated samples of the camera and jumps, found by a Hampel identifier on the steps of the "
+            "track, were left out; gaps were not bridged."
         )
     if found.speed is not None:
         sentences.append(
-            "The mean speed was taken along cubic smoothing splines through each stretch without a gap, "
-            "their smoothness chosen by cross-validation, corrected for the noise by a parametric bootstrap; "
-            "its interval is that of the means of blocks."
+            "The mean speed was taken along cubic smoothing splines, their smoothness chosen by "
+            "cross-validation, and corrected for the noise by a parametric bootstrap."
         )
     if found.stroke is not None:
         sentences.append(
             "The stroke frequency is the slope of the phases of a sine fitted in windows of two cycles "
-            "beside a cubic drift, by generalised least squares; a beat counts where the coherence of "
-            "windows that do not overlap exceeds what noise of any colour has once in a hundred records."
+            "beside a cubic drift, by generalised least squares."
         )
     return sentences
 
@@ -257,7 +261,7 @@ def data(found: Examined, proof: Evidence) -> dict[str, Any]:
         "columns": list(found.columns),
         "missing": {n: int(np.isnan(v).sum()) for n, v in found.columns.items() if n != log.TIME},
         "rows": found.order.counts,
-        "notes": found.notes,
+        "notes": found.mapped.notes,
         "profile": found.mapped.profile,
         "unlikely": found.mapped.unlikely,
         "contradictions": [asdict(one) for one in found.contradictions],

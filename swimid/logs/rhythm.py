@@ -16,11 +16,11 @@ from swimid.logs.beat import (
     MIN_SHARE,
     TOLERANCE,
     Beat,
-    SlowMotion,
     demodulate,
     find_beats,
     find_slow_motion,
     multiple,
+    waves,
 )
 from swimid.logs.sampling import longest_even, quantum
 
@@ -295,12 +295,10 @@ def _is_lap(time_s: Array, columns: Mapping[str, Array], frequency_hz: float) ->
         return False
     there = np.isfinite(place).all(axis=1)
     x, y = (_phasors(time_s[there], values[there], frequency_hz) for values in place.T)
-    ways = (
-        sorted(float(np.mean(np.abs(x + turn * y) ** 2)) for turn in (1j, -1j))
-        if len(x) == len(y)
-        else [1, 1]
-    )
-    return bool(ways[0] < LAP**2 * ways[1])
+    if len(x) != len(y):
+        return False
+    less, more = sorted(float(np.mean(np.abs(x + turn * y) ** 2)) for turn in (1j, -1j))
+    return less < LAP**2 * more
 
 
 def _phasors(t: Array, x: Array, frequency_hz: float) -> NDArray[np.complex128]:
@@ -308,12 +306,9 @@ def _phasors(t: Array, x: Array, frequency_hz: float) -> NDArray[np.complex128]:
     windows = demodulate(t, x, frequency_hz)
     if windows is not None:
         return windows[1]
-    turn = 2.0 * np.pi * frequency_hz * t
-    design = np.column_stack(
-        [np.ones(len(t)), t - t.mean(), (t - t.mean()) ** 2, np.cos(turn), -np.sin(turn)]
-    )
+    design = np.column_stack((np.vander(t - t.mean(), 3), waves(t, frequency_hz)))
     weights = np.linalg.lstsq(design, x, rcond=None)[0]
-    return np.array([weights[3] + 1j * weights[4]])
+    return np.array([weights[3] - 1j * weights[4]])
 
 
 def _turns(angle: Array) -> float:
@@ -322,7 +317,7 @@ def _turns(angle: Array) -> float:
     return abs(float(known[-1] - known[0])) / (2 * np.pi) if len(known) else 0.0
 
 
-def slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, SlowMotion] | None:
+def slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat] | None:
     """Return the channel whose strongest motion has too few cycles for a stroke, and that motion.
 
     The drive decides where it is logged. Otherwise any channel that swings sideways does.
@@ -466,9 +461,8 @@ def _harmonics(time: Array, values: Array, frequency: float) -> list[Harmonic]:
     t, x = time[known] - time[known].mean(), values[known]
     nyquist = 0.5 / float(np.median(np.diff(time)))
     orders = [k for k in range(1, HARMONICS + 1) if k * frequency < 0.9 * nyquist]
-    drift = [(t / max(float(np.ptp(t)), 1e-300)) ** k for k in range(4)]
-    waves = [wave(2 * np.pi * k * frequency * t) for k in orders for wave in (np.cos, np.sin)]
-    matrix = np.column_stack(drift + waves)
+    drift = np.vander(t / max(float(np.ptp(t)), 1e-300), 4)
+    matrix = np.column_stack((drift, waves(t, frequency, orders)))
     weights = np.linalg.lstsq(matrix, x, rcond=None)[0]
     left = x - matrix @ weights
     stderr = float(np.sqrt(2 * left @ left / max(len(x) - len(weights), 1) / len(x)))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from swimid.logs import rhythm, track_speed
-from swimid.logs.beat import Beat
+from swimid.logs.beat import Beat, waves
 from swimid.logs.log import runs
 from swimid.logs.track_cleaning import Cleaning, gaps
 from swimid.logs.track_speed import Estimate, mean_of_blocks
@@ -436,8 +436,7 @@ def _amplitude(time: Array, values: Array, begin: float, end: float, frequency: 
         if rows.sum() < 8:
             continue
         t = time[rows] - start
-        turn = 2 * np.pi * frequency * t
-        design = np.column_stack([np.cos(turn), np.sin(turn), np.ones(len(t)), t - t.mean()])
+        design = np.column_stack((waves(t, frequency), np.ones(len(t)), t - t.mean()))
         weights, *_ = np.linalg.lstsq(design, values[rows], rcond=None)
         left = values[rows] - design @ weights
         sizes.append(float(np.hypot(weights[0], weights[1])))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import interpolate, stats
 
+from swimid.logs.beat import waves
 from swimid.logs.track_cleaning import Cleaning
 
 Array = NDArray[np.float64]
@@ -191,11 +192,10 @@ def _fit_path(
     u = (t - t[0]) / float(np.ptp(t))
     design = np.vander(u, order + 1, increasing=True)
     if frequency_hz is not None:
-        turn = 2.0 * np.pi * frequency_hz * (t - t[0])
-        waves = np.column_stack([wave(k * turn) for k in (1, 2) for wave in (np.cos, np.sin)])
+        swing = waves(t - t[0], frequency_hz, (1, 2))
+        design = np.column_stack((design, swing))
         if changes:
-            waves = np.column_stack([waves, (u - 0.5)[:, None] * waves[:, :2]])
-        design = np.column_stack([design, waves])
+            design = np.column_stack((design, (u - 0.5)[:, None] * swing[:, :2]))
     weights = np.linalg.lstsq(design, place, rcond=None)[0]
     left = place - design @ weights
     squares = np.maximum(np.sum(left**2, axis=0), 1e-300)

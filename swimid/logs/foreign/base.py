@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,6 @@ from swimid.logs import log
 #: Where a user names the topic, and the struct or group, in the words before its name.
 TOPIC = "--select NAME, or reader: {topic: NAME} in a mapping, with"
 DATASET = "reader: {dataset: NAME} in a mapping, with"
-T = TypeVar("T")
 #: Maximum number of elements of a list that become columns.
 MAX_ELEMENTS = 100
 
@@ -137,7 +136,7 @@ class Reader:
     extra: str = ""
 
 
-def discovered(package: str, kind: type[T]) -> dict[str, T]:
+def discovered(package: str, kind: type) -> dict[str, Any]:
     """Return every object of a class in the modules of a package, by its ``name``."""
     entries = pkgutil.iter_modules(importlib.import_module(package).__path__)
     modules = [importlib.import_module(f"{package}.{entry.name}") for entry in entries]

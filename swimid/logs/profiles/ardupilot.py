@@ -15,7 +15,7 @@ from swimid.errors import InputError
 from swimid.logs.foreign import open_table
 from swimid.logs.foreign.base import Table, is_text
 from swimid.logs.log import TIME
-from swimid.logs.profiles.base import Peek, Profile, axes, choose, renamed, rows
+from swimid.logs.profiles import Peek, Profile, axes, choose, renamed, rows
 from swimid.logs.rotation import from_frd, with_angles
 
 #: Columns of a log by the name of a field.

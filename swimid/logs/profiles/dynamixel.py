@@ -18,7 +18,7 @@ from swimid.logs import clock, units
 from swimid.logs.foreign import open_table
 from swimid.logs.foreign.base import Table, is_text
 from swimid.logs.log import TIME
-from swimid.logs.profiles.base import Peek, Profile
+from swimid.logs.profiles import Peek, Profile
 
 TICKS_PER_TURN, MIDDLE_TICK, REV_PER_MIN = 4096, 2048, 0.229
 _FIELD = re.compile(

@@ -17,7 +17,7 @@ import numpy as np
 from swimid.logs.foreign import open_table, recordings
 from swimid.logs.foreign.base import Options, Table
 from swimid.logs.log import TIME
-from swimid.logs.profiles.base import Peek, Profile, axes, choose, renamed, safe
+from swimid.logs.profiles import Peek, Profile, axes, choose, renamed, safe
 from swimid.logs.rotation import from_frd, with_angles
 
 
