@@ -26,9 +26,9 @@ REFERENCES = [
 HALF_PERCENT = 50.0
 
 
-def build(m: Identified, file: ParameterFile, *, notices: list[NoticeRecord]) -> Evidence:
+def build(m: Identified, file: ParameterFile, checks: list[Check], notices: list[NoticeRecord]) -> Evidence:
     """Assemble the evidence; a model is good only on held-out data."""
-    columns, checks = m.data.columns, _checks(m)
+    columns = m.data.columns
     least = min(s.free_run.fit_percent for s in _judged(m).values())
     where = "held-out" if m.scores else "fitted"
     answer = f"The free run does not reproduce the {where} output."
@@ -57,7 +57,8 @@ def _judged(m: Identified) -> dict[str, prediction.Scores]:
     return dict(m.scores) or {"the fitted part": m.fit_scores}
 
 
-def _checks(m: Identified) -> list[Check]:
+def tested(m: Identified) -> list[Check]:
+    """Return the checks of a model."""
     fitted, pole = m.estimate, m.deciding
     checks = [
         ev.check("Held-out data", str(len(m.scores)), bool(m.scores), "some", reason="no data were held out"),
@@ -101,7 +102,8 @@ def _checks(m: Identified) -> list[Check]:
     known = int(np.isfinite(fitted.stderr).sum())
     value = f"{known} of {fitted.orders.count}"
     why = f"the input excites {fitted.determined.input_rank} of the {fitted.orders.nb} coefficients of B"
-    reason = f"the data determine {value} coefficients"
+    lost = [n for n, ok in zip(fitted.orders.names, np.isfinite(fitted.stderr), strict=True) if not ok]
+    reason = f"the data do not determine {', '.join(lost)}"
     passed = known == fitted.orders.count
     return [*checks, ev.check("Coefficients determined", value, passed, "all", why, reason=reason)]
 

@@ -21,8 +21,11 @@ from swimid.notices import recorded, warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers, parameters
+from swimid.results.evidence import Check
 from swimid.results.fitted import Fitted
 
+#: Warnings that tell the reason of a check that does not pass.
+CODES = {"Largest pole": "SWM020", "Residuals white": "SWM013", "Coefficients determined": "SWM010"}
 #: A scaled regression above this condition number is worth a warning.
 ILL_CONDITIONED = 1e6
 
@@ -101,7 +104,8 @@ def rwls(
         if output is not None:
             atomic.check_writable(output, inputs=data.files)
         m = identify(data, options, progress)
-        _warn(m)
+        checks = evidence.tested(m)
+        _warn(m, checks)
     # held-out data are named by a share, a file, or a log in memory
     held_out = [
         str(v if isinstance(v, str | float | Path) else getattr(v, "name", "log")) for v in options.held_out
@@ -109,7 +113,7 @@ def rwls(
     settings = _settings(m)
     block = provenance.collect(data.files, settings={**settings, "validate": held_out})
     file = _parameter_file(m, settings, block)
-    made = Fitted.of(file, evidence.build(m, file, notices=blocks.notices(notices)))
+    made = Fitted.of(file, evidence.build(m, file, checks, blocks.notices(notices)))
     made.data["orders_tried"] = [
         {
             **asdict(c.orders),
@@ -142,7 +146,7 @@ def _settings(m: Identified) -> dict[str, Any]:
     return settings
 
 
-def _warn(m: Identified) -> None:
+def _warn(m: Identified, checks: Sequence[Check]) -> None:
     fitted, data, point = m.estimate, m.data, m.point
     orders, known = fitted.orders, fitted.determined
     unit = numbers.unit_text(data.columns.units[1])
@@ -164,10 +168,9 @@ def _warn(m: Identified) -> None:
         if moved:
             text += f". Held-out data are at another level: {', '.join(moved)} {unit}".rstrip()
         warn("SWM021", text)
-    undetermined = [n for n, ok in zip(orders.names, known.determined, strict=True) if not ok]
-    if undetermined:
-        text = f"the data do not determine {', '.join(undetermined)}; their values are arbitrary in part"
-        warn("SWM010", text)
+    for one in checks:
+        if one.name in CODES and one.verdict != "pass":
+            warn(CODES[one.name], one.reason)
     source = np.concatenate([record.source for record in data.fit])
     if np.ptp(source[np.isfinite(source)]) == 0:
         warn("SWM022", "the input is constant: B is an offset of the output and says nothing of the input")
@@ -183,19 +186,6 @@ def _warn(m: Identified) -> None:
             f"with forgetting, P grew without limit in directions the input does not excite; it was held at "
             f"{fitted.recursion.windup} of {len(fitted.data)} samples",
         )
-    if fitted.robust:
-        warn(
-            "SWM013",
-            f"one-step residuals are not white (Ljung-Box p = {fitted.whiteness.p_value:.2g}): the "
-            "coefficients are biased, which their standard errors do not cover; raise na, nb or nc",
-        )
-    pole = m.deciding
-    if pole is not None and pole.state != "stable":
-        size = f"|z| = {numbers.measured(pole.magnitude, pole.stderr)}"
-        text = f"integrates: {size} cannot be told from 1; a free run drifts"
-        if pole.unstable:
-            text = f"is unstable: {size}; judge it by its prediction, do not simulate far"
-        warn("SWM020", f"the model {text}")
     for name in m.worse:
         errors = (f"{s.free_run.rmse:.3g} {unit}".rstrip() for s in (m.scores[name], m.fit_scores))
         warn("SWM015", f"the free-run error is {next(errors)} on {name}, {next(errors)} on the fitted part")

@@ -73,7 +73,7 @@ def load(source: str | Path | TrialSet, file: ParameterFile, parameters_path: Pa
     trials = []
     for entry in entries.trials:
         log = read_log(entry, path.parent, required=(*read, model.output))
-        log = at_own_rate(log, None if model.sine else model.source, model.output).log
+        log, _ = at_own_rate(log, None if model.sine else model.source, model.output)
         inputs.append(log.source)
         measured, given = {model.output: log[model.output]}, {name: log[name] for name in read}
         trials.append(Trial(entry.id, entry.role, log.time_s, measured, given))
@@ -198,9 +198,8 @@ def read(
     for name, part in zip(names, parts, strict=True):
         log = read_log(part.entry, part.folder, required=required)
         _check_distinct(log, columns)
-        sampled = at_own_rate(log, None if columns.sine else columns.source, columns.output)
-        read[name] = sampled.log
-        repeats += sampled.repeats
+        read[name], found = at_own_rate(log, None if columns.sine else columns.source, columns.output)
+        repeats += found
     step = _sample_time(read)
     fitted = [name for name, part in zip(names, parts, strict=True) if part.entry.role == "fit"]
     fit: list[Record] = []

@@ -15,8 +15,6 @@ from swimid.notices import warn
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Steps that differ by less than this share of their mean are even.
-EVEN = 1e-3
 #: Cycles of the short windows a beat is fitted in; they overlap by all but one cycle.
 WINDOW = 2
 #: Order of the polynomial fitted with it in each window: drift and turns are slower than two cycles.
@@ -35,8 +33,6 @@ FALSE_ALARM = 0.01
 MIN_SHARE, FAINTEST = 0.1, 0.02
 #: Frequencies that agree within this share of the lower one are one, or one a multiple of the other.
 TOGETHER = 0.03
-#: Peaks of the spectrum that are looked at.
-CANDIDATES = 6
 #: Windows whose phases are regressed; of more, only so many are spread over the record.
 MOST_WINDOWS = 120
 #: Fewest samples a window needs.
@@ -49,8 +45,6 @@ HARMONICS = 5
 #: A slow motion is periodic where a sine leaves less than this share of what a polynomial of as many
 #: coefficients leaves. The polynomial describes a drift or a turn.
 PERIODIC = 0.5
-#: Samples that suffice to find a slow motion.
-SLOW_SAMPLES = 1000
 
 
 @dataclass(frozen=True)
@@ -222,7 +216,7 @@ def find_slow_motion(time_s: Array, values: Array) -> Beat | None:
     is compared with that of a quintic, which has as many coefficients.
     """
     there = np.flatnonzero(np.isfinite(values) & np.isfinite(time_s))
-    there = there[:: max(len(there) // SLOW_SAMPLES, 1)]
+    there = there[:: max(len(there) // 1000, 1)]
     t, x = time_s[there], values[there]
     if len(t) < 2 * SAMPLES or not np.ptp(x) > 1e-12 * np.max(np.abs(x)):
         return None
@@ -275,7 +269,7 @@ def _peaks(t: Array, x: Array, low: float, high: float, duration: float) -> list
     chosen: list[float] = []
     for spectrum in (power * grid**4, power * grid**2, power):
         tops = [k for k in signal.find_peaks(spectrum)[0] if grid[k] >= low]
-        ranked = sorted(tops, key=lambda k: -spectrum[k])[:CANDIDATES]
+        ranked = sorted(tops, key=lambda k: -spectrum[k])[:6]
         chosen += [float(grid[k]) for k in ranked if all(abs(grid[k] - f) > 0.5 / duration for f in chosen)]
     return chosen
 
@@ -452,7 +446,7 @@ def _power(t: Array, x: Array, grid: Array) -> Array:
     """Periodogram of a record at given frequencies, by FFT where its steps are even."""
     steps = np.diff(t)
     step = float(np.mean(steps))
-    if np.ptp(steps) > EVEN * step:
+    if np.ptp(steps) > 1e-3 * step:
         # scipy builds arrays of frequencies times samples: in parts they do not grow with the square of the
         # length
         parts = np.array_split(2 * np.pi * grid, 1 + len(t) * len(grid) // 1_000_000)

@@ -18,12 +18,6 @@ from swimid.results.evidence import MAX_POINTS, Figure, Mark, Panel, Span, Trace
 Array = NDArray[np.float64]
 #: More channels than this are listed in the table and not drawn.
 MAX_PANELS = 12
-#: More gaps than this are drawn by the longest of them.
-MAX_SPANS = 60
-#: Heading arrows along a track.
-ARROWS = 24
-#: Channels whose spectra are drawn, and how far beyond the stroke.
-MAX_SPECTRA, BEYOND = 6, 6.5
 #: Columns two sensors have different names for.
 SAME = {"wz_rad_s": "yaw_rate_rad_s"}
 
@@ -86,7 +80,7 @@ def channels(logs: Sequence[Log]) -> Figure:
             traces.append(Trace(x=x, y=y, label=label, group=group))
             ends = missing(record.time_s, values, after[number])
             gaps += [Span(start=start, end=end, label=lacking) for start, end in ends]
-        longest = sorted(gaps, key=lambda gap: gap.start - gap.end)[:MAX_SPANS]
+        longest = sorted(gaps, key=lambda gap: gap.start - gap.end)[:60]
         title, spans = numbers.column_title(channel), sorted(longest, key=lambda gap: gap.start)
         panels.append(Panel(x_label="time (s)", y_label=title, traces=traces, spans=spans))
     title, caption = "Channels over time", "Samples are missing where it is shaded."
@@ -141,7 +135,7 @@ def track(logs: Sequence[Log]) -> Figure | None:
 def _arrows(x: Array, y: Array, angle: Array, label: str) -> Trace:
     """Arrows as one broken line: shaft and two barbs each."""
     good = np.flatnonzero(np.isfinite(x) & np.isfinite(y) & np.isfinite(angle))
-    rows = good[np.linspace(0, len(good) - 1, min(ARROWS, len(good))).astype(int)]
+    rows = good[np.linspace(0, len(good) - 1, min(24, len(good))).astype(int)]
     size = 0.06 * max(float(np.ptp(x[good])), float(np.ptp(y[good])), 1e-9) if len(good) else 0.0
     sides = []
     for values, way in ((x, np.cos), (y, np.sin)):
@@ -168,7 +162,7 @@ def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
         labels = ("stroke", "2 ×, 3 ×", "2 ×, 3 ×")
         beats = [(label, k * stroke.beat.frequency_hz) for k, label in enumerate(labels, start=1)]
     panels = []
-    for name in list(signals)[:MAX_SPECTRA]:
+    for name in list(signals)[:6]:
         drawn = _spectrum(record.time_s, signals[name], stroke)
         if drawn is None:
             continue
@@ -201,7 +195,7 @@ def _spectrum(time: Array, values: Array, stroke: Rhythm | None) -> tuple[Array,
         even, rate, window="hann", detrend="linear", scaling="spectrum", nfft=length
     )
     amplitude = np.sqrt(2 * power)
-    highest = frequency[-1] if stroke is None else min(BEYOND * stroke.beat.frequency_hz, frequency[-1])
+    highest = frequency[-1] if stroke is None else min(6.5 * stroke.beat.frequency_hz, frequency[-1])
     shown = (frequency > 0) & (frequency <= highest)
     if not np.any(amplitude[shown] > 0):
         return None

@@ -27,8 +27,6 @@ RATES, SECONDS = ("fs", "rate", "rate_hz", "fps", "sample_rate"), ("secs", "sec"
 NANOSECONDS = ("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds", "ns")
 #: Stand-ins for what is still open in a drafted time; the scale of the time does not tell instances apart.
 ANSWERS = {"unit": "s", "rate_hz": 1.0, "day_first": True}
-#: Number of values that are shown beside a question.
-SHOWN = 3
 _XYZ = r"[ _.\[]*(?P<axis>[xyz])\]?"
 #: Names that state a quantity (not its unit): pattern of the whole name in small letters, target column.
 _NAMES: list[tuple[str, str]] = [
@@ -305,5 +303,5 @@ def _counts(name: str, values: Any) -> bool:
 
 def _first(values: Any) -> str:
     """Return the first values of a column, for the reader of the draft."""
-    shown = [f"{value:.6g}" if isinstance(value, float) else str(value)[:30] for value in values[:SHOWN]]
+    shown = [f"{value:.6g}" if isinstance(value, float) else str(value)[:30] for value in values[:3]]
     return ", ".join(shown)

@@ -233,7 +233,7 @@ def find(
         return Rhythm(
             best[channel],
             channel,
-            _harmonics(*_as_logged(time_s, _swing_of(channels, channel)), best[channel].frequency_hz),
+            _harmonics(*_as_logged(time_s, channels[channel]), best[channel].frequency_hz),
             {name: found[0] for name, found in beats.items()},
             maybe_double=channel in pushed,
             rivals={} if told else _rivals(chosen, beats | pushed),
@@ -248,21 +248,19 @@ def _motions(
 
     Beats that follow from laps of the path, or from the turns of a heading, are no strokes and left out.
     """
-    channels = {n: v for n, v in columns.items() if not NO_MOTION.fullmatch(n)} | swing(columns)
+    channels = {n: _unwrapped(n, v) for n, v in columns.items() if not NO_MOTION.fullmatch(n)}
+    channels |= swing(columns)
     seen = _beats(time_s, channels, within)
-    lap = next(
-        (b for n in (*ALONG, "sway") for b in seen.get(n, []) if _is_lap(time_s, columns, b.frequency_hz)),
-        None,
-    )
+    swings = [b for n in (*ALONG, "sway") for b in seen.get(n, [])]
+    lap = next((b for b in swings if _is_lap(time_s, columns, b.frequency_hz)), None)
     if lap is not None:
         track = swing(columns, 0.25 / lap.cycles)
+        rest = {n: b for n, b in seen.items() if n not in (*ALONG, "sway")}
         channels = {n: v for n, v in channels.items() if n not in (*ALONG, "sway")} | track
-        seen = _beats(time_s, {n: v for n, v in channels.items() if n in track}, within) | {
-            n: b for n, b in seen.items() if n not in (*ALONG, "sway")
-        }
+        seen = _beats(time_s, track, within) | rest
         seen = {n: [b for b in beats if not 1 <= multiple(b, lap) <= CORNERS] for n, beats in seen.items()}
     for name in seen:
-        turns = _turns(_swing_of(channels, name)) if name.endswith("_rad") else 0.0
+        turns = _turns(channels[name]) if name.endswith("_rad") else 0.0
         if turns >= 1.0:
             turning = Beat(turns / float(np.ptp(time_s)), 0.0, 0.0, 0.0, turns)
             resolution = 1.0 / float(np.ptp(time_s))
@@ -322,10 +320,11 @@ def slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat] | N
 
     The drive decides where it is logged. Otherwise any channel that swings sideways does.
     """
-    names = [n for n in columns if DRIVEN.fullmatch(n)] or [n for n in columns if SIDEWAYS.fullmatch(n)]
-    signals = {name: _swing_of(columns, name) for name in names}
-    place = _place(columns)
-    if place is not None and not any(DRIVEN.fullmatch(n) for n in columns):
+    driven = [n for n in columns if DRIVEN.fullmatch(n)]
+    names = driven or [n for n in columns if SIDEWAYS.fullmatch(n)]
+    signals = {name: _unwrapped(name, columns[name]) for name in names}
+    place = None if driven else _place(columns)
+    if place is not None:
         there = np.isfinite(place).all(axis=1)
         if there.sum() > 2:
             line = np.polynomial.polynomial.polyfit(time_s[there], place[there], 1)
@@ -369,12 +368,9 @@ def _rivals(chosen: Beat, seen: Mapping[str, list[Beat]]) -> dict[str, Beat]:
     found = {}
     for name, beats in seen.items():
         stroke = max((b.amplitude for b in beats if multiple(b, chosen)), default=0.0)
-        against = [
-            beat
-            for beat in beats
-            if not multiple(beat, chosen)
-            and (beat.amplitude**2 >= MIN_SHARE * stroke**2 or beat.frequency_hz < chosen.frequency_hz)
-        ]
+        others = [b for b in beats if not multiple(b, chosen)]
+        ripple, slow = MIN_SHARE * stroke**2, chosen.frequency_hz
+        against = [b for b in others if b.amplitude**2 >= ripple or b.frequency_hz < slow]
         if against:
             found[name] = max(against, key=lambda beat: beat.amplitude)
     return found
@@ -416,15 +412,13 @@ def _beats(
     """The beats of the channels that beat at all."""
     low, high = within or (None, None)
     found = {}
-    for name in columns:
-        time, prepared = _prepared(time_s, _swing_of(columns, name))
-        found[name] = find_beats(time, prepared, lowest_hz=low, highest_hz=high)
+    for name, values in columns.items():
+        found[name] = find_beats(*_prepared(time_s, values), lowest_hz=low, highest_hz=high)
     return {name: beats for name, beats in found.items() if beats}
 
 
-def _swing_of(columns: Mapping[str, Array], name: str) -> Array:
+def _unwrapped(name: str, values: Array) -> Array:
     """A channel, an angle without its jumps by a turn."""
-    values = columns[name]
     if name.endswith("_rad"):
         known = np.isfinite(values)
         values = values.copy()

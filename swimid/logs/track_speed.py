@@ -23,8 +23,6 @@ MAX_SAMPLES = 60_000
 STRENGTHS = np.logspace(-4, 6, 11)
 #: Parts of the samples that are left out in turn to choose it.
 FOLDS = 5
-#: Samples that suffice to choose it.
-TUNING_SAMPLES = 600
 
 
 #: Cycles at each end of a track from which the ends of its averaged path are estimated. A shorter track is
@@ -248,7 +246,7 @@ def speed(
     stretches = _stretches(time_s, cleaning)
     if not stretches:
         return None
-    longest = max(stretches, key=len)[:TUNING_SAMPLES]
+    longest = max(stretches, key=len)[:600]
     strength = _strength(time_s[longest], place[longest])
     for rows in stretches:
         t, x = time_s[rows], place[rows]

@@ -340,9 +340,9 @@ def read(
     if experiment not in names:
         close = nearest(str(experiment), names)
         what = f"'{experiment}' is not allowed" if "experiment" in data else "is missing"
-        where = {"file": path, "line": _key_line(data, "experiment"), "column": "experiment"}
+        text, line = f"{what}; here: {', '.join(names)}", _key_line(data, "experiment")
         hint = f"did you mean '{close}'?" if close else None
-        raise InputError(f"{what}; here: {', '.join(names)}", hint=hint, **where)
+        raise InputError(text, file=path, line=line, column="experiment", hint=hint)
     trials: T = yamlio.validate(data, EXPERIMENTS[experiment], path) if held is None else held  # type: ignore[assignment]
     if uses is not None:
         _refuse_unused(trials, path, uses[experiment], data)
