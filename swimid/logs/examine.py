@@ -176,9 +176,7 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
     stroke = rhythm.find(times, telling, range_hz=options.stroke_hz, stated_hz=stated)
     unknown, against, periodic_hz, period_s = "", None, None, None
     if stroke is None:
-        unknown = rhythm.unknown(columns[log.TIME], telling)
-        slow = rhythm.slowest(columns[log.TIME], telling)
-        periodic_hz = None if slow is None else slow[1].frequency_hz
+        unknown, periodic_hz = rhythm.unknown(columns[log.TIME], telling)
     else:
         stroke = rhythm.with_lateness(stroke, times_sd_s, times)
         periodic_hz, period_s = stroke.beat.frequency_hz, stroke.period_s[0]

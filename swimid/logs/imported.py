@@ -64,7 +64,8 @@ def _row_checks(found: Examined) -> list[Check]:
     mapped, order, n = found.mapped, found.order, len(found.mapped)
     odd, dropped = sum(order.counts.values()), order.untimed + order.clashing
     remarks = "; ".join([f"rows {order.summary}"] * bool(odd) + found.mapped.notes)
-    if dropped > MAX_DROPPED * n:
+    grade, sampling = _grade(dropped > MAX_DROPPED * n), found.uneven or "even"
+    if grade == "fail":
         remarks = f"{dropped} of {n} rows have no time of their own: is the time complete?"
     names = ", ".join(mapped.unknown)
     open_ = f"nothing states the quantity of {names}: map it to a name with a unit, or to unit: '1'"
@@ -73,30 +74,13 @@ def _row_checks(found: Examined) -> list[Check]:
     holds = "; ".join(f"{name} from {a:.4g} to {b:.4g} s" for name, (a, b) in found.frozen.items())
     frozen = f"channels hold one value amid their motion: {holds}"
     doubts = "; ".join(f"{doubt.column} {doubt.text}" for doubt in found.doubts)
-    beyond = f"{len({doubt.column for doubt in found.doubts})} columns beyond"
     checks = [
-        _tested(
-            "Rows in order",
-            f"{odd} of {n} odd",
-            not remarks,
-            "none",
-            remarks,
-            _grade(dropped > MAX_DROPPED * n),
-        ),
+        _tested("Rows in order", f"{odd} of {n} odd", not remarks, "none", remarks, grade),
         _tested("Quantity of every column", names or "known", not names, "known", open_, "fail"),
-        _tested(
-            "Columns agree", f"{len(found.contradictions)} do not", not disagree, "all", disagree, "fail"
-        ),
-        _tested(
-            "Sampling",
-            found.uneven or "even",
-            not found.uneven,
-            "even, but for gaps",
-            uneven,
-            _grade(found.bursts),
-        ),
+        _tested("Columns agree", disagree or "all", not disagree, "all", disagree, "fail"),
+        _tested("Sampling", sampling, not found.uneven, "even", uneven, _grade(found.bursts)),
         _tested("Frozen channels", holds or "none", not holds, "none", frozen, "fail"),
-        _tested(POSSIBLE, beyond, not doubts, "none", doubts),
+        _tested(POSSIBLE, "beyond" if doubts else "within", not doubts, "within", doubts),
     ]
     if found.metadata.get("sample_rate") == "assumed":
         why = "the sample rate is assumed, and speeds and frequencies are as wrong as it is"

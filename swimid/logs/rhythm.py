@@ -383,27 +383,26 @@ def with_lateness(stroke: Rhythm, time_sd_s: float, time_s: Array) -> Rhythm:
     return replace(stroke, beat=beat)
 
 
-def unknown(time_s: Array, columns: Mapping[str, Array]) -> str:
-    """Return the reason why :func:`find` finds no stroke."""
+def unknown(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, float | None]:
+    """Return the reason why :func:`find` finds no stroke, and the frequency of a slow motion, Hz."""
     duration = float(np.ptp(time_s)) if len(time_s) else 0.0
     slow = slowest(time_s, columns)
-    laps = [] if slow is None else [slow[1].frequency_hz]
+    slow_hz = None if slow is None else slow[1].frequency_hz
+    laps = [] if slow_hz is None else [slow_hz]
     place = _place(columns)
     if slow is None and place is not None and place.shape[1] > 1:
         laps = [beat.frequency_hz for v in place.T for beat in find_beats(*_prepared(time_s, v))]
     for frequency_hz in laps:
         if _is_lap(time_s, columns, frequency_hz):
-            return f"the path goes in circles of {1.0 / frequency_hz:.3g} s; nothing else keeps a beat"
+            text = f"the path goes in circles of {1.0 / frequency_hz:.3g} s; nothing else keeps a beat"
+            return text, slow_hz
     if slow is not None:
         name, motion = slow
-        return (
-            f"the strongest motion of {name}, at about {motion.frequency_hz:.2g} Hz, has only "
-            f"{motion.cycles:.1f} cycles in {duration:.3g} s; a stroke needs {FEWEST_CYCLES:g}"
-        )
-    return (
-        f"nothing in it keeps a beat over {FEWEST_CYCLES:g} cycles or more"
-        f" (in {duration:.3g} s: from {FEWEST_CYCLES / max(duration, 1e-300):.3g} Hz on)"
-    )
+        text = f"the strongest motion of {name}, at about {motion.frequency_hz:.2g} Hz, has only "
+        cycles = f"{motion.cycles:.1f} cycles in {duration:.3g} s; a stroke needs {FEWEST_CYCLES:g}"
+        return text + cycles, slow_hz
+    lowest = f"in {duration:.3g} s: from {FEWEST_CYCLES / max(duration, 1e-300):.3g} Hz on"
+    return f"nothing in it keeps a beat over {FEWEST_CYCLES:g} cycles or more ({lowest})", None
 
 
 def _beats(
