@@ -11,9 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from swimid.blackbox import armax, difference, order, prediction, recursive, working_point
+from swimid.blackbox import armax, difference, prediction, recursive, working_point
 from swimid.blackbox.arx import estimate, regression
 from swimid.blackbox.difference import Orders, Record
+from swimid.blackbox.identified import best_order, search_orders
 from swimid.errors import NoTrustworthyResult
 from swimid.logs import sampling
 
@@ -403,19 +404,19 @@ def test_integrating_and_unstable_poles():
 def test_order_search_finds_the_truth():
     record = simulated(25, n=3000, b=np.array([0.0, 0.5, 0.25]))
     held = [simulated(26, n=500, b=np.array([0.0, 0.5, 0.25]))]
-    found = order.search([record], [held], Orders(4, 4, 3))
-    assert order.best(found, "bic").orders == Orders(2, 2, 2)
+    found = search_orders([record], [held], Orders(4, 4, 3))
+    assert best_order(found, "bic").orders == Orders(2, 2, 2)
     assert len(found) == 5 * 4 * 4
     direct = estimate([record], Orders(2, 2, 2))
-    chosen = order.best(found, "bic")
+    chosen = best_order(found, "bic")
     rows = len(regression([record], Orders(4, 7, 0)))
     rmse = np.exp((chosen.aic - 2 * chosen.orders.count) / (2 * rows))
     assert rmse == pytest.approx(np.sqrt(np.mean(direct.residuals**2)), rel=1e-2)
 
 
 def test_noise_free_data_do_not_reward_superfluous_orders():
-    found = order.search([simulated(27, noise=0.0)], [], Orders(4, 4, 2))
-    assert order.best(found, "bic").orders == Orders(2, 2, 1)
+    found = search_orders([simulated(27, noise=0.0)], [], Orders(4, 4, 2))
+    assert best_order(found, "bic").orders == Orders(2, 2, 1)
 
 
 def test_grid_from_time_stamps():

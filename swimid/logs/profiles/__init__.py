@@ -88,6 +88,8 @@ class Profile:
         without times has ``frame``, and the rate in ``scalars["rate_hz"]`` if the file states it.
     extra : str
         The optional dependency to install.
+    magic : bytes
+        First bytes of such a file.
     """
 
     name: str
@@ -95,6 +97,7 @@ class Profile:
     recognises: Callable[[Peek], bool]
     read: Callable[[Path, str | None, str | None], Table]
     extra: str = ""
+    magic: bytes = b""
 
     def table(self, path: Path, select: str | None = None, length_unit: str | None = None) -> Table:
         """Read a file; the arguments are those of ``read``.
@@ -224,4 +227,5 @@ def find(path: Path, name: str | None = None) -> Profile | None:
             raise InputError(f"there is no profile '{name}'", file=path, hint=hint)
         return known()[name]
     peek = Peek.of(path)
-    return next((profile for profile in known().values() if profile.recognises(peek)), None)
+    begin = (profile for profile in known().values() if peek.head.startswith(profile.magic))
+    return next((profile for profile in begin if profile.recognises(peek)), None)

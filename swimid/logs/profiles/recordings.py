@@ -8,7 +8,6 @@ times are those of the message header, which the sensor driver sets, not those o
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -54,13 +53,10 @@ def _topics(path: Path) -> dict[str, str]:
     return {topic: kind for topic, kind in kinds.items() if kind in FIELDS}
 
 
-def _recognises(magic: bytes) -> Callable[[Peek], bool]:
-    def recognises(peek: Peek) -> bool:
-        with contextlib.suppress(Exception):  # a damaged file is refused by its reader
-            return peek.head.startswith(magic) and bool(_topics(peek.path))
-        return False
-
-    return recognises
+def _recognises(peek: Peek) -> bool:
+    with contextlib.suppress(Exception):  # a damaged file is refused by its reader
+        return bool(_topics(peek.path))
+    return False
 
 
 def _open(path: Path, select: str | None) -> tuple[Table, str]:
@@ -103,9 +99,5 @@ def _joints(table: Table) -> dict[str, str]:
     return fields
 
 
-PX4 = Profile(
-    "px4", "ULog recording of PX4", _recognises(recordings.ULOG_MAGIC), _read_px4, recordings.ULOG.extra
-)
-ROS2 = Profile(
-    "ros2", "MCAP recording of ROS 2", _recognises(recordings.MCAP_MAGIC), _read_ros2, recordings.MCAP.extra
-)
+PX4 = Profile("px4", "ULog recording of PX4", _recognises, _read_px4, "ulog", recordings.ULOG_MAGIC)
+ROS2 = Profile("ros2", "MCAP recording of ROS 2", _recognises, _read_ros2, "mcap", recordings.MCAP_MAGIC)
