@@ -29,7 +29,7 @@ HALF_PERCENT = 50.0
 def build(m: Identified, file: ParameterFile, checks: list[Check], notices: list[NoticeRecord]) -> Evidence:
     """Assemble the evidence; a model is good only on held-out data."""
     columns = m.data.columns
-    least = min(s.free_run.fit_percent for s in _judged(m).values())
+    least = min(s.free_run.fit_percent for s in _deciding_scores(m).values())
     where = "held-out" if m.scores else "fitted"
     answer = f"The free run does not reproduce the {where} output."
     if least >= 0:
@@ -52,14 +52,14 @@ def build(m: Identified, file: ParameterFile, checks: list[Check], notices: list
     )
 
 
-def _judged(m: Identified) -> dict[str, prediction.Scores]:
+def _deciding_scores(m: Identified) -> dict[str, prediction.Scores]:
     """Return the errors that decide on the model: on held-out data, or else on the fitted ones."""
     return dict(m.scores) or {"the fitted part": m.fit_scores}
 
 
-def tested(m: Identified) -> list[Check]:
+def make_checks(m: Identified) -> list[Check]:
     """Return the checks of a model."""
-    fitted, pole = m.estimate, m.deciding
+    fitted, pole = m.estimate, m.critical_pole
     checks = [
         ev.check("Held-out data", str(len(m.scores)), bool(m.scores), "some", reason="no data were held out"),
         ev.check("Repeated samples", "; ".join(m.data.repeats), not m.data.repeats, "none"),
@@ -74,7 +74,7 @@ def tested(m: Identified) -> list[Check]:
         checks.append(
             ev.check("Largest pole", size, passed, "below 1", grade, otherwise=otherwise, reason=reason)
         )
-    runs = _judged(m)
+    runs = _deciding_scores(m)
     if m.fit_scores.diverged:
         runs["the fitted part"] = m.fit_scores
     for name, s in runs.items():
@@ -176,10 +176,10 @@ def _finite(value: float) -> float | None:
 def _free_run(m: Identified) -> Figure:
     """Return measured output and free run of the records with the worst and the best free run."""
     sets = dict(m.held_out) or {"the fitted part": m.fit}
-    ranked = sorted(sets, key=lambda name: _judged(m)[name].free_run.fit_percent)
+    ranked = sorted(sets, key=lambda name: _deciding_scores(m)[name].free_run.fit_percent)
     panels = []
     for name in dict.fromkeys([ranked[0], ranked[-1]]):
-        level = m.point.output + _judged(m)[name].level
+        level = m.point.output + _deciding_scores(m)[name].level
         traces: list[Trace] = []
         for record in sets[name]:
             run = difference.simulate(record, m.estimate.orders, m.estimate.theta)

@@ -99,7 +99,7 @@ class Identified:
         return [name for name, s in self.scores.items() if s.free_run.rmse > limit]
 
     @property
-    def deciding(self) -> Pole | None:
+    def critical_pole(self) -> Pole | None:
         """The pole that decides on the stability: the largest unstable one, else the largest integrator."""
         ranked = [p for state in ("unstable", "integrating") for p in self.poles if p.state == state]
         return next(iter([*ranked, *self.poles]), None)
@@ -107,7 +107,7 @@ class Identified:
     @property
     def stability(self) -> str:
         """``stable``, ``integrating`` or ``unstable``."""
-        return self.deciding.state if self.deciding else "stable"
+        return self.critical_pole.state if self.critical_pole else "stable"
 
 
 def identify(data: Data, options: RwlsOptions, progress: Progress) -> Identified:

@@ -104,7 +104,7 @@ def rwls(
         if output is not None:
             atomic.check_writable(output, inputs=data.files)
         m = identify(data, options, progress)
-        checks = evidence.tested(m)
+        checks = evidence.make_checks(m)
         _warn(m, checks)
     # held-out data are named by a share, a file, or a log in memory
     held_out = [

@@ -53,11 +53,12 @@ def build(found: Examined, provenance: dict[str, Any], notices: Sequence[Notice]
     )
 
 
-def _tested(
+def _check(
     name: str, value: str, passed: bool, limit: str, reason: str, otherwise: Literal["warn", "fail"] = "warn"
 ) -> Check:
-    """Return a check whose text is the reason why it does not pass."""
-    return check(name, value, passed, limit, "" if passed else reason, otherwise=otherwise, reason=reason)
+    """Return a check whose text is the reason why it does not pass, unless its value says it all."""
+    text = "" if passed or value in reason else reason
+    return check(name, value, passed, limit, text, otherwise=otherwise, reason=reason)
 
 
 def _row_checks(found: Examined) -> list[Check]:
@@ -75,19 +76,19 @@ def _row_checks(found: Examined) -> list[Check]:
     frozen = f"channels hold one value amid their motion: {holds}"
     doubts = "; ".join(f"{doubt.column} {doubt.text}" for doubt in found.doubts)
     checks = [
-        _tested("Rows in order", f"{odd} of {n} odd", not remarks, "none", remarks, grade),
-        _tested("Quantity of every column", names or "known", not names, "known", open_, "fail"),
-        _tested("Columns agree", disagree or "all", not disagree, "all", disagree, "fail"),
-        _tested("Sampling", sampling, not found.uneven, "even", uneven, _grade(found.bursts)),
-        _tested("Frozen channels", holds or "none", not holds, "none", frozen, "fail"),
-        _tested(POSSIBLE, "beyond" if doubts else "within", not doubts, "within", doubts),
+        _check("Rows in order", f"{odd} of {n} odd", not remarks, "none", remarks, grade),
+        _check("Quantity of every column", names or "known", not names, "known", open_, "fail"),
+        _check("Columns agree", disagree or "all", not disagree, "all", disagree, "fail"),
+        _check("Sampling", sampling, not found.uneven, "even", uneven, _grade(found.bursts)),
+        _check("Frozen channels", holds or "none", not holds, "none", frozen, "fail"),
+        _check(POSSIBLE, "beyond" if doubts else "within", not doubts, "within", doubts),
     ]
     if found.metadata.get("sample_rate") == "assumed":
         why = "the sample rate is assumed, and speeds and frequencies are as wrong as it is"
-        checks.append(_tested("Sample rate", "assumed", False, "stated", why, "fail"))
+        checks.append(_check("Sample rate", "assumed", False, "stated", why, "fail"))
     for name, emptied in mapped.unlikely.items():
         why = f"{emptied} of {n} samples are left empty for their {name}"
-        checks.append(_tested(f"Samples by {name}", f"{emptied} of {n}", False, "none", why))
+        checks.append(_check(f"Samples by {name}", f"{emptied} of {n}", False, "none", why))
     return checks
 
 
@@ -102,14 +103,14 @@ def _track_checks(found: Examined) -> list[Check]:
         across, extent = (numbers.number(v, 3, found.unit) for v in (line.across, line.extent))
         why = f"the track leaves the line by {across} over {extent}, and is shortened by projecting it"
         keeps, limit = line.across <= OFF_LINE * line.extent, f"≤ {100 * OFF_LINE:g} % of the extent"
-        checks.append(_tested("Distance from the line", across, keeps, limit, why))
+        checks.append(_check("Distance from the line", across, keeps, limit, why))
     if cleaning is None:
         return checks
     done = "left out" if found.cleaned else "kept"
     lost, repeats = cleaning.counts["samples_jumped"], cleaning.counts["repeats"]
     seen = int(cleaning.good.sum()) + repeats + lost
     value, why = f"{repeats} of {seen} {done}", "the track holds repeated pictures (--clean leaves them out)"
-    checks.append(_tested("Repeated pictures", value, found.cleaned or not repeats, "none kept", why))
+    checks.append(_check("Repeated pictures", value, found.cleaned or not repeats, "none kept", why))
     why = f"the track jumps {cleaning.jumps} times ({lost} samples {done})"
     if cleaning.offset_rows:
         why += f" and goes on elsewhere {len(cleaning.offset_rows)} times"
@@ -117,10 +118,10 @@ def _track_checks(found: Examined) -> list[Check]:
         f"{cleaning.jumps} ({lost} samples {done})",
         _grade(lost > MAX_JUMPED * seen or not found.cleaned),
     )
-    checks.append(_tested("Jumps", value, not cleaning.jumps, "none", why, grade))
+    checks.append(_check("Jumps", value, not cleaning.jumps, "none", why, grade))
     value = f"{len(cleaning.gaps)}, longest {numbers.number(cleaning.longest_gap_s, 3, 's')}"
     why = f"the track has gaps ({value}), which are kept"
-    return [*checks, _tested("Gaps in the track", value, not cleaning.gaps, "none", why)]
+    return [*checks, _check("Gaps in the track", value, not cleaning.gaps, "none", why)]
 
 
 def _stroke_checks(found: Examined) -> list[Check]:
@@ -132,14 +133,14 @@ def _stroke_checks(found: Examined) -> list[Check]:
         count = float(found.cleaning.good.sum()) / found.speed.covered_s / stroke.beat.frequency_hz
         value, limit = numbers.number(count, 3), f"≥ {MIN_SAMPLES_PER_STROKE:g}"
         why = f"the track has {value} samples a stroke, too few to know the path between them"
-        checks.append(_tested("Samples a stroke", value, count >= MIN_SAMPLES_PER_STROKE, limit, why))
+        checks.append(_check("Samples a stroke", value, count >= MIN_SAMPLES_PER_STROKE, limit, why))
     value = " against ".join(f"{b.frequency_hz:.4g} Hz" for b in (stroke.beat, *stroke.rivals.values()))
     limit = "no channel beats at another frequency"
-    checks.append(_tested("One stroke", value, not stroke.doubt, limit, stroke.doubt))
+    checks.append(_check("One stroke", value, not stroke.doubt, limit, stroke.doubt))
     if "frequency_hz" in found.metadata:
         stated, against = f"{found.metadata['frequency_hz']} Hz", found.against or ""
         name = "Stroke against the metadata"
-        checks.append(_tested(name, _frequency(stroke), not against, stated, against))
+        checks.append(_check(name, _frequency(stroke), not against, stated, against))
     return checks
 
 

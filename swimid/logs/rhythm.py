@@ -248,7 +248,7 @@ def _motions(
 
     Beats that follow from laps of the path, or from the turns of a heading, are no strokes and left out.
     """
-    channels = {n: _unwrapped(n, v) for n, v in columns.items() if not NO_MOTION.fullmatch(n)}
+    channels = {n: _unwrap(n, v) for n, v in columns.items() if not NO_MOTION.fullmatch(n)}
     channels |= swing(columns)
     seen = _beats(time_s, channels, within)
     swings = [b for n in (*ALONG, "sway") for b in seen.get(n, [])]
@@ -322,7 +322,7 @@ def slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat] | N
     """
     driven = [n for n in columns if DRIVEN.fullmatch(n)]
     names = driven or [n for n in columns if SIDEWAYS.fullmatch(n)]
-    signals = {name: _unwrapped(name, columns[name]) for name in names}
+    signals = {name: _unwrap(name, columns[name]) for name in names}
     place = None if driven else _place(columns)
     if place is not None:
         there = np.isfinite(place).all(axis=1)
@@ -416,7 +416,7 @@ def _beats(
     return {name: beats for name, beats in found.items() if beats}
 
 
-def _unwrapped(name: str, values: Array) -> Array:
+def _unwrap(name: str, values: Array) -> Array:
     """A channel, an angle without its jumps by a turn."""
     if name.endswith("_rad"):
         known = np.isfinite(values)

@@ -10,14 +10,14 @@ from pathlib import Path
 
 from swimid.errors import InputError, suggestion
 from swimid.files import yamlio
-from swimid.logs.foreign.base import Options, Reader, Table, discovered, first_bytes, reading
+from swimid.logs.foreign.base import Options, Reader, Table, discover, first_bytes, reading
 from swimid.logs.log import Log
 
 
 @cache
 def readers() -> dict[str, Reader]:
     """Return the reader of each file format by its name."""
-    return discovered(__name__, Reader)
+    return discover(__name__, Reader)
 
 
 def reader_of(path: Path, options: Options) -> Reader:

@@ -136,7 +136,7 @@ class Reader:
     extra: str = ""
 
 
-def discovered(package: str, kind: Any) -> dict[str, Any]:
+def discover(package: str, kind: Any) -> dict[str, Any]:
     """Return every object of a class in the modules of a package, by its ``name``."""
     entries = pkgutil.iter_modules(importlib.import_module(package).__path__)
     modules = [importlib.import_module(f"{package}.{entry.name}") for entry in entries]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from swimid.errors import InputError, suggestion
 from swimid.logs.foreign import open_table
-from swimid.logs.foreign.base import Table, discovered, first_bytes, is_text, one_of, reading
+from swimid.logs.foreign.base import Table, discover, first_bytes, is_text, one_of, reading
 from swimid.logs.log import TIME
 from swimid.logs.units import UNITS, canonical
 
@@ -210,7 +210,7 @@ SWIMID = Profile("swimid", "log of swimid", _has_time, lambda path, select, leng
 @cache
 def known() -> dict[str, Profile]:
     """Return every profile by its name."""
-    return {**discovered(__name__, Profile), SWIMID.name: SWIMID}
+    return {**discover(__name__, Profile), SWIMID.name: SWIMID}
 
 
 def find(path: Path, name: str | None = None) -> Profile | None:
