@@ -54,6 +54,3 @@ class RwlsOptions(Options):
         "Repeatable.",
     )
     horizon: int = option(10, ge=2, le=1000, help="Steps of the k-step prediction error.")
-    stride: int | None = option(
-        None, ge=1, help="Keep every n-th row of the trajectories [default: 1000 kept]."
-    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,8 +15,6 @@ from swimid.notices import warn
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Steps that differ by less than this share of their mean are even.
-EVEN = 1e-3
 #: Cycles of the short windows a beat is fitted in; they overlap by all but one cycle.
 WINDOW = 2
 #: Order of the polynomial fitted with it in each window: drift and turns are slower than two cycles.
@@ -36,8 +35,6 @@ FALSE_ALARM = 0.01
 MIN_SHARE, FAINTEST = 0.1, 0.02
 #: Frequencies that agree within this share of the lower one are one, or one a multiple of the other.
 TOGETHER = 0.03
-#: Peaks of the spectrum that are looked at.
-CANDIDATES = 6
 #: Windows whose phases are regressed; of more, only so many are spread over the record.
 MOST_WINDOWS = 120
 #: Fewest samples a window needs.
@@ -50,8 +47,6 @@ HARMONICS = 5
 #: A slow motion is periodic where a sine leaves less than this share of what a polynomial of as many
 #: coefficients leaves. The polynomial describes a drift or a turn.
 PERIODIC = 0.5
-#: Samples that suffice to find a slow motion.
-SLOW_SAMPLES = 1000
 
 
 @dataclass(frozen=True)
@@ -66,7 +61,8 @@ class Beat:
     share : float
         Part of the variance about the drift that the fundamental explains.
     cycles : float
-        How many the record holds.
+        How many the record holds. Below :data:`FEWEST_CYCLES` the frequency is approximate, and its standard
+        error and share are not known (NaN).
     """
 
     frequency_hz: float
@@ -80,6 +76,10 @@ class Beat:
         """95 % interval (Student's t over the cycles), Hz."""
         half = float(special.stdtrit(max(self.cycles - WINDOW - 1.0, 1.0), 0.975)) * self.stderr_hz
         return self.frequency_hz - half, self.frequency_hz + half
+
+    def may_cause(self, frequency_hz: float) -> bool:
+        """Return whether a beat at this frequency may be a harmonic of this motion."""
+        return frequency_hz < (HARMONICS + 0.5) * self.frequency_hz
 
 
 #: A beat frequency this far from the stated one, as a share of it, contradicts it.
@@ -181,12 +181,8 @@ def find_beats(
         jumps = np.count_nonzero(np.diff(x))
         sure = [beat for beat in sure if 2.0 * beat.cycles <= jumps + 1.0]
     if slow is not None:
-        fastest = slow.amplitude * slow.frequency_hz
-        sure = [
-            beat
-            for beat in sure
-            if beat.amplitude * beat.frequency_hz > fastest or not slow.may_cause(beat.frequency_hz)
-        ]
+        fastest, harmonics = slow.amplitude * slow.frequency_hz, slow.may_cause
+        sure = [b for b in sure if b.amplitude * b.frequency_hz > fastest or not harmonics(b.frequency_hz)]
     large = [beat for beat in sure if beat.share >= MIN_SHARE]
     if not large:
         return []
@@ -208,30 +204,7 @@ def find_beats(
     return [first, *sorted(others, key=lambda beat: -beat.amplitude)]
 
 
-@dataclass(frozen=True)
-class SlowMotion:
-    """A periodic motion of too few cycles for a beat.
-
-    Attributes
-    ----------
-    frequency_hz : float
-        Approximate frequency.
-    amplitude : float
-        Amplitude in the channel's unit.
-    cycles : float
-        Number of cycles in the record, below :data:`FEWEST_CYCLES`.
-    """
-
-    frequency_hz: float
-    amplitude: float
-    cycles: float
-
-    def may_cause(self, frequency_hz: float) -> bool:
-        """Return whether a beat at this frequency may be a harmonic of the slow motion."""
-        return frequency_hz < (HARMONICS + 0.5) * self.frequency_hz
-
-
-def find_slow_motion(time_s: Array, values: Array) -> SlowMotion | None:
+def find_slow_motion(time_s: Array, values: Array) -> Beat | None:
     """Return the strongest motion of a channel if it is periodic and has too few cycles for a beat.
 
     Parameters
@@ -245,7 +218,7 @@ def find_slow_motion(time_s: Array, values: Array) -> SlowMotion | None:
     is compared with that of a quintic, which has as many coefficients.
     """
     there = np.flatnonzero(np.isfinite(values) & np.isfinite(time_s))
-    there = there[:: max(len(there) // SLOW_SAMPLES, 1)]
+    there = there[:: max(len(there) // 1000, 1)]
     t, x = time_s[there], values[there]
     if len(t) < 2 * SAMPLES or not np.ptp(x) > 1e-12 * np.max(np.abs(x)):
         return None
@@ -255,11 +228,11 @@ def find_slow_motion(time_s: Array, values: Array) -> SlowMotion | None:
     parabola, quintic = (np.linalg.qr(powers[:, :k])[0] for k in (3, 6))
     x = x - parabola @ (parabola.T @ x)
     cycles = np.arange(1.0, 1.5 * FEWEST_CYCLES, 0.1)
-    waves = np.exp(2j * np.pi * cycles[:, None] * (t - t[0]) / duration)
-    waves = np.stack([waves.real, waves.imag], axis=-1)
-    waves -= parabola @ (parabola.T @ waves)
-    normal = waves.transpose(0, 2, 1) @ waves
-    right = waves.transpose(0, 2, 1) @ x
+    turns = np.exp(2j * np.pi * cycles[:, None] * (t - t[0]) / duration)
+    sines = np.stack([turns.real, turns.imag], axis=-1)
+    sines -= parabola @ (parabola.T @ sines)
+    normal = sines.transpose(0, 2, 1) @ sines
+    right = sines.transpose(0, 2, 1) @ x
     weights = np.linalg.solve(normal, right[..., None])[..., 0]
     explained = np.sum(right * weights, axis=1)
     best = int(np.argmax(explained))
@@ -267,7 +240,14 @@ def find_slow_motion(time_s: Array, values: Array) -> SlowMotion | None:
     periodic = float(x @ x) - explained[best] < PERIODIC * drift
     if best == 0 or cycles[best] >= FEWEST_CYCLES or not periodic:
         return None
-    return SlowMotion(cycles[best] / duration, float(np.hypot(*weights[best])), float(cycles[best]))
+    amplitude = float(np.hypot(*weights[best]))
+    return Beat(cycles[best] / duration, np.nan, amplitude, np.nan, float(cycles[best]))
+
+
+def waves(t: Array, frequency_hz: float, harmonics: Iterable[int] = (1,)) -> Array:
+    """Return cosine and sine of each harmonic of a frequency, shape (n, 2 k), at times in s, shape (n,)."""
+    turn = 2 * np.pi * frequency_hz * t
+    return np.column_stack([wave(k * turn) for k in harmonics for wave in (np.cos, np.sin)])
 
 
 def multiple(beat: Beat, of: Beat, resolution_hz: float = 0.0) -> int:
@@ -293,7 +273,7 @@ def _peaks(t: Array, x: Array, low: float, high: float, duration: float) -> list
     for spectrum in (power * grid**4, power * grid**2, power):
         rises = np.diff(spectrum) > 0
         tops = [k for k in np.flatnonzero(rises[:-1] & ~rises[1:]) + 1 if grid[k] >= low]
-        ranked = sorted(tops, key=lambda k: -spectrum[k])[:CANDIDATES]
+        ranked = sorted(tops, key=lambda k: -spectrum[k])[:6]
         chosen += [float(grid[k]) for k in ranked if all(abs(grid[k] - f) > 0.5 / duration for f in chosen)]
     return chosen
 
@@ -408,8 +388,7 @@ def _no_line(t: Array, x: Array, frequency: float) -> float:
     known = t[after] - t[after - 1] <= 0.25 / frequency
     if known.mean() < KNOWN:
         return 1.0
-    turn = 2 * np.pi * frequency * even
-    design = np.column_stack([u**k for k in range(DRIFT + 1)] + [np.cos(turn), np.sin(turn)])
+    design = np.column_stack((np.vander(u, DRIFT + 1), waves(even, frequency)))
     weights = np.linalg.lstsq(design[known], values[known], rcond=None)[0]
     values = np.where(known, values, design @ weights)
     values = values - np.polyval(np.polyfit(u, values, DRIFT), u)
@@ -484,7 +463,7 @@ def _power(t: Array, x: Array, grid: Array) -> Array:
     """Periodogram of a record at given frequencies, by FFT where its steps are even."""
     steps = np.diff(t)
     step = float(np.mean(steps))
-    if np.ptp(steps) > EVEN * step:
+    if np.ptp(steps) > 1e-3 * step:
         from scipy.signal import lombscargle
 
         # scipy builds arrays of frequencies times samples: in parts they do not grow with the square of the

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from typing import Any, Self
 
@@ -81,17 +82,33 @@ class ImportOptions(Options):
         if self.stroke_hz is not None and not 0 < self.stroke_hz[0] < self.stroke_hz[1]:
             raise UsageError("--stroke takes two frequencies in Hz, the lower first")
         if self.along is not None:
-            from swimid.logs import projection
-
-            try:
-                projection.direction(self.along)
-            except ValueError as error:
-                raise UsageError(f"--along: {error}") from error
+            direction(self.along)
         return self
 
     def settings(self, **found: Any) -> dict[str, Any]:
         """The options as the provenance records them, without those that were not given."""
         return {key: value for key, value in super().settings(**found).items() if value is not None}
+
+
+def direction(text: str) -> tuple[float, ...] | None:
+    """Return the unit vector that a text names: ``x``, ``-y``, ``0.6,-0.8``; None for ``line``.
+
+    Raises
+    ------
+    UsageError
+        It names none.
+    """
+    if text == "line":
+        return None
+    parts: list[float] = []
+    if text[-1:] in ("x", "y", "z") and text[:-1] in ("", "-", "+"):
+        parts = [float(f"{text[:-1]}1") * (axis == text[-1]) for axis in "xyz"]
+    with contextlib.suppress(ValueError):
+        parts = parts or [float(part) for part in text.split(",")]
+    if len(parts) not in (2, 3) or not all(map(math.isfinite, parts)) or not any(parts):
+        hint = "give line, x, -y, z or components as in 0.6,-0.8"
+        raise UsageError(f"--along: '{text}' is no direction", hint=hint)
+    return tuple(part / math.hypot(*parts) for part in [*parts, 0.0][:3])
 
 
 class ImportCommandOptions(ImportOptions):

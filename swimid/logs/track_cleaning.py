@@ -27,8 +27,6 @@ FASTER, ALIKE = 2.0, 5
 #: A place of which fewer samples tell than this (or than the share of all) is a jump there and back,
 #: not a track that goes on elsewhere.
 FEW, FEW_SHARE = 12, 0.05
-#: Pieces between jumps that are looked back upon for where the track goes on.
-LOOK_BACK = 100
 
 
 @dataclass(frozen=True)
@@ -164,7 +162,7 @@ def _chain(sizes: NDArray[np.int64], goes_on: Callable[[int, int], bool], cost: 
     link = np.full(len(sizes), -1)
     for k, size in enumerate(sizes):
         best[k] = size
-        for j in range(max(0, k - LOOK_BACK), k):
+        for j in range(max(0, k - 100), k):
             gained = best[j] + size
             if gained > best[k] and not goes_on(j, k):
                 gained -= cost

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from swimid.logs.beat import waves
 from swimid.logs.track_cleaning import Cleaning
 
 Array = NDArray[np.float64]
@@ -22,8 +23,6 @@ MAX_SAMPLES = 60_000
 STRENGTHS = np.logspace(-4, 6, 11)
 #: Parts of the samples that are left out in turn to choose it.
 FOLDS = 5
-#: Samples that suffice to choose it.
-TUNING_SAMPLES = 600
 
 
 #: Cycles at each end of a track from which the ends of its averaged path are estimated. A shorter track is
@@ -191,11 +190,10 @@ def _fit_path(
     u = (t - t[0]) / float(np.ptp(t))
     design = np.vander(u, order + 1, increasing=True)
     if frequency_hz is not None:
-        turn = 2.0 * np.pi * frequency_hz * (t - t[0])
-        waves = np.column_stack([wave(k * turn) for k in (1, 2) for wave in (np.cos, np.sin)])
+        swing = waves(t - t[0], frequency_hz, (1, 2))
+        design = np.column_stack((design, swing))
         if changes:
-            waves = np.column_stack([waves, (u - 0.5)[:, None] * waves[:, :2]])
-        design = np.column_stack([design, waves])
+            design = np.column_stack((design, (u - 0.5)[:, None] * swing[:, :2]))
     weights = np.linalg.lstsq(design, place, rcond=None)[0]
     left = place - design @ weights
     squares = np.maximum(np.sum(left**2, axis=0), 1e-300)
@@ -248,7 +246,7 @@ def speed(
     stretches = _stretches(time_s, cleaning)
     if not stretches:
         return None
-    longest = max(stretches, key=len)[:TUNING_SAMPLES]
+    longest = max(stretches, key=len)[:600]
     strength = _strength(time_s[longest], place[longest])
     for rows in stretches:
         t, x = time_s[rows], place[rows]

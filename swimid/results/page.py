@@ -77,6 +77,7 @@ def render(
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        keep_trailing_newline=True,
     )
     environment.globals.update(
         levels=LEVELS, checks=CHECKS, leaves=leaves, cell=terminal.cell_text, numeric=terminal.is_numeric

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -132,6 +134,14 @@ class Reader:
     open: Callable[[Path, Options], Table]
     magic: tuple[bytes, ...] = ()
     extra: str = ""
+
+
+def discover(package: str, kind: Any) -> dict[str, Any]:
+    """Return every object of a class in the modules of a package, by its ``name``."""
+    entries = pkgutil.iter_modules(importlib.import_module(package).__path__)
+    modules = [importlib.import_module(f"{package}.{entry.name}") for entry in entries]
+    objects: list[Any] = [value for module in modules for value in vars(module).values()]
+    return {one.name: one for one in objects if isinstance(one, kind)}
 
 
 def is_text(values: NDArray[Any]) -> bool:
