@@ -11,10 +11,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
+
+#: Argument of each option of the function that runs; None where the options themselves are typed.
+_ARGUMENTS: ContextVar[Mapping[str, str] | None] = ContextVar("_ARGUMENTS")
+#: A command, which is left as it is, or one option.
+_OPTION = re.compile(r"swimid [a-z][^\n;]*|(?<![\w-])--?[a-z][a-z-]*")
+
+
+@contextmanager
+def names_as_typed() -> Iterator[None]:
+    """Let messages name the options of the command line, because it runs this block."""
+    token = _ARGUMENTS.set(None)
+    try:
+        yield
+    finally:
+        _ARGUMENTS.reset(token)
+
+
+@contextmanager
+def names_in_python(arguments: Mapping[str, str]) -> Iterator[None]:
+    """Let messages of this block name arguments (``start_state``) in place of options (``--start-state``).
+
+    Parameters
+    ----------
+    arguments : mapping
+        The argument of each option. Those of a block outside this one stay known.
+    """
+    outside = _ARGUMENTS.get({})
+    token = _ARGUMENTS.set(None if outside is None else {**outside, **arguments})
+    try:
+        yield
+    finally:
+        _ARGUMENTS.reset(token)
+
+
+def in_words_of_the_caller(text: str) -> str:
+    """Return a message with the names of options as the caller writes them.
+
+    >>> with names_in_python({"--start-state": "start_state", "--raw": "clean=False"}):
+    ...     in_words_of_the_caller("give --start-state rest, or --raw")
+    'give start_state rest, or clean=False'
+    """
+    arguments = _ARGUMENTS.get({})
+    return _OPTION.sub(lambda found: arguments.get(found[0], found[0]), text) if arguments else text
 
 
 class SwimidError(Exception):
@@ -33,9 +78,9 @@ class SwimidError(Exception):
     exit_status = 1
 
     def __init__(self, message: str, *, hint: str | None = None) -> None:
-        self.message = message
-        self.hint = hint
-        super().__init__(message)
+        self.message = in_words_of_the_caller(message)
+        self.hint = None if hint is None else in_words_of_the_caller(hint)
+        super().__init__(self.message)
 
     def __str__(self) -> str:
         return self.message if self.hint is None else f"{self.message}\n  hint: {self.hint}"
@@ -110,7 +155,7 @@ class InputError(SwimidError, ValueError):
         self.frame = frame
         self.row = row
         self.column = column
-        self.reason = message
+        self.reason = in_words_of_the_caller(message)
         place = [] if self.file is None else [self.file]
         if line is not None:
             place.append(f"line {line}")

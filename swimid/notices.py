@@ -12,6 +12,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
+from swimid.errors import in_words_of_the_caller
+
 #: Every code, with what it is about. ``docs/warnings.md`` explains each.
 CODES: dict[str, str] = {
     "SWM001": "missing samples masked",
@@ -118,8 +120,8 @@ class SwimidWarning(UserWarning):
         if code not in CODES:
             raise KeyError(f"unknown warning code {code}")
         self.code = code
-        self.text = text
-        super().__init__(f"{code} {text}")
+        self.text = in_words_of_the_caller(text)
+        super().__init__(f"{code} {self.text}")
 
 
 @dataclass(frozen=True)

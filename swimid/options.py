@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar, Union, cast, get_args
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
-from swimid.errors import SwimidError, UsageError, suggestion
+from swimid.errors import SwimidError, UsageError, names_in_python, suggestion
 
 Returned = TypeVar("Returned")
 
@@ -73,9 +73,40 @@ def option(
 
 
 class Options(BaseModel):
-    """Base of the options of a verb; what is given is validated, and cannot be changed afterwards."""
+    """Base of the options of a command; what is given is validated, and cannot be changed afterwards.
+
+    A class with the arguments below is a command. Its docstring is the help, whose first line stands in the
+    list of commands. ``swimid.cli.builder`` reads arguments and docstring in the file, so they are literals.
+
+    Parameters
+    ----------
+    command : str
+        Name of the command, ``"fit-drag"``.
+    section : str
+        Heading above it in the list of commands.
+    output : str
+        What ``-o`` writes.
+    argument : str
+        Files it takes, by default ``"TRIALS"``. ``"LOG..."`` are several, ``"[NAME]"`` is a word or none.
+    function : str
+        Module of the same package and function in it; by default the command with ``_`` for ``-``. It takes
+        the files, ``output`` and the options, and ``progress``, ``allow`` or ``force`` where it wants them.
+    output_flags : tuple of str
+        Other flags where ``--output`` means something else.
+    required : bool
+        Whether ``-o`` must be given.
+    stdout : dict
+        Options of a document that goes to stdout without ``-o``, unless they are given.
+    beside : tuple of str
+        Endings of the files that are written beside the output, by default that of the evidence.
+    page : str
+        Page of the docs, by default that of the command's name.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
+
+    def __init_subclass__(cls, **command: Any) -> None:
+        super().__init_subclass__()
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:
@@ -205,8 +236,17 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
         own = [p for p in signature.parameters.values() if p.name != "options"]
         keywords = {p.name for p in own}
 
+        arguments = {"-o": "output"}
+        for entry in options.declared().values():
+            on, _, off = entry.flags.partition("/")
+            arguments |= {on: entry.name, off: f"{entry.name}=False"}
+
         @functools.wraps(function)
         def call(*args: Any, **given: Any) -> Returned:
+            with names_in_python(arguments):
+                return checked(*args, **given)
+
+        def checked(*args: Any, **given: Any) -> Returned:
             mine = {name: given.pop(name) for name in list(given) if name in keywords}
             if isinstance(mine.get("output"), str):
                 mine["output"] = Path(mine["output"])

@@ -5,9 +5,23 @@ from __future__ import annotations
 import click
 
 import swimid
-from swimid.cli.optimise import optimise
-from swimid.cli.track import track
-from swimid.cli.verbs import HELPERS, SECTIONS, VERBS
+from swimid.cli.builder import Command, found
+
+#: Headings of the list of commands, in the order one uses them.
+SECTIONS = (
+    "Make logs",
+    "Identify",
+    "Simulate and compare",
+    "Diagnose",
+    "Put to work",
+    "Publish",
+    "Help yourself",
+)
+#: Help of the commands that have commands of their own.
+GROUPS = {
+    "track": "Make logs: from videos with coloured markers, and from IMU recordings.",
+    "optimise": "Find the best stiffness, as a rule for a controller, or the best gait.",
+}
 
 
 class Sectioned(click.Group):
@@ -15,8 +29,11 @@ class Sectioned(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write one list of commands per section."""
-        for title, names in SECTIONS:
-            rows = [(name, self.commands[name].get_short_help_str(limit=88)) for name in names]
+        sections: dict[str, set[str]] = {title: set() for title in SECTIONS}
+        for spec in found().values():
+            sections.setdefault(spec.section, set()).add(spec.command.split()[0])
+        for title, names in sections.items():
+            rows = [(name, self.commands[name].get_short_help_str(limit=88)) for name in sorted(names)]
             with formatter.section(title):
                 formatter.write_dl(rows)
 
@@ -38,11 +55,11 @@ def main() -> None:
     """
 
 
-main.add_command(track)
-main.add_command(optimise)
-for verb in (*VERBS, *HELPERS):
-    if " " not in verb.name:
-        main.add_command(verb.command())
+_GROUPS = {name: click.Group(name, help=help) for name, help in GROUPS.items()}
+for group in _GROUPS.values():
+    main.add_command(group)
+for spec in found().values():
+    _GROUPS.get(spec.command.split()[0], main).add_command(Command(spec))
 
 
 def entry() -> None:

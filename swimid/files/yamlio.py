@@ -6,6 +6,7 @@ import hashlib
 import io
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self, TypeVar
 
@@ -62,15 +63,28 @@ class ResultFile(Document):
         return validate(data, cls, Path(path))
 
 
-def _known(value: Any) -> Any:
-    """Arrays as lists, and nothing where a number is none."""
-    if hasattr(value, "tolist"):
+def plain(value: Any, *, finite: bool = False) -> Any:
+    """The same data as plain Python dicts, lists, strings and numbers; numpy included.
+
+    With ``finite`` a number that is none becomes None.
+    """
+    if isinstance(value, BaseModel):
+        value = value.model_dump(mode="python")
+    if hasattr(value, "tolist"):  # numpy scalars and arrays
         value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(k): plain(v, finite=finite) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_known(v) for v in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        return [plain(v, finite=finite) for v in value]
+    if isinstance(value, Path):
+        return value.as_posix()
+    if finite and isinstance(value, float) and not math.isfinite(value):
+        return None
+    kinds = () if isinstance(value, bool) else (float, int, str)
+    return next((kind(value) for kind in kinds if isinstance(value, kind)), value)
 
 
+_known = partial(plain, finite=True)
 #: A number, or nothing where none can be had; the same in lists, rows and pairs.
 Number = Annotated[float | None, BeforeValidator(_known)]
 Numbers = Annotated[list[float | None], BeforeValidator(_known)]
@@ -299,22 +313,6 @@ def line_of(data: Any, location: Sequence[Any]) -> int | None:
         except (KeyError, TypeError, AttributeError):
             return line
     return line
-
-
-def plain(value: Any) -> Any:
-    """The same data as plain Python dicts, lists, strings and numbers; numpy included."""
-    if isinstance(value, BaseModel):
-        return plain(value.model_dump(mode="python"))
-    if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
-    if hasattr(value, "tolist"):  # numpy scalars and arrays
-        return plain(value.tolist())
-    if isinstance(value, Path):
-        return value.as_posix()
-    kinds = () if isinstance(value, bool) else (float, int, str)
-    return next((kind(value) for kind in kinds if isinstance(value, kind)), value)
 
 
 def dumps(data: Mapping[str, Any]) -> str:

@@ -13,8 +13,26 @@ from swimid.swimmer import options as swimmers
 Method = Literal["sobol", "morris", "none"]
 
 
-class SensitivityOptions(Options):
-    """What ``sensitivity`` can be told."""
+class SensitivityOptions(
+    Options,
+    command="sensitivity",
+    section="Diagnose",
+    output="Sensitivity file to write (YAML).",
+):
+    r"""Rank the coefficients of a swimmer by their effect on each output; sweep its drive.
+
+    TRIALS is a trials file of a free-swim or multibody experiment. Each output (speeds, rates, the misfit
+    of each measured channel) is told which coefficients it is sensitive to, over ranges of all at once.
+    A run that was stopped goes on where it was when it is started again.
+
+    Examples:
+      swimid sensitivity trials.yaml -o sens.yaml
+      swimid sensitivity trials.yaml --params tfish.yaml --range stderr -o sens.yaml
+      swimid sensitivity trials.yaml --range 20% --range c_d4=2,6 --samples 512 -o sens.yaml
+      swimid sensitivity strokes.yaml --method morris -o screening.yaml
+      swimid sensitivity strokes.yaml --params sealion.yaml --method none \
+          --sweep frequency_hz=0.2:0.6:5 --sweep scale=0.6:1.2:5 -o sweep.yaml
+    """
 
     params: Source = option(None, help="Parameter file of these trials' robot.", recorded=False)
     robot: str | None = simulations.robot()
