@@ -25,26 +25,20 @@ _OPTION = re.compile(r"swimid [a-z][^\n;]*|(?<![\w-])--?[a-z][a-z-]*")
 
 
 @contextmanager
-def names_as_typed() -> Iterator[None]:
-    """Let messages name the options of the command line, because it runs this block."""
-    token = _ARGUMENTS.set(None)
-    try:
-        yield
-    finally:
-        _ARGUMENTS.reset(token)
-
-
-@contextmanager
-def names_in_python(arguments: Mapping[str, str]) -> Iterator[None]:
+def naming(arguments: Mapping[str, str] | None) -> Iterator[None]:
     """Let messages of this block name arguments (``start_state``) in place of options (``--start-state``).
 
     Parameters
     ----------
-    arguments : mapping
-        The argument of each option. Those of a block outside this one stay known.
+    arguments : mapping or None
+        The argument of each option, beside those of a block around this one. None keeps the options also in
+        inner blocks: they were typed.
     """
+    inside = None
     outside = _ARGUMENTS.get({})
-    token = _ARGUMENTS.set(None if outside is None else {**outside, **arguments})
+    if arguments is not None and outside is not None:
+        inside = {**outside, **arguments}
+    token = _ARGUMENTS.set(inside)
     try:
         yield
     finally:
@@ -54,7 +48,7 @@ def names_in_python(arguments: Mapping[str, str]) -> Iterator[None]:
 def in_words_of_the_caller(text: str) -> str:
     """Return a message with the names of options as the caller writes them.
 
-    >>> with names_in_python({"--start-state": "start_state", "--raw": "clean=False"}):
+    >>> with naming({"--start-state": "start_state", "--raw": "clean=False"}):
     ...     in_words_of_the_caller("give --start-state rest, or --raw")
     'give start_state rest, or clean=False'
     """
@@ -156,15 +150,10 @@ class InputError(SwimidError, ValueError):
         self.row = row
         self.column = column
         self.reason = in_words_of_the_caller(message)
+        counted = {"line": line, "frame": frame, "row": row}
         place = [] if self.file is None else [self.file]
-        if line is not None:
-            place.append(f"line {line}")
-        if frame is not None:
-            place.append(f"frame {frame}")
-        if row is not None:
-            place.append(f"row {row}")
-        if column is not None:
-            place.append(f"'{column}'")
+        place += [f"{name} {number}" for name, number in counted.items() if number is not None]
+        place += [] if column is None else [f"'{column}'"]
         super().__init__(f"{', '.join(place)}: {message}" if place else message, hint=hint)
 
     def to_dict(self) -> dict[str, Any]:
@@ -227,8 +216,10 @@ def suggestion(word: str, allowed: list[str] | tuple[str, ...], lead: str = "the
 
 
 @contextmanager
-def extra_needed(task: str, extra: str) -> Iterator[None]:
-    """Turn the failed import of an optional library into a :class:`UsageError` that names its extra.
+def extra_needed(task: str, extra: str, *, file: str | Path | None = None) -> Iterator[None]:
+    """Turn the failed import of an optional library into an error that names its extra.
+
+    It is an :class:`InputError` where a file needs the library, else a :class:`UsageError`.
 
     Examples
     --------
@@ -241,5 +232,7 @@ def extra_needed(task: str, extra: str) -> Iterator[None]:
     try:
         yield
     except ImportError as error:
-        text = f"{task} needs {error.name}, which is not installed"
-        raise UsageError(text, hint=f"pip install 'swimid[{extra}]'") from error
+        text, hint = f"{task} needs {error.name}, which is not installed", f"pip install 'swimid[{extra}]'"
+        if file is not None:
+            raise InputError(text, file=file, hint=hint) from error
+        raise UsageError(text, hint=hint) from error

@@ -20,12 +20,10 @@ from typing import Annotated, Any, Literal, Self, TypeVar, Union, cast, get_args
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
-from swimid.errors import SwimidError, UsageError, names_in_python, suggestion
+from swimid.errors import SwimidError, UsageError, naming, suggestion
 
 Returned = TypeVar("Returned")
 
-#: Characters of a refused value that a message quotes.
-LONGEST = 60
 #: A file, or in its place what would be in it; on the command line always a file.
 Source = Annotated[Path | Any, Field(union_mode="left_to_right")]
 
@@ -175,8 +173,7 @@ class Declared:
         }
         self.separated: bool = notes["separated"]
         self.written: bool = notes["written"]
-        recorded = notes["recorded"]
-        self.key: str = recorded if isinstance(recorded, str) else name if recorded else ""
+        self.key: str = {True: name, False: ""}.get(notes["recorded"], notes["recorded"])
         self.part: str = notes["part"]
 
     @property
@@ -210,9 +207,9 @@ class Declared:
     def type_text(self) -> str:
         """Its type as a docstring says it."""
         text = _type_text(self.kind)
-        if self.default is None:
-            return text if self.required else f"{text}, optional"
-        return text if self.default in ((), {}) else f"{text}, default {_shown(self.default)}"
+        if self.required or self.default in ((), {}):
+            return text
+        return f"{text}, optional" if self.default is None else f"{text}, default {self.default!r}"
 
 
 def without_none(kind: Any) -> Any:
@@ -243,7 +240,7 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
 
         @functools.wraps(function)
         def call(*args: Any, **given: Any) -> Returned:
-            with names_in_python(arguments):
+            with naming(arguments):
                 return checked(*args, **given)
 
         def checked(*args: Any, **given: Any) -> Returned:
@@ -302,7 +299,7 @@ def _leaves(kind: Any) -> list[Any]:
 def _type_text(kind: Any) -> str:
     origin, args = get_origin(kind), get_args(kind)
     if origin is Literal:
-        return "{" + ", ".join(f'"{one}"' for one in args) + "}"
+        return f"{{{', '.join(map(repr, args))}}}"
     if origin in (Union, UnionType):
         names = [_type_text(one) for one in args if one is not Any]
         return " or ".join([*names, "what would be in it"] if Any in args else names)
@@ -313,10 +310,6 @@ def _type_text(kind: Any) -> str:
     if isinstance(origin, type) and issubclass(origin, Sequence):
         return f"sequence of {_type_text(args[0])}"
     return {Path: "path"}.get(kind, getattr(kind, "__name__", str(kind)))
-
-
-def _shown(value: Any) -> str:
-    return f'"{value}"' if isinstance(value, str) else f"{value}"
 
 
 def _plain(value: Any) -> Any:
@@ -341,6 +334,5 @@ def _refusal(options: type[Options], error: ValidationError) -> SwimidError:
     if problem["type"] == "missing":
         return UsageError(f"the option '{name}' is missing", hint=options.declared()[name].help)
     message = problem["msg"]
-    value = repr(problem.get("input"))
-    value = value if len(value) < LONGEST else f"{value[:LONGEST]}..."
+    value = f"{problem.get('input')!r:.60}"
     return UsageError(f"{name}: {value} is not allowed: {message[0].lower()}{message[1:]}")

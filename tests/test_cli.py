@@ -198,7 +198,7 @@ def test_a_fit_does_not_write_a_file_called_dash(
 class TestTerminal:
     """What a command prints beside its result."""
 
-    def run(self, *warnings: tuple[str, str], **shared: bool) -> Any:
+    def run(self, *warnings: tuple[str, str], **shared: int) -> Any:
         def command() -> None:
             with running("verb", Shared(**shared)) as run:
                 for code, text in warnings:
@@ -222,8 +222,12 @@ class TestTerminal:
         ran = self.run(*(("SWM012", f"parameter {k}") for k in range(count)), ("SWM013", "white"))
         lines = ran.stderr.splitlines()
         assert lines[:shown] == [f"warning SWM012: parameter {k}" for k in range(shown)]
-        rest = ["warning SWM012: 3 more like these"] if shown < count else []
+        rest = ["warning SWM012: 3 more like these; -v prints them"] if shown < count else []
         assert lines[shown:] == [*rest, "warning SWM013: white"]
+
+    def test_verbose_prints_every_warning(self) -> None:
+        ran = self.run(*(("SWM012", f"parameter {k}") for k in range(9)), verbose=1)
+        assert len(ran.stderr.splitlines()) == 9
 
     def test_json_holds_every_warning(self) -> None:
         ran = self.run(*(("SWM012", f"parameter {k}") for k in range(9)), as_json=True)

@@ -167,7 +167,7 @@ class TestModel:
 
     def test_the_docstring_has_them_where_parameters_are(self) -> None:
         text = inspect.getdoc(example) or ""
-        assert text.index("trials : str") < text.index('method : {"fast", "good"}') < text.index("Raises")
+        assert text.index("trials : str") < text.index("method : {'fast', 'good'}") < text.index("Raises")
         assert "step_s : float, default 0.1\n    Step, s." in text
 
 

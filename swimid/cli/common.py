@@ -9,12 +9,10 @@ from __future__ import annotations
 import json
 import os
 import shlex
-import signal
 import sys
 import textwrap
-import threading
 import traceback
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from functools import partial
@@ -23,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from swimid.errors import InputError, Interrupted, SwimidError, UsageError, names_as_typed
+from swimid.errors import InputError, Interrupted, SwimidError, UsageError, naming
 from swimid.files import atomic, lock, mark
 from swimid.notices import Notice, recorded
 from swimid.progress import Progress, Step, silent
@@ -33,7 +31,7 @@ if TYPE_CHECKING:
 
 #: Maximum width of a line on the terminal.
 WIDTH = 100
-#: More warnings of one code than this are counted.
+#: More warnings of one code than this are counted, without -v.
 MAX_ALIKE = 5
 _flag = partial(click.Option, is_flag=True)
 #: The options of every command beside ``-o``.
@@ -41,7 +39,7 @@ SHARED = (
     _flag(["--json", "as_json"], help="Print the result as one JSON document on stdout."),
     _flag(["--force"], help="Overwrite an output that swimid did not write."),
     _flag(["-q", "--quiet"], help="Print errors only."),
-    click.Option(["-v", "--verbose"], count=True, help="Say more about what is done."),
+    click.Option(["-v", "--verbose"], count=True, help="Print every warning, also many of one kind."),
     _flag(["--no-progress"], help="No progress bars."),
     _flag(["--debug"], help="Show tracebacks."),
 )
@@ -94,10 +92,16 @@ def running(command: str, shared: Shared) -> Iterator[Run]:
     run = Run(command, shared)
     notices: list[Notice] = []
     written: list[Path] = []
+    interrupts: list[Callable[[], None]] = []
+
+    def noted(interrupt: Callable[[], None]) -> None:
+        interrupts.append(interrupt)  # a search may catch it, to go on with what it had
+        interrupt()
+
     try:
         with (
-            _interrupts() as interrupts,
-            names_as_typed(),
+            atomic.on_interrupt(noted),
+            naming(None),
             recorded() as notices,
             atomic.noted() as written,
             lock.held(shared.output),
@@ -123,26 +127,6 @@ def running(command: str, shared: Shared) -> Iterator[Run]:
     outcome = run.outcome
     text = "" if shared.as_json or shared.quiet else outcome.summary()
     _print(run, {"result": outcome.data}, notices, text, outcome.outputs)
-
-
-@contextmanager
-def _interrupts() -> Iterator[list[int]]:
-    """Every Ctrl-C while the work runs, also one that a search caught to go on with what it had."""
-    seen: list[int] = []
-    before = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or not callable(before):
-        yield seen
-        return
-
-    def note(number: int, frame: Any) -> None:
-        seen.append(number)
-        before(number, frame)
-
-    signal.signal(signal.SIGINT, note)
-    try:
-        yield seen
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _as_error(caught: BaseException, output: Path | None, written: list[Path]) -> SwimidError:
@@ -172,7 +156,7 @@ def _print(
 ) -> None:
     """Print the answer on stdout; warnings, the files written and the next command on stderr."""
     if not run.shared.quiet:
-        for line in _warning_lines(notices):
+        for line in _warning_lines(notices, sys.maxsize if run.shared.verbose else MAX_ALIKE):
             click.echo(line, err=True)
     if run.shared.as_json:
         from swimid.files import yamlio
@@ -195,8 +179,8 @@ def _print(
             click.echo(f"next: {following}", err=True)
 
 
-def _warning_lines(notices: list[Notice]) -> Iterator[str]:
-    """Warnings by code, wrapped; of many with one code the first three and a count."""
+def _warning_lines(notices: list[Notice], most: int) -> Iterator[str]:
+    """Warnings by code, wrapped; of more than ``most`` with one code the first three and a count."""
     wrapped = partial(
         textwrap.fill,
         width=WIDTH,
@@ -206,10 +190,10 @@ def _warning_lines(notices: list[Notice]) -> Iterator[str]:
     )
     for code in dict.fromkeys(one.code for one in notices):
         texts = [one.text for one in notices if one.code == code]
-        shown = texts if len(texts) <= MAX_ALIKE else texts[:3]
+        shown = texts if len(texts) <= most else texts[:3]
         yield from (wrapped(f"warning {code}: {text}") for text in shown)
         if len(shown) < len(texts):
-            yield f"warning {code}: {len(texts) - len(shown)} more like these"
+            yield f"warning {code}: {len(texts) - len(shown)} more like these; -v prints them"
 
 
 def _next_command(outcome: Result | None) -> str:

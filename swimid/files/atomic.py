@@ -7,12 +7,12 @@ import shutil
 import signal
 import tempfile
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from types import FrameType
 
 from swimid.errors import InputError, UsageError
 
@@ -69,36 +69,28 @@ class _Group:
         """Rename every file to its own name; Ctrl-C waits, and an error undoes the renaming."""
         several = len(self.pending) + len(self.removed) > 1
         before: dict[Path, Path | None] = {}
-        try:
-            with _uninterrupted():
-                try:
-                    for path in (*self.pending, *self.removed):
-                        before[path] = _second_name(path) if several and path.exists() else None
-                    for path, temporary in self.pending.items():
-                        temporary.chmod(_mode(path))
-                        temporary.replace(path)
-                    for path in self.removed:
-                        path.unlink(missing_ok=True)
-                except OSError as error:
-                    self._undo(before)
-                    raise InputError(f"cannot be written: {error.strerror or error}", file=path) from error
-                self.folders.clear()
-                written = _WRITTEN.get()
-                if written is not None:
-                    written.extend(self.pending)
-        finally:
-            for spare in before.values():
-                if spare is not None:
+        with _uninterrupted():
+            try:
+                for path in (*self.pending, *self.removed):
+                    before[path] = _second_name(path) if several and path.exists() else None
+                for path, temporary in self.pending.items():
+                    temporary.chmod(_mode(path))
+                    temporary.replace(path)
+                for path in self.removed:
+                    path.unlink(missing_ok=True)
+            except OSError as error:
+                for path, spare in before.items():
+                    with suppress(OSError):
+                        if spare is not None:
+                            spare.replace(path)
+                        elif path in self.pending and not self.pending[path].exists():
+                            path.unlink()
+                raise InputError(f"cannot be written: {error.strerror or error}", file=path) from error
+            finally:
+                for spare in filter(None, before.values()):
                     spare.unlink(missing_ok=True)
-
-    def _undo(self, before: dict[Path, Path | None]) -> None:
-        for path, spare in before.items():
-            renamed = path in self.pending and not self.pending[path].exists()
-            with suppress(OSError):
-                if spare is not None:
-                    spare.replace(path)
-                elif renamed:
-                    path.unlink()
+            self.folders.clear()
+            _WRITTEN.get([]).extend(self.pending)
 
     def discard(self) -> None:
         """Remove what was not renamed."""
@@ -110,11 +102,11 @@ class _Group:
 
 
 _GROUP: ContextVar[_Group | None] = ContextVar("_GROUP", default=None)
-_WRITTEN: ContextVar[list[Path] | None] = ContextVar("_WRITTEN", default=None)
+_WRITTEN: ContextVar[list[Path]] = ContextVar("_WRITTEN")
 
 
 @contextmanager
-def together() -> Iterator[None]:
+def together() -> Iterator[_Group]:
     """Make the files that are written in this block appear when it ends well: all of them, or none.
 
     A block inside another one is part of it.
@@ -124,13 +116,14 @@ def together() -> Iterator[None]:
     InputError
         When a file cannot be renamed; those renamed before are restored.
     """
-    if _GROUP.get() is not None:
-        yield
+    outer = _GROUP.get()
+    if outer is not None:
+        yield outer
         return
     group = _Group()
     token = _GROUP.set(group)
     try:
-        yield
+        yield group
         group.commit()
     finally:
         _GROUP.reset(token)
@@ -163,9 +156,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
     path = check_writable(path)
     device = is_device(path)
     try:
-        with together():
-            group = _GROUP.get()
-            assert group is not None
+        with together() as group:
             # a link stays, and the file it points to is replaced
             target = Path(os.path.realpath(path)) if path.is_symlink() else path
             folder = None if device else target.parent
@@ -192,9 +183,7 @@ def write_text(path: str | Path, text: str) -> None:
 
 def remove(path: Path) -> None:
     """Remove a file that a new one makes obsolete, when the group of the new one ends well."""
-    with together():
-        group = _GROUP.get()
-        assert group is not None
+    with together() as group:
         group.removed.append(path)
 
 
@@ -218,20 +207,32 @@ def make_folder(path: Path) -> None:
 
 
 @contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """Hold Ctrl-C back until the block has ended."""
+def on_interrupt(handle: Callable[[Callable[[], None]], object]) -> Iterator[None]:
+    """Call ``handle`` for every Ctrl-C in the block, with the function that does what Ctrl-C did before.
+
+    Outside the main thread, and where Ctrl-C is ignored, nothing changes.
+    """
     before = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or not callable(before):
         yield
         return
-    received: list[tuple[int, FrameType | None]] = []
-    signal.signal(signal.SIGINT, lambda number, frame: received.append((number, frame)))
+    signal.signal(signal.SIGINT, lambda number, frame: handle(partial(before, number, frame)))
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Hold Ctrl-C back until the block has ended."""
+    received: list[Callable[[], None]] = []
+    try:
+        with on_interrupt(received.append):
+            yield
+    finally:
         if received:
-            before(*received[-1])
+            received[-1]()
 
 
 def _second_name(path: Path) -> Path:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import threading
 import weakref
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -153,29 +155,29 @@ class Checkpoint:
         """Sort the lines into those of this run, those of others and damaged ones."""
         raw = path.read_bytes() if path.is_file() else b""
         lines = [line.decode("utf-8", "replace") for line in raw.splitlines() if line.strip()]
-        parsed = [(line, _parsed(line)) for line in lines]
-        damaged = sum(piece is None for _, piece in parsed)
-        for line, piece in parsed:
-            if piece is None:
-                continue
-            key, name, values = piece
-            if key != self._key_of(name):
+        damaged = 0
+        for line in lines:
+            key, name, values = _parsed(line)
+            if not key:
+                damaged += 1
+            elif key != self._key_of(name):
                 self._others.append(line)
             elif not anew:
                 self._known[name] = values
         _PIECES[path] = len(self._known)
         if damaged == len(lines) > 0:
-            aside = _unused(path)
+            names = (path.with_name(f"{path.name}.damaged{k}") for k in itertools.count(1))
+            aside = next(name for name in names if not name.exists())
             path.rename(aside)
-            warn(
-                "SWM150", f"{path} is no checkpoint, or is damaged throughout; it was renamed to {aside.name}"
-            )
-        elif anew:
+            text = f"{path} is no checkpoint, or is damaged throughout; it was renamed to {aside.name}"
+            warn("SWM150", text)
+            return
+        if anew:
             self._rewrite()
         elif lines and not raw.endswith(b"\n"):
             with path.open("ab") as stream:
                 stream.write(b"\n")
-        others, damaged = len(self._others), damaged if damaged < len(lines) else 0
+        others = len(self._others)
         reasons = {"of runs with other inputs or options, or of another version": others, "damaged": damaged}
         if others or damaged:
             told = ", ".join(f"{count} {reason}" for reason, count in reasons.items() if count)
@@ -187,20 +189,11 @@ def _sum(key: str, name: str, values: list[float]) -> str:
     return hashlib.sha256(json.dumps([key, name, values]).encode()).hexdigest()[:DIGITS]
 
 
-def _parsed(line: str) -> tuple[str, str, list[float]] | None:
-    """Key, name and values of a line; None where it is damaged."""
-    try:
+def _parsed(line: str) -> tuple[str, str, list[float]]:
+    """Key, name and values of a line; the key of a damaged one is empty."""
+    with suppress(ValueError, TypeError, KeyError):
         piece = json.loads(line)
         key, name, values = piece["key"], piece["name"], piece["values"]
-        sound = piece["sum"] == _sum(key, name, values)
-    except (ValueError, TypeError, KeyError):
-        return None
-    return (key, name, values) if sound else None
-
-
-def _unused(path: Path) -> Path:
-    """A name beside a file that no file has."""
-    count = 1
-    while (found := path.with_name(f"{path.name}.damaged{count}")).exists():
-        count += 1
-    return found
+        if piece["sum"] == _sum(key, name, values):
+            return key, name, values
+    return "", "", []

@@ -10,6 +10,7 @@ import hashlib
 import json
 import re
 import zlib
+from contextlib import suppress
 from itertools import takewhile
 from pathlib import Path
 
@@ -43,7 +44,7 @@ _SVG = re.compile(
     r"<dc:creator>\s*<cc:Agent>\s*<dc:title>swimid</dc:title>",
     re.DOTALL,
 )
-_MARKDOWN = re.compile(r"\nMade by swimid \S+ on \d{4}-\d\d-\d\d [\d:]+ UTC\. [^\n]*\n\Z")
+_MARKDOWN = re.compile(r"\nMade by swimid \S+ on \d{4}-\d\d-\d\d [\d:]+ UTC\. [^\n]*\n?\Z")
 
 
 def is_own(path: Path) -> bool:
@@ -70,6 +71,8 @@ def is_own(path: Path) -> bool:
         return _own_text(path, head, tail)
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror or error}", file=path) from error
+    except ValueError:  # neither JSON nor Parquet
+        return False
 
 
 def draft(text: str) -> str:
@@ -93,25 +96,18 @@ def _digest(text: str) -> str:
 
 
 def _own_parquet(path: Path) -> bool:
-    import pyarrow as pa
     from pyarrow import parquet
 
-    try:
-        stored = (parquet.read_schema(path).metadata or {}).get(b"swimid", b"")
-    except pa.ArrowInvalid:
-        return False
+    stored = (parquet.read_schema(path).metadata or {}).get(b"swimid", b"")
     return any(_LOG.match(line) for line in stored.decode("utf-8", "replace").splitlines())
 
 
 def _own_picture(path: Path) -> bool:
     from PIL import Image, UnidentifiedImageError
 
-    try:
-        with Image.open(path) as picture:
-            said = picture.info
-    except UnidentifiedImageError:
-        return False
-    return said.get("Software") == SOFTWARE or said.get("comment") == MADE_BY.encode()
+    with suppress(UnidentifiedImageError), Image.open(path) as picture:
+        return picture.info.get("Software") == SOFTWARE or picture.info.get("comment") == MADE_BY.encode()
+    return False
 
 
 def _own_text(path: Path, head: bytes, tail: bytes) -> bool:
@@ -134,10 +130,7 @@ def _own_text(path: Path, head: bytes, tail: bytes) -> bool:
 
 
 def _own_json(path: Path) -> bool:
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError:
-        return False
+    data = json.loads(path.read_text(encoding="utf-8"))
     comment = str(data.get("$comment", ""))
     by_verb = comment.startswith("written by swimid ") or {"swimid", "packages", "healthy"} <= set(data)
     return by_verb or _written_format(str(data.get("format")))

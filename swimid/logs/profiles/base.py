@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.errors import InputError
+from swimid.errors import InputError, in_words_of_the_caller
 from swimid.logs.foreign.base import Table, first_bytes, is_text, one_of, reading
 from swimid.logs.units import UNITS, canonical
 
@@ -104,7 +104,8 @@ class Profile:
                 return self.read(path, select, length_unit)
         except InputError as error:
             if error.hint is None:
-                error.hint = f"the file is read as a {self.title}; --as names another format"
+                hint = f"the file is read as a {self.title}; --as names another format"
+                error.hint = in_words_of_the_caller(hint)
             raise
 
 
