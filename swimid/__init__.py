@@ -16,9 +16,9 @@ Time
 Missing data
     NaN in arrays, an empty cell in files. Nothing is filled silently.
 Packages
-    Each is named after its subject: ``logs``, ``tracking``, ``inertial``; ``rig``, ``propulsion``, ``swimmer``
-    and ``blackbox``, one for each family of experiment; ``fitting``, which they share; ``simulation``,
-    ``effects``, ``diagnosis``, ``sensitivity_analysis``, ``exporters``; ``results``, ``robots`` and ``files``,
+    Each is named after its subject: ``logs``, ``tracking``, ``inertial``; one for each family of experiment:
+    ``rig``, ``propulsion``, ``swimmer``, ``blackbox``; ``fitting``, which these share; ``simulation``,
+    ``effects``, ``diagnosis``, ``sensitivity_analysis``, ``exporters``; ``results``, ``robots``, ``files``,
     which all use; ``cli``. Imports run one way (``docs/architecture.md``).
 """
 

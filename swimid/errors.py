@@ -236,3 +236,22 @@ def extra_needed(task: str, extra: str, *, file: str | Path | None = None) -> It
         if file is not None:
             raise InputError(text, file=file, hint=hint) from error
         raise UsageError(text, hint=hint) from error
+
+
+@contextmanager
+def file_errors(file: str | Path, done: str = "read") -> Iterator[None]:
+    """Turn an error of the operating system into an :class:`InputError`: what cannot be ``done``, and why.
+
+    Examples
+    --------
+    >>> with file_errors("absent.yaml"), open("absent.yaml"):
+    ...     pass
+    Traceback (most recent call last):
+    swimid.errors.InputError: absent.yaml: cannot be read: No such file or directory
+      hint: check the path
+    """
+    try:
+        yield
+    except OSError as error:
+        hint = "check the path" if isinstance(error, FileNotFoundError) else None
+        raise InputError(f"cannot be {done}: {error.strerror or error}", file=file, hint=hint) from error

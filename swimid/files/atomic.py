@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from swimid.errors import InputError, UsageError
+from swimid.errors import InputError, UsageError, file_errors
 
 
 def check_writable(path: str | Path, *, inputs: Iterable[object] = ()) -> Path:
@@ -154,25 +154,21 @@ def replacing(path: str | Path) -> Iterator[Path]:
         When the file cannot be written.
     """
     path = check_writable(path)
-    device = is_device(path)
-    try:
-        with together() as group:
-            # a link stays, and the file it points to is replaced
-            target = Path(os.path.realpath(path)) if path.is_symlink() else path
-            folder = None if device else target.parent
-            handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=path.suffix, dir=folder)
-            os.close(handle)
-            temporary = Path(name)
-            group.temporaries.append(temporary)
-            yield temporary
-            if device:
-                path.write_bytes(temporary.read_bytes())
-            else:
-                with temporary.open("r+b") as stream:
-                    os.fsync(stream.fileno())
-                group.pending[target] = temporary
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror or error}", file=path) from error
+    # a link stays, and the file it points to is replaced
+    target = Path(os.path.realpath(path)) if path.is_symlink() else path
+    folder = None if is_device(path) else target.parent
+    with file_errors(path, "written"), together() as group:
+        handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=path.suffix, dir=folder)
+        os.close(handle)
+        temporary = Path(name)
+        group.temporaries.append(temporary)
+        yield temporary
+        if folder is None:
+            path.write_bytes(temporary.read_bytes())
+        else:
+            with temporary.open("r+b") as stream:
+                os.fsync(stream.fileno())
+            group.pending[target] = temporary
 
 
 def write_text(path: str | Path, text: str) -> None:
@@ -195,14 +191,10 @@ def make_folder(path: Path) -> None:
     InputError
         When it cannot be made.
     """
-    group = _GROUP.get()
     if path.is_dir():
         return
-    try:
+    with file_errors(path, "made"), together() as group:
         path.mkdir()
-    except OSError as error:
-        raise InputError(f"cannot be made: {error.strerror or error}", file=path) from error
-    if group is not None:
         group.folders.append(path)
 
 

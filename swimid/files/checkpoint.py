@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import swimid
-from swimid.errors import InputError
+from swimid.errors import file_errors
 from swimid.files import atomic, lock
 from swimid.notices import warn
 
@@ -84,10 +84,8 @@ class Checkpoint:
         atomic.check_writable(path)
         # also where a run fails: when nobody refers to the checkpoint any more
         self._release = weakref.finalize(self, lock.take(path.with_suffix("")).release)
-        try:
+        with file_errors(path):
             self._read(path, anew)
-        except OSError as error:
-            raise InputError(f"cannot be read: {error.strerror or error}", file=path) from error
 
     @classmethod
     def beside(cls, output: Path | None, belongs_to: Any, *, anew: bool = False) -> Checkpoint:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from swimid.errors import InputError, UsageError
+from swimid.errors import UsageError, file_errors
 
 if TYPE_CHECKING:
     from filelock import BaseFileLock
@@ -60,18 +60,17 @@ def take(output: Path) -> Lock:
         own.holders += 1
         return own
     file = SoftFileLock(path, timeout=0, thread_local=False)
-    try:
-        file.acquire()
-    except Timeout:
-        who = "another run of swimid"
-        if file.pid is not None:
-            who = f"{who} (process {file.pid})"
-        raise UsageError(
-            f"{output} is being written by {who}",
-            hint=f"wait for it, or name another output; if no such run exists, delete {path}",
-        ) from None
-    except OSError as error:
-        raise InputError(f"cannot be locked: {error.strerror or error}", file=output) from error
+    with file_errors(output, "locked"):
+        try:
+            file.acquire()
+        except Timeout:
+            who = "another run of swimid"
+            if file.pid is not None:
+                who = f"{who} (process {file.pid})"
+            raise UsageError(
+                f"{output} is being written by {who}",
+                hint=f"wait for it, or name another output; if no such run exists, delete {path}",
+            ) from None
     _HELD[path] = Lock(file)
     return _HELD[path]
 

@@ -15,7 +15,7 @@ from itertools import takewhile
 from pathlib import Path
 
 import swimid
-from swimid.errors import InputError
+from swimid.errors import file_errors
 
 #: Value of a picture's ``Software`` or ``dc:creator``.
 SOFTWARE = "swimid"
@@ -57,7 +57,7 @@ def is_own(path: Path) -> bool:
     """
     if not path.is_file():
         return True
-    try:
+    with file_errors(path), suppress(ValueError):  # neither JSON nor Parquet
         with path.open("rb") as stream:
             head = stream.read(NEAR)
             stream.seek(max(path.stat().st_size - NEAR, 0))
@@ -66,13 +66,8 @@ def is_own(path: Path) -> bool:
             return _own_parquet(path)
         if head[:4] in (b"\x89PNG", b"GIF8"):
             return _own_picture(path)
-        if not head or tail.endswith(VIDEO_BOX):
-            return True
-        return _own_text(path, head, tail)
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror or error}", file=path) from error
-    except ValueError:  # neither JSON nor Parquet
-        return False
+        return not head or tail.endswith(VIDEO_BOX) or _own_text(path, head, tail)
+    return False
 
 
 def draft(text: str) -> str:

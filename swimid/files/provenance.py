@@ -13,19 +13,13 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import swimid
-from swimid.errors import InputError
+from swimid.errors import file_errors
 
 
 def sha256(path: str | Path) -> str:
-    """SHA-256 of a file as hexadecimal digits, read in pieces."""
-    digest = hashlib.sha256()
-    try:
-        with Path(path).open("rb") as stream:
-            while piece := stream.read(1 << 20):
-                digest.update(piece)
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror or error}", file=path) from error
-    return digest.hexdigest()
+    """SHA-256 of a file as hexadecimal digits."""
+    with file_errors(path), Path(path).open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 class InMemory(Protocol):

@@ -16,7 +16,7 @@ from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.constructor import DuplicateKeyError
 from ruamel.yaml.nodes import MappingNode, Node, SequenceNode
 
-from swimid.errors import InputError, first_line, nearest, suggestion
+from swimid.errors import InputError, file_errors, first_line, nearest, suggestion
 from swimid.files import atomic
 
 #: A larger file is refused before it is parsed.
@@ -126,12 +126,10 @@ def load(path: str | Path) -> CommentedMap:
         key, or expands beyond reason through anchors.
     """
     path = Path(path)
-    try:
+    with file_errors(path):
         raw = path.read_bytes()
+    try:
         text = raw.decode("utf-8-sig")
-    except OSError as error:
-        hint = "check the path" if isinstance(error, FileNotFoundError) else None
-        raise InputError(f"cannot be read: {error.strerror or error}", file=path, hint=hint) from error
     except UnicodeDecodeError as error:
         line, hint = raw[: error.start].count(b"\n") + 1, "save it as UTF-8, or is it another kind of file?"
         raise InputError("is not UTF-8 text", file=path, line=line, hint=hint) from error
@@ -142,13 +140,13 @@ def load(path: str | Path) -> CommentedMap:
         size = 0 if node is None else _expanded(node, {}, 0)
         data = _yaml().load(io.StringIO(text)) if 0 < size <= MAX_NODES else None
     except Exception as error:
-        mark, hint = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None), None
+        mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
+        place = mark.line + 1 if mark else None
         problem = getattr(error, "problem", None) or getattr(error, "context", None) or first_line(error)
-        text = f"is not valid YAML: {problem}"
         if isinstance(error, DuplicateKeyError):
-            text, hint = problem.split("with value")[0].strip(), "keep one of them"
-        line = mark.line + 1 if mark else None
-        raise InputError(text, file=path, line=line, hint=hint) from error
+            twice = problem.split("with value")[0].strip()
+            raise InputError(twice, file=path, line=place, hint="keep one of them") from error
+        raise InputError(f"is not valid YAML: {problem}", file=path, line=place) from error
     if size == 0:
         raise InputError("is empty", file=path)
     if size > MAX_NODES:
@@ -220,11 +218,12 @@ def _followed(data: Any, location: Sequence[Any]) -> tuple[list[Any], Any, int |
 
     The names of branches of unions, which pydantic puts in between, are not in the data.
     """
-    parts, line = [], None
+    parts: list[Any] = []
+    line: int | None = None
     for part in location:
         in_list = isinstance(data, list) and isinstance(part, int) and part < len(data)
         if in_list or (isinstance(data, Mapping) and part in data):
-            lines = getattr(getattr(data, "lc", None), "data", None) or {}
+            lines: dict[Any, Any] = getattr(getattr(data, "lc", None), "data", None) or {}
             line = lines[part][0] + 1 if part in lines else line
             parts.append(part)
             data = data[part]
