@@ -198,11 +198,15 @@ def _warning_lines(notices: list[Notice], most: int) -> Iterator[str]:
 
 def _next_command(outcome: Result | None) -> str:
     """The command that follows a result which was written; empty where there is none."""
+    from swimid.results.kinds import LOG_ENDINGS
     from swimid.results.terminal import next_command
 
-    if outcome is None or outcome.evidence is None or not outcome.outputs:
+    if outcome is None or not outcome.outputs:
         return ""
-    return next_command(outcome.verb, shlex.quote(str(outcome.path)), outcome.evidence.provenance)
+    provenance = outcome.evidence.provenance if outcome.evidence else {}
+    if not provenance and outcome.path.suffix not in LOG_ENDINGS:
+        return ""
+    return next_command(outcome.verb, shlex.quote(str(outcome.path)), provenance)
 
 
 def protect(output: Path | None, shared: Shared, *, inputs: Iterable[str | Path] = ()) -> None:
