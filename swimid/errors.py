@@ -3,9 +3,9 @@
 ::
 
     SwimidError
-    +-- UsageError          2  the command line is wrong
+    +-- UsageError          2  options or arguments are wrong
     +-- InputError          3  a file cannot be read or is invalid   (also a ValueError)
-    +-- NoTrustworthyResult 4  the work ran, and nothing in it can be trusted
+    +-- NoTrustworthyResult 4  the computation ended without a result that can be trusted
         +-- Interrupted   130  it was stopped before its end
 """
 
@@ -66,7 +66,7 @@ class SwimidError(Exception):
     hint : str or None
         What to do about it.
     exit_status : int
-        What the command ends with.
+        Exit status of the command.
     """
 
     exit_status = 1
@@ -80,7 +80,7 @@ class SwimidError(Exception):
         return self.message if self.hint is None else f"{self.message}\n  hint: {self.hint}"
 
     def to_dict(self) -> dict[str, Any]:
-        """The error as the ``error`` member of the ``--json`` envelope."""
+        """Return the error as the ``error`` member of the ``--json`` document."""
         return {
             "type": type(self).__name__,
             "message": self.message,
@@ -90,7 +90,7 @@ class SwimidError(Exception):
 
 
 class UsageError(SwimidError, ValueError):
-    """The command line asks for something that does not exist or does not fit together; so may arguments.
+    """Options or arguments do not exist, are not allowed, or contradict each other.
 
     Attributes
     ----------
@@ -157,7 +157,7 @@ class InputError(SwimidError, ValueError):
         super().__init__(f"{', '.join(place)}: {message}" if place else message, hint=hint)
 
     def to_dict(self) -> dict[str, Any]:
-        """The error with its place, as the ``error`` member of the ``--json`` envelope."""
+        """Return the error with its place, as the ``error`` member of the ``--json`` document."""
         return super().to_dict() | {
             "file": self.file,
             "line": self.line,
@@ -168,7 +168,7 @@ class InputError(SwimidError, ValueError):
 
 
 class NoTrustworthyResult(SwimidError):
-    """The work ran to its end and gives nothing that should be used.
+    """The computation ended without a result that should be used.
 
     Attributes
     ----------
@@ -180,18 +180,18 @@ class NoTrustworthyResult(SwimidError):
 
 
 class Interrupted(NoTrustworthyResult):
-    """The work was stopped (Ctrl-C); the message says what was written and what was not."""
+    """The computation was stopped (Ctrl-C); the message names the files that were written."""
 
     exit_status = 130
 
 
 def first_line(error: BaseException) -> str:
-    """What an error of a library says, in one line."""
+    """Return the first line of the message of a library's error."""
     return (str(error) or type(error).__name__).splitlines()[0]
 
 
 def nearest(word: str, allowed: list[str] | tuple[str, ...]) -> str | None:
-    """The allowed word most like ``word``, or None where none is close.
+    """Return the allowed word most like ``word``, or None if none is close.
 
     >>> nearest("pulling_mas_kg", ["pulling_mass_kg", "role"])
     'pulling_mass_kg'
@@ -206,7 +206,7 @@ def nearest(word: str, allowed: list[str] | tuple[str, ...]) -> str | None:
 
 
 def suggestion(word: str, allowed: list[str] | tuple[str, ...], lead: str = "there are") -> str:
-    """The hint for a word that is none of those allowed: the nearest of them, or all after the lead.
+    """Return the hint for a word that is not allowed: the nearest allowed one, or all after the lead.
 
     >>> suggestion("gap", ["robot", "trials"])
     'there are: robot, trials'
@@ -240,7 +240,7 @@ def extra_needed(task: str, extra: str, *, file: str | Path | None = None) -> It
 
 @contextmanager
 def file_errors(file: str | Path, done: str = "read") -> Iterator[None]:
-    """Turn an error of the operating system into an :class:`InputError`: what cannot be ``done``, and why.
+    """Turn an error of the operating system into an :class:`InputError` (cannot be ``done``, and the reason).
 
     Examples
     --------

@@ -1,11 +1,11 @@
-"""The options of a verb, declared once.
+"""The options of a command, declared once.
 
-A model of options is a class of :class:`Options` with one :func:`option` for each. From it come the keyword
-arguments of the verb's function and their part of its docstring (:func:`takes`), the options and the help of
-the command (``swimid.cli.builder``), the ``settings`` of the provenance (:meth:`Options.settings`) and the
-table in the docs (``swimid.cli.table``).
+A class of options derives from :class:`Options` and has one :func:`option` for each field. It gives the keyword
+arguments of the function and their docstring (:func:`takes`), the command with its options and help
+(``swimid.cli.builder``), the ``settings`` of the provenance (:meth:`Options.settings`), and the table in the
+docs (``swimid.cli.table``).
 
-Models of options import this module and typing only, so that ``--help`` stays fast.
+Modules with options import this module and typing only, so that ``--help`` stays fast.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from swimid.errors import SwimidError, UsageError, naming, suggestion
 
 Returned = TypeVar("Returned")
 
-#: A file, or in its place what would be in it; on the command line always a file.
+#: A file, or an object with its content; on the command line always a file.
 Source = Annotated[Path | Any, Field(union_mode="left_to_right")]
 
 
@@ -40,26 +40,26 @@ def option(
     part: str = "",
     **limits: float,
 ) -> Any:
-    """One option: a field of a model of options.
+    """Declare one option, a field of a class of options.
 
     Parameters
     ----------
     default
-        Its value where it is not given. Without one it must be.
+        Value if the option is not given. Without a default it must be given.
     help : str
-        What it does, with its unit: a line of ``--help``, of the docstring and of the docs.
+        Description with the unit: a line of ``--help``, of the docstring and of the docs.
     flag : str, optional
-        As it is typed; default ``--`` and the name of the field. ``--on/--off`` for what can be refused.
+        Name on the command line, by default ``--`` and the name of the field. ``--on/--off`` can be negated.
     metavar : str, optional
-        What stands for its value in the help.
+        Placeholder for the value in the help.
     separated : bool
-        Whether several values may be given at once with commas between them.
+        Whether several values may be given with commas between them.
     written : bool
-        Whether it is a file to write, not one to read.
+        Whether the value is a file that is written, not read.
     recorded : bool or str
-        Whether it is part of the provenance's settings, and its key there; default the name of the field.
+        Whether the settings of the provenance contain it, or its key there if that is not the field's name.
     part : str
-        The group of options it belongs to, where a model treats some alike.
+        Group of options that a class treats alike.
     **limits
         Bounds of a number: ``ge``, ``gt``, ``le``, ``lt``.
     """
@@ -108,7 +108,7 @@ class Options(BaseModel):
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:
-        """The options from those given; None stands for the default.
+        """Make the options from those given; None stands for the default.
 
         Raises
         ------
@@ -123,16 +123,16 @@ class Options(BaseModel):
 
     @classmethod
     def declared(cls) -> dict[str, Declared]:
-        """Every option by the name of its field, in order."""
+        """Return every option by the name of its field, in order."""
         return {name: Declared(name, info) for name, info in cls.model_fields.items()}
 
     def settings(self, **actual: Any) -> dict[str, Any]:
-        """The options as the provenance records them, as plain data.
+        """Return the options that the provenance records, as plain data.
 
         Parameters
         ----------
         **actual
-            What a key is to say in place of the option as it was given.
+            Values that replace those given, by key.
         """
         recorded = {
             entry.key: _plain(getattr(self, name)) for name, entry in self.declared().items() if entry.key
@@ -141,18 +141,18 @@ class Options(BaseModel):
 
 
 class Declared:
-    """An option as its model declares it; what is not told here is what :func:`option` was given.
+    """An option of a class. Attributes that are not listed are those given to :func:`option`.
 
     Attributes
     ----------
     name : str
-        Of the field, and of the keyword argument.
+        Name of the field and of the keyword argument.
     flags : str
-        As it is typed on the command line, ``--on/--off`` where both can be said.
+        Name on the command line, ``--on/--off`` if it can be negated.
     kind : type
         Its type without None.
     key : str
-        In the settings of the provenance; empty where it is not part of them.
+        Key in the settings of the provenance; empty if it is not recorded.
     """
 
     def __init__(self, name: str, info: FieldInfo) -> None:
@@ -178,18 +178,18 @@ class Declared:
 
     @property
     def flag(self) -> str:
-        """The option as it is named in a message."""
+        """Name of the option in messages."""
         return self.flags.split("/")[0].split(" ")[-1]
 
     def files(self, value: Any) -> list[Path]:
-        """The files a value of it names, those to read only."""
+        """Return the files to read that a value names."""
         if value is None or self.written or Path not in _leaves(self.kind):
             return []
         several = value if isinstance(value, list | tuple) else [value]
         return [Path(one) for one in several if isinstance(one, str | Path)]
 
     def stands_for(self) -> str:
-        """What stands for its value where it is typed; empty for what is only said."""
+        """Return the placeholder for its value in the docs; empty for a switch."""
         if self.metavar or self.kind is bool:
             return self.metavar or ""
         if get_origin(self.kind) is Literal:
@@ -198,14 +198,14 @@ class Declared:
         return {int: "N", float: "X", Path: "FILE"}.get(leaf, "TEXT")
 
     def default_text(self) -> str:
-        """Its default as the docs say it."""
+        """Return its default as the docs write it."""
         if self.required:
             return "required"
         nothing = self.default is None or self.default is False or self.default in ((), {})
         return "" if nothing else f"`{self.default}`"
 
     def type_text(self) -> str:
-        """Its type as a docstring says it."""
+        """Return its type as a docstring writes it."""
         text = _type_text(self.kind)
         if self.required or self.default in ((), {}):
             return text
@@ -213,7 +213,7 @@ class Declared:
 
 
 def without_none(kind: Any) -> Any:
-    """A type without the None it may also be."""
+    """Return a type without None as an alternative."""
     if get_origin(kind) in (Union, UnionType):
         left = [one for one in get_args(kind) if one is not type(None)]
         return left[0] if len(left) == 1 else Union[tuple(left)]  # noqa: UP007 - made of a tuple
@@ -221,11 +221,11 @@ def without_none(kind: Any) -> Any:
 
 
 def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callable[..., Returned]]:
-    """Give a function the options of a model as keyword arguments.
+    """Give a function the options of a class as keyword arguments.
 
-    The function itself takes them as one argument ``options``. Its signature shows each, its docstring
-    describes each, and one that does not exist is refused with the nearest that does. Who has them as a model
-    already gives that: ``options=...``.
+    The function itself has one argument ``options``. Signature and docstring contain each option. An unknown
+    one is refused, with the nearest name. Messages name arguments, unless the command line runs. The options
+    may also be given as an object of the class: ``options=...``.
     """
 
     def decorate(function: Callable[..., Returned]) -> Callable[..., Returned]:
@@ -276,7 +276,7 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
 
 
 def _documented(text: str | None, options: type[Options], rest: Sequence[str]) -> str | None:
-    """A docstring with the options among its Parameters, before those of the function that stand last."""
+    """Return a docstring with the options among its Parameters, before those of the function in ``rest``."""
     if text is None:
         return None
     lines = inspect.cleandoc(text).splitlines()
@@ -291,7 +291,7 @@ def _documented(text: str | None, options: type[Options], rest: Sequence[str]) -
 
 
 def _leaves(kind: Any) -> list[Any]:
-    """The simple types a type is made of."""
+    """Return the simple types in a type."""
     args = get_args(kind)
     return [leaf for one in args for leaf in _leaves(one)] if args else [kind]
 
@@ -302,7 +302,7 @@ def _type_text(kind: Any) -> str:
         return f"{{{', '.join(map(repr, args))}}}"
     if origin in (Union, UnionType):
         names = [_type_text(one) for one in args if one is not Any]
-        return " or ".join([*names, "what would be in it"] if Any in args else names)
+        return " or ".join([*names, "its content"] if Any in args else names)
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return f"mapping of {_type_text(args[0])} to {_type_text(args[1])}"
     if origin is tuple and args[-1] is not Ellipsis:
@@ -325,7 +325,7 @@ def _plain(value: Any) -> Any:
 
 
 def _refusal(options: type[Options], error: ValidationError) -> SwimidError:
-    """The first thing wrong with the options, as an error of swimid."""
+    """Return the first error in the options as an error of swimid."""
     problem = error.errors()[0]
     raised = problem.get("ctx", {}).get("error")
     if isinstance(raised, SwimidError):

@@ -1,4 +1,4 @@
-"""What every command shares: options, output streams, exit statuses.
+"""Options, output streams and exit statuses of every command.
 
 stdout carries the result only (plain text, or one JSON document under ``--json``, on
 failure too); progress, warnings and errors go to stderr.
@@ -73,7 +73,7 @@ class Run:
 
     @property
     def progress(self) -> Progress:
-        """Bars on stderr when it is a terminal, else none."""
+        """Bars on stderr if that is a terminal, else none."""
         shared = self.shared
         hidden = shared.no_progress or shared.quiet or not sys.stderr.isatty() or bool(os.environ.get("CI"))
         return silent if hidden else _rich_progress
@@ -141,7 +141,7 @@ def _as_error(caught: BaseException, output: Path | None, written: list[Path]) -
 
 
 def _left(output: Path | None, written: list[Path]) -> str:
-    """What an interrupted command leaves behind."""
+    """Return what an interrupted command has written."""
     from swimid.files.checkpoint import has_pieces, place
 
     if written:
@@ -180,7 +180,7 @@ def _print(
 
 
 def _warning_lines(notices: list[Notice], most: int) -> Iterator[str]:
-    """Warnings by code, wrapped; of more than ``most`` with one code the first three and a count."""
+    """Yield warnings by code, wrapped. Of more than ``most`` with one code, yield three and a count."""
     wrapped = partial(
         textwrap.fill,
         width=WIDTH,
@@ -197,7 +197,7 @@ def _warning_lines(notices: list[Notice], most: int) -> Iterator[str]:
 
 
 def _next_command(outcome: Result | None) -> str:
-    """The command that follows a result which was written; empty where there is none."""
+    """Return the command that follows a result which was written; empty if there is none."""
     from swimid.results.kinds import LOG_ENDINGS
     from swimid.results.terminal import next_command
 
@@ -231,7 +231,7 @@ def protect(output: Path | None, shared: Shared, *, inputs: Iterable[str | Path]
 
 
 class _RichStep:
-    """A running bar: call it to advance, note what stands beside it."""
+    """A running bar with a remark beside it."""
 
     def __init__(self, bars: Any, task: Any, description: str) -> None:
         self._bars, self._task, self._description = bars, task, description

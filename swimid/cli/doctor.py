@@ -1,4 +1,4 @@
-"""``doctor``: is this installation whole?"""
+"""``swimid doctor``: check the installation."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results.result import Result
 
-#: Packages that widen what can be done.
+#: Use of each optional package.
 OPTIONAL = {
     "av": "overlay videos that browsers play (pip install 'swimid[video]')",
     "h5py": "HDF5, MATLAB and SLEAP files (pip install 'swimid[hdf5]')",
@@ -45,7 +45,7 @@ KERNELS = (
 
 @takes(DoctorOptions)
 def doctor(*, options: DoctorOptions, output: Path | None = None, progress: Progress = silent) -> Result:
-    """Versions, video decoding, optional parts; compiles the kernels when asked.
+    """Check versions, video decoding and optional packages; compile the kernels with ``warm_up``.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def doctor(*, options: DoctorOptions, output: Path | None = None, progress: Prog
 
 
 def _required() -> list[str]:
-    """Packages every verb needs: those the installed swimid states, without extras."""
+    """Return the packages that every command needs, from the metadata of the installed swimid."""
     try:
         stated = [text for text in metadata.requires("swimid") or () if "extra ==" not in text]
     except metadata.PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and groups of files that appear together or not at all."""
+"""Writing of complete files or none, and of groups of files together or none."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def check_writable(path: str | Path, *, inputs: Iterable[object] = ()) -> Path:
 
 
 def is_device(path: Path) -> bool:
-    """Whether the path is a device or a pipe: it is written to, never replaced."""
+    """Return whether the path is a device or a pipe, which is written to and never replaced."""
     return path.exists() and not path.is_file()
 
 
@@ -172,7 +172,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write ``text`` as UTF-8, whole or not at all."""
+    """Write ``text`` as UTF-8, complete or not at all."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
 
@@ -228,7 +228,7 @@ def _uninterrupted() -> Iterator[None]:
 
 
 def _second_name(path: Path) -> Path:
-    """A hidden second name of a file's content, by which it can be restored."""
+    """Return a hidden second name of a file, from which it can be restored."""
     handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=".before", dir=path.parent)
     os.close(handle)
     spare = Path(name)
@@ -241,7 +241,7 @@ def _second_name(path: Path) -> Path:
 
 
 def _mode(path: Path) -> int:
-    """The permissions the finished file should have: the old file's, or the usual ones."""
+    """Return the permissions of the new file: those of the old one, or the usual ones."""
     if path.exists():
         return path.stat().st_mode & 0o777
     mask = os.umask(0)

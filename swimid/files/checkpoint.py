@@ -1,4 +1,4 @@
-"""Checkpoints: what a long run has computed so far, kept beside its output (``docs/formats.md``)."""
+"""Checkpoints: intermediate results of a long run in a file beside its output (``docs/formats.md``)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ DIGITS = 32
 
 
 def place(output: Path) -> Path:
-    """Where the checkpoint of an output is kept."""
+    """Return the path of the checkpoint of an output."""
     return output.with_name(f"{output.name}.partial")
 
 
@@ -89,7 +89,7 @@ class Checkpoint:
 
     @classmethod
     def beside(cls, output: Path | None, belongs_to: Any, *, anew: bool = False) -> Checkpoint:
-        """The checkpoint of an output; its key is of this version and of ``belongs_to`` as JSON."""
+        """Return the checkpoint of an output; its key depends on ``belongs_to`` and the version of swimid."""
         text = json.dumps([belongs_to, swimid.__version__], sort_keys=True)
         path = None if output is None else place(output)
         return cls(path, hashlib.sha256(text.encode()).hexdigest(), anew=anew)
@@ -100,7 +100,7 @@ class Checkpoint:
         return bool(self._known)
 
     def get(self, name: str) -> NDArray[np.float64] | None:
-        """The values kept under a name."""
+        """Return the values kept under a name."""
         kept = self._known.get(name)
         return None if kept is None else np.array(kept, dtype=float)
 
@@ -122,7 +122,7 @@ class Checkpoint:
                 self._full = True
 
     def kept(self, name: str, compute: Callable[[], NDArray[np.float64]]) -> NDArray[np.float64]:
-        """The values kept under a name; computed and kept where there are none."""
+        """Return the values kept under a name; compute and keep them if there are none."""
         values = self.get(name)
         if values is None:
             values = compute()
@@ -188,7 +188,7 @@ def _sum(key: str, name: str, values: list[float]) -> str:
 
 
 def _parsed(line: str) -> tuple[str, str, list[float]]:
-    """Key, name and values of a line; the key of a damaged one is empty."""
+    """Return key, name and values of a line; the key of a damaged line is empty."""
     with suppress(ValueError, TypeError, KeyError):
         piece = json.loads(line)
         key, name, values = piece["key"], piece["name"], piece["values"]

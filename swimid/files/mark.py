@@ -48,7 +48,7 @@ _MARKDOWN = re.compile(r"\nMade by swimid \S+ on \d{4}-\d\d-\d\d [\d:]+ UTC\. [^
 
 
 def is_own(path: Path) -> bool:
-    """Whether swimid wrote this file, so that a rerun may replace it. An empty file and a device are no loss.
+    """Return whether swimid wrote this file, so that a rerun may replace it; true of empty files and devices.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""YAML in and out: comments survive, floats keep their last bit, errors name the line."""
+"""Reading and writing of YAML: comments stay, floats keep their last bit, errors name the line."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ class Document(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, validate_default=False)
 
     def digest(self) -> str:
-        """SHA-256 of its keys and values, as hexadecimal digits; for a document that is no file."""
+        """Return the SHA-256 of keys and values in hexadecimal digits, for a document in memory."""
         return hashlib.sha256(self.model_dump_json(exclude_none=True).encode()).hexdigest()
 
 
 class ResultFile(Document):
-    """Base of a format that a verb writes, the default of its field ``format``."""
+    """Base of a format that a command writes; the default of its field ``format`` names it."""
 
-    #: What it is called in messages: ``"comparison file"``.
+    #: Name in messages: ``"comparison file"``.
     kind: ClassVar[str]
 
     def write(self, path: str | Path) -> None:
-        """Write the file, whole or not at all; what is not known is left out."""
+        """Write the file, complete or not at all, without the keys whose value is None."""
         write(path, self.model_dump(mode="python", exclude_none=True))
 
     @classmethod
@@ -63,10 +63,7 @@ class ResultFile(Document):
 
 
 def plain(value: Any, *, finite: bool = False) -> Any:
-    """The same data as plain Python dicts, lists, strings and numbers; numpy included.
-
-    With ``finite`` a number that is none becomes None.
-    """
+    """Return data as plain Python dicts, lists, strings and numbers; with ``finite``, NaN and inf as None."""
     if isinstance(value, BaseModel):
         value = value.model_dump(mode="python")
     if hasattr(value, "tolist"):  # numpy scalars and arrays
@@ -84,7 +81,7 @@ def plain(value: Any, *, finite: bool = False) -> Any:
 
 
 _known = partial(plain, finite=True)
-#: A number, or nothing where none can be had; the same in lists, rows and pairs.
+#: A number, or None if it is undefined; the same in lists, rows and pairs.
 Number = Annotated[float | None, BeforeValidator(_known)]
 Numbers = Annotated[list[float | None], BeforeValidator(_known)]
 Rows = Annotated[list[list[float | None]], BeforeValidator(_known)]
@@ -158,12 +155,12 @@ def load(path: str | Path) -> CommentedMap:
 
 
 def of_format(path: str | Path, form: str, what: str) -> CommentedMap:
-    """A document that says it has a format.
+    """Read a document of a format.
 
     Raises
     ------
     InputError
-        When it does not, naming ``what`` it should be.
+        When it states another format or none; ``what`` names the document.
     """
     data = load(path)
     if data.get("format") != form:
@@ -172,7 +169,7 @@ def of_format(path: str | Path, form: str, what: str) -> CommentedMap:
 
 
 def _expanded(node: Node, known: dict[int, int], depth: int) -> int:
-    """Number of nodes the document has once every alias is written out."""
+    """Count the nodes of the document with every alias written out."""
     if depth > MAX_DEPTH:
         raise ValueError(f"nested more than {MAX_DEPTH} levels deep")
     if id(node) not in known:
@@ -231,7 +228,7 @@ def _followed(data: Any, location: Sequence[Any]) -> tuple[list[Any], Any, int |
 
 
 def line_of(data: Any, location: Sequence[Any]) -> int | None:
-    """Line of the deepest part of ``location`` the document really has."""
+    """Return the line of the deepest part of ``location`` that is in the document."""
     return _followed(data, location)[2]
 
 
@@ -242,7 +239,7 @@ def _key(data: Any, problem: Any) -> list[Any]:
 
 
 def _explain(problem: Any, data: Any, model: type[BaseModel]) -> tuple[str, str | None]:
-    """What is wrong, and what to do about it."""
+    """Return message and hint of a problem."""
     kind, location, value = problem["type"], problem["loc"], problem.get("input")
     if kind == "extra_forbidden":
         allowed = sorted(_keys_at(model, location[:-1]))
@@ -263,7 +260,7 @@ def _explain(problem: Any, data: Any, model: type[BaseModel]) -> tuple[str, str 
 
 
 def _keys_at(model: Any, location: Sequence[Any]) -> set[str]:
-    """Names the schema allows at a location; empty where it cannot be told."""
+    """Return the keys that the schema allows at a location."""
     schema = model.model_json_schema()
     definitions = schema.get("$defs", {})
 
@@ -286,19 +283,19 @@ def _keys_at(model: Any, location: Sequence[Any]) -> set[str]:
 
 
 def dumps(data: Mapping[str, Any], *, flat: bool = False) -> str:
-    """YAML text of a mapping; short leaf mappings and number lists stand on one line, all with ``flat``."""
+    """Return the YAML text of a mapping; short leaves, or all below the top with ``flat``, on one line."""
     stream = io.StringIO()
     _yaml().dump(_styled(plain(data), flat=flat), stream)
     return stream.getvalue()
 
 
 def dumps_flat(data: Mapping[str, Any]) -> str:
-    """YAML of a mapping with every value on its key's line."""
+    """Return the YAML text of a mapping with every value on its key's line."""
     return dumps(data, flat=True) if data else ""
 
 
 def _styled(value: Any, depth: int = 0, *, flat: bool = False) -> Any:
-    """Data marked with what stands on one line: all below the top where ``flat``, else what is short."""
+    """Mark the data that stand on one line: all below the top with ``flat``, else short leaves."""
     short = len(str(value)) < 150
     styled: Any = value
     if isinstance(value, dict):
@@ -321,12 +318,12 @@ def _short_list(value: Any) -> bool:
 
 
 def write(path: str | Path, data: Mapping[str, Any]) -> None:
-    """Write a mapping as YAML, whole or not at all."""
+    """Write a mapping as YAML, complete or not at all."""
     atomic.write_text(path, dumps(data))
 
 
 def parse_scalar(text: str) -> Any:
-    """The value of one ``key: value`` line.
+    """Return the value of YAML text.
 
     Raises
     ------
