@@ -1,7 +1,7 @@
 """The options of a command, declared once.
 
-A class of options derives from :class:`Options` and has one :func:`option` for each field. It gives the keyword
-arguments of the function and their docstring (:func:`takes`), the command with its options and help
+A class of options derives from :class:`Options` and has one :func:`option` for each field. It gives the
+keyword arguments of the function and their docstring (:func:`takes`), the command with its options and help
 (``swimid.cli.builder``), the ``settings`` of the provenance (:meth:`Options.settings`), and the table in the
 docs (``swimid.cli.table``).
 
