@@ -259,10 +259,10 @@ class TestWording:
                 "give na and nb, or order auto",
             ),
             (
-                ["sensitivity", SWIM, "--method", "none"],
-                lambda: package.sensitivity(TestWording.SWIM, method="none"),
-                "--method none leaves nothing to do without --sweep",
-                "method none leaves nothing to do without sweep",
+                ["fit-propulsion", SWIM, "--drag", "drag.yaml"],
+                lambda: package.fit_propulsion(TestWording.SWIM, drag="drag.yaml"),
+                "--drag belongs to a cruise experiment",
+                "drag belongs to a cruise experiment",
             ),
             (
                 ["track", "setup", "v.mp4", "--background", "--marker", "a@1,2", "-o", "{out}"],
@@ -271,7 +271,7 @@ class TestWording:
                 "background and picks contradict each other",
             ),
         ],
-        ids=["rwls", "sensitivity", "track setup"],
+        ids=["rwls", "fit-propulsion", "track setup"],
     )
     def test_errors(
         self,
@@ -285,7 +285,7 @@ class TestWording:
     ) -> None:
         monkeypatch.chdir(ROOT)
         assert typed in swimid(*(word.format(out=tmp_path / "s.yaml") for word in words)).err
-        with pytest.raises(UsageError, match=re.escape(told)):
+        with pytest.raises(UsageError, match=f"^{re.escape(told)}"):
             call()
 
     def test_warnings(
