@@ -91,7 +91,8 @@ class Logged(Result):
         columns = ["channel", "smallest", "largest", "missing", "longest gap"]
         return [Table(id="channels", title="Channels", columns=columns, rows=rows)]
 
-    def _bare(self) -> Evidence:
+    def bare(self) -> Evidence:
+        """Return what a report shows of a log whose evidence is missing."""
         verdict = Verdict(level="caution", text="A log without evidence of how it was made.")
         if self.log.metadata.get("made_by") == "swimid simulate":
             verdict = Verdict(level="good", text="A simulated run.")
