@@ -83,7 +83,7 @@ class TestFins:
     @pytest.mark.parametrize(
         ("changed", "says"),
         [
-            ({"reach_speed_m_s": None}, "reach-speed"),
+            ({"reach_speed_m_s": None}, "reach_speed"),
             ({"vary": {"K_s": (0.1, 1.0)}}, "no 'K_s'"),
             ({"vary": {"frequency_hz": (2.0, 1.0)}}, "below"),
             ({"limits": {"torque_N_m": 1.0}}, "not for fins"),

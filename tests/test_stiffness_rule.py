@@ -205,9 +205,9 @@ def test_the_cheapest_stiffness_costs_less_than_the_fastest(rule: StiffnessRule)
         ({"coefficient": "K"}, "there is no 'K'"),
         ({"robot": "sealion", "stroke": "characteristic"}, "tail beat"),
         ({"between": (-1.0, 2.0)}, "lies between"),
-        ({"objective": "effort"}, "reach-speed"),
-        ({"reach_speed_m_s": 0.5}, "reach-speed"),
-        ({"amplitude_deg": None}, "amplitude-deg"),
+        ({"objective": "effort"}, "reach_speed"),
+        ({"reach_speed_m_s": 0.5}, "reach_speed"),
+        ({"amplitude_deg": None}, "needs amplitude_deg"),
     ],
 )
 def test_what_is_refused(changed: dict[str, object], says: str) -> None:

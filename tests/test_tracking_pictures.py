@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner
 
-from swimid.cli.track import track
+from swimid.cli.main import track
 from swimid.results import evidence
 from swimid.tracking.reader import Video
 from tests.generators.disc_film import ONE_RED, Disc, Film, straight

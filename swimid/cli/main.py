@@ -17,11 +17,6 @@ SECTIONS = (
     "Publish",
     "Help yourself",
 )
-#: Help of the commands that have commands of their own.
-GROUPS = {
-    "track": "Make logs: from videos with coloured markers, and from IMU recordings.",
-    "optimise": "Find the best stiffness, as a rule for a controller, or the best gait.",
-}
 
 
 class Sectioned(click.Group):
@@ -55,11 +50,18 @@ def main() -> None:
     """
 
 
-_GROUPS = {name: click.Group(name, help=help) for name, help in GROUPS.items()}
-for group in _GROUPS.values():
-    main.add_command(group)
+@main.group()
+def track() -> None:
+    """Make logs: from videos with coloured markers, and from IMU recordings."""
+
+
+@main.group()
+def optimise() -> None:
+    """Find the best stiffness, as a rule for a controller, or the best gait."""
+
+
 for spec in found().values():
-    _GROUPS.get(spec.command.split()[0], main).add_command(Command(spec))
+    {"track": track, "optimise": optimise}.get(spec.command.split()[0], main).add_command(Command(spec))
 
 
 def entry() -> None:
