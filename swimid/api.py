@@ -1,4 +1,4 @@
-"""The public names, and the functions that belong to no room of their own."""
+"""The public names, and the functions that belong to no package of their own."""
 
 from __future__ import annotations
 

@@ -306,14 +306,14 @@ def test_the_command(swimid: Callable[..., Ran], tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changed", "says"),
     [
-        ({"vary": {}}, "--vary"),
+        ({"vary": {}}, "varied: vary NAME"),
         ({"vary": {"K": (0.1, 1.0)}}, "there is no 'K'"),
         ({"vary": {"K_s": (1.0, 0.1)}}, "not below"),
-        ({"goal": ["power"]}, "reach-speed"),
+        ({"goal": ["power"]}, "reach_speed"),
         ({"goal": ["speed", "speed"]}, "two that differ"),
         ({"limits": {"torque": 1.0}}, "there is no 'torque'"),
         ({"limits": {"torque_N_m": -1.0}}, "above zero"),
-        ({"frequency_hz": None}, "frequency-hz"),
+        ({"frequency_hz": None}, "needs frequency_hz"),
         ({"robot": "boxfish"}, "multilink"),
     ],
 )

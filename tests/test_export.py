@@ -613,7 +613,7 @@ def test_built_in_multilink_robots_export(tmp_path: Path, swimid: Callable[..., 
 def test_dry_friction_and_trailing_edges(target: str, tmp_path: Path, swimid: Callable[..., Ran]) -> None:
     """Friction is carried by all, as Coulomb's; trailing edges by MuJoCo's callback and JSON only."""
     tree = _tree("horizontal", WATER).replace("rest_deg: 5", "friction_N_m: 0.0125")
-    ran = swimid("export", _write(tmp_path, tree), "--to", target)
+    ran = swimid("export", _write(tmp_path, tree), "--to", target, "-v")
     assert ran.status == 0
     if target == "json":
         data = json.loads(ran.out)

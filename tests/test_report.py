@@ -364,7 +364,6 @@ def test_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = CliRunner()
     table: list[tuple[list[str], int, str]] = [
         (["drag.yaml", "-o", "r.html"], 0, "caution"),
-        (["drag.yaml"], 2, "needs a file"),
         (["drag.yaml", "--format", "md"], 0, "| Check |"),
         (["drag.yaml", "--format", "md", "-q"], 0, "| Check |"),
         (["drag.yaml", "--format", "json", "-o", "-"], 0, "swimid-report/1"),

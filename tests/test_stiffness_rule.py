@@ -177,7 +177,7 @@ def test_the_cheapest_stiffness_costs_less_than_the_fastest(rule: StiffnessRule)
         ({"coefficient": "K"}, "K stands in no passive joint's law"),
         ({"robot": "sealion", "stroke": "characteristic"}, "tail beat"),
         ({"between": (-1.0, 2.0)}, "lies between"),
-        ({"amplitude_deg": None}, "amplitude-deg"),
+        ({"amplitude_deg": None}, "needs amplitude_deg"),
     ],
 )
 def test_what_is_refused(changed: dict[str, object], says: str) -> None:

@@ -7,8 +7,25 @@ from typing import Literal
 from swimid.options import Options, option
 
 
-class ExportOptions(Options):
-    """What ``export`` can be told."""
+class ExportOptions(
+    Options,
+    command="export",
+    section="Publish",
+    argument="PARAMS",
+    output="The file to write. Without it, or with -o -, it goes to stdout.",
+    stdout={},
+    beside=(),
+):
+    """Write identified coefficients for MuJoCo or Gazebo, or as JSON.
+
+    PARAMS is a parameter file of a multi-link robot, or of a falling weight or towed body (Gazebo
+    and JSON). Each thing the simulator cannot carry is named in a warning.
+
+    Examples:
+      swimid export tfish.yaml --to mjcf --added-mass fold -o tfish.xml
+      swimid export drag.yaml --to gazebo -o boxfish.sdf
+      swimid export tfish.yaml --to json -o tfish.json
+    """
 
     to: Literal["mjcf", "gazebo", "json"] = option(help="What to write.")
     robot: str | None = option(

@@ -1,4 +1,4 @@
-"""What the CSV formats share: comment lines, the header, and words for what is wrong with it."""
+"""Comment lines, header and cells of CSV files, and the messages about errors in them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MISSING = ["", "nan", "-nan", "NaN", "NAN", "NA", "null"]
 
 
 def head(path: Path) -> tuple[list[str], str, int]:
-    """Comment lines without their ``#``, the header line, and its number (from 1).
+    """Return the comment lines without ``#``, the header line, and its number (from 1).
 
     Raises
     ------
@@ -52,7 +52,7 @@ def head(path: Path) -> tuple[list[str], str, int]:
 
 
 def column_names(header: str, path: Path, line: int) -> list[str]:
-    """The names of a header line.
+    """Return the names of a header line.
 
     Raises
     ------
@@ -142,7 +142,7 @@ def count_cells(line: str, delimiter: str = ",") -> int:
 def missing_column(
     column: str, names: Sequence[str], path: Path, line: int | None, what: str = "this column is missing"
 ) -> InputError:
-    """The error for a column that is not there; suggests the nearest that is."""
+    """Return the error for a missing column, with the nearest name as hint."""
     close = nearest(column, list(names))
     hint = f"did you mean '{close}'? " if close else ""
     return InputError(
@@ -151,7 +151,7 @@ def missing_column(
 
 
 def number(text: str) -> float | None:
-    """The number a cell holds, or None where it is none.
+    """Return the number in a cell, or None.
 
     >>> number(" 1e-3 "), number("1,5"), number("1_0")
     (0.001, None, None)
@@ -165,7 +165,7 @@ def number(text: str) -> float | None:
 
 
 def number_hint(text: str) -> str:
-    """What to write in place of a cell that is no number."""
+    """Return the hint for a cell that is no number."""
     if number(text.replace(",", ".")) is not None:
         return "write the decimal point as a dot"
     return "leave the cell empty where the sample is missing"

@@ -111,17 +111,21 @@ def direction(text: str) -> tuple[float, ...] | None:
     return tuple(part / math.hypot(*parts) for part in [*parts, 0.0][:3])
 
 
-class ImportCommandOptions(ImportOptions):
-    """Options of the command ``import``."""
+class PlotOptions(
+    Options,
+    command="plot",
+    section="Publish",
+    argument="LOG...",
+    output="The picture: .html, .svg or .png.",
+    required=True,
+    beside=(),
+    page="import.md",
+):
+    """Draw logs: channels, track from above, spectra; several over each other.
 
-    guess: bool = option(
-        False,
-        recorded=False,
-        help="Draft a mapping instead, with ASK for everything that the file does not state.",
-    )
-
-
-class PlotOptions(Options):
-    """Options of ``plot``."""
+    Examples:
+      swimid plot run.csv -o run.png
+      swimid plot imu.csv camera.csv -o both.html
+    """
 
     title: str | None = option(None, help="Title above the figures.")

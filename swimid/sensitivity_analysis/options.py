@@ -10,8 +10,23 @@ from swimid.simulation import options as simulations
 from swimid.swimmer import options as swimmers
 
 
-class SensitivityOptions(Options):
-    """What ``sensitivity`` can be told."""
+class SensitivityOptions(
+    Options,
+    command="sensitivity",
+    section="Diagnose",
+    output="Sensitivity file to write (YAML).",
+):
+    """Rank the coefficients of a swimmer by their effect on each output.
+
+    TRIALS is a trials file of a free-swim or multibody experiment. Each output (speeds, rates, the misfit
+    of each measured channel) is told which coefficients it is sensitive to, over ranges of all at once.
+    A run that was stopped goes on where it was when it is started again.
+
+    Examples:
+      swimid sensitivity trials.yaml -o sens.yaml
+      swimid sensitivity trials.yaml --params tfish.yaml --range stderr -o sens.yaml
+      swimid sensitivity trials.yaml --range 20% --range c_d4=2,6 --samples 512 -o sens.yaml
+    """
 
     params: Source = option(None, help="Parameter file of these trials' robot.", recorded=False)
     robot: str | None = simulations.robot()

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from swimid.errors import InputError, first_line, suggestion
+from swimid.errors import InputError, extra_needed, first_line, suggestion
 from swimid.files import yamlio
 from swimid.logs import log
 
@@ -167,17 +167,12 @@ def first_bytes(path: Path, count: int) -> bytes:
 
 @contextmanager
 def reading(path: Path, title: str, extra: str = "") -> Iterator[None]:
-    """Turn every exception of a library into an :class:`InputError`: the file is no readable ``title``.
-
-    A library that is not installed is named with the extra to install.
-    """
+    """Turn every exception of a library into an :class:`InputError`: the file is no readable ``title``."""
     try:
-        yield
+        with extra_needed(f"reading this {title}", extra, file=path):
+            yield
     except InputError:
         raise
-    except ImportError as error:
-        text = f"is a {title}, and {error.name} to read it is not installed"
-        raise InputError(text, file=path, hint=f"pip install 'swimid[{extra}]'") from error
     except Exception as error:
         raise InputError(f"is no readable {title}: {first_line(error)}", file=path) from error
 

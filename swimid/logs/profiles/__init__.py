@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.errors import InputError, suggestion
+from swimid.errors import InputError, in_words_of_the_caller, suggestion
 from swimid.logs.foreign import open_table
 from swimid.logs.foreign.base import Table, discover, first_bytes, is_text, one_of, reading
 from swimid.logs.log import TIME
@@ -113,7 +113,9 @@ class Profile:
                 return self.read(path, select, length_unit)
         except InputError as error:
             if error.hint is None:
-                error.hint = f"the file is read as a {self.title}; --as names another format"
+                error.hint = in_words_of_the_caller(
+                    f"the file is read as a {self.title}; --as names another format"
+                )
             raise
 
 
