@@ -60,13 +60,7 @@ def _checks(file: MapFile) -> list[ev.Check]:
     region = {n: ends for n, ends in file.identified.items() if n in axes or n in BEAT | STROKE}
     broken = f"{file.broken} of {len(points)}"
     checks = [
-        ev.check(
-            "runs that broke down",
-            f"{file.broken} of {len(points)}",
-            not file.broken,
-            "none",
-            reason=f"{file.broken} runs broke down",
-        ),
+        ev.check("runs that broke down", broken, not file.broken, "none", reason=f"{broken} runs broke down"),
         trust.steady_check(steady, len(points)),
         trust.region_check(region, points),
     ]
