@@ -9,6 +9,5 @@ says how large the noise is, ``dropouts`` which samples are none, ``odd`` which 
 ``places`` where the gap is, ``shrinkage`` how far it closes, ``refutation`` whether held-out data contradict
 the causes, ``advice`` names the next experiment; ``power`` and ``power_file`` what trials could show.
 ``conclusion``, ``judgement`` and ``answer`` say what was found, as a ``gap_file``. ``diagnose`` is the verb,
-``options`` what it can be told, ``diagnosed`` its result, with ``section``, ``summary``, ``evidence`` and
-``figures``.
+``options`` what it can be told, ``diagnosed`` its result, with ``evidence`` and ``words``.
 """

@@ -16,16 +16,16 @@ from swimid.diagnosis import (
     conclusion,
     crossval,
     dropout_cause,
+    evidence,
     judgement,
     places,
     remainder,
     settings,
     shrinkage,
-    summary,
+    words,
 )
 from swimid.diagnosis.conclusion import Named
 from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext
-from swimid.diagnosis.figures import Drawings
 from swimid.diagnosis.floor import by_channel, excess, floors, repeats, rms, split
 from swimid.diagnosis.folds import Folds
 from swimid.diagnosis.gap_file import (
@@ -34,10 +34,8 @@ from swimid.diagnosis.gap_file import (
     Cause,
     ChangedValue,
     ChannelGap,
-    Extrapolation,
+    Distance,
     GapFile,
-    OddTrial,
-    Predicted,
     Shrinkage,
     Stage,
     Value,
@@ -45,8 +43,9 @@ from swimid.diagnosis.gap_file import (
     ranked,
 )
 from swimid.diagnosis.judgement import Judgement
-from swimid.diagnosis.refutation import Compared, Misfit, compared
+from swimid.diagnosis.refutation import Misfit, compared
 from swimid.diagnosis.search import State
+from swimid.diagnosis.shrinkage import Piece
 from swimid.effects.base import Effect
 from swimid.effects.sensing.marker_dropout import MarkerDropout
 from swimid.errors import NoTrustworthyResult
@@ -72,8 +71,8 @@ def answer(
     unweighed: Mapping[str, Estimate] = MappingProxyType({}),
     seed: int = 0,
     progress: Progress = silent,
-) -> tuple[GapFile, Drawings]:
-    """Verdict, causes, shrinkage, what remains, what next.
+) -> tuple[GapFile, list[Piece]]:
+    """Return verdict, causes, shrinkage, what remains, and the next experiment.
 
     Parameters
     ----------
@@ -90,7 +89,8 @@ def answer(
     -------
     GapFile
         What was diagnosed is not yet named in it.
-    Drawings
+    list of Piece
+        The held-out trial with the largest errors.
 
     Raises
     ------
@@ -165,16 +165,15 @@ def answer(
         time=places.times(cells),
     )
     stuck = _at_bounds(context, nominal)
-    generic = state.left
     file = GapFile(
         verdict=told.verdict,
         where=where,
         causes=causes,
         remaining=left,
         advice=_advice(state, told, left.where, floor),
-        odd_trial=told.odd and OddTrial(trial=told.odd.trial, times=told.odd.times),
+        odd_trial={told.odd.trial: told.odd.times} if told.odd else {},
         refuted=list(told.refuted),
-        unpredicted=[OddTrial(trial=trial, times=times) for trial, times in told.unpredicted],
+        unpredicted=dict(told.unpredicted),
         setting_count=settings.count([*context.trials, *validation]),
         no_gap=state.posterior.none,
         outside=state.posterior.outside,
@@ -185,21 +184,19 @@ def answer(
         samples=sum(len(r) for r in nominal.residuals) or None,
         tried=state.tried or None,
         held_out="validation" if validation else "trials" if context.folds.whole else "stretches",
-        predicted=_predicted(predicted) if told.causes else None,
+        predicted=predicted.distances if predicted is not None and told.causes else None,
         floor_from=how,
         repeats=bool(repeats(context)),
         scores=rows,
-        forces={**generic.places} if generic is not None else {},
+        forces={**state.left.places} if state.left is not None else {},
         rounds=state.told,
-        reasons=[*_stood_in(stuck), *told.reasons, *_reasons(state)],
+        reasons=[*told.reasons, *_reasons(state)],
+        unsure=list(told.unsure),
+        left_out=dict(state.singles.screen.left_out),
     )
-    if file.verdict == "none" and file.level != "good":
-        file.advice = [Advice(text=ANOTHER if file.single else REPEAT)]
-    return ranked(file), Drawings(
-        maps=places.maps(cells),
-        overlays=shrinkage.overlays(held, units),
-        forces=generic.forces if generic is not None and generic.found else {},
-    )
+    if file.verdict == "none" and any(check.verdict == "warn" for check in evidence.checks(file)):
+        file.advice = [Advice(text=ANOTHER if (file.setting_count or 2) < 2 else REPEAT)]
+    return ranked(file), shrinkage.worst(held, levels, "after" if causes else "before")
 
 
 def _as_given(state: State) -> Fit:
@@ -216,10 +213,6 @@ def _as_given(state: State) -> Fit:
     root = np.diag(weight)[weight > 0]
     found = context.search(problem, noise_model, [start], FINE, STEPS, (mean, root))
     return context.at((), noise_model, found.x)
-
-
-def _predicted(found: Compared | None) -> Predicted | None:
-    return None if found is None else Predicted(before=found.before.times, after=found.after.times)
 
 
 def _insist_simulated(nominal: Fit, ranges: Mapping[str, float]) -> None:
@@ -244,15 +237,13 @@ def _alone(state: State, fit: Fit) -> Fit:
 
 
 def _reasons(state: State) -> list[str]:
-    said = [f"{name}: {why}" for name, why in state.singles.screen.left_out.items()]
-    if state.out_of_time:
-        said.append("the time budget ran out before every effect was refitted")
-    said += [
-        f"trials differ in {kind.name} by {kind.sd:.2g} of its typical size, which is in the noise"
-        + (f" as far as it may be chance: {kind.most:.2g}" if kind.sd > kind.most else "")
-        for kind in state.random_effects
-        if kind.sd > 0.02
-    ]
+    said = ["the time budget ran out before every effect was refitted"] if state.out_of_time else []
+    differing = []
+    for kind in (kind for kind in state.random_effects if kind.sd > 0.02):
+        chance = f", {kind.most:.2g} of it by chance" if kind.sd > kind.most else ""
+        differing.append(f"{kind.name} ({kind.sd:.2g} of its typical size{chance})")
+    if differing:
+        said.append(f"trials differ in {words.listed(differing)}, which is part of the noise")
     return said
 
 
@@ -306,7 +297,7 @@ def _causes(
             equivalent=list(c.equivalent),
             parameters=parameters,
             stage=c.best.tried.effect.stage,
-            meaning=summary.changes_text(parameters) or c.best.tried.effect.meaning,
+            meaning=words.changes_text(parameters) or c.best.tried.effect.meaning,
             sources=list(c.best.tried.effect.sources),
             gain=c.best.gain,
             gain_stderr=c.best.stderr,
@@ -393,11 +384,6 @@ def _at_bounds(context: FitContext, fit: Fit) -> dict[str, float]:
     return {label: float(value) for label, value, inside in ends if label in own and not inside}
 
 
-def _stood_in(bounds: Mapping[str, float]) -> list[str]:
-    told = "in the refit without effects: it may stand in for a cause"
-    return [f"{name} ends at its bound {bound:.4g} {told}" for name, bound in bounds.items()]
-
-
 def _absorbed(
     state: State, base: Fit, given: Mapping[str, Estimate], sd: Mapping[str, float]
 ) -> list[Absorbed]:
@@ -423,19 +409,18 @@ def _absorbed(
                 and Value(value=known.value, stderr=known.stderr, unit=p.unit, status=known.status),
                 without=refitted(p, nominal, plain),
                 with_effect=refitted(p, base, sd),
-                bounds=p.bounds,
             )
         )
     return found
 
 
-def _extrapolations(state: State, base: Fit) -> list[Extrapolation]:
+def _extrapolations(state: State, base: Fit) -> dict[str, Distance]:
     """How far the outermost frequency, amplitude or force is from what the other trials predict."""
     context = state.context
     if not context.folds.whole:
-        return []
+        return {}
     known = [settings.words(t) for t in context.trials]
-    found = []
+    found = {}
     for kind in ("frequency", "amplitude", "force"):
         labels = [words.get(kind) for words in known]
         levels = sorted({label for label in labels if label}, key=lambda text: float(text.split()[0]))
@@ -450,7 +435,7 @@ def _extrapolations(state: State, base: Fit) -> list[Extrapolation]:
             for fit in (state.nominal, base):
                 inner = crossval.normal_equations(cut, fit, state.noise_model)
                 times.append(Misfit(float(crossval.predictive(inner)[1]), int(inner.samples[1])).times)
-            found.append(Extrapolation(left_out=f"{kind} {label}", before=times[0], after=times[1]))
+            found[f"{kind} {label}"] = Distance(before=times[0], after=times[1])
     return found
 
 
@@ -459,7 +444,7 @@ def _advice(state: State, told: Judgement, left: str, floor: Mapping[str, float]
         text = f"look at what is written of {told.odd.trial}; diagnose without it (role: validate)"
         return [Advice(text=text), *_repeat(left)]
     if told.verdict == "unexplained" and told.unpredicted:
-        trials = ", ".join(trial for trial, _ in told.unpredicted)
+        trials = ", ".join(told.unpredicted)
         return [Advice(text=f"fit {trials}, too (role: fit): what acts there alone shows nowhere else")]
     if not told.causes:
         return _repeat(left) if told.verdict == "unexplained" else []

@@ -8,8 +8,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from swimid.diagnosis import answer, nominal, power, power_file, readings, search
-from swimid.diagnosis import evidence as diagnose_evidence
+from swimid.diagnosis import answer, evidence, nominal, power, power_file, readings, search
 from swimid.diagnosis.diagnosed import Diagnosis
 from swimid.diagnosis.gap_file import ROBOT_FILE
 from swimid.diagnosis.options import DiagnoseOptions
@@ -31,8 +30,8 @@ from swimid.simulation.comparison_file import ChannelScore
 
 #: Why no change of a parameter is looked for without a parameter file.
 NOT_GIVEN = (
-    "no parameter file was given (--params): the coefficients were refitted from the values of the robot "
-    "file, of which nothing is taken as known, so that no change of a parameter can be named"
+    "no parameter file was given: the refit began at the values of the robot file, of which nothing is taken "
+    "as known, and no change of a parameter can be named"
 )
 
 
@@ -167,7 +166,7 @@ def diagnose(
             budget_s=options.budget_s, checkpoint=keep, progress=progress,
         )  # fmt: skip
         with threadpool_limits(limits=1, user_api="blas"):
-            file, drawings = answer.answer(
+            file, worst = answer.answer(
                 state,
                 validation,
                 begun.given,
@@ -185,14 +184,17 @@ def diagnose(
         "held_out": "validation trials" if validation else parts,
         "folds": folds.labels if len(folds.labels) <= 30 else [],
     }
-    said = [f"{name}: {why}" for name, why in alike.items() if asked is None or name in asked]
-    if given is None:
-        said.insert(0, NOT_GIVEN)
-    about |= {"settings": settings, "reasons": [*said, *file.reasons], "as_given": as_given}
+    left_out = {name: why for name, why in alike.items() if asked is None or name in asked}
+    about |= {
+        "settings": settings,
+        "reasons": [*file.reasons, *([NOT_GIVEN] if given is None else [])],
+        "left_out": left_out | file.left_out,
+        "as_given": as_given,
+    }
     file = file.model_copy(update=about)
-    evidence = diagnose_evidence.evidence(
-        file, drawings, sources=experiment.robot.sources, notices=blocks.notices(notices)
+    rests_on = evidence.evidence(
+        file, worst, sources=experiment.robot.sources, notices=blocks.notices(notices)
     )
-    made = Diagnosis.of(file, evidence).saved(output)
+    made = Diagnosis.of(file, rests_on).saved(output)
     keep.done()
     return made

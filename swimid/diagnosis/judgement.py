@@ -39,12 +39,14 @@ class Judgement:
         The model with all that was found; without any effect where held-out trials or a single trial tell
         against that.
     reasons : tuple of str
-        What weakened it.
+        Why the verdict is what it is.
+    unsure : tuple of str
+        Why the causes are not told for sure.
     refuted : tuple of str
         Causes with which held-out errors grow.
     odd : Odd or None
         The trial that contradicts the others.
-    unpredicted : tuple of (str, float)
+    unpredicted : mapping of trial to float
         Validation trials that the model with the causes does not predict, and by how many times each is off;
         not looked for where the fitted trials show something unexplained.
     unreproduced : mapping of channel to float
@@ -55,9 +57,10 @@ class Judgement:
     causes: tuple[Named, ...]
     base: Fit
     reasons: tuple[str, ...] = ()
+    unsure: tuple[str, ...] = ()
     refuted: tuple[str, ...] = ()
     odd: Odd | None = None
-    unpredicted: tuple[tuple[str, float], ...] = ()
+    unpredicted: Mapping[str, float] = field(default_factory=dict)
     unreproduced: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -101,11 +104,11 @@ def judge(
     if validation and told.verdict != "unexplained":
         model = told.base if told.causes else state.nominal
         off = refutation.unpredicted(state.context, model, state.noise_model, validation)
-        told = replace(told, unpredicted=tuple(off))
+        told = replace(told, unpredicted=off)
         if told.causes and told.unpredicted:
             told = _by_prediction(told, state, held, floor)
     if told.verdict == "none" and told.unpredicted and not dropout:
-        where = f"validation trials {', '.join(trial for trial, _ in told.unpredicted)}"
+        where = f"validation trials {', '.join(told.unpredicted)}"
         return replace(told, verdict="unexplained"), gap, Remaining(share=1.0, where=where, white=False)
     if told.verdict == "none":
         told = _by_differences(told, state, gap, noise, left)
@@ -178,18 +181,16 @@ def _by_held_out(
         why = f"{', '.join(told.names)}: held-out data are no nearer to what the model with it predicts"
         return replace(refused, reasons=(why,))
     if held and not close:
-        return _weakened(
-            told, "held-out trials, simulated anew, close less than half of the squared gap with it"
-        )
+        return _weakened(told, "less than half of the squared gap closes on held-out data")
     if by_coefficients(state) and not state.changed:
-        return _weakened(told, "refitted without it, the parameters of the file imitate it on held-out data")
+        return _weakened(told, "the refitted parameters of the file imitate the cause on held-out data")
     return told
 
 
 def _weakened(told: Judgement, why: str) -> Judgement:
-    """Return a judgement that explains nothing, for a reason that is told of its causes."""
+    """Return a judgement that explains nothing, and why."""
     verdict = "ambiguous" if told.verdict == "explained" else told.verdict
-    return replace(told, verdict=verdict, reasons=(*told.reasons, f"{', '.join(told.names)}: {why}"))
+    return replace(told, verdict=verdict, unsure=(*told.unsure, why))
 
 
 def _by_prediction(
@@ -199,10 +200,10 @@ def _by_prediction(
 
     They are named only where they close most of the gap of the validation trials.
     """
-    trials = ", ".join(trial for trial, _ in told.unpredicted)
+    trials = ", ".join(told.unpredicted)
     each, gap = shrinkage.gained(held, floor)
     if float(each.sum()) > shrinkage.MOST * gap:
-        return _weakened(told, f"not predicted with it: {trials}")
+        return _weakened(told, f"validation trials are not predicted with the cause: {trials}")
     why = f"{', '.join(told.names)}: validation trials are not predicted with it: {trials}"
     return replace(told, verdict="unexplained", causes=(), base=state.nominal, reasons=(*told.reasons, why))
 
@@ -221,7 +222,7 @@ def by_coefficients(state: State) -> bool:
 
 
 def _by_single_trials(told: Judgement, state: State, floor: Mapping[str, float]) -> Judgement:
-    if told.verdict != "unexplained" and not told.reasons:
+    if told.verdict != "unexplained" and not (told.reasons or told.unsure):
         return told
     nominal = state.nominal
     found = odd.contradicting(state.context, nominal, nominal.marginal_residuals(), floor)

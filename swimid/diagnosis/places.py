@@ -148,30 +148,3 @@ def _change(where: Map, k: int) -> float | None:
     if step and after[best] > 4.0 * max(before[best], 1.0):
         return float(where.trials[k].time_s[cut[best]])
     return None
-
-
-def maps(where: Map) -> dict[str, tuple[list[str], list[str], Array]]:
-    """Heat maps of root-mean-square residual over floor."""
-    found: dict[str, tuple[list[str], list[str], Array]] = {}
-    channels = sorted(where.samples["channel"].unique())
-    samples = where.samples.dropna(subset="square")
-
-    def ratios(*by: str) -> pd.Series:
-        return samples.groupby(list(by))["square"].agg(_root_mean)
-
-    def grid(of: pd.Series, rows: Sequence[Any], columns: Sequence[Any]) -> Array:
-        return of.unstack().reindex(index=rows, columns=columns).to_numpy()
-
-    ids = [t.id for t in where.trials]
-    if len(ids) <= MOST_TRIALS and any(len(t.time_s) > 5 for t in where.trials):
-        every = range(len(ids))
-        found["trial by channel"] = ids, channels, grid(ratios("trial", "channel"), every, channels)
-        # channels count alike, however many samples they have
-        whole = (ratios("trial", "part", "channel") ** 2).groupby(["trial", "part"]).agg(_root_mean)
-        labels = [f"{round(100 * i / TIMES)}-{round(100 * (i + 1) / TIMES)} %" for i in range(TIMES)]
-        found["trial by time"] = ids, labels, grid(whole, every, range(TIMES))
-    if any(t.swim.drive is not None for t in where.trials):
-        labels = [f"{round(360 * i / PHASES)}°" for i in range(PHASES)]
-        by_phase = grid(ratios("channel", "phase"), channels, range(PHASES))
-        found["channel by phase"] = channels, labels, by_phase
-    return found
