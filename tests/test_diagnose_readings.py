@@ -211,7 +211,7 @@ def test_what_other_trials_told_they_told_of_the_nominal_robot(
     at = plain.labels.index("c_d0")
     assert context.expected(plain)[1][at] == pytest.approx(1 / 0.1)
     assert context.expected(read)[1][at] == pytest.approx(1 / (0.6 * size))
-    searched = Search(context, NoiseModel(plain.sd), (), (), rng=np.random.default_rng(0), jobs=1)
+    searched = Search(context, NoiseModel(plain.sd), (), (), rng=np.random.default_rng(0))
     fit = context.at((), NoiseModel(plain.sd), np.array(plain.start))
     other = context.at((others["reading:areas=as-printed"],), NoiseModel(plain.sd), np.array(read.start))
     samples = sum(len(r) for r in fit.residuals)
@@ -247,7 +247,7 @@ def sought(trials: list[Trial], *, reading: bool = True) -> State:
     if reading:
         said = 'Another answer to "How fast does it decay?": twice as fast.'
         effects.append(OtherReading("rate", "quick", meaning=said, stage="fluid", readings=Quicker()))
-    return search.run(Hooked(plainly, PLAIN, ("y",)), PLAIN, trials, {"a": (1.0, 0.1)}, effects)
+    return search.run(FitContext(Hooked(plainly, PLAIN, ("y",)), PLAIN, trials, {"a": (1.0, 0.1)}), effects)
 
 
 @pytest.mark.parametrize(

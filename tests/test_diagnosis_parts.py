@@ -16,7 +16,6 @@ from scipy.stats import chi2
 from swimid.diagnosis import (
     answer,
     candidates,
-    conclusion,
     crossval,
     dropouts,
     folds,
@@ -1095,7 +1094,7 @@ def test_a_smaller_set_is_fitted_from_where_a_larger_one_ends(rng: np.random.Gen
     tone, slope = Tone("tone", ring), Seen("slope", rise)
     context = FitContext(Hooked(plainly, PLAIN, ("y",)), PLAIN, seen_trials(rng, 0.0, 0.3), {})
     noise_model, own = NoiseModel([[np.full(200, 0.02)]] * 6), {"tone/size": 0.05, "tone/frequency": 7.5}
-    found = search.Search(context, noise_model, [tone, slope], [], rng=rng, jobs=1)
+    found = search.Search(context, noise_model, [tone, slope], [], rng=rng)
     null = found.begin(np.array([1.0]))
     caught = context.fit((tone,), noise_model, [context.start((tone,), noise_model, null.fit, own)])
     own["tone/frequency"] = 2.1
@@ -1158,7 +1157,7 @@ def test_two_effects_are_found_beside_one_that_stands_in_for_both(rng: np.random
 
     model = Hooked(plainly, PLAIN, ("y",))
     effects = [Seen("rise", rise), Seen("ring", ring), Seen("both", both)]
-    state = search.run(model, PLAIN, seen_trials(rng, 1.0, 1.4), {"a": (1.0, 0.1)}, effects)
+    state = search.run(FitContext(model, PLAIN, seen_trials(rng, 1.0, 1.4), {"a": (1.0, 0.1)}), effects)
     assert {e.name for e in state.base.effects} == {"rise", "ring"}
     assert state.posterior.sets[frozenset({"rise", "ring"})] > 0.5
 
@@ -1168,8 +1167,8 @@ def test_an_effect_asked_alone_and_among_all_has_the_same_fit(rng: np.random.Gen
     model = Hooked(plainly, PLAIN, ("y",))
     trials = seen_trials(rng, 0.3, 0.0)
     effects = [Seen("rise", rise), Seen("ring", ring), Seen("wave", lambda t: np.cos(3.0 * t))]
-    whole = search.run(model, PLAIN, trials, {"a": (1.0, 0.1)}, effects)
-    alone = search.run(model, PLAIN, trials, {"a": (1.0, 0.1)}, effects, asked=["rise"])
+    whole = search.run(FitContext(model, PLAIN, trials, {"a": (1.0, 0.1)}), effects)
+    alone = search.run(FitContext(model, PLAIN, trials, {"a": (1.0, 0.1)}), effects, asked=["rise"])
     assert [e.name for e in whole.base.effects] == [e.name for e in alone.base.effects] == ["rise"]
     np.testing.assert_array_equal(whole.base.theta, alone.base.theta)
     assert whole.base.cost == alone.base.cost
@@ -1193,7 +1192,7 @@ def test_an_effect_that_ends_where_it_stands_for_others_is_no_hypothesis(
 ) -> None:
     model = Hooked(plainly, PLAIN, ("y",))
     effects = [Bounded("rise", rise), Seen("wave", lambda t: np.cos(9.0 * t))]
-    state = search.run(model, PLAIN, seen_trials(rng, size, 0.0), {"a": (1.0, 0.1)}, effects)
+    state = search.run(FitContext(model, PLAIN, seen_trials(rng, size, 0.0), {"a": (1.0, 0.1)}), effects)
     assert [e.name for e in state.base.effects if e.name == "rise"] == told
     assert any("rise/size ends at a bound" in reason for reason in state.told) == (not told)
     assert told or state.posterior.outside > 0.5
@@ -1211,12 +1210,12 @@ def test_a_parameter_that_changed_is_a_cause_alone_and_beside_an_effect(
     changed, slope = ParameterChange(own[0]), Seen("slope", rise)
     model, trials = Hooked(plainly, own, ("y",)), seen_trials(rng, rising, 0.0)
     prior, effects = {"a": (given, 0.005)}, [changed, slope, Seen("ring", ring)]
-    state = search.run(model, own, trials, prior, effects, jobs=1)
+    state = search.run(FitContext(model, own, trials, prior), effects)
     told = [r.ranked[0].tried.effect.name for r in state.rounds] if state.posterior.none < 0.1 else []
     assert told == causes
     if causes:
         now = state.base.value("a") + state.base.value("parameter:a/change")
-        stderr = conclusion.parameter_errors(state, state.base)
+        stderr = answer.parameter_errors(state, state.base)
         assert now == pytest.approx(1.0, abs=4 * stderr["parameter:a"])
         # the new value is told by these trials alone, the old one by the file
         assert stderr["parameter:a"] < 0.7 * stderr["parameter:a/change"]
@@ -1233,7 +1232,7 @@ def test_a_change_stays_within_the_bounds_of_its_parameter() -> None:
 def test_nothing_is_found_in_what_the_model_describes(rng: np.random.Generator) -> None:
     model = Hooked(plainly, PLAIN, ("y",))
     effects = [Seen("rise", rise), Seen("ring", ring)]
-    state = search.run(model, PLAIN, seen_trials(rng, 0.0, 0.0), {"a": (1.0, 0.1)}, effects)
+    state = search.run(FitContext(model, PLAIN, seen_trials(rng, 0.0, 0.0), {"a": (1.0, 0.1)}), effects)
     assert state.posterior.none > 0.5
     assert judgement._by_fits(state).verdict == "none"
 

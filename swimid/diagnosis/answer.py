@@ -13,7 +13,6 @@ from scipy import stats
 
 from swimid.diagnosis import (
     advice,
-    conclusion,
     crossval,
     dropout_cause,
     evidence,
@@ -24,8 +23,8 @@ from swimid.diagnosis import (
     shrinkage,
     words,
 )
-from swimid.diagnosis.conclusion import Named
-from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext
+from swimid.diagnosis.candidates import Tried
+from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext, covariance
 from swimid.diagnosis.floor import by_channel, excess, floors, repeats, rms, split
 from swimid.diagnosis.folds import Folds
 from swimid.diagnosis.gap_file import (
@@ -36,20 +35,24 @@ from swimid.diagnosis.gap_file import (
     ChannelGap,
     Distance,
     GapFile,
+    Hypothesis,
+    Score,
     Shrinkage,
     Stage,
     Value,
     Where,
     ranked,
 )
-from swimid.diagnosis.judgement import Judgement
+from swimid.diagnosis.judgement import Judgement, Named
+from swimid.diagnosis.noise_model import NoiseModel, coloured
 from swimid.diagnosis.refutation import Misfit, compared
 from swimid.diagnosis.search import State
 from swimid.diagnosis.shrinkage import Piece
-from swimid.effects.base import Effect
+from swimid.effects.base import STAGES, Effect
 from swimid.effects.sensing.marker_dropout import MarkerDropout
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting.model import Array, Parameter, Trial
+from swimid.fitting.sandwich import sandwich
 from swimid.progress import Progress, silent
 from swimid.results.parameters import Estimate
 
@@ -105,7 +108,7 @@ def answer(
     ranges = _ranges(context, nominal)
     _insist_simulated(nominal, ranges)
     alike = _alone(state, nominal), _alone(state, state.base)
-    share = conclusion.structured_share(state)
+    share = _structured_share(state)
     drifts = {c: state.low_frequency[c].share for c in remainder.drifting(state.low_frequency)}
     noise = floors(context, state.base, state.nuisance_residuals, share, alike[1], state.noise_model).less(
         drifts
@@ -148,8 +151,8 @@ def answer(
         # nothing it leaves can be told from noise and from what differs from trial to trial
         floor = {c: max(floor[c], rms(v)) for c, v in by_channel(nominal, gap).items()}
         how = "all that the model leaves: noise, and what differs from trial to trial"
-    rows = conclusion.scores(state)
-    stages: dict[Stage, float | None] = {**conclusion.stages(rows, gap=bool(told.causes))}
+    rows = _scores(state)
+    stages: dict[Stage, float | None] = {**_stages(rows, gap=bool(told.causes))}
     causes = _causes(state, told, given, closing)
     if failed:
         causes = dropout_cause.among(state, causes, raw, floor, failed, ranges)
@@ -180,7 +183,7 @@ def answer(
         at_bound=stuck,
         moved=_moved(state, told.base, unweighed),
         unreproduced=told.unreproduced,
-        hypotheses=conclusion.hypotheses(state),
+        hypotheses=_hypotheses(state),
         samples=sum(len(r) for r in nominal.residuals) or None,
         tried=state.tried or None,
         held_out="validation" if validation else "trials" if context.folds.whole else "stretches",
@@ -288,7 +291,7 @@ def _causes(
 ) -> list[Cause]:
     if not told.causes:
         return []
-    sd = conclusion.parameter_errors(state, told.base)
+    sd = parameter_errors(state, told.base)
     sizes = [_values(told.base, c, sd, given) for c in told.causes]
     causes = [
         Cause(
@@ -362,7 +365,7 @@ def _moved(state: State, base: Fit, given: Mapping[str, Estimate]) -> dict[str, 
 
     The level is two-sided 5 % for all of them together (Bonferroni).
     """
-    sd = conclusion.parameter_errors(state, base)
+    sd = parameter_errors(state, base)
     inside = dict(zip(base.labels, base.inside, strict=True))
     names = [p for p in state.context.parameters if p.name in given and inside.get(p.name)]
     limit = float(stats.norm.isf(0.5 * MOVED / max(len(names), 1)))
@@ -388,7 +391,7 @@ def _absorbed(
     state: State, base: Fit, given: Mapping[str, Estimate], sd: Mapping[str, float]
 ) -> list[Absorbed]:
     nominal = state.nominal
-    plain = conclusion.parameter_errors(state, nominal)
+    plain = parameter_errors(state, nominal)
     found = []
 
     def refitted(p: Parameter, fit: Fit, error: Mapping[str, float]) -> Value:
@@ -465,3 +468,103 @@ def _advice(state: State, told: Judgement, left: str, floor: Mapping[str, float]
 
 def _repeat(left: str) -> list[Advice]:
     return [Advice(text=f"{REPEAT} (now left: {left})")]
+
+
+def _scores(state: State) -> list[Score]:
+    """How every effect did alone."""
+    rows: dict[str, Score] = {}
+    for r in state.singles.ranked:
+        name = r.tried.effect.name
+        if name not in rows:
+            rows[name] = _score(r.tried, r.gains, r.stderr, state.posterior.having(name), refitted=True)
+    for t in state.singles.screen.tried:
+        if t.effect.name not in rows:
+            rows[t.effect.name] = _score(t, t.gains, None, 0.0, refitted=False)
+    return list(rows.values())
+
+
+def _score(tried: Tried, gains: Array, stderr: float | None, probability: float, *, refitted: bool) -> Score:
+    return Score(
+        effect=tried.effect.name,
+        stage=tried.effect.stage,
+        variant=", ".join(p.name for p in tried.parameters),
+        gain=float(gains.sum()),
+        stderr=stderr,
+        won=(int(np.sum(gains > 0)), len(gains)),
+        absorbed=tried.absorbed,
+        screened=tried.gain,
+        refitted=refitted,
+        probability=probability,
+    )
+
+
+def _hypotheses(state: State) -> list[Hypothesis]:
+    """Every set of effects that was weighed, the model as it is first."""
+    found = state.posterior
+    return [
+        Hypothesis(
+            effects=sorted(c.names),
+            numbers=c.numbers,
+            score=c.score,
+            slow=c.slow,
+            alike=dict(c.alike),
+            folds=c.folds.tolist(),
+            probability=found.sets.get(c.names, found.none),
+        )
+        for c in found.candidates
+    ]
+
+
+def _stages(rows: Sequence[Score], *, gap: bool) -> dict[Stage, float]:
+    """Share of the evidence each stage of the chain has."""
+    applied = {row.stage for row in rows}
+    shares = {stage: 0.0 for stage in STAGES if stage != "rig" or "rig" in applied}
+    if not gap:
+        return shares
+    for row in rows:
+        if row.stage in shares:
+            shares[row.stage] += row.probability or 0.0
+    total = sum(shares.values())
+    return {k: v / total if total > 0 else 0.0 for k, v in shares.items()}
+
+
+def _structured_share(state: State) -> float:
+    """Share of the final squared whitened residuals that a generic description still finds."""
+    left = state.left
+    if left is None or not left.found:
+        return 0.0
+    whole = sum(
+        float(np.sum(state.noise_model.whiten(state.base.problem, k, r) ** 2))
+        for k, r in enumerate(state.base.residuals)
+    )
+    return float(np.clip(left.gain / max(whole, 1e-300), 0.0, 1.0))
+
+
+def parameter_errors(state: State, fit: Fit) -> Mapping[str, float]:
+    """Return the standard errors of a fit's parameters by label.
+
+    That of the new value of a changed parameter stands under the name of its effect.
+
+    The residuals of a few trials are correlated, be it noise or gap: the errors are larger by that.
+    """
+    # the rows that give the parameters themselves, and each changed parameter with its change
+    names, rows = list(fit.labels), list(np.eye(len(fit.labels)))
+    for effect in fit.effects:
+        if effect.adds_to is not None:
+            parts = (effect.adds_to, f"{effect.name}/change")
+            names.append(effect.name)
+            rows.append(np.isin(fit.labels, parts).astype(float))
+    combined = np.array(rows)
+
+    def errors(covariance: Array) -> Array:
+        variance = np.einsum("ij,jk,ik->i", combined, covariance, combined)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+    sd = errors(covariance(fit, state.noise_model, state.context.precision(fit.problem)))
+    if state.noise_model.long_memory is not None:
+        scale = fit.problem.scale
+        colour = coloured(fit.problem, fit.residuals, NoiseModel(state.noise_model.sd)).colour
+        derivatives = [r * scale for r in fit.rows]
+        robust = sandwich(fit.problem, derivatives, list(fit.residuals), dict(colour)).covariance
+        sd = np.fmax(sd, errors(scale[:, None] * robust * scale))
+    return dict(zip(names, sd, strict=True))

@@ -9,6 +9,7 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from swimid.diagnosis import answer, evidence, nominal, power, power_file, readings, search
+from swimid.diagnosis.context import FitContext
 from swimid.diagnosis.diagnosed import Diagnosis
 from swimid.diagnosis.gap_file import ROBOT_FILE
 from swimid.diagnosis.options import DiagnoseOptions
@@ -141,8 +142,11 @@ def diagnose(
         origin = provenance.collect(inputs, settings=options.settings())
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
         search.prepared(model, experiment.trials, progress, keep)
-        workers = options.jobs or os.cpu_count() or 1
         given, seed = options.params, options.seed
+        workers = options.jobs or os.cpu_count() or 1
+        context = FitContext(
+            model, model.parameters, fitted, begun.prior, correlation=begun.correlation, jobs=workers
+        )
         about: dict[str, Any] = {
             "model": model.name,
             "robot": experiment.robot.name,
@@ -153,16 +157,13 @@ def diagnose(
         }
         if options.power:
             with threadpool_limits(limits=1, user_api="blas"):
-                rows, left_out = power.shown(
-                    model, fitted, begun.prior, tried, asked, seed=seed, jobs=workers
-                )
+                rows, left_out = power.shown(context, tried, asked, seed=seed)
             keep.done()
             could = PowerFile(**about, effects=rows, left_out=left_out)
             return DetectionPower.of(could, power_file.evidence(could, blocks.notices(notices))).saved(output)
         others, alike = readings.others(experiment, fitted)
         state = search.run(
-            model, model.parameters, fitted, begun.prior, [*tried, *others, *begun.changes],
-            correlation=begun.correlation, asked=asked, seed=seed, jobs=workers, most=options.max_causes,
+            context, [*tried, *others, *begun.changes], asked=asked, seed=seed, most=options.max_causes,
             budget_s=options.budget_s, checkpoint=keep, progress=progress,
         )  # fmt: skip
         with threadpool_limits(limits=1, user_api="blas"):

@@ -9,7 +9,7 @@ fit is the same alone and among others.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations
@@ -21,9 +21,7 @@ from swimid.diagnosis import candidates, crossval, posterior, remainder
 from swimid.diagnosis.candidates import Refitted, Screen, Tried
 from swimid.diagnosis.context import (
     FINE,
-    NO_CORRELATION,
     STEPS,
-    Correlation,
     Fit,
     FitContext,
     Optimum,
@@ -38,7 +36,7 @@ from swimid.diagnosis.weighting import random_effect_columns, see, settled, tell
 from swimid.effects.base import Effect
 from swimid.effects.reading import OtherReading
 from swimid.files.checkpoint import Checkpoint
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.fitting.model import Array, Model, Trial
 from swimid.fitting.parallel import mapped
 from swimid.logs.sampling import white_noise_sd
 from swimid.progress import Progress, show, silent
@@ -241,18 +239,13 @@ class Search:
         scattering: Sequence[Effect],
         *,
         rng: np.random.Generator,
-        jobs: int,
         step: Callable[[str], None] = lambda _: None,
         late: Callable[[], bool] = lambda: False,
         checkpoint: Checkpoint | None = None,
     ) -> None:
-        self.context, self.noise_model, self.effects, self.scattering = (
-            context,
-            noise_model,
-            effects,
-            scattering,
-        )
-        self.rng, self.jobs, self.step, self.late = rng, max(jobs, 1), step, late
+        self.context, self.noise_model = context, noise_model
+        self.effects, self.scattering = effects, scattering
+        self.rng, self.jobs, self.step, self.late = rng, context.jobs, step, late
         self.checkpoint = checkpoint or Checkpoint()
         self.random_effects: list[RandomEffect] = []
         self.pool: dict[Key, Hypothesis] = {}
@@ -629,48 +622,32 @@ def based(context: FitContext, noise_model: NoiseModel, begin: Array) -> Fit:
     )
 
 
-def context_of(
-    model: Model,
-    parameters: Sequence[Parameter],
-    trials: Sequence[Trial],
-    prior: Mapping[str, tuple[float, float]],
-    effects: Sequence[Effect],
-    *,
-    correlation: Correlation = NO_CORRELATION,
-    jobs: int = 1,
-) -> tuple[FitContext, NoiseModel, Fit, Dropouts]:
+def context_of(given: FitContext, effects: Sequence[Effect]) -> tuple[FitContext, NoiseModel, Fit, Dropouts]:
     """The trials without failed samples, the noise as the model alone leaves it, and its fit."""
-    start = [np.array([p.start for p in parameters])] * len(trials)
-    fine, model = model, coarser(model, start, trials) or model
-
-    def weighed(sound: Sequence[Trial]) -> tuple[FitContext, NoiseModel, Fit]:
-        found = FitContext(model, parameters, sound, prior, correlation=correlation, jobs=jobs)
-        return (found, *weigh(found))
-
-    context, noise_model, fit = weighed(trials)
+    fine, trials = given.model, given.trials
+    start = [np.array([p.start for p in given.parameters])] * len(trials)
+    model = coarser(fine, start, trials) or fine
+    context = given.replaced(model, trials)
+    noise_model, fit = weigh(context)
     dropouts = look(context.trials, fit.problem.simulations(fit.theta))
     if dropouts.count:
-        context, noise_model, fit = weighed(dropouts.without(trials))
+        context = given.replaced(model, dropouts.without(trials))
+        noise_model, fit = weigh(context)
     # a coarse step may do at the start values, and not from where trials were found to begin
     own = [fit.problem.vector(fit.theta, k) for k in range(len(context.trials))]
     if model is not fine and coarser(fine, own, context.trials) is None:
-        model = fine
-        context, noise_model, fit = weighed(context.trials)
+        context = given.replaced(fine, context.trials)
+        noise_model, fit = weigh(context)
     noise_model, _ = see(context, fit, noise_model, fit.residuals, effects, len(fit.labels))
     return context, noise_model, fit, dropouts
 
 
 def run(
-    model: Model,
-    parameters: Sequence[Parameter],
-    trials: Sequence[Trial],
-    prior: Mapping[str, tuple[float, float]],
+    given: FitContext,
     effects: Sequence[Effect],
     *,
-    correlation: Correlation = NO_CORRELATION,
     asked: Collection[str] | None = None,
     seed: int = 0,
-    jobs: int = 1,
     most: int = COMBINED,
     budget_s: float | None = None,
     checkpoint: Checkpoint | None = None,
@@ -692,13 +669,11 @@ def run(
         return budget_s is not None and time.monotonic() - begun > budget_s
 
     with threadpool_limits(limits=1, user_api="blas"):
-        context, noise_model, fit, dropouts = context_of(
-            model, parameters, trials, prior, effects, correlation=correlation, jobs=jobs
-        )
+        context, noise_model, fit, dropouts = context_of(given, effects)
         allowed = [e for e in effects if asked is None or e.name in asked]
         with progress("effects", total=2 * len(effects)) as shown:
             search = Search(
-                context, noise_model, effects, effects, rng=rng, jobs=jobs, late=late, checkpoint=checkpoint,
+                context, noise_model, effects, effects, rng=rng, late=late, checkpoint=checkpoint,
                 step=lambda name: show(shown, name),
             )  # fmt: skip
             search.begin(context.start((), noise_model, fit))
@@ -710,8 +685,8 @@ def run(
         state = chosen(search, dropouts, {id(e) for e in allowed}, most, progress)
         if dropouts.count:
             simulated = state.base.problem.simulations(state.base.theta)
-            state.dropouts = dropouts.confirmed(look(trials, simulated))
-        state.left = remainder.find(context, state.base, state.noise_model, rng=rng, jobs=jobs)
+            state.dropouts = dropouts.confirmed(look(given.trials, simulated))
+        state.left = remainder.find(context, state.base, state.noise_model, rng=rng, jobs=given.jobs)
         columns, _ = random_effect_columns(context, state.base, effects)
         state.nuisance_residuals = nuisance_residuals(state.base, state.base.residuals, columns)
         state.low_frequency = remainder.low_frequency(state.base.problem, state.nuisance_residuals)
