@@ -12,11 +12,11 @@ from swimid.diagnosis import readings, search
 from swimid.diagnosis.context import FitContext
 from swimid.diagnosis.gap_file import GapFile
 from swimid.diagnosis.noise_model import NoiseModel
+from swimid.diagnosis.readings import OtherReading
 from swimid.diagnosis.search import Search, State
 from swimid.effects import catalogue
 from swimid.effects.affected import Affected
 from swimid.effects.base import Effect
-from swimid.effects.reading import OtherReading
 from swimid.fitting.drives import Beat
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.inputs import RigInput, SwimInput
@@ -246,7 +246,7 @@ def sought(trials: list[Trial], *, reading: bool = True) -> State:
     effects: list[Effect] = [Seen("rise", rise), Seen("ring", ring)]
     if reading:
         said = 'Another answer to "How fast does it decay?": twice as fast.'
-        effects.append(OtherReading("rate", "quick", meaning=said, stage="fluid", readings=Quicker()))
+        effects.append(OtherReading("rate", "quick", meaning=said, stage="fluid", reread=Quicker()))
     return search.run(FitContext(Hooked(plainly, PLAIN, ("y",)), PLAIN, trials, {"a": (1.0, 0.1)}), effects)
 
 

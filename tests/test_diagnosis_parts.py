@@ -35,11 +35,11 @@ from swimid.diagnosis.context import covariance as covariance_of
 from swimid.diagnosis.crossval import Drawn, NormalEquations
 from swimid.diagnosis.floor import Floor, disagreement, floors, nuisance_residuals, repeats, split
 from swimid.diagnosis.noise_model import NoiseModel, brief, coloured
+from swimid.diagnosis.nominal import ParameterChange
 from swimid.diagnosis.random_effects import LARGEST_SD, RandomEffect, kinds, spread
 from swimid.diagnosis.shrinkage import closed
 from swimid.effects.affected import Affected
 from swimid.effects.base import Effect, Inside
-from swimid.effects.parameter_change import ParameterChange
 from swimid.fitting.hooks import Hooks, Stroke
 from swimid.fitting.inputs import CruiseInput, RigInput, SwimInput
 from swimid.fitting.model import Model, Parameter, Trial

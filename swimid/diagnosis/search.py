@@ -31,10 +31,10 @@ from swimid.diagnosis.floor import nuisance_residuals
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.diagnosis.posterior import TENTH, UNSURE, Candidate, Posterior, Record
 from swimid.diagnosis.random_effects import RandomEffect
+from swimid.diagnosis.readings import OtherReading
 from swimid.diagnosis.remainder import Left, LowFrequency
 from swimid.diagnosis.weighting import random_effect_columns, see, settled, tells_noise, weigh
 from swimid.effects.base import Effect
-from swimid.effects.reading import OtherReading
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.model import Array, Model, Trial
 from swimid.fitting.parallel import mapped

@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 
 from swimid.diagnosis import gap_file as gap_format
 from swimid.diagnosis.gap_file import Absorbed, Cause, Cell, ChangedValue, GapFile, Value
-from swimid.effects.reading import PREFIX
 from swimid.results import numbers
 
+#: What the names of readings begin with; the rest is as the option ``--reading`` takes it.
+READING = "reading:"
 #: A coefficient has moved when it did by more standard errors than this, and by this share of its value.
 MOVED_STDERR, MOVED_SHARE = 2.0, 0.10
 #: Maximum number of notes, and of parts of the data in one of them.
@@ -155,9 +156,9 @@ def notes(file: GapFile) -> list[str]:
         values = " without the cause and ".join(value_text(v) for v in (a.without, a.with_effect))
         said.append(f"the coefficient {a.coefficient} stood in for the cause: it is {values} with it")
     said += [
-        f"to work with the other reading: --reading {c.effect.removeprefix(PREFIX)}"
+        f"to work with the other reading: --reading {c.effect.removeprefix(READING)}"
         for c in file.causes
-        if c.effect.startswith(PREFIX)
+        if c.effect.startswith(READING)
     ]
     sentences = [f"{text[:1].upper()}{text[1:].rstrip('.')}." for text in (*said, *file.reasons)]
     return sentences[:MAX_NOTES]
