@@ -25,7 +25,6 @@ from swimid.diagnosis.gap_file import (
     Shrinkage,
     Value,
     Where,
-    ranked,
 )
 from swimid.diagnosis.shrinkage import Piece
 from swimid.fitting.model import Trial
@@ -324,12 +323,12 @@ ALL = {
 
 def evidence(gap: GapFile, sources: Sequence[str] = ()) -> ev.Evidence:
     """What one of them rests on."""
-    return diagnose_evidence.evidence(ranked(gap), worst(), sources=sources)
+    return diagnose_evidence.evidence(gap, worst(), sources=sources)
 
 
 def written(folder: Path, name: str) -> Path:
     """One of them with its evidence, on disk."""
     path = folder / f"{name}.yaml"
-    ranked(ALL[name]).write(path)
+    ALL[name].write(path)
     ev.write(ev.sidecar(path), evidence(ALL[name], ["a robot's paper"]))
     return path

@@ -16,7 +16,7 @@ import pytest
 from swimid.diagnosis import evidence as diagnose_evidence
 from swimid.diagnosis import words
 from swimid.diagnosis.diagnosed import Diagnosis
-from swimid.diagnosis.gap_file import GapFile, HeldOut, Value, ranked
+from swimid.diagnosis.gap_file import GapFile, HeldOut, Value
 from swimid.effects import catalogue
 from swimid.effects.affected import Affected
 from swimid.fitting.hooks import Hooks
@@ -51,7 +51,7 @@ LEVELS = {
 
 def summary(gap: GapFile) -> str:
     """What the command prints of a gap, in one line."""
-    return " ".join(Diagnosis.of(ranked(gap), cases.evidence(gap)).summary().split())
+    return " ".join(Diagnosis.of(gap, cases.evidence(gap)).summary().split())
 
 
 def said(name: str) -> str:
@@ -68,7 +68,7 @@ def checked(gap: GapFile) -> dict[str, ev.Check]:
 @pytest.mark.parametrize("name", sorted(cases.ALL))
 def test_the_summary_fits_one_screen(name: str) -> None:
     gap = cases.ALL[name]
-    lines = Diagnosis.of(ranked(gap), cases.evidence(gap)).summary().split("\n")
+    lines = Diagnosis.of(gap, cases.evidence(gap)).summary().split("\n")
     assert len(lines) <= 24
     assert max(map(len, lines)) <= 100
 
@@ -151,7 +151,7 @@ def test_a_parameter_that_changed_is_said_first() -> None:
     change = "k_t 0.06 → 0.055200 ± 0.000030 N·m/rad (71 standard errors)"
     assert f"EXPLAINED: {change} or joint-stiffness explains the gap of the parameters as given." in text
     assert "errors of the parameters as given u_m_s 19 %" in text
-    result = Diagnosis("diagnose", text, {}, document=ranked(cases.ALL["changed"]))
+    result = Diagnosis("diagnose", text, {}, document=cases.ALL["changed"])
     assert result.causes.iloc[0]["effect"] == "parameter:k_t"
     assert f"the parameters as given are others than those refitted: {change}" in said("moved")
 
@@ -173,7 +173,7 @@ def test_a_reading_is_named_with_its_question_and_how_to_work_with_it() -> None:
     assert "To work with the other reading: --reading drag_point=strips." in text
     (_, causes, *_) = cases.evidence(cases.REREAD).tables
     assert "spread evenly along each link" in str(causes.rows[0][-1])
-    result = Diagnosis("diagnose", text, {}, document=ranked(cases.ALL["reread"]))
+    result = Diagnosis("diagnose", text, {}, document=cases.ALL["reread"])
     row = result.causes.iloc[0]
     assert (row["effect"], row["parameter"]) == ("reading:drag_point=strips", "")
     assert row["value"] is None

@@ -41,7 +41,6 @@ from swimid.diagnosis.gap_file import (
     Stage,
     Value,
     Where,
-    ranked,
 )
 from swimid.diagnosis.judgement import Judgement, Named
 from swimid.diagnosis.noise_model import NoiseModel, coloured
@@ -199,7 +198,7 @@ def answer(
     )
     if file.verdict == "none" and any(check.verdict == "warn" for check in evidence.checks(file)):
         file.advice = [Advice(text=ANOTHER if (file.setting_count or 2) < 2 else REPEAT)]
-    return ranked(file), shrinkage.worst(held, levels, "after" if causes else "before")
+    return file, shrinkage.worst(held, levels, "after" if causes else "before")
 
 
 def _as_given(state: State) -> Fit:

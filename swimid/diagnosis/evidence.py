@@ -15,6 +15,7 @@ from swimid.results.numbers import number, percent
 if TYPE_CHECKING:
     from swimid.diagnosis.shrinkage import Piece
 
+Rows = list[list[Any]]
 #: An effect that the nominal coefficients imitate beyond this share is seen through them only.
 HIDDEN = 0.9
 #: The causes should close at least this share of a channel's gap.
@@ -64,7 +65,7 @@ def evidence(
         tests.append(ev.check("logs agree with what is written of them", "no", False, reason=against))
     verdict = ev.judged(words.answer(file), tests)
     word = "No gap" if file.verdict == "none" else file.verdict.capitalize()
-    errors = _held_out_errors(file) if file.closing else _gap(file)
+    errors = _errors(file)
     tables = [errors, _causes(file), _coefficients(file), _scores(file), _parts(file)]
     cited = [*sources, *REFERENCES, *([BOX] if file.advice else [])]
     return ev.Evidence(
@@ -75,7 +76,7 @@ def evidence(
         notes=words.notes(file),
         checks=tests,
         tables=[table for table in tables if table.rows],
-        figures=[_errors(errors), *_ranked(file), *_residuals(worst, bool(file.causes))],
+        figures=[_bars(errors), *_ranked(file), *_residuals(worst, bool(file.causes))],
         notices=list(notices),
         methods=words.methods(file),
         references=list(dict.fromkeys([*cited, *(source for c in file.causes for source in c.sources)])),
@@ -225,140 +226,108 @@ def _percents(*values: float | None) -> list[float | None]:
     return [None if v is None else 100.0 * v for v in values]
 
 
-def _held_out_errors(file: GapFile) -> ev.Table:
-    return ev.Table(
-        id="errors",
-        title="Errors on held-out data",
-        columns=[
-            "channel", "as given (%)", "refitted (%)", "with causes (%)", FLOOR, "closed (%)",
-            "95 % interval",
-        ],
-        rows=[
-            [s.channel, *_percents(s.shipped, s.before, s.after, s.floor, s.closed), interval_text(s)]
-            for s in file.closing
-        ],
-        caption=f"Root-mean-square errors over the measured range, {held_out_text(file)}: of the "
-        "parameters as given, the model refitted without and with the causes, and noise alone. Closed is the "
-        "share of the error above the noise floor that the causes take away.",
-    )  # fmt: skip
+def _table(id: str, title: str, columns: str, rows: Rows, caption: str, *, folded: bool = True) -> ev.Table:
+    """Return a table; its headings stand in one text with bars between them."""
+    names = columns.split(" | ")
+    return ev.Table(id=id, title=title, columns=names, rows=list(rows), caption=caption, folded=folded)
 
 
-def _gap(file: GapFile) -> ev.Table:
-    floor = f" The floor: {file.floor_from.rstrip('.')}." if file.floor_from else ""
-    rows: list[list[Any]] = []
+def _errors(file: GapFile) -> ev.Table:
+    """Return errors on held-out data; without a cause those of all trials."""
+    rows: Rows = [
+        [s.channel, *_percents(s.shipped, s.before, s.after, s.floor, s.closed), interval_text(s)]
+        for s in file.closing
+    ]
+    if rows:
+        title = "Errors on held-out data"
+        columns = (
+            f"channel | as given (%) | refitted (%) | with causes (%) | {FLOOR} | closed (%) | 95 % interval"
+        )
+        caption = (
+            f"Root-mean-square errors over the measured range, {held_out_text(file)}: the parameters as "
+            "given, the model refitted without and with the causes, and noise alone. Closed is the share of "
+            "the error above the noise floor that the causes take away."
+        )
+        return _table("errors", title, columns, rows, caption, folded=False)
     for c in file.where.channels:
         given = file.as_given[c.channel].nrmse if c.channel in file.as_given else None
         rows.append([c.channel, *_percents(given, c.nrmse, c.floor, c.share), number(c.rmse, 3, c.unit)])
-    return ev.Table(
-        id="errors",
-        title="The gap by channel",
-        columns=["channel", "as given (%)", "refitted (%)", FLOOR, "of the gap (%)", "RMSE"],
-        rows=rows,
-        caption="Errors over the measured range without any effect: the parameters as given in all trials, "
-        f"the refitted model in the fitted trials.{floor}",
+    columns = f"channel | as given (%) | refitted (%) | {FLOOR} | of the gap (%) | RMSE"
+    caption = (
+        "Errors over the measured range without any effect: the parameters as given in all trials, the "
+        "refitted model in the fitted trials."
     )
+    if file.floor_from:
+        caption += f" The floor: {file.floor_from.rstrip('.')}."
+    return _table("errors", "The gap by channel", columns, rows, caption, folded=False)
 
 
 def _causes(file: GapFile) -> ev.Table:
-    rows: list[list[Any]] = []
+    rows: Rows = []
     for c in file.causes:
-        sizes = {name: words.value_text(v) for name, v in c.parameters.items()} or {"": ""}
-        for k, (name, size) in enumerate(sizes.items()):
-            known = [""] * 4
-            if not k:
-                known = [probability_text(c.probability), ", ".join(c.equivalent), c.stage or "", c.meaning]
-            rows.append([c.effect, name, size, *known])
-    return ev.Table(
-        id="causes",
-        title="The cause" if len(file.causes) == 1 else "The causes, which act together",
-        columns=[
-            "effect",
-            "parameter",
-            "value ± sd",
-            "probability",
-            "not told from",
-            "stage",
-            "what it is",
-        ],
-        rows=rows,
-        caption="Probability: that it, or one of those not told from it, is among what the model lacks; "
-        f"{words.otherwise_text(file)}.",
+        about = [probability_text(c.probability), ", ".join(c.equivalent), c.stage or "", c.meaning]
+        for name, size in ({n: words.value_text(v) for n, v in c.parameters.items()} or {"": ""}).items():
+            rows.append([c.effect, name, size, *about])
+            about = [""] * len(about)
+    columns = "effect | parameter | value ± sd | probability | not told from | stage | what it is"
+    caption = (
+        "Probability: that it, or one of those not told from it, is among what the model lacks; "
+        f"{words.otherwise_text(file)}. Several causes act together."
     )
+    return _table("causes", "Causes", columns, rows, caption, folded=False)
 
 
 def _coefficients(file: GapFile) -> ev.Table:
     strayed = {a.coefficient for a in words.moved(file)}
-    rows: list[list[Any]] = [
-        [
-            a.coefficient,
-            *("" if v is None else words.value_text(v) for v in (a.given, a.without, a.with_effect)),
-            a.coefficient in strayed,
-        ]
-        for c in file.causes
-        for a in c.absorbed
-    ]
-    return ev.Table(
-        id="coefficients",
-        title="Coefficients of the model without and with the causes",
-        columns=["coefficient", "as given", "refitted without", "refitted with", "stood in"],
-        rows=rows,
-        caption="A coefficient stood in for a cause when it moves by more than "
-        f"{words.MOVED_STDERR:g} standard errors and {100 * words.MOVED_SHARE:g} % with the causes: do not "
-        "use its value without them.",
-        folded=True,
+    rows: Rows = []
+    for a in (a for c in file.causes for a in c.absorbed):
+        values = ["" if v is None else words.value_text(v) for v in (a.given, a.without, a.with_effect)]
+        rows.append([a.coefficient, *values, a.coefficient in strayed])
+    columns = "coefficient | as given | refitted without | refitted with | stood in"
+    caption = (
+        f"A coefficient stood in for a cause when it moves by more than {words.MOVED_STDERR:g} standard "
+        f"errors and {100 * words.MOVED_SHARE:g} % with the causes: do not use its value without them."
     )
+    title = "Coefficients of the model without and with the causes"
+    return _table("coefficients", title, columns, rows, caption)
 
 
 def _scores(file: GapFile) -> ev.Table:
-    rows: list[list[Any]] = [
-        [
-            s.effect,
-            s.stage or "",
-            s.variant,
-            probability_text(s.probability),
-            numbers.measured(s.gain, s.stderr) if s.refitted else "",
-            f"{s.won[0]} of {s.won[1]}" if s.won[1] else "",
-            *_percents(s.absorbed),
-            s.screened,
-        ]
-        for s in file.scores
-    ]
+    rows: Rows = []
+    for s in file.scores:
+        gain = numbers.measured(s.gain, s.stderr) if s.refitted else ""
+        won = f"{s.won[0]} of {s.won[1]}" if s.won[1] else ""
+        about = [s.effect, s.stage or "", s.variant, probability_text(s.probability), gain, won]
+        rows.append([*about, *_percents(s.absorbed), s.screened])
     rows += [[name, "", why, "", "", "", None, None] for name, why in file.left_out.items()]
-    columns = ["effect", "stage", "form", "probability", "held-out gain ± sd", "positive in"]
-    return ev.Table(
-        id="scores",
-        title="Every effect that was tried",
-        columns=[*columns, "imitated (%)", "screen"],
-        rows=rows,
-        caption="Probability: that it is among the causes. Gain: drop of the squared residuals by the effect "
-        "alone in approximate cross-validation, in units of the noise. Imitated: share of its signature that "
-        "the refitted coefficients reproduce. Screen: the gain predicted before refitting.",
-        folded=True,
+    columns = "effect | stage | form | probability | held-out gain ± sd | positive in | imitated (%) | screen"
+    caption = (
+        "Probability: that it is among the causes. Gain: drop of the squared residuals by the effect alone "
+        "in approximate cross-validation, in units of the noise. Imitated: share of its signature that the "
+        "refitted coefficients reproduce. Screen: the gain predicted before refitting."
     )
+    return _table("scores", "Every effect that was tried", columns, rows, caption)
 
 
 def _parts(file: GapFile) -> ev.Table:
-    rows: list[list[Any]] = []
+    rows: Rows = []
     if any(file.where.stage.values()):
         rows += [["stage", stage, None, *_percents(share), None] for stage, share in file.where.stage.items()]
     rows += [[c.kind, c.label, c.ratio, *_percents(c.share), None] for c in words.parts(file)]
     if any(file.forces.values()):
         rows += [["generic term", place, None, None, gain] for place, gain in file.forces.items()]
-    return ev.Table(
-        id="parts",
-        title="Where the gap is",
-        columns=["over", "part", "residual over noise", "of the gap (%)", "held-out gain"],
-        rows=rows,
-        caption="Root-mean-square residual of the refitted model over the noise; of a stage, its share of "
-        "the evidence of all effects. Generic terms are smooth forces and sensor errors without any physics.",
-        folded=True,
+    columns = "over | part | residual over noise | of the gap (%) | held-out gain"
+    caption = (
+        "Root-mean-square residual of the refitted model over the noise; of a stage, its share of the "
+        "evidence of all effects. Generic terms are smooth forces and sensor errors without any physics."
     )
+    return _table("parts", "Where the gap is", columns, rows, caption)
 
 
 # ---------------------------------------------------------------- figures
 
 
-def _errors(table: ev.Table) -> ev.Figure:
+def _bars(table: ev.Table) -> ev.Figure:
     """Draw the columns of a table of errors up to the noise floor."""
     names, *columns = zip(*table.rows, strict=True) if table.rows else ((),)
     traces = []

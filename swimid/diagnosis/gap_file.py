@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 
 from swimid.files import yamlio
 from swimid.files.yamlio import Number, Pair
@@ -272,6 +272,24 @@ class GapFile(yamlio.ResultFile):
     settings: dict[str, Any] = {}
     provenance: dict[str, Any] = Field(default_factory=dict)
 
+    @model_validator(mode="after")
+    def _largest_first(self) -> GapFile:
+        """Put the largest first in every list, and what is not known last.
+
+        Scores of effects that were refitted go by their gain, the others by the gain the screen predicted.
+        """
+        where = self.where
+        where.channels.sort(key=lambda c: -_size(c.share))
+        for cells in (where.phase, where.regime, where.time):
+            cells.sort(key=lambda c: -_size(c.ratio))
+        where.stage = dict(sorted(where.stage.items(), key=lambda item: -_size(item[1])))
+        # a channel that only held-out trials have comes last
+        order = {c.channel: place for place, c in enumerate(where.channels)}
+        for cause in self.causes:
+            cause.shrinkage.sort(key=lambda s: order.get(s.channel, len(order)))
+        self.scores.sort(key=lambda s: (not s.refitted, -_size(s.gain if s.refitted else s.screened)))
+        return self
+
     @property
     def changed(self) -> bool:
         """Whether a parameter that has changed is among the causes."""
@@ -290,31 +308,6 @@ class GapFile(yamlio.ResultFile):
     def write(self, path: str | Path) -> None:
         """Write the file, whole or not at all; what is not known is null."""
         yamlio.write(path, self.model_dump(mode="python"))
-
-
-def ranked(gap: GapFile) -> GapFile:
-    """The same with the largest first in every list of ``where`` and of scores, and what is not known last.
-
-    Scores of effects that were refitted go by their gain, then the others by the gain the screen predicted.
-    """
-    where = gap.where
-    channels = sorted(where.channels, key=lambda c: -_size(c.share))
-    # a channel that only held-out trials have comes last
-    order = {c.channel: place for place, c in enumerate(channels)}
-    by_size = {
-        name: sorted(getattr(where, name), key=lambda c: -_size(c.ratio))
-        for name in ("phase", "regime", "time")
-    }
-    stage = dict(sorted(where.stage.items(), key=lambda item: -_size(item[1])))
-    causes = [
-        c.model_copy(
-            update={"shrinkage": sorted(c.shrinkage, key=lambda s: order.get(s.channel, len(order)))}
-        )
-        for c in gap.causes
-    ]
-    scores = sorted(gap.scores, key=lambda s: (not s.refitted, -_size(s.gain if s.refitted else s.screened)))
-    found = where.model_copy(update={"channels": channels, "stage": stage, **by_size})
-    return gap.model_copy(update={"where": found, "causes": causes, "scores": scores})
 
 
 def _size(value: float | None) -> float:

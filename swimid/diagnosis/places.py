@@ -82,10 +82,6 @@ def _root_mean(squares: pd.Series) -> float:
     return float(np.sqrt(np.mean(squares.to_numpy())))
 
 
-def _ranked(cells: Sequence[Cell]) -> list[Cell]:
-    return sorted(cells, key=lambda c: -(c.share or 0.0))
-
-
 def regimes(where: Map) -> list[Cell]:
     """The gap by what was set, and by trial."""
     known = pd.DataFrame([{**settings.words(t), "trial": t.id} for t in where.trials])
@@ -94,7 +90,7 @@ def regimes(where: Map) -> list[Cell]:
         labels = known[kind]
         if labels.nunique() > 1 and (kind != "trial" or len(labels) <= MOST_TRIALS):
             found += where.cells(str(kind), where.of_trials(labels))
-    return _ranked(found)
+    return found
 
 
 def phases(where: Map) -> list[Cell]:
@@ -103,7 +99,7 @@ def phases(where: Map) -> list[Cell]:
         return []
     edges = [round(360 * i / PHASES) for i in range(PHASES + 1)]
     labels = {i: f"{edges[i]}-{edges[i + 1]} deg" for i in range(PHASES)}
-    return _ranked(where.cells("phase", where.samples["phase"].map(labels)))
+    return where.cells("phase", where.samples["phase"].map(labels))
 
 
 def times(where: Map) -> list[Cell]:
@@ -124,7 +120,7 @@ def times(where: Map) -> list[Cell]:
         if at is not None:
             late = (where.samples["trial"] == k) & (time >= at)
             cells += where.cells("change", late.map({True: f"{t.id} from {at:.3g} s"}))
-    return _ranked(cells)
+    return cells
 
 
 def _change(where: Map, k: int) -> float | None:
