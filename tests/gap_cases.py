@@ -229,7 +229,6 @@ EXPLAINED = GapFile(
     forces={"surge force": 40.0, "yaw moment": 2.0},
     rounds=["Round 1: servo-backlash gains 3062.", "Round 2: no other effect gains more than noise would."],
     reasons=["One effect gains far more than noise and than any other."],
-    settings={"seed": 0},
     provenance={"command": "swimid diagnose trials.yaml", "version": "0", "created": "2026-01-02"},
 )
 

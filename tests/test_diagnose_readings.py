@@ -267,7 +267,7 @@ def test_beside_a_reading_the_fits_of_effects_stay_what_they_are(rng: np.random.
     trials = decays(rng, 1.0, 0.3)
     found, without = sought(trials), sought(trials, reading=False)
     np.testing.assert_array_equal(found.base.theta, without.base.theta)
-    gains = [{r.tried.effect.name: r.gains for r in state.singles.ranked} for state in (found, without)]
+    gains = [{r.tried.effect.name: r.gains for r in state.singles} for state in (found, without)]
     assert set(gains[0]) == {*gains[1], "reading:rate=quick"}
     for name, own in gains[1].items():
         np.testing.assert_array_equal(gains[0][name], own)

@@ -1173,8 +1173,8 @@ def test_an_effect_asked_alone_and_among_all_has_the_same_fit(rng: np.random.Gen
     assert [e.name for e in whole.base.effects] == [e.name for e in alone.base.effects] == ["rise"]
     np.testing.assert_array_equal(whole.base.theta, alone.base.theta)
     assert whole.base.cost == alone.base.cost
-    rows = {r.tried.effect.name: r for r in whole.singles.ranked}
-    (own,) = alone.singles.ranked
+    rows = {r.tried.effect.name: r for r in whole.singles}
+    (own,) = alone.singles
     np.testing.assert_array_equal(own.gains, rows["rise"].gains)
 
 

@@ -47,7 +47,7 @@ from swimid.diagnosis.noise_model import NoiseModel, coloured
 from swimid.diagnosis.refutation import Misfit, compared
 from swimid.diagnosis.search import State
 from swimid.diagnosis.shrinkage import Piece
-from swimid.effects.base import STAGES, Effect
+from swimid.effects.base import STAGES
 from swimid.effects.sensing.marker_dropout import MarkerDropout
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting.model import Array, Parameter, Trial
@@ -194,7 +194,7 @@ def answer(
         rounds=state.told,
         reasons=[*told.reasons, *_reasons(state)],
         unsure=list(told.unsure),
-        left_out=dict(state.singles.screen.left_out),
+        left_out=dict(state.screen.left_out),
     )
     if file.verdict == "none" and any(check.verdict == "warn" for check in evidence.checks(file)):
         file.advice = [Advice(text=ANOTHER if (file.setting_count or 2) < 2 else REPEAT)]
@@ -314,23 +314,16 @@ def _causes(
     return [causes[0].model_copy(update=first), *causes[1:]]
 
 
-def _changed(
-    base: Fit, effect: Effect, sd: Mapping[str, float], given: Mapping[str, Estimate]
-) -> dict[str, Value | ChangedValue]:
-    """Return the parameter that an effect changes, with its value in the file and now."""
-    (change,) = effect.parameters(base.problem.model, ())
-    name, label = str(effect.adds_to), f"{effect.name}/{change.name}"
-    known, at = given[name], base.labels.index(label)
-    value, stderr = base.value(name) + base.value(label), sd[effect.name]
-    found = ChangedValue(
+def _changed(known: Estimate, value: float, stderr: float, unit: str, *, inside: bool) -> ChangedValue:
+    """Return the new value of a parameter beside that of the file."""
+    return ChangedValue(
         value=value,
-        stderr=stderr if base.inside[at] else None,
-        unit=change.unit,
-        status="estimated" if base.inside[at] else "at-bound",
+        stderr=stderr if inside else None,
+        unit=unit,
+        status="estimated" if inside else "at-bound",
         given=known.value,
-        standard_errors=abs(value - known.value) / math.hypot(stderr, known.stderr or 0.0),
+        standard_errors=abs(value - known.value) / max(math.hypot(stderr, known.stderr or 0.0), 1e-300),
     )
-    return {name: found}
 
 
 def _values(
@@ -338,11 +331,17 @@ def _values(
 ) -> dict[str, Value | ChangedValue]:
     """The size of a cause: parameters of its effect, those of single trials by their root mean square."""
     effect = cause.best.tried.effect
-    if effect.adds_to is not None:
-        return _changed(base, effect, sd, given)
     found: dict[str, Value | ChangedValue] = {}
     for p in cause.best.tried.parameters:
-        name = f"{cause.best.tried.effect.name}/{p.name}"
+        name = f"{effect.name}/{p.name}"
+        if effect.adds_to is not None:
+            value, inside = (
+                base.value(effect.adds_to) + base.value(name),
+                base.inside[base.labels.index(name)],
+            )
+            known = given[effect.adds_to]
+            found[effect.adds_to] = _changed(known, value, sd[effect.name], p.unit, inside=inside)
+            continue
         labels = [n for n in base.labels if n.split("[")[0] == name]
         values = [base.value(n) for n in labels]
         if not values:
@@ -370,12 +369,9 @@ def _moved(state: State, base: Fit, given: Mapping[str, Estimate]) -> dict[str, 
     limit = float(stats.norm.isf(0.5 * MOVED / max(len(names), 1)))
     found = {}
     for p in names:
-        known, value, stderr = given[p.name], base.value(p.name), sd[p.name]
-        times = abs(value - known.value) / max(math.hypot(stderr, known.stderr or 0.0), 1e-300)
-        if times > limit:
-            found[p.name] = ChangedValue(
-                value=value, stderr=stderr, unit=p.unit, given=known.value, standard_errors=times
-            )
+        change = _changed(given[p.name], base.value(p.name), sd[p.name], p.unit, inside=True)
+        if (change.standard_errors or 0.0) > limit:
+            found[p.name] = change
     return found
 
 
@@ -391,29 +387,26 @@ def _absorbed(
 ) -> list[Absorbed]:
     nominal = state.nominal
     plain = parameter_errors(state, nominal)
-    found = []
-
-    def refitted(p: Parameter, fit: Fit, error: Mapping[str, float]) -> Value:
-        if p.name in _at_bounds(state.context, fit):
-            return Value(value=fit.value(p.name), stderr=None, unit=p.unit, status="at-bound")
-        return Value(value=fit.value(p.name), stderr=error.get(p.name), unit=p.unit)
-
     # a parameter that has changed is a cause itself
     causes = {e.adds_to for e in base.effects}
+    found = []
     for p in state.context.parameters:
         if p.per_trial or p.name not in nominal.labels or p.name in causes:
             continue
-        known = given.get(p.name)
-        found.append(
-            Absorbed(
-                coefficient=p.name,
-                given=known
-                and Value(value=known.value, stderr=known.stderr, unit=p.unit, status=known.status),
-                without=refitted(p, nominal, plain),
-                with_effect=refitted(p, base, sd),
-            )
-        )
+        values = [_estimate(fit, p, errors) for fit, errors in ((nominal, plain), (base, sd))]
+        one = Absorbed(coefficient=p.name, without=values[0], with_effect=values[1])
+        if p.name in given:
+            known = given[p.name]
+            one.given = Value(value=known.value, stderr=known.stderr, unit=p.unit, status=known.status)
+        found.append(one)
     return found
+
+
+def _estimate(fit: Fit, p: Parameter, errors: Mapping[str, float]) -> Value:
+    value = fit.value(p.name)
+    if not fit.inside[fit.labels.index(p.name)]:
+        return Value(value=value, unit=p.unit, status="at-bound")
+    return Value(value=value, stderr=errors.get(p.name), unit=p.unit)
 
 
 def _extrapolations(state: State, base: Fit) -> dict[str, Distance]:
@@ -460,7 +453,7 @@ def _advice(state: State, told: Judgement, left: str, floor: Mapping[str, float]
         return _repeat(left) if told.verdict == "unexplained" else []
     now = math.sqrt(max(rivals[0].gain - rivals[1].gain, 0.0))
     try:
-        return advice.advise(state.context, [r.fit for r in rivals], first.noise_model, floor, now)
+        return advice.advise(state.context, [r.fit for r in rivals], state.noise_model, floor, now)
     except (ArithmeticError, np.linalg.LinAlgError):
         return []
 
@@ -472,11 +465,11 @@ def _repeat(left: str) -> list[Advice]:
 def _scores(state: State) -> list[Score]:
     """How every effect did alone."""
     rows: dict[str, Score] = {}
-    for r in state.singles.ranked:
+    for r in state.singles:
         name = r.tried.effect.name
         if name not in rows:
             rows[name] = _score(r.tried, r.gains, r.stderr, state.posterior.having(name), refitted=True)
-    for t in state.singles.screen.tried:
+    for t in state.screen.tried:
         if t.effect.name not in rows:
             rows[t.effect.name] = _score(t, t.gains, None, 0.0, refitted=False)
     return list(rows.values())

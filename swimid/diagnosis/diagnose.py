@@ -176,18 +176,8 @@ def diagnose(
                 seed=seed,
                 progress=progress,
             )
-    folds = state.context.folds
-    known_before = given is not None and not begun.own_data
-    of_these = "none but the bounds" if given is None else "these trials: none but the bounds"
-    parts = "folds of settings" if folds.whole else "stretches of trials"
-    settings = {
-        "prior": "from other trials" if known_before else of_these,
-        "held_out": "validation trials" if validation else parts,
-        "folds": folds.labels if len(folds.labels) <= 30 else [],
-    }
     left_out = {name: why for name, why in alike.items() if asked is None or name in asked}
     about |= {
-        "settings": settings,
         "reasons": [*file.reasons, *([NOT_GIVEN] if given is None else [])],
         "left_out": left_out | file.left_out,
         "as_given": as_given,

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from swimid.diagnosis.shrinkage import Piece
 
 Rows = list[list[Any]]
-#: An effect that the nominal coefficients imitate beyond this share is seen through them only.
-HIDDEN = 0.9
 #: The causes should close at least this share of a channel's gap.
 HALF = 0.5
 #: Warnings that logs contradict what is written of them: of the beat, and of the course.
@@ -203,12 +201,6 @@ def _of_causes(file: GapFile) -> Iterable[ev.Check]:
         limit, reason = f"≥ {percent(HALF)}, interval above 0", f"of the gap in {s.channel} {share} closes"
         said = " ".join([share, interval_text(s)]).strip()
         yield ev.check(f"gap closed in {s.channel}", said, passed, limit, held_out_text(file), reason=reason)
-    named = {c.effect for c in file.causes}
-    hidden = [s for s in file.scores if s.effect in named and (s.absorbed or 0.0) > HIDDEN]
-    if hidden:
-        said = "; ".join(f"{s.effect}: {percent(s.absorbed, 2)}" for s in hidden)
-        text = "share of the signature of the cause that the coefficients of the model imitate"
-        yield ev.check("hidden in the coefficients", said, None, f"≤ {percent(HIDDEN)}", text)
 
 
 def interval_text(s: Shrinkage) -> str:

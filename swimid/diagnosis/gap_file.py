@@ -269,7 +269,6 @@ class GapFile(yamlio.ResultFile):
     #: Validation trials that are not predicted, the farthest first: error over what noise and the uncertainty
     #: of the coefficients allow.
     unpredicted: dict[str, float] = {}
-    settings: dict[str, Any] = {}
     provenance: dict[str, Any] = Field(default_factory=dict)
 
     @model_validator(mode="after")

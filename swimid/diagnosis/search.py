@@ -123,20 +123,13 @@ class Round:
 
     Attributes
     ----------
-    base : Fit
-        The model with the other causes.
-    screen : Screen
     ranked : list of Refitted
         Best first; the cause itself at the head.
-    noise_model : NoiseModel
     same : tuple of str
         Names of the effects that change the trials just like a changed parameter that is the cause.
     """
 
-    base: Fit
-    screen: Screen
     ranked: list[Refitted]
-    noise_model: NoiseModel
     same: tuple[str, ...] = ()
 
 
@@ -150,8 +143,10 @@ class State:
         The model without any effect.
     base : Fit
         With the causes.
-    singles : Round
-        Every effect alone.
+    screen : Screen
+        Every effect beside the model without any.
+    singles : list of Refitted
+        Every effect alone, best first.
     rounds : list of Round
         One for each cause, that with the largest share first.
     """
@@ -161,7 +156,8 @@ class State:
     nominal: Fit
     base: Fit
     dropouts: Dropouts
-    singles: Round
+    screen: Screen
+    singles: list[Refitted]
     posterior: Posterior
     rounds: list[Round] = field(default_factory=list)
     left: Left | None = None
@@ -755,14 +751,9 @@ def rounds(search: Search, best: Hypothesis, found: Posterior, dropouts: Dropout
     ended = {label for h in search.pool.values() if h.score < null.score for label in h.ends}
     why = "ends at a bound, where it could stand for other effects: no hypothesis"
     told = [*told, *(f"{label} {why}" for label in sorted(ended))]
-    singles = Round(
-        search.null.fit,
-        search.screened(search.null),
-        search.ranked(null, ones),
-        search.noise_model,
-    )
     state = State(
-        search.context, search.noise_model, search.null.fit, best.fit, dropouts, singles, found,
+        search.context, search.noise_model, search.null.fit, best.fit, dropouts,
+        search.screened(null), search.ranked(null, ones), found,
         random_effects=search.random_effects, out_of_time=search.out_of_time, tried=search.count, told=told,
     )  # fmt: skip
     for effect in best.fit.effects:
@@ -775,7 +766,7 @@ def rounds(search: Search, best: Hypothesis, found: Posterior, dropouts: Dropout
             for r in ranked[1:]
             if effect.adds_to is not None and _same_change(search, found, base, ranked[0].tried, r.tried)
         )
-        state.rounds.append(Round(base.fit, search.screened(base), ranked, search.noise_model, same))
+        state.rounds.append(Round(ranked, same))
     # a changed parameter comes first, as it needs no further physics
     state.rounds.sort(key=lambda r: (r.ranked[0].tried.effect.adds_to is None, -r.ranked[0].gain))
     return state
