@@ -290,13 +290,13 @@ def _scores(file: GapFile) -> ev.Table:
         gain = numbers.measured(s.gain, s.stderr) if s.refitted else ""
         won = f"{s.won[0]} of {s.won[1]}" if s.won[1] else ""
         about = [s.effect, s.stage or "", s.variant, probability_text(s.probability), gain, won]
-        rows.append([*about, *_percents(s.absorbed), s.screened])
-    rows += [[name, "", why, "", "", "", None, None] for name, why in file.left_out.items()]
-    columns = "effect | stage | form | probability | held-out gain ± sd | positive in | imitated (%) | screen"
+        rows.append([*about, *_percents(s.absorbed)])
+    rows += [[name, "", why, "", "", "", None] for name, why in file.left_out.items()]
+    columns = "effect | stage | form | probability | held-out gain ± sd | positive in | imitated (%)"
     caption = (
         "Probability: that it is among the causes. Gain: drop of the squared residuals by the effect alone "
         "in approximate cross-validation, in units of the noise. Imitated: share of its signature that the "
-        "refitted coefficients reproduce. Screen: the gain predicted before refitting."
+        "refitted coefficients reproduce."
     )
     return _table("scores", "Every effect that was tried", columns, rows, caption)
 
