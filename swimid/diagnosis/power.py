@@ -101,7 +101,7 @@ def shown(
     columns: list[list[Array]] = []
     lines: list[_Line] = []
     left_out: dict[str, str] = {}
-    for tried in candidates.simulate(context, base, wanted, jobs=search.jobs):
+    for tried in candidates.simulate(context, base, wanted):
         found = _lines(tried, columns)
         lines += found
         if not found:

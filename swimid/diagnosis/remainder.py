@@ -71,7 +71,7 @@ class Left:
         return self.gain > self.threshold
 
 
-def _terms(context: FitContext, base: Fit, jobs: int) -> list[tuple[str, list[Array]]]:
+def _terms(context: FitContext, base: Fit) -> list[tuple[str, list[Array]]]:
     """Return where each generic term acts, and what it changes in each trial at its typical size.
 
     Terms that change nothing, or with which the model breaks down, are left out.
@@ -85,15 +85,13 @@ def _terms(context: FitContext, base: Fit, jobs: int) -> list[tuple[str, list[Ar
             if all(within(c) for c in changed) and sum(float(c @ c) for c in changed) > 1e-9
         ]
 
-    found = mapped(of, descriptions(context.model, context.trials), jobs)
+    found = mapped(of, descriptions(context.model, context.trials), context.jobs)
     return [term for of_each in found for term in of_each]
 
 
-def find(
-    context: FitContext, base: Fit, noise_model: NoiseModel, *, rng: np.random.Generator, jobs: int = 1
-) -> Left:
+def find(context: FitContext, base: Fit, noise_model: NoiseModel, *, rng: np.random.Generator) -> Left:
     """What is left beyond a fit, by a generic description with a prior chosen on held-out folds."""
-    terms = _terms(context, base, jobs)
+    terms = _terms(context, base)
     columns = [changed for _, changed in terms]
     inner = crossval.normal_equations(context, base, noise_model, columns)
     plain = crossval.held_out(inner)

@@ -210,6 +210,7 @@ def prepared(
     model.prepare(progress, simulated_s=RUNS * lasting, affected_s=AFFECTED * lasting, checkpoint=checkpoint)
 
 
+@dataclass(eq=False)
 class Search:
     """All hypotheses on one context, through one noise_model.
 
@@ -227,31 +228,24 @@ class Search:
         Whether the time is up.
     """
 
-    def __init__(
-        self,
-        context: FitContext,
-        noise_model: NoiseModel,
-        effects: Sequence[Effect],
-        scattering: Sequence[Effect],
-        *,
-        rng: np.random.Generator,
-        step: Callable[[str], None] = lambda _: None,
-        late: Callable[[], bool] = lambda: False,
-        checkpoint: Checkpoint | None = None,
-    ) -> None:
-        self.context, self.noise_model = context, noise_model
-        self.effects, self.scattering = effects, scattering
-        self.rng, self.jobs, self.step, self.late = rng, context.jobs, step, late
-        self.checkpoint = checkpoint or Checkpoint()
-        self.random_effects: list[RandomEffect] = []
-        self.pool: dict[Key, Hypothesis] = {}
-        self.screens: dict[Key, Screen] = {}
-        self._cosines: dict[frozenset[int], float] = {}
-        #: Sets from whose optimum a smaller one has been fitted.
-        self.returned: set[tuple[Key, Key]] = set()
-        #: Fitted in a few steps only.
-        self.hopeless: set[Key] = set()
-        self.out_of_time = False
+    context: FitContext
+    noise_model: NoiseModel
+    effects: Sequence[Effect]
+    scattering: Sequence[Effect]
+    rng: np.random.Generator
+    step: Callable[[str], None] = lambda _: None
+    late: Callable[[], bool] = lambda: False
+    checkpoint: Checkpoint = field(default_factory=Checkpoint)
+    null: Hypothesis = field(init=False)
+    random_effects: list[RandomEffect] = field(init=False, default_factory=list)
+    pool: dict[Key, Hypothesis] = field(init=False, default_factory=dict)
+    screens: dict[Key, Screen] = field(init=False, default_factory=dict)
+    #: Sets from whose optimum a smaller one has been fitted.
+    returned: set[tuple[Key, Key]] = field(init=False, default_factory=set)
+    #: Fitted in a few steps only.
+    hopeless: set[Key] = field(init=False, default_factory=set)
+    out_of_time: bool = field(init=False, default=False)
+    _cosines: dict[frozenset[int], float] = field(init=False, default_factory=dict)
 
     # ------------------------------------------------------------ fits
 
@@ -302,7 +296,7 @@ class Search:
             for readings in (False, True):
                 # apart: beside more columns the inner products of the others would end in other digits
                 part = [e for e in rest if isinstance(e, OtherReading) == readings]
-                simulated = candidates.simulate(self.context, parent.fit, part, jobs=self.jobs)
+                simulated = candidates.simulate(self.context, parent.fit, part)
                 if simulated:
                     more = candidates.screen(self.context, parent.fit, self.noise_model, simulated)
                     found.tried += more.tried
@@ -332,7 +326,7 @@ class Search:
         def one(item: tuple[Hypothesis, Tried]) -> Optimum | None:
             return None if self.late() and item is not new[0] else self.fitted(*item)
 
-        for (parent, tried), found in zip(new, mapped(one, new, self.jobs), strict=True):
+        for (parent, tried), found in zip(new, mapped(one, new, self.context.jobs), strict=True):
             if found is None:
                 self.out_of_time = True
                 continue
@@ -428,7 +422,7 @@ class Search:
         # hypothesis leaves: a generic description has it, too, and comes last
         stays = False
         for turn in range(TURNS if whole else 2):
-            left = remainder.find(context, fit, noise_model, rng=self.rng, jobs=self.jobs)
+            left = remainder.find(context, fit, noise_model, rng=self.rng)
             last = stays or turn == TURNS - 1
             columns: list[list[Array]] = []
             prior: list[float] = []
@@ -493,7 +487,7 @@ class Search:
         # parents before those judged beside them
         old = sorted((h for h in kept if h.fit.effects), key=lambda h: len(h.fit.effects))
         self.hopeless = {h.key for h in old if h.names in far}
-        for h, optimum in zip(old, mapped(one, old, self.jobs), strict=True):
+        for h, optimum in zip(old, mapped(one, old, self.context.jobs), strict=True):
             if h.tried is not None:
                 self.step(h.tried.effect.name)
             self._refitted(h, optimum)
@@ -515,7 +509,7 @@ class Search:
             ]
             if not wanted:
                 return
-            for h, optimum in zip(wanted, mapped(one, wanted, self.jobs), strict=True):
+            for h, optimum in zip(wanted, mapped(one, wanted, self.context.jobs), strict=True):
                 self._refitted(h, optimum)
                 self.hopeless.discard(h.key)
 
@@ -669,7 +663,8 @@ def run(
         allowed = [e for e in effects if asked is None or e.name in asked]
         with progress("effects", total=2 * len(effects)) as shown:
             search = Search(
-                context, noise_model, effects, effects, rng=rng, late=late, checkpoint=checkpoint,
+                context, noise_model, effects, effects, rng=rng, late=late,
+                checkpoint=checkpoint or Checkpoint(),
                 step=lambda name: show(shown, name),
             )  # fmt: skip
             search.begin(context.start((), noise_model, fit))
@@ -682,7 +677,7 @@ def run(
         if dropouts.count:
             simulated = state.base.problem.simulations(state.base.theta)
             state.dropouts = dropouts.confirmed(look(given.trials, simulated))
-        state.left = remainder.find(context, state.base, state.noise_model, rng=rng, jobs=given.jobs)
+        state.left = remainder.find(context, state.base, state.noise_model, rng=rng)
         columns, _ = random_effect_columns(context, state.base, effects)
         state.nuisance_residuals = nuisance_residuals(state.base, state.base.residuals, columns)
         state.low_frequency = remainder.low_frequency(state.base.problem, state.nuisance_residuals)

@@ -124,14 +124,15 @@ def pieces(
     for f in range(context.folds.count):
         shared = [_numbers(fit, t[f]) for fit, t in zip((before, after), thetas, strict=True)]
         for k, trial in enumerate(context.trials):
-            inside = context.folds.owner[k] == f
-            if not np.any(inside):
+            if f not in context.folds.owner[k]:
                 continue
             if context.folds.whole:
                 near = [_near(trial, k, fit) for fit in (before, after)]
                 found += _whole(trial, (plain, nominal, model), (shipped, *shared), sd, near)
             else:
-                found += _stretch(context, k, inside, nominal, model, (before, after), thetas, f, shipped)
+                pair = zip((before, after), thetas, strict=True)
+                vectors = [fit.problem.vector(theta[f], k) for fit, theta in pair]
+                found += _stretch(context, k, f, (nominal, model), vectors, shipped)
             step()
     return found
 
@@ -175,25 +176,18 @@ def _near(trial: Trial, k: int, fit: Fit) -> Trial:
 def _stretch(
     context: FitContext,
     k: int,
-    inside: Array,
-    nominal: Model,
-    model: Model,
-    fits: tuple[Fit, Fit],
-    thetas: list[list[Array]],
     fold: int,
+    models: tuple[Model, Model],
+    vectors: Sequence[Array],
     shipped: Mapping[str, float],
 ) -> list[Piece]:
-    trial = context.trials[k]
-    vectors = [fit.problem.vector(t[fold], k) for fit, t in zip(fits, thetas, strict=True)]
+    """As given, before and after, in the samples of a trial that belong to a fold."""
+    trial, inside, (nominal, model) = context.trials[k], context.folds.owner[k] == fold, models
     as_given = vectors[0].copy()
     for i, p in enumerate(nominal.parameters):
         if not p.per_trial and p.name in shipped:
             as_given[i] = shipped[p.name]
-    runs = [
-        nominal.simulate(as_given, trial),
-        nominal.simulate(vectors[0], trial),
-        model.simulate(vectors[1], trial),
-    ]
+    runs = [nominal.simulate(v, trial) for v in (as_given, vectors[0])] + [model.simulate(vectors[1], trial)]
     found, at = [], 0
     for channel, mask in zip(context.shape.channels[k], context.shape.masks[k], strict=True):
         count = int(mask.sum())
