@@ -89,11 +89,10 @@ def _of(module: str, *names: str, **how: bool) -> list[Constant]:
 
 CONSTANTS = (
     *_of("posterior", "TENTH", "FURTHER", "UNSURE"),
-    *_of("conclusion", "CREDIBLE", rest=True, after=True),
-    *_of("conclusion", "DIFFERS", after=True),
+    *_of("judgement", "CREDIBLE", rest=True, after=True),
+    *_of("judgement", "DIFFERS", "MAJORITY", after=True),
     *_of("judgement", "SURE", rest=True, after=True),
     *_of("shrinkage", "MOST", "ASTRAY", after=True),
-    *_of("odd", "MAJORITY", after=True),
     *_of("dropout_cause", "FAILED_MISFIT", after=True),
     *_of("dropouts", "JUMP", "MOVED", "OFF"),
     *_of("remainder", "SLOW", "AGAINST", "SURE", "PER_SAMPLE", "LEAST_GAIN", "LEAST_OF_FEW", "MOST_USED"),

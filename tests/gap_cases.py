@@ -11,7 +11,6 @@ from pydantic import BaseModel
 
 from swimid.diagnosis import evidence as diagnose_evidence
 from swimid.diagnosis import gap_file
-from swimid.diagnosis.figures import Drawings, Overlay
 from swimid.diagnosis.gap_file import (
     Absorbed,
     Advice,
@@ -19,15 +18,16 @@ from swimid.diagnosis.gap_file import (
     Cell,
     ChangedValue,
     ChannelGap,
-    Extrapolation,
+    Distance,
     GapFile,
     Remaining,
     Score,
     Shrinkage,
     Value,
     Where,
-    ranked,
 )
+from swimid.diagnosis.shrinkage import Piece
+from swimid.fitting.model import Trial
 from swimid.results import evidence as ev
 from swimid.simulation.comparison_file import ChannelScore
 
@@ -49,11 +49,9 @@ def number(value: float, stderr: float | None, unit: str, status: str = "estimat
     return Value(value=value, stderr=stderr, unit=unit, status=status)  # type: ignore[arg-type]
 
 
-def absorbed(
-    name: str, given: Value | None, without: Value, with_effect: Value, bounds: Any = (None, None)
-) -> Absorbed:
+def absorbed(name: str, given: Value | None, without: Value, with_effect: Value) -> Absorbed:
     """A coefficient without and with the causes."""
-    return Absorbed(coefficient=name, given=given, without=without, with_effect=with_effect, bounds=bounds)
+    return Absorbed(coefficient=name, given=given, without=without, with_effect=with_effect)
 
 
 def _shrinkage(
@@ -93,13 +91,13 @@ BACKLASH = Cause(
     gain_stderr=410.0,
     absorbed=[
         absorbed("c_d0", number(0.70, 0.03, "1"), number(0.92, 0.02, "1"), number(0.71, 0.03, "1")),
-        absorbed("c_ma", None, number(1.02, 0.05, "1"), number(1.01, 0.05, "1"), (0.0, None)),
-        absorbed("c_f4", None, number(2.0, None, "1", "at-bound"), number(1.9, 0.1, "1"), (0.0, 2.0)),
+        absorbed("c_ma", None, number(1.02, 0.05, "1"), number(1.01, 0.05, "1")),
+        absorbed("c_f4", None, number(2.0, None, "1", "at-bound"), number(1.9, 0.1, "1")),
     ],
-    extrapolation=[
-        Extrapolation(left_out="1.8 Hz", before=6.4, after=1.3),
-        Extrapolation(left_out="30 deg", before=5.1, after=1.2),
-    ],
+    extrapolation={
+        "frequency 1.8 Hz": Distance(before=6.4, after=1.3),
+        "amplitude 30 deg": Distance(before=5.1, after=1.2),
+    },
 )
 
 CURRENT = replace(
@@ -175,26 +173,17 @@ def _scores(first: str = "servo-backlash") -> list[Score]:
     return [weak, *scores]
 
 
-def _maps() -> dict[str, tuple[list[str], list[str], np.ndarray]]:
-    rng = np.random.default_rng(6)
-    by_channel = rng.lognormal(0.3, 0.6, (len(TRIALS), len(_CHANNELS)))
-    by_channel[2, 1] = np.nan
-    phases = [f"{30 * k}°" for k in range(12)]
-    return {
-        "trial by channel": (TRIALS, _CHANNELS, by_channel),
-        "phase by trial": (TRIALS, phases, rng.lognormal(0.2, 0.5, (len(TRIALS), 12))),
-    }
-
-
-def _overlays() -> list[Overlay]:
+def worst() -> list[Piece]:
+    """A held-out trial of two channels."""
     rng = np.random.default_rng(7)
     time = np.arange(0.0, 10.0, 0.02)
+    trial = Trial("f10a15", "fit", time, {})
     found = []
-    for trial, channel, unit in (("f10a15", "u_m_s", "m/s"), ("f14a20", "yaw_rate_rad_s", "rad/s")):
+    for channel in ("u_m_s", "yaw_rate_rad_s"):
         after = 0.2 * (1 - np.exp(-time)) + 0.05 * np.sin(9 * time)
         before = after * 1.15
         measured = after + rng.normal(0, 0.01, len(time))
-        found.append(Overlay(trial, channel, unit, time, measured, before, after))
+        found.append(Piece(trial, channel, time, measured, before, before, after))
     return found
 
 
@@ -240,10 +229,8 @@ EXPLAINED = GapFile(
     forces={"surge force": 40.0, "yaw moment": 2.0},
     rounds=["Round 1: servo-backlash gains 3062.", "Round 2: no other effect gains more than noise would."],
     reasons=["One effect gains far more than noise and than any other."],
-    settings={"seed": 0},
     provenance={"command": "swimid diagnose trials.yaml", "version": "0", "created": "2026-01-02"},
 )
-_FORCES = {"surge force": {"speed": 0.1}, "yaw moment": {"constant": 0.0}}
 
 # the others have less to draw: a page of every verdict is drawn in the tests
 _BRIEF = replace(
@@ -291,7 +278,7 @@ FOLLOWS = replace(
     verdict="unexplained",
     remaining=_remaining(1.0, "validation trials f10a15", False, _NAN),
     held_out="validation",
-    unpredicted=[{"trial": "f10a15", "times": 22.0}],
+    unpredicted={"f10a15": 22.0},
 )
 REREAD = replace(
     _BRIEF, causes=[READING], scores=_scores(READING.effect), at_bound={"c_d4": 6.0, "c_f0": 0.0}
@@ -333,25 +320,14 @@ ALL = {
 }
 
 
-def drawings(gap: GapFile) -> Drawings:
-    """What is drawn of one of them."""
-    maps, overlays = _maps(), _overlays()
-    brief = len(gap.where.phase) < 2
-    return Drawings(
-        maps={"trial by channel": maps["trial by channel"]} if brief else maps,
-        overlays=overlays[:1] if brief else overlays,
-        forces={} if brief else _FORCES,
-    )
-
-
 def evidence(gap: GapFile, sources: Sequence[str] = ()) -> ev.Evidence:
     """What one of them rests on."""
-    return diagnose_evidence.evidence(ranked(gap), drawings(gap), sources=sources)
+    return diagnose_evidence.evidence(gap, worst(), sources=sources)
 
 
 def written(folder: Path, name: str) -> Path:
     """One of them with its evidence, on disk."""
     path = folder / f"{name}.yaml"
-    ranked(ALL[name]).write(path)
+    ALL[name].write(path)
     ev.write(ev.sidecar(path), evidence(ALL[name], ["a robot's paper"]))
     return path

@@ -524,7 +524,7 @@ def diagnosed(folder: Path, *options: str, name: str = "gap.yaml") -> Answer:
     if ran.returncode:
         raise RuntimeError(ran.stderr)
     gap = json.loads(ran.stdout)["result"]
-    said = [*gap["reasons"], *(advice["text"] for advice in gap["advice"]), ran.stderr]
+    said = [*gap["reasons"], *gap["unsure"], *(advice["text"] for advice in gap["advice"]), ran.stderr]
     return Answer.of(gap, "\n".join(said))
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from swimid.diagnosis.diagnosed import Diagnosis
 from swimid.diagnosis.gap_file import GapFile
 from tests.blind import cruises, swim_actuation, swim_effects
 from tests.blind.swim_case import Act, Channels, Trial
@@ -260,7 +261,7 @@ def test_nothing_is_found_in_clean_trials(tmp_path: Path) -> None:
     file = GapFile.read(out)
     assert file.verdict == "none"
     assert file.causes == []
-    assert "NONE" in ran.out
+    assert "NO GAP" in ran.out
 
 
 # ---------------------------------------------------------------- options
@@ -341,14 +342,14 @@ def test_a_validation_trial_that_is_not_predicted_is_told(tmp_path: Path) -> Non
     ran = command("diagnose", trials, "-o", out, "-q")
     assert ran.status == 0, ran.err
     file = GapFile.read(out)
-    assert (file.verdict, [t.trial for t in file.unpredicted]) == ("unexplained", ["w30"])
+    assert (file.verdict, list(file.unpredicted)) == ("unexplained", ["w30"])
     assert "w30" in file.advice[0].text
     single = [line for line in whole.splitlines() if "log:" not in line or "w20.csv" in line]
     trials.write_text("\n".join(single) + "\n")
     ran = command("diagnose", trials, "-o", out, "-q")
     assert ran.status == 0, ran.err
     file = GapFile.read(out)
-    assert (file.verdict, file.level, file.setting_count) == ("none", "caution", 1)
+    assert (file.verdict, Diagnosis.load(out).verdict, file.setting_count) == ("none", "caution", 1)
     assert "another setting" in file.advice[0].text
 
 
@@ -362,7 +363,7 @@ def test_without_a_parameter_file_the_robot_file_is_refitted(rig: tuple[Path, Pa
     out = tmp_path / "gap.yaml"
     ran = command("diagnose", rig[0], "--budget-s", "0.001", "-o", out)
     assert ran.status == 0, ran.err
-    assert "trials against the robot file" in ran.out
+    assert "trials 7 against the robot file" in ran.out
     file = GapFile.read(out)
     assert file.params == "the robot file"
     assert any("no parameter file was given" in reason for reason in file.reasons)

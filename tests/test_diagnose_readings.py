@@ -12,11 +12,11 @@ from swimid.diagnosis import readings, search
 from swimid.diagnosis.context import FitContext
 from swimid.diagnosis.gap_file import GapFile
 from swimid.diagnosis.noise_model import NoiseModel
+from swimid.diagnosis.readings import OtherReading
 from swimid.diagnosis.search import Search, State
 from swimid.effects import catalogue
 from swimid.effects.affected import Affected
 from swimid.effects.base import Effect
-from swimid.effects.reading import OtherReading
 from swimid.fitting.drives import Beat
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.inputs import RigInput, SwimInput
@@ -211,7 +211,7 @@ def test_what_other_trials_told_they_told_of_the_nominal_robot(
     at = plain.labels.index("c_d0")
     assert context.expected(plain)[1][at] == pytest.approx(1 / 0.1)
     assert context.expected(read)[1][at] == pytest.approx(1 / (0.6 * size))
-    searched = Search(context, NoiseModel(plain.sd), (), (), rng=np.random.default_rng(0), jobs=1)
+    searched = Search(context, NoiseModel(plain.sd), (), (), rng=np.random.default_rng(0))
     fit = context.at((), NoiseModel(plain.sd), np.array(plain.start))
     other = context.at((others["reading:areas=as-printed"],), NoiseModel(plain.sd), np.array(read.start))
     samples = sum(len(r) for r in fit.residuals)
@@ -246,8 +246,8 @@ def sought(trials: list[Trial], *, reading: bool = True) -> State:
     effects: list[Effect] = [Seen("rise", rise), Seen("ring", ring)]
     if reading:
         said = 'Another answer to "How fast does it decay?": twice as fast.'
-        effects.append(OtherReading("rate", "quick", meaning=said, stage="fluid", readings=Quicker()))
-    return search.run(Hooked(plainly, PLAIN, ("y",)), PLAIN, trials, {"a": (1.0, 0.1)}, effects)
+        effects.append(OtherReading("rate", "quick", meaning=said, stage="fluid", reread=Quicker()))
+    return search.run(FitContext(Hooked(plainly, PLAIN, ("y",)), PLAIN, trials, {"a": (1.0, 0.1)}), effects)
 
 
 @pytest.mark.parametrize(
@@ -267,7 +267,7 @@ def test_beside_a_reading_the_fits_of_effects_stay_what_they_are(rng: np.random.
     trials = decays(rng, 1.0, 0.3)
     found, without = sought(trials), sought(trials, reading=False)
     np.testing.assert_array_equal(found.base.theta, without.base.theta)
-    gains = [{r.tried.effect.name: r.gains for r in state.singles.ranked} for state in (found, without)]
+    gains = [{r.tried.effect.name: r.gains for r in state.singles} for state in (found, without)]
     assert set(gains[0]) == {*gains[1], "reading:rate=quick"}
     for name, own in gains[1].items():
         np.testing.assert_array_equal(gains[0][name], own)

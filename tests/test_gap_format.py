@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from swimid.diagnosis.gap_file import GapFile, ranked
+from swimid.diagnosis.gap_file import GapFile
 from swimid.errors import InputError
 from swimid.files import yamlio
 from tests import gap_cases as cases
@@ -46,7 +46,7 @@ def test_the_pinned_keys_are_enough(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", sorted(cases.ALL))
 def test_written_and_read_back(tmp_path: Path, name: str) -> None:
     """To the last bit, with every pinned key there whatever the verdict."""
-    file = ranked(cases.ALL[name])
+    file = cases.ALL[name]
     path = tmp_path / "gap.yaml"
     file.write(path)
     assert GapFile.read(path) == file
@@ -66,13 +66,13 @@ def test_errors_of_a_channel_that_only_held_out_trials_have_come_last() -> None:
     first = cases.BACKLASH.shrinkage[0]
     alone = first.model_copy(update={"channel": "joint9_rad"})
     cause = cases.BACKLASH.model_copy(update={"shrinkage": [alone, *cases.BACKLASH.shrinkage]})
-    (found,) = ranked(cases.EXPLAINED.model_copy(update={"causes": [cause]})).causes
+    (found,) = cases.replace(cases.EXPLAINED, causes=[cause]).causes
     assert [s.channel for s in found.shrinkage][-1] == "joint9_rad"
     assert len(found.shrinkage) == len(cases.BACKLASH.shrinkage) + 1
 
 
 def test_everything_in_where_is_ranked() -> None:
-    where = ranked(cases.EXPLAINED).where
+    where = cases.EXPLAINED.where
     assert [c.channel for c in where.channels] == ["u_m_s", "yaw_rate_rad_s", "joint4_rad"]
     assert next(iter(where.stage)) == "actuation"
     for cells in (where.phase, where.regime, where.time):
@@ -81,13 +81,13 @@ def test_everything_in_where_is_ranked() -> None:
 
 
 def test_scores_are_ranked_and_screened_ones_last() -> None:
-    scores = ranked(cases.EXPLAINED).scores
+    scores = cases.EXPLAINED.scores
     assert scores[0].effect == "servo-backlash"
     assert (scores[-1].effect, scores[-1].refitted, scores[-1].gain) == ("wall", False, None)
 
 
 def test_what_is_not_known_is_null() -> None:
-    file = ranked(cases.EXPLAINED)
+    file = cases.EXPLAINED
     still = file.causes[0].shrinkage[-1]
     assert (still.channel, still.closed, still.ci95) == ("joint4_rad", None, (None, None))
     text = yamlio.dumps(file.model_dump())

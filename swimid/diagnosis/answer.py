@@ -13,19 +13,18 @@ from scipy import special
 
 from swimid.diagnosis import (
     advice,
-    conclusion,
     crossval,
     dropout_cause,
+    evidence,
     judgement,
     places,
     remainder,
     settings,
     shrinkage,
-    summary,
+    words,
 )
-from swimid.diagnosis.conclusion import Named
-from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext
-from swimid.diagnosis.figures import Drawings
+from swimid.diagnosis.candidates import Tried
+from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext, covariance
 from swimid.diagnosis.floor import by_channel, excess, floors, repeats, rms, split
 from swimid.diagnosis.folds import Folds
 from swimid.diagnosis.gap_file import (
@@ -34,23 +33,25 @@ from swimid.diagnosis.gap_file import (
     Cause,
     ChangedValue,
     ChannelGap,
-    Extrapolation,
+    Distance,
     GapFile,
-    OddTrial,
-    Predicted,
+    Hypothesis,
+    Score,
     Shrinkage,
     Stage,
     Value,
     Where,
-    ranked,
 )
-from swimid.diagnosis.judgement import Judgement
-from swimid.diagnosis.refutation import Compared, Misfit, compared
+from swimid.diagnosis.judgement import Judgement, Named
+from swimid.diagnosis.noise_model import NoiseModel, coloured
+from swimid.diagnosis.refutation import Misfit, compared
 from swimid.diagnosis.search import State
-from swimid.effects.base import Effect
+from swimid.diagnosis.shrinkage import Piece
+from swimid.effects.base import STAGES
 from swimid.effects.sensing.marker_dropout import MarkerDropout
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting.model import Array, Parameter, Trial
+from swimid.fitting.sandwich import sandwich
 from swimid.progress import Progress, silent
 from swimid.results.parameters import Estimate
 
@@ -72,8 +73,8 @@ def answer(
     unweighed: Mapping[str, Estimate] = MappingProxyType({}),
     seed: int = 0,
     progress: Progress = silent,
-) -> tuple[GapFile, Drawings]:
-    """Verdict, causes, shrinkage, what remains, what next.
+) -> tuple[GapFile, list[Piece]]:
+    """Return verdict, causes, shrinkage, what remains, and the next experiment.
 
     Parameters
     ----------
@@ -90,7 +91,8 @@ def answer(
     -------
     GapFile
         What was diagnosed is not yet named in it.
-    Drawings
+    list of Piece
+        The held-out trial with the largest errors.
 
     Raises
     ------
@@ -105,7 +107,7 @@ def answer(
     ranges = _ranges(context, nominal)
     _insist_simulated(nominal, ranges)
     alike = _alone(state, nominal), _alone(state, state.base)
-    share = conclusion.structured_share(state)
+    share = _structured_share(state)
     drifts = {c: state.low_frequency[c].share for c in remainder.drifting(state.low_frequency)}
     noise = floors(context, state.base, state.nuisance_residuals, share, alike[1], state.noise_model).less(
         drifts
@@ -148,8 +150,8 @@ def answer(
         # nothing it leaves can be told from noise and from what differs from trial to trial
         floor = {c: max(floor[c], rms(v)) for c, v in by_channel(nominal, gap).items()}
         how = "all that the model leaves: noise, and what differs from trial to trial"
-    rows = conclusion.scores(state)
-    stages: dict[Stage, float | None] = {**conclusion.stages(rows, gap=bool(told.causes))}
+    rows = _scores(state)
+    stages: dict[Stage, float | None] = {**_stages(rows, gap=bool(told.causes))}
     causes = _causes(state, told, given, closing)
     if failed:
         causes = dropout_cause.among(state, causes, raw, floor, failed, ranges)
@@ -165,41 +167,38 @@ def answer(
         time=places.times(cells),
     )
     stuck = _at_bounds(context, nominal)
-    generic = state.left
     file = GapFile(
         verdict=told.verdict,
         where=where,
         causes=causes,
         remaining=left,
         advice=_advice(state, told, left.where, floor),
-        odd_trial=told.odd and OddTrial(trial=told.odd.trial, times=told.odd.times),
+        odd_trial={told.odd.trial: told.odd.times} if told.odd else {},
         refuted=list(told.refuted),
-        unpredicted=[OddTrial(trial=trial, times=times) for trial, times in told.unpredicted],
+        unpredicted=dict(told.unpredicted),
         setting_count=settings.count([*context.trials, *validation]),
         no_gap=state.posterior.none,
         outside=state.posterior.outside,
         at_bound=stuck,
         moved=_moved(state, told.base, unweighed),
         unreproduced=told.unreproduced,
-        hypotheses=conclusion.hypotheses(state),
+        hypotheses=_hypotheses(state),
         samples=sum(len(r) for r in nominal.residuals) or None,
         tried=state.tried or None,
         held_out="validation" if validation else "trials" if context.folds.whole else "stretches",
-        predicted=_predicted(predicted) if told.causes else None,
+        predicted=predicted.distances if predicted is not None and told.causes else None,
         floor_from=how,
         repeats=bool(repeats(context)),
         scores=rows,
-        forces={**generic.places} if generic is not None else {},
+        forces={**state.left.places} if state.left is not None else {},
         rounds=state.told,
-        reasons=[*_stood_in(stuck), *told.reasons, *_reasons(state)],
+        reasons=[*told.reasons, *_reasons(state)],
+        unsure=list(told.unsure),
+        left_out=dict(state.screen.left_out),
     )
-    if file.verdict == "none" and file.level != "good":
-        file.advice = [Advice(text=ANOTHER if file.single else REPEAT)]
-    return ranked(file), Drawings(
-        maps=places.maps(cells),
-        overlays=shrinkage.overlays(held, units),
-        forces=generic.forces if generic is not None and generic.found else {},
-    )
+    if file.verdict == "none" and any(check.verdict == "warn" for check in evidence.checks(file)):
+        file.advice = [Advice(text=ANOTHER if (file.setting_count or 2) < 2 else REPEAT)]
+    return file, shrinkage.worst(held, levels, "after" if causes else "before")
 
 
 def _as_given(state: State) -> Fit:
@@ -216,10 +215,6 @@ def _as_given(state: State) -> Fit:
     root = np.diag(weight)[weight > 0]
     found = context.search(problem, noise_model, [start], FINE, STEPS, (mean, root))
     return context.at((), noise_model, found.x)
-
-
-def _predicted(found: Compared | None) -> Predicted | None:
-    return None if found is None else Predicted(before=found.before.times, after=found.after.times)
 
 
 def _insist_simulated(nominal: Fit, ranges: Mapping[str, float]) -> None:
@@ -244,15 +239,13 @@ def _alone(state: State, fit: Fit) -> Fit:
 
 
 def _reasons(state: State) -> list[str]:
-    said = [f"{name}: {why}" for name, why in state.singles.screen.left_out.items()]
-    if state.out_of_time:
-        said.append("the time budget ran out before every effect was refitted")
-    said += [
-        f"trials differ in {kind.name} by {kind.sd:.2g} of its typical size, which is in the noise"
-        + (f" as far as it may be chance: {kind.most:.2g}" if kind.sd > kind.most else "")
-        for kind in state.random_effects
-        if kind.sd > 0.02
-    ]
+    said = ["the time budget ran out before every effect was refitted"] if state.out_of_time else []
+    differing = []
+    for kind in (kind for kind in state.random_effects if kind.sd > 0.02):
+        chance = f", {kind.most:.2g} of it by chance" if kind.sd > kind.most else ""
+        differing.append(f"{kind.name} ({kind.sd:.2g} of its typical size{chance})")
+    if differing:
+        said.append(f"trials differ in {words.listed(differing)}, which is part of the noise")
     return said
 
 
@@ -297,7 +290,7 @@ def _causes(
 ) -> list[Cause]:
     if not told.causes:
         return []
-    sd = conclusion.parameter_errors(state, told.base)
+    sd = parameter_errors(state, told.base)
     sizes = [_values(told.base, c, sd, given) for c in told.causes]
     causes = [
         Cause(
@@ -306,7 +299,7 @@ def _causes(
             equivalent=list(c.equivalent),
             parameters=parameters,
             stage=c.best.tried.effect.stage,
-            meaning=summary.changes_text(parameters) or c.best.tried.effect.meaning,
+            meaning=words.changes_text(parameters) or c.best.tried.effect.meaning,
             sources=list(c.best.tried.effect.sources),
             gain=c.best.gain,
             gain_stderr=c.best.stderr,
@@ -321,23 +314,16 @@ def _causes(
     return [causes[0].model_copy(update=first), *causes[1:]]
 
 
-def _changed(
-    base: Fit, effect: Effect, sd: Mapping[str, float], given: Mapping[str, Estimate]
-) -> dict[str, Value | ChangedValue]:
-    """Return the parameter that an effect changes, with its value in the file and now."""
-    (change,) = effect.parameters(base.problem.model, ())
-    name, label = str(effect.adds_to), f"{effect.name}/{change.name}"
-    known, at = given[name], base.labels.index(label)
-    value, stderr = base.value(name) + base.value(label), sd[effect.name]
-    found = ChangedValue(
+def _changed(known: Estimate, value: float, stderr: float, unit: str, *, inside: bool) -> ChangedValue:
+    """Return the new value of a parameter beside that of the file."""
+    return ChangedValue(
         value=value,
-        stderr=stderr if base.inside[at] else None,
-        unit=change.unit,
-        status="estimated" if base.inside[at] else "at-bound",
+        stderr=stderr if inside else None,
+        unit=unit,
+        status="estimated" if inside else "at-bound",
         given=known.value,
-        standard_errors=abs(value - known.value) / math.hypot(stderr, known.stderr or 0.0),
+        standard_errors=abs(value - known.value) / max(math.hypot(stderr, known.stderr or 0.0), 1e-300),
     )
-    return {name: found}
 
 
 def _values(
@@ -345,11 +331,17 @@ def _values(
 ) -> dict[str, Value | ChangedValue]:
     """The size of a cause: parameters of its effect, those of single trials by their root mean square."""
     effect = cause.best.tried.effect
-    if effect.adds_to is not None:
-        return _changed(base, effect, sd, given)
     found: dict[str, Value | ChangedValue] = {}
     for p in cause.best.tried.parameters:
-        name = f"{cause.best.tried.effect.name}/{p.name}"
+        name = f"{effect.name}/{p.name}"
+        if effect.adds_to is not None:
+            value, inside = (
+                base.value(effect.adds_to) + base.value(name),
+                base.inside[base.labels.index(name)],
+            )
+            known = given[effect.adds_to]
+            found[effect.adds_to] = _changed(known, value, sd[effect.name], p.unit, inside=inside)
+            continue
         labels = [n for n in base.labels if n.split("[")[0] == name]
         values = [base.value(n) for n in labels]
         if not values:
@@ -371,18 +363,15 @@ def _moved(state: State, base: Fit, given: Mapping[str, Estimate]) -> dict[str, 
 
     The level is two-sided 5 % for all of them together (Bonferroni).
     """
-    sd = conclusion.parameter_errors(state, base)
+    sd = parameter_errors(state, base)
     inside = dict(zip(base.labels, base.inside, strict=True))
     names = [p for p in state.context.parameters if p.name in given and inside.get(p.name)]
     limit = -float(special.ndtri(0.5 * MOVED / max(len(names), 1)))
     found = {}
     for p in names:
-        known, value, stderr = given[p.name], base.value(p.name), sd[p.name]
-        times = abs(value - known.value) / max(math.hypot(stderr, known.stderr or 0.0), 1e-300)
-        if times > limit:
-            found[p.name] = ChangedValue(
-                value=value, stderr=stderr, unit=p.unit, given=known.value, standard_errors=times
-            )
+        change = _changed(given[p.name], base.value(p.name), sd[p.name], p.unit, inside=True)
+        if (change.standard_errors or 0.0) > limit:
+            found[p.name] = change
     return found
 
 
@@ -393,49 +382,40 @@ def _at_bounds(context: FitContext, fit: Fit) -> dict[str, float]:
     return {label: float(value) for label, value, inside in ends if label in own and not inside}
 
 
-def _stood_in(bounds: Mapping[str, float]) -> list[str]:
-    told = "in the refit without effects: it may stand in for a cause"
-    return [f"{name} ends at its bound {bound:.4g} {told}" for name, bound in bounds.items()]
-
-
 def _absorbed(
     state: State, base: Fit, given: Mapping[str, Estimate], sd: Mapping[str, float]
 ) -> list[Absorbed]:
     nominal = state.nominal
-    plain = conclusion.parameter_errors(state, nominal)
-    found = []
-
-    def refitted(p: Parameter, fit: Fit, error: Mapping[str, float]) -> Value:
-        if p.name in _at_bounds(state.context, fit):
-            return Value(value=fit.value(p.name), stderr=None, unit=p.unit, status="at-bound")
-        return Value(value=fit.value(p.name), stderr=error.get(p.name), unit=p.unit)
-
+    plain = parameter_errors(state, nominal)
     # a parameter that has changed is a cause itself
     causes = {e.adds_to for e in base.effects}
+    found = []
     for p in state.context.parameters:
         if p.per_trial or p.name not in nominal.labels or p.name in causes:
             continue
-        known = given.get(p.name)
-        found.append(
-            Absorbed(
-                coefficient=p.name,
-                given=known
-                and Value(value=known.value, stderr=known.stderr, unit=p.unit, status=known.status),
-                without=refitted(p, nominal, plain),
-                with_effect=refitted(p, base, sd),
-                bounds=p.bounds,
-            )
-        )
+        values = [_estimate(fit, p, errors) for fit, errors in ((nominal, plain), (base, sd))]
+        one = Absorbed(coefficient=p.name, without=values[0], with_effect=values[1])
+        if p.name in given:
+            known = given[p.name]
+            one.given = Value(value=known.value, stderr=known.stderr, unit=p.unit, status=known.status)
+        found.append(one)
     return found
 
 
-def _extrapolations(state: State, base: Fit) -> list[Extrapolation]:
+def _estimate(fit: Fit, p: Parameter, errors: Mapping[str, float]) -> Value:
+    value = fit.value(p.name)
+    if not fit.inside[fit.labels.index(p.name)]:
+        return Value(value=value, unit=p.unit, status="at-bound")
+    return Value(value=value, stderr=errors.get(p.name), unit=p.unit)
+
+
+def _extrapolations(state: State, base: Fit) -> dict[str, Distance]:
     """How far the outermost frequency, amplitude or force is from what the other trials predict."""
     context = state.context
     if not context.folds.whole:
-        return []
+        return {}
     known = [settings.words(t) for t in context.trials]
-    found = []
+    found = {}
     for kind in ("frequency", "amplitude", "force"):
         labels = [words.get(kind) for words in known]
         levels = sorted({label for label in labels if label}, key=lambda text: float(text.split()[0]))
@@ -450,7 +430,7 @@ def _extrapolations(state: State, base: Fit) -> list[Extrapolation]:
             for fit in (state.nominal, base):
                 inner = crossval.normal_equations(cut, fit, state.noise_model)
                 times.append(Misfit(float(crossval.predictive(inner)[1]), int(inner.samples[1])).times)
-            found.append(Extrapolation(left_out=f"{kind} {label}", before=times[0], after=times[1]))
+            found[f"{kind} {label}"] = Distance(before=times[0], after=times[1])
     return found
 
 
@@ -459,7 +439,7 @@ def _advice(state: State, told: Judgement, left: str, floor: Mapping[str, float]
         text = f"look at what is written of {told.odd.trial}; diagnose without it (role: validate)"
         return [Advice(text=text), *_repeat(left)]
     if told.verdict == "unexplained" and told.unpredicted:
-        trials = ", ".join(trial for trial, _ in told.unpredicted)
+        trials = ", ".join(told.unpredicted)
         return [Advice(text=f"fit {trials}, too (role: fit): what acts there alone shows nowhere else")]
     if not told.causes:
         return _repeat(left) if told.verdict == "unexplained" else []
@@ -473,10 +453,110 @@ def _advice(state: State, told: Judgement, left: str, floor: Mapping[str, float]
         return _repeat(left) if told.verdict == "unexplained" else []
     now = math.sqrt(max(rivals[0].gain - rivals[1].gain, 0.0))
     try:
-        return advice.advise(state.context, [r.fit for r in rivals], first.noise_model, floor, now)
+        return advice.advise(state.context, [r.fit for r in rivals], state.noise_model, floor, now)
     except (ArithmeticError, np.linalg.LinAlgError):
         return []
 
 
 def _repeat(left: str) -> list[Advice]:
     return [Advice(text=f"{REPEAT} (now left: {left})")]
+
+
+def _scores(state: State) -> list[Score]:
+    """How every effect did alone."""
+    rows: dict[str, Score] = {}
+    for r in state.singles:
+        name = r.tried.effect.name
+        if name not in rows:
+            rows[name] = _score(r.tried, r.gains, r.stderr, state.posterior.having(name), refitted=True)
+    for t in state.screen.tried:
+        if t.effect.name not in rows:
+            rows[t.effect.name] = _score(t, t.gains, None, 0.0, refitted=False)
+    return list(rows.values())
+
+
+def _score(tried: Tried, gains: Array, stderr: float | None, probability: float, *, refitted: bool) -> Score:
+    return Score(
+        effect=tried.effect.name,
+        stage=tried.effect.stage,
+        variant=", ".join(p.name for p in tried.parameters),
+        gain=float(gains.sum()),
+        stderr=stderr,
+        won=(int(np.sum(gains > 0)), len(gains)),
+        absorbed=tried.absorbed,
+        screened=tried.gain,
+        refitted=refitted,
+        probability=probability,
+    )
+
+
+def _hypotheses(state: State) -> list[Hypothesis]:
+    """Every set of effects that was weighed, the model as it is first."""
+    found = state.posterior
+    return [
+        Hypothesis(
+            effects=sorted(c.names),
+            numbers=c.numbers,
+            score=c.score,
+            slow=c.slow,
+            alike=dict(c.alike),
+            folds=c.folds.tolist(),
+            probability=found.sets.get(c.names, found.none),
+        )
+        for c in found.candidates
+    ]
+
+
+def _stages(rows: Sequence[Score], *, gap: bool) -> dict[Stage, float]:
+    """Share of the evidence each stage of the chain has."""
+    applied = {row.stage for row in rows}
+    shares = {stage: 0.0 for stage in STAGES if stage != "rig" or "rig" in applied}
+    if not gap:
+        return shares
+    for row in rows:
+        if row.stage in shares:
+            shares[row.stage] += row.probability or 0.0
+    total = sum(shares.values())
+    return {k: v / total if total > 0 else 0.0 for k, v in shares.items()}
+
+
+def _structured_share(state: State) -> float:
+    """Share of the final squared whitened residuals that a generic description still finds."""
+    left = state.left
+    if left is None or not left.found:
+        return 0.0
+    whole = sum(
+        float(np.sum(state.noise_model.whiten(state.base.problem, k, r) ** 2))
+        for k, r in enumerate(state.base.residuals)
+    )
+    return float(np.clip(left.gain / max(whole, 1e-300), 0.0, 1.0))
+
+
+def parameter_errors(state: State, fit: Fit) -> Mapping[str, float]:
+    """Return the standard errors of a fit's parameters by label.
+
+    That of the new value of a changed parameter stands under the name of its effect.
+
+    The residuals of a few trials are correlated, be it noise or gap: the errors are larger by that.
+    """
+    # the rows that give the parameters themselves, and each changed parameter with its change
+    names, rows = list(fit.labels), list(np.eye(len(fit.labels)))
+    for effect in fit.effects:
+        if effect.adds_to is not None:
+            parts = (effect.adds_to, f"{effect.name}/change")
+            names.append(effect.name)
+            rows.append(np.isin(fit.labels, parts).astype(float))
+    combined = np.array(rows)
+
+    def errors(covariance: Array) -> Array:
+        variance = np.einsum("ij,jk,ik->i", combined, covariance, combined)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+    sd = errors(covariance(fit, state.noise_model, state.context.precision(fit.problem)))
+    if state.noise_model.long_memory is not None:
+        scale = fit.problem.scale
+        colour = coloured(fit.problem, fit.residuals, NoiseModel(state.noise_model.sd)).colour
+        derivatives = [r * scale for r in fit.rows]
+        robust = sandwich(fit.problem, derivatives, list(fit.residuals), dict(colour)).covariance
+        sd = np.fmax(sd, errors(scale[:, None] * robust * scale))
+    return dict(zip(names, sd, strict=True))

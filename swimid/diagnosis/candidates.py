@@ -115,13 +115,7 @@ class Trialled:
     points: list[tuple[Array, list[Array]]]
 
 
-def simulate(
-    context: FitContext,
-    base: Fit,
-    effects: Sequence[Effect],
-    *,
-    jobs: int = 1,
-) -> list[Trialled]:
+def simulate(context: FitContext, base: Fit, effects: Sequence[Effect]) -> list[Trialled]:
     """The changes all effects make at several strengths."""
 
     def one(effect: Effect) -> list[tuple[Array, list[Array]]]:
@@ -139,7 +133,7 @@ def simulate(
 
     return [
         Trialled(effect, effect.parameters(context.model, context.trials), points)
-        for effect, points in zip(effects, mapped(one, effects, jobs), strict=True)
+        for effect, points in zip(effects, mapped(one, effects, context.jobs), strict=True)
     ]
 
 

@@ -260,6 +260,11 @@ class FitContext:
         self.shape = plain
         self.folds = self._folds(plain)
 
+    def replaced(self, model: Model, trials: Sequence[Trial]) -> FitContext:
+        """Return the same context of another model and other trials."""
+        more = {"correlation": self.correlation, "jobs": self.jobs}
+        return FitContext(model, self.parameters, trials, self.prior, **more)  # type: ignore[arg-type]
+
     def _folds(self, problem: Problem) -> Folds:
         rows = [sum(int(m.sum()) for m in masks) for masks in problem.masks]
         found = folds(self.trials, rows)

@@ -8,8 +8,8 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from swimid.diagnosis import answer, nominal, power, power_file, readings, search
-from swimid.diagnosis import evidence as diagnose_evidence
+from swimid.diagnosis import answer, evidence, nominal, power, power_file, readings, search
+from swimid.diagnosis.context import FitContext
 from swimid.diagnosis.diagnosed import Diagnosis
 from swimid.diagnosis.gap_file import ROBOT_FILE
 from swimid.diagnosis.options import DiagnoseOptions
@@ -31,8 +31,8 @@ from swimid.simulation.comparison_file import ChannelScore
 
 #: Why no change of a parameter is looked for without a parameter file.
 NOT_GIVEN = (
-    "no parameter file was given (--params): the coefficients were refitted from the values of the robot "
-    "file, of which nothing is taken as known, so that no change of a parameter can be named"
+    "no parameter file was given: the refit began at the values of the robot file, of which nothing is taken "
+    "as known, and no change of a parameter can be named"
 )
 
 
@@ -142,8 +142,11 @@ def diagnose(
         origin = provenance.collect(inputs, settings=options.settings())
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
         search.prepared(model, experiment.trials, progress, keep)
-        workers = options.jobs or os.cpu_count() or 1
         given, seed = options.params, options.seed
+        workers = options.jobs or os.cpu_count() or 1
+        context = FitContext(
+            model, model.parameters, fitted, begun.prior, correlation=begun.correlation, jobs=workers
+        )
         about: dict[str, Any] = {
             "model": model.name,
             "robot": experiment.robot.name,
@@ -154,20 +157,17 @@ def diagnose(
         }
         if options.power:
             with threadpool_limits(limits=1, user_api="blas"):
-                rows, left_out = power.shown(
-                    model, fitted, begun.prior, tried, asked, seed=seed, jobs=workers
-                )
+                rows, left_out = power.shown(context, tried, asked, seed=seed)
             keep.done()
             could = PowerFile(**about, effects=rows, left_out=left_out)
             return DetectionPower.of(could, power_file.evidence(could, blocks.notices(notices))).saved(output)
         others, alike = readings.others(experiment, fitted)
         state = search.run(
-            model, model.parameters, fitted, begun.prior, [*tried, *others, *begun.changes],
-            correlation=begun.correlation, asked=asked, seed=seed, jobs=workers, most=options.max_causes,
+            context, [*tried, *others, *begun.changes], asked=asked, seed=seed, most=options.max_causes,
             budget_s=options.budget_s, checkpoint=keep, progress=progress,
         )  # fmt: skip
         with threadpool_limits(limits=1, user_api="blas"):
-            file, drawings = answer.answer(
+            file, worst = answer.answer(
                 state,
                 validation,
                 begun.given,
@@ -176,23 +176,16 @@ def diagnose(
                 seed=seed,
                 progress=progress,
             )
-    folds = state.context.folds
-    known_before = given is not None and not begun.own_data
-    of_these = "none but the bounds" if given is None else "these trials: none but the bounds"
-    parts = "folds of settings" if folds.whole else "stretches of trials"
-    settings = {
-        "prior": "from other trials" if known_before else of_these,
-        "held_out": "validation trials" if validation else parts,
-        "folds": folds.labels if len(folds.labels) <= 30 else [],
+    left_out = {name: why for name, why in alike.items() if asked is None or name in asked}
+    about |= {
+        "reasons": [*file.reasons, *([NOT_GIVEN] if given is None else [])],
+        "left_out": left_out | file.left_out,
+        "as_given": as_given,
     }
-    said = [f"{name}: {why}" for name, why in alike.items() if asked is None or name in asked]
-    if given is None:
-        said.insert(0, NOT_GIVEN)
-    about |= {"settings": settings, "reasons": [*said, *file.reasons], "as_given": as_given}
     file = file.model_copy(update=about)
-    evidence = diagnose_evidence.evidence(
-        file, drawings, sources=experiment.robot.sources, notices=blocks.notices(notices)
+    rests_on = evidence.evidence(
+        file, worst, sources=experiment.robot.sources, notices=blocks.notices(notices)
     )
-    made = Diagnosis.of(file, evidence).saved(output)
+    made = Diagnosis.of(file, rests_on).saved(output)
     keep.done()
     return made

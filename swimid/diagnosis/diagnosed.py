@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from swimid.diagnosis import gap_file
+from swimid.diagnosis import evidence, gap_file
 from swimid.diagnosis.gap_file import GapFile, Value
+from swimid.results.evidence import Evidence
 from swimid.results.result import FileResult
 
 if TYPE_CHECKING:
@@ -74,3 +75,11 @@ class Diagnosis(FileResult[GapFile]):
         import pandas as pd
 
         return pd.DataFrame([c.model_dump() for c in self.file.where.channels])
+
+    def _bare(self) -> Evidence:
+        found = evidence.evidence(self.file)
+        text = f"No evidence file, so its figures cannot be shown. {found.verdict.text}"
+        level = "bad" if found.verdict.level == "bad" else "caution"
+        return found.model_copy(
+            update={"verdict": found.verdict.model_copy(update={"level": level, "text": text})}
+        )

@@ -98,8 +98,8 @@ def among(
     of_all = {
         "shrinkage": list(closing.values()),
         "absorbed": causes[0].absorbed if causes else [],
-        "extrapolation": causes[0].extrapolation if causes else [],
+        "extrapolation": causes[0].extrapolation if causes else {},
     }
     first, *rest = sorted([*causes, effect], key=lambda c: -(c.gain or 0.0))
-    bare: dict[str, list[Any]] = {name: [] for name in of_all}
+    bare: dict[str, Any] = {"shrinkage": [], "absorbed": [], "extrapolation": {}}
     return [first.model_copy(update=of_all), *(c.model_copy(update=bare) for c in rest)]

@@ -1,425 +1,380 @@
-"""Evidence of a diagnosis: checks, tables and methods; its figures are in ``figures``."""
+"""Evidence of a diagnosis: checks, tables and figures."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any, Literal
 
-from swimid.diagnosis import gap_file as gap_format
-from swimid.diagnosis import summary as words
-from swimid.diagnosis.figures import Drawings, figures
-from swimid.diagnosis.gap_file import GapFile, Score
-from swimid.results import blocks, numbers
+from swimid.diagnosis import words
+from swimid.diagnosis.gap_file import GapFile, Shrinkage
+from swimid.diagnosis.words import held_out_text, listed, probability_text
 from swimid.results import evidence as ev
+from swimid.results import numbers
+from swimid.results.numbers import number, percent
 
-#: An effect that the nominal coefficients imitate beyond this share is seen through them only.
-HIDDEN = 0.9
+if TYPE_CHECKING:
+    from swimid.diagnosis.shrinkage import Piece
 
+Rows = list[list[Any]]
+#: The causes should close at least this share of a channel's gap.
+HALF = 0.5
 #: Warnings that logs contradict what is written of them: of the beat, and of the course.
 CONTRADICTING = ("SWM032", "SWM063")
+#: Maximum number of effects in a figure, of panels, and of points of a curve.
+MAX_EFFECTS, MAX_PANELS, MAX_POINTS = 10, 4, 800
 
-KENNEDY = (
+#: Heading of the noise floor; before it in a table of errors stand those of models.
+FLOOR = "floor (%)"
+#: Sources of the method, and that of the choice of the next experiment.
+REFERENCES = (
     "Kennedy, M. C., & O'Hagan, A. (2001). Bayesian calibration of computer models. Journal of the Royal "
-    "Statistical Society B, 63(3), 425-464."
-)
-KLEIN = (
-    "Klein, V., & Morelli, E. A. (2006). Aircraft System Identification: Theory and Practice. AIAA "
-    "Education Series."
-)
-YAO = (
+    "Statistical Society B, 63(3), 425-464.",
+    "Klein, V., & Morelli, E. A. (2006). Aircraft System Identification: Theory and Practice. AIAA.",
+    "Rad, K. R., & Maleki, A. (2020). A scalable estimate of the out-of-sample prediction error via "
+    "approximate leave-one-out cross-validation. Journal of the Royal Statistical Society B, 82(4), 965-996.",
     "Yao, Y., Vehtari, A., Simpson, D., Gelman, A. (2018). Using stacking to average Bayesian predictive "
-    "distributions. Bayesian Analysis, 13(3), 917-1007."
+    "distributions. Bayesian Analysis, 13(3), 917-1007.",
 )
 BOX = (
     "Box, G. E. P., & Hill, W. J. (1967). Discrimination among mechanistic models. Technometrics, 9(1), "
     "57-71."
 )
-RAD = (
-    "Rad, K. R., & Maleki, A. (2020). A scalable estimate of the out-of-sample prediction error via "
-    "approximate leave-one-out cross-validation. Journal of the Royal Statistical Society B, 82(4), 965-996."
-)
 
 
 def evidence(
     file: GapFile,
-    drawings: Drawings,
+    worst: Sequence[Piece] = (),
     *,
     sources: Sequence[str] = (),
     notices: Sequence[ev.NoticeRecord] = (),
 ) -> ev.Evidence:
-    """What a diagnosis rests on.
+    """Return what a diagnosis rests on.
 
     Parameters
     ----------
+    worst : sequence of Piece
+        The channels of the held-out trial with the largest errors.
     sources : sequence of str
-        Of the robot, to cite.
+        References of the robot.
     """
-    cited = [KENNEDY, KLEIN, RAD, YAO, *([BOX] if file.advice else [])]
-    named = [source for cause in file.causes for source in cause.sources]
-    said, tests = verdict(file), checks(file)
-    against = [notice.text for notice in notices if notice.code in CONTRADICTING]
+    tests = list(checks(file))
+    against = "; ".join(notice.text for notice in notices if notice.code in CONTRADICTING)
     if against:
-        tests.append(
-            ev.check("logs as written of", "contradicted", False, "no contradiction", "; ".join(against))
-        )
-        if said.level == "good":
-            said = said.model_copy(update={"level": "caution"})
+        tests.append(ev.check("logs agree with what is written of them", "no", False, reason=against))
+    verdict = ev.judged(words.answer(file), tests)
+    word = "No gap" if file.verdict == "none" else file.verdict.capitalize()
+    errors = _errors(file)
+    tables = [errors, _causes(file), _coefficients(file), _scores(file), _parts(file)]
+    cited = [*sources, *REFERENCES, *([BOX] if file.advice else [])]
     return ev.Evidence(
         verb="diagnose",
         title=f"Gap between trials and model: {file.robot}, {file.experiment}",
-        verdict=said,
+        verdict=verdict.model_copy(update={"word": word}),
+        facts=_facts(file),
+        notes=words.notes(file),
         checks=tests,
-        tables=tables(file),
-        figures=figures(file, drawings),
+        tables=[table for table in tables if table.rows],
+        figures=[_bars(errors), *_ranked(file), *_residuals(worst, bool(file.causes))],
         notices=list(notices),
-        methods=methods(file),
-        references=list(dict.fromkeys([*sources, *cited, *named])),
+        methods=words.methods(file),
+        references=list(dict.fromkeys([*cited, *(source for c in file.causes for source in c.sources)])),
         provenance=dict(file.provenance),
     )
 
 
-def verdict(file: GapFile) -> ev.Verdict:
-    """The verdict as the report grades it."""
-    said = words.verdict_sentence(file)
-    closed = next((s for s in file.closing if s.closed is not None), None)
-    if closed is not None:
-        said += f" Of the gap in {closed.channel} {words.closed_text(closed)} is closed."
-    text = ev.judged(said, checks(file)).text
-    return ev.Verdict(level=file.level, word=gap_format.WORDS[file.verdict], text=text)
+def _facts(file: GapFile) -> dict[str, str]:
+    given = ", ".join(f"{c} {percent(s.nrmse)}" for c, s in list(file.as_given.items())[:3])
+    facts = {
+        "Trials": f"{len(file.trials)} against {file.params}" if file.trials else "",
+        "Model": file.model,
+        "Effects tried": str(len({s.effect for s in file.scores}) or ""),
+        "Probability": words.otherwise_text(file) if file.no_gap is not None else "",
+        "Errors of the parameters as given": given,
+    }
+    return {name: value for name, value in facts.items() if value}
 
 
 # ---------------------------------------------------------------- checks
 
 
-def checks(file: GapFile) -> list[ev.Check]:
-    """The tests the answer has to pass."""
-    of_answer = _no_gap if file.verdict == "none" else _causes
-    return [check for part in (_data, of_answer, _predicts, _coefficients, _left) for check in part(file)]
-
-
-def _data(file: GapFile) -> Iterable[ev.Check]:
-    if file.as_given:
-        errors = [f"{c} {numbers.percent(s.nrmse)}" for c, s in file.as_given.items()]
-        yield ev.check(
-            "errors with the parameters as given",
-            "; ".join(errors),
-            None,
-            text="root-mean-square error over the measured range, all trials, as compare has it",
-        )
-    if file.moved:
-        yield ev.check(
-            "parameters as given",
-            words.changes_text(file.moved),
-            False,
-            "within their standard errors",
-            "values in the parameter file and in the refit",
-        )
-    if file.unreproduced:
-        yield blocks.check(
-            "output that the model reproduces",
-            "; ".join(f"{numbers.percent(v, 2)} of {c}" for c, v in file.unreproduced.items()),
-            "at least 50 %",
-            False,
-            otherwise="fail",
-            text="one less the error over the standard deviation of the output",
-        )
-    if file.at_bound:
-        yield ev.check(
-            "bounds without effects",
-            words.bounds_text(file),
-            False,
-            "inside",
-            "a coefficient that the refit without effects takes to its bound may stand in for a cause",
-        )
-    if file.odd_trial is not None:
-        times = numbers.number(file.odd_trial.times, 2)
-        yield blocks.check(
-            "no trial contradicts the others",
-            f"{file.odd_trial.trial}: {times} times the others' error",
-            "as the others",
-            False,
-            otherwise="fail",
-            text="error of a trial predicted from all others; look at what is written of it",
-        )
-    if file.refuted:
-        yield blocks.check(
-            "held-out trials bear the likeliest cause out",
-            words.listed(file.refuted),
-            "no worse with it",
-            False,
-            otherwise="fail",
-            text="squared held-out errors grow with it by more than the gap and the noise",
-        )
-    # the largest is first
-    none = file.verdict == "none" or file.follows
-    for largest in [c for c in file.where.channels if c.nrmse is not None][:1]:
-        yield ev.check(
-            "error of the model" if none else "size of the gap",
-            words.error_of(largest) if none else words.size_of(largest),
-            True if none else None,
-            text="root-mean-square error of the refitted model over the measured range, in the channel with "
-            f"most of the gap; {file.floor_from or 'the floor is what noise alone would leave'}",
-        )
-
-
-def _no_gap(file: GapFile) -> Iterable[ev.Check]:
-    best = words.likeliest(file)
-    if best is not None:
-        yield ev.check(
-            "probability of the likeliest effect",
-            f"{numbers.percent(best.probability, 2)} ({best.effect})",
-            file.told_of_gap,
-            "no gap above 50 %",
-            f"of all effects tried; {words.otherwise_text(file)}",
-        )
-    apart = [c for c in file.where.channels if c.differs]
-    if apart:
-        yield ev.check(
-            "differences between trials",
-            "; ".join(words.error_of(c) for c in apart),
-            file.repeats,
-            "as between repeats",
-            "most of the squared error is that trials differ from one another; only repeats of a setting "
-            "tell whether that is chance",
-        )
-
-
-def _causes(file: GapFile) -> Iterable[ev.Check]:
-    for cause in file.causes:
-        won = next((s.won for s in file.scores if s.effect == cause.effect and s.won[1]), None)
-        most = f"; positive in {won[0]} of {won[1]} folds" if won else ""
-        yield ev.check(
-            f"held-out gain of {cause.effect}",
-            numbers.measured(cause.gain, cause.gain_stderr) + most,
-            cause.gain is not None and cause.gain > 2.0 * (cause.gain_stderr or 0.0),
-            "> 2 std. errors",
-            "drop of the squared residuals, in units of the noise, in approximate cross-validation",
-        )
-    if file.causes:
-        sets = [f"{c.effect}: {words.listed(c.equivalent)}" for c in file.causes if c.equivalent]
-        yield ev.check(
-            "rivals",
-            "; ".join(sets) or "none",
-            not sets,
-            "none",
-            "effects that have 90 % of the probability with the cause, the other causes given",
-        )
-        meaning = "an effect as large as it may be, a joint wholly locked, or one that stands in for another"
-        yield _inside("sizes of the causes", file.bounded, meaning)
-    if file.predicted is not None:
-        before, after = (numbers.number(v, 2) for v in (file.predicted.before, file.predicted.after))
-        yield ev.check(
-            "distance of held-out data from the prediction",
-            f"{before} without, {after} with the causes",
-            file.predicted.after < file.predicted.before,
-            "smaller with them",
-            "root mean square, 1 where the model is right: what the coefficients' uncertainty and chance "
-            "differences between trials allow is taken into account",
-        )
-    for s in file.closing[:3]:
-        if s.half_closed is not None:
-            yield ev.check(
-                f"gap closed in {s.channel}",
-                words.closed_text(s),
-                s.half_closed,
-                f"≥ {100 * gap_format.HALF:g} %, interval above 0",
-                f"{words.held_out_text(file)}: {words.errors_text(s)}",
-            )
-    if any(None not in (e.before, e.after) for e in file.extrapolation):
-        yield ev.check(
-            "carries over to settings left out",
-            f"not to {words.listed(file.lost)}" if file.lost else "yes",
-            not file.lost,
-            "all",
-            "an effect that loses where it was not fitted takes up errors and causes none",
-        )
-
-
-def _inside(name: str, ends: Sequence[str], meaning: str) -> ev.Check:
-    """Whether some numbers end inside their bounds."""
-    value = f"at a bound: {words.listed(ends)}" if ends else "inside their bounds"
-    return ev.check(name, value, not ends, "inside", meaning)
-
-
-def _predicts(file: GapFile) -> Iterable[ev.Check]:
+def checks(file: GapFile) -> Iterable[ev.Check]:
+    """Yield the tests that the answer has to pass; the level of the verdict follows from them."""
+    yield from _of_trials(file)
+    yield from _of_no_gap(file) if file.verdict == "none" else _of_causes(file)
     if file.held_out == "validation":
-        yield ev.check(
-            "validation trials are predicted",
-            f"not {words.unpredicted_text(file)}" if file.unpredicted else "yes",
-            not file.unpredicted,
-            "no worse than may be expected",
-            "error of a trial that took part in no fit, over what noise and the uncertainty of the "
-            "coefficients allow",
-        )
-    if file.single:
-        yield ev.check(
-            "settings",
-            "1",
-            False,
-            "≥ 2",
-            "of one setting coefficients may imitate what the model lacks; nothing is tested at another",
-        )
-
-
-def _coefficients(file: GapFile) -> Iterable[ev.Check]:
-    if file.absorbed:
-        meaning = "a coefficient at its bound still stands in for something"
-        yield _inside("coefficients with the causes", file.stuck, meaning)
-    stood_in = [a.coefficient for a in words.moved(file)]
-    if stood_in:
-        yield ev.check(
-            "coefficients that stood in for the causes",
-            words.listed(stood_in),
-            None,
-            text="their values without the causes are not to be used",
-        )
-    named = {c.effect for c in file.causes}
-    hidden = [s for s in file.scores if s.effect in named and (s.absorbed or 0.0) > HIDDEN]
-    if hidden:
-        yield ev.check(
-            "hidden in the coefficients",
-            "; ".join(f"{s.effect}: {numbers.percent(s.absorbed, 2)}" for s in hidden),
-            False,
-            f"≤ {100 * HIDDEN:g} %",
-            "share of the cause's signature that the model's own coefficients imitate",
-        )
-
-
-def _left(file: GapFile) -> Iterable[ev.Check]:
+        off = listed([f"{trial} is off by {number(t, 2)} times" for trial, t in file.unpredicted.items()])
+        said = f"{off} the expected error"
+        failed: Literal["warn", "fail"] = "fail" if file.verdict == "unexplained" else "warn"
+        value = said if off else "predicted"
+        yield ev.check("validation trials", value, not off, otherwise=failed, reason=said)
+    if file.setting_count is not None and file.setting_count < 2:
+        said = "all trials have one setting, and nothing is tested at another"
+        yield ev.check("settings", "1", False, "≥ 2", reason=said)
+    # of an unexplained gap something is left, whatever a description of it says
+    passed = file.remaining.white if file.verdict in ("none", "unexplained") else file.remaining.white or None
+    share, said = file.remaining.share, words.remaining_text(file)
+    unexplained = file.verdict == "unexplained"
     yield ev.check(
-        "what remains",
-        words.remaining_text(file),
-        file.remaining.white,
+        "remaining gap",
+        said,
+        passed and not unexplained,
         "no structure",
         "whether a description without any physics still gains on held-out trials",
+        otherwise="fail" if unexplained and (share is None or share > HALF) else "warn",
+        reason=said,
     )
+
+
+def _of_trials(file: GapFile) -> Iterable[ev.Check]:
+    for trial, times in file.odd_trial.items():
+        said = f"{trial} contradicts the other trials, with {number(times, 2)} times their error"
+        yield ev.check("trials agree", said, False, "all", otherwise="fail", reason=said)
+    if file.unreproduced:
+        said = listed([f"{percent(v, 2)} of {c}" for c, v in file.unreproduced.items()])
+        reason = f"the model reproduces {said}"
+        yield ev.check("output reproduced", said, False, "≥ 50 %", otherwise="fail", reason=reason)
+    if file.refuted:
+        said = f"held-out errors grow with {listed(file.refuted)}, the likeliest cause by the fits"
+        yield ev.check("likeliest cause", "refuted", False, otherwise="fail", reason=said)
+    if file.moved:
+        said = words.changes_text(file.moved)
+        reason = f"the parameters as given are others than those refitted: {said}"
+        yield ev.check("parameters as given", said, False, "within their errors", reason=reason)
+    if file.at_bound:
+        said = listed([f"{name} at {number(bound, 3)}" for name, bound in file.at_bound.items()])
+        text = "a coefficient that the refit without effects takes to its bound may stand in for a cause"
+        passed = None if file.causes else False
+        yield ev.check(
+            "bounds without effects", said, passed, "inside", text, reason=f"bounds are hit: {said}"
+        )
+
+
+def _of_no_gap(file: GapFile) -> Iterable[ev.Check]:
+    known = [s for s in file.scores if s.refitted and s.probability is not None]
+    best = max(known, key=lambda s: s.probability or 0.0, default=None)
+    said = words.otherwise_text(file) + (
+        f", {best.effect} {probability_text(best.probability)}" if best else ""
+    )
+    yield ev.check("probabilities", said, file.told_of_gap, "no gap > 50 %", reason=said)
+    apart = listed([c.channel for c in file.where.channels if c.differs])
+    if apart:
+        said = f"trials differ in {apart} by more than the noise within them"
+        reason = f"{said}, and without repeats of a setting nothing tells whether that is chance"
+        yield ev.check("differences between trials", said, file.repeats, "as between repeats", reason=reason)
+
+
+def _of_causes(file: GapFile) -> Iterable[ev.Check]:
+    if not file.causes:
+        return
+    first, *_ = file.causes
+    rivals = [
+        f"these trials cannot tell {c.effect} from {listed(c.equivalent, 'or')}"
+        for c in file.causes
+        if c.equivalent
+    ]
+    passed = False if file.verdict == "ambiguous" else None
+    why = "; ".join(rivals + file.unsure) or "its probability is too low to name it"
+    yield ev.check("rivals of the cause", "; ".join(rivals) or "none", passed, "none", reason=why)
+    for c in (c for c in file.causes if c.gain is not None):
+        gain, passed = numbers.measured(c.gain, c.gain_stderr), (c.gain or 0.0) > 2.0 * (c.gain_stderr or 0.0)
+        reason = f"the held-out gain of {c.effect} is no more than two standard errors ({gain})"
+        yield ev.check(f"held-out gain of {c.effect}", gain, passed, "> 2 standard errors", reason=reason)
+    ends = [f"{c.effect}/{n}" for c in file.causes for n, v in c.parameters.items() if v.status == "at-bound"]
+    stuck = [a.coefficient for a in first.absorbed if a.with_effect.status == "at-bound"]
+    for name, found in (("sizes of the causes", ends), ("coefficients with the causes", stuck)):
+        said = f"{listed(found)} at a bound"
+        yield ev.check(name, said if found else "inside", not found, "inside their bounds", reason=said)
+    distances = {**first.extrapolation}
+    if file.predicted is not None:
+        distances["held-out data"] = file.predicted
+    text = "distance from the prediction without and with the causes; 1 where the model is right"
+    for name, distance in distances.items():
+        before, after = distance.before or 0.0, distance.after or 0.0
+        said = f"{number(before, 2)} without, {number(after, 2)} with the causes"
+        reason = f"{name} left out of the fit is predicted worse with the causes"
+        # of a setting it may be as it was, of all held-out data not
+        passed = after < before if name == "held-out data" else after <= before
+        yield ev.check(f"prediction of {name}", said, passed, "smaller with them", text, reason=reason)
+    for s in [s for s in file.closing if s.closed is not None][:1]:
+        share, low = percent(s.closed, 2), s.ci95[0]
+        passed = (s.closed or 0.0) >= HALF and (low is None or low > 0)
+        limit, reason = f"≥ {percent(HALF)}, interval above 0", f"of the gap in {s.channel} {share} closes"
+        said = " ".join([share, interval_text(s)]).strip()
+        yield ev.check(f"gap closed in {s.channel}", said, passed, limit, held_out_text(file), reason=reason)
+
+
+def interval_text(s: Shrinkage) -> str:
+    """Return the 95 % interval of the closed share: ``(81 … 94 %)``."""
+    low, high = s.ci95
+    if low is None or high is None:
+        return ""
+    return f"({number(100.0 * low, 2)} … {percent(high, 2)})"
 
 
 # ---------------------------------------------------------------- tables
 
 
-def tables(file: GapFile) -> list[ev.Table]:
-    """What cannot be told apart, every effect tried, the coefficients, and settings left out."""
-    found = (_equivalence(file), _absorbed(file), _extrapolations(file), _scores(file))
-    return [table for table in found if table.rows]
+def _percents(*values: float | None) -> list[float | None]:
+    return [None if v is None else 100.0 * v for v in values]
 
 
-def _equivalence(file: GapFile) -> ev.Table:
-    scores = {s.effect: s for s in file.scores}
-    rows = []
-    for cause in (c for c in file.causes if c.equivalent):
-        for name in (cause.effect, *cause.equivalent):
-            s = scores.get(name, Score(effect=name, gain=None))
-            gain, probability = numbers.measured(s.gain, s.stderr), numbers.percent(s.probability, 2)
-            rows.append([cause.effect, name, s.stage or numbers.NOTHING, gain, probability])
-    return ev.Table(
-        id="equivalent",
-        title="What these trials cannot tell apart",
-        columns=["Cause", "Effect", "Stage", "Held-out gain ± std. error", "Probability"],
-        rows=rows,
-        caption="Any of these may be the cause: together they make up 90 % of the probability, the "
-        "other causes given. Good: no such table.",
-    )
+def _table(id: str, title: str, columns: str, rows: Rows, caption: str, *, folded: bool = True) -> ev.Table:
+    """Return a table; its headings stand in one text with bars between them."""
+    names = columns.split(" | ")
+    return ev.Table(id=id, title=title, columns=names, rows=list(rows), caption=caption, folded=folded)
 
 
-def _absorbed(file: GapFile) -> ev.Table:
-    strayed = {a.coefficient for a in words.moved(file)}
-    rows = [
-        [
-            a.coefficient,
-            numbers.NOTHING
-            if a.given is None
-            else numbers.measured(a.given.value, a.given.stderr, a.given.unit),
-            *(words.value_text(v) for v in (a.without, a.with_effect)),
-            numbers.bounds_text(a.bounds),
-            "yes" if a.coefficient in strayed else "no",
-        ]
-        for a in file.absorbed
+def _errors(file: GapFile) -> ev.Table:
+    """Return errors on held-out data; without a cause those of all trials."""
+    rows: Rows = [
+        [s.channel, *_percents(s.shipped, s.before, s.after, s.floor, s.closed), interval_text(s)]
+        for s in file.closing
     ]
-    return ev.Table(
-        id="coefficients",
-        title="Coefficients of the model without and with the causes",
-        columns=["Coefficient", "As given", "Refitted without", "Refitted with", "Allowed", "Stood in"],
-        rows=rows,
-        caption="A coefficient stood in for a cause when it moves by more than "
-        f"{words.MOVED_STDERR:g} standard errors and {100 * words.MOVED_SHARE:g} % once the cause is "
-        "there. Good: values with the causes that agree with those found by other means.",
+    if rows:
+        title = "Errors on held-out data"
+        columns = (
+            f"channel | as given (%) | refitted (%) | with causes (%) | {FLOOR} | closed (%) | 95 % interval"
+        )
+        caption = (
+            f"Root-mean-square errors over the measured range, {held_out_text(file)}: the parameters as "
+            "given, the model refitted without and with the causes, and noise alone. Closed is the share of "
+            "the error above the noise floor that the causes take away."
+        )
+        return _table("errors", title, columns, rows, caption, folded=False)
+    for c in file.where.channels:
+        given = file.as_given[c.channel].nrmse if c.channel in file.as_given else None
+        rows.append([c.channel, *_percents(given, c.nrmse, c.floor, c.share), number(c.rmse, 3, c.unit)])
+    columns = f"channel | as given (%) | refitted (%) | {FLOOR} | of the gap (%) | RMSE"
+    caption = (
+        "Errors over the measured range without any effect: the parameters as given in all trials, the "
+        "refitted model in the fitted trials."
     )
+    if file.floor_from:
+        caption += f" The floor: {file.floor_from.rstrip('.')}."
+    return _table("errors", "The gap by channel", columns, rows, caption, folded=False)
 
 
-def _extrapolations(file: GapFile) -> ev.Table:
-    return ev.Table(
-        id="extrapolation",
-        title="Settings left out of the fit",
-        columns=["Left out", "Without the causes", "With them"],
-        rows=[
-            [e.left_out, numbers.number(e.before, 3), numbers.number(e.after, 3)] for e in file.extrapolation
-        ],
-        caption="Distance of all trials of a setting from what the model fitted to the others predicts, "
-        "root-mean-square, over what noise and uncertain coefficients allow. Good: smaller with the causes, "
-        "and near 1.",
+def _causes(file: GapFile) -> ev.Table:
+    rows: Rows = []
+    for c in file.causes:
+        about = [probability_text(c.probability), ", ".join(c.equivalent), c.stage or "", c.meaning]
+        for name, size in ({n: words.value_text(v) for n, v in c.parameters.items()} or {"": ""}).items():
+            rows.append([c.effect, name, size, *about])
+            about = [""] * len(about)
+    columns = "effect | parameter | value ± sd | probability | not told from | stage | what it is"
+    caption = (
+        "Probability: that it, or one of those not told from it, is among what the model lacks; "
+        f"{words.otherwise_text(file)}. Several causes act together."
     )
+    return _table("causes", "Causes", columns, rows, caption, folded=False)
+
+
+def _coefficients(file: GapFile) -> ev.Table:
+    strayed = {a.coefficient for a in words.moved(file)}
+    rows: Rows = []
+    for a in (a for c in file.causes for a in c.absorbed):
+        values = ["" if v is None else words.value_text(v) for v in (a.given, a.without, a.with_effect)]
+        rows.append([a.coefficient, *values, a.coefficient in strayed])
+    columns = "coefficient | as given | refitted without | refitted with | stood in"
+    caption = (
+        f"A coefficient stood in for a cause when it moves by more than {words.MOVED_STDERR:g} standard "
+        f"errors and {100 * words.MOVED_SHARE:g} % with the causes: do not use its value without them."
+    )
+    title = "Coefficients of the model without and with the causes"
+    return _table("coefficients", title, columns, rows, caption)
 
 
 def _scores(file: GapFile) -> ev.Table:
-    rows = [
-        [
-            s.effect,
-            s.stage or numbers.NOTHING,
-            s.variant or numbers.NOTHING,
-            numbers.measured(s.gain, s.stderr) if s.refitted else numbers.NOTHING,
-            f"{s.won[0]} of {s.won[1]}" if s.won[1] else numbers.NOTHING,
-            numbers.percent(s.absorbed, 2),
-            numbers.number(s.screened, 3),
-            numbers.percent(s.probability, 2),
-        ]
-        for s in file.scores
-    ]
-    columns = ["Effect", "Stage", "Form", "Held-out gain ± std. error", "Positive in", "Imitated", "Screen"]
-    return ev.Table(
-        id="scores",
-        title="Every effect that was tried",
-        columns=[*columns, "Probability"],
-        rows=rows,
-        caption="Gain: drop of the squared residuals in approximate cross-validation, in units of the noise; "
-        "each effect alone. Probability: that it is among the causes. Imitated: share of "
-        "an effect's signature that the refitted coefficients reproduce without it. Screen: the gain "
-        "predicted before refitting; effects it left out have no other. Good: one gain far above all others.",
+    rows: Rows = []
+    for s in file.scores:
+        gain = numbers.measured(s.gain, s.stderr) if s.refitted else ""
+        won = f"{s.won[0]} of {s.won[1]}" if s.won[1] else ""
+        about = [s.effect, s.stage or "", s.variant, probability_text(s.probability), gain, won]
+        rows.append([*about, *_percents(s.absorbed)])
+    rows += [[name, "", why, "", "", "", None] for name, why in file.left_out.items()]
+    columns = "effect | stage | form | probability | held-out gain ± sd | positive in | imitated (%)"
+    caption = (
+        "Probability: that it is among the causes. Gain: drop of the squared residuals by the effect alone "
+        "in approximate cross-validation, in units of the noise. Imitated: share of its signature that the "
+        "refitted coefficients reproduce."
     )
+    return _table("scores", "Every effect that was tried", columns, rows, caption)
 
 
-# ---------------------------------------------------------------- methods
-
-
-def methods(file: GapFile) -> list[str]:
-    """Sentences for a methods section, from what was run."""
-    refitted = sum(s.refitted for s in file.scores)
-    count = str(refitted) if refitted == len(file.scores) else f"{refitted} of {len(file.scores)}"
-    said = [
-        f"The discrepancy between {len(file.trials)} {file.experiment} trials of {file.robot} and the model "
-        f"{file.model} was treated as part of the model (Kennedy and O'Hagan 2001): its coefficients were "
-        "refitted by output error, with residuals weighted by their own colour (Klein and Morelli 2006), "
-        f"alone and together with each of {count} candidate effects, from several sizes of it."
-    ]
-    if file.floor_from:
-        said.append(f"The noise floor: {file.floor_from.rstrip('.')}.")
-    said.append(
-        "Effects and sets of them were weighed by a Student likelihood of what each leaves beyond the noise "
-        "at its optimum, folds weighted by the Bayesian bootstrap (Yao et al. 2018): "
-        f"{words.otherwise_text(file)}. Held-out gains are drops of the squared residuals in approximate "
-        "cross-validation: one Gauss-Newton step from the fit to all trials leaves a group of them out (Rad "
-        "and Maleki 2020); noise model and spreads between trials stay those of all."
+def _parts(file: GapFile) -> ev.Table:
+    rows: Rows = []
+    if any(file.where.stage.values()):
+        rows += [["stage", stage, None, *_percents(share), None] for stage, share in file.where.stage.items()]
+    rows += [[c.kind, c.label, c.ratio, *_percents(c.share), None] for c in words.parts(file)]
+    if any(file.forces.values()):
+        rows += [["generic term", place, None, None, gain] for place, gain in file.forces.items()]
+    columns = "over | part | residual over noise | of the gap (%) | held-out gain"
+    caption = (
+        "Root-mean-square residual of the refitted model over the noise; of a stage, its share of the "
+        "evidence of all effects. Generic terms are smooth forces and sensor errors without any physics."
     )
-    said += [f"{text.rstrip('.')}." for text in file.rounds]
-    said.append(words.verdict_sentence(file))
-    said += [
-        f"Of the gap in {s.channel}, {words.closed_text(s)} was closed {words.held_out_text(file)} "
-        f"({words.errors_text(s)})."
-        for s in file.closing[:1]
-        if s.closed is not None
+    return _table("parts", "Where the gap is", columns, rows, caption)
+
+
+# ---------------------------------------------------------------- figures
+
+
+def _bars(table: ev.Table) -> ev.Figure:
+    """Draw the columns of a table of errors up to the noise floor."""
+    names, *columns = zip(*table.rows, strict=True) if table.rows else ((),)
+    traces = []
+    for title, values in zip(table.columns[1:], columns, strict=False):
+        if any(v is not None for v in values):
+            label = title.removesuffix(" (%)")
+            traces.append(ev.Trace(x=list(range(len(names))), y=values, style="bars", label=label))
+        if title == FLOOR:
+            break
+    y_label = "error over the measured range (%)"
+    panel = ev.Panel(x_label="", y_label=y_label, traces=traces, x_categories=[str(name) for name in names])
+    return ev.Figure(id="errors", title=table.title, caption="Root-mean-square errors.", panels=[panel])
+
+
+def _ranked(file: GapFile) -> list[ev.Figure]:
+    gains = {s.effect: (s.gain, s.stderr) for s in file.scores if s.refitted and s.gain is not None}
+    best = max((gain for gain, _ in gains.values()), default=0.0)
+    # another reading of the robot may lose millions
+    shown = [name for name, (gain, _) in gains.items() if best <= 0 or gain >= -best][:MAX_EFFECTS]
+    if not shown:
+        return []
+    named = {name for c in file.causes for name in (c.effect, *c.equivalent)}
+    traces = []
+    for label, among in (("cause, or not told from it", True), ("other effects", False)):
+        places = [k for k, name in enumerate(shown) if (name in named) == among]
+        values = [gains[shown[k]] for k in places]
+        y, error = [gain for gain, _ in values], [stderr for _, stderr in values]
+        traces.append(ev.Trace(x=places, y=y, y_error=error, style="points", label=label))
+    panel = ev.Panel(
+        x_label="", y_label="held-out gain", x_categories=shown, traces=[trace for trace in traces if trace.x]
+    )
+    caption = (
+        "Drop of the squared residuals in approximate cross-validation, in units of the noise, with one "
+        "standard error; each effect alone."
+    )
+    return [ev.Figure(id="effects", title="Gain of each effect", caption=caption, panels=[panel])]
+
+
+def _residuals(worst: Sequence[Piece], caused: bool) -> list[ev.Figure]:
+    panels = []
+    for p in [p for p in worst if len(p.time_s) > 2][:MAX_PANELS]:
+        name, unit = numbers.split_unit(p.channel)
+        factor, unit = numbers.in_degrees(unit)
+        traces = []
+        for label, simulated in {"without the causes": p.before, "with the causes": p.after}.items():
+            x, y = ev.thinned(p.time_s, factor * (p.measured - simulated), MAX_POINTS)
+            traces.append(ev.Trace(x=x, y=y, label=label))
+        y_label = f"residual of {name.replace('_', ' ')} ({numbers.unit_text(unit) or '1'})"
+        traces = traces if caused else traces[:1]
+        panels.append(ev.Panel(x_label="time (s)", y_label=y_label, traces=traces, marks=[ev.Mark(at=0.0)]))
+    if not panels:
+        return []
+    trial = worst[0].trial.id
+    caption = f"Measured minus simulated in {trial}, the held-out trial with the largest errors."
+    title = f"Residuals of the worst held-out trial, {trial}"
+    return [
+        ev.Figure(id="residuals", title=title, caption=caption, panels=panels, columns=min(len(panels), 2))
     ]
-    if file.advice:
-        said.append(
-            "The next experiment was chosen by how far the rivals' predictions differ in it (Box and Hill "
-            "1967)."
-        )
-    return said

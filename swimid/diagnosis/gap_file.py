@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 
 from swimid.files import yamlio
 from swimid.files.yamlio import Number, Pair
@@ -23,17 +23,8 @@ HELD_OUT: dict[HeldOut | None, str] = {
     "trials": "in cross-validation over trials",
     "stretches": "in cross-validation over stretches of trials",
 }
-#: A verdict as a badge has it.
-WORDS: dict[Verdict, str] = {
-    "none": "No gap",
-    "explained": "Explained",
-    "ambiguous": "Ambiguous",
-    "unexplained": "Unexplained",
-}
 #: ``params`` of a diagnosis without a parameter file.
 ROBOT_FILE = "the robot file"
-#: The causes should close at least this share of a channel's gap.
-HALF = 0.5
 Stage = Literal["actuation", "structure", "fluid", "environment", "sensing", "rig"]
 
 
@@ -101,13 +92,15 @@ class ChangedValue(Value):
     standard_errors: Number = None
 
 
-class Predicted(yamlio.Document):
-    """How far held-out data are from what the model predicts without and with the causes, over what noise,
-    uncertain coefficients and chance differences between trials allow: root-mean-square, 1 where it is right.
+class Distance(yamlio.Document):
+    """Distance of held-out data from what the model predicts without and with the causes.
+
+    Root-mean-square, over what noise, uncertain coefficients and chance differences between trials allow: 1
+    where the model is right.
     """
 
-    before: float
-    after: float
+    before: Number
+    after: Number
 
 
 class Shrinkage(yamlio.Document):
@@ -124,14 +117,6 @@ class Shrinkage(yamlio.Document):
     #: The parameters as given.
     shipped: Number = None
 
-    @property
-    def half_closed(self) -> bool | None:
-        """Whether at least half of the gap closes, surely more than nothing; None where there is none."""
-        if self.closed is None:
-            return None
-        low = self.ci95[0]
-        return self.closed >= HALF and (low is None or low > 0)
-
 
 class Absorbed(yamlio.Document):
     """A coefficient of the model: as given, refitted without the causes, and with them."""
@@ -140,15 +125,6 @@ class Absorbed(yamlio.Document):
     given: Value | None = None
     without: Value
     with_effect: Value
-    bounds: Pair = (None, None)
-
-
-class Extrapolation(yamlio.Document):
-    """Distance of a setting from what the model fitted to the others predicts, as :class:`Predicted`."""
-
-    left_out: str
-    before: Number
-    after: Number
 
 
 class Cause(yamlio.Document):
@@ -169,7 +145,8 @@ class Cause(yamlio.Document):
     gain: Number = None
     gain_stderr: Number = None
     absorbed: list[Absorbed] = []
-    extrapolation: list[Extrapolation] = []
+    #: Distances of the outermost settings, each from a fit to all others.
+    extrapolation: dict[str, Distance] = {}
 
 
 class Remaining(yamlio.Document):
@@ -212,15 +189,6 @@ class Score(yamlio.Document):
     refitted: bool = True
     #: That it is among the causes.
     probability: Number = None
-
-
-class OddTrial(yamlio.Document):
-    """A trial that the others do not predict."""
-
-    trial: str
-    #: Its error of prediction over that expected: the others' typical one, or what noise and the uncertainty
-    #: of the coefficients allow.
-    times: float
 
 
 class Hypothesis(yamlio.Document):
@@ -269,7 +237,7 @@ class GapFile(yamlio.ResultFile):
     #: out of a refit: ``trials`` or ``stretches`` of trials.
     held_out: HeldOut | None = None
     #: Of the causes, on these data.
-    predicted: Predicted | None = None
+    predicted: Distance | None = None
     #: How the noise floor was found.
     floor_from: str = ""
     #: Whether settings were repeated often enough to tell what differs by chance.
@@ -287,33 +255,39 @@ class GapFile(yamlio.ResultFile):
     unreproduced: dict[str, Number] = {}
     #: Coefficients that end at a bound in the refit without effects, and the bound.
     at_bound: dict[str, float] = {}
-    #: What each round did, and why the verdict is what it is, in words.
+    #: What each larger set of effects was worth, in words.
     rounds: list[str] = []
+    #: Why the verdict is what it is, and why the causes are not told for sure: clauses.
     reasons: list[str] = []
-    #: What is wrong is wrong in this trial alone.
-    odd_trial: OddTrial | None = None
+    unsure: list[str] = []
+    #: Effects of which nothing can be said, and why.
+    left_out: dict[str, str] = {}
+    #: Trial in which alone something is wrong, and its error of prediction over the others' typical one.
+    odd_trial: dict[str, float] = {}
     #: The likeliest causes by the fits, if held-out errors are worse with them by more than the gap.
     refuted: list[str] = []
-    #: Validation trials farther off than noise and what is not known of the coefficients allow, the farthest
-    #: first; by how many times.
-    unpredicted: list[OddTrial] = []
-    settings: dict[str, Any] = {}
+    #: Validation trials that are not predicted, the farthest first: error over what noise and the uncertainty
+    #: of the coefficients allow.
+    unpredicted: dict[str, float] = {}
     provenance: dict[str, Any] = Field(default_factory=dict)
 
-    @property
-    def level(self) -> Literal["good", "caution", "bad"]:
-        """How the report grades the verdict: worst where most of a gap stays unexplained; not good where a
-        size or a coefficient ends at a bound, a validation trial is not predicted, a single setting was
-        tried, that there is no gap is not told for sure, or held-out errors do not bear a cause out.
+    @model_validator(mode="after")
+    def _largest_first(self) -> GapFile:
+        """Put the largest first in every list, and what is not known last.
+
+        Scores of effects that were refitted go by their gain, the others by the gain the screen predicted.
         """
-        if self.verdict == "none":
-            sure = self.told_of_gap and not self.unrepeated and self.remaining.white and not self.moved
-            return "good" if sure and not self.single and not self.at_bound else "caution"
-        if self.verdict == "explained":
-            weak = self.bounded or self.stuck or self.unpredicted or self.single or self.lost
-            return "caution" if weak or self.mostly_open else "good"
-        left = self.remaining.share
-        return "bad" if self.verdict == "unexplained" and (left is None or left > 0.5) else "caution"
+        where = self.where
+        where.channels.sort(key=lambda c: -_size(c.share))
+        for cells in (where.phase, where.regime, where.time):
+            cells.sort(key=lambda c: -_size(c.ratio))
+        where.stage = dict(sorted(where.stage.items(), key=lambda item: -_size(item[1])))
+        # a channel that only held-out trials have comes last
+        order = {c.channel: place for place, c in enumerate(where.channels)}
+        for cause in self.causes:
+            cause.shrinkage.sort(key=lambda s: order.get(s.channel, len(order)))
+        self.scores.sort(key=lambda s: (not s.refitted, -_size(s.gain if s.refitted else s.screened)))
+        return self
 
     @property
     def changed(self) -> bool:
@@ -326,90 +300,13 @@ class GapFile(yamlio.ResultFile):
         return self.no_gap is None or self.no_gap > 0.5
 
     @property
-    def follows(self) -> bool:
-        """Whether the model follows the trials it is fitted to, and not the validation trials."""
-        return self.verdict == "unexplained" and bool(self.unpredicted)
-
-    @property
-    def single(self) -> bool:
-        """Whether all trials have one setting: at another one nothing was tested."""
-        return self.setting_count is not None and self.setting_count < 2
-
-    @property
-    def unrepeated(self) -> bool:
-        """Whether most of the squared error in some channel is that trials differ from one another, and no
-        repeats of a setting tell that this is chance.
-        """
-        return not self.repeats and any(c.differs for c in self.where.channels)
-
-    @property
-    def bounded(self) -> list[str]:
-        """Parameters of the causes that end at a bound: ``joint-locked/share``."""
-        ends = [(c.effect, name, value) for c in self.causes for name, value in c.parameters.items()]
-        return [f"{effect}/{name}" for effect, name, value in ends if value.status == "at-bound"]
-
-    @property
     def closing(self) -> list[Shrinkage]:
         """Errors on held-out data with all causes together, by channel, that with most of the gap first."""
         return self.causes[0].shrinkage if self.causes else []
 
-    @property
-    def mostly_open(self) -> bool:
-        """Whether in the channel with most of the gap the causes close less than half of it."""
-        return any(s.half_closed is False for s in self.closing[:1])
-
-    @property
-    def absorbed(self) -> list[Absorbed]:
-        """The model's coefficients without and with all causes."""
-        return self.causes[0].absorbed if self.causes else []
-
-    @property
-    def extrapolation(self) -> list[Extrapolation]:
-        """How far settings are from what the others predict, without and with all causes."""
-        return self.causes[0].extrapolation if self.causes else []
-
-    @property
-    def stuck(self) -> list[str]:
-        """Coefficients that end at a bound with the causes: they still stand in for something."""
-        return [a.coefficient for a in self.absorbed if a.with_effect.status == "at-bound"]
-
-    @property
-    def lost(self) -> list[str]:
-        """Settings that are farther from what the others predict with the causes than without."""
-        return [
-            e.left_out
-            for e in self.extrapolation
-            if e.before is not None and e.after is not None and e.after > e.before
-        ]
-
     def write(self, path: str | Path) -> None:
         """Write the file, whole or not at all; what is not known is null."""
         yamlio.write(path, self.model_dump(mode="python"))
-
-
-def ranked(gap: GapFile) -> GapFile:
-    """The same with the largest first in every list of ``where`` and of scores, and what is not known last.
-
-    Scores of effects that were refitted go by their gain, then the others by the gain the screen predicted.
-    """
-    where = gap.where
-    channels = sorted(where.channels, key=lambda c: -_size(c.share))
-    # a channel that only held-out trials have comes last
-    order = {c.channel: place for place, c in enumerate(channels)}
-    by_size = {
-        name: sorted(getattr(where, name), key=lambda c: -_size(c.ratio))
-        for name in ("phase", "regime", "time")
-    }
-    stage = dict(sorted(where.stage.items(), key=lambda item: -_size(item[1])))
-    causes = [
-        c.model_copy(
-            update={"shrinkage": sorted(c.shrinkage, key=lambda s: order.get(s.channel, len(order)))}
-        )
-        for c in gap.causes
-    ]
-    scores = sorted(gap.scores, key=lambda s: (not s.refitted, -_size(s.gain if s.refitted else s.screened)))
-    found = where.model_copy(update={"channels": channels, "stage": stage, **by_size})
-    return gap.model_copy(update={"where": found, "causes": causes, "scores": scores})
 
 
 def _size(value: float | None) -> float:

@@ -8,23 +8,85 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from swimid.blackbox import model as arx
-from swimid.diagnosis import conclusion, odd, refutation, remainder, shrinkage
-from swimid.diagnosis.conclusion import Named
-from swimid.diagnosis.context import Fit
-from swimid.diagnosis.floor import Floor, by_channel, excess, repeats, rms
+from swimid.diagnosis import refutation, remainder, shrinkage
+from swimid.diagnosis.candidates import Refitted
+from swimid.diagnosis.context import Fit, FitContext
+from swimid.diagnosis.floor import Floor, by_channel, excess, repeats, rms, split
 from swimid.diagnosis.gap_file import Remaining, Verdict
 from swimid.diagnosis.posterior import TENTH, UNSURE
 from swimid.diagnosis.refutation import Compared
-from swimid.diagnosis.search import State
+from swimid.diagnosis.search import Round, State
 from swimid.diagnosis.shrinkage import Piece
+from swimid.errors import NoTrustworthyResult
+from swimid.fitting import output_error
 from swimid.fitting.model import Array, Trial
-from swimid.fitting.odd_trial import Odd
+from swimid.fitting.odd_trial import MIN_TRIALS, Odd, odd_trial
 
 #: Causes explain a gap where they are likelier than something from outside the catalogue by four to one.
 SURE = 0.8
 #: Minimum number of repeats, beyond the first of each setting, from which settings are said to differ by more
 #: than chance: one pair measures the difference by chance with one degree of freedom.
 MIN_REPEATS = 2
+#: Effects that cannot be told from a cause are the fewest that with it make up so much of the probability.
+CREDIBLE = 0.9
+#: Largest such set that still is an answer: of more, the likeliest are told.
+SET = 3
+#: Trials that differ by so many times what chance may make them do not differ by chance.
+DIFFERS = 2.0
+#: One trial is asked about where it has more of the squared gap than all the others together.
+MAJORITY = 0.5
+
+
+@dataclass(frozen=True)
+class Named:
+    """A cause, with its rivals.
+
+    Attributes
+    ----------
+    probability : float
+        That it, or one of its equivalents, is among what the model lacks.
+    closing : float
+        That it, or one of these, closes most of what is closed, even if only as an imitation of something
+        from outside the catalogue.
+    alone : float
+        Probability of it, and of those that change the trials just like it, against its rivals, the other
+        causes given.
+    crowded : bool
+        Whether more effects than are told cannot be told from it.
+    """
+
+    best: Refitted
+    equivalent: tuple[str, ...]
+    probability: float
+    closing: float
+    alone: float
+    crowded: bool = False
+
+    @property
+    def alike(self) -> tuple[str, ...]:
+        """The cause and those that cannot be told from it."""
+        return (self.best.tried.effect.name, *self.equivalent)
+
+
+def named(state: State, found: Round) -> Named:
+    """The cause of a round and those that cannot be told from it."""
+    best = found.ranked[0]
+    name = best.tried.effect.name
+    posterior = state.posterior
+    exact = best.tried.effect.adds_to is not None
+    share = posterior.instead(name, frozenset(e.name for e in state.base.effects), exact=exact)
+    order = [name, *(n for n in share if n != name)]
+    before = np.cumsum([0.0, *(share[n] for n in order[:-1])])
+    alike = [n for n, sum_before in zip(order, before, strict=True) if sum_before < CREDIBLE]
+    shown = list(dict.fromkeys([name, *found.same, *alike]))[:SET]
+    return Named(
+        best,
+        tuple(shown[1:]),
+        posterior.having(*shown),
+        posterior.closing(*shown),
+        share[name] + sum(share.get(n, 0.0) for n in found.same),
+        len(alike) > SET,
+    )
 
 
 @dataclass(frozen=True)
@@ -39,12 +101,14 @@ class Judgement:
         The model with all that was found; without any effect where held-out trials or a single trial tell
         against that.
     reasons : tuple of str
-        What weakened it.
+        Why the verdict is what it is.
+    unsure : tuple of str
+        Why the causes are not told for sure.
     refuted : tuple of str
         Causes with which held-out errors grow.
     odd : Odd or None
         The trial that contradicts the others.
-    unpredicted : tuple of (str, float)
+    unpredicted : mapping of trial to float
         Validation trials that the model with the causes does not predict, and by how many times each is off;
         not looked for where the fitted trials show something unexplained.
     unreproduced : mapping of channel to float
@@ -55,9 +119,10 @@ class Judgement:
     causes: tuple[Named, ...]
     base: Fit
     reasons: tuple[str, ...] = ()
+    unsure: tuple[str, ...] = ()
     refuted: tuple[str, ...] = ()
     odd: Odd | None = None
-    unpredicted: tuple[tuple[str, float], ...] = ()
+    unpredicted: Mapping[str, float] = field(default_factory=dict)
     unreproduced: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -101,11 +166,11 @@ def judge(
     if validation and told.verdict != "unexplained":
         model = told.base if told.causes else state.nominal
         off = refutation.unpredicted(state.context, model, state.noise_model, validation)
-        told = replace(told, unpredicted=tuple(off))
+        told = replace(told, unpredicted=off)
         if told.causes and told.unpredicted:
             told = _by_prediction(told, state, held, floor)
     if told.verdict == "none" and told.unpredicted and not dropout:
-        where = f"validation trials {', '.join(trial for trial, _ in told.unpredicted)}"
+        where = f"validation trials {', '.join(told.unpredicted)}"
         return replace(told, verdict="unexplained"), gap, Remaining(share=1.0, where=where, white=False)
     if told.verdict == "none":
         told = _by_differences(told, state, gap, noise, left)
@@ -145,7 +210,7 @@ def _unreproduced(state: State, fit: Fit) -> dict[str, float]:
 def _by_fits(state: State) -> Judgement:
     """The likeliest of no gap, the causes found, and something else."""
     posterior = state.posterior
-    chosen = [] if posterior.none > UNSURE else [conclusion.named(state, r) for r in state.rounds]
+    chosen = [] if posterior.none > UNSURE else [named(state, r) for r in state.rounds]
     inside = sum(posterior.sets.values())
     if not chosen:
         return Judgement("unexplained" if posterior.outside > posterior.none else "none", (), state.base)
@@ -178,18 +243,16 @@ def _by_held_out(
         why = f"{', '.join(told.names)}: held-out data are no nearer to what the model with it predicts"
         return replace(refused, reasons=(why,))
     if held and not close:
-        return _weakened(
-            told, "held-out trials, simulated anew, close less than half of the squared gap with it"
-        )
+        return _weakened(told, "less than half of the squared gap closes on held-out data")
     if by_coefficients(state) and not state.changed:
-        return _weakened(told, "refitted without it, the parameters of the file imitate it on held-out data")
+        return _weakened(told, "the refitted parameters of the file imitate the cause on held-out data")
     return told
 
 
 def _weakened(told: Judgement, why: str) -> Judgement:
-    """Return a judgement that explains nothing, for a reason that is told of its causes."""
+    """Return a judgement that explains nothing, and why."""
     verdict = "ambiguous" if told.verdict == "explained" else told.verdict
-    return replace(told, verdict=verdict, reasons=(*told.reasons, f"{', '.join(told.names)}: {why}"))
+    return replace(told, verdict=verdict, unsure=(*told.unsure, why))
 
 
 def _by_prediction(
@@ -199,10 +262,10 @@ def _by_prediction(
 
     They are named only where they close most of the gap of the validation trials.
     """
-    trials = ", ".join(trial for trial, _ in told.unpredicted)
+    trials = ", ".join(told.unpredicted)
     each, gap = shrinkage.gained(held, floor)
     if float(each.sum()) > shrinkage.MOST * gap:
-        return _weakened(told, f"not predicted with it: {trials}")
+        return _weakened(told, f"validation trials are not predicted with the cause: {trials}")
     why = f"{', '.join(told.names)}: validation trials are not predicted with it: {trials}"
     return replace(told, verdict="unexplained", causes=(), base=state.nominal, reasons=(*told.reasons, why))
 
@@ -221,10 +284,10 @@ def by_coefficients(state: State) -> bool:
 
 
 def _by_single_trials(told: Judgement, state: State, floor: Mapping[str, float]) -> Judgement:
-    if told.verdict != "unexplained" and not told.reasons:
+    if told.verdict != "unexplained" and not (told.reasons or told.unsure):
         return told
     nominal = state.nominal
-    found = odd.contradicting(state.context, nominal, nominal.marginal_residuals(), floor)
+    found = contradicting(state.context, nominal, nominal.marginal_residuals(), floor)
     if found is None:
         return told
     return replace(told, verdict="unexplained", causes=(), base=nominal, odd=found)
@@ -237,7 +300,7 @@ def _by_differences(
 
     Chance is what differs in a trim or a friction, or between repeats of one setting.
     """
-    apart = conclusion.differs(state)
+    apart = differs(state)
     if apart:
         return replace(told, verdict="unexplained", reasons=(*told.reasons, left.where))
     beyond = sum(excess(state.nominal, gap, noise.inside).values())
@@ -277,7 +340,7 @@ def remaining(state: State, base: Fit, residuals: Sequence[Array], floor: Mappin
         share = state.posterior.left if base is state.base else 1.0
         return Remaining(share=share, where=_where(state), white=False, gain=left.gain)
     moving = remainder.drifting(state.low_frequency)
-    apart = bool(moving or conclusion.differs(state))
+    apart = bool(moving or differs(state))
     share = float(apart)
     if moving:
         whole = excess(state.nominal, residuals, floor)
@@ -293,9 +356,52 @@ def _where(state: State) -> str:
         moving = remainder.drifting(state.low_frequency)
         if moving:
             return f"{' and '.join(moving)}, slower than noise and not alike in all trials"
-        apart = conclusion.differs(state)
+        apart = differs(state)
         if apart:
             return f"trials differ as if by {' and '.join(apart)}, more than chance would make them"
         return "nothing that a smooth description finds"
     largest = sorted(left.places.items(), key=lambda item: -item[1])
     return " and ".join(place for place, gain in largest[:2] if gain > 0.3 * max(largest[0][1], 1e-300))
+
+
+def differs(state: State) -> list[str]:
+    """In what the trials surely differ by more than chance would make them."""
+    # two standard errors of a standard deviation
+    least = 1.0 - 2.0 / np.sqrt(2.0 * len(state.context.trials))
+    return [kind.name for kind in state.random_effects if least * kind.sd > DIFFERS * kind.most]
+
+
+def contradicting(
+    context: FitContext, nominal: Fit, residuals: Sequence[Array], floor: Mapping[str, float]
+) -> Odd | None:
+    """The trial that has most of the gap, if the others do not predict it as they predict one another.
+
+    Parameters
+    ----------
+    nominal : Fit
+        The model without effects.
+    residuals : sequence of ndarray, shape (n_k,)
+        What it leaves, weighted.
+    floor : mapping of channel to float
+        Noise of each channel, in its unit.
+    """
+    if len(context.trials) < MIN_TRIALS or not context.folds.whole:
+        return None
+    excess = np.array([_excess(nominal, k, r, floor) for k, r in enumerate(residuals)])
+    if not excess.max() > MAJORITY * excess.sum():
+        return None
+    known = dict(zip(nominal.labels, nominal.theta, strict=True))
+    here = [
+        replace(p, start=float(known[p.name])) if p.name in known and not p.per_trial else p
+        for p in context.parameters
+    ]
+    try:
+        return odd_trial(output_error.fit(context.model, context.trials, parameters=here, tested=False))
+    except NoTrustworthyResult:
+        return None
+
+
+def _excess(fit: Fit, k: int, residual: Array, floor: Mapping[str, float]) -> float:
+    """Squared residuals of a trial beyond those of the noise, in units of it; none where there are fewer."""
+    parts = split(fit, k, residual).items()
+    return max(sum(float(np.nansum((v / max(floor[c], 1e-300)) ** 2 - 1.0)) for c, v in parts), 0.0)

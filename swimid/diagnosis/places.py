@@ -82,10 +82,6 @@ def _root_mean(squares: pd.Series) -> float:
     return float(np.sqrt(np.mean(squares.to_numpy())))
 
 
-def _ranked(cells: Sequence[Cell]) -> list[Cell]:
-    return sorted(cells, key=lambda c: -(c.share or 0.0))
-
-
 def regimes(where: Map) -> list[Cell]:
     """The gap by what was set, and by trial."""
     known = pd.DataFrame([{**settings.words(t), "trial": t.id} for t in where.trials])
@@ -94,7 +90,7 @@ def regimes(where: Map) -> list[Cell]:
         labels = known[kind]
         if labels.nunique() > 1 and (kind != "trial" or len(labels) <= MOST_TRIALS):
             found += where.cells(str(kind), where.of_trials(labels))
-    return _ranked(found)
+    return found
 
 
 def phases(where: Map) -> list[Cell]:
@@ -103,7 +99,7 @@ def phases(where: Map) -> list[Cell]:
         return []
     edges = [round(360 * i / PHASES) for i in range(PHASES + 1)]
     labels = {i: f"{edges[i]}-{edges[i + 1]} deg" for i in range(PHASES)}
-    return _ranked(where.cells("phase", where.samples["phase"].map(labels)))
+    return where.cells("phase", where.samples["phase"].map(labels))
 
 
 def times(where: Map) -> list[Cell]:
@@ -124,7 +120,7 @@ def times(where: Map) -> list[Cell]:
         if at is not None:
             late = (where.samples["trial"] == k) & (time >= at)
             cells += where.cells("change", late.map({True: f"{t.id} from {at:.3g} s"}))
-    return _ranked(cells)
+    return cells
 
 
 def _change(where: Map, k: int) -> float | None:
@@ -148,30 +144,3 @@ def _change(where: Map, k: int) -> float | None:
     if step and after[best] > 4.0 * max(before[best], 1.0):
         return float(where.trials[k].time_s[cut[best]])
     return None
-
-
-def maps(where: Map) -> dict[str, tuple[list[str], list[str], Array]]:
-    """Heat maps of root-mean-square residual over floor."""
-    found: dict[str, tuple[list[str], list[str], Array]] = {}
-    channels = sorted(where.samples["channel"].unique())
-    samples = where.samples.dropna(subset="square")
-
-    def ratios(*by: str) -> pd.Series:
-        return samples.groupby(list(by))["square"].agg(_root_mean)
-
-    def grid(of: pd.Series, rows: Sequence[Any], columns: Sequence[Any]) -> Array:
-        return of.unstack().reindex(index=rows, columns=columns).to_numpy()
-
-    ids = [t.id for t in where.trials]
-    if len(ids) <= MOST_TRIALS and any(len(t.time_s) > 5 for t in where.trials):
-        every = range(len(ids))
-        found["trial by channel"] = ids, channels, grid(ratios("trial", "channel"), every, channels)
-        # channels count alike, however many samples they have
-        whole = (ratios("trial", "part", "channel") ** 2).groupby(["trial", "part"]).agg(_root_mean)
-        labels = [f"{round(100 * i / TIMES)}-{round(100 * (i + 1) / TIMES)} %" for i in range(TIMES)]
-        found["trial by time"] = ids, labels, grid(whole, every, range(TIMES))
-    if any(t.swim.drive is not None for t in where.trials):
-        labels = [f"{round(360 * i / PHASES)}°" for i in range(PHASES)]
-        by_phase = grid(ratios("channel", "phase"), channels, range(PHASES))
-        found["channel by phase"] = channels, labels, by_phase
-    return found

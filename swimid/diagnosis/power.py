@@ -7,7 +7,7 @@ projected out, are held against the noise of the very trials, by the rule a diag
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,11 +16,12 @@ from scipy.special import chndtrinc
 
 from swimid.diagnosis import candidates, crossval, posterior
 from swimid.diagnosis.candidates import Trialled
+from swimid.diagnosis.context import FitContext
 from swimid.diagnosis.posterior import CALIBRATED, UNSURE, Record
 from swimid.diagnosis.power_file import Row
 from swimid.diagnosis.search import Search, context_of
 from swimid.effects.base import Effect
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.fitting.model import Array, Parameter
 
 #: How often an effect of the size told is to be seen.
 POWER = 0.9
@@ -72,14 +73,7 @@ class _Line(NamedTuple):
 
 
 def shown(
-    model: Model,
-    trials: Sequence[Trial],
-    prior: Mapping[str, tuple[float, float]],
-    effects: Sequence[Effect],
-    asked: Collection[str] | None,
-    *,
-    seed: int,
-    jobs: int,
+    given: FitContext, effects: Sequence[Effect], asked: Collection[str] | None, *, seed: int
 ) -> tuple[list[Row], dict[str, str]]:
     """What trials could show of each effect, and why nothing of some.
 
@@ -87,8 +81,6 @@ def shown(
 
     Parameters
     ----------
-    prior : mapping of name to (mean, standard deviation)
-        What is known of the model's coefficients.
     effects : sequence of Effect
         All that apply, in every form.
     asked : collection of str or None
@@ -100,8 +92,8 @@ def shown(
         An effect each, in the order given.
     dict of name to reason
     """
-    context, noise_model, fit, _ = context_of(model, model.parameters, trials, prior, effects, jobs=jobs)
-    search = Search(context, noise_model, effects, effects, rng=np.random.default_rng(seed), jobs=jobs)
+    context, noise_model, fit, _ = context_of(given, effects)
+    search = Search(context, noise_model, effects, effects, rng=np.random.default_rng(seed))
     search.begin(context.start((), noise_model, fit))
     search.learn(search.null)
     base, record = search.null.fit, search.record
@@ -109,7 +101,7 @@ def shown(
     columns: list[list[Array]] = []
     lines: list[_Line] = []
     left_out: dict[str, str] = {}
-    for tried in candidates.simulate(context, base, wanted, jobs=search.jobs):
+    for tried in candidates.simulate(context, base, wanted):
         found = _lines(tried, columns)
         lines += found
         if not found:

@@ -52,43 +52,49 @@ class PowerFile(yamlio.ResultFile):
     provenance: dict[str, Any] = Field(default_factory=dict)
 
 
-def answer(file: PowerFile) -> str:
-    """How many effects could be seen, as a sentence."""
-    seen = [r for r in file.effects if r.size is not None]
-    twins = [r for r in seen if r.alike]
-    said = f"Of {len(file.effects)} effects these trials would show {len(seen)}"
-    return f"{said}, {len(twins)} of them never apart from another." if twins else f"{said}."
-
-
-def evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord]) -> ev.Evidence:
-    """The table of a power file."""
+def evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord] = ()) -> ev.Evidence:
+    """Return the table of a power file, and how many effects could be seen."""
     blind = [r.effect for r in file.effects if r.size is None]
-    text = answer(file) + (f" Not seen at any size within its bounds: {', '.join(blind)}." if blind else "")
+    twins = sum(r.size is not None and bool(r.alike) for r in file.effects)
+    seen = len(file.effects) - len(blind)
+    answer = (
+        f"Of {len(file.effects)} effects these trials would show {seen}, {twins} of them never told apart."
+    )
+    unseen = f"not seen at any size within their bounds: {', '.join(blind)}"
+    check = ev.check("effects seen", str(seen), not blind, str(len(file.effects)), reason=unseen)
+    rows: list[list[Any]] = [
+        [
+            r.effect,
+            r.parameter,
+            numbers.number(r.size, 2, r.unit),
+            None if r.absorbed is None else 100.0 * r.absorbed,
+            ", ".join(r.alike),
+        ]
+        for r in file.effects
+    ]
     return ev.Evidence(
         verb="diagnose",
         title=f"What trials could show: {file.robot}, {file.experiment}",
-        verdict=ev.Verdict(level="caution" if blind else "good", text=text),
-        checks=[],
+        verdict=ev.judged(answer, [check]),
+        facts={"Trials": f"{len(file.trials)} against {file.params}"},
+        notes=[f"{name}: {why}." for name, why in file.left_out.items()],
+        checks=[check],
         tables=[
             ev.Table(
                 id="power",
                 title="The smallest size of each effect that is seen with 90 % power",
-                columns=["effect", "parameter", "smallest size", "unit", "imitated", "never told from"],
-                rows=[
-                    [r.effect, r.parameter, r.size, r.unit, r.absorbed, ", ".join(r.alike)]
-                    for r in file.effects
-                ],
+                columns=["effect", "parameter", "smallest size", "imitated (%)", "never told from"],
+                rows=rows,
+                caption="Imitated: share of its squared change that the coefficients take up.",
             )
         ],
-        figures=[],
         notices=list(notices),
         methods=[
-            "The change that an effect makes in the trials, the model's numbers projected out, against their "
-            "noise: seen is what leaves less than 10 % to there being no gap, nine times in ten (noncentral "
-            "chi-square); never told apart are effects whose changes are so alike that a very large one "
-            "leaves the other more than 10 %.",
+            "The change that an effect makes in the trials, the coefficients of the model projected out, was "
+            "held against their noise: seen is what leaves less than 10 % to there being no gap, nine times "
+            "in ten (noncentral chi-square); never told apart are effects whose changes are so alike that a "
+            "very large one leaves the other more than 10 %.",
         ],
-        references=[],
         provenance=dict(file.provenance),
     )
 
@@ -117,19 +123,5 @@ class DetectionPower(FileResult[PowerFile]):
 
         return pd.DataFrame([r.model_dump() for r in self.file.effects])
 
-
-def summary(file: PowerFile) -> str:
-    """Plain text for the terminal."""
-    trials = f"{len(file.trials)} trial{'' if len(file.trials) == 1 else 's'}"
-    lines = [f"{file.robot}, {file.experiment}: {trials} against {file.params}", "", answer(file), ""]
-    width = max((len(r.effect) for r in file.effects), default=6)
-    for r in file.effects:
-        size = numbers.number(r.size, 2, r.unit)
-        said = "not within its bounds" if r.size is None else f"{r.parameter} {size}"
-        if r.absorbed is not None and r.absorbed > 0.9:
-            said += f", {numbers.percent(r.absorbed)} imitated by the model's numbers"
-        if r.alike:
-            said += f"; never told from {', '.join(r.alike)}"
-        lines.append(f"  {r.effect:<{width}}  {said}")
-    lines += [f"  {name:<{width}}  {why}" for name, why in file.left_out.items()]
-    return "\n".join(lines)
+    def _bare(self) -> ev.Evidence:
+        return evidence(self.file)

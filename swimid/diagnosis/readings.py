@@ -5,14 +5,16 @@ from __future__ import annotations
 import threading
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
-from swimid.effects.base import STAGES, Stage
-from swimid.effects.reading import PREFIX, OtherReading
+from swimid.diagnosis.words import READING
+from swimid.effects.base import STAGES, Effect, Stage
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.model import Array, Model, Trial
+from swimid.fitting.hooks import NONE, Hooks
+from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.swimmer import Swimmer
 from swimid.robots.file import RobotFile
 
@@ -34,7 +36,7 @@ COMMANDS = (".strokes.",)
 
 
 class Reread:
-    """The models of a robot file in its several readings (:class:`swimid.effects.reading.Readings`).
+    """The models of a robot file in its several readings .
 
     Parameters
     ----------
@@ -71,6 +73,66 @@ class Reread:
         return _comparable(model, self._nominal)
 
 
+class OtherReading(Effect):
+    """A question that a robot's source leaves open, answered otherwise than the robot file does.
+
+    The robot read so takes the place of the nominal one, and other effects act on it.
+
+    Parameters
+    ----------
+    question, option : str
+        Names of the reading and of its option in the robot file.
+    meaning : str
+        The question and this answer, in words.
+    stage : str
+        Where in the chain the robots differ.
+    reread : Reread
+        The models of the robot in its several readings.
+    """
+
+    name: ClassVar[str]
+    stage: ClassVar[Stage]
+    meaning: ClassVar[str]
+    needs: ClassVar[frozenset[str]] = frozenset()
+
+    def __init__(self, question: str, option: str, *, meaning: str, stage: Stage, reread: Reread) -> None:
+        # every robot file has its own: what of other effects belongs to the class belongs to each of these
+        vars(self).update(name=f"{READING}{question}={option}", stage=stage, meaning=meaning)
+        self.question, self.option = question, option
+        self._reread = reread
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """None: it holds or it does not."""
+        return ()
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """Nothing acts on the chain; the robot is another."""
+        return NONE
+
+    def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
+        """Once, as a whole."""
+        return [np.empty(0)]
+
+    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
+        """One form."""
+        return [self]
+
+    def joins(self, effects: Sequence[Effect]) -> bool:
+        """No question has two answers, and some answers leave no place for others."""
+        answers = {e.question: e.option for e in effects if isinstance(e, OtherReading)}
+        if self.question in answers:
+            return False
+        return not answers or self._reread.stand({**answers, self.question: self.option})
+
+    def in_place_of(self, model: Model) -> Model:
+        """The model of the robot read so."""
+        return self._reread.model(model, self.question, self.option)
+
+    def content(self) -> bytes:
+        """Its name: it moves nothing by itself."""
+        return self.name.encode()
+
+
 def others(experiment: Experiment, trials: Sequence[Trial]) -> tuple[list[OtherReading], dict[str, str]]:
     """Every reading of the robot but one answer away from those chosen.
 
@@ -105,7 +167,7 @@ def others(experiment: Experiment, trials: Sequence[Trial]) -> tuple[list[OtherR
                 option,
                 meaning=f'Another answer to "{question}": {says}.',
                 stage=_stage(places),
-                readings=reread,
+                reread=reread,
             )
             if any(word in place for word in COMMANDS for place in places):
                 left_out[other.name] = "the trials tell the robot what it changes: choose it by --reading"
@@ -127,9 +189,9 @@ def asked(names: Collection[str], experiment: Experiment) -> tuple[list[str], se
         For a reading, or an answer, that the robot file does not have.
     """
     robot = experiment.robot
-    known = [f"{PREFIX}{key}={option}" for key, r in robot.readings.items() for option in r.options]
-    chosen = [f"{PREFIX}{key}={r.chosen}" for key, r in robot.readings.items()]
-    mine = [name for name in names if name.startswith(PREFIX)]
+    known = [f"{READING}{key}={option}" for key, r in robot.readings.items() for option in r.options]
+    chosen = [f"{READING}{key}={r.chosen}" for key, r in robot.readings.items()]
+    mine = [name for name in names if name.startswith(READING)]
     for name in mine:
         if name not in known:
             raise UsageError(f"the robot '{robot.name}' has no {name}", hint=suggestion(name, known))

@@ -16,6 +16,7 @@ from scipy import special
 
 from swimid.diagnosis import crossval, remainder
 from swimid.diagnosis.context import Fit, FitContext, Mixed, beyond
+from swimid.diagnosis.gap_file import Distance
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.diagnosis.shrinkage import MOST
 from swimid.fitting.model import Array, Trial
@@ -66,6 +67,11 @@ class Compared:
     after: Misfit
 
     @property
+    def distances(self) -> Distance:
+        """Root-mean-square, as the gap file has them."""
+        return Distance(before=self.before.times, after=self.after.times)
+
+    @property
     def refuted(self) -> bool:
         """Whether with the causes they are farther off, by more than the gap and than the noise."""
         farther = self.after.distance - self.before.distance
@@ -94,20 +100,20 @@ def compared(
 
 def unpredicted(
     context: FitContext, fit: Fit, noise_model: NoiseModel, validation: Sequence[Trial]
-) -> list[tuple[str, float]]:
+) -> dict[str, float]:
     """Validation trials in whose squared distance from the prediction of a model the greater part is no
     noise, and by how many times each is off, the largest first.
 
     A trial whose noise is larger than that of the others, and no slower, is none.
     """
     inner = crossval.normal_equations(context, fit, noise_model)
-    found = []
+    found = {}
     for trial in validation:
         seen = _of_trials(context, fit, noise_model, inner, [trial])
         largest = float(special.chdtri(max(seen.samples, 1), CHANCE / len(validation)))
         if seen.slow and seen.shown and seen.distance > largest:
-            found.append((trial.id, seen.times))
-    return sorted(found, key=lambda one: -one[1])
+            found[trial.id] = seen.times
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
 def misfit(context: FitContext, fit: Fit, noise_model: NoiseModel, validation: Sequence[Trial]) -> Misfit:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -12,7 +11,7 @@ from scipy.linalg import block_diag
 from swimid.diagnosis import crossval
 from swimid.diagnosis.candidates import within
 from swimid.diagnosis.context import Fit, FitContext
-from swimid.diagnosis.generic import TERMS, Description, descriptions
+from swimid.diagnosis.generic import Description, descriptions
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.fitting.model import Array
 from swimid.fitting.parallel import mapped
@@ -57,9 +56,6 @@ class Left:
         Inverse variances that were best.
     freedom : float
         How many numbers fitted without a prior would take up as much of the noise as all terms do.
-    forces : dict of place to dict of term to float
-        Factors of the residual forces and moments that gain, all terms together fitted to all trials, N or
-        N m; the one that gains most first.
     """
 
     gain: float
@@ -68,7 +64,6 @@ class Left:
     columns: list[list[Array]]
     prior: list[float]
     freedom: float
-    forces: dict[str, dict[str, float]]
 
     @property
     def found(self) -> bool:
@@ -76,37 +71,28 @@ class Left:
         return self.gain > self.threshold
 
 
-class _Term(NamedTuple):
-    """A generic term: where it acts, what it is, its typical size, and what it changes at it."""
+def _terms(context: FitContext, base: Fit) -> list[tuple[str, list[Array]]]:
+    """Return where each generic term acts, and what it changes in each trial at its typical size.
 
-    place: str
-    name: str
-    size: float
-    changed: list[Array]
+    Terms that change nothing, or with which the model breaks down, are left out.
+    """
 
-
-def _terms(context: FitContext, base: Fit, jobs: int) -> list[_Term]:
-    """All generic terms that change something and do not make the model break down."""
-
-    def of(description: Description) -> list[_Term]:
+    def of(description: Description) -> list[tuple[str, list[Array]]]:
         parameters = description.parameters(context.model, context.trials)
-        changes = context.changes(base, description, description.tries(parameters))
         return [
-            _Term(description.place, name, p.scale, changed)
-            for name, p, changed in zip(description.terms, parameters, changes, strict=True)
+            (description.place, changed)
+            for changed in context.changes(base, description, description.tries(parameters))
             if all(within(c) for c in changed) and sum(float(c @ c) for c in changed) > 1e-9
         ]
 
-    found = mapped(of, descriptions(context.model, context.trials), jobs)
+    found = mapped(of, descriptions(context.model, context.trials), context.jobs)
     return [term for of_each in found for term in of_each]
 
 
-def find(
-    context: FitContext, base: Fit, noise_model: NoiseModel, *, rng: np.random.Generator, jobs: int = 1
-) -> Left:
+def find(context: FitContext, base: Fit, noise_model: NoiseModel, *, rng: np.random.Generator) -> Left:
     """What is left beyond a fit, by a generic description with a prior chosen on held-out folds."""
-    terms = _terms(context, base, jobs)
-    columns = [term.changed for term in terms]
+    terms = _terms(context, base)
+    columns = [changed for _, changed in terms]
     inner = crossval.normal_equations(context, base, noise_model, columns)
     plain = crossval.held_out(inner)
     draws = crossval.noise_draws(inner, rng, DRAWS)
@@ -126,21 +112,12 @@ def find(
         if gained > gain:
             gain, prior, freedom = gained, tried, used
     places = {}
-    for place in dict.fromkeys(term.place for term in terms):
-        mine = [i for i, term in enumerate(terms) if term.place == place]
+    for place in dict.fromkeys(place for place, _ in terms):
+        mine = [i for i, (there, _) in enumerate(terms) if there == place]
         alone = (plain - crossval.held_out(inner, mine, [width**-2] * len(mine)) for width in WIDTHS)
         places[place] = max(float(gains.sum()) for gains in alone)
-    factors = crossval.together(inner, every, prior)[inner.shared :]
-    forces: dict[str, dict[str, float]] = {}
-    for place in sorted(places, key=lambda place: -places[place]):
-        if places[place] > 0 and place.endswith(("force", "moment")):
-            forces[place] = {
-                term.name: float(factor * term.size)
-                for term, factor in zip(terms, factors, strict=True)
-                if term.place == place and term.name in TERMS
-            }
     least = max(float(np.quantile(largest, QUANTILE)), PER_SAMPLE * samples, least_gain(samples))
-    return Left(gain, least, places, columns, prior, freedom, forces)
+    return Left(gain, least, places, columns, prior, freedom)
 
 
 def _freedom(inner: crossval.NormalEquations, prior: Sequence[float]) -> float:

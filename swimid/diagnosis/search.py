@@ -9,7 +9,7 @@ fit is the same alone and among others.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations
@@ -21,9 +21,7 @@ from swimid.diagnosis import candidates, crossval, posterior, remainder
 from swimid.diagnosis.candidates import Refitted, Screen, Tried
 from swimid.diagnosis.context import (
     FINE,
-    NO_CORRELATION,
     STEPS,
-    Correlation,
     Fit,
     FitContext,
     Optimum,
@@ -33,12 +31,12 @@ from swimid.diagnosis.floor import nuisance_residuals
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.diagnosis.posterior import TENTH, UNSURE, Candidate, Posterior, Record
 from swimid.diagnosis.random_effects import RandomEffect
+from swimid.diagnosis.readings import OtherReading
 from swimid.diagnosis.remainder import Left, LowFrequency
 from swimid.diagnosis.weighting import random_effect_columns, see, settled, tells_noise, weigh
 from swimid.effects.base import Effect
-from swimid.effects.reading import OtherReading
 from swimid.files.checkpoint import Checkpoint
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.fitting.model import Array, Model, Trial
 from swimid.fitting.parallel import mapped
 from swimid.logs.sampling import white_noise_sd
 from swimid.progress import Progress, show, silent
@@ -125,20 +123,13 @@ class Round:
 
     Attributes
     ----------
-    base : Fit
-        The model with the other causes.
-    screen : Screen
     ranked : list of Refitted
         Best first; the cause itself at the head.
-    noise_model : NoiseModel
     same : tuple of str
         Names of the effects that change the trials just like a changed parameter that is the cause.
     """
 
-    base: Fit
-    screen: Screen
     ranked: list[Refitted]
-    noise_model: NoiseModel
     same: tuple[str, ...] = ()
 
 
@@ -152,8 +143,10 @@ class State:
         The model without any effect.
     base : Fit
         With the causes.
-    singles : Round
-        Every effect alone.
+    screen : Screen
+        Every effect beside the model without any.
+    singles : list of Refitted
+        Every effect alone, best first.
     rounds : list of Round
         One for each cause, that with the largest share first.
     """
@@ -163,7 +156,8 @@ class State:
     nominal: Fit
     base: Fit
     dropouts: Dropouts
-    singles: Round
+    screen: Screen
+    singles: list[Refitted]
     posterior: Posterior
     rounds: list[Round] = field(default_factory=list)
     left: Left | None = None
@@ -216,6 +210,7 @@ def prepared(
     model.prepare(progress, simulated_s=RUNS * lasting, affected_s=AFFECTED * lasting, checkpoint=checkpoint)
 
 
+@dataclass(eq=False)
 class Search:
     """All hypotheses on one context, through one noise_model.
 
@@ -233,36 +228,24 @@ class Search:
         Whether the time is up.
     """
 
-    def __init__(
-        self,
-        context: FitContext,
-        noise_model: NoiseModel,
-        effects: Sequence[Effect],
-        scattering: Sequence[Effect],
-        *,
-        rng: np.random.Generator,
-        jobs: int,
-        step: Callable[[str], None] = lambda _: None,
-        late: Callable[[], bool] = lambda: False,
-        checkpoint: Checkpoint | None = None,
-    ) -> None:
-        self.context, self.noise_model, self.effects, self.scattering = (
-            context,
-            noise_model,
-            effects,
-            scattering,
-        )
-        self.rng, self.jobs, self.step, self.late = rng, max(jobs, 1), step, late
-        self.checkpoint = checkpoint or Checkpoint()
-        self.random_effects: list[RandomEffect] = []
-        self.pool: dict[Key, Hypothesis] = {}
-        self.screens: dict[Key, Screen] = {}
-        self._cosines: dict[frozenset[int], float] = {}
-        #: Sets from whose optimum a smaller one has been fitted.
-        self.returned: set[tuple[Key, Key]] = set()
-        #: Fitted in a few steps only.
-        self.hopeless: set[Key] = set()
-        self.out_of_time = False
+    context: FitContext
+    noise_model: NoiseModel
+    effects: Sequence[Effect]
+    scattering: Sequence[Effect]
+    rng: np.random.Generator
+    step: Callable[[str], None] = lambda _: None
+    late: Callable[[], bool] = lambda: False
+    checkpoint: Checkpoint = field(default_factory=Checkpoint)
+    null: Hypothesis = field(init=False)
+    random_effects: list[RandomEffect] = field(init=False, default_factory=list)
+    pool: dict[Key, Hypothesis] = field(init=False, default_factory=dict)
+    screens: dict[Key, Screen] = field(init=False, default_factory=dict)
+    #: Sets from whose optimum a smaller one has been fitted.
+    returned: set[tuple[Key, Key]] = field(init=False, default_factory=set)
+    #: Fitted in a few steps only.
+    hopeless: set[Key] = field(init=False, default_factory=set)
+    out_of_time: bool = field(init=False, default=False)
+    _cosines: dict[frozenset[int], float] = field(init=False, default_factory=dict)
 
     # ------------------------------------------------------------ fits
 
@@ -313,7 +296,7 @@ class Search:
             for readings in (False, True):
                 # apart: beside more columns the inner products of the others would end in other digits
                 part = [e for e in rest if isinstance(e, OtherReading) == readings]
-                simulated = candidates.simulate(self.context, parent.fit, part, jobs=self.jobs)
+                simulated = candidates.simulate(self.context, parent.fit, part)
                 if simulated:
                     more = candidates.screen(self.context, parent.fit, self.noise_model, simulated)
                     found.tried += more.tried
@@ -343,7 +326,7 @@ class Search:
         def one(item: tuple[Hypothesis, Tried]) -> Optimum | None:
             return None if self.late() and item is not new[0] else self.fitted(*item)
 
-        for (parent, tried), found in zip(new, mapped(one, new, self.jobs), strict=True):
+        for (parent, tried), found in zip(new, mapped(one, new, self.context.jobs), strict=True):
             if found is None:
                 self.out_of_time = True
                 continue
@@ -439,7 +422,7 @@ class Search:
         # hypothesis leaves: a generic description has it, too, and comes last
         stays = False
         for turn in range(TURNS if whole else 2):
-            left = remainder.find(context, fit, noise_model, rng=self.rng, jobs=self.jobs)
+            left = remainder.find(context, fit, noise_model, rng=self.rng)
             last = stays or turn == TURNS - 1
             columns: list[list[Array]] = []
             prior: list[float] = []
@@ -504,7 +487,7 @@ class Search:
         # parents before those judged beside them
         old = sorted((h for h in kept if h.fit.effects), key=lambda h: len(h.fit.effects))
         self.hopeless = {h.key for h in old if h.names in far}
-        for h, optimum in zip(old, mapped(one, old, self.jobs), strict=True):
+        for h, optimum in zip(old, mapped(one, old, self.context.jobs), strict=True):
             if h.tried is not None:
                 self.step(h.tried.effect.name)
             self._refitted(h, optimum)
@@ -526,7 +509,7 @@ class Search:
             ]
             if not wanted:
                 return
-            for h, optimum in zip(wanted, mapped(one, wanted, self.jobs), strict=True):
+            for h, optimum in zip(wanted, mapped(one, wanted, self.context.jobs), strict=True):
                 self._refitted(h, optimum)
                 self.hopeless.discard(h.key)
 
@@ -629,48 +612,32 @@ def based(context: FitContext, noise_model: NoiseModel, begin: Array) -> Fit:
     )
 
 
-def context_of(
-    model: Model,
-    parameters: Sequence[Parameter],
-    trials: Sequence[Trial],
-    prior: Mapping[str, tuple[float, float]],
-    effects: Sequence[Effect],
-    *,
-    correlation: Correlation = NO_CORRELATION,
-    jobs: int = 1,
-) -> tuple[FitContext, NoiseModel, Fit, Dropouts]:
+def context_of(given: FitContext, effects: Sequence[Effect]) -> tuple[FitContext, NoiseModel, Fit, Dropouts]:
     """The trials without failed samples, the noise as the model alone leaves it, and its fit."""
-    start = [np.array([p.start for p in parameters])] * len(trials)
-    fine, model = model, coarser(model, start, trials) or model
-
-    def weighed(sound: Sequence[Trial]) -> tuple[FitContext, NoiseModel, Fit]:
-        found = FitContext(model, parameters, sound, prior, correlation=correlation, jobs=jobs)
-        return (found, *weigh(found))
-
-    context, noise_model, fit = weighed(trials)
+    fine, trials = given.model, given.trials
+    start = [np.array([p.start for p in given.parameters])] * len(trials)
+    model = coarser(fine, start, trials) or fine
+    context = given.replaced(model, trials)
+    noise_model, fit = weigh(context)
     dropouts = look(context.trials, fit.problem.simulations(fit.theta))
     if dropouts.count:
-        context, noise_model, fit = weighed(dropouts.without(trials))
+        context = given.replaced(model, dropouts.without(trials))
+        noise_model, fit = weigh(context)
     # a coarse step may do at the start values, and not from where trials were found to begin
     own = [fit.problem.vector(fit.theta, k) for k in range(len(context.trials))]
     if model is not fine and coarser(fine, own, context.trials) is None:
-        model = fine
-        context, noise_model, fit = weighed(context.trials)
+        context = given.replaced(fine, context.trials)
+        noise_model, fit = weigh(context)
     noise_model, _ = see(context, fit, noise_model, fit.residuals, effects, len(fit.labels))
     return context, noise_model, fit, dropouts
 
 
 def run(
-    model: Model,
-    parameters: Sequence[Parameter],
-    trials: Sequence[Trial],
-    prior: Mapping[str, tuple[float, float]],
+    given: FitContext,
     effects: Sequence[Effect],
     *,
-    correlation: Correlation = NO_CORRELATION,
     asked: Collection[str] | None = None,
     seed: int = 0,
-    jobs: int = 1,
     most: int = COMBINED,
     budget_s: float | None = None,
     checkpoint: Checkpoint | None = None,
@@ -692,13 +659,12 @@ def run(
         return budget_s is not None and time.monotonic() - begun > budget_s
 
     with threadpool_limits(limits=1, user_api="blas"):
-        context, noise_model, fit, dropouts = context_of(
-            model, parameters, trials, prior, effects, correlation=correlation, jobs=jobs
-        )
+        context, noise_model, fit, dropouts = context_of(given, effects)
         allowed = [e for e in effects if asked is None or e.name in asked]
         with progress("effects", total=2 * len(effects)) as shown:
             search = Search(
-                context, noise_model, effects, effects, rng=rng, jobs=jobs, late=late, checkpoint=checkpoint,
+                context, noise_model, effects, effects, rng=rng, late=late,
+                checkpoint=checkpoint or Checkpoint(),
                 step=lambda name: show(shown, name),
             )  # fmt: skip
             search.begin(context.start((), noise_model, fit))
@@ -710,8 +676,8 @@ def run(
         state = chosen(search, dropouts, {id(e) for e in allowed}, most, progress)
         if dropouts.count:
             simulated = state.base.problem.simulations(state.base.theta)
-            state.dropouts = dropouts.confirmed(look(trials, simulated))
-        state.left = remainder.find(context, state.base, state.noise_model, rng=rng, jobs=jobs)
+            state.dropouts = dropouts.confirmed(look(given.trials, simulated))
+        state.left = remainder.find(context, state.base, state.noise_model, rng=rng)
         columns, _ = random_effect_columns(context, state.base, effects)
         state.nuisance_residuals = nuisance_residuals(state.base, state.base.residuals, columns)
         state.low_frequency = remainder.low_frequency(state.base.problem, state.nuisance_residuals)
@@ -780,14 +746,9 @@ def rounds(search: Search, best: Hypothesis, found: Posterior, dropouts: Dropout
     ended = {label for h in search.pool.values() if h.score < null.score for label in h.ends}
     why = "ends at a bound, where it could stand for other effects: no hypothesis"
     told = [*told, *(f"{label} {why}" for label in sorted(ended))]
-    singles = Round(
-        search.null.fit,
-        search.screened(search.null),
-        search.ranked(null, ones),
-        search.noise_model,
-    )
     state = State(
-        search.context, search.noise_model, search.null.fit, best.fit, dropouts, singles, found,
+        search.context, search.noise_model, search.null.fit, best.fit, dropouts,
+        search.screened(null), search.ranked(null, ones), found,
         random_effects=search.random_effects, out_of_time=search.out_of_time, tried=search.count, told=told,
     )  # fmt: skip
     for effect in best.fit.effects:
@@ -800,7 +761,7 @@ def rounds(search: Search, best: Hypothesis, found: Posterior, dropouts: Dropout
             for r in ranked[1:]
             if effect.adds_to is not None and _same_change(search, found, base, ranked[0].tried, r.tried)
         )
-        state.rounds.append(Round(base.fit, search.screened(base), ranked, search.noise_model, same))
+        state.rounds.append(Round(ranked, same))
     # a changed parameter comes first, as it needs no further physics
     state.rounds.sort(key=lambda r: (r.ranked[0].tried.effect.adds_to is None, -r.ranked[0].gain))
     return state

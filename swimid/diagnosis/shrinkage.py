@@ -11,7 +11,6 @@ import numpy as np
 from scipy import special
 
 from swimid.diagnosis.context import Fit, FitContext
-from swimid.diagnosis.figures import Overlay
 from swimid.diagnosis.gap_file import Shrinkage
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.fitting import start_states
@@ -26,8 +25,6 @@ RESAMPLES = 1000
 MOST = 0.5
 #: Error of a held-out sample whose simulation broke down, in its channel's unit or in units of the noise.
 WORST = 1e6
-#: Trials whose traces are kept.
-OVERLAID = 3
 #: A simulation this many times its channel's range away from a trial broke down.
 ASTRAY = 10.0
 
@@ -127,14 +124,15 @@ def pieces(
     for f in range(context.folds.count):
         shared = [_numbers(fit, t[f]) for fit, t in zip((before, after), thetas, strict=True)]
         for k, trial in enumerate(context.trials):
-            inside = context.folds.owner[k] == f
-            if not np.any(inside):
+            if f not in context.folds.owner[k]:
                 continue
             if context.folds.whole:
                 near = [_near(trial, k, fit) for fit in (before, after)]
                 found += _whole(trial, (plain, nominal, model), (shipped, *shared), sd, near)
             else:
-                found += _stretch(context, k, inside, nominal, model, (before, after), thetas, f, shipped)
+                pair = zip((before, after), thetas, strict=True)
+                vectors = [fit.problem.vector(theta[f], k) for fit, theta in pair]
+                found += _stretch(context, k, f, (nominal, model), vectors, shipped)
             step()
     return found
 
@@ -178,25 +176,18 @@ def _near(trial: Trial, k: int, fit: Fit) -> Trial:
 def _stretch(
     context: FitContext,
     k: int,
-    inside: Array,
-    nominal: Model,
-    model: Model,
-    fits: tuple[Fit, Fit],
-    thetas: list[list[Array]],
     fold: int,
+    models: tuple[Model, Model],
+    vectors: Sequence[Array],
     shipped: Mapping[str, float],
 ) -> list[Piece]:
-    trial = context.trials[k]
-    vectors = [fit.problem.vector(t[fold], k) for fit, t in zip(fits, thetas, strict=True)]
+    """As given, before and after, in the samples of a trial that belong to a fold."""
+    trial, inside, (nominal, model) = context.trials[k], context.folds.owner[k] == fold, models
     as_given = vectors[0].copy()
     for i, p in enumerate(nominal.parameters):
         if not p.per_trial and p.name in shipped:
             as_given[i] = shipped[p.name]
-    runs = [
-        nominal.simulate(as_given, trial),
-        nominal.simulate(vectors[0], trial),
-        model.simulate(vectors[1], trial),
-    ]
+    runs = [nominal.simulate(v, trial) for v in (as_given, vectors[0])] + [model.simulate(vectors[1], trial)]
     found, at = [], 0
     for channel, mask in zip(context.shape.channels[k], context.shape.masks[k], strict=True):
         count = int(mask.sum())
@@ -362,26 +353,28 @@ def closed(before: float, after: float, floor: float) -> float:
     return float((before - after) / gap) if gap > 0.02 * max(before, 1e-300) else math.nan
 
 
-def overlays(found: Sequence[Piece], units: Mapping[str, str]) -> list[Overlay]:
-    """Traces of the trials in which the causes change most, each channel."""
-    whole: dict[tuple[str, str], list[Piece]] = {}
+def worst(found: Sequence[Piece], floors: Mapping[str, float], which: str) -> list[Piece]:
+    """Return the held-out trial with the largest errors in units of the noise.
+
+    Parameters
+    ----------
+    which : {"before", "after"}
+        Prediction whose errors are compared.
+
+    Returns
+    -------
+    list of Piece
+        One for each channel, with its samples in the order of time.
+    """
+    squares: dict[str, list[Array]] = {}
     for p in found:
-        whole.setdefault((p.trial.id, p.channel), []).append(p)
-    gains: dict[str, float] = {}
-    for (trial, _), parts in whole.items():
-        for p in parts:
-            a, b = np.nansum((p.measured - p.before) ** 2), np.nansum((p.measured - p.after) ** 2)
-            size = np.nanvar(p.measured) * len(p.measured) or 1.0
-            gains[trial] = gains.get(trial, 0.0) + float((a - b) / size)
-    chosen = sorted(gains, key=lambda t: -gains[t])[:OVERLAID]
-    result = []
-    for (trial, channel), parts in whole.items():
-        if trial not in chosen or len(parts[0].time_s) < 3:
-            continue
+        squares.setdefault(p.trial.id, []).append(_errors(p, which, floors))
+    means = {trial: float(np.mean(np.concatenate(parts))) for trial, parts in squares.items()}
+    trial = max(means, key=lambda trial: means[trial], default="")
+    whole = []
+    for parts in by_channel([p for p in found if p.trial.id == trial]).values():
         order = np.argsort(np.concatenate([p.time_s for p in parts]), kind="stable")
-        traces = [
-            np.concatenate([getattr(p, name) for p in parts])[order]
-            for name in ("time_s", "measured", "before", "after")
-        ]
-        result.append(Overlay(trial, channel, units.get(channel, ""), *traces))
-    return result
+        names = ("time_s", "measured", "shipped", "before", "after")
+        series = {name: np.concatenate([getattr(p, name) for p in parts])[order] for name in names}
+        whole.append(Piece(parts[0].trial, parts[0].channel, **series))
+    return whole

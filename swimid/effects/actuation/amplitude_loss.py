@@ -1,12 +1,11 @@
 """Joints that turn less far than they are told."""
 
-from swimid.effects.actuation._commands import Actuation
+from swimid.effects import common
 from swimid.effects.base import Array, Model, Parameters, Trials
-from swimid.effects.common import parameter
 from swimid.fitting.hooks import Stroke
 
 
-class AmplitudeLoss(Actuation):
+class AmplitudeLoss(common.Actuation):
     """A gain below one: ``(1 - loss)`` times the command."""
 
     name = "amplitude-loss"
@@ -17,7 +16,7 @@ class AmplitudeLoss(Actuation):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The share that is lost."""
-        return (parameter("loss", "1", 0.05, "share of the amplitude lost", lower=-0.5, upper=0.95),)
+        return (common.parameter("loss", "1", 0.05, "share of the amplitude lost", lower=-0.5, upper=0.95),)
 
     def followed(self, value: float, time_s: Array, angle: Array) -> Array:
         """Less of the command."""

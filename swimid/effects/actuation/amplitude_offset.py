@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from swimid.effects.actuation import _commands
+from swimid.effects import common
 from swimid.effects.base import Array, Effects, Hooks, Model, Parameters, Trial, Trials
-from swimid.effects.common import parameter
 from swimid.fitting.drives import eased
 from swimid.fitting.hooks import Stroke
 
@@ -14,7 +13,7 @@ from swimid.fitting.hooks import Stroke
 EASE_S = 0.5
 
 
-class AmplitudeOffset(_commands.Actuation):
+class AmplitudeOffset(common.Actuation):
     """A trim added to the angle of each driven joint; for a steady beat, the amplitude less a constant.
 
     The latter is ``theta_off`` of the recoil law, and applies where that is not estimated.
@@ -32,9 +31,9 @@ class AmplitudeOffset(_commands.Actuation):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The angle, of each driven joint, in the unit of its command."""
-        size = _commands.amplitude(model, trials)
+        size = common.amplitude(model, trials)
         most, words = 0.9 * size, "constant angle off"
-        return (parameter("offset_rad", "rad", 0.05 * size, words, lower=-most, upper=most),)
+        return (common.parameter("offset_rad", "rad", 0.05 * size, words, lower=-most, upper=most),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """The command with the trim; less amplitude of a steady beat."""
@@ -43,7 +42,7 @@ class AmplitudeOffset(_commands.Actuation):
         moved = [axis.driven is not None and axis.driven.gain != 0 for axis in driven]
         begin = model.onset(trial)
 
-        trimmed = _commands.every_joint(lambda time, angle: angle + offset * eased(time - begin, EASE_S))
+        trimmed = common.every_joint(lambda time, angle: angle + offset * eased(time - begin, EASE_S))
 
         def command(time_s: Array, angle: Array, joint: int) -> Array:
             return angle if moved and not moved[joint] else trimmed(time_s, angle, joint)

@@ -7,7 +7,7 @@ import numba
 import numpy as np
 from scipy.optimize import brentq
 
-from swimid.effects.actuation import _commands
+from swimid.effects import common
 from swimid.effects.base import Array, Model, Parameter, Parameters, Trials
 from swimid.fitting.hooks import Stroke
 
@@ -16,7 +16,7 @@ from swimid.fitting.hooks import Stroke
 TRIANGLE = 1.0 / math.hypot(1.0, 0.5 * math.pi)
 
 
-class RateLimit(_commands.Actuation):
+class RateLimit(common.Actuation):
     """The joint follows its command no faster than a limit; the fastest command is where it begins to act.
 
     A steady beat of the average models keeps the fundamental of the limited sine (its describing
@@ -29,7 +29,7 @@ class RateLimit(_commands.Actuation):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The limit, rad/s; it vanishes at the trials' largest commanded rate."""
-        largest = _commands.fastest(model, trials)
+        largest = common.fastest(model, trials)
         bounds, words = (0.02 * largest, largest), "largest rate of the servos"
         return (Parameter("rate_limit_rad_s", "rad/s", *bounds, largest, 0.2 * largest, meaning=words),)
 

@@ -2,13 +2,12 @@
 
 import numpy as np
 
-from swimid.effects.actuation import _commands
+from swimid.effects import common
 from swimid.effects.base import Array, Model, Parameters, Trials
-from swimid.effects.common import parameter
 from swimid.fitting.hooks import Stroke
 
 
-class ServoBacklash(_commands.Actuation):
+class ServoBacklash(common.Actuation):
     """The play operator: the joint rests until the servo has crossed the play, then is carried along.
 
     A steady beat of the average models loses half the play.
@@ -20,9 +19,9 @@ class ServoBacklash(_commands.Actuation):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The whole width of the play, of each joint, in the unit of its command."""
-        size = _commands.amplitude(model, trials)
+        size = common.amplitude(model, trials)
         words = "whole width of the play"
-        return (parameter("backlash_rad", "rad", 0.1 * size, words, lower=0.0, upper=1.9 * size),)
+        return (common.parameter("backlash_rad", "rad", 0.1 * size, words, lower=0.0, upper=1.9 * size),)
 
     def followed(self, value: float, time_s: Array, angle: Array) -> Array:
         """Play in the command."""
@@ -45,4 +44,4 @@ def play(signal: Array, width: float) -> Array:
     -------
     ndarray, shape (n,)
     """
-    return _commands.held_back(signal, np.full(len(signal), 0.5 * width))
+    return common.held_back(signal, np.full(len(signal), 0.5 * width))

@@ -3,12 +3,11 @@
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
 
-from swimid.effects.actuation import _commands
+from swimid.effects import common
 from swimid.effects.base import Array, Model, Parameters, Trials
-from swimid.effects.common import parameter
 
 
-class ServoDelay(_commands.Actuation):
+class ServoDelay(common.Actuation):
     """A pure delay of the command; it changes nothing in a steady beat's average."""
 
     name = "servo-delay"
@@ -19,9 +18,9 @@ class ServoDelay(_commands.Actuation):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The delay, s."""
-        beat = _commands.period(model, trials)
+        beat = common.period(model, trials)
         words = "delay of the joints' commands"
-        return (parameter("delay_s", "s", 0.04 * beat, words, lower=0.0, upper=beat),)
+        return (common.parameter("delay_s", "s", 0.04 * beat, words, lower=0.0, upper=beat),)
 
     def followed(self, value: float, time_s: Array, angle: Array) -> Array:
         """The command as it was a delay ago."""

@@ -5,13 +5,12 @@ import math
 import numba
 import numpy as np
 
-from swimid.effects.actuation import _commands
+from swimid.effects import common
 from swimid.effects.base import Array, Model, Parameters, Trials
-from swimid.effects.common import parameter
 from swimid.fitting.hooks import Stroke
 
 
-class ServoLag(_commands.Actuation):
+class ServoLag(common.Actuation):
     """``tau a' = command - a``; a steady beat of frequency f keeps ``1 / sqrt(1 + (2 pi f tau)^2)``."""
 
     name = "servo-lag"
@@ -24,9 +23,9 @@ class ServoLag(_commands.Actuation):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The time constant, s."""
-        beat = _commands.period(model, trials)
+        beat = common.period(model, trials)
         words = "time constant of the servos"
-        return (parameter("time_constant_s", "s", 0.04 * beat, words, lower=0.0, upper=beat),)
+        return (common.parameter("time_constant_s", "s", 0.04 * beat, words, lower=0.0, upper=beat),)
 
     def followed(self, value: float, time_s: Array, angle: Array) -> Array:
         """The command with a lag."""

@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from swimid.effects.actuation import _commands
+from swimid.effects import common
 from swimid.effects.base import Array, Hooks, Model, Parameters, Trial, Trials
-from swimid.effects.common import parameter
 from swimid.fitting.drives import eased
 
 #: The loss comes on over this share of a beat, and over so many samples at least. A beat does not tell to
@@ -14,7 +13,7 @@ RAMP, SAMPLES = 0.25, 4.0
 MOMENTS = (0.125, 0.375, 0.625, 0.875)
 
 
-class Slip(_commands.Actuation):
+class Slip(common.Actuation):
     """``1 - loss s(t)`` times the command, ``s`` a quintic step from 0 to 1 about the moment it sets in.
 
     A tendon that slips on its pulley, a horn on its shaft: the joints move by less of their command from that
@@ -40,8 +39,10 @@ class Slip(_commands.Actuation):
         longest = max(float(t.time_s[-1] - t.time_s[0]) for t in trials) or lasting
         when = "time after the first sample at which half of it is lost"
         return (
-            parameter("loss", "1", 0.1, "share of the command lost", lower=0.0, upper=0.95),
-            parameter("begin_s", "s", 0.1 * lasting, when, lower=0.0, upper=longest, start=0.5 * lasting),
+            common.parameter("loss", "1", 0.1, "share of the command lost", lower=0.0, upper=0.95),
+            common.parameter(
+                "begin_s", "s", 0.1 * lasting, when, lower=0.0, upper=longest, start=0.5 * lasting
+            ),
         )
 
     def tries(self, parameters: Parameters) -> list[Array]:
@@ -53,7 +54,7 @@ class Slip(_commands.Actuation):
         """The commands less what is lost by then."""
         loss, begin = (float(v) for v in values)
         samples = np.diff(trial.time_s)
-        ramp = RAMP * _commands.period(model, [trial])
+        ramp = RAMP * common.period(model, [trial])
         if len(samples):
             ramp = max(ramp, SAMPLES * float(np.median(samples)))
         first = float(trial.time_s[0]) + begin - 0.5 * ramp
@@ -61,4 +62,4 @@ class Slip(_commands.Actuation):
         def command(time_s: Array, angle: Array) -> Array:
             return angle * (1.0 - loss * eased(time_s - first, ramp))
 
-        return Hooks(command=(_commands.every_joint(command),) if model.commanded(trial) else ())
+        return Hooks(command=(common.every_joint(command),) if model.commanded(trial) else ())

@@ -4,7 +4,6 @@ import math
 
 from swimid.effects import common
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
-from swimid.effects.sensing import _channels
 
 
 class CameraRotation(Effect):
@@ -20,7 +19,7 @@ class CameraRotation(Effect):
         """The effect itself where both positions are measured and the model does not estimate it."""
         if model.body is None or model.estimates("camera_rotation"):
             return []
-        both = len(_channels.measured(model.body.pose[:2], trials)) == 2
+        both = len(common.measured(model.body.pose[:2], trials)) == 2
         return super().variants(model, trials) if both else []
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:

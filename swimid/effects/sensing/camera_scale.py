@@ -6,15 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from swimid.effects import common
 from swimid.effects.base import Array, Effects, Hooks, Model, Parameters, Trial, Trials
-from swimid.effects.common import links, parameter
-from swimid.effects.sensing import _channels
 
 #: Steps in which a place is found from where it is seen.
 ITERATIONS = 8
 
 
-class CameraScale(_channels.Sensing):
+class CameraScale(common.Sensing):
     """Displacements and speeds times ``1 + scale_error``, about where the trial starts.
 
     On a rig it is the circumference of the encoder's pulley, on a cruising run the length of the
@@ -28,7 +27,7 @@ class CameraScale(_channels.Sensing):
         "tendon fish, section V (global camera)",
         "robotic dolphin, section 4 (global camera)",
     )
-    channels = _channels.LENGTHS
+    channels = common.LENGTHS
     smooth = True
 
     def variants(self, model: Model, trials: Trials) -> Effects:
@@ -37,12 +36,16 @@ class CameraScale(_channels.Sensing):
         body = model.body
         if not found or body is None or not body.free:
             return found
-        both = len(_channels.measured(body.pose[:2], trials)) == 2
+        both = len(common.measured(body.pose[:2], trials)) == 2
         return [*found, _Lens()] if both else found
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The relative error of the scale."""
-        return (parameter("scale_error", "1", 0.03, "relative error of the lengths", lower=-0.5, upper=1.0),)
+        return (
+            common.parameter(
+                "scale_error", "1", 0.03, "relative error of the lengths", lower=-0.5, upper=1.0
+            ),
+        )
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Scaled positions and speeds."""
@@ -74,15 +77,15 @@ class _Lens(CameraScale):
         middle = complex(np.mean(places)) if len(places) else 0j
         reach = max(float(np.max(np.abs(places - middle), initial=0.0)), 1e-3)
         (scale,) = super().parameters(model, trials)
-        first, second = links(model).pose[:2]
+        first, second = common.links(model).pose[:2]
         return (
             scale,
-            parameter(
+            common.parameter(
                 "distortion_1_m2", "1/m^2", 0.03 / reach**2, "radial distortion of the picture",
                 lower=-0.2 / reach**2, upper=0.5 / reach**2,
             ),
             *(
-                parameter(
+                common.parameter(
                     f"centre_{name}", "m", 0.5 * reach, "centre of the picture",
                     lower=at - 3.0 * reach, upper=at + 3.0 * reach, start=at,
                 )
@@ -97,7 +100,7 @@ class _Lens(CameraScale):
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Positions as the lens shows them, and speeds scaled as at its centre."""
         error, bent, centre = 1.0 + float(values[0]), float(values[1]), complex(values[2], values[3])
-        first, second = links(model).pose[:2]
+        first, second = common.links(model).pose[:2]
         origin = model.origin(trial)
         begin = complex(origin[first], origin[second])
 
@@ -118,7 +121,7 @@ class _Lens(CameraScale):
         def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
             place = channels[first] + 1j * channels[second] + away
             change = moved(place) + away
-            speeds = {n: error * v for n, v in channels.items() if n in _channels.SPEEDS}
+            speeds = {n: error * v for n, v in channels.items() if n in common.SPEEDS}
             shown = {first: channels[first] + change.real, second: channels[second] + change.imag}
             return {**channels, **speeds, **shown}
 
@@ -127,7 +130,7 @@ class _Lens(CameraScale):
 
 def _places(model: Model, trial: Trial) -> Array:
     """Where the log has the body, its two axes as one complex number; nothing where it does not say."""
-    first, second = (trial.measured.get(name) for name in links(model).pose[:2])
+    first, second = (trial.measured.get(name) for name in common.links(model).pose[:2])
     if first is None or second is None:
         return np.empty(0, dtype=complex)
     return np.asarray(first + 1j * second)

@@ -2,9 +2,8 @@
 
 import math
 
+from swimid.effects import common
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
-from swimid.effects.common import parameter
-from swimid.effects.sensing import _channels
 
 #: Largest error that is looked for, either way: RC oscillators that nobody calibrated are 10 % off.
 LARGEST = 0.1
@@ -37,14 +36,14 @@ class ClockRate(Effect):
 
     def variants(self, model: Model, trials: Trials) -> Effects:
         """Where there is a clock; the camera's alone beside it."""
-        alone = [ClockRate(camera=True)] if _channels.clocks_apart(model, trials) else []
+        alone = [ClockRate(camera=True)] if common.clocks_apart(model, trials) else []
         return [*super().variants(model, trials), *alone]
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The share by which the log runs fast; 0.2 % are 20 ms after 10 s, an offset one begins to see."""
         name = "camera_rate" if self.camera else "rate"
         words = "share by which the clock of the log is fast"
-        return (parameter(name, "1", 0.002, words, lower=-LARGEST, upper=LARGEST),)
+        return (common.parameter(name, "1", 0.002, words, lower=-LARGEST, upper=LARGEST),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """A clock that drifts from where the run begins."""
@@ -53,5 +52,5 @@ class ClockRate(Effect):
         begin = onset if math.isfinite(onset) else float(trial.time_s[0])
         drift = rate / (1.0 + rate)
         if self.camera and rate != 0.0:
-            return _channels.poses_at(trial, lambda time_s: time_s - drift * (time_s - begin))
+            return common.poses_at(trial, lambda time_s: time_s - drift * (time_s - begin))
         return Hooks() if self.camera else Hooks(clock_s=-drift * begin, clock_drift=drift)

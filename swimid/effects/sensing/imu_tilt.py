@@ -2,22 +2,23 @@
 
 import math
 
+from swimid.effects import common
 from swimid.effects.base import Array, Hooks, Model, Parameters, Trial, Trials
-from swimid.effects.common import parameter
-from swimid.effects.sensing import _channels
 
 
-class ImuTilt(_channels.Sensing):
+class ImuTilt(common.Sensing):
     """The turn rate in the plane of motion times the cosine of the tilt."""
 
     name = "imu-tilt"
     meaning = "The inertial sensor is tilted: its axis sees only part of the turn rate."
     sources = ("long-fin vehicle, section 5 (inertial unit fixed in the hull)",)
-    channels = _channels.TURN_RATES
+    channels = common.TURN_RATES
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The tilt, rad."""
-        return (parameter("tilt_rad", "rad", 0.2, "tilt of the gyroscope's axis", lower=0.0, upper=1.4),)
+        return (
+            common.parameter("tilt_rad", "rad", 0.2, "tilt of the gyroscope's axis", lower=0.0, upper=1.4),
+        )
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Smaller turn rates."""

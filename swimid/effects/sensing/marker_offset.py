@@ -6,7 +6,6 @@ import numpy as np
 
 from swimid.effects import common
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
-from swimid.effects.sensing import _channels
 
 #: Farthest a marker may be off, m.
 FARTHEST_M = 0.5
@@ -30,7 +29,7 @@ class MarkerOffset(Effect):
         body = common.free_body(model)
         if body is None:
             return []
-        seen = _channels.measured((*body.pose, *body.velocity[:2]), trials)
+        seen = common.measured((*body.pose, *body.velocity[:2]), trials)
         return super().variants(model, trials) if seen else []
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:

@@ -2,9 +2,8 @@
 
 import numpy as np
 
+from swimid.effects import common
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
-from swimid.effects.common import parameter
-from swimid.effects.sensing import _channels
 from swimid.fitting.scales import MEAN_SPEED
 
 #: Largest offset that is looked for, s.
@@ -41,20 +40,20 @@ class TimeOffset(Effect):
             return [self]
         if model.estimates("clock_offset"):
             return []
-        alone = [TimeOffset(camera=True)] if _channels.clocks_apart(model, trials) else []
+        alone = [TimeOffset(camera=True)] if common.clocks_apart(model, trials) else []
         return [*super().variants(model, trials), *alone]
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """The time by which the log is late, s."""
         name, typical = "camera_offset_s" if self.camera else "offset_s", 0.1 if model.timed_runs else 0.03
         words = "time by which the log is late"
-        return (parameter(name, "s", typical, words, lower=-LARGEST_S, upper=LARGEST_S),)
+        return (common.parameter(name, "s", typical, words, lower=-LARGEST_S, upper=LARGEST_S),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """A late clock; longer times of cruising runs."""
         offset = float(values[0])
         if self.camera:
-            return _channels.poses_at(trial, lambda time_s: time_s - offset) if offset != 0.0 else Hooks()
+            return common.poses_at(trial, lambda time_s: time_s - offset) if offset != 0.0 else Hooks()
         if not model.timed_runs:
             return Hooks(clock_s=offset)
         distance = trial.inputs["distance_m"]

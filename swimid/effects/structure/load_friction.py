@@ -6,7 +6,6 @@ import numpy as np
 from numba import cfunc
 
 from swimid.effects import common
-from swimid.effects.actuation import _commands
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 from swimid.fitting.hooks import FORCE_SIGNATURE, Force
 
@@ -100,9 +99,9 @@ class LoadFriction(Effect):
 
             def command(time_s: Array, angle: Array, joint: int) -> Array:
                 def stuck(time: Array, told: Array) -> Array:
-                    return _commands.held_back(told, share * _torque(loads[joint], time, told))
+                    return common.held_back(told, share * _torque(loads[joint], time, told))
 
-                return _commands.bridged(stuck, time_s, angle)
+                return common.bridged(stuck, time_s, angle)
 
             return Hooks(command=(command,) if model.commanded(trial) else ())
         if not (trial.rig.pulley or self.everywhere):

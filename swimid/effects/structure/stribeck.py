@@ -6,7 +6,6 @@ import numpy as np
 from numba import cfunc
 
 from swimid.effects import common
-from swimid.effects.actuation import _commands
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 from swimid.fitting.hooks import FORCE_SIGNATURE, Force
 
@@ -66,9 +65,9 @@ class Stribeck(Effect):
             rates, moving = model.rig.speed.unit, "speed"
             what = "friction at rest beyond that in motion"
         else:
-            largest = _commands.amplitude(model, trials)
+            largest = common.amplitude(model, trials)
             rise, unit, size, most = "stick_rad", "rad", 0.05 * largest, 0.9 * largest
-            word, rates, top = "stribeck_rad_s", "rad/s", _commands.fastest(model, trials)
+            word, rates, top = "stribeck_rad_s", "rad/s", common.fastest(model, trials)
             what, moving = "angle by which a joint at rest is held back", "rate"
         over, least = f"{moving} over which it falls", 0.01 * top
         return (
@@ -98,9 +97,9 @@ class Stribeck(Effect):
             if len(time_s) < 2:
                 return angle
             rate = np.gradient(angle, time_s)
-            return _commands.held_back(angle, rise * np.exp(-np.square(rate / slow)))
+            return common.held_back(angle, rise * np.exp(-np.square(rate / slow)))
 
         def command(time_s: Array, angle: Array) -> Array:
-            return _commands.bridged(stuck, time_s, angle)
+            return common.bridged(stuck, time_s, angle)
 
-        return Hooks(command=(_commands.every_joint(command),) if model.commanded(trial) else ())
+        return Hooks(command=(common.every_joint(command),) if model.commanded(trial) else ())
