@@ -17,7 +17,7 @@ from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results.parameters import Estimate
 from swimid.rig import theory
-from swimid.rig.model import COORDINATES
+from swimid.rig.model import COORDINATES, terminal_speed
 
 #: A quantity as a function of the coefficients of the equation of motion; NaN where there is none.
 Quantity = Callable[[Mapping[str, float]], float]
@@ -33,7 +33,7 @@ def derived(experiment: Experiment, result: FitResult) -> dict[str, Estimate]:
     quantities: dict[str, Estimate | None] = {}
     if experiment.name == "falling-weight":
         for trial in result.trials:
-            terminal = partial(_terminal_speed, force=trial.rig.pull)
+            terminal = partial(terminal_speed, force=trial.rig.pull)
             quantities[f"terminal_speed[{trial.id}]"] = propagated(result, trial, terminal, "m/s")
     if experiment.name == "free-decay":
         quantities["natural_period_s"] = propagated(result, first, _period, "s")
@@ -235,12 +235,6 @@ def _most_water(experiment: Experiment, trial: Trial) -> float:
         return density * body.length_m * body.width_m * body.height_m
     factor = trial.rig.area_factor
     return theory.most_displaced(2.0 * factor / density, density) if factor else math.inf
-
-
-def _terminal_speed(c: Mapping[str, float], force: float) -> float:
-    push = force - c["dry"]
-    brake = c["linear"] + math.sqrt(c["linear"] ** 2 + 4 * max(c["quadratic"], 0.0) * max(push, 0.0))
-    return 2 * push / brake if push > 0 and brake > 0 else math.nan
 
 
 def _rate(c: Mapping[str, float]) -> float:
