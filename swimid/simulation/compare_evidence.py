@@ -16,6 +16,8 @@ from swimid.simulation.compare_strokes import SIDES, Mean, Profile
 from swimid.simulation.comparison_file import ChannelScore, ComparisonFile, ProfileComparison
 from swimid.swimmer.stroke_cycles import QUANTITIES
 
+#: Columns of the errors of a channel.
+ERRORS = ("channel", "RMSE", "NRMSE", "VAF", "bias")
 #: Settings of a drive that a mean speed is drawn over.
 SETTINGS = ("frequency_hz", "amplitude_deg", "bias_deg", "asymmetry")
 #: Maximum number of values of a setting, and of curves, in a figure.
@@ -167,18 +169,8 @@ def tables(file: ComparisonFile) -> list[ev.Table]:
     pooled = ev.Table(
         id="channels",
         title="Errors of all trials together",
-        columns=["channel", "RMSE", "NRMSE", "VAF", "bias", "samples"],
-        rows=[
-            [
-                _channel(name, s),
-                _text(s.rmse, s.unit),
-                numbers.percent(s.nrmse),
-                numbers.percent(s.vaf),
-                _text(_bias(s), s.unit),
-                s.samples,
-            ]
-            for name, s in file.channels.items()
-        ],
+        columns=[*ERRORS, "samples"],
+        rows=[[*_errors(name, s), s.samples] for name, s in file.channels.items()],
         caption="NRMSE is over the measured range; bias is the mean of measured minus simulated.",
     )
     stroked = [p for p in file.profiles if p.cycles]
@@ -193,52 +185,40 @@ def tables(file: ComparisonFile) -> list[ev.Table]:
     return [table for table in found if table.rows]
 
 
-def _channel(name: str, s: ChannelScore) -> str:
-    return name + (" (from pose)" if s.source == "pose" else "")
-
-
 def _text(value: float | None, unit: str, digits: int = 3) -> str:
     """Return a number as people read it: angles in degrees."""
     factor, shown = numbers.in_degrees(unit)
     return numbers.number(None if value is None else factor * value, digits, shown)
 
 
-def _bias(s: ChannelScore) -> float | None:
-    """Return the bias, or zero where a fitted start has left only rounding errors of it."""
-    if s.bias is not None and s.rmse is not None and abs(s.bias) < 1e-3 * s.rmse:
-        return 0.0
-    return s.bias
+def _errors(name: str, s: ChannelScore) -> list[Any]:
+    """Return the cells of the columns :data:`ERRORS`."""
+    bias = s.bias
+    # a fitted start leaves only rounding errors of a bias
+    if bias is not None and s.rmse is not None and abs(bias) < 1e-3 * s.rmse:
+        bias = 0.0
+    channel = name + (" (from pose)" if s.source == "pose" else "")
+    shares = [numbers.percent(share) for share in (s.nrmse, s.vaf)]
+    return [channel, _text(s.rmse, s.unit), *shares, _text(bias, s.unit)]
 
 
 def _scores(file: ComparisonFile) -> ev.Table:
-    columns = ["trial", "role", "channel", "RMSE", "NRMSE", "VAF", "fit", "bias", "peak error", "of peak"]
-    rows: list[list[Any]] = [
-        [
-            t.id,
-            "held out" if t.role == "validate" else "fit",
-            _channel(name, s),
-            _text(s.rmse, s.unit),
-            numbers.percent(s.nrmse),
-            numbers.percent(s.vaf),
-            numbers.number(s.fit_percent, 3, "percent"),
-            _text(_bias(s), s.unit),
-            _text(s.peak_error, s.unit),
-            numbers.percent(s.peak_error_normalised),
-            _text(s.phase_error_rad, "rad"),
-            _text(s.dtw_distance, s.unit),
-        ]
-        for t in file.trials
-        for name, s in t.channels.items()
-    ]
+    rows: list[list[Any]] = []
+    for t in file.trials:
+        role = "held out" if t.role == "validate" else "fit"
+        for name, s in t.channels.items():
+            fit, peak = numbers.number(s.fit_percent, 3, "percent"), numbers.percent(s.peak_error_normalised)
+            sizes = ((s.peak_error, s.unit), (s.phase_error_rad, "rad"), (s.dtw_distance, s.unit))
+            rows.append([t.id, role, *_errors(name, s), fit, peak, *(_text(*size) for size in sizes)])
     return ev.Table(
         id="scores",
         title="Errors of every trial",
-        columns=[*columns, "phase", "DTW"],
+        columns=["trial", "role", *ERRORS, "fit", "of peak", "peak error", "phase", "DTW"],
         rows=rows,
-        caption="RMSE and its share of the measured range (tendon fish, Eq 13); variance accounted for; fit "
-        "as MATLAB's compare prints it; mean of measured minus simulated; difference of the largest "
-        "magnitudes and its share of the measured one (Eq 14); phase of the simulation ahead of the "
-        "measurement at the beat; error left when time may be stretched within a quarter of a beat.",
+        caption="NRMSE is over the measured range (tendon fish, Eq 13), fit as MATLAB's compare prints it, "
+        "the peak error the difference of the largest magnitudes (Eq 14), the phase that of the simulation "
+        "ahead of the measurement at the beat, DTW the error left when time may be stretched within a "
+        "quarter of a beat.",
         folded=True,
     )
 
@@ -366,12 +346,10 @@ def _telling(done: Sequence[Compared]) -> list[Compared]:
     return list(picked.values())
 
 
-def _pair(
-    x: Sequence[Any], y: Sequence[Any], *, tail: str = "", groups: tuple[int, int] = (0, 1)
-) -> list[ev.Trace]:
+def _pair(x: Sequence[Any], y: Sequence[Any], tail: str = "", group: int = 0) -> list[ev.Trace]:
     """Return a measured curve as points and the simulated one as a line."""
-    measured = ev.Trace(x=x[0], y=y[0], style="points", label=f"measured{tail}", group=groups[0])
-    return [measured, ev.Trace(x=x[1], y=y[1], label=f"simulated{tail}", group=groups[1])]
+    measured = ev.Trace(x=x[0], y=y[0], style="points", label=f"measured{tail}", group=group)
+    return [measured, ev.Trace(x=x[1], y=y[1], label=f"simulated{tail}", group=group)]
 
 
 def _overlay(experiment: Experiment, done: Sequence[Compared]) -> ev.Figure:
@@ -398,7 +376,9 @@ def _runs(done: Sequence[Compared]) -> ev.Figure:
         (p,) = d.pairs.values()
         traces.append(ev.Trace(x=p.measured, y=p.simulated, style="points", label=d.trial.id, group=group))
         largest, label = max(largest, float(np.nanmax(p.measured))), f"{p.channel.meaning} (m/s)"
-    traces.append(ev.Trace(x=[0.0, largest], y=[0.0, largest], style="dashed", label="equal", group=-1))
+    traces.append(
+        ev.Trace(x=[0.0, largest], y=[0.0, largest], style="dashed", label="equal", group=len(done))
+    )
     panel = ev.Panel(x_label=f"measured {label}", y_label=f"simulated {label}", traces=traces)
     caption = "Every run of the table; the line is where measured and simulated are equal."
     return ev.Figure(id="overlay", title="Measured and simulated", caption=caption, panels=[panel])
@@ -433,7 +413,7 @@ def _speed_figure(file: ComparisonFile) -> list[ev.Figure]:
         levels = np.unique(x)
         # repeats of one setting make one point of the line
         means = np.array([float(np.mean(z[x == level])) for level in levels])
-        traces += _pair((x, levels), (y, means), tail=tail, groups=(group, group))
+        traces += _pair((x, levels), (y, means), tail, group)
     title = numbers.column_title(axis)
     panel = ev.Panel(x_label=title, y_label="mean speed (m/s)", traces=traces)
     caption = "Mean speed over the last whole beats of each trial."
@@ -475,7 +455,7 @@ def _mean(mean: Mean) -> ev.Panel:
     points, line = (scale * series[::step] for series in (mean.measured, mean.simulated))
     traces = [
         ev.Trace(x=time, y=points, style="points", label="measured", group=0, y_error=error),
-        ev.Trace(x=time, y=line, label="simulated", group=1, **band),
+        ev.Trace(x=time, y=line, label="simulated", group=0, **band),
     ]
     label = f"{mean.channel.meaning} ({numbers.unit_text(unit)})"
     return ev.Panel(x_label="time (s)", y_label=label, traces=traces)
