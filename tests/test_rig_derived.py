@@ -119,10 +119,10 @@ class TestPossible:
             lines.append(f"  - {{log: b{k}.csv, driving_force_N: {force * stated}}}")
         (tmp_path / "t.yaml").write_text("\n".join(lines) + "\n")
         ran = swimid("fit-drag", tmp_path / "t.yaml")
-        last = ran.out.strip().splitlines()[-1]
+        last = " ".join(ran.out.strip().split("\n\n")[-1].split())
         assert ("SWM072" in ran.err) is (stated > 1.0)
-        assert ("driving force possible" in last) is (stated > 1.0)
-        assert ("added mass possible" in last) is (level == "BAD")
+        assert ("driving force" in last) is (stated > 1.0)
+        assert ("added mass" in last) is (level == "BAD")
         if stated > 1.0:
             assert last.startswith(level)
 
@@ -138,8 +138,8 @@ class TestPossible:
             stated_g={weight: factor * weight for weight in weights},
         )
         ran = swimid("fit-drag", trials)
-        last = ran.out.strip().splitlines()[-1]
-        assert ("drag coefficient possible" in last) is (factor > 1.0)
+        last = " ".join(ran.out.strip().split("\n\n")[-1].split())
+        assert ("drag coefficient" in last) is (factor > 1.0)
         assert ("SWM072" in ran.err) is (factor > 1.0)
         assert last.startswith("BAD") is (factor > 1.0)
 

@@ -13,8 +13,8 @@ from swimid.fitting.fit_result import FitResult
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.output_error import UNIDENTIFIABLE
 from swimid.notices import warn
-from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
+from swimid.results import numbers
 from swimid.results.parameters import Estimate
 from swimid.rig import theory
 from swimid.rig.model import COORDINATES, terminal_speed
@@ -118,7 +118,9 @@ def _swing_possible(experiment: Experiment) -> list[ev.Check]:
     swing, name = max(swings)
     text = "a body that swings farther in roll or pitch turns over: are these degrees?"
     value, limit = f"{numbers.number(swing, 3, 'rad')} in {name}", f"≤ {numbers.number(math.pi, 3, 'rad')}"
-    return [blocks.check("swing possible", value, limit, swing <= math.pi, otherwise="fail", text=text)]
+    reason = f"{name} swings by {numbers.number(swing, 3, 'rad')}, which no body does"
+    small = swing <= math.pi
+    return [ev.check("swing possible", value, small, limit, text, otherwise="fail", reason=reason)]
 
 
 #: The name of an estimate, the most it can be, of what body, and what to look at where it is more.
@@ -155,13 +157,14 @@ def _estimate_possible(result: FitResult, name: str, most: float, basis: str, in
             f"{name} is {size}, but {basis} can have {limit} at most: look at {inputs} and their units, and "
             "at what the model lacks",
         )
-    return blocks.check(
+    return ev.check(
         f"{name.replace('_', ' ')} possible",
         size,
-        f"≤ {limit}",
         not value > most,
+        f"≤ {limit}",
+        f"the most {basis} can have",
         otherwise="fail" if value - 1.96 * error > most else "warn",
-        text=f"the most {basis} can have",
+        reason=f"{name.replace('_', ' ')} {size} is more than {basis} can have ({limit})",
     )
 
 
@@ -183,16 +186,13 @@ def _force_possible(experiment: Experiment) -> list[ev.Check]:
             f"the driving force of '{name}', {size}, is more than a body of its mass and size weighs or "
             f"lifts, {limit}: look at its unit and the mass",
         )
-    return [
-        blocks.check(
-            "driving force possible",
-            f"{size} in {name}",
-            f"≤ {limit}",
-            force <= most,
-            text="the whole weight of the body, or the lift of the largest one of its size; only a drive of "
-            "another kind is stronger",
-        )
-    ]
+    text = (
+        "the whole weight of the body, or the lift of the largest one of its size; only a drive of another "
+        "kind is stronger"
+    )
+    reason = f"driving force {size} is more than a body of this mass and size weighs or lifts ({limit})"
+    value = f"{size} in {name}"
+    return [ev.check("driving force possible", value, force <= most, f"≤ {limit}", text, reason=reason)]
 
 
 def _most_added(experiment: Experiment, result: FitResult) -> Limit | None:
