@@ -2,7 +2,7 @@
 
 ``catalogue`` joins a trials file and a parameter file, ``applied`` holds the values of each trial and their
 covariance. ``simulate`` is one verb, with ``cases`` (what to run), ``run`` (and its result),
-``swim_quantities`` and ``animation``; ``compare`` the other, with its result, ``compare_series``,
-``compare_evidence``, ``cycles``, ``compare_strokes`` and ``compare_strokes_evidence``; ``comparison_file``
-and ``section`` are that result's file and its place in a report; ``options`` are those of both.
+``swim_quantities`` and ``animation``; ``compare`` the other, with its result, ``compare_series`` (each trial),
+``compare_strokes`` (motion profiles of a robot in space) and ``compare_evidence``; ``comparison_file`` is the
+file of that result; ``options`` are those of both.
 """

@@ -177,7 +177,7 @@ def tables(file: ComparisonFile) -> list[ev.Table]:
     found = [
         pooled,
         _profiles(file.profiles),
-        *(_by_stroke(*which, stroked) for which in BY_STROKE),
+        *(_by_stroke(stroked, *which) for which in BY_STROKE),
         _speeds(file),
         _scores(file),
         _cycles(file),
@@ -249,8 +249,8 @@ def _cycles(file: ComparisonFile) -> ev.Table:
         for name in _rates(t.cycles) or list(t.cycles)[:2]:
             c, unit = t.cycles[name], t.channels[name].unit
             values = (c.mean_measured, c.mean_simulated, c.peak_measured, c.peak_simulated)
-            for time, *kinds in zip(c.time_s, *values, strict=True):
-                rows.append([t.id, name, time, *(_text(v, unit) for v in kinds)])
+            for k, time in enumerate(c.time_s):
+                rows.append([t.id, name, time, *(_text(v[k], unit) for v in values)])
     kinds = ["mean, measured", "mean, simulated", "peak, measured", "peak, simulated"]
     return ev.Table(
         id="cycles",
@@ -280,7 +280,7 @@ def _profiles(profiles: Sequence[ProfileComparison]) -> ev.Table:
 
 
 def _by_stroke(
-    id: str, title: str, endings: tuple[str, ...], source: str, profiles: Sequence[ProfileComparison]
+    profiles: Sequence[ProfileComparison], id: str, title: str, endings: tuple[str, ...], source: str
 ) -> ev.Table:
     names = [name for name in HEADINGS if name.endswith(endings)]
     most = max((len(p.cycles) for p in profiles), default=0)

@@ -214,9 +214,9 @@ def _evidence(done: Sequence[Simulated], options: SimulateOptions, notes: list[s
         checks.append(ev.check("integration step", value, within, limit, text, reason=reason))
     speed, change = (first.quantities.get(n) for n in ("mean_speed_m_s", "speed_change_per_beat_m_s"))
     if len(done) == 1 and speed and change and abs(change.value) > UNSTEADY * abs(speed.value):
-        share = numbers.percent(change.value / speed.value, 2)
-        reason = f"the speed still changes by {share} a beat, so the run is not yet steady"
-        checks.append(ev.check("steady", share, False, "≤ 0.5 % a beat", reason=reason))
+        value = numbers.percent(change.value / speed.value, 2)
+        reason = f"the speed still changes by {value} a beat, so the run is not yet steady"
+        checks.append(ev.check("steady", value, False, "≤ 0.5 % a beat", reason=reason))
     if first.quantities and not first.case.applied.uncertain()[0]:
         notes = [*notes, "No uncertainty known: the parameters have no standard errors."]
     robot = first.case.metadata["robot"]
