@@ -192,7 +192,7 @@ def test_the_two_point_method_without_an_answer_says_so(swimid: Run, tmp_path: P
     ran = swimid("fit-drag", trials, "--method", "two-point")
     assert ran.status == 4
     assert "the two-point method has no answer" in ran.err
-    assert "two-point method: no answer" in swimid("fit-drag", trials).out
+    assert "The two-point method has no answer" in swimid("fit-drag", trials).out
 
 
 def test_late_releases_do_not_hide_a_drag_left_out(swimid: Run, tmp_path: Path) -> None:

@@ -32,7 +32,8 @@ from swimid.rig.options import FitDragOptions
 
 #: Number of searches, the first from the parameters' own start values.
 N_SEARCHES = 4
-NO_ANSWER = "two-point method: no answer, its speeds do not rise with the pulling mass as Eq 13 says"
+#: Why the two-point method has no answer.
+NO_ANSWER = "its speeds do not rise with the pulling mass as Eq 13 says"
 
 
 @takes(FitDragOptions)
@@ -137,7 +138,7 @@ def fit_drag(
         checks=checks,
         tables=_methods_table(experiment, result, pair),
         figures=fit_common.figures(result) + ([] if pair is None else [_speed_figure(pair)]),
-        notes=[NO_ANSWER] if pair is not None and not pair.answers else [],
+        notes=_notes(pair),
         notices=blocks.notices(notices),
         methods=_methods(experiment, result, options.method, pair),
         references=list(experiment.robot.sources),
@@ -270,7 +271,7 @@ def _two_point_file(file: ParameterFile, pair: two_point.TwoPointResult) -> Para
     """
     if not pair.answers:
         raise NoTrustworthyResult(
-            f"the {NO_ANSWER.replace(':', ' has', 1)}",
+            f"the two-point method has no answer: {NO_ANSWER}",
             hint="look at the pulling masses, or use --method ml",
         )
     parameters = {
@@ -322,6 +323,16 @@ def _methods_table(
             "is its error on noise-free data of its own answer, and is part of its stated error.",
         )
     ]
+
+
+def _notes(pair: two_point.TwoPointResult | None) -> list[str]:
+    """Return the answer of the two-point method as a sentence."""
+    if pair is None:
+        return []
+    if not pair.answers:
+        return [f"The two-point method has no answer: {NO_ANSWER}."]
+    parts = [f"{n} {numbers.measured(value, pair.stderr[n])}" for n, value in pair.values.items()]
+    return [f"The two-point method gives {', '.join(parts)}."]
 
 
 def _speed_figure(pair: two_point.TwoPointResult) -> ev.Figure:
