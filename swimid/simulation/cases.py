@@ -25,6 +25,7 @@ from swimid.logs.trials import StrokeDrive, TrialSet
 from swimid.notices import warn
 from swimid.propulsion import trials as propulsion
 from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, velocity_ratio
+from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.results.parameters import ParameterFile
 from swimid.rig import model as rig
@@ -260,6 +261,12 @@ def drive_block(swim: SwimInput) -> dict[str, Any]:
         "ramp_s": beat.ramp_s,
         **({"phase_deg": math.degrees(beat.phase_rad)} if beat.phase_rad else {}),
     }
+
+
+def setting(key: str, value: float | str) -> str:
+    """Return one setting of a drive in words: ``amplitude 20°``."""
+    name, unit = numbers.split_unit(key)
+    return f"{name} {value if isinstance(value, str) else numbers.number(value, 4, unit)}"
 
 
 def _stroke(name: str, options: SimulateOptions) -> StrokeDrive:

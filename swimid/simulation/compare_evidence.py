@@ -11,6 +11,7 @@ from swimid.fitting import grading
 from swimid.fitting.experiment import Experiment
 from swimid.results import evidence as ev
 from swimid.results import numbers
+from swimid.simulation import cases
 from swimid.simulation.compare_series import WINDOW_BEATS, Compared
 from swimid.simulation.compare_strokes import SIDES, Mean, Profile
 from swimid.simulation.comparison_file import ChannelScore, ComparisonFile, ProfileComparison
@@ -404,26 +405,21 @@ def _speed_figure(file: ComparisonFile) -> list[ev.Figure]:
     groups: dict[str, list[tuple[float, float, float]]] = {}
     for t, measured, simulated in known:
         settings = {key: t.drive.get(key, 0.0) for key in varied if key != axis}
-        tail = "".join(f", {_setting(key, value)}" for key, value in settings.items())
+        tail = "".join(f", {cases.setting(key, value)}" for key, value in settings.items())
         groups.setdefault(tail, []).append((float(t.drive[axis]), measured, simulated))
-    longest = sorted(groups, key=lambda tail: -len(groups[tail]))[:MAX_CURVES]
+    # a single value of the setting makes no curve
+    curves = [tail for tail, rows in groups.items() if len({row[0] for row in rows}) > 1]
     traces = []
-    for group, tail in enumerate(longest):
+    for group, tail in enumerate(sorted(curves, key=lambda tail: -len(groups[tail]))[:MAX_CURVES]):
         x, y, z = np.array(sorted(groups[tail])).T
         levels = np.unique(x)
         # repeats of one setting make one point of the line
         means = np.array([float(np.mean(z[x == level])) for level in levels])
         traces += _pair((x, levels), (y, means), tail, group)
     title = numbers.column_title(axis)
-    panel = ev.Panel(x_label=title, y_label="mean speed (m/s)", traces=traces)
+    panels = [ev.Panel(x_label=title, y_label="mean speed (m/s)", traces=traces)] if traces else []
     caption = "Mean speed over the last whole beats of each trial."
-    return [ev.Figure(id="speeds", title=f"Mean speed over {title}", caption=caption, panels=[panel])]
-
-
-def _setting(key: str, value: float) -> str:
-    """Return one setting of a drive in words: ``amplitude 20°``."""
-    name, unit = numbers.split_unit(key)
-    return f"{name} {numbers.number(value, 4, unit)}"
+    return [ev.Figure(id="speeds", title=f"Mean speed over {title}", caption=caption, panels=panels)]
 
 
 def _profile(profile: Profile) -> ev.Figure:

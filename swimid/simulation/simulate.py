@@ -190,7 +190,7 @@ def _evidence(done: Sequence[Simulated], options: SimulateOptions, notes: list[s
     if len(done) == 1:
         drive = first.case.metadata.get("drive", {})
         if drive:
-            facts["Drive"] = ", ".join(_setting(*item) for item in drive.items() if item[1])
+            facts["Drive"] = ", ".join(cases.setting(*item) for item in drive.items() if item[1])
         if not first.case.per_run:
             facts["Duration"] = numbers.number(float(np.ptp(first.case.trial.time_s)), unit="s")
         rows: list[list[Any]] = [list(row) for row in _shown(first).items()]
@@ -232,12 +232,6 @@ def _evidence(done: Sequence[Simulated], options: SimulateOptions, notes: list[s
         tables=[table],
         notes=notes,
     )
-
-
-def _setting(key: str, value: Any) -> str:
-    """Return one setting of a drive in words: ``amplitude 20°``."""
-    name, unit = numbers.split_unit(key)
-    return f"{name} {value if isinstance(value, str) else numbers.number(value, 4, unit)}"
 
 
 def _shown(done: Simulated, kept: Sequence[str] = ()) -> dict[str, str]:
