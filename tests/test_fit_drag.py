@@ -18,9 +18,9 @@ from swimid.fitting.levenberg import BRIEF, CREEPING, PATIENCE, Solution, Unnoti
 from swimid.fitting.model import Trial
 from swimid.fitting.profile import profile_interval
 from swimid.results import evidence, parameters
-from swimid.rig import equation, theory, two_point
-from swimid.rig import trials as rig_trials
+from swimid.rig import derived, equation, two_point
 from swimid.rig import model as rig_model
+from swimid.rig import trials as rig_trials
 from tests.conftest import Ran
 from tests.generators import rig as generator
 
@@ -422,7 +422,7 @@ class TestTwoPoint:
 
 def test_theory_estimates() -> None:
     # DNV-RP-C205: a cube moving along an edge has the coefficient 0.68
-    assert theory.prism_added_mass(0.1, 0.1, 0.1, 1000.0) == pytest.approx(0.68)
+    assert derived.prism_added_mass(0.1, 0.1, 0.1, 1000.0) == pytest.approx(0.68)
 
 
 class TestCommand:

@@ -133,9 +133,7 @@ def test_a_drag_left_out_that_moves_the_answer_is_bad(swimid: Run, tmp_path: Pat
 
 
 @pytest.mark.parametrize("stated, level", [(25.0, "CAUTION"), (120.0, "BAD")])
-def test_a_mislabelled_weight_is_named(
-    swimid: Run, tmp_path: Path, stated: float, level: str
-) -> None:
+def test_a_mislabelled_weight_is_named(swimid: Run, tmp_path: Path, stated: float, level: str) -> None:
     """A quarter too much could be friction; six times as much could not, and no friction takes it up."""
     trials = generator.write_falls(tmp_path, np.random.default_rng(0), stated_g={20: stated})
     ran = swimid("fit-drag", trials)

@@ -4,5 +4,5 @@
 its equation of motion; ``fit_drag`` is the command, with ``options``. ``two_point`` is the method of the
 boxfish paper. ``lack_of_fit`` tests held parameters, starts and frictions of single trials, and whether a
 trial contradicts the others; ``force`` tests the measured force of a tow. ``derived`` has quantities that
-follow from the parameters, ``theory`` estimates from tables.
+follow from the parameters, and whether a body can have them.
 """

@@ -24,8 +24,7 @@ from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results.fitted import Fitted
 from swimid.results.parameters import Estimate, Fit, ParameterFile
-from swimid.rig import derived as fit_drag_derived
-from swimid.rig import lack_of_fit, theory, two_point
+from swimid.rig import derived, lack_of_fit, two_point
 from swimid.rig import trials as rig_experiment
 from swimid.rig.force import force_checks
 from swimid.rig.options import FitDragOptions
@@ -108,18 +107,17 @@ def fit_drag(
                 raise
             pair = None
         origin = provenance.collect(experiment.inputs, settings=options.settings())
-        derived = {**best.derived, **fit_drag_derived.derived(experiment, result)}
         file = fit_common.parameter_file(
             result,
             robot=experiment.robot.name,
             provenance=origin,
             profiles=profiles,
-            derived=derived,
+            derived={**best.derived, **derived.derived(experiment, result)},
             settings=best.facts,
         )
         checks = [
             *fit_common.checks(result, file),
-            *fit_drag_derived.possible(experiment, result),
+            *derived.possible(experiment, result),
             *best.checks,
         ]
     estimated = [label for label in result.labels if "[" not in label]
@@ -297,7 +295,7 @@ def _two_point_file(file: ParameterFile, pair: two_point.TwoPointResult) -> Para
 def _methods_table(
     experiment: Experiment, result: output_error.FitResult, pair: two_point.TwoPointResult | None
 ) -> list[ev.Table]:
-    estimates = theory.estimates(experiment.robot)
+    estimates = derived.theory_estimates(experiment.robot)
     fitted = fit_common.estimates(result, {})
     rows: list[list[Any]] = []
     for name in dict.fromkeys([*two_point.NAMES, *(t.parameter for t in estimates)]):
