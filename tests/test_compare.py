@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from swimid.fitting import metrics
+from swimid.fitting.model import Channel
 from swimid.logs import log as log_format
 from swimid.logs.derivative import slope
 from swimid.results import evidence
 from swimid.results import parameters as parameters_format
 from swimid.results.parameters import Estimate, ParameterFile
-from swimid.simulation import cycles
+from swimid.simulation import compare_series
 from swimid.simulation.comparison_file import ComparisonFile
 from tests.conftest import Ran
 from tests.generators import swimmer
@@ -85,7 +86,6 @@ def test_velocities_come_from_the_pose_where_they_are_not_logged(swimid: Run, tm
     assert trial.channels["yaw_rate_rad_s"].peak_error is not None
     assert trial.channels["yaw_rate_rad_s"].peak_error < 0.15 * np.max(np.abs(true))
     assert len(trial.cycles["u_m_s"].time_s) >= 4
-    assert len(trial.phases["u_m_s"].phase_rad) == cycles.BINS
 
 
 @pytest.mark.kernels
@@ -132,19 +132,29 @@ def test_joints_that_drive_the_run_are_not_compared(swimid: Run, tmp_path: Path)
 
 
 @pytest.mark.kernels
-def test_the_report_draws_speeds_strokes_and_phases(swimid: Run, tmp_path: Path) -> None:
+def test_the_evidence_has_errors_time_courses_speeds_and_paths(swimid: Run, tmp_path: Path) -> None:
     trials = swimmer.write_trials(tmp_path, "tfish", _runs(), NOISE, 5, columns=POSE)
     out, page = tmp_path / "comparison.yaml", tmp_path / "page.html"
-    swimid("compare", trials, "--params", _params(tmp_path / "p.yaml"), "-o", out)
+    ran = swimid("compare", trials, "--params", _params(tmp_path / "p.yaml"), "-o", out)
     shown = evidence.read(evidence.sidecar(out))
-    names = {f.id for f in shown.figures}
-    assert {"speeds", "paths", "cycles", "phases", f"overlay-{_runs()[0].id}"} <= names
-    speeds = next(f for f in shown.figures if f.id == "speeds")
+    figures = {f.id: f for f in shown.figures}
+    assert list(figures) == ["overlay", "speeds", "paths"]
     # two amplitudes, measured and simulated, over two frequencies
-    assert [len(t.x) for t in speeds.panels[0].traces] == [2, 2, 2, 2]
+    assert [len(t.x) for t in figures["speeds"].panels[0].traces] == [2, 2, 2, 2]
+    # surge and turning rate of the worst and of the best trial
+    assert len({p.title for p in figures["overlay"].panels}) == 2
+    assert len(figures["overlay"].panels) == 4
+    file = ComparisonFile.read(out)
+    pooled = shown.tables[0]
+    assert [row[0].split()[0] for row in pooled.rows] == list(file.channels)
+    assert pooled.columns == ["channel", "RMSE", "NRMSE", "VAF", "bias", "samples"]
+    assert pooled.rows[0][5] == file.channels["x_m"].samples
+    assert "robot tfish" in ran.out
+    assert "start states" in ran.out
+    assert {t.id for t in shown.tables} == {"channels", "speeds", "scores", "cycles"}
     ran = swimid("report", out, "-o", page)
     assert ran.status == 0, ran.err
-    assert "Stroke by stroke" in page.read_text()
+    assert "Errors of all trials together" in page.read_text()
 
 
 @pytest.mark.kernels
@@ -237,10 +247,14 @@ def test_an_unknown_channel_is_named(swimid: Run, tmp_path: Path) -> None:
 # ------------------------------------------------------------ what lies under it
 
 
+def _pair(time: np.ndarray, measured: np.ndarray, simulated: np.ndarray) -> compare_series.Pair:
+    return compare_series.Pair(Channel("u_m_s", "m/s"), "logged", time, measured, simulated)
+
+
 def test_strokes_have_their_means_and_peaks() -> None:
     time = np.arange(0.0, 3.0, 0.01) + 0.005
     measured = np.floor(time) + np.sin(2 * np.pi * time)
-    found = cycles.cycles(time, measured, 2.0 * measured, frequency_hz=1.0)
+    found = compare_series.cycles(_pair(time, measured, 2.0 * measured), 1.0)
     assert np.allclose(found.time_s, [0.5, 1.5, 2.5])
     assert np.allclose(found.mean_measured, [0.0, 1.0, 2.0], atol=1e-9)
     assert np.allclose(found.peak_simulated, [2.0, 4.0, 6.0], atol=1e-3)
@@ -248,19 +262,8 @@ def test_strokes_have_their_means_and_peaks() -> None:
 
 def test_a_stroke_the_record_cuts_is_none() -> None:
     time = np.arange(0.4, 2.7, 0.01)
-    found = cycles.cycles(time, time, time, frequency_hz=1.0)
+    found = compare_series.cycles(_pair(time, time, time), 1.0)
     assert np.allclose(found.time_s, [1.5])
-
-
-def test_the_phase_of_a_residual_is_found(rng: np.random.Generator) -> None:
-    time = np.arange(0.0, 40.0, 0.01)
-    residual = 0.3 * np.sin(2 * np.pi * 2.0 * time)
-    noisy = residual + 0.1 * rng.standard_normal(len(time))
-    found = cycles.phases(time, noisy, np.zeros_like(time), frequency_hz=2.0)
-    expected = 0.3 * np.sin(found.phase_rad) * np.sinc(1 / cycles.BINS)
-    assert np.max(np.abs(found.residual - expected) / found.stderr) < 4.5
-    # 80 strokes of about four samples a bin
-    assert np.median(found.stderr) == pytest.approx(0.1 / math.sqrt(320), rel=0.5)
 
 
 def test_a_derivative_keeps_the_beat() -> None:

@@ -63,7 +63,7 @@ def test_profiles_are_the_means_of_their_repeats(swimid: Run, tmp_path: Path) ->
     shown = evidence.read(evidence.sidecar(out))
     assert {"profiles", "cycle-velocity", "cycle-angles", "cycle-way"} <= {t.id for t in shown.tables}
     drawn = {f.id: f for f in shown.figures}
-    assert {"cycles", "profile-characteristic", "profile-pitch"} <= set(drawn)
+    assert set(drawn) == {f"profile-{name}" for name in profiles}
     for panel in drawn["profile-characteristic"].panels:
         line = next(t for t in panel.traces if t.label == "simulated")
         low, middle, high = (

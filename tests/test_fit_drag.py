@@ -18,8 +18,9 @@ from swimid.fitting.levenberg import BRIEF, CREEPING, PATIENCE, Solution, Unnoti
 from swimid.fitting.model import Trial
 from swimid.fitting.profile import profile_interval
 from swimid.results import evidence, parameters
-from swimid.rig import encoder, equation, theory, two_point
+from swimid.rig import derived, equation, two_point
 from swimid.rig import model as rig_model
+from swimid.rig import trials as rig_trials
 from tests.conftest import Ran
 from tests.generators import rig as generator
 
@@ -259,34 +260,34 @@ class TestLevenberg:
 class TestEncoder:
     def test_clicks_are_told_from_samples(self, clicks: dict[int, np.ndarray]) -> None:
         times = clicks[20]
-        assert encoder.understand(times, np.arange(len(times)) * STEP).kind == "clicks"
+        assert rig_trials.understand(times, np.arange(len(times)) * STEP).kind == "clicks"
         t = np.arange(0, times[-1], 0.01)
         x = np.interp(t, times, np.arange(len(times)) * STEP)
-        sampled = encoder.understand(t, np.floor(x / STEP) * STEP)
+        sampled = rig_trials.understand(t, np.floor(x / STEP) * STEP)
         assert sampled.kind == "sampled"
         assert sampled.resolution == pytest.approx(STEP, rel=1e-6)
-        assert encoder.understand(t, x).kind == "continuous"
+        assert rig_trials.understand(t, x).kind == "continuous"
 
     def test_a_noisy_rounded_record_is_no_encoder(self, rng: np.random.Generator) -> None:
         t = np.arange(0, 5, 0.01)
         x = np.round(0.05 * t**2 + rng.normal(0, 2e-3, len(t)), 3)
-        assert encoder.understand(t, x).kind == "continuous"
+        assert rig_trials.understand(t, x).kind == "continuous"
 
     def test_a_step_is_as_sure_as_the_samples_around_it_are_near(self) -> None:
         """A log written at clicks of another counter has long intervals where the body is slow."""
         t = np.cumsum(np.r_[0.0, np.geomspace(0.4, 0.02, 120)])
-        record = encoder.understand(t, np.floor(0.002 * t**2 / STEP) * STEP)
+        record = rig_trials.understand(t, np.floor(0.002 * t**2 / STEP) * STEP)
         assert record.kind == "sampled"
         gaps = np.diff(t)[np.searchsorted(t, record.time_s) - 1]
         np.testing.assert_allclose(record.time_sd_s, gaps / np.sqrt(12.0), rtol=1e-12)
 
-    @pytest.mark.parametrize("rounding", encoder.ROUNDINGS)
+    @pytest.mark.parametrize("rounding", rig_trials.ROUNDINGS)
     def test_positions_behind_the_counts(self, rounding: str) -> None:
         t = np.arange(0, 10, 0.001)
         x = 0.1 * t
         count = {"floor": np.floor, "nearest": np.round, "ceil": np.ceil}[rounding](x / STEP + 1e-9)
-        record = encoder.understand(t, count * STEP)
-        true = encoder.true_position(record, rounding)
+        record = rig_trials.understand(t, count * STEP)
+        true = rig_trials.true_position(record, rounding)
         assert np.max(np.abs(true - 0.1 * record.time_s)) < 0.1 * 0.001
 
 
@@ -315,14 +316,14 @@ def _measure(clicks: dict[int, np.ndarray], kind: str, rng: np.random.Generator)
             else:
                 t = t + rng.uniform(0, 0.02)
                 x = np.floor(path(np.minimum(t, exact[-1])) / STEP) * STEP
-        record = encoder.understand(t, x, STEP)
+        record = rig_trials.understand(t, x, STEP)
         use = slice(1, None) if record.kind == "clicks" else slice(None)
         trials.append(
             Trial(
                 f"w{w}",
                 "fit",
                 record.time_s[use],
-                {"x_m": encoder.true_position(record, "floor")[use]},
+                {"x_m": rig_trials.true_position(record, "floor")[use]},
                 rig=_known(w),
                 time_sd_s=record.time_sd_s,
                 stamps_uncertain=record.kind == "clicks",
@@ -421,7 +422,7 @@ class TestTwoPoint:
 
 def test_theory_estimates() -> None:
     # DNV-RP-C205: a cube moving along an edge has the coefficient 0.68
-    assert theory.prism_added_mass(0.1, 0.1, 0.1, 1000.0) == pytest.approx(0.68)
+    assert derived.prism_added_mass(0.1, 0.1, 0.1, 1000.0) == pytest.approx(0.68)
 
 
 class TestCommand:

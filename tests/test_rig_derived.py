@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from swimid.rig import theory
+from swimid.rig import derived
 from tests.conftest import Ran
 from tests.generators import rig as generator
 
@@ -119,10 +119,10 @@ class TestPossible:
             lines.append(f"  - {{log: b{k}.csv, driving_force_N: {force * stated}}}")
         (tmp_path / "t.yaml").write_text("\n".join(lines) + "\n")
         ran = swimid("fit-drag", tmp_path / "t.yaml")
-        last = ran.out.strip().splitlines()[-1]
+        last = " ".join(ran.out.strip().split("\n\n")[-1].split())
         assert ("SWM072" in ran.err) is (stated > 1.0)
-        assert ("driving force possible" in last) is (stated > 1.0)
-        assert ("added mass possible" in last) is (level == "BAD")
+        assert ("the driving force of" in ran.err) is (stated > 1.0)
+        assert ("added mass" in last) is (level == "BAD")
         if stated > 1.0:
             assert last.startswith(level)
 
@@ -138,8 +138,8 @@ class TestPossible:
             stated_g={weight: factor * weight for weight in weights},
         )
         ran = swimid("fit-drag", trials)
-        last = ran.out.strip().splitlines()[-1]
-        assert ("drag coefficient possible" in last) is (factor > 1.0)
+        last = " ".join(ran.out.strip().split("\n\n")[-1].split())
+        assert ("drag coefficient" in last) is (factor > 1.0)
         assert ("SWM072" in ran.err) is (factor > 1.0)
         assert last.startswith("BAD") is (factor > 1.0)
 
@@ -179,28 +179,28 @@ class TestPossible:
             (10.0, 4.26, 4.1),
             (100.0, 1.09, 1.8),
         ):
-            assert max(ball, disc) < theory.most_drag_coefficient(reynolds)
-        assert theory.most_drag_coefficient(1e5) < 3.01
+            assert max(ball, disc) < derived.most_drag_coefficient(reynolds)
+        assert derived.most_drag_coefficient(1e5) < 3.01
         # of oil the viscosity is not known
-        assert math.isnan(theory.most_drag_coefficient(theory.reynolds(1.0, 0.1, 880.0)))
+        assert math.isnan(derived.most_drag_coefficient(derived.reynolds(1.0, 0.1, 880.0)))
 
     def test_bounds_hold_what_is_known(self) -> None:
         """Spheres, discs, cubes and long prisms have less added mass than their bound."""
         density = 1000.0
         # a sphere of 1 m: half its water; discs of radius 1 m, 8/3 of it cubed, thicker than a tenth
         ball = density * np.pi / 6
-        assert 0.5 * ball < theory.most_added_mass(ball, np.pi / 4, density)
+        assert 0.5 * ball < derived.most_added_mass(ball, np.pi / 4, density)
         for thick in (0.1, 0.5, 2.0):
             water = density * np.pi * thick
-            assert 8 / 3 * density < theory.most_added_mass(water, None, density)
-            assert 8 / 3 * density < theory.most_added_mass(water, np.pi, density)
+            assert 8 / 3 * density < derived.most_added_mass(water, None, density)
+            assert 8 / 3 * density < derived.most_added_mass(water, np.pi, density)
         for length in (1.0, 2.0, 5.0, 10.0):
-            prism = theory.prism_added_mass(length, 1.0, 1.0, density)
-            assert prism < theory.most_added_mass(density * length, 1.0, density)
-            assert prism < theory.most_added_mass_in_box(length, 1.0, 1.0, density, along=True)
+            prism = derived.prism_added_mass(length, 1.0, 1.0, density)
+            assert prism < derived.most_added_mass(density * length, 1.0, density)
+            assert prism < derived.most_added_mass_in_box(length, 1.0, 1.0, density, along=True)
         # a cylinder across its axis has as much as its own water
         cylinder = density * np.pi / 4 * 3.0
-        assert cylinder < theory.most_added_mass_in_box(3.0, 1.0, 1.0, density, along=False)
+        assert cylinder < derived.most_added_mass_in_box(3.0, 1.0, 1.0, density, along=False)
         # a spheroid of axes 2 and 1 turning end over end: 0.15 of its own water's (Lamb, section 115)
         spheroid = density * np.pi / 6 * 2.0 * (1.0 + 0.25) / 5.0
-        assert 0.15 * spheroid < theory.most_added_inertia(2.0, 1.0, 1.0, density)
+        assert 0.15 * spheroid < derived.most_added_inertia(2.0, 1.0, 1.0, density)

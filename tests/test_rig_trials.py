@@ -19,8 +19,8 @@ WEIGHTS = tuple(range(10, 41, 5))
 
 
 def _verdict(ran: Ran) -> str:
-    """The level on the last line of the summary."""
-    return ran.out.strip().splitlines()[-1].split(":")[0]
+    """The level of the verdict, which is the last paragraph of the summary."""
+    return ran.out.strip().split("\n\n")[-1].split(":")[0]
 
 
 def _inside(ran: Ran, names: tuple[str, ...], sigmas: float = 3.0) -> None:
@@ -133,16 +133,13 @@ def test_a_drag_left_out_that_moves_the_answer_is_bad(swimid: Run, tmp_path: Pat
 
 
 @pytest.mark.parametrize("stated, level", [(25.0, "CAUTION"), (120.0, "BAD")])
-def test_a_mislabelled_weight_is_named_with_the_one_that_fits(
-    swimid: Run, tmp_path: Path, stated: float, level: str
-) -> None:
+def test_a_mislabelled_weight_is_named(swimid: Run, tmp_path: Path, stated: float, level: str) -> None:
     """A quarter too much could be friction; six times as much could not, and no friction takes it up."""
     trials = generator.write_falls(tmp_path, np.random.default_rng(0), stated_g={20: stated})
     ran = swimid("fit-drag", trials)
     assert "w20 contradicts the other trials" in ran.err
-    assert f"agree with a pulling mass of 20 g; stated are {stated:g} g" in ran.err
     assert _verdict(ran) == level
-    assert ("friction_spread" in ran.out) is (level == "CAUTION")
+    assert ("the pulley friction differs from trial to trial" in ran.err) is (level == "CAUTION")
 
 
 def test_a_force_in_another_unit_is_named_in_towing(swimid: Run, tmp_path: Path) -> None:
@@ -193,7 +190,7 @@ def test_the_two_point_method_without_an_answer_says_so(swimid: Run, tmp_path: P
     ran = swimid("fit-drag", trials, "--method", "two-point")
     assert ran.status == 4
     assert "the two-point method has no answer" in ran.err
-    assert "two-point method: no answer" in swimid("fit-drag", trials).out
+    assert "The two-point method has no answer" in swimid("fit-drag", trials).out
 
 
 def test_late_releases_do_not_hide_a_drag_left_out(swimid: Run, tmp_path: Path) -> None:

@@ -2,5 +2,5 @@
 
 ``trials`` reads cruise tables (``cruise_table``) and straight free swims; ``model`` holds the recoil law
 and the surge model; ``cruise`` fits the one, ``surge`` the other; ``fit_propulsion`` is the verb, with
-``options``, ``cruise_evidence`` what a cruise fit rests on.
+``options``.
 """

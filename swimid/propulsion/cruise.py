@@ -1,4 +1,4 @@
-"""The recoil law from a cruise table: fit, departures, operating points."""
+"""The recoil law from a cruise table: fit, departures, operating points, and its evidence."""
 
 from __future__ import annotations
 
@@ -11,19 +11,22 @@ import numpy as np
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import fit_common, output_error
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.model import Parameter, Trial, chosen
-from swimid.fitting.output_error import FitResult
+from swimid.fitting.fit_result import FitResult
+from swimid.fitting.model import Array, Parameter, Trial, chosen
 from swimid.notices import warn
 from swimid.progress import Progress
-from swimid.propulsion import cruise_evidence as propulsion_cruise_evidence
-from swimid.propulsion import trials as experiment_module
-from swimid.propulsion.cruise_evidence import DEPARTURE_SHARE, DEPARTURE_Z, LAWS
+from swimid.propulsion import trials as cruise_trials
 from swimid.propulsion.model import SPEED, RecoilModel, strouhal, velocity_ratio
-from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
+from swimid.results import numbers
 from swimid.results.parameters import Estimate, ParameterFile
 
-#: What the law takes from a drag file.
+#: A frequency is left out of the fit where its runs lie off the law by more than this share, and by more than
+#: so many standard errors.
+DEPARTURE_SHARE, DEPARTURE_Z = 0.01, 4.0
+#: The exponents of the law.
+LAWS = {"frequency_exponent": 3.0, "amplitude_exponent": 2.0}
+#: Parameters that the law takes from a drag file.
 DRAG_NUMBERS = ("drag_coefficient", "added_mass")
 
 
@@ -35,12 +38,12 @@ def fit(
     keep_departures: bool,
     progress: Progress,
 ) -> tuple[ParameterFile, ev.Evidence]:
-    """Fit the law, leave out what departs from it, carry the drag file's errors along.
+    """Fit the law, leave out what departs from it, carry the errors of the drag file along.
 
     Parameters
     ----------
     choices : tuple of Parameter
-        The model's with the user's choices applied.
+        Those of the model with the user's choices applied.
     origin : dict
         The provenance block.
 
@@ -51,7 +54,7 @@ def fit(
     """
     model = experiment.model
     assert isinstance(model, RecoilModel)
-    if all(t.cruise.inertia_kg_m2 is None for t in experiment.trials):
+    if all(inertia is None for inertia in model.fins.values()):
         warn(
             "SWM019",
             "no fin's hydrodynamic inertia is known: only its product with the efficiency is determined; the "
@@ -61,20 +64,19 @@ def fit(
     fit_common.refuse_interrupted(everything)
     departures = [] if keep_departures else _departures(model, experiment.trials, choices)
     kept = [_without(t, [d["frequency_hz"] for d in departures]) for t in experiment.trials]
-    result = (
-        output_error.fit(model, kept, parameters=choices, progress=progress) if departures else everything
-    )
+    result = everything
+    if departures:
+        result = output_error.fit(model, kept, parameters=choices, progress=progress)
     if all(result.status[label] != "estimated" for label in result.labels):
         raise NoTrustworthyResult("neither efficiency nor offset can be identified from this table")
     exponents = _exponents(model, kept, choices)
     result = _with_drag_error(result, kept, choices, experiment)
     points = _operating_points(experiment, result, wake)
-    derived = _derived(experiment, result, model, points)
     file = fit_common.parameter_file(
         result,
         robot=experiment.robot.name,
         provenance=origin,
-        derived=derived | exponents,
+        derived=_derived(experiment, result, model, points) | exponents,
         settings={"wake": wake, "drag_file": str(experiment.facts["drag_path"])},
     )
     file._drag = experiment.facts["drag"]
@@ -82,15 +84,18 @@ def fit(
     assert file.fit.model_extra is not None
     file.fit.model_extra["departures"] = departures
     file.fit.model_extra["operating_points"] = points
-    offsets = _offsets(experiment)
-    checks = fit_common.checks(result, file) + propulsion_cruise_evidence.law_checks(departures, exponents)
+    checks = [
+        *fit_common.checks(result, file),
+        _departure_check(departures, everything),
+        *_exponent_checks(exponents),
+    ]
     evidence = ev.Evidence(
         verb="fit-propulsion",
         title=f"Propulsion of {experiment.robot.name}: energy recoil law",
         verdict=ev.judged(fit_common.answer(file), checks),
         checks=checks,
-        tables=propulsion_cruise_evidence.tables(experiment, points, offsets, departures, everything, result),
-        figures=propulsion_cruise_evidence.figures(experiment, result, points),
+        tables=_tables(experiment, points),
+        figures=[*_figures(experiment, result, points), *fit_common.figures(result)[1:]],
         methods=[
             "Recoil efficiency and amplitude offset were estimated from the average speeds of "
             f"{result.samples} runs over {len(experiment.trials)} fins by weighted least squares under the "
@@ -195,16 +200,15 @@ def _exponents(
 
 
 def _by_drag_error(experiment: Experiment) -> dict[str, RecoilModel]:
-    """The model with each number of the drag file larger by its standard error, where it has one."""
-    drag, path = experiment.facts["drag"], experiment.facts["drag_path"]
-    fins = {t.id: t.cruise.inertia_kg_m2 for t in experiment.trials}
+    """Return the model with each number of the drag file larger by its standard error, where it has one."""
+    drag, fins = experiment.facts["drag"], [t.id for t in experiment.trials]
     models = {}
     for name in DRAG_NUMBERS:
         if drag.parameters[name].stderr:
             moved = drag.model_copy(deep=True)
             moved.parameters[name].value += drag.parameters[name].stderr
-            area, mass = experiment_module.drag_numbers(moved, path, experiment.robot)
-            models[name] = RecoilModel(drag_area_kg_m=area, moving_mass_kg=mass, fins=fins)
+            path = experiment.facts["drag_path"]
+            models[name] = cruise_trials.recoil_model(experiment.robot, fins, moved, path=path)
     return models
 
 
@@ -283,20 +287,152 @@ def _derived(
     return quantities
 
 
-def _offsets(experiment: Experiment) -> list[dict[str, blocks.Cell]]:
-    """Amplitude offset of each fin and frequency: where the line of v^1.5 meets zero (Figs 9, 10)."""
-    rows: list[dict[str, blocks.Cell]] = []
-    for trial in experiment.trials:
-        for f in np.unique(trial.inputs["frequency_hz"]):
-            at = np.isclose(trial.inputs["frequency_hz"], f) & np.isfinite(trial.measured[SPEED])
-            x, y = np.rad2deg(trial.inputs["amplitude_rad"][at]), trial.measured[SPEED][at] ** 1.5
-            if len(np.unique(x)) < 3:
-                continue
-            (slope, level), covariance = np.polyfit(x, y, 1, cov="unscaled")
-            residual = y - slope * x - level
-            covariance = covariance * float(residual @ residual) / max(len(x) - 2, 1)
-            gradient = np.array([level / slope**2, -1 / slope])
-            error = math.sqrt(float(gradient @ covariance @ gradient))
-            offset = numbers.measured(float(-level / slope), error, "deg")
-            rows.append({"fin": trial.id, "f (Hz)": float(f), "offset": offset})
-    return rows
+# ------------------------------------------------------------ evidence
+
+
+def _departure_check(departures: list[dict[str, Any]], everything: FitResult) -> ev.Check:
+    """Return the check that every frequency follows the law."""
+    off = ", ".join(f"{d['frequency_hz']:g} Hz: {numbers.percent(d['share'], 2)}" for d in departures)
+    units = {p.name: p.unit for p in everything.parameters}
+    fitted = [
+        f"{n} {numbers.measured(everything.value(n), everything.stderr(n), units[n])}"
+        for n in everything.labels
+    ]
+    limit = f"within {100 * DEPARTURE_SHARE:g} % or {DEPARTURE_Z:g} standard errors"
+    text = f"left out of the fit; with these frequencies {'; '.join(fitted)}" if departures else ""
+    reason = f"runs depart from the law at {off}, and are left out"
+    return ev.check(
+        "every frequency follows the law", off or "all", not departures, limit, text, reason=reason
+    )
+
+
+def _exponent_checks(exponents: dict[str, Estimate]) -> list[ev.Check]:
+    """Return the checks that each exponent, set free with the offset, is that of the law."""
+    found = []
+    for name, law in LAWS.items():
+        e = exponents.get(f"free_{name}")
+        if e is None:
+            continue
+        agrees, value = None, "not identifiable"
+        if e.status == "estimated" and e.stderr is not None:
+            agrees, value = abs(e.value - law) <= 3 * e.stderr, numbers.measured(e.value, e.stderr)
+        words = name.replace("_", " ")
+        reason = f"the {words} of power is {value}, not {law:g}"
+        text = "of the power, set free with the offset"
+        found.append(ev.check(words, value, agrees, f"{law:g} (the law)", text, reason=reason))
+    return found
+
+
+def _tables(experiment: Experiment, points: list[dict[str, Any]]) -> list[ev.Table]:
+    """Return the runs and the fins."""
+    units = {
+        "f (Hz)": ("frequency_hz", 1.0),
+        "amplitude (°)": ("amplitude_deg", 1.0),
+        "average speed (cm/s)": ("mean_speed_m_s", 100.0),
+        "terminal speed (cm/s)": ("terminal_speed_m_s", 100.0),
+        "force (mN)": ("propulsive_force_N", 1e3),
+        "Strouhal, fin": ("strouhal_fin", 1.0),
+        "Strouhal, axle": ("strouhal_axle", 1.0),
+        "efficiency (%)": ("efficiency", 100.0),
+    }
+    runs: list[list[Any]] = [
+        [p["fin"], *(None if p[key] is None else factor * p[key] for key, factor in units.values())]
+        for p in points
+    ]
+    fins: list[list[Any]] = []
+    for t in experiment.trials:
+        inertia = t.cruise.inertia_kg_m2
+        grams = None if inertia is None else numbers.number(1e7 * inertia, 5)
+        fins.append([t.id, experiment.robot.fins[t.id].area_m2, grams])
+    about_runs = (
+        "Force is drag at terminal speed. Strouhal number with the fin's length as lever of the wake width "
+        "(Eq 28) and with the distance from the axle to the trailing edge."
+    )
+    about_fins = "The inertia of a rectangle follows from Eq 6; where none is shown it is not known."
+    inertia_title = "hydrodynamic inertia (g cm²)"
+    return [
+        ev.Table(id="points", title="Runs", columns=["fin", *units], rows=runs, caption=about_runs),
+        ev.Table(
+            id="fins",
+            title="Fins",
+            columns=["fin", "area (m²)", inertia_title],
+            rows=fins,
+            caption=about_fins,
+            folded=True,
+        ),
+    ]
+
+
+def _figures(experiment: Experiment, result: FitResult, points: list[dict[str, Any]]) -> list[ev.Figure]:
+    """Return speeds over frequency and over amplitude with the law; force and Strouhal number."""
+    amplitudes, counts = np.unique([round(p["amplitude_deg"], 6) for p in points], return_counts=True)
+    amplitude = float(amplitudes[np.argmax(counts)])
+    at_amplitude = [p for p in points if abs(p["amplitude_deg"] - amplitude) < 1e-6]
+    swept = [
+        f
+        for f in sorted({p["frequency_hz"] for p in points})
+        if len({p["amplitude_deg"] for p in points if p["frequency_hz"] == f}) > 2
+    ]
+    over_frequency, over_amplitude, force, wake = [], [], [], []
+    for group, trial in enumerate(experiment.trials):
+        runs = [p for p in at_amplitude if p["fin"] == trial.id]
+        if runs:
+            f = np.array([p["frequency_hz"] for p in runs])
+            line = np.linspace(0.0, f.max(), 60)[1:]
+            law = 100 * _law(result, trial, line, np.full(len(line), amplitude))
+            over_frequency.append(_points(f, runs, "mean_speed_m_s", 100.0, group))
+            over_frequency.append(ev.Trace(x=line, y=law, group=group))
+            force.append(_points(f, runs, "propulsive_force_N", 1e3, group))
+            wake.append(_points(f, runs, "strouhal", 1.0, group))
+        runs = [p for p in points if p["fin"] == trial.id and p["frequency_hz"] in swept[:1]]
+        if runs:
+            a = np.array([p["amplitude_deg"] for p in runs])
+            line = np.linspace(0.0, a.max(), 80)[1:]
+            law = 100 * _law(result, trial, np.full(len(line), swept[0]), line)
+            measured = _points(a, runs, "mean_speed_m_s", 100.0, group)
+            powers = np.array(measured.y, dtype=float) ** 1.5
+            over_amplitude.append(measured.model_copy(update={"y": powers.tolist()}))
+            over_amplitude.append(ev.Trace(x=line, y=law**1.5, group=group))
+    title, x_label = f"at {amplitude:g}°", "frequency (Hz)"
+    speeds = [ev.Panel(x_label=x_label, y_label="average speed (cm/s)", traces=over_frequency, title=title)]
+    if over_amplitude:
+        panel = ev.Panel(
+            x_label="amplitude (°)", y_label="average speed^1.5 (cm/s)^1.5", traces=over_amplitude
+        )
+        speeds.append(panel.model_copy(update={"title": f"at {swept[0]:g} Hz"}))
+    efficient = [ev.Mark(at=0.25), ev.Mark(at=0.4, label="efficient swimmers")]
+    forces = [
+        ev.Panel(x_label=x_label, y_label="propulsive force (mN)", traces=force, title=title),
+        ev.Panel(x_label=x_label, y_label="Strouhal number", traces=wake, title=title, marks=efficient),
+    ]
+    about_speeds = (
+        "Points are runs, lines the fitted law: straight through the origin over frequency, straight with "
+        "the offset as intercept over amplitude."
+    )
+    about_forces = "Under the law force grows with the square of frequency at a constant Strouhal number."
+    return [
+        ev.Figure(id="speeds", title="Average speed", caption=about_speeds, panels=speeds, columns=2),
+        ev.Figure(
+            id="force", title="Force and Strouhal number", caption=about_forces, panels=forces, columns=2
+        ),
+    ]
+
+
+def _points(x: Array, runs: list[dict[str, Any]], key: str, factor: float, group: int) -> ev.Trace:
+    """Return a quantity of runs of one fin as points."""
+    y = np.array([factor * p[key] for p in runs])
+    return ev.Trace(x=x, y=y, style="points", label=runs[0]["fin"], group=group)
+
+
+def _law(result: FitResult, trial: Trial, frequency: Array, amplitude_deg: Array) -> Array:
+    """Return the average speed of runs under the law, m/s."""
+    runs = replace(
+        trial,
+        time_s=np.arange(len(frequency), dtype=float),
+        inputs={
+            "frequency_hz": frequency,
+            "amplitude_rad": np.deg2rad(amplitude_deg),
+            "distance_m": np.full(len(frequency), float(np.median(trial.inputs["distance_m"]))),
+        },
+    )
+    return result.model.simulate(result.values(trial.id), runs)[SPEED]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import io
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,11 +22,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Array = NDArray[np.float64]
-REQUIRED = ("fin", "frequency_hz", "amplitude_deg", "distance_m")
 NUMBERS = ("frequency_hz", "amplitude_deg", "distance_m")
-
-
-#: Line, where there is one, and cells by column name.
+#: Line of the file (None in memory) and cells by column name.
 Row = tuple[int | None, dict[str, str]]
 
 
@@ -53,27 +51,32 @@ def read(source: str | Path | pd.DataFrame) -> CruiseTable:
     InputError
         Naming line and column: missing columns, cells that are no positive number, no rows.
     """
-    path, header_line = Path("table"), None
+    held, line = None, None
     try:
         if isinstance(source, str | Path):
             path = Path(source)
-            _, header, header_line = delimited.head(path)
-            names = delimited.column_names(header, path, header_line)
+            _, header, line = delimited.head(path)
+            names = delimited.column_names(header, path, line)
+            text = path.read_text(encoding="utf-8-sig")
         else:
-            names = [str(name) for name in source.columns]
-        speed = "mean_speed_m_s" if "mean_speed_m_s" in names else "time_s"
-        for column in (*REQUIRED, speed):
-            if column not in names:
-                what = "neither time_s nor mean_speed_m_s is there" if column == "time_s" else None
-                raise delimited.missing_column(
-                    column, names, path, header_line, what or "this column is missing"
-                )
-        rows = _cells(source) if header_line is None else _rows(path, header_line, names)
+            path, names = Path("table"), [str(name) for name in source.columns]
+            text = source.to_csv(index=False)
+            held = Held("table", hashlib.sha256(text.encode()).hexdigest())
+    except UnicodeDecodeError as error:
+        raise InputError("is not UTF-8 text", file=path) from error
     except OSError as error:
         hint = "check the path" if isinstance(error, FileNotFoundError) else None
         raise InputError(f"cannot be read: {error.strerror or error}", file=path, hint=hint) from error
+    speed = "mean_speed_m_s" if "mean_speed_m_s" in names else "time_s"
+    for column in ("fin", *NUMBERS, speed):
+        if column not in names:
+            what = "this column is missing"
+            if column == "time_s":
+                what = "neither time_s nor mean_speed_m_s is there"
+            raise delimited.missing_column(column, names, path, line, what)
+    rows = _rows(text, path, line, names)
     if not rows:
-        raise InputError("has a header and no runs", file=path, line=header_line)
+        raise InputError("has a header and no runs", file=path, line=line)
     columns = {name: _numbers(rows, name, path) for name in (*NUMBERS, speed)}
     distance, given = columns["distance_m"], columns[speed]
     if np.isnan(given).all():
@@ -90,80 +93,61 @@ def read(source: str | Path | pd.DataFrame) -> CruiseTable:
     if missing:
         warn("SWM001", f"{path.name}: {missing} of {len(speeds)} runs have no {speed}; they are left out")
     typical = np.nanmedian(speeds)
-    doubts = {
-        speed: (typical > 20, f"speeds of {typical:.3g} m/s; is it mm/s (a factor of 1000)?"),
-        "distance_m": (
+    doubts = [
+        (speed, typical > 20, f"speeds of {typical:.3g} m/s; is it mm/s (a factor of 1000)?"),
+        (
+            "distance_m",
             np.max(distance) > 50,
-            "looks like centimetres or millimetres (a factor of 100 or 1000)",
+            "looks like centimetres or millimetres",
         ),
-        "amplitude_deg": (np.max(columns["amplitude_deg"]) < 1.6, "looks like radians (a factor of 57.3)"),
-    }
-    for column, (doubtful, text) in doubts.items():
-        if doubtful:
-            warn("SWM002", f"{path.name}, '{column}': {text}")
-    in_memory = None if isinstance(source, str | Path) else source.to_csv(index=False).encode()
-    return CruiseTable(
-        path,
-        path if in_memory is None else Held("table", hashlib.sha256(in_memory).hexdigest()),
-        [cells["fin"] for _, cells in rows],
-        columns["frequency_hz"],
-        columns["amplitude_deg"],
-        distance,
-        speeds,
-    )
-
-
-def _cells(frame: pd.DataFrame) -> list[Row]:
-    """The rows of a table in memory as those of a file, which have no line."""
-    blank = frame.isna()
-    return [
-        (None, {str(n): "" if blank.iloc[k][n] else str(frame.iloc[k][n]) for n in frame.columns})
-        for k in range(len(frame))
+        ("amplitude_deg", np.max(columns["amplitude_deg"]) < 1.6, "looks like radians (a factor of 57.3)"),
     ]
+    for column, doubtful, words in doubts:
+        if doubtful:
+            warn("SWM002", f"{path.name}, '{column}': {words}")
+    fins = [cells["fin"] for _, cells in rows]
+    frequency, amplitude, distance = (columns[name] for name in NUMBERS)
+    return CruiseTable(path, held or path, fins, frequency, amplitude, distance, speeds)
 
 
-def _rows(path: Path, header_line: int, names: list[str]) -> list[Row]:
-    """Line and cells by column name of every row that is not blank or a comment."""
+def _rows(text: str, path: Path, header_line: int | None, names: list[str]) -> list[Row]:
+    """Return line and cells by column name of every row that is not blank or a comment."""
     rows: list[Row] = []
-    with path.open(encoding="utf-8-sig", newline="") as stream:
-        try:
-            for _ in range(header_line):
-                next(stream)
-            reader = csv.reader(stream, skipinitialspace=True, strict=True)
-            for cells in reader:
-                line = header_line + reader.line_num
-                if not any(cell.strip() for cell in cells) or cells[0].startswith("#"):
-                    continue
-                if len(cells) != len(names):
-                    raise InputError(
-                        f"has {len(cells)} cells where the header names {len(names)} columns",
-                        file=path,
-                        line=line,
-                    )
-                rows.append((line, {n: c.strip() for n, c in zip(names, cells, strict=True)}))
-        except UnicodeDecodeError as error:
-            raise InputError("is not UTF-8 text", file=path) from error
-        except csv.Error as error:
-            raise InputError(
-                f"is no table: {error}", file=path, line=header_line + reader.line_num
-            ) from error
+    before = header_line or 1
+    stream = io.StringIO(text, newline="")
+    for _ in range(before):
+        next(stream)
+    reader = csv.reader(stream, skipinitialspace=True, strict=True)
+    try:
+        for cells in reader:
+            line = before + reader.line_num if header_line else None
+            if not any(cell.strip() for cell in cells) or cells[0].startswith("#"):
+                continue
+            if len(cells) != len(names):
+                what = f"has {len(cells)} cells where the header names {len(names)} columns"
+                raise InputError(what, file=path, line=line)
+            rows.append((line, {n: c.strip() for n, c in zip(names, cells, strict=True)}))
+    except csv.Error as error:
+        raise InputError(f"is no table: {error}", file=path, line=before + reader.line_num) from error
     return rows
 
 
 def _numbers(rows: list[Row], name: str, path: Path) -> Array:
-    """A column of positive numbers; only a measurement may be missing, then it is NaN."""
+    """Return a column of positive numbers; only a measurement may be missing, then it is NaN."""
     values = np.full(len(rows), np.nan)
     for row, (line, cells) in enumerate(rows):
         text = cells[name]
-        if text in delimited.MISSING:
-            if name in REQUIRED:
-                raise InputError("has no value", file=path, line=line, column=name)
+        if text in delimited.MISSING and name not in NUMBERS:
             continue
         value = delimited.number(text)
-        if value is None or not math.isfinite(value):
-            hint = delimited.number_hint(text)
-            raise InputError(f"'{text}' is not a number", file=path, line=line, column=name, hint=hint)
-        if value <= 0:
-            raise InputError(f"{value:g} is not positive", file=path, line=line, column=name)
+        what, hint = "", None
+        if text in delimited.MISSING:
+            what = "has no value"
+        elif value is None or not math.isfinite(value):
+            what, hint = f"'{text}' is not a number", delimited.number_hint(text)
+        elif value <= 0:
+            what = f"{value:g} is not positive"
+        if what:
+            raise InputError(what, file=path, line=line, column=name, hint=hint)
         values[row] = value
     return values

@@ -86,7 +86,7 @@ def fit_propulsion(
         if experiment.name == "cruise":
             if options.start_state != "auto":
                 warn("SWM004", "--start-state belongs to free-swim trials: runs of a cruise start at rest")
-            page = propulsion_cruise.fit(
+            file, evidence = propulsion_cruise.fit(
                 experiment, choices, origin, options.wake, options.keep_departures, progress
             )
         else:
@@ -97,9 +97,8 @@ def fit_propulsion(
                     "SWM004",
                     "--wake and --keep-departures belong to a cruise experiment and have no effect here",
                 )
-            page = propulsion_surge.fit(
+            file, evidence = propulsion_surge.fit(
                 experiment, choices, origin, progress, from_rest=options.start_state == "rest"
             )
-    file, evidence = page
     evidence.notices = blocks.notices(notices)
     return Fitted.of(file, evidence).saved(output)

@@ -168,6 +168,7 @@ class RecoilModel(Model):
         """Take ``rho C_d A / 2`` (kg/m), ``m_f + m_a`` (kg), and the fins' inertias (kg m2)."""
         self.drag_area_kg_m = drag_area_kg_m
         self.moving_mass_kg = moving_mass_kg
+        self.fins = fins
         self.b1 = drag_area_kg_m / moving_mass_kg
         known = [i for i in fins.values() if i is not None]
         typical = float(np.median(known)) if known else 1e-4

@@ -14,12 +14,9 @@ from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Parameter, chosen
 from swimid.notices import warn
 from swimid.progress import Progress
-from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
+from swimid.results import numbers
 from swimid.results.parameters import Estimate, ParameterFile
-
-#: How the methods tell of start states.
-_STARTS = "with each trial's initial speed estimated, a held-out one's with all else held"
 
 
 def fit(
@@ -93,27 +90,25 @@ def fit(
         },
     )
     checks = [*fit_common.checks(result, file), fit_common.beat_check(beats)]
-    rows: list[dict[str, blocks.Cell]] = [
-        {
-            "trial": name,
-            "stated (Hz)": b["stated_hz"],
-            "found in yaw": "none found"
-            if b["found_hz"] is None
-            else numbers.measured(b["found_hz"], b["stderr_hz"], "Hz"),
-        }
-        for name, b in beats.items()
-    ]
+    rows: list[list[Any]] = []
+    for name, b in beats.items():
+        found = "none found"
+        if b["found_hz"] is not None:
+            found = numbers.measured(b["found_hz"], b["stderr_hz"])
+        rows.append([name, b["stated_hz"], found])
+    columns = ["trial", "stated (Hz)", "found in yaw (Hz)"]
+    starts = "with each trial's initial speed estimated, a held-out one's with all else held"
     evidence = ev.Evidence(
         verb="fit-propulsion",
         title=f"Propulsion of {experiment.robot.name}: beat-averaged surge",
         verdict=ev.judged(fit_common.answer(file), checks),
         checks=checks,
-        tables=[blocks.table("beats", "Beat frequency", rows)],
+        tables=[ev.Table(id="beats", title="Beat frequency", columns=columns, rows=rows, folded=True)],
         figures=fit_common.figures(result),
         methods=[
             "Surge was averaged over whole tail beats, their frequency found in the yaw, and du/dt = a "
             f"(A/A_ref)^n - c u² fitted to {len(result.trials)} straight trials by output-error maximum "
-            f"likelihood, {'every trial from rest' if from_rest else _STARTS}.",
+            f"likelihood, {'every trial from rest' if from_rest else starts}.",
         ],
         references=list(experiment.robot.sources),
         provenance=origin,

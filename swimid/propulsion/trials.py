@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -103,16 +104,36 @@ def fin_inertias(robot: Robot, fins: list[str], path: Path) -> dict[str, float |
     return inertias
 
 
+def recoil_model(
+    robot: Robot, fins: list[str], drag: parameters_format.Source, *, unknown: Sequence[str] = (), path: Path
+) -> RecoilModel:
+    """Return the recoil law of the fins of a robot, with the drag of a rig.
+
+    Parameters
+    ----------
+    fins : list of str
+    drag : path or ParameterFile
+        Parameters of the rig.
+    unknown : sequence of str
+        Fins whose inertia is a parameter, whatever the robot file says.
+    path : Path
+        File that names the fins.
+    """
+    file = parameters_format.read(drag, model=("falling-weight", "towed", "free-decay"))
+    area, mass = drag_numbers(file, parameters_format.place(drag), robot)
+    inertias = fin_inertias(robot, fins, path)
+    inertias |= dict.fromkeys(unknown)
+    return RecoilModel(drag_area_kg_m=area, moving_mass_kg=mass, fins=inertias)
+
+
 def _cruise(path: Path, entries: Cruise, robot: Robot, source: parameters_format.Source) -> Experiment:
     drag_path = parameters_format.place(source)
     drag = parameters_format.read(source, model=("falling-weight", "towed", "free-decay"))
-    area, mass = drag_numbers(drag, drag_path, robot)
     table = cruise_format.read(path.parent / entries.table if entries._held is None else entries._held)
-    inertias = fin_inertias(robot, table.fin, table.path)
-    model = RecoilModel(drag_area_kg_m=area, moving_mass_kg=mass, fins=inertias)
+    model = recoil_model(robot, table.fin, source, path=table.path)
     middle = (float(np.median(table.frequency_hz)), float(np.deg2rad(0.7 * np.median(table.amplitude_deg))))
     trials = []
-    for fin, inertia in inertias.items():
+    for fin, inertia in model.fins.items():
         rows = np.array([f == fin for f in table.fin])
         speed, distance = table.mean_speed_m_s[rows], table.distance_m[rows]
         spread = np.hypot(speed**2 / distance * STOP_WATCH_SD_S, SPEED_SCATTER * speed)

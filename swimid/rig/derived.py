@@ -1,4 +1,8 @@
-"""What follows from the parameters of a rig: terminal speeds, period, damping; whether they are possible."""
+"""Quantities that follow from the parameters of a rig, and whether a body can have these parameters.
+
+Terminal speed, period and damping ratios are derived with their errors. Added mass, drag and driving force
+are compared with the largest that a body of the known size can have, by theory and tables.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +17,22 @@ from swimid.fitting.fit_result import FitResult
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.output_error import UNIDENTIFIABLE
 from swimid.notices import warn
-from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
+from swimid.results import numbers
 from swimid.results.parameters import Estimate
-from swimid.rig import theory
-from swimid.rig.model import COORDINATES
+from swimid.rig.model import COORDINATES, terminal_speed
+from swimid.robots.file import Robot, Theory
 
+#: Added-mass coefficient of a square prism moving along its length, by length over side;
+#: reference volume is the prism's own (DNV-RP-C205, appendix D).
+_PRISM = np.array(
+    [[1.0, 0.68], [2.0, 0.36], [3.0, 0.24], [4.0, 0.19], [5.0, 0.15], [6.0, 0.13], [7.0, 0.11], [10.0, 0.08]]
+)
+
+#: A body is no more than so many times as long as its frontal area is wide.
+SLENDER = 10.0
+#: Densities of fresh and salt water, and their kinematic viscosity at 20 degrees.
+WATER_KG_M3, WATER_VISCOSITY_M2_S = (950.0, 1050.0), 1.0e-6
 #: A quantity as a function of the coefficients of the equation of motion; NaN where there is none.
 Quantity = Callable[[Mapping[str, float]], float]
 
@@ -33,7 +47,7 @@ def derived(experiment: Experiment, result: FitResult) -> dict[str, Estimate]:
     quantities: dict[str, Estimate | None] = {}
     if experiment.name == "falling-weight":
         for trial in result.trials:
-            terminal = partial(_terminal_speed, force=trial.rig.pull)
+            terminal = partial(terminal_speed, force=trial.rig.pull)
             quantities[f"terminal_speed[{trial.id}]"] = propagated(result, trial, terminal, "m/s")
     if experiment.name == "free-decay":
         quantities["natural_period_s"] = propagated(result, first, _period, "s")
@@ -118,7 +132,9 @@ def _swing_possible(experiment: Experiment) -> list[ev.Check]:
     swing, name = max(swings)
     text = "a body that swings farther in roll or pitch turns over: are these degrees?"
     value, limit = f"{numbers.number(swing, 3, 'rad')} in {name}", f"≤ {numbers.number(math.pi, 3, 'rad')}"
-    return [blocks.check("swing possible", value, limit, swing <= math.pi, otherwise="fail", text=text)]
+    reason = f"{name} swings by {numbers.number(swing, 3, 'rad')}, which no body does"
+    small = swing <= math.pi
+    return [ev.check("swing possible", value, small, limit, text, otherwise="fail", reason=reason)]
 
 
 #: The name of an estimate, the most it can be, of what body, and what to look at where it is more.
@@ -135,12 +151,12 @@ def _most_drag(experiment: Experiment, result: FitResult) -> Limit | None:
     for trial in sized:
         speed = np.abs(result.model.simulate(result.values(trial.id), trial)["u_m_s"])
         fastest = float(np.nanmax(speed, initial=0.0))
-        numbers_reached.append(theory.reynolds(fastest, 2.0 * trial.rig.area_factor / density, density))
-    reynolds = max(numbers_reached)
-    most = theory.most_drag_coefficient(reynolds)
+        numbers_reached.append(reynolds(fastest, 2.0 * trial.rig.area_factor / density, density))
+    largest = max(numbers_reached)
+    most = most_drag_coefficient(largest)
     if not math.isfinite(most):
         return None
-    basis = f"a body of any shape at a Reynolds number of {numbers.number(reynolds, 2)}"
+    basis = f"a body of any shape at a Reynolds number of {numbers.number(largest, 2)}"
     return "drag_coefficient", most, basis, "forces, areas, lengths"
 
 
@@ -155,13 +171,14 @@ def _estimate_possible(result: FitResult, name: str, most: float, basis: str, in
             f"{name} is {size}, but {basis} can have {limit} at most: look at {inputs} and their units, and "
             "at what the model lacks",
         )
-    return blocks.check(
+    return ev.check(
         f"{name.replace('_', ' ')} possible",
         size,
-        f"≤ {limit}",
         not value > most,
+        f"≤ {limit}",
+        f"the most {basis} can have",
         otherwise="fail" if value - 1.96 * error > most else "warn",
-        text=f"the most {basis} can have",
+        reason=f"{name.replace('_', ' ')} {size} is more than {basis} can have ({limit})",
     )
 
 
@@ -183,16 +200,13 @@ def _force_possible(experiment: Experiment) -> list[ev.Check]:
             f"the driving force of '{name}', {size}, is more than a body of its mass and size weighs or "
             f"lifts, {limit}: look at its unit and the mass",
         )
-    return [
-        blocks.check(
-            "driving force possible",
-            f"{size} in {name}",
-            f"≤ {limit}",
-            force <= most,
-            text="the whole weight of the body, or the lift of the largest one of its size; only a drive of "
-            "another kind is stronger",
-        )
-    ]
+    text = (
+        "the whole weight of the body, or the lift of the largest one of its size; only a drive of another "
+        "kind is stronger"
+    )
+    reason = f"driving force {size} is more than a body of this mass and size weighs or lifts ({limit})"
+    value = f"{size} in {name}"
+    return [ev.check("driving force possible", value, force <= most, f"≤ {limit}", text, reason=reason)]
 
 
 def _most_added(experiment: Experiment, result: FitResult) -> Limit | None:
@@ -205,13 +219,13 @@ def _most_added(experiment: Experiment, result: FitResult) -> Limit | None:
     if body.length_m and body.width_m and body.height_m:
         box = (body.length_m, body.width_m, body.height_m, density)
         turns = name == "added_inertia"
-        most = theory.most_added_inertia(*box) if turns else theory.most_added_mass_in_box(*box, along=along)
+        most = most_added_inertia(*box) if turns else most_added_mass_in_box(*box, along=along)
         return name, most, "a body in its box", inputs
     displaced = max(_displaced(experiment, t) for t in result.trials)
     if name == "added_inertia" or displaced <= 0:
         return None
     area = max(2.0 * t.rig.area_factor / density for t in result.trials)
-    most = theory.most_added_mass(displaced, area if along and area else None, density)
+    most = most_added_mass(displaced, area if along and area else None, density)
     return name, most, "a body of its mass and size" if along and area else "a body of its mass", inputs
 
 
@@ -234,13 +248,7 @@ def _most_water(experiment: Experiment, trial: Trial) -> float:
     if body.length_m and body.width_m and body.height_m:
         return density * body.length_m * body.width_m * body.height_m
     factor = trial.rig.area_factor
-    return theory.most_displaced(2.0 * factor / density, density) if factor else math.inf
-
-
-def _terminal_speed(c: Mapping[str, float], force: float) -> float:
-    push = force - c["dry"]
-    brake = c["linear"] + math.sqrt(c["linear"] ** 2 + 4 * max(c["quadratic"], 0.0) * max(push, 0.0))
-    return 2 * push / brake if push > 0 and brake > 0 else math.nan
+    return most_displaced(2.0 * factor / density, density) if factor else math.inf
 
 
 def _rate(c: Mapping[str, float]) -> float:
@@ -276,3 +284,137 @@ def _first_amplitude(result: FitResult, trial: Trial) -> float:
     values = series.simulated[np.isfinite(series.simulated)]
     rest = result.values(trial.id)[result.model.index("rest_position")]
     return float(np.max(np.abs(values - rest), initial=0.0))
+
+
+# ------------------------------------------------------------ theory and tables
+
+
+def prism_added_mass(length_m: float, width_m: float, height_m: float, density_kg_m3: float) -> float:
+    """Added mass of a box moving along its length, kg.
+
+    Notes
+    -----
+    Tabulated coefficients of square prisms (DNV-RP-C205, appendix D), interpolated at length
+    over the side of a square of the same frontal area, times the mass of the displaced water.
+
+    >>> round(prism_added_mass(1.0, 1.0, 1.0, 1000.0))
+    680
+    """
+    side = np.sqrt(width_m * height_m)
+    coefficient = float(np.interp(length_m / side, _PRISM[:, 0], _PRISM[:, 1]))
+    return coefficient * density_kg_m3 * length_m * width_m * height_m
+
+
+def most_added_mass_in_box(
+    length_m: float, width_m: float, height_m: float, density_kg_m3: float, *, along: bool
+) -> float:
+    """Largest added mass of a body that lies in a box, kg.
+
+    Parameters
+    ----------
+    along : bool
+        The body moves along its length; else any way.
+
+    Notes
+    -----
+    Water that moves with a body as if it belonged to it is a possible motion, and the water takes the one
+    of least energy (Kelvin). So a body has no more added mass than one around it has, with all water between
+    them: the box along its length, the ball around the box any way, with half its water as added mass.
+
+    >>> most_added_mass_in_box(1.0, 1.0, 1.0, 1000.0, along=True)
+    1680.0
+    """
+    if along:
+        displaced = density_kg_m3 * length_m * width_m * height_m
+        return prism_added_mass(length_m, width_m, height_m, density_kg_m3) + displaced
+    diagonal = float(np.sqrt(length_m**2 + width_m**2 + height_m**2))
+    return 1.5 * density_kg_m3 * float(np.pi) / 6.0 * diagonal**3
+
+
+def most_added_inertia(length_m: float, width_m: float, height_m: float, density_kg_m3: float) -> float:
+    """Largest added moment of inertia of a body that lies in a box and turns about a point in it, kg m2.
+
+    Notes
+    -----
+    As :func:`most_added_mass_in_box`: that of a ball of water that turns with it, as large as the box from
+    any point in it.
+
+    >>> round(most_added_inertia(1.0, 1.0, 1.0, 1000.0))
+    26119
+    """
+    radius = float(np.sqrt(length_m**2 + width_m**2 + height_m**2))
+    return 0.4 * density_kg_m3 * 4.0 / 3.0 * float(np.pi) * radius**5
+
+
+def most_added_mass(displaced_kg: float, frontal_area_m2: float | None, density_kg_m3: float) -> float:
+    """Largest added mass of a convex body that moves across its frontal area, kg.
+
+    Parameters
+    ----------
+    displaced_kg : float
+        Mass of the displaced water, or more.
+    frontal_area_m2 : float or None
+
+    Notes
+    -----
+    A convex body fills at least a third of the prism around it (a pyramid does), whose added mass along its
+    length is at most 0.8 of the water in a cube of its frontal area (DNV-RP-C205, appendix D, for all
+    lengths); the rest as in :func:`most_added_mass_in_box`. Where the area is not known: ten times the
+    displaced water, which a disc ten times as wide as thick does not reach.
+
+    >>> round(most_added_mass(1.0, 0.01, 1000.0), 3)
+    3.8
+    """
+    if frontal_area_m2 is None:
+        return 10.0 * displaced_kg
+    return 3.0 * displaced_kg + 0.8 * density_kg_m3 * frontal_area_m2**1.5
+
+
+def most_displaced(frontal_area_m2: float, density_kg_m3: float) -> float:
+    """Mass of the water that a body displaces which is :data:`SLENDER` times as long as wide, kg.
+
+    >>> round(most_displaced(np.pi / 4, 1000.0))
+    7854
+    """
+    diameter = 2.0 * float(np.sqrt(frontal_area_m2 / np.pi))
+    return density_kg_m3 * frontal_area_m2 * SLENDER * diameter
+
+
+def reynolds(speed_m_s: float, frontal_area_m2: float, density_kg_m3: float) -> float:
+    """Reynolds number with the diameter of the frontal area; NaN in a fluid that is not water.
+
+    >>> round(reynolds(1.0, np.pi / 4, 1000.0))
+    1000000
+    """
+    low, high = WATER_KG_M3
+    if not low <= density_kg_m3 <= high:
+        return float("nan")
+    return speed_m_s * 2.0 * float(np.sqrt(frontal_area_m2 / np.pi)) / WATER_VISCOSITY_M2_S
+
+
+def most_drag_coefficient(reynolds_number: float) -> float:
+    """Largest drag coefficient of any body, on its frontal area; NaN where the Reynolds number is.
+
+    Notes
+    -----
+    Hoerner, Fluid-Dynamic Drag (1965), chapter 3: discs and plates across the flow have 1.17 to 2, an open
+    half cylinder 2.3, nothing has 3. In slow flow viscosity adds 24/Re to a sphere, 20.4/Re to a disc and
+    64/Re to a body ten times as long as wide (a prolate spheroid along its axis; Happel and Brenner, Low
+    Reynolds Number Hydrodynamics, section 5-11).
+
+    >>> most_drag_coefficient(1e4), most_drag_coefficient(1.0)
+    (3.0072, 75.0)
+    """
+    return 3.0 + 72.0 / reynolds_number if reynolds_number > 0 else float("nan")
+
+
+def theory_estimates(robot: Robot) -> list[Theory]:
+    """Return the estimates that the robot file quotes, and the added mass of a prism of its size."""
+    quoted = list(robot.theory)
+    body = robot.body
+    if body.length_m and body.width_m and body.height_m:
+        value = prism_added_mass(body.length_m, body.width_m, body.height_m, robot.fluid.density_kg_m3)
+        quoted.append(
+            Theory(parameter="added_mass", value=value, unit="kg", basis="square prism", source="DNV-RP-C205")
+        )
+    return quoted

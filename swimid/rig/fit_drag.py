@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,16 +24,15 @@ from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results.fitted import Fitted
 from swimid.results.parameters import Estimate, Fit, ParameterFile
-from swimid.rig import derived as fit_drag_derived
-from swimid.rig import theory, two_point
+from swimid.rig import derived, lack_of_fit, two_point
 from swimid.rig import trials as rig_experiment
 from swimid.rig.force import force_checks
-from swimid.rig.omitted import compute_evidence, omission_checks, omitted_parameters
 from swimid.rig.options import FitDragOptions
-from swimid.rig.trial_effects import FRICTION, STARTS, Explained, explained, misfit, odd_check, odd_one
 
 #: Number of searches, the first from the parameters' own start values.
-SEARCHES = 4
+N_SEARCHES = 4
+#: Why the two-point method has no answer.
+NO_ANSWER = "its speeds do not rise with the pulling mass as Eq 13 says"
 
 
 @takes(FitDragOptions)
@@ -107,18 +107,17 @@ def fit_drag(
                 raise
             pair = None
         origin = provenance.collect(experiment.inputs, settings=options.settings())
-        derived = {**best.derived, **fit_drag_derived.derived(experiment, result)}
         file = fit_common.parameter_file(
             result,
             robot=experiment.robot.name,
             provenance=origin,
             profiles=profiles,
-            derived=derived,
+            derived={**best.derived, **derived.derived(experiment, result)},
             settings=best.facts,
         )
         checks = [
             *fit_common.checks(result, file),
-            *fit_drag_derived.possible(experiment, result),
+            *derived.possible(experiment, result),
             *best.checks,
         ]
     estimated = [label for label in result.labels if "[" not in label]
@@ -135,8 +134,9 @@ def fit_drag(
         title=f"Rig identification of {experiment.robot.name}: {experiment.name}",
         verdict=ev.judged(fit_common.answer(file), checks),
         checks=checks,
-        tables=_tables(experiment, file, pair, result),
-        figures=fit_common.figures(result) + _speed_figure(pair),
+        tables=_methods_table(experiment, result, pair),
+        figures=fit_common.figures(result) + ([] if pair is None else [_speed_figure(pair)]),
+        notes=_notes(pair),
         notices=blocks.notices(notices),
         methods=_methods(experiment, result, options.method, pair),
         references=list(experiment.robot.sources),
@@ -150,40 +150,40 @@ def fit_drag(
 
 def _best_fit(
     experiment: Experiment, choices: tuple[Parameter, ...], start_state: str, progress: Progress
-) -> Explained:
-    """The fit under the reading of the logs the data prefer, and what was chosen."""
+) -> lack_of_fit.Explained:
+    """Return the fit under the reading of the logs that the data prefer, and what was chosen."""
     model = experiment.model
     if start_state == "estimate":
         choices = chosen(choices, freed=("start_offset", "initial_speed"))
     if any(p.name == "stiffness" and not p.free and p.start == 0.0 for p in choices):
         # without a spring the search for gravity begins at the stiffness that the period suggests
-        begun = [
+        choices = tuple(
             replace(p, start=p.scale) if p.name == "gravity_stiffness" and p.free else p for p in choices
-        ]
-        choices = tuple(begun)
-    # a friction of each trial is a random effect, never a free number
-    friction = any(p.name == FRICTION and p.free for p in choices)
-    choices = tuple(replace(p, free=False) if p.name == FRICTION else p for p in choices)
+        )
+    # a friction of each trial is a random effect, never a free parameter
+    friction = any(p.name == lack_of_fit.FRICTION and p.free for p in choices)
+    choices = tuple(replace(p, free=False) if p.name == lack_of_fit.FRICTION else p for p in choices)
     readings = experiment.variants or {"": experiment.trials}
     fits = {
         name: output_error.fit(model, trials, parameters=choices, progress=progress)
         for name, trials in readings.items()
     }
-    name = min(fits, key=lambda key: misfit(fits[key]))
-    plain, starts = _from_starts(fits[name], progress)
-    best, odd = Explained(plain), odd_one(plain)
-    masses = experiment.facts.get("pulling_mass_kg", {})
-    told = False
-    if experiment.name == "falling-weight":
-        free_start = any(p.free for p in choices if p.name in STARTS)
-        if friction or (start_state == "auto" and not free_start):
-            best = explained(plain, choices, masses, odd, insist=friction)
-            told = True
-    if not told:
-        best = replace(best, checks=omission_checks(plain, omitted_parameters(plain)))
-    forces = force_checks(best.result) if experiment.name == "towed" else []
+    name = min(fits, key=lambda key: lack_of_fit.misfit(fits[key]))
+    plain, checks = _from_starts(fits[name], progress)
+    odd = lack_of_fit.odd_one(plain)
+    free_start = any(p.free for p in choices if p.name in lack_of_fit.STARTS)
+    if experiment.name == "falling-weight" and (friction or (start_state == "auto" and not free_start)):
+        masses = experiment.facts.get("pulling_mass_kg", {})
+        best = lack_of_fit.explain_trials(plain, choices, masses, odd, insist=friction)
+    else:
+        omitted = lack_of_fit.omitted_parameters(plain)
+        best = lack_of_fit.Explained(plain, checks=lack_of_fit.omission_checks(plain, omitted))
+    checks += best.checks
+    if experiment.name == "towed":
+        checks += force_checks(best.result)
     result = start_states.with_held_out(best.result)
-    checks = [*starts, *best.checks, *forces, *([odd_check(result, odd, masses)] if odd else [])]
+    if odd is not None:
+        checks.append(lack_of_fit.odd_check(result, odd))
     facts = {**({"encoder_rounding": name} if name else {}), **best.facts}
     return replace(best, result=result, facts=facts, checks=checks)
 
@@ -199,12 +199,11 @@ def _from_starts(first: FitResult, progress: Progress) -> tuple[FitResult, list[
         first.model,
         first.trials,
         first.parameters,
-        starts=SEARCHES,
+        starts=N_SEARCHES,
         begins=[first.estimate],
         progress=progress,
     )
-    gain = compute_evidence(first, best)
-    if gain > output_error.ANOTHER:
+    if lack_of_fit.compute_evidence(first, best) > output_error.ANOTHER:
         change = 100 * (1 - best.cost / first.cost)
         warn(
             "SWM073",
@@ -213,9 +212,9 @@ def _from_starts(first: FitResult, progress: Progress) -> tuple[FitResult, list[
         )
     agree = agreeing(ends)
     value = f"{agree} of {len(ends)} starts end in it"
-    return best, [
-        blocks.check("one minimum", value, "two at least", agree > 1, text="the lowest is reported")
-    ]
+    reason = f"only {agree} of {len(ends)} searches ended in the lowest minimum"
+    text = "the lowest is reported"
+    return best, [ev.check("one minimum", value, agree > 1, "two at least", text, reason=reason)]
 
 
 def _profiles(
@@ -270,7 +269,7 @@ def _two_point_file(file: ParameterFile, pair: two_point.TwoPointResult) -> Para
     """
     if not pair.answers:
         raise NoTrustworthyResult(
-            "the two-point method has no answer: its speeds do not rise with the pulling mass as Eq 13 says",
+            f"the two-point method has no answer: {NO_ANSWER}",
             hint="look at the pulling masses, or use --method ml",
         )
     parameters = {
@@ -290,18 +289,15 @@ def _two_point_file(file: ParameterFile, pair: two_point.TwoPointResult) -> Para
     )
 
 
-# ------------------------------------------------------------ words and pictures
+# ------------------------------------------------------------ evidence
 
 
-def _tables(
-    experiment: Experiment,
-    file: ParameterFile,
-    pair: two_point.TwoPointResult | None,
-    result: output_error.FitResult,
+def _methods_table(
+    experiment: Experiment, result: output_error.FitResult, pair: two_point.TwoPointResult | None
 ) -> list[ev.Table]:
-    rows: list[dict[str, blocks.Cell]] = []
-    estimates = theory.estimates(experiment.robot)
+    estimates = derived.theory_estimates(experiment.robot)
     fitted = fit_common.estimates(result, {})
+    rows: list[list[Any]] = []
     for name in dict.fromkeys([*two_point.NAMES, *(t.parameter for t in estimates)]):
         if name not in fitted:
             continue
@@ -309,61 +305,57 @@ def _tables(
         if pair is not None and name in pair.values:
             two = numbers.measured(pair.values[name], pair.stderr[name], e.unit)
             bias = numbers.number(pair.bias[name], 2, e.unit)
-        known = numbers.measured(e.value, e.stderr, e.unit)
-        by_theory = [
-            f"{numbers.number(t.value, 3, t.unit)} ({t.basis})" for t in estimates if t.parameter == name
-        ]
-        rows.append(
-            {
-                "parameter": name,
-                "maximum likelihood": "not identifiable" if e.status == "unidentifiable" else known,
-                "two-point": two,
-                "two-point bias": bias,
-                "theory": "; ".join(by_theory),
-            }
+        known = "not identifiable"
+        if e.status != "unidentifiable":
+            known = numbers.measured(e.value, e.stderr, e.unit)
+        quoted = [t for t in estimates if t.parameter == name]
+        texts = [f"{numbers.number(t.value, 3, t.unit)} ({t.basis})" for t in quoted]
+        rows.append([name, known, two, bias, "; ".join(texts)])
+    return [
+        ev.Table(
+            id="methods",
+            title="Both methods and theory side by side",
+            columns=["parameter", "maximum likelihood", "two-point", "two-point bias", "theory"],
+            rows=rows,
+            caption="The two-point method takes the moving mass as equal for all pulling weights; its bias "
+            "is its error on noise-free data of its own answer, and is part of its stated error.",
         )
-    if not rows:
-        return []
-    caption = (
-        "The two-point method takes the moving mass as equal for all pulling weights; its bias is what it "
-        "gives on perfect data computed at its own answer, and is part of its stated error."
-    )
-    return [blocks.table("methods", "Both methods and theory side by side", rows, caption)]
+    ]
 
 
-def _speed_figure(pair: two_point.TwoPointResult | None) -> list[ev.Figure]:
+def _notes(pair: two_point.TwoPointResult | None) -> list[str]:
+    """Return the answer of the two-point method as a sentence."""
     if pair is None:
         return []
+    if not pair.answers:
+        return [f"The two-point method has no answer: {NO_ANSWER}."]
+    parts = [f"{n} {numbers.measured(value, pair.stderr[n])}" for n, value in pair.values.items()]
+    return [f"The two-point method gives {', '.join(parts)}."]
+
+
+def _speed_figure(pair: two_point.TwoPointResult) -> ev.Figure:
     grams = 1e3 * pair.pulling_mass_kg
     order = np.argsort(grams)
     traces = []
     for i, point in enumerate(pair.points_m):
-        x, squared, error = grams[order], pair.speed_squared[i][order], 1.96 * pair.speed_squared_sd[i][order]
+        squared, error = pair.speed_squared[i][order], 1.96 * pair.speed_squared_sd[i][order]
         line = pair.slopes[i] * pair.pulling_mass_kg[order] + pair.intercepts[i]
-        label = f"at {point:.3f} m"
+        label, x = f"at {point:.3f} m", grams[order]
         traces.append(ev.Trace(x=x, y=squared, y_error=error, style="points", label=label, group=i))
         traces.append(ev.Trace(x=x, y=line, group=i))
-    return [
-        blocks.figure(
-            "speed-squared",
-            "Squared speed against pulling mass",
-            "Speeds read off at two displacements, with straight lines (Eq 13). Where the points do not lie "
-            "on lines, the friction or the drag changes with speed.",
-            "pulling mass (g)",
-            "squared speed (m²/s²)",
-            traces,
-        )
-    ]
+    caption = "Speeds at two displacements, with straight lines (Eq 13)."
+    panel = ev.Panel(x_label="pulling mass (g)", y_label="squared speed (m²/s²)", traces=traces)
+    title = "Squared speed against pulling mass"
+    return ev.Figure(id="speed-squared", title=title, caption=caption, panels=[panel])
 
 
 def _methods(
     experiment: Experiment, result: output_error.FitResult, method: str, pair: two_point.TwoPointResult | None
 ) -> list[str]:
     count = len([t for t in result.trials if t.role == "fit"])
-    names = [label for label in result.labels if "[" not in label]
     sentences = [
-        f"{', '.join(names)} were estimated from {count} {experiment.name} trials ({result.samples} samples) "
-        "by output-error maximum likelihood with a single-degree-of-freedom rig model.",
+        f"{', '.join(result.shared)} were estimated from {count} {experiment.name} trials ({result.samples} "
+        "samples) by output-error maximum likelihood with a single-degree-of-freedom rig model.",
         "Standard errors follow from the Jacobian at the optimum with the residuals' autocorrelation "
         "accounted for.",
     ]
@@ -375,8 +367,6 @@ def _methods(
             "model."
         )
     if method == "two-point" and pair is not None:
-        sentences.append(
-            f"The two-point method (Eqs 13 to 19 of the source) was used at {pair.points_m[0]:.3f} and "
-            f"{pair.points_m[1]:.3f} m."
-        )
+        points = " and ".join(f"{point:.3f} m" for point in pair.points_m)
+        sentences.append(f"The two-point method (Eqs 13 to 19 of the boxfish paper) was used at {points}.")
     return sentences

@@ -15,10 +15,10 @@ from swimid.fitting.fit_result import FitResult
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.residual_tests import SIGNIFICANCE, long_run_covariance
 from swimid.notices import recorded, warn
-from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.rig.encoder import third_difference_sd
-from swimid.rig.omitted import STRONG, compute_evidence
+from swimid.results import numbers
+from swimid.rig.lack_of_fit import STRONG, compute_evidence
+from swimid.rig.trials import third_difference_sd
 
 #: Minimum number of samples of a stretch in which a body stands still.
 MIN_SAMPLES = 10
@@ -47,7 +47,7 @@ def _sign(result: FitResult) -> ev.Check:
         except NoTrustworthyResult:
             found = None
     if found is None or compute_evidence(result, found) <= STRONG:
-        return blocks.check(name, "as stated", limit, True)
+        return ev.check(name, "as stated", True, limit)
     where = "all trials" if len(suspects) == len(fitted) else ", ".join(sorted(suspects))
     before, after = (
         math.sqrt(float(np.mean([_error(r, t, r.values(t.id)) for t in trials if t.role == "fit"])))
@@ -61,9 +61,9 @@ def _sign(result: FitResult) -> ev.Check:
         "the force on the body, positive along x_m. Turn its sign in the log, or with factor: -1 in the "
         "mapping of an import",
     )
-    return blocks.check(
-        name, f"wrong in {where}", limit, False, otherwise="fail", text=f"the error falls {change}"
-    )
+    reason = f"force_N has the wrong sign in {where}"
+    text = f"the error falls {change}"
+    return ev.check(name, f"wrong in {where}", False, limit, text, otherwise="fail", reason=reason)
 
 
 def _turned(trial: Trial) -> Trial:
@@ -93,7 +93,7 @@ def _at_rest(result: FitResult) -> list[ev.Check]:
     beyond = {name: load for name, load in loads.items() if load[2] < limit}
     name, allowed = "force at rest", f"zero (p ≥ {SIGNIFICANCE:g})"
     if not beyond:
-        return [blocks.check(name, "zero within its noise", allowed, True)]
+        return [ev.check(name, "zero within its noise", True, allowed)]
     worst = min(beyond, key=lambda trial: beyond[trial][2])
     size = numbers.measured(*beyond[worst][:2], "N")
     warn(
@@ -102,7 +102,8 @@ def _at_rest(result: FitResult) -> list[ev.Check]:
         f"{len(loads)} trials that begin at rest: a sensor that was not tared (--free force_offset), one "
         "that drifts (--free force_drift), or dry friction that holds the body (--free dry_friction)",
     )
-    return [blocks.check(name, f"{size} in {worst}", allowed, False)]
+    reason = f"force_N is {size} in {worst} while the body stands still"
+    return [ev.check(name, f"{size} in {worst}", False, allowed, reason=reason)]
 
 
 def _still(trial: Trial) -> int:

@@ -13,7 +13,7 @@ moments that of forces.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -265,6 +265,13 @@ class RigModel(Model):
         simulated = self.simulate(values, trial)
         rate = np.gradient(simulated[self.speed], trial.time_s) if len(trial.time_s) > 1 else np.zeros(1)
         return {self.coordinate: simulated[self.speed], self.speed: rate}
+
+
+def terminal_speed(c: Mapping[str, float], force: float) -> float:
+    """Return the speed at which drag and friction hold a force, m/s; NaN where there is none."""
+    push = force - c["dry"]
+    brake = c["linear"] + math.sqrt(c["linear"] ** 2 + 4 * max(c["quadratic"], 0.0) * max(push, 0.0))
+    return 2 * push / brake if push > 0 and brake > 0 else math.nan
 
 
 def _parameter(

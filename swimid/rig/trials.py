@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -15,9 +16,9 @@ from swimid.fitting.inputs import RigInput
 from swimid.fitting.model import Array, Trial, chosen
 from swimid.logs import trials as trials_format
 from swimid.logs.log import Log
+from swimid.logs.sampling import step_of
 from swimid.logs.trials import FallingWeight, FallingWeightTrial, FreeDecay, RigTrial, Towed, TrialSet
 from swimid.notices import warn
-from swimid.rig import encoder
 from swimid.rig import model as rig
 from swimid.robots.file import Robot
 
@@ -117,7 +118,7 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
             raise InputError(
                 "the displacement does not grow; x_m must point along the pull", file=log.path, column="x_m"
             )
-        records.append(encoder.understand(time, position, robot.rig.encoder_resolution_m))
+        records.append(understand(time, position, robot.rig.encoder_resolution_m))
         known.append(_falling(path, entry, robot, factor, time, position, records[-1]))
     model = rig.falling_weight(
         mass_kg=float(np.median([k.inertia for k in known])) or 1.0,
@@ -138,7 +139,7 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
     def trials(rounding: str) -> list[Trial]:
         made = []
         for entry, record, one in zip(entries.trials, records, known, strict=True):
-            position = encoder.true_position(record, rounding)
+            position = true_position(record, rounding)
             # the row that sets the origin is a definition, not a measurement
             first = int(record.kind == "clicks" and record.position[0] == 0)
             made.append(
@@ -162,7 +163,7 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
         model=model,
         trials=trials("floor"),
         inputs=inputs_of(path, entries, logs),
-        variants={name: trials(name) for name in encoder.ROUNDINGS} if sampled else {},
+        variants={name: trials(name) for name in ROUNDINGS} if sampled else {},
         facts={
             "encoder": {e.id: r.kind for e, r in zip(entries.trials, records, strict=True)},
             "resolution_m": next((r.resolution for r in records if r.resolution), None),
@@ -205,7 +206,7 @@ def _falling(
     factor: float | None,
     time: Array,
     position: Array,
-    record: encoder.Displacement,
+    record: Displacement,
 ) -> RigInput:
     """What is known of a drop, its release among it."""
     mass = _mass(entry, robot, path)
@@ -393,7 +394,7 @@ def _swings(values: Array, log: Log, name: str) -> _Swings:
     InputError
         When the record has fewer than three.
     """
-    noise = encoder.third_difference_sd(values)
+    noise = third_difference_sd(values)
     found = None
     # the end of a record has mostly come to rest; where it has not, or was held for long, the middle serves
     for level in (float(np.median(values[len(values) * 3 // 4 :])), 0.5 * float(values.max() + values.min())):
@@ -479,3 +480,95 @@ def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
         )
     start = int(np.flatnonzero(there)[begin])
     return log.time_s[start:], log[name][start:], period, amplitude
+
+
+# ------------------------------------------------------------ encoder
+#
+# Two kinds of log come from an  *Clicks*: one row each time the displacement passes another step, so
+# that the displacement is exact and the time stamp carries the error. *Sampled*: the count read at regular
+# times, so that the displacement stands still between steps; only the samples at which it changes say
+# something, and each says that a step was passed within the last sampling interval.
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """A displacement record brought into a form whose errors are known.
+
+    Attributes
+    ----------
+    kind : str
+        ``continuous`` (no encoder seen), ``clicks`` or ``sampled``.
+    time_s, position : ndarray, shape (n,)
+        For ``sampled``: the instants at which steps were passed (``events``), or the samples themselves
+        where the body moves more than a step per sample.
+    resolution : float or None
+        Encoder step, in the unit of the displacement.
+    time_sd_s : float or ndarray, shape (n,)
+        Known part of the errors of the times, from the sampling interval.
+    position_sd : float
+        The same of the positions, from the step.
+    """
+
+    kind: Literal["continuous", "clicks", "sampled"]
+    time_s: Array
+    position: Array
+    resolution: float | None = None
+    time_sd_s: float | Array = 0.0
+    position_sd: float = 0.0
+    events: bool = False
+
+
+#: How a count may be rounded (``floor`` shows a step once it is passed), and the true position minus the
+#: count, in steps: at the instant the count changes, rising and falling, and averaged over the time it shows.
+ROUNDINGS = {"floor": (0.0, 1.0, 0.5), "nearest": (-0.5, 0.5, 0.0), "ceil": (-1.0, 0.0, -0.5)}
+
+
+def understand(time_s: Array, position: Array, resolution: float | None = None) -> Displacement:
+    """Tell the kind of a displacement record without missing samples and bring it into usable form.
+
+    The encoder's ``resolution``, where it is known, decides for records that move several steps a sample.
+    """
+    plain = Displacement("continuous", time_s, position)
+    step = step_of(position)
+    if step is None:
+        return plain
+    counts = np.round((position - position[0]) / step).astype(int)
+    moves = np.diff(counts)
+    forward = moves[moves != 0]
+    if len(forward) < 3 or np.mean(np.sign(forward) == np.sign(np.median(forward))) < 0.98:
+        return plain  # a record that wanders is rounding, not counting
+    if np.mean(np.abs(moves) == 1) > 0.9 and np.std(np.diff(time_s)) >= 0.02 * np.mean(np.diff(time_s)):
+        # every row is the next click; before the first one the body stood still
+        return Displacement("clicks", time_s, position, step)
+    if np.median(np.abs(moves)) <= 1 and np.mean(moves == 0) > 0.05:
+        at = np.flatnonzero(moves) + 1
+        gap = time_s[at] - time_s[at - 1]
+        # a count that jumped by m passed m steps within the interval; take the middle one
+        middle = position[at] - 0.5 * (moves[at - 1] - np.sign(moves[at - 1])) * step
+        times = time_s[at] - 0.5 * gap
+        # where between the two samples nobody knows: gaps differ where a log was written at its own events
+        return Displacement("sampled", times, middle, step, gap / np.sqrt(12.0), 0.0, events=True)
+    if np.median(np.abs(moves)) <= 3 or (resolution is not None and abs(step / resolution - 1) < 0.02):
+        return Displacement("sampled", time_s, position, step, 0.0, step / np.sqrt(12.0))
+    return plain
+
+
+def third_difference_sd(values: Array) -> float:
+    """Return the standard deviation of white noise on a smooth signal, from its third differences.
+
+    >>> round(third_difference_sd(np.random.default_rng(0).normal(0.0, 2.0, 4000)), 1)
+    2.0
+    """
+    rough = np.abs(np.diff(values, 3))
+    # normal noise: 0.6745 standard deviations to the median, and 1 + 9 + 9 + 1 variances in a difference
+    return float(np.median(rough)) / (0.6745 * float(np.sqrt(20.0))) if len(rough) else 0.0
+
+
+def true_position(record: Displacement, rounding: str) -> Array:
+    """Positions behind the counts, shape (n,), if the count is rounded that way."""
+    if record.kind != "sampled" or record.resolution is None:
+        return record.position
+    at_change_rising, at_change_falling, shown = ROUNDINGS[rounding]
+    falling = record.position[-1] < record.position[0]
+    shift = (at_change_falling if falling else at_change_rising) if record.events else shown
+    return record.position + shift * record.resolution

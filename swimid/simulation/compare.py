@@ -21,13 +21,7 @@ from swimid.results import blocks
 from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
 from swimid.results.result import FileResult
-from swimid.simulation import (
-    catalogue,
-    compare_evidence,
-    compare_series,
-    compare_strokes,
-    compare_strokes_evidence,
-)
+from swimid.simulation import catalogue, compare_evidence, compare_series, compare_strokes
 from swimid.simulation.applied import Applied
 from swimid.simulation.comparison_file import FORMAT, ComparisonFile
 from swimid.simulation.options import CompareOptions
@@ -50,6 +44,7 @@ class Comparison(FileResult[ComparisonFile]):
         What :meth:`save` writes; its ``channels`` hold the scores of all trials together.
     """
 
+    kind = "Comparison"
     format = FORMAT
     file_type = ComparisonFile
 
@@ -136,7 +131,6 @@ def compare(
         if not any(d.pairs for d in done):
             raise NoTrustworthyResult("the trials hold no channel that the model simulates")
         buoyancy = options.buoyancy_band_percent / 100.0
-        origin = provenance.collect(experiment.inputs, settings=options.settings(buoyancy_band=buoyancy))
         profiles = compare_strokes.profiles(experiment, done, buoyancy=buoyancy)
         file = ComparisonFile(
             verdict="caution",
@@ -147,39 +141,35 @@ def compare(
             channels=compare_series.pooled(done, experiment.model),
             trials=[d.record for d in done],
             profiles=[p.record for p in profiles],
-            provenance=origin,
+            provenance=provenance.collect(
+                experiment.inputs, settings=options.settings(buoyancy_band=buoyancy)
+            ),
         )
         if file.mean_speeds:
             errors = [measured - simulated for _, measured, simulated in file.mean_speeds]
             file.mean_speed_rmse_m_s = float(np.sqrt(np.mean(np.square(errors))))
         known = applied.file.fit if applied.file is not None else None
-        fitted = list(file.channels) if known is None else list(known.channels)
-        checks = compare_evidence.checks(file, fitted)
+        checks = compare_evidence.checks(file, file.channels if known is None else known.channels)
         before = {d.trial.id: d.errors for d in done}
         if options.refit_start and mistakes.is_suspect(checks, before):
             usual = mistakes.catalogue(experiment.model, experiment.trials)
             tried = len(usual) * (len(done) + 1)
-            told = _explained(experiment.trials, applied, usual, tried, before)
-            checks.append(mistakes.check(told, len(usual)))
+            found = _explained(experiment.trials, applied, usual, tried, before)
+            checks.append(mistakes.check(found, len(usual)))
     verdict = ev.judged(compare_evidence.answer(file), checks)
     file.verdict = verdict.level
     evidence = ev.Evidence(
         verb="compare",
         title=f"Measured against simulated: {experiment.robot.name}, {experiment.name}",
         verdict=verdict,
+        facts=compare_evidence.facts(file),
         checks=checks,
-        tables=[*compare_strokes_evidence.tables(file.profiles), *compare_evidence.tables(file)],
-        figures=[
-            *compare_strokes_evidence.figures(profiles, buoyancy),
-            *compare_evidence.figures(experiment, done, file),
-        ],
+        tables=compare_evidence.tables(file),
+        figures=compare_evidence.figures(experiment, done, profiles, file),
         notices=blocks.notices(notices),
-        methods=[
-            *compare_evidence.methods(file),
-            *compare_strokes_evidence.methods(profiles, buoyancy),
-        ],
+        methods=compare_evidence.methods(file, profiles, buoyancy),
         references=list(experiment.robot.sources),
-        provenance=origin,
+        provenance=file.provenance,
     )
     return Comparison.of(file, evidence).saved(output)
 
@@ -191,7 +181,7 @@ def _explained(
     tried: int,
     before: Mapping[str, mistakes.Errors],
 ) -> mistakes.Explanation | None:
-    """A usual mistake that explains the errors; the shared parameters are held."""
+    """Return a usual mistake that explains the errors, with all shared parameters held."""
 
     def evaluate(trial: Trial) -> mistakes.Errors:
         values, _, _ = compare_series.start_of(applied, trial, True, mistakes.START_TOLERANCE)

@@ -1,44 +1,55 @@
-"""Checks, tables, figures and sentences of ``swimid compare``."""
+"""Evidence of ``swimid compare``: checks, tables, figures and sentences, also of motion profiles."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 
 from swimid.fitting import grading
-from swimid.fitting.body import Body
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.grading import GOOD_SPEED, USABLE_SPEED
-from swimid.fitting.model import Array
-from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.simulation import compare_series, compare_strokes_evidence
-from swimid.simulation.compare_series import Compared, Pair
-from swimid.simulation.comparison_file import ChannelScore, ComparisonFile, TrialComparison
+from swimid.results import numbers
+from swimid.simulation import cases
+from swimid.simulation.compare_series import WINDOW_BEATS, Compared
+from swimid.simulation.compare_strokes import SIDES, Mean, Profile
+from swimid.simulation.comparison_file import ChannelScore, ComparisonFile, ProfileComparison
+from swimid.swimmer.stroke_cycles import QUANTITIES
 
-#: Trials drawn one by one.
-MAX_TRIALS = 8
-#: Channels drawn for each of them, and samples of each.
-MAX_PANELS, MAX_SAMPLES = 4, 800
-#: A setting with more values than this, and than half the trials, is no axis.
-MOST_LEVELS = 12
-#: What a mean speed is drawn over, by how many values of it were driven.
-AXES = {
-    "frequency_hz": "frequency (Hz)",
-    "amplitude_deg": "amplitude (°)",
-    "bias_deg": "bias (°)",
-    "asymmetry": "asymmetry",
+#: Columns of the errors of a channel.
+ERRORS = ("channel", "RMSE", "NRMSE", "VAF", "bias")
+#: Settings of a drive that a mean speed is drawn over.
+SETTINGS = ("frequency_hz", "amplitude_deg", "bias_deg", "asymmetry")
+#: Maximum number of values of a setting, and of curves, in a figure.
+MAX_LEVELS, MAX_CURVES = 12, 3
+#: Maximum number of samples of a curve.
+MAX_SAMPLES = 400
+#: Headings of the quantities of a stroke.
+HEADINGS = {
+    "max_speed_m_s": "max. speed",
+    "mean_speed_m_s": "mean speed",
+    "final_pitch_rad": "final pitch",
+    "max_pitch_rate_rad_s": "max. rate",
+    "mean_pitch_rate_rad_s": "mean rate",
+    "surge_m": "surge",
+    "heave_m": "heave",
 }
-T = TypeVar("T")
+#: Tables by stroke: id, title, endings of their quantities, and their place in the sea lion paper.
+BY_STROKE = (
+    ("cycle-velocity", "Speed in each stroke", ("speed_m_s",), "Table I"),
+    ("cycle-angles", "Pitch and pitch rate in each stroke", ("pitch_rad", "pitch_rate_rad_s"), "Table II"),
+    ("cycle-way", "Distance made in each stroke", ("surge_m", "heave_m"), "Figs 3 and 5"),
+)
+#: Channels of the figure of a profile, in the order of the paper.
+PROFILE_CHANNELS = ("x_m", "z_m", "speed_m_s", "pitch_rad", "roll_rad", "yaw_rad", "pitch_rate_rad_s")
 
 
 # ------------------------------------------------------------ verdict
 
 
 def checks(file: ComparisonFile, fitted: Iterable[str]) -> list[ev.Check]:
-    """Checks of errors and speeds against their limits, and which start states were estimated.
+    """Return the checks of errors and speeds against their limits.
 
     Parameters
     ----------
@@ -49,33 +60,25 @@ def checks(file: ComparisonFile, fitted: Iterable[str]) -> list[ev.Check]:
     share = _speed_share(file)
     if share is not None:
         what = "root-mean-square difference over the trials, over the root mean square measured"
-        graded.append(
-            grading.share_check("error of mean speeds", share, GOOD_SPEED, USABLE_SPEED, "measured", what)
-        )
-    graded += _cruise_checks(file)
-    own = [t.id for t in file.trials if t.start == "estimated"]
-    if own:
-        what = (
-            "from the trials themselves, all shared parameters held: offsets of pose and start speed do not "
-            "count as errors (--no-refit-start)"
-        )
-        value = f"estimated for {len(own)} of {len(file.trials)} trials"
-        graded.append(ev.check("start states", value, None, text=what))
-    return graded
+        limits = (grading.GOOD_SPEED, grading.USABLE_SPEED)
+        graded.append(grading.share_check("error of mean speeds", share, *limits, "measured", what))
+    return graded + _cruise_checks(file)
 
 
 def _cruise_checks(file: ComparisonFile) -> list[ev.Check]:
-    """Checks of the speed at which the model settles, where trials begin in motion."""
+    """Return the checks of the speed at which the model settles, where trials begin in motion."""
     begun = [(t, t.cruise) for t in file.trials if t.cruise is not None]
     if not begun:
         return []
-    never = [t.id for t, cruise in begun if cruise.settled is None]
+    never = ", ".join(t.id for t, cruise in begun if cruise.settled is None)
     if never:
         text = (
-            f"under the drive of {', '.join(never)} the speed of the model never settles: without drag, "
-            "nothing slows it down. The simulated speed is the start speed, which comes from the trial itself"
+            f"under the drive of {never} the speed of the model never settles: without drag, nothing slows "
+            "it down. The simulated speed is the start speed, which comes from the trial itself"
         )
-        return [blocks.check("cruising speed", "none", "a steady speed", False, otherwise="fail", text=text)]
+        reason = f"the model has no steady speed under the drive of {never}"
+        limit = "a steady speed"
+        return [ev.check("cruising speed", "none", False, limit, text, otherwise="fail", reason=reason)]
     rows = [
         (t.mean_speed.measured, cruise.settled)
         for t, cruise in begun
@@ -86,41 +89,52 @@ def _cruise_checks(file: ComparisonFile) -> list[ev.Check]:
         "settles is compared with the measured speed of the last beats"
     )
     if not rows:
-        text += ", but that is not steady in any of them"
-        return [blocks.check("cruising speed", "not tested", "steady swimming in a trial", False, text=text)]
+        reason = "no trial swims steadily, so the cruising speed of the model is not tested"
+        limit = "steady swimming in a trial"
+        return [ev.check("cruising speed", "not tested", False, limit, text, reason=reason)]
     measured, settles = np.array(rows).T
     share = float(np.sqrt(np.mean((measured - settles) ** 2) / np.mean(measured**2)))
-    return [grading.share_check("cruising speed", share, GOOD_SPEED, USABLE_SPEED, "measured", text)]
+    limits = (grading.GOOD_SPEED, grading.USABLE_SPEED)
+    return [grading.share_check("cruising speed", share, *limits, "measured", text)]
 
 
 def _speed_share(file: ComparisonFile) -> float | None:
-    """Error of the mean speeds over their size."""
+    """Return the error of the mean speeds over their size."""
     measured = [speed for _, speed, _ in file.mean_speeds]
     size = float(np.sqrt(np.mean(np.square(measured)))) if measured else 0.0
     return file.mean_speed_rmse_m_s / size if file.mean_speed_rmse_m_s is not None and size > 0 else None
 
 
 def answer(file: ComparisonFile) -> str:
-    """Errors of the velocities, else of the first channels, as a sentence."""
-    parts = []
-    for name in _rates(file.channels) or list(file.channels)[:3]:
-        s = file.channels[name]
-        parts.append(
-            f"{name}: RMSE {numbers.number(s.rmse, 3, s.unit)} ({numbers.percent(s.nrmse)} of its range), "
-            f"VAF {numbers.percent(s.vaf)}"
-        )
-    if file.mean_speed_rmse_m_s is not None:
-        parts.append(f"mean speeds: RMSE {numbers.number(file.mean_speed_rmse_m_s, 3, 'm/s')}")
-    return "; ".join(parts) + "."
+    """Return the errors of the velocities, else of the first channels, and of mean speeds as a sentence."""
+    names = _rates(file.channels) or list(file.channels)[:3]
+    parts = [f"{numbers.percent(file.channels[n].nrmse)} of the range in {n}" for n in names]
+    share = _speed_share(file)
+    if share is not None:
+        parts.append(f"{numbers.percent(share)} of the measured mean speeds")
+    return f"The error is {' and '.join(', '.join(parts).rsplit(', ', 1))}."
 
 
 def _rates(names: Iterable[str]) -> list[str]:
-    """Surge, and turning rate."""
+    """Return surge and turning rate among the names of channels."""
     return [n for n in names if n == "u_m_s" or n.endswith(("yaw_rate_rad_s", "pitch_rate_rad_s"))]
 
 
-def methods(file: ComparisonFile) -> list[str]:
-    """Sentences for a paper."""
+def facts(file: ComparisonFile) -> dict[str, str]:
+    """Return the particulars of a comparison."""
+    own = sum(t.start == "estimated" for t in file.trials)
+    found = {
+        "Robot": file.robot,
+        "Model": file.model,
+        "Experiment": file.experiment,
+        "Parameters": file.params,
+        "Trials": str(len(file.trials)),
+    }
+    return {**found, "Start states": f"estimated for {own} of {len(file.trials)} trials"} if own else found
+
+
+def methods(file: ComparisonFile, profiles: Sequence[Profile], buoyancy: float) -> list[str]:
+    """Return sentences for a paper."""
     sentences = [
         f"{len(file.trials)} {file.experiment} trials were compared with simulations under the parameters of "
         f"{file.params}. NRMSE is the root-mean-square error over the measured range (tendon fish, Eq 13), "
@@ -128,14 +142,22 @@ def methods(file: ComparisonFile) -> list[str]:
     ]
     if any(s.source == "pose" for t in file.trials for s in t.channels.values()):
         sentences.append(
-            "Surge, sway and turning rate were derived from the measured pose and, in the same way, from "
-            "the simulated one, by a cubic fitted over "
-            f"{2 * compare_series.WINDOW_BEATS:g} beats around each sample."
+            "Surge, sway and turning rate were derived from the measured pose and, in the same way, from the "
+            f"simulated one, by a cubic fitted over {2 * WINDOW_BEATS:g} beats around each sample."
         )
     if any(t.start == "estimated" for t in file.trials):
         sentences.append(
             "Where the parameter file held no start state of a trial it was estimated from the whole trial "
             "with all shared parameters held."
+        )
+    if any(len(p.record.trials) > 1 for p in profiles):
+        sentences.append(
+            "Trials that repeat a motion were averaged on one clock, and so were their simulations."
+        )
+    if any(m.band is not None for p in profiles for m in p.means.values()):
+        sentences.append(
+            f"The band of the simulations is that of {100 * buoyancy:g} % less and more displaced volume, "
+            "all else held (sea lion, section III)."
         )
     return sentences
 
@@ -144,315 +166,292 @@ def methods(file: ComparisonFile) -> list[str]:
 
 
 def tables(file: ComparisonFile) -> list[ev.Table]:
-    """Errors of every trial, mean speeds, and every stroke."""
-    return [_scores(file), *_speeds(file), *_cycles(file)]
+    """Return errors by channel, motion profiles, mean speeds, and the errors of every trial and stroke."""
+    pooled = ev.Table(
+        id="channels",
+        title="Errors of all trials together",
+        columns=[*ERRORS, "samples"],
+        rows=[[*_errors(name, s), s.samples] for name, s in file.channels.items()],
+        caption="NRMSE is over the measured range; bias is the mean of measured minus simulated.",
+    )
+    stroked = [p for p in file.profiles if p.cycles]
+    found = [
+        pooled,
+        _profiles(file.profiles),
+        *(_by_stroke(stroked, *which) for which in BY_STROKE),
+        _speeds(file),
+        _scores(file),
+        _cycles(file),
+    ]
+    return [table for table in found if table.rows]
 
 
-def _text(value: float | None, unit: str) -> str:
-    """A number as people read it: angles in degrees."""
+def _text(value: float | None, unit: str, digits: int = 3) -> str:
+    """Return a number as people read it: angles in degrees."""
     factor, shown = numbers.in_degrees(unit)
-    return numbers.number(None if value is None else factor * value, 3, shown)
+    return numbers.number(None if value is None else factor * value, digits, shown)
 
 
-def settled(s: ChannelScore) -> float | None:
-    """The bias, or zero where a fitted start has left nothing of it but rounding errors."""
-    if s.bias is not None and s.rmse is not None and abs(s.bias) < 1e-3 * s.rmse:
-        return 0.0
-    return s.bias
+def _errors(name: str, s: ChannelScore) -> list[Any]:
+    """Return the cells of the columns :data:`ERRORS`."""
+    bias = s.bias
+    # a fitted start leaves only rounding errors of a bias
+    if bias is not None and s.rmse is not None and abs(bias) < 1e-3 * s.rmse:
+        bias = 0.0
+    channel = name + (" (from pose)" if s.source == "pose" else "")
+    shares = [numbers.percent(share) for share in (s.nrmse, s.vaf)]
+    return [channel, _text(s.rmse, s.unit), *shares, _text(bias, s.unit)]
 
 
 def _scores(file: ComparisonFile) -> ev.Table:
-    rows = [
-        {
-            "trial": t.id,
-            "role": "held out" if t.role == "validate" else "fit",
-            "channel": name + (" (from pose)" if s.source == "pose" else ""),
-            "RMSE": _text(s.rmse, s.unit),
-            "NRMSE": numbers.percent(s.nrmse),
-            "VAF": numbers.percent(s.vaf),
-            "fit": numbers.number(s.fit_percent, 3, "percent"),
-            "bias": _text(settled(s), s.unit),
-            "peak error": _text(s.peak_error, s.unit),
-            "of peak": numbers.percent(s.peak_error_normalised),
-            "phase": _text(s.phase_error_rad, "rad"),
-            "DTW": _text(s.dtw_distance, s.unit),
-        }
-        for t in file.trials
-        for name, s in t.channels.items()
-    ]
-    # without a beat there is neither phase nor time warping
-    kept = [c for k, c in enumerate(rows[0]) if k < 3 or any(row[c] != numbers.NOTHING for row in rows)]
-    caption = (
-        "RMSE and its share of the measured range (E_V and its normalised value, tendon fish, "
-        "Eq 13); variance accounted for; fit as MATLAB's compare prints it; mean of measured minus "
-        "simulated; difference of the largest magnitudes and its share of the measured one (Eq 14); phase "
-        "of the simulation ahead of the measurement at the beat; error left when time may be stretched "
-        "within a quarter of a beat."
-    )
-    return blocks.table("scores", "Errors of every trial", rows, caption, kept)
-
-
-def _speeds(file: ComparisonFile) -> list[ev.Table]:
-    rows = [
-        {
-            "trial": t.id,
-            **{title: numbers.number(t.drive.get(key), 4) for key, title in AXES.items()},
-            "measured": numbers.number(measured, 3, "m/s"),
-            "simulated": numbers.number(simulated, 3, "m/s"),
-            "difference": numbers.number(simulated - measured, 2, "m/s"),
-            "of measured": numbers.percent((simulated - measured) / measured if measured else None, 2),
-        }
-        for t, measured, simulated in file.mean_speeds
-    ]
-    caption = (
-        "Path length between the mean positions of successive beats over time, or mean surge where "
-        "no position is logged; over the last four whole beats. Root-mean-square difference: "
-        f"{numbers.number(file.mean_speed_rmse_m_s, 3, 'm/s')}."
-    )
-    return [blocks.table("speeds", "Mean speed of the last beats", rows, caption)] if rows else []
-
-
-def _cycles(file: ComparisonFile) -> list[ev.Table]:
-    rows: list[dict[str, blocks.Cell]] = []
+    rows: list[list[Any]] = []
     for t in file.trials:
-        for name in _by_stroke(t):
-            c = t.cycles[name]
-            kinds = {
-                "mean, measured": c.mean_measured,
-                "mean, simulated": c.mean_simulated,
-                "peak, measured": c.peak_measured,
-                "peak, simulated": c.peak_simulated,
-            }
+        role = "held out" if t.role == "validate" else "fit"
+        for name, s in t.channels.items():
+            fit, peak = numbers.number(s.fit_percent, 3, "percent"), numbers.percent(s.peak_error_normalised)
+            sizes = ((s.peak_error, s.unit), (s.phase_error_rad, "rad"), (s.dtw_distance, s.unit))
+            rows.append([t.id, role, *_errors(name, s), fit, peak, *(_text(*size) for size in sizes)])
+    return ev.Table(
+        id="scores",
+        title="Errors of every trial",
+        columns=["trial", "role", *ERRORS, "fit", "of peak", "peak error", "phase", "DTW"],
+        rows=rows,
+        caption="NRMSE is over the measured range (tendon fish, Eq 13), fit as MATLAB's compare prints it, "
+        "the peak error the difference of the largest magnitudes (Eq 14), the phase that of the simulation "
+        "ahead of the measurement at the beat, DTW the error left when time may be stretched within a "
+        "quarter of a beat.",
+        folded=True,
+    )
+
+
+def _speeds(file: ComparisonFile) -> ev.Table:
+    rows: list[list[Any]] = []
+    for t, measured, simulated in file.mean_speeds:
+        settles = ""
+        if t.cruise is not None:
+            settles = "never" if t.cruise.settled is None else numbers.number(t.cruise.settled, 3, "m/s")
+        share = numbers.percent((simulated - measured) / measured if measured else None, 2)
+        drive = [numbers.number(t.drive.get(key), 4) for key in SETTINGS]
+        rows.append([t.id, *(_text(v, "m/s") for v in (measured, simulated)), share, settles, *drive])
+    columns = ["trial", "measured", "simulated", "difference", "model settles at"]
+    return ev.Table(
+        id="speeds",
+        title="Mean speed of the last beats",
+        columns=[*columns, *(numbers.column_title(key) for key in SETTINGS)],
+        rows=rows,
+        caption="Path length between the mean positions of successive beats over time, or mean surge where "
+        "no position is logged; over the last four whole beats.",
+    )
+
+
+def _cycles(file: ComparisonFile) -> ev.Table:
+    rows: list[list[Any]] = []
+    for t in file.trials:
+        for name in _rates(t.cycles) or list(t.cycles)[:2]:
+            c, unit = t.cycles[name], t.channels[name].unit
+            values = (c.mean_measured, c.mean_simulated, c.peak_measured, c.peak_simulated)
             for k, time in enumerate(c.time_s):
-                texts = {kind: _text(values[k], t.channels[name].unit) for kind, values in kinds.items()}
-                rows.append({"trial": t.id, "channel": name, "time (s)": time, **texts})
-    caption = "Mean and largest magnitude within each whole stroke."
-    return [blocks.table("cycles", "Every stroke", rows, caption)] if rows else []
+                rows.append([t.id, name, time, *(_text(v[k], unit) for v in values)])
+    kinds = ["mean, measured", "mean, simulated", "peak, measured", "peak, simulated"]
+    return ev.Table(
+        id="cycles",
+        title="Every stroke",
+        columns=["trial", "channel", "time (s)", *kinds],
+        rows=rows,
+        caption="Mean and largest magnitude within each whole stroke.",
+        folded=True,
+    )
 
 
-def _by_stroke(t: TrialComparison) -> list[str]:
-    """Channels worth a stroke-by-stroke look: surge and turning rate, else what there is."""
-    return _rates(t.cycles) or list(t.cycles)[:2]
+def _profiles(profiles: Sequence[ProfileComparison]) -> ev.Table:
+    rows: list[list[Any]] = []
+    for p in profiles:
+        ways = [way.get(side) for way in (p.surge_m, p.heave_m) for side in SIDES]
+        errors = (_text(p.position_rmse_m, "m"), _text(p.orientation_rmse_rad, "rad"))
+        rows.append([p.name, len(p.trials), *(_text(way, "m") for way in ways), *errors])
+    sides = [f"{way}, {side}" for way in ("surge", "heave") for side in SIDES]
+    return ev.Table(
+        id="profiles",
+        title="Motion profiles",
+        columns=["profile", "trials", *sides, "position RMSE", "orientation RMSE"],
+        rows=rows,
+        caption="Means of the trials that repeat a motion: distance from the first sample to the last, and "
+        "root-mean-square distance of the mean simulated path and angles from the mean measured ones.",
+    )
+
+
+def _by_stroke(
+    profiles: Sequence[ProfileComparison], id: str, title: str, endings: tuple[str, ...], source: str
+) -> ev.Table:
+    names = [name for name in HEADINGS if name.endswith(endings)]
+    most = max((len(p.cycles) for p in profiles), default=0)
+    rows: list[list[Any]] = []
+    for p in profiles:
+        for side in SIDES:
+            row = [p.name, side]
+            for k in range(most):
+                for name in names:
+                    value, spread = None, None
+                    if k < len(p.cycles):
+                        value = getattr(p.cycles[k], side).get(name)
+                        spread = p.cycles[k].spread.get(name) if side == "measured" else None
+                    factor, _ = numbers.in_degrees(QUANTITIES[name])
+                    if value is not None and spread:
+                        row.append(numbers.measured(factor * value, factor * spread))
+                    else:
+                        row.append(numbers.number(None if value is None else factor * value, 3))
+            rows.append(row)
+    units = {name: numbers.unit_text(numbers.in_degrees(QUANTITIES[name])[1]) for name in names}
+    headings = [f"{k + 1}: {HEADINGS[name]} ({units[name]})" for k in range(most) for name in names]
+    return ev.Table(
+        id=id,
+        title=title,
+        columns=["profile", "", *headings],
+        rows=rows,
+        caption=f"As {source} of the sea lion paper; of a repeated motion the mean and the standard "
+        "deviation of the trials. Largest speeds and rates derived from noisy positions come out too large "
+        "by up to a few standard deviations of their noise; those of a smoothed track do not.",
+    )
 
 
 # ------------------------------------------------------------ figures
 
 
-def figures(experiment: Experiment, done: Sequence[Compared], file: ComparisonFile) -> list[ev.Figure]:
-    """Overlays, mean speeds by setting, strokes, phases and paths."""
-    shown = _spread(done)
-    missing = "" if len(shown) == len(done) else f" {len(shown)} of {len(done)} trials are shown."
-    draw = _runs if experiment.model.timed_runs else _overlay
-    figures = [*_speed_figure(file), *(draw(experiment, d, missing) for d in shown if d.pairs)]
+def figures(
+    experiment: Experiment, done: Sequence[Compared], profiles: Sequence[Profile], file: ComparisonFile
+) -> list[ev.Figure]:
+    """Return motion profiles, else the time courses, the mean speeds over a setting and the paths."""
+    if experiment.model.timed_runs:
+        return [_runs(done)]
+    drawn = [_profile(p) for p in profiles] or [_overlay(experiment, done), *_speed_figure(file)]
     body = experiment.model.body
-    if body is not None:
-        figures += [*_paths(body, shown, missing), *_stroke_figures(file, missing)]
-    return figures
+    if body is not None and body.free:
+        names = body.pose[:2]
+        shown = [d for d in _telling(done) if all(n in d.pairs for n in names)]
+        paths = [_path(d, *names) for d in shown]
+        caption = "Path of the reference point, to scale."
+        drawn.append(ev.Figure(id="paths", title="Paths", caption=caption, panels=paths, columns=2))
+    return [figure for figure in drawn if figure.panels]
 
 
-def _spread(members: Sequence[T]) -> list[T]:
-    """At most :data:`MAX_TRIALS` of them, from the first to the last."""
-    index = np.unique(np.linspace(0, len(members) - 1, MAX_TRIALS).round().astype(int))
-    return [members[i] for i in index if i >= 0] if members else []
+def _telling(done: Sequence[Compared]) -> list[Compared]:
+    """Return the trials with the largest and the smallest error, and the worst held-out one."""
+
+    def error(one: Compared) -> float:
+        scores = one.record.channels
+        return float(np.mean([scores[n].nrmse or 0.0 for n in _rates(scores) or scores]))
+
+    ranked = sorted((d for d in done if d.pairs), key=error, reverse=True)
+    held_out = [d for d in ranked if d.trial.role == "validate"]
+    picked = {d.trial.id: d for d in (*ranked[:1], *held_out[:1], *ranked[-1:])}
+    return list(picked.values())
 
 
-def _runs(experiment: Experiment, done: Compared, missing: str) -> ev.Figure:
-    """Runs of a cruise table over frequency, one pair of curves for each amplitude."""
-    (p,) = done.pairs.values()
-    frequency = done.trial.inputs["frequency_hz"]
-    amplitude = np.round(np.degrees(done.trial.inputs["amplitude_rad"]), 6)
-    traces = []
-    for k, a in enumerate(np.unique(amplitude)):
-        mine = np.flatnonzero(amplitude == a)
-        mine = mine[np.argsort(frequency[mine])]
-        label = _setting("amplitude_deg", float(a))
-        x = frequency[mine]
-        traces.append(ev.Trace(x=x, y=p.measured[mine], style="points", label=f"measured, {label}", group=k))
-        traces.append(ev.Trace(x=x, y=p.simulated[mine], label=f"simulated, {label}", group=k))
-    return blocks.figure(
-        f"overlay-{done.trial.id}",
-        f"{done.trial.id}: measured and simulated",
-        f"Points are measured, lines simulated. Good: the lines run through the points.{missing}",
-        "frequency (Hz)",
-        f"{p.channel.meaning} (m/s)",
-        traces,
-    )
+def _pair(x: Sequence[Any], y: Sequence[Any], tail: str = "", group: int = 0) -> list[ev.Trace]:
+    """Return a measured curve as points and the simulated one as a line."""
+    measured = ev.Trace(x=x[0], y=y[0], style="points", label=f"measured{tail}", group=group)
+    return [measured, ev.Trace(x=x[1], y=y[1], label=f"simulated{tail}", group=group)]
 
 
-def _overlay(experiment: Experiment, done: Compared, missing: str) -> ev.Figure:
+def _overlay(experiment: Experiment, done: Sequence[Compared]) -> ev.Figure:
     panels = []
-    for p in _most_telling(done):
-        factor, unit = numbers.in_degrees(p.channel.unit)
-        x, y = ev.thinned(p.time_s, factor * p.measured, MAX_SAMPLES)
-        measured = ev.Trace(x=x, y=y, style="points", label="measured", group=0)
-        x, y = ev.thinned(p.time_s, factor * p.simulated, MAX_SAMPLES)
-        simulated = ev.Trace(x=x, y=y, label="simulated", group=1)
-        note = ", from the pose" if p.source == "pose" else ""
-        label = f"{p.channel.meaning or p.channel.name}{note} ({numbers.unit_text(unit) or '1'})"
-        traces = [measured, simulated]
-        panels.append(blocks.panel(experiment.model.abscissa, label, traces))
-    drive = ", ".join(_setting(k, v) for k, v in done.record.drive.items() if k in AXES and v)
-    return blocks.panels(
-        f"overlay-{done.trial.id}",
-        f"{done.trial.id}: measured and simulated",
-        f"{drive + '. ' if drive else ''}Good: the line runs through the points, from the start on.{missing}",
-        panels,
-        columns=1,
+    for d in _telling(done):
+        names = (_rates(d.pairs) or [n for n in d.pairs if n.startswith("joint")] or list(d.pairs))[:2]
+        for p in (d.pairs[n] for n in names):
+            factor, unit = numbers.in_degrees(p.channel.unit)
+            curves = [ev.thinned(p.time_s, factor * y, MAX_SAMPLES) for y in (p.measured, p.simulated)]
+            label = f"{p.channel.meaning or p.channel.name} ({numbers.unit_text(unit) or '1'})"
+            traces = _pair(*zip(*curves, strict=True))
+            title = f"{d.trial.id}{', held out' if d.trial.role == 'validate' else ''}"
+            abscissa = experiment.model.abscissa
+            panels.append(ev.Panel(x_label=abscissa, y_label=label, traces=traces, title=title))
+    caption = "The trials with the largest and the smallest error."
+    title = "Measured and simulated"
+    return ev.Figure(id="overlay", title=title, caption=caption, panels=panels, columns=2)
+
+
+def _runs(done: Sequence[Compared]) -> ev.Figure:
+    """Return the simulated over the measured values of the runs of a table."""
+    traces, largest, label = [], 0.0, ""
+    for group, d in enumerate(d for d in done if d.pairs):
+        (p,) = d.pairs.values()
+        traces.append(ev.Trace(x=p.measured, y=p.simulated, style="points", label=d.trial.id, group=group))
+        largest, label = max(largest, float(np.nanmax(p.measured))), f"{p.channel.meaning} (m/s)"
+    traces.append(
+        ev.Trace(x=[0.0, largest], y=[0.0, largest], style="dashed", label="equal", group=len(done))
     )
+    panel = ev.Panel(x_label=f"measured {label}", y_label=f"simulated {label}", traces=traces)
+    caption = "Every run of the table; the line is where measured and simulated are equal."
+    return ev.Figure(id="overlay", title="Measured and simulated", caption=caption, panels=[panel])
 
 
-def _setting(key: str, value: float) -> str:
-    """One number of a drive in words: ``amplitude 20°``."""
-    return f"{AXES[key].split(' (')[0]} {numbers.number(value, 4, numbers.split_unit(key)[1])}"
-
-
-def _most_telling(done: Compared) -> list[Pair]:
-    """Surge and turning rate first, then passive joints, then the rest."""
-
-    def rank(name: str) -> int:
-        if _rates([name]):
-            return 0 if name == "u_m_s" else 1
-        return 2 if name.startswith("joint") and not name.endswith("_rate_rad_s") else 3
-
-    names = sorted(done.pairs, key=rank)
-    if any(rank(n) < 2 for n in names):
-        names = [n for n in names if rank(n) < 3] or names
-    return [done.pairs[n] for n in names[:MAX_PANELS]]
+def _path(done: Compared, *names: str) -> ev.Panel:
+    step = max(1, len(done.trial.time_s) // MAX_SAMPLES)
+    x, y = ((done.pairs[n].measured[::step], done.pairs[n].simulated[::step]) for n in names)
+    labels = [numbers.column_title(name) for name in names]
+    title = done.trial.id
+    return ev.Panel(x_label=labels[0], y_label=labels[1], traces=_pair(x, y), title=title, equal_aspect=True)
 
 
 def _speed_figure(file: ComparisonFile) -> list[ev.Figure]:
-    """Mean speed over what was driven, one pair of curves for each setting of the rest."""
+    """Return the mean speed over the setting of the drive with most values, one curve for each other one."""
     known = [row for row in file.mean_speeds if row[0].drive]
-    counts = {key: len({t.drive.get(key) for t, _, _ in known}) for key in AXES}
+    counts = {key: len({t.drive.get(key) for t, _, _ in known}) for key in SETTINGS}
     # a setting that hardly any two trials share was measured, not set: it is no axis
-    varied = [key for key in AXES if 1 < counts[key] <= max(MOST_LEVELS, len(known) // 2)]
+    varied = [key for key in SETTINGS if 1 < counts[key] <= max(MAX_LEVELS, len(known) // 2)]
     if not varied:
         return []
     axis = max(varied, key=lambda key: counts[key])
-    others = [key for key in varied if key != axis]
-    groups: dict[tuple[float, ...], list[tuple[float, float, float]]] = {}
+    groups: dict[str, list[tuple[float, float, float]]] = {}
     for t, measured, simulated in known:
-        setting = tuple(float(t.drive.get(key, 0.0)) for key in others)
-        groups.setdefault(setting, []).append((float(t.drive[axis]), measured, simulated))
+        settings = {key: t.drive.get(key, 0.0) for key in varied if key != axis}
+        tail = "".join(f", {cases.setting(key, value)}" for key, value in settings.items())
+        groups.setdefault(tail, []).append((float(t.drive[axis]), measured, simulated))
+    # a single value of the setting makes no curve
+    curves = [tail for tail, rows in groups.items() if len({row[0] for row in rows}) > 1]
     traces = []
-    for k, (setting, rows) in enumerate(sorted(groups.items())):
-        rows.sort(key=lambda row: row[0])
-        tail = "".join(f", {_setting(key, v)}" for key, v in zip(others, setting, strict=True))
-        x, y, _ = zip(*rows, strict=True)
-        traces.append(ev.Trace(x=x, y=y, style="points", label=f"measured{tail}", group=k))  # type: ignore[arg-type]
+    for group, tail in enumerate(sorted(curves, key=lambda tail: -len(groups[tail]))[:MAX_CURVES]):
+        x, y, z = np.array(sorted(groups[tail])).T
+        levels = np.unique(x)
         # repeats of one setting make one point of the line
-        levels = sorted(set(x))
-        means = [float(np.mean([z for at, _, z in rows if at == level])) for level in levels]
-        traces.append(ev.Trace(x=levels, y=means, label=f"simulated{tail}", group=k))  # type: ignore[arg-type]
-    caption = (
-        "Points are measured, lines simulated. Root-mean-square difference "
-        f"{numbers.number(file.mean_speed_rmse_m_s, 3, 'm/s')}. Good: the lines follow the points."
+        means = np.array([float(np.mean(z[x == level])) for level in levels])
+        traces += _pair((x, levels), (y, means), tail, group)
+    title = numbers.column_title(axis)
+    panels = [ev.Panel(x_label=title, y_label="mean speed (m/s)", traces=traces)] if traces else []
+    caption = "Mean speed over the last whole beats of each trial."
+    return [ev.Figure(id="speeds", title=f"Mean speed over {title}", caption=caption, panels=panels)]
+
+
+def _profile(profile: Profile) -> ev.Figure:
+    means, record = profile
+    caption = "Mean measured and simulated motion."
+    if len(record.trials) > 1:
+        caption = f"Mean of {len(record.trials)} trials with their standard deviation."
+    if any(m.band is not None for m in means.values()):
+        caption += " Shaded: simulated with less and with more buoyancy."
+    panels = [_mean(means[n]) for n in PROFILE_CHANNELS if n in means and _moves(means[n])]
+    return ev.Figure(
+        id=f"profile-{record.name}", title=record.name, caption=caption, panels=panels, columns=2
     )
-    title = f"Mean speed over {AXES[axis].split(' (')[0]}"
-    return [blocks.figure("speeds", title, caption, AXES[axis], "mean speed (m/s)", traces)]
 
 
-def _paths(body: Body, shown: Sequence[Compared], missing: str) -> list[ev.Figure]:
-    names = body.pose[:2]
-    x_label, y_label = (numbers.column_title(name) for name in names)
-    panels = []
-    for d in shown:
-        if not body.free or any(n not in d.pairs for n in names):
-            continue
-        step = max(1, len(d.trial.time_s) // MAX_SAMPLES)
-        x, y = (d.pairs[n] for n in names)
-        measured = ev.Trace(
-            x=x.measured[::step], y=y.measured[::step], style="points", label="measured", group=0
-        )
-        simulated = ev.Trace(x=x.simulated[::step], y=y.simulated[::step], label="simulated", group=1)
-        panels.append(
-            blocks.panel(x_label, y_label, [measured, simulated], title=d.trial.id, equal_aspect=True)
-        )
-    if not panels:
-        return []
-    caption = f"The reference point's path, to scale. Good: one curve on the other.{missing}"
-    columns = 2 if len(panels) > 1 else 1
-    return [blocks.panels("paths", "Paths", caption, panels, columns=columns)]
+def _moves(mean: Mean) -> bool:
+    """Return whether the channel moves: a symmetric stroke has neither roll nor yaw."""
+    values = mean.measured[np.isfinite(mean.measured)]
+    return bool(len(values)) and float(np.ptp(values)) > 1e-9
 
 
-def _stroke_figures(file: ComparisonFile, missing: str) -> list[ev.Figure]:
-    members = _spread([t for t in file.trials if t.cycles])
-    names = list(dict.fromkeys(n for t in members for n in _by_stroke(t)))
-    if not names:
-        return []
-    panels = [_stroke_panels(name, [t for t in members if name in t.cycles]) for name in names]
-    return [
-        blocks.panels(
-            "cycles",
-            "Stroke by stroke",
-            "Means over each whole stroke: points measured, lines simulated. Good: the same "
-            f"start-up and the same steady level.{missing}",
-            [means for means, _ in panels],
-            columns=1,
-        ),
-        blocks.panels(
-            "phases",
-            "Over the phase of the beat",
-            "Mean of measured minus simulated in twelve parts of the beat, with twice its standard "
-            "error between strokes; zero is where the command starts. Good: flat about zero. A wave says in "
-            f"which part of the stroke the model lacks something.{missing}",
-            [phases for _, phases in panels],
-            columns=1,
-        ),
+def _mean(mean: Mean) -> ev.Panel:
+    scale, unit = numbers.in_degrees(mean.channel.unit)
+    step = max(len(mean.time_s) // (MAX_SAMPLES // 2), 1)
+    time = mean.time_s[::step]
+    error = scale * np.nan_to_num(mean.spread[::step]) if np.isfinite(mean.spread).any() else None
+    low, high = mean.band or (None, None)
+    band = {name: scale * end[::step] for name, end in (("lower", low), ("upper", high)) if end is not None}
+    points, line = (scale * series[::step] for series in (mean.measured, mean.simulated))
+    traces = [
+        ev.Trace(x=time, y=points, style="points", label="measured", group=0, y_error=error),
+        ev.Trace(x=time, y=line, label="simulated", group=0, **band),
     ]
-
-
-def _stroke_panels(name: str, members: Sequence[TrialComparison]) -> tuple[ev.Panel, ev.Panel]:
-    """A channel's means over each stroke, and its residual over the phase of the beat."""
-    scale, unit = numbers.in_degrees(members[0].channels[name].unit)
-    label = f"{numbers.column_title(name).split(' (')[0]} ({numbers.unit_text(unit) or '1'})"
-
-    def scaled(values: Sequence[float | None]) -> Array:
-        return scale * np.array(values, dtype=float)
-
-    means, residuals = [], []
-    for k, t in enumerate(members):
-        c, p = t.cycles[name], t.phases[name]
-        means.append(ev.Trace(x=c.time_s, y=scaled(c.mean_measured), style="points", label=t.id, group=k))
-        means.append(ev.Trace(x=c.time_s, y=scaled(c.mean_simulated), group=k))
-        phase = np.degrees(np.array(p.phase_rad, dtype=float))
-        residuals.append(blocks.band(phase, scaled(p.residual), 2 * scaled(p.stderr), label=t.id, group=k))
-    return (
-        blocks.panel("time (s)", f"mean {label}", means),
-        blocks.panel("phase of the beat (°)", f"residual, {label}", residuals, marks=[ev.Mark(at=0.0)]),
-    )
-
-
-def _settles(t: TrialComparison) -> str:
-    """Speed at which the model settles, for the terminal; empty where the trial begins at rest."""
-    if t.cruise is None:
-        return ""
-    if t.cruise.settled is None:
-        return "  never settles"
-    return f"  settles at {numbers.number(t.cruise.settled, 3, 'm/s')}"
-
-
-def summary(file: ComparisonFile, evidence: ev.Evidence) -> str:
-    """Plain text for the terminal."""
-    lines = [f"{file.robot}, {file.experiment}: {len(file.trials)} trials against {file.params}", ""]
-    width = max(len(n) for n in file.channels)
-    lines.append(f"  {'':<{width}}  {'RMSE':>14}  {'NRMSE':>8}  {'VAF':>8}  {'fit':>8}  {'bias':>14}")
-    for name, s in file.channels.items():
-        lines.append(
-            f"  {name:<{width}}  {numbers.number(s.rmse, 3, s.unit):>14}  {numbers.percent(s.nrmse):>8}  "
-            f"{numbers.percent(s.vaf):>8}  {numbers.number(s.fit_percent, 3):>6} %  "
-            f"{numbers.number(settled(s), 3, s.unit):>14}"
-        )
-    if file.mean_speeds:
-        lines += ["", "  mean speed of the last beats, measured and simulated"]
-        wide = max(len(t.id) for t, _, _ in file.mean_speeds)
-        for t, *speeds in file.mean_speeds:
-            measured, simulated = (numbers.number(v, 3, "m/s") for v in speeds)
-            lines.append(f"  {t.id:<{wide}}  {measured:>12}  {simulated:>12}{_settles(t)}")
-    lines += compare_strokes_evidence.summary(file.profiles)
-    estimated = sum(t.start == "estimated" for t in file.trials)
-    if estimated:
-        lines += ["", f"  start states estimated for {estimated} of {len(file.trials)} trials"]
-    lines += [line for c in evidence.checks if c.name == "usual mistakes" for line in ("", c.text)]
-    lines += ["", f"{evidence.verdict.level.upper()}: {blocks.judgement(evidence)}"]
-    return "\n".join(lines)
+    label = f"{mean.channel.meaning} ({numbers.unit_text(unit)})"
+    return ev.Panel(x_label="time (s)", y_label=label, traces=traces)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, TypeVar
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -17,18 +17,19 @@ from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array, Channel, Model, Trial
 from swimid.logs.derivative import slope
 from swimid.notices import warn
-from swimid.simulation import cases, cycles, swim_quantities
+from swimid.simulation import cases, swim_quantities
 from swimid.simulation.applied import Applied
-from swimid.simulation.comparison_file import ChannelScore, Cruise, Speed, TrialComparison
+from swimid.simulation.comparison_file import ChannelScore, Cruise, CycleTable, Speed, TrialComparison
 
-T = TypeVar("T")
 Start = Literal["file", "estimated", "neutral"]
 #: Per-trial parameters that say how a trial starts and is seen, and nothing of the robot.
 STARTS = ("start_", "initial_", "clock_offset", "drive_phase", "camera_rotation", "rest_position")
 #: Half width of the derivative's window: this share of a beat, or s where there is none.
 WINDOW_BEATS, WINDOW_S = 0.2, 0.15
-#: Time warping is computed over at most so many samples.
-WARPED = 2000
+#: Maximum number of samples that time warping is computed over.
+MAX_WARPED = 2000
+#: Minimum number of samples of a stroke, and of their share of what a whole one has.
+MIN_SAMPLES, WHOLE = 4, 0.95
 
 
 @dataclass(frozen=True)
@@ -127,15 +128,13 @@ def compared(
             hint = suggestion(name, list(pairs))
             raise UsageError(f"the trial '{trial.id}' has no channel '{name}' to compare", hint=hint)
     pairs = {name: p for name, p in pairs.items() if name in channels or not channels}
-    # a position has no mean of a stroke worth comparing
-    positions = body.pose if body is not None and body.free else ()
-    beating = {n: p for n, p in pairs.items() if n not in positions} if frequency is not None else {}
-
-    def by_stroke(table: Callable[..., T]) -> dict[str, T]:
-        return {
-            n: table(p.time_s, p.measured, p.simulated, frequency_hz=frequency) for n, p in beating.items()
-        }
-
+    by_stroke: dict[str, CycleTable] = {}
+    speed = None
+    if body is not None and frequency is not None:
+        # a position has no mean of a stroke worth comparing
+        positions = body.pose if body.free else ()
+        by_stroke = {n: cycles(p, frequency) for n, p in pairs.items() if n not in positions}
+        speed = mean_speed(trial, pairs, body, frequency)
     measured, simulated = metrics.own_axes(
         {n: p.measured for n, p in pairs.items()}, {n: p.simulated for n, p in pairs.items()}
     )
@@ -149,9 +148,8 @@ def compared(
         frequency_hz=frequency,
         drive=cases.drive_block(trial.swim) if trial.swim.beat is not None else {},
         channels={name: scored([p], frequency, own_motion=name in placed) for name, p in own.items()},
-        cycles=by_stroke(cycles.cycles),
-        phases=by_stroke(cycles.phases),
-        mean_speed=mean_speed(trial, pairs, body, frequency) if body is not None and frequency else None,
+        cycles=by_stroke,
+        mean_speed=speed,
         cruise=_cruise(applied, trial, values, pairs),
     )
     return Compared(trial, pairs, own, values, record)
@@ -292,10 +290,35 @@ def pooled(done: Sequence[Compared], model: Model) -> dict[str, ChannelScore]:
     return {name: scored(pairs, own_motion=name in pose) for name, pairs in parts.items() if pairs}
 
 
+def cycles(pair: Pair, frequency_hz: float) -> CycleTable:
+    """Return means and largest magnitudes of every whole stroke, over the samples both series have.
+
+    Strokes are counted from time zero, where the drive starts. Times are the middles of the strokes. A stroke
+    with too few samples has no values.
+    """
+    time, both = pair.time_s, np.isfinite(pair.measured) & np.isfinite(pair.simulated)
+    number = np.floor(time * frequency_hz + 1e-9).astype(int)
+    step = float(np.median(np.diff(time)))
+    needed = max(MIN_SAMPLES, WHOLE / (frequency_hz * step))
+    strokes = np.arange(number[0], number[-1] + 1)
+    rows = np.full((4, len(strokes)), np.nan)
+    for j, k in enumerate(strokes):
+        mine = both & (number == k)
+        if mine.sum() >= needed:
+            y, z = pair.measured[mine], pair.simulated[mine]
+            rows[:, j] = y.mean(), z.mean(), np.abs(y).max(), np.abs(z).max()
+    # a stroke that an end of the record cuts is none; one with a gap stays, as NaN
+    whole = np.flatnonzero(np.isfinite(rows).all(axis=0))
+    kept = slice(whole[0], whole[-1] + 1) if len(whole) else slice(0, 0)
+    names = ("mean_measured", "mean_simulated", "peak_measured", "peak_simulated")
+    columns = dict(zip(names, rows[:, kept], strict=True))
+    return CycleTable.model_validate({"time_s": (strokes[kept] + 0.5) / frequency_hz, **columns})
+
+
 def _timing(pair: Pair, frequency: float) -> dict[str, float]:
     """Phase error at the beat, and the error left when time may be stretched."""
     phase = metrics.phase_error(pair.measured, pair.simulated, pair.time_s, frequency_hz=frequency)
-    keep = slice(None, None, max(1, -(-len(pair.time_s) // WARPED)))
+    keep = slice(None, None, max(1, -(-len(pair.time_s) // MAX_WARPED)))
     step = float(np.median(np.diff(pair.time_s[keep])))
     band = max(1, round(0.25 / (frequency * step)))
     distance = metrics.dtw_distance(pair.measured[keep], pair.simulated[keep], band=band)

@@ -44,14 +44,6 @@ class CycleTable(yamlio.Document):
     peak_simulated: Numbers
 
 
-class PhaseTable(yamlio.Document):
-    """Mean residual over the phase of the stroke."""
-
-    phase_rad: Numbers
-    residual: Numbers
-    stderr: Numbers
-
-
 class Speed(yamlio.Document):
     """Mean speed over the last whole beats, m/s."""
 
@@ -88,7 +80,6 @@ class TrialComparison(yamlio.Document):
     drive: dict[str, Any] = {}
     channels: dict[str, ChannelScore]
     cycles: dict[str, CycleTable] = {}
-    phases: dict[str, PhaseTable] = {}
     mean_speed: Speed | None = None
     cruise: Cruise | None = None
 
@@ -135,7 +126,6 @@ class ComparisonFile(yamlio.ResultFile):
     profiles: list[ProfileComparison] = []
     #: Root-mean-square error of the mean speeds of all trials, m/s.
     mean_speed_rmse_m_s: Number = None
-    settings: dict[str, Any] = {}
     provenance: dict[str, Any] = Field(default_factory=dict)
 
     @property

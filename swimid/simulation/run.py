@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -16,12 +16,13 @@ from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files import atomic, parquet
 from swimid.files.names import file_names
 from swimid.files.provenance import Input
-from swimid.fitting.model import Array, Trial
+from swimid.fitting.model import Array
 from swimid.logs import log as log_format
 from swimid.notices import warn
 from swimid.results.evidence import remove_outdated
 from swimid.results.result import Result
-from swimid.simulation.applied import Applied, Quantity
+from swimid.simulation.applied import Quantity
+from swimid.simulation.cases import Case
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,35 +31,6 @@ if TYPE_CHECKING:
 LOG_ENDINGS = (".csv", *parquet.ENDINGS)
 #: Halving the step may change a channel by this share of its range at most.
 STEP_LIMIT = 1e-3
-#: From a parameter vector to what a run comes to.
-Quantities = Callable[[Array], dict[str, Quantity]]
-
-
-@dataclass(frozen=True)
-class Case:
-    """A run to simulate.
-
-    Attributes
-    ----------
-    values : ndarray, shape (len(applied.model.parameters),)
-    trial : Trial
-        Sample times, drive and start of the run.
-    extra : dict of str to ndarray, each shape (n,)
-        Columns to write beside the simulated ones: commands, forces, measured inputs.
-    metadata : dict
-        For the log's comment lines.
-    per_run : bool
-        Samples are runs of a table, not instants: there is no time column.
-    """
-
-    id: str
-    applied: Applied
-    values: Array
-    trial: Trial
-    extra: Mapping[str, Any] = field(default_factory=dict)
-    metadata: Mapping[str, Any] = field(default_factory=dict)
-    quantities: Quantities | None = None
-    per_run: bool = False
 
 
 @dataclass(frozen=True)
@@ -162,20 +134,22 @@ def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, StepC
 
 
 def places(output: Path | None, ids: Sequence[str]) -> list[Path]:
-    """The file of each run: one log, or a folder of logs named after the trials."""
+    """Return the file of each run: one log, or a folder of logs named after the trials."""
     if output is None:
         return []
-    if output.suffix.lower() in LOG_ENDINGS and not output.is_dir():
+    folder = output.is_dir()
+    if output.suffix.lower() in LOG_ENDINGS and not folder:
         if len(ids) > 1:
             raise UsageError(
                 f"{len(ids)} trials do not fit into one log: name a folder, or one trial with --trial"
             )
         return [output]
-    if len(ids) == 1 and not output.is_dir() and output.suffix:
-        raise UsageError(f"'{output.name}' can be no log", hint=f"let it end in {' or '.join(LOG_ENDINGS)}")
-    if len(ids) == 1 and not output.is_dir():
-        raise UsageError(f"'{output.name}' is no folder", hint=f"for a log let it end in {LOG_ENDINGS[0]}")
-    if output.exists() and not output.is_dir():
+    if len(ids) == 1 and not folder:
+        raise UsageError(
+            f"'{output.name}' can be no log: its ending is none of a log, and no folder has this name",
+            hint=f"let it end in {' or '.join(LOG_ENDINGS)}",
+        )
+    if output.exists() and not folder:
         raise UsageError(f"{output} is a file; several trials need a folder")
     return [output / name for name in file_names(ids, LOG_ENDINGS)]
 

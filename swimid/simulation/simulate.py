@@ -13,16 +13,18 @@ from swimid.files import atomic
 from swimid.files.provenance import Input
 from swimid.options import takes
 from swimid.progress import Progress, silent
+from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.simulation import animation, cases, run
 from swimid.simulation.applied import Quantity
+from swimid.simulation.cases import Case
 from swimid.simulation.options import RUN, SimulateOptions
-from swimid.simulation.run import Case, Simulated, Simulation
+from swimid.simulation.run import Simulated, Simulation
 from swimid.swimmer import stroke_cycles
 
-#: A change of speed from beat to beat above this share is told.
+#: Largest change of the speed from beat to beat, over the speed, of a steady run.
 UNSTEADY = 0.005
-#: What a trial of many says in its line, where it has it.
+#: Quantities that the table of several runs holds.
 BRIEF = ("mean_speed_m_s", "peak_yaw_rate_rad_s", "peak_pitch_rate_rad_s", "turning_radius_m")
 
 
@@ -114,16 +116,24 @@ def simulate(
         for case in asked:
             done.append(run.run(case))
             step()
-    remark = ""
+    notes = []
     with atomic.together():
         outputs = run.write(output, done)
         if options.animate is not None:
             remark = animation.write(options.animate, _film(done[0]), view=options.view, progress=progress)
+            notes = [remark] if remark else []
             outputs.append(options.animate)
     if done[0].quantities:
         done[0].case.applied.warn_without_error("the uncertainties given here")
-    text = _summary(done, options, remark)
-    return Simulation("simulate", text, _data(done, options), outputs, document=done, inputs=inputs)
+    return Simulation(
+        "simulate",
+        "",
+        _data(done, options),
+        outputs,
+        evidence=_evidence(done, options, notes),
+        document=done,
+        inputs=inputs,
+    )
 
 
 def _insist_on_trials_alone(options: SimulateOptions) -> None:
@@ -170,97 +180,78 @@ def _film(done: Simulated) -> animation.Film:
     )
 
 
-# ------------------------------------------------------------ telling
+# ------------------------------------------------------------ evidence
 
 
-def _label(name: str) -> str:
-    """A quantity's name in words, without its unit."""
-    if name == "mean_speed_BL_s":
-        return "in body lengths"
-    bare, _ = numbers.split_unit(name.removesuffix("_BL"))
-    return bare.replace("_", " ")
-
-
-def _text(value: float, stderr: float | None, unit: str) -> str:
-    """A quantity as people read it: angles in degrees."""
-    factor, shown = numbers.in_degrees(unit)
-    if not stderr:
-        return numbers.number(factor * value, 4, shown)
-    return numbers.measured(factor * value, factor * stderr, shown)
-
-
-def _told(name: str, quantity: Quantity) -> str:
-    return f"{_label(name)} {_text(quantity.value, quantity.stderr, quantity.unit)}"
-
-
-def _summary(done: Sequence[Simulated], options: SimulateOptions, remark: str) -> str:
+def _evidence(done: Sequence[Simulated], options: SimulateOptions, notes: list[str]) -> ev.Evidence:
+    """Return what the runs come to, and whether the integration step is small enough."""
+    first, path = done[0], cases.place(options)
+    facts = {"Parameters": path.name if path else "values of the robot file", "Runs": str(len(done))}
     if len(done) == 1:
-        lines = _one(done[0], options)
+        drive = first.case.metadata.get("drive", {})
+        if drive:
+            facts["Drive"] = ", ".join(cases.setting(*item) for item in drive.items() if item[1])
+        if not first.case.per_run:
+            facts["Duration"] = numbers.number(float(np.ptp(first.case.trial.time_s)), unit="s")
+        rows: list[list[Any]] = [list(row) for row in _shown(first).items()]
+        table = ev.Table(id="quantities", title="Quantities", columns=["quantity", "value"], rows=rows)
     else:
-        lines = [f"{done[0].case.metadata['robot']}: {len(done)} trials"]
-        width = max(len(d.case.id) for d in done)
-        lines += [f"  {d.case.id:<{width}}  {', '.join(_brief(d))}" for d in done]
-    worst: dict[str, float] = {}
-    for name, change in ((name, change) for d in done for name, change in d.step.items()):
-        worst[name] = max(worst.get(name, 0.0), change.largest)
-    changes = [
-        f"{_label(name)} {numbers.number(largest, 2, numbers.split_unit(name)[1])}"
-        for name, largest in worst.items()
-        if largest > 0
-    ]
-    if changes:
-        lines += ["", f"  halving the step changes at most: {', '.join(changes)}"]
-    if remark:
-        lines.append(f"  {remark}")
-    return "\n".join(lines)
+        of_cycles = [name for name in first.quantities if name.startswith("cycle_")]
+        kept = [*BRIEF, *of_cycles[-len(stroke_cycles.QUANTITIES) :]]
+        shown = {d.case.id: _shown(d, kept) for d in done}
+        columns = list(dict.fromkeys(name for row in shown.values() for name in row))
+        rows = [[name, *(row.get(column, "") for column in columns)] for name, row in shown.items()]
+        table = ev.Table(id="quantities", title="Quantities", columns=["run", *columns], rows=rows)
+    shares = {(d.case.id, name): change.share for d in done for name, change in d.step.items()}
+    checks = []
+    if shares:
+        (run_id, name), share = max(shares.items(), key=lambda item: item[1])
+        text = "largest change of a channel over its range when the step is halved"
+        reason = f"halving the integration step changes {name} of {run_id} by {numbers.percent(share, 2)}"
+        limit = f"≤ {numbers.percent(run.STEP_LIMIT)}"
+        within = share <= run.STEP_LIMIT
+        value = numbers.percent(share, 2) if share > 1e-6 else "below 0.0001 %"
+        checks.append(ev.check("integration step", value, within, limit, text, reason=reason))
+    speed, change = (first.quantities.get(n) for n in ("mean_speed_m_s", "speed_change_per_beat_m_s"))
+    if len(done) == 1 and speed and change and abs(change.value) > UNSTEADY * abs(speed.value):
+        value = numbers.percent(change.value / speed.value, 2)
+        reason = f"the speed still changes by {value} a beat, so the run is not yet steady"
+        checks.append(ev.check("steady", value, False, "≤ 0.5 % a beat", reason=reason))
+    if first.quantities and not first.case.applied.uncertain()[0]:
+        notes = [*notes, "No uncertainty known: the parameters have no standard errors."]
+    robot = first.case.metadata["robot"]
+    answer = f"{robot} was simulated in {len(done)} runs."
+    if len(done) == 1:
+        answer = f"{robot}: {' '.join(next(iter(_shown(first).items())))}."
+    return ev.Evidence(
+        verb="simulate",
+        title=f"Simulation of {robot}",
+        verdict=ev.judged(answer, checks),
+        facts=facts,
+        checks=checks,
+        tables=[table],
+        notes=notes,
+    )
 
 
-def _brief(done: Simulated) -> list[str]:
-    """What a trial of many comes to, or where it ends."""
-    if done.quantities:
-        last = [n for n in done.quantities if n.startswith("cycle_")][-len(stroke_cycles.QUANTITIES) :]
-        return [_told(n, done.quantities[n]) for n in (*BRIEF, *last) if n in done.quantities]
-    channels = [c for c in done.case.applied.model.channels if c.name in done.columns]
-    if done.case.per_run:
-        name, v = channels[0].name, done.columns[channels[0].name]
-        low, high = numbers.number(float(np.min(v)), 4), numbers.number(float(np.max(v)), 4, channels[0].unit)
-        return [f"{len(v)} runs, {_label(name)} {low} to {high}"]
-    ends = [_told(c.name, Quantity(float(done.columns[c.name][-1]), c.unit)) for c in channels]
-    return [f"after {_duration(done):.4g} s", *ends]
-
-
-def _duration(done: Simulated) -> float:
-    return float(done.case.trial.time_s[-1] - done.case.trial.time_s[0])
-
-
-def _one(done: Simulated, options: SimulateOptions) -> list[str]:
-    case = done.case
-    place = cases.place(options)
-    source = place.name if place else "the robot file's values"
-    lines = [f"{case.metadata['robot']}, {source}"]
-    drive = case.metadata.get("drive")
-    parts = []
-    if isinstance(drive, dict) and "stroke" in drive:
-        parts = [f"{drive['stroke']} at {drive['frequency_hz']:.4g} Hz"]
-        parts += [f"scaled by {drive['scale']:g}"] if drive["scale"] != 1.0 else []
-    elif isinstance(drive, dict) and "waveform" in drive:
-        parts = [f"{drive['waveform']} {drive['frequency_hz']:g} Hz", f"{drive['amplitude_deg']:g} deg"]
-        parts += [f"bias {drive['bias_deg']:g} deg"] if drive["bias_deg"] else []
-        parts += [f"asymmetry {drive['asymmetry']:g}"] if drive["asymmetry"] else []
-    if parts:
-        lines.append(f"  {', '.join(parts)}, {_duration(done):g} s")
-    shown = {n: q for n, q in done.quantities.items() if n != "speed_change_per_beat_m_s"}
-    width = max((len(_label(n)) for n in shown), default=0)
-    lines += [f"  {_label(name):<{width}}  {_text(q.value, q.stderr, q.unit)}" for name, q in shown.items()]
-    if not shown:
-        lines.append(f"  {', '.join(_brief(done))}")
-    speed, change = (done.quantities.get(n) for n in ("mean_speed_m_s", "speed_change_per_beat_m_s"))
-    if speed and change and abs(change.value) > UNSTEADY * abs(speed.value):
-        percent = 100 * change.value / speed.value
-        lines.append(f"  not yet steady: the speed changes by {numbers.fixed(percent, 1)} % a beat")
-    if shown and not case.applied.uncertain()[0]:
-        lines.append("  no uncertainty known")
-    return lines
+def _shown(done: Simulated, kept: Sequence[str] = ()) -> dict[str, str]:
+    """Return quantities (all by default) by a name in words; without any, the channels at the end."""
+    found = {n: q for n, q in done.quantities.items() if n in kept or not kept}
+    if not done.quantities:
+        channels = [c for c in done.case.applied.model.channels if c.name in done.columns]
+        found = {c.name: Quantity(float(done.columns[c.name][-1]), c.unit) for c in channels}
+    found.pop("speed_change_per_beat_m_s", None)
+    texts = {}
+    for name, quantity in found.items():
+        words = numbers.split_unit(name)[0].replace("_", " ")
+        factor, unit = numbers.in_degrees(quantity.unit)
+        label = words if done.quantities else f"{words} at the end"
+        label = "mean speed in body lengths" if name == "mean_speed_BL_s" else label
+        if quantity.stderr:
+            texts[label] = numbers.measured(factor * quantity.value, factor * quantity.stderr, unit)
+        else:
+            texts[label] = numbers.number(factor * quantity.value, 4, unit)
+    return texts
 
 
 def _data(done: Sequence[Simulated], options: SimulateOptions) -> dict[str, Any]:

@@ -16,8 +16,8 @@ Case = Callable[..., Path]
 
 
 def verdict(ran: Ran) -> str:
-    """Return the grade on the last line of the summary."""
-    return ran.out.strip().splitlines()[-1].split(":")[0]
+    """Return the grade of the verdict, the last paragraph of the summary."""
+    return ran.out.strip().split("\n\n")[-1].split(":")[0]
 
 
 def parameter(ran: Ran, name: str) -> dict:

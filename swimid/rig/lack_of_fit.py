@@ -1,4 +1,4 @@
-"""Lack-of-fit test of a rig: do the trials speak for a parameter that the fit holds?
+"""Lack-of-fit tests of a rig: a parameter left out, starts and friction of single trials, an odd trial.
 
 Every parameter that all trials share and that is held is tried in two ways. First it is freed beside the
 others. The fit is judged by the parameter's standard error, which allows for coloured residuals and for
@@ -15,31 +15,44 @@ References
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy import special
 
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting import output_error, restarts
+from swimid.fitting import output_error, random_effect, restarts
 from swimid.fitting.fit_result import FitResult
 from swimid.fitting.model import Parameter, chosen
-from swimid.fitting.residual_tests import SIGNIFICANCE
+from swimid.fitting.odd_trial import ODD, TIMES, Odd, odd_trial
+from swimid.fitting.residual_tests import SIGNIFICANCE, fit_autoregression
+from swimid.fitting.sandwich import HETEROGENEITY
 from swimid.notices import recorded, warn
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.rig.encoder import third_difference_sd
+from swimid.results.parameters import Estimate
 from swimid.rig.model import ALIKE
+from swimid.rig.trials import third_difference_sd
 
-#: Where a parameter that was held starts, in its scale from the value at which it was held.
-STARTS = (0.0, 1.0, -1.0)
+#: Start values of a parameter that was held, in its scale from the value at which it was held.
+FREED_STARTS = (0.0, 1.0, -1.0)
 #: Twice the logarithm of a likelihood ratio that is strong evidence (Kass and Raftery).
 STRONG = 6.0
 #: Number of draws of the noise of a measured force.
 N_DRAWS = 30
 #: Maximum number of parameters that the warning names.
 MAX_NAMED = 3
+#: Largest p-value and largest share of the squared error at which a start of their own is taken for trials.
+START_P, START_SHARE = 1e-6, 0.8
+#: Parameters of the start of a trial, and the words for a trial that has them.
+STARTS = {"initial_speed": "moving", "clock_offset": "at another time than their first sample"}
+#: The friction of a trial, and the common one from which it deviates.
+FRICTION, COMMON = "friction_deviation", "pulley_friction"
+#: Largest p-value at which a friction follows the pulling mass.
+TREND = 1e-2
 
 
 @dataclass(frozen=True)
@@ -178,7 +191,7 @@ def _best(plain: FitResult, held: Parameter, parameters: tuple[Parameter, ...]) 
     """Return the best fit with other choices of parameters, from several values of the one that was held."""
     free = any(p.name == held.name and p.free for p in parameters)
     fits = []
-    for start in STARTS if free else STARTS[:1]:
+    for start in FREED_STARTS if free else FREED_STARTS[:1]:
         value = held.start + start * held.scale
         if not held.lower <= value <= held.upper:
             continue
@@ -208,20 +221,15 @@ def omission_checks(plain: FitResult, omitted: Sequence[Omitted]) -> list[ev.Che
     name = "no parameter left out"
     limit = f"p ≥ {SIGNIFICANCE:g}, and no other law explains as much"
     if not omitted:
-        held = [p.name for p in plain.parameters if not p.free and not p.per_trial]
-        tried = f"tried, each in a fit of its own: {', '.join(held)}" if held else "none is held"
-        return [blocks.check(name, "none", limit, True, text=tried)]
+        held = ", ".join(p.name for p in plain.parameters if not p.free and not p.per_trial)
+        return [ev.check(name, "none", True, limit, f"tried, each in a fit of its own: {held or 'none'}")]
     more = f"; {len(omitted) - MAX_NAMED} more parameters, less well" if len(omitted) > MAX_NAMED else ""
     warn("SWM024", "; ".join(_sentence(plain, o) for o in omitted[:MAX_NAMED]) + more)
-    best = omitted[0]
-    contradicted = -best.criterion > STRONG
-    other = moved(plain, best.fit)
+    best, other = omitted[0], moved(plain, omitted[0].fit)
     text = f"with it {', '.join(other)} would lie outside the stated interval" if other else ""
-    return [
-        blocks.check(
-            name, best.text, limit, False, otherwise="fail" if other and contradicted else "warn", text=text
-        )
-    ]
+    reason = f"the trials speak for {best.text}"
+    grade = "fail" if other and -best.criterion > STRONG else "warn"
+    return [ev.check(name, best.text, False, limit, text, otherwise=grade, reason=reason)]  # type: ignore[arg-type]
 
 
 def _sentence(plain: FitResult, omitted: Omitted) -> str:
@@ -243,3 +251,207 @@ def moved(stated: FitResult, other: FitResult) -> list[str]:
         if error is None or abs(other.value(label) - stated.value(label)) > 1.96 * error:
             found.append(label)
     return found
+
+
+# ------------------------------------------------------------ single trials
+
+
+@dataclass(frozen=True)
+class Explained:
+    """A fit, and what was found to differ between its trials; ``facts`` are for the file's settings."""
+
+    result: FitResult
+    facts: dict[str, Any] = field(default_factory=dict)
+    derived: dict[str, Estimate] = field(default_factory=dict)
+    checks: list[ev.Check] = field(default_factory=list)
+
+
+def explain_trials(
+    plain: FitResult,
+    choices: tuple[Parameter, ...],
+    pulling_kg: Mapping[str, float | None],
+    odd: Odd | None,
+    *,
+    insist: bool,
+) -> Explained:
+    """Return the fit with starts or frictions of single trials, where the data clearly speak for them.
+
+    The start of each trial is its own and may be anything. The friction of a pulley differs by chance: it
+    is a random effect, and one that follows the pulling mass is no chance but a force the model lacks.
+
+    Parameters
+    ----------
+    plain : FitResult
+        From rest, with nothing of single trials.
+    choices : tuple of Parameter
+        The user's.
+    pulling_kg : mapping of trial to mass
+    odd : Odd or None
+        The trial that contradicts the others.
+    insist : bool
+        The user frees the friction of each trial, so that nothing else is tried.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        When a friction was insisted on that these trials do not tell.
+    """
+    if insist:
+        return _by_chance(plain, pulling_kg, odd, *_friction(plain, odd))
+    fits: dict[str, FitResult] = {}
+    for name in STARTS:
+        rival = freed(plain, name)
+        if rival is not None and _significant(plain, rival):
+            fits[name] = rival
+    with suppress(NoTrustworthyResult):
+        chance, spread = _friction(plain, odd)
+        if spread.p_value < HETEROGENEITY:
+            fits[FRICTION] = chance
+    omitted = omitted_parameters(plain)
+    least = min((misfit(rival) for rival in fits.values()), default=math.inf)
+    if not fits or (omitted and misfit(omitted[0].fit) < 1.1 * least):
+        # one number for all trials explains as much as one for each
+        return Explained(plain, {"start_state": "rest"}, checks=omission_checks(plain, omitted))
+    reason = min(fits, key=lambda name: misfit(fits[name]))
+    if reason == FRICTION:
+        return _by_chance(plain, pulling_kg, odd, chance, spread)
+    best = fits[reason]
+    unit = next(p.unit for p in choices if p.name == reason)
+    warn(
+        "SWM017",
+        f"the trials start {STARTS[reason]}; {reason} is estimated for each ({_own(best, reason)} {unit}). "
+        "Use --start-state rest to insist on rest at the first sample",
+    )
+    # starts of their own take up a part of what all trials lack
+    return Explained(best, {"start_state": reason}, checks=omission_checks(best, omitted_parameters(best)))
+
+
+def odd_one(plain: FitResult) -> Odd | None:
+    """The trial that contradicts the others, where residuals give reason to look for one."""
+    coloured = any(len(n.autoregression) for n in plain.noise.values())
+    return odd_trial(plain) if coloured or plain.scatter_p < HETEROGENEITY else None
+
+
+def odd_check(result: FitResult, odd: Odd) -> ev.Check:
+    """Return the check that one trial contradicts the others; warn of it."""
+    units = {p.name: p.unit for p in result.parameters}
+    without = "; ".join(
+        f"{label} {numbers.measured(odd.others.value(label), odd.others.stderr(label), units[label])}"
+        for label in odd.others.shared
+    )
+    times = numbers.number(odd.times, 2)
+    warn(
+        "SWM071",
+        f"{odd.trial} contradicts the other trials: they predict it {times} times worse than one another. "
+        f"Without it: {without}. Check its entry in the trials file (pulling mass, force, unit), or leave it "
+        "out of the fit with role: validate",
+    )
+    other = moved(result, odd.others)
+    return ev.check(
+        "no trial contradicts the others",
+        f"{odd.trial}: {times} times the others' error",
+        False,
+        f"below {TIMES:g} times, or p ≥ {ODD:g}",
+        f"without it {', '.join(other)} would lie outside the stated interval" if other else "",
+        otherwise="fail" if other else "warn",
+        reason=f"{odd.trial} contradicts the other trials",
+    )
+
+
+# ------------------------------------------------------------ friction by chance
+
+
+def _friction(plain: FitResult, odd: Odd | None) -> tuple[FitResult, random_effect.Spread]:
+    """The fit with a friction that differs by chance; raises where these trials do not tell it."""
+    pulled = [t for t in plain.trials if t.role == "fit" and t.rig.pulley]
+    reason = ""
+    if not any(p.name == FRICTION for p in plain.parameters) or len(pulled) < random_effect.FEWEST:
+        reason = f"it takes at least {random_effect.FEWEST} trials with a pulley"
+    elif COMMON not in plain.labels:
+        reason = f"{COMMON} is held"
+    if reason:
+        raise NoTrustworthyResult(f"{FRICTION} cannot be estimated: {reason}")
+    # where the others agree the model is nearly linear; pulled off by an odd one it is not
+    near = odd.others if odd is not None and COMMON in odd.others.labels else None
+    return random_effect.fit(plain, FRICTION, COMMON, near=near)
+
+
+def _by_chance(
+    plain: FitResult,
+    pulling_kg: Mapping[str, float | None],
+    odd: Odd | None,
+    chance: FitResult,
+    spread: random_effect.Spread,
+) -> Explained:
+    facts: dict[str, Any] = {"start_state": "rest"}
+    if spread.sd == 0.0:
+        return Explained(plain, facts)
+    checks = omission_checks(chance, omitted_parameters(chance))
+    # an odd trial has a reason of its own: it neither makes a trend nor hides one
+    others = chance if odd is None else odd.others
+    own = random_effect.own_numbers(others, FRICTION, COMMON)
+    trend = random_effect.trend(own, np.array([pulling_kg.get(name) or math.nan for name in own.trials]))
+    refused = ""
+    if trend.p_value < TREND:
+        slope = numbers.measured(trend.slope, trend.stderr, "N/kg")
+        refused = f"{'grows' if trend.slope > 0 else 'falls'} with its pulling mass, by {slope}"
+        warn(
+            "SWM070",
+            f"the friction that each trial asks for {refused} (p = {trend.p_value:.1g}): that is no chance "
+            "but a force the model lacks, and is not taken up by a friction of each trial. A drag of another "
+            "law does this, or a bearing under load",
+        )
+    elif spread.sd > others.value(COMMON):
+        # a force that only brakes does not scatter by more than there is of it
+        refused = "would push in some trials: it differs by more than there is of it"
+        warn("SWM072", f"the friction that each trial asks for {refused}, so it is not taken for a friction")
+    if refused:
+        name, limit = "friction differs by chance only", f"no trend (p ≥ {TREND:g}), none that pushes"
+        text = "all parameters take up a part of what the model lacks"
+        reason = f"the friction that each trial asks for {refused}"
+        checks.append(ev.check(name, refused, False, limit, text, otherwise="fail", reason=reason))
+        return Explained(plain, facts, checks=checks)
+    size = numbers.measured(spread.sd, spread.stderr, "N")
+    warn(
+        "SWM014",
+        f"the pulley friction differs from trial to trial by {size} ({_own(chance, FRICTION)} N): a random "
+        "effect; the standard errors allow for it",
+    )
+    estimate = Estimate(value=spread.sd, stderr=spread.stderr, unit="N", status="estimated")
+    facts["friction"] = "random effect of each trial"
+    return Explained(chance, facts, {"friction_spread": estimate}, checks)
+
+
+# ------------------------------------------------------------ the start of a trial
+
+
+def _significant(plain: FitResult, rival: FitResult) -> bool:
+    """Whether the rival's extra unknowns lower the error beyond what coloured noise allows."""
+    extra = len(rival.labels) - len(plain.labels)
+    before, after = misfit(plain), misfit(rival)
+    if after <= 0 or before <= after or after > START_SHARE * before:
+        return False
+    colour = 1.0
+    for noise in rival.noise.values():
+        if len(noise.autoregression):
+            series = np.concatenate([s.weighted for s in rival.series if s.role == "fit"])
+            fitted = fit_autoregression(series, order=len(noise.autoregression))
+            colour = max(colour, fitted.long_run_variance / float(np.nanvar(series)))
+    statistic = (before - after) / (after / max(rival.samples - len(rival.labels), 1)) / colour
+    return bool(stats.chi2.sf(statistic, extra) < START_P)
+
+
+def misfit(result: FitResult) -> float:
+    """Sum of squared residuals of the fitted trials."""
+    return float(sum(np.nansum(s.residual**2) for s in result.series if s.role == "fit"))
+
+
+# ------------------------------------------------------------ words
+
+
+def _own(result: FitResult, name: str) -> str:
+    """The trials' values of a parameter."""
+    labels = [label for label in result.labels if label.startswith(f"{name}[")]
+    return ", ".join(
+        f"{label[len(name) + 1 : -1]} {result.estimate[result.labels.index(label)]:+.3g}" for label in labels
+    )
