@@ -438,7 +438,7 @@ def _significant(plain: FitResult, rival: FitResult) -> bool:
             fitted = fit_autoregression(series, order=len(noise.autoregression))
             colour = max(colour, fitted.long_run_variance / float(np.nanvar(series)))
     statistic = (before - after) / (after / max(rival.samples - len(rival.labels), 1)) / colour
-    return bool(stats.chi2.sf(statistic, extra) < START_P)
+    return bool(special.chdtrc(extra, statistic) < START_P)
 
 
 def misfit(result: FitResult) -> float:
