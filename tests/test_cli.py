@@ -265,13 +265,9 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
     return printed
 
 
-def _own_text(name: str) -> Any:
-    return pytest.param(name, marks=pytest.mark.xfail(reason="prints a text of its own, not of the renderer"))
-
-
 @pytest.mark.parametrize(
     "name",
-    ["fit-drag", "fit-propulsion", "compare", _own_text("simulate"), _own_text("rwls"), "report"],
+    ["fit-drag", "fit-propulsion", "compare", "simulate", "rwls", "report"],
 )
 def test_the_demo_fits_a_terminal(demo: dict[str, list[str]], name: str) -> None:
     """No line is longer than 100 characters, unless it names a file or is a command."""

@@ -136,7 +136,7 @@ def test_the_other_verdicts_in_words() -> None:
     assert "cause of" not in said("none")
     assert "do not tell whether the model has a gap" in said("untold")
     assert "nothing tells whether that is chance" in said("unrepeated")
-    assert said("repeated").endswith("The model leaves noise, and differences between trials.")
+    assert "NO GAP: The model leaves noise, and differences between trials." in said("repeated")
     assert "all trials have one setting, and nothing is tested at another" in said("single")
     follows = said("follows")
     assert "follows the trials it is fitted to, but not the validation trials." in follows

@@ -76,7 +76,8 @@ class Diagnosis(FileResult[GapFile]):
 
         return pd.DataFrame([c.model_dump() for c in self.file.where.channels])
 
-    def _bare(self) -> Evidence:
+    def bare(self) -> Evidence:
+        """Return what a report shows of a gap file whose evidence is missing."""
         found = evidence.evidence(self.file)
         text = f"No evidence file, so its figures cannot be shown. {found.verdict.text}"
         level = "bad" if found.verdict.level == "bad" else "caution"

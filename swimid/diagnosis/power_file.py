@@ -123,5 +123,6 @@ class DetectionPower(FileResult[PowerFile]):
 
         return pd.DataFrame([r.model_dump() for r in self.file.effects])
 
-    def _bare(self) -> ev.Evidence:
+    def bare(self) -> ev.Evidence:
+        """Return what a report shows of a power file whose evidence is missing."""
         return evidence(self.file)

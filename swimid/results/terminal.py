@@ -26,9 +26,9 @@ def summary(evidence: Evidence) -> str:
     if evidence.notes:
         parts += ["", *(_wrapped(note) for note in evidence.notes)]
     passed = sum(check.verdict == "pass" for check in evidence.checks)
-    counted = f" ({passed} checks pass)" if passed else ""
+    counted = f" {passed} checks pass." if passed else ""
     word = (evidence.verdict.word or evidence.verdict.level).upper()
-    verdict = f"{word}{counted}: {evidence.verdict.text}"
+    verdict = f"{word}: {evidence.verdict.text}{counted}"
     return "\n".join([*parts, "", textwrap.fill(verdict, WIDTH)])
 
 
