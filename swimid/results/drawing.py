@@ -11,7 +11,7 @@ import math
 import re
 import textwrap
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, partial
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -23,7 +23,7 @@ from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Rectangle
-from matplotlib.ticker import LogFormatter
+from matplotlib.ticker import FuncFormatter, LogFormatter
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
@@ -135,13 +135,13 @@ def paint(axes: Axes, panel: Panel, slots: dict[Any, int], *, compact: bool = Fa
         else:
             paired = trace.group in pointed & lined
             _trace(axes, trace, slot, repeat, paired=paired, compact=compact)
+    axes.set_xlabel("\n".join(textwrap.wrap(panel.x_label, 52)))
+    axes.set_ylabel("\n".join(textwrap.wrap(panel.y_label, 36)))
     _scales(axes, panel)
     for mark in panel.marks:
         line = axes.axhline if mark.axis == "y" else axes.axvline
         line(mark.at, color=palette()["ink"], lw=0.6, dashes=(4, 3), zorder=1.8, label=mark.label or None)
     _spans(axes, panel)
-    axes.set_xlabel("\n".join(textwrap.wrap(panel.x_label, 52)))
-    axes.set_ylabel("\n".join(textwrap.wrap(panel.y_label, 36)))
     rows = _legend(axes)
     axes.set_title("\n".join(textwrap.wrap(panel.title, 52)), pad=5 + rows * 1.6 * (FONT - 1))
 
@@ -250,6 +250,12 @@ def _scales(axes: Axes, panel: Panel) -> None:
             getattr(axes, f"set_{name}scale")("log", nonpositive="mask")
             axis.set_major_formatter(LogFormatter())
             axis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.5)))
+            continue
+        largest = max((abs(v) for v in values if v is not None and math.isfinite(v)), default=0.0)
+        power = math.floor(math.log10(largest)) if largest else 0
+        if not -3 <= power < 5:
+            axis.set_major_formatter(FuncFormatter(partial(_scaled, 10.0**power)))
+            axis.set_label_text(f"{axis.get_label_text()}, × {numbers.power_of_ten(power)}")
     for names, axis in ((panel.x_categories, axes.xaxis), (panel.y_categories, axes.yaxis)):
         if names is not None:
             axis.set_ticks(range(len(names)), [_cut(name) for name in names])
@@ -261,6 +267,10 @@ def _scales(axes: Axes, panel: Panel) -> None:
         axes.set_aspect("equal", adjustable="box")
     if panel.invert_y:
         axes.invert_yaxis()
+
+
+def _scaled(factor: float, value: float, _: int | None) -> str:
+    return f"{value / factor:.4g}".replace("-", "−")
 
 
 def _cut(name: str, letters: int = 24) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Sequence
 from datetime import datetime
@@ -27,8 +28,9 @@ CHECKS = {
     "fail": ("✕", "fail", "bad"),
     "info": ("i", "info", "muted"),
 }
-#: Number of figures and of open tables that stand in the main part of a result; the others are folded.
-MAIN_FIGURES, MAIN_TABLES = 2, 1
+#: Maximum number of panels of figures, beyond the first figure, and of open tables in the main part of a
+#: result; the others are folded.
+MAIN_PANELS, MAIN_TABLES = 3, 1
 
 
 def overall(contents: Sequence[Evidence]) -> Verdict:
@@ -123,6 +125,8 @@ def _drawn(content: Evidence, path: Path | None, prefix: str, step: Step) -> lis
 def _shown(content: Evidence, pictures: list[list[str]]) -> dict[str, Any]:
     """Return what a template shows of a result, its main parts apart from its folded ones."""
     figures = [(_explained(figure), panels) for figure, panels in zip(content.figures, pictures, strict=True)]
+    panels = itertools.accumulate(len(figure.panels) for figure in content.figures)
+    n_main = max(sum(total <= MAIN_PANELS for total in panels), 1)
     tables = [table for table in content.tables if not table.folded]
     verdicts = [check.verdict for check in content.checks]
     counts = [f"{verdicts.count(one)} {one}" for one in ("pass", "warn", "fail") if one in verdicts]
@@ -132,9 +136,9 @@ def _shown(content: Evidence, pictures: list[list[str]]) -> dict[str, Any]:
         "path": None,
         "next": "",
         "folded": False,
-        "figures": figures[:MAIN_FIGURES],
+        "figures": figures[:n_main],
         "tables": tables[:MAIN_TABLES],
-        "more_figures": figures[MAIN_FIGURES:],
+        "more_figures": figures[n_main:],
         "more_tables": [table for table in content.tables if table not in tables[:MAIN_TABLES]],
         "checks": ", ".join(counts),
     }

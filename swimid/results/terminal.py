@@ -26,7 +26,7 @@ def summary(evidence: Evidence) -> str:
     if evidence.notes:
         parts += ["", *(_wrapped(note) for note in evidence.notes)]
     passed = sum(check.verdict == "pass" for check in evidence.checks)
-    counted = f" {passed} checks pass." if passed else ""
+    counted = f" {passed} check{'s pass' if passed > 1 else ' passes'}." if passed else ""
     word = (evidence.verdict.word or evidence.verdict.level).upper()
     verdict = f"{word}: {evidence.verdict.text}{counted}"
     return "\n".join([*parts, "", textwrap.fill(verdict, WIDTH)])
@@ -66,13 +66,14 @@ def _line(row: Sequence[str], widths: list[int], right: list[bool], columns: lis
     return f"  {'  '.join(cells)}".rstrip()
 
 
-#: Next command after a result, by the command that made it. ``{trials}`` is its first input.
+#: Next command after a result, by the command that made it. ``{trials}`` is the first YAML file
+#: among its inputs, ``{params}`` the last.
 NEXT = {
     **dict.fromkeys(
         ("fit-drag", "fit-propulsion", "fit-graybox"),
         "swimid compare {trials} --params {file} -o comparison.yaml",
     ),
-    "compare": "swimid diagnose {trials} --params PARAMETERS.yaml -o gap.yaml",
+    "compare": "swimid diagnose {trials} --params {params} -o gap.yaml",
     **dict.fromkeys(("track video", "track imu", "import", "simulate"), "swimid plot {file} -o log.html"),
     **dict.fromkeys(("diagnose", "rwls", "map", "sensitivity"), "swimid report {file} -o report.html"),
 }
@@ -80,5 +81,7 @@ NEXT = {
 
 def next_command(verb: str, file: str, provenance: dict[str, Any]) -> str:
     """Return the next command after a result; empty if none is known."""
-    inputs = provenance.get("inputs") or {}
-    return NEXT.get(verb, "").format(file=file, trials=next(iter(inputs), "TRIALS.yaml"))
+    files = [name for name in provenance.get("inputs") or {} if name.endswith((".yaml", ".yml"))]
+    trials = files[0] if files else "TRIALS.yaml"
+    params = files[-1] if len(files) > 1 else "PARAMETERS.yaml"
+    return NEXT.get(verb, "").format(file=file, trials=trials, params=params)
