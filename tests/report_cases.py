@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from swimid.logs import log
-from swimid.results import evidence, parameters
+from swimid.results import evidence
 from swimid.results.evidence import (
     Check,
     Evidence,

@@ -11,7 +11,6 @@ import pandas as pd
 import pytest
 
 from swimid.results import evidence
-from swimid.results import parameters as parameters_format
 from swimid.results.parameters import Estimate, ParameterFile
 from swimid.simulation.comparison_file import ComparisonFile
 from swimid.swimmer import stroke_cycles

@@ -15,6 +15,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from swimid.results.reader import reader
+from swimid.results.sections import Section
 
 from swimid.cli.main import main
 from swimid.errors import InputError, UsageError
@@ -23,9 +25,7 @@ from swimid.notices import SwimidWarning, recorded
 from swimid.results import evidence, page, parameters, sections
 from swimid.results import reader as results
 from swimid.results.evidence import MAX_POINTS, Check, Figure, Panel, Table, Trace, Verdict
-from swimid.results.reader import reader
 from swimid.results.report import report
-from swimid.results.sections import Section
 from tests import report_cases as cases
 
 VOID = {"meta", "link", "img", "br", "hr", "input", "path", "use", "rect", "circle"}

@@ -15,8 +15,7 @@ from swimid.inertial.alignment import Fit, Poses
 from swimid.inertial.alone import Estimate, likeliest_class, shown_class
 from swimid.inertial.clock import Offset
 from swimid.inertial.errorstate import FUSED, PARTS, Observation
-from swimid.inertial.faults.base import Finding
-from swimid.inertial.record import Array
+from swimid.inertial.record import Array, Finding
 from swimid.inertial.sensor import BAND, DEG, Sensor
 from swimid.inertial.setup import Setup
 from swimid.inertial.smoother import Nominal, Prior, Smoothed, State
