@@ -29,8 +29,8 @@ import numpy as np
 
 from swimid.tracking import plane, smooth
 from swimid.tracking import setup as setup_format
-from swimid.tracking.follow import Follower
 from swimid.tracking.reader import Video
+from swimid.tracking.tracker import Follower
 from tests.generators import pool_video
 from tests.generators.pool_video import Scene
 

@@ -19,9 +19,9 @@ from swimid.results.parameters import Estimate, ParameterFile
 from swimid.robots import file as robot
 from swimid.simulation.comparison_file import ComparisonFile
 from swimid.swimmer import stroke_cycles
-from swimid.tracking import checks, plane, pose
+from swimid.tracking import plane, pose, quality
 from swimid.tracking import setup as setup_format
-from swimid.tracking.rawtrack import WINDOW, RawTrack
+from swimid.tracking.detect import WINDOW, RawTrack
 from tests.generators import side_video
 from tests.generators.side_video import FRONT, PERIOD_S, REAR, View
 
@@ -223,7 +223,7 @@ def posed(view, changes, *, places=True):
     with recorded() as notices:
         ground = pose.facing(track, rules, plane.build(rules, view.width, view.height))
         result = pose.build(track, rules, ground)
-        found = {c.name: c for c in checks.run(track, result, rules)}
+        found = {c.name: c for c in quality.checks(track, result, rules)}
     return result, truth, found, [n.code for n in notices]
 
 

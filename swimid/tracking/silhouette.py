@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.tracking import motion
-from swimid.tracking.rawtrack import LOST, WINDOW, RawTrack
+from swimid.tracking.detect import LOST, WINDOW, RawTrack
+from swimid.tracking.quality import head_first
 from swimid.tracking.reader import Frame, FrameKeeper, Video, reduced
 from swimid.tracking.setup import Setup
 
@@ -133,7 +133,7 @@ class Silhouette:
             rivals={},
             change=change,
         )
-        ahead = motion.head_first(track, *track.names)
+        ahead = head_first(track, *track.names)
         if ahead is not None and (ahead < 0.5) == (self.setup.swims == "head-first"):
             for values in (track.x, track.y):
                 values[1] = 2 * values[0] - values[1]

@@ -17,14 +17,14 @@ from swimid.notices import warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results.result import Result
-from swimid.tracking import camera, colour, motion, pick, propose
+from swimid.tracking import colour, pick, propose, quality
 from swimid.tracking import setup as setup_format
 from swimid.tracking.options import TrackSetupOptions
 from swimid.tracking.pictures import SEEN, write_text
 from swimid.tracking.propose import Candidate, Passed
 from swimid.tracking.reader import Frame, Video
-from swimid.tracking.run import Run, follow
 from swimid.tracking.setup import FORMAT, Marker, Setup
+from swimid.tracking.tracker import Run, follow
 
 #: Candidates that are tried as first marker, and trials of each: every trial reads the film once.
 _TRIES = 3
@@ -149,7 +149,7 @@ def track_setup(
         lines.append(f"{name}: found in {100 * share:.1f} % of the frames, {hue}, area {area} px")
     lines += [f"passed over: {one}" for one in passed]
     lines.append(f"head {setup.head}{f', tail {setup.tail}' if setup.tail else '; no tail, so no yaw'}")
-    ahead = None if setup.tail is None else motion.head_first(run.track, setup.head_name, setup.tail)
+    ahead = None if setup.tail is None else quality.head_first(run.track, setup.head_name, setup.tail)
     if ahead is not None:
         lines.append(f"swims head first in {100 * ahead:.0f} % of the steps")
     if setup.scale is None:
@@ -187,15 +187,15 @@ def _unattended(
     with progress(f"looking at {video.name}") as step:
         samples = propose.sample(video, step=step)
     found, passed = propose.candidates(samples)
-    shift = samples.factor * camera.shifts(samples.frames)
+    shift = samples.factor * quality.shifts(samples.frames)
     taken = ". What moves with it is taken for no marker, but a log will hold the camera's motion"
-    camera.farthest(shift, samples.video.width, taken)
+    quality.moving_camera(shift, samples.video.width, taken)
     reasons: dict[int, str] = {}
     for k, first in enumerate(found[:_TRIES]):
         for second in [*propose.partners(first, found[k + 1 :])[: _TRIES - 1], None]:
             pair = [first] if second is None else [first, second]
             run = _tried(video, pair, common, progress)
-            scene = camera.between(shift, samples.indices, len(run.track.times))
+            scene = quality.between(shift, samples.indices, len(run.track.times))
             faults = _faults(run, pair, scene)
             reasons |= {id(pair[i]): text for i, text in faults.items()}
             if not faults:
@@ -216,7 +216,7 @@ def _unattended(
 def _led_by_its_head(run: Run) -> Run:
     """Return a trial whose head is the marker towards which the pair moves in most steps."""
     head, tail = run.setup.head, run.setup.tail
-    if head is None or tail is None or (motion.head_first(run.track, head, tail) or 0.0) >= 0.5:
+    if head is None or tail is None or (quality.head_first(run.track, head, tail) or 0.0) >= 0.5:
         return run
     return replace(run, setup=run.setup.model_copy(update={"head": tail, "tail": head}))
 
@@ -237,7 +237,7 @@ def _tried(video: Path, pair: list[Candidate], common: dict[str, Any], progress:
         return follow(video, setup, step=step)
 
 
-def _faults(run: Run, pair: list[Candidate], scene: motion.Array | None) -> dict[int, str]:
+def _faults(run: Run, pair: list[Candidate], scene: quality.Array | None) -> dict[int, str]:
     """Why candidates of a trial are no markers, by their place in ``pair``.
 
     ``scene``, shape (2, n), px, is how far the scene is shifted in each frame.
@@ -245,8 +245,8 @@ def _faults(run: Run, pair: list[Candidate], scene: motion.Array | None) -> dict
     faults: dict[int, str] = {}
     track = run.track
     for i, (name, candidate) in enumerate(zip(track.names, pair, strict=True)):
-        share, reach = float(track.found[i].mean()), motion.reach(track, name, scene)
-        if share < max(motion.LEAST_SHARE, 0.3 * candidate.presence):
+        share, reach = float(track.found[i].mean()), quality.reach(track, name, scene)
+        if share < max(quality.LEAST_SHARE, 0.3 * candidate.presence):
             faults[i] = f"cannot be followed (found in {100 * share:.1f} % of the frames)"
         elif not reach.moves:
             faults[i] = f"does not move (stays within {reach.radii:.2g} of its radius of one place)"
@@ -254,11 +254,11 @@ def _faults(run: Run, pair: list[Candidate], scene: motion.Array | None) -> dict
         return faults
     first, second = track.names
     weaker = int(pair[0].score >= pair[1].score)
-    separation = motion.distance(track, first, second)
+    separation = quality.distance(track, first, second)
     other = track.names[1 - weaker]
     if separation is None:
         faults[weaker] = f"is hardly seen together with {other}"
-    elif separation.change > motion.DISTANCE_SPREAD[1]:
+    elif separation.change > quality.DISTANCE_SPREAD[1]:
         change = f"{100 * separation.change:.0f} %"
         faults[weaker] = f"its distance to {other} changes by {change}: they are on no rigid part"
     return faults
@@ -286,8 +286,8 @@ def _by_hand(
     head, tail = setup.head, setup.tail
     if head is not None and tail is not None and markers[0].number > 1:
         # Equal markers may be on one body or on several; only a rigid pair gives a heading.
-        separation = motion.distance(run.track, head, tail)
-        if separation is None or separation.change > motion.DISTANCE_SPREAD[1]:
+        separation = quality.distance(run.track, head, tail)
+        if separation is None or separation.change > quality.DISTANCE_SPREAD[1]:
             setup = setup.model_copy(update={"tail": None})
             remarks[0] += f"; {head} and {tail} keep no distance, so there is no tail"
     return replace(run, setup=setup), remarks
@@ -304,7 +304,7 @@ def _by_background(video: Path, common: dict[str, Any], progress: Progress) -> t
     setup = _setup([Marker(name="body", method="background")], common)
     with progress(f"trying {setup.head}") as step:
         run = follow(video, setup, step=step)
-    if run.track.found[0].mean() < motion.LEAST_SHARE:
+    if run.track.found[0].mean() < quality.LEAST_SHARE:
         raise NoTrustworthyResult(
             f"nothing in {video.name} differs from the empty scene",
             hint="the scene is the film's median: the body must leave its place for more than half of it",
@@ -315,8 +315,8 @@ def _by_background(video: Path, common: dict[str, Any], progress: Progress) -> t
 def _doubts(setup: Setup, run: Run, shares: dict[str, float]) -> None:
     """Warn of markers hardly found, of those that do not move, and of a pair that keeps no distance."""
     for name, share in shares.items():
-        reach = motion.reach(run.track, name)
-        if share < motion.LEAST_SHARE:
+        reach = quality.reach(run.track, name)
+        if share < quality.LEAST_SHARE:
             warn("SWM040", f"marker '{name}' is found in {100 * share:.1f} % of the frames only")
         elif not reach.moves:
             warn(
@@ -326,15 +326,15 @@ def _doubts(setup: Setup, run: Run, shares: dict[str, float]) -> None:
             )
     if setup.head is None or setup.tail is None:
         return
-    ahead = motion.head_first(run.track, setup.head, setup.tail)
+    ahead = quality.head_first(run.track, setup.head, setup.tail)
     if ahead is not None and ahead < 0.5:
         warn(
             "SWM100",
             f"the robot swims head first in {100 * ahead:.0f} % of the steps only: exchange head "
             f"'{setup.head}' and tail '{setup.tail}' in the setup, or say there 'swims: tail-first'",
         )
-    separation = motion.distance(run.track, setup.head, setup.tail)
-    if separation is not None and separation.change > motion.DISTANCE_SPREAD[0]:
+    separation = quality.distance(run.track, setup.head, setup.tail)
+    if separation is not None and separation.change > quality.DISTANCE_SPREAD[0]:
         change = f"{100 * separation.change:.1f} %"
         warn(
             "SWM042",
