@@ -42,7 +42,13 @@ VQF = (
 #: Largest root-mean-square innovation at rests, in standard deviations. Two rests make at least six
 #: innovations, whose chi-square exceeds four times its freedom in 1 of 2000 cases when all is as stated.
 REST_LIMIT = 2.0
+#: Verdict of a check by that of a finding.
 GRADES: dict[str, Literal["info", "warn", "fail"]] = {"noted": "info", "handled": "warn", "refuted": "fail"}
+#: Checks that fail, where others warn.
+FAIL = ("Possible motion", "Lasting errors of fixes", "Fixes left out")
+
+#: Code of its warning, name, value and limit of a check, whether it passes, and the reason where it does not.
+Test = tuple[str, str, str, str, bool, str]
 
 
 def result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> Logged:
@@ -53,7 +59,7 @@ def result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> L
     notices : sequence of Notice
         The warnings recorded so far; those of the checks are appended by their recorder.
     """
-    columns, checks = run.columns(), [*_recording_checks(run), *_motion_checks(run)]
+    columns, checks = run.columns(), _checks(run)
     kept = {k: v for k, v in run.record.metadata.items() if isinstance(v, int | float | str | bool)}
     head = {
         **kept,
@@ -81,7 +87,8 @@ def result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> L
         provenance=provenance,
     )
     document = Log(Path(run.record.name).with_suffix(".csv"), metadata, log.numeric(columns), None)
-    return Logged("track imu", "", _data(run), evidence=evidence, document=document, table=columns)
+    data = _data(run) | {"checks": [check.model_dump() for check in checks]}
+    return Logged("track imu", "", data, evidence=evidence, document=document, table=columns)
 
 
 # ---------------------------------------------------------------- numbers for machines
@@ -113,22 +120,17 @@ def _data(run: Run) -> dict[str, Any]:
         out["bias"] = {"acceleration_m_s2": run.bias[:3].tolist(), "rate_rad_s": run.bias[3:].tolist()}
     if run.by_paper:
         return out | {"motion_mode": run.options.motion_mode}
-    out["empty_share"] = float(np.mean(np.isnan(motion.velocity[:, 0])))
     out["impossible"] = list(run.impossible)
-    out["surge_oscillation"] = {
-        "rms_m_s": _rms(run.surge_osc),
-        "sd_m_s": _rms(run.surge_osc_sd),
-        "above_hz": run.cutoff_hz,
+    surge = {"rms_m_s": _rms(run.surge_osc), "sd_m_s": _rms(run.surge_osc_sd), "above_hz": run.cutoff_hz}
+    out["surge_oscillation"] = surge
+    bands = {
+        "position_m": motion.position_sd,
+        "velocity_m_s": motion.velocity_sd,
+        "yaw_rad": motion.angle_sd[:, 2],
     }
-    out["largest_band_95"] = {
-        "position_m": _largest(BAND * motion.position_sd),
-        "velocity_m_s": _largest(BAND * motion.velocity_sd),
-        "yaw_rad": _largest(BAND * motion.angle_sd[:, 2]),
-    }
+    out["largest_band_95"] = {name: _largest(BAND * sd) for name, sd in bands.items()}
     if run.trust is not None:
         out["path_trusted"] = {"until_s": run.trust.until_s, "seconds": run.trust.seconds}
-    if run.rest_score is not None:
-        out["rest_innovation_rms"] = run.rest_score
     if run.fused is not None:
         path, covariance = run.fused.smoothed.path, run.fused.smoothed.errors.covariance[-1]
         out["mounting"] |= {
@@ -175,22 +177,18 @@ def _stroke(run: Run) -> dict[str, Any]:
 
 
 def _fusion(fused: Fused) -> dict[str, Any]:
-    before, fixes, scores = fused.clocks, fused.fixes, fused.smoothed.errors.scores
+    fixes, scores = fused.fixes, fused.smoothed.errors.scores
     return {
         "clock_offset_s": fused.offset.value_s,
         "clock_offset_95_s": [fused.offset.low_s, fused.offset.high_s],
-        "before_fusing": {
-            "by": before.by,
-            "clock_offset_s": before.offset.value_s,
-            "clock_offset_95_s": [before.offset.low_s, before.offset.high_s],
-            "explained": before.offset.explained,
-        },
+        "clocks_by": fused.clocks.by,
+        "clocks_explained": fused.clocks.offset.explained,
+        "clocks_agree": fused.agree,
         "fix_sd_m": fixes.noise[:3].tolist(),
         "fix_sd_rad": float(fixes.noise[3]) if fixes.turns.any() else None,
         "innovation_rms": {kind: fused.smoothed.score(kind) for kind in scores},
         "fixes_used": len(scores.get("position", ())),
         "fixes_stray": fused.stray,
-        "clocks_agree": fused.agree,
         "widened_by_lasting_errors": fused.lasting,
         "held_out": None if fused.held_out is None else vars(fused.held_out),
     }
@@ -199,80 +197,50 @@ def _fusion(fused: Fused) -> dict[str, Any]:
 # ---------------------------------------------------------------- checks
 
 
-def _test(
-    run: Run,
-    code: str,
-    title: str,
-    value: str,
-    passed: bool,
-    limit: str,
-    reason: str,
-    text: str = "",
-    otherwise: Literal["warn", "fail"] = "warn",
-) -> Check:
-    """Return a check; warn with its code, where it has one, if it does not pass."""
-    if code and not passed:
-        warn(code, f"{run.record.name}: {reason}. {text}".rstrip(". "))
-    return check(title, value, passed, limit, text, otherwise=otherwise, reason=reason)
+def _checks(run: Run) -> list[Check]:
+    """Return the checks of a run; warn of each that has a code and does not pass."""
+    checks, name = [], run.record.name
+    for f in run.findings:
+        if f.verdict != "noted":
+            warn({"handled": "SWM080", "refuted": "SWM090"}[f.verdict], f"{name}, {f.fault}: {f.text}")
+        reason = f"the recording has a fault ({f.fault})"
+        grade = GRADES[f.verdict]
+        checks.append(Check(name=f.fault.capitalize(), value="", verdict=grade, text=f.text, reason=reason))
+    for code, title, value, limit, passed, reason in [*_motion_tests(run), *_fusion_tests(run)]:
+        if code and not passed:
+            warn(code, f"{name}: {reason}")
+        otherwise: Literal["warn", "fail"] = "fail" if title in FAIL else "warn"
+        checks.append(check(title, value, passed, limit, otherwise=otherwise, reason=reason))
+    return checks
 
 
-def _recording_checks(run: Run) -> Iterator[Check]:
-    count, size = len(run.still.stretches), _gravity(run)
-    text = "Let the robot rest for some seconds before and after a run, or name a rest with --still"
+def _motion_tests(run: Run) -> Iterator[Test]:
+    count = len(run.still.stretches)
     reason = "no still period found; the biases are known to data-sheet accuracy only"
-    yield _test(run, "SWM082", "Still periods", str(count), count > 0, "at least one", reason, text)
+    yield "SWM082", "Still periods", str(count), "at least one", count > 0, reason
+    size = float(np.mean(np.linalg.norm(mean_accelerations(run.record, run.still.stretches), axis=1)))
     # the 95 % band of the bias and scale of the sensor's class
     share = BAND * float(np.hypot(run.sensor.acceleration_bias_sd / GRAVITY_M_S2, run.sensor.scale_sd))
-    limit, near = f"{GRAVITY_M_S2:.3f} ± {100 * share:.1f} %", abs(size / GRAVITY_M_S2 - 1) <= share
-    reason = f"gravity is {size:.3f} m/s² in the accelerometer"
-    yield _test(run, "", "Gravity", f"{size:.3f} m/s²", near, limit, reason)
-    for f in run.findings:
-        reason = f"the recording has a fault ({f.fault})"
-        if f.verdict == "handled":
-            warn("SWM080", f"{run.record.name}, {f.fault}: {f.text}")
-        elif f.verdict == "refuted":
-            warn("SWM090", f"{run.record.name}: {f.text}")
-        grade = GRADES[f.verdict]
-        yield Check(name=f.fault.capitalize(), value=f.verdict, verdict=grade, text=f.text, reason=reason)
-
-
-def _motion_checks(run: Run) -> Iterator[Check]:
-    if run.impossible:
-        reason, limit = "; ".join(run.impossible), "possible; else positions and velocities are left empty"
-        text = "Name the true rests with --still, or fuse a camera log (--with)"
-        yield _test(run, "SWM086", "Possible motion", "no", False, limit, reason, text, "fail")
+    value, limit = f"{size:.3f} m/s²", f"{GRAVITY_M_S2:.3f} ± {100 * share:.1f} %"
+    yield "", "Gravity", value, limit, abs(size / GRAVITY_M_S2 - 1) <= share, f"gravity is {value}"
     if run.by_paper:
-        yield _test(
-            run, "", "Uncertainty", "none", False, "a stated band", "this method states no uncertainty"
-        )
+        yield "", "Uncertainty", "none", "a stated band", False, "this method states no uncertainty"
+    if run.impossible:
+        yield "SWM086", "Possible motion", "no", "else left empty", False, "; ".join(run.impossible)
     if run.trust is not None:
-        used, until = run.trust.seconds, run.trust.until_s
-        value, reason = "all of it", ""
-        if used is not None:
-            value = f"{used:.1f} s of motion"
-            reason = (
-                f"the integrated position is not to be trusted after {used:.1f} s of motion "
-                f"(at t = {until:.1f} s its 95 % band exceeds 0.1 m and a tenth of the way)"
-            )
-        limit = "95 % band within 0.1 m or a tenth of the way"
-        yield _test(run, "SWM081", "Path trusted for", value, used is None, limit, reason)
-    fastest = _largest(np.linalg.norm(run.motion.velocity, axis=1))
+        used, limit = run.trust.seconds, "95 % band within 0.1 m or a tenth of the way"
+        value = "all of it" if used is None else f"{used:.1f} s of motion"
+        reason = f"the integrated position is not to be trusted after {value} (t = {run.trust.until_s or 0.0:.1f} s)"
+        yield "SWM081", "Path trusted for", value, limit, used is None, reason
+    fastest, top = _largest(np.linalg.norm(run.motion.velocity, axis=1)), run.options.top_speed_m_s
     if run.fused is None and not run.by_paper and fastest is not None:
-        top, complete = run.options.top_speed_m_s, bool(np.isfinite(run.motion.velocity).all())
-        reason, limit = (
-            f"the motion reaches more than {top:g} m/s",
-            f"never above {top:g} m/s (--top-speed-m-s)",
-        )
-        yield _test(run, "", "Top speed", f"{fastest:.2f} m/s", complete and fastest <= top, limit, reason)
+        passed = bool(np.isfinite(run.motion.velocity).all()) and fastest <= top
+        limit, reason = f"{top:g} m/s (--top-speed-m-s)", f"the motion reaches more than {top:g} m/s"
+        yield "", "Top speed", f"{fastest:.2f} m/s", limit, passed, reason
     if run.rest_score is not None:
         value, passed = f"{run.rest_score:.2f} sd (rms)", run.rest_score <= REST_LIMIT
         reason = f"the motion between rests does not close within its band ({value})"
-        text = "One of them is no rest of the body, or the sensor is worse than stated"
-        yield _test(
-            run, "SWM084", "Innovations at rests", value, passed, f"below {REST_LIMIT:g}", reason, text
-        )
-    if run.fused is not None:
-        yield from _fusion_checks(run, run.fused)
+        yield "SWM084", "Innovations at rests", value, f"below {REST_LIMIT:g}", passed, reason
     if run.stroke is not None and run.stated_hz is not None:
         (low, high), hz = run.stroke.beat.interval_hz, run.stroke.beat.frequency_hz
         reason = (
@@ -280,55 +248,46 @@ def _motion_checks(run: Run) -> Iterator[Check]:
             f"(95 %: {low:.4g} ... {high:.4g})"
         )
         limit = f"metadata: {run.stated_hz:g} Hz"
-        yield _test(run, "SWM032", "Stroke", f"{hz:.4g} Hz", not run.contradicted, limit, reason)
+        yield "SWM032", "Stroke", f"{hz:.4g} Hz", limit, not run.contradicted, reason
     elif run.doubt:
-        yield _test(run, "SWM033", "Stroke", "in doubt", False, "one frequency", run.doubt)
+        yield "SWM033", "Stroke", "in doubt", "one frequency", False, run.doubt
 
 
-def _gravity(run: Run) -> float:
-    """Return the mean size of the specific force at rest, or of the whole log, m/s^2."""
-    return float(np.mean(np.linalg.norm(mean_accelerations(run.record, run.still.stretches), axis=1)))
-
-
-def _fusion_checks(run: Run, fused: Fused) -> Iterator[Check]:
-    offset, count, stray = fused.offset, len(fused.fixes.time_s), fused.stray
-    value, limit = f"{1e3 * offset.value_s:.2f} ms", "0 within the 95 % interval"
-    reason = (
-        f"the clocks differ: {1e3 * offset.value_s:.1f} ms to add to the other log (95 %: "
-        f"{1e3 * offset.low_s:.1f} ... {1e3 * offset.high_s:.1f} ms); the output is on the inertial clock"
+def _fusion_tests(run: Run) -> Iterator[Test]:
+    fused = run.fused
+    if fused is None:
+        return
+    offset, count, stray, limit = fused.offset, len(fused.fixes.time_s), fused.stray, f"below {FORETOLD:g}"
+    value, reason = (
+        f"{1e3 * offset.value_s:.2f} ms",
+        (
+            f"the clocks differ: {1e3 * offset.value_s:.1f} ms to add to the other log (95 %: "
+            f"{1e3 * offset.low_s:.1f} ... {1e3 * offset.high_s:.1f} ms); the output is on the inertial clock"
+        ),
     )
     agreed = not offset.excludes_zero or run.options.clock_offset_s is not None
-    yield _test(run, "SWM083", "Clock offset", value, agreed, limit, reason)
+    yield "SWM083", "Clock offset", value, "0 within the 95 % interval", agreed, reason
     for kind, named in (("position", "positions"), ("orientation", "angles")):
         size = fused.smoothed.score(kind)
         if size is not None:
             value, reason = f"{size:.2f} sd (rms)", f"the {named} of the other log disagree with the sensor"
-            yield _test(
-                run, "", f"Innovations of {named}", value, size <= FORETOLD, f"below {FORETOLD:g}", reason
-            )
-    reason = (
-        f"{stray} of {count} fixes of the other log lie beyond {GATE:g} standard deviations of the motion"
-    )
-    few, limit = stray <= FEW * count, f"at most {100 * FEW:.0f} %"
-    yield _test(run, "SWM087", "Stray fixes", f"{stray} of {count}", few, limit, reason)
+            yield "", f"Innovations of {named}", value, limit, size <= FORETOLD, reason
+    reason = f"{stray} of {count} fixes of the other log lie beyond {GATE:g} sd of the motion"
+    yield "SWM087", "Stray fixes", f"{stray}", f"at most {100 * FEW:.0f} %", stray <= FEW * count, reason
     reason = (
         "many fixes of the other log on end are off by the same (as fused they scatter by "
         f"{np.max(fused.fixes.noise[:2]):.3g} m): the logs contradict each other, or its scale or marker is "
         f"wrong; every band is widened by {fused.lasting:.1f}"
     )
     value, passed = f"band widened by {fused.lasting:.2f}", fused.lasting <= LASTING
-    text = "1 where the errors of the fixes are independent. A wrong scale or marker makes errors that last."
-    yield _test(
-        run, "SWM087", "Lasting errors of fixes", value, passed, f"below {LASTING:g}", reason, text, "fail"
-    )
-    held, title, limit = fused.held_out, "Fixes left out", f"below {FORETOLD:g}"
+    yield "SWM087", "Lasting errors of fixes", value, f"below {LASTING:g}", passed, reason
+    held = fused.held_out
     if held is None:
-        reason = "too few fixes to leave some out and predict them"
-        yield _test(run, "", title, "none", False, limit, reason)
+        yield "", "Fixes predicted", "none", limit, False, "too few fixes to leave some out and predict them"
         return
-    reason = f"fixes that were left out are predicted to {held.deviations:.2f} standard deviations (rms) only"
     value, passed = f"{held.deviations:.2f} sd (rms) of {held.fixes}", held.deviations <= FORETOLD
-    yield _test(run, "", title, value, passed, limit, reason, otherwise="fail")
+    reason = f"fixes that were left out are predicted to {held.deviations:.2f} sd (rms) only"
+    yield "", "Fixes left out", value, limit, passed, reason
 
 
 # ---------------------------------------------------------------- for readers
@@ -346,7 +305,7 @@ def _answer(run: Run) -> str:
         return f"The position is known to ± {np.median(half):.4f} m (median of the 95 % band)."
     if run.trust.seconds is None:
         return f"The whole path can be used; its 95 % band reaches ± {run.trust.widest_m:.3f} m."
-    return f"The path can be used for the first {run.trust.seconds:.1f} s of motion, u_osc_m_s throughout."
+    return "Surge within a stroke (u_osc_m_s) and attitude can be used throughout."
 
 
 def _facts(run: Run) -> dict[str, str]:

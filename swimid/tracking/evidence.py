@@ -149,7 +149,7 @@ def _rows(found: Swimming, setup: Setup, unit: str) -> list[Row]:
 # ---------------------------------------------------------------- for readers
 
 
-def facts(pose: Pose, found: Swimming) -> dict[str, str]:
+def facts(pose: Pose, setup: Setup, found: Swimming) -> dict[str, str]:
     """Return short particulars of a track."""
     unit, count = pose.plane.unit, int(pose.measured.sum())
     noise = f"{pose.path.measurement_sd:.2g} {unit}"
@@ -160,6 +160,8 @@ def facts(pose: Pose, found: Swimming) -> dict[str, str]:
         "Segments": str(int(pose.segment.max())),
         "Measurement noise": noise,
     }
+    if setup.plane == "vertical":
+        told["Faces"] = "left" if pose.plane.runs_left else "right"
     if pose.plane.exact:
         told["Calibration"] = "four points, which do not tell their error"
     windows = {"given": "as given", "whole track": "the whole track: no part of it is steady"}

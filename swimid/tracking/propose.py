@@ -15,7 +15,7 @@ from swimid.progress import Step
 from swimid.tracking import colour
 from swimid.tracking.colour import ColourModel
 from swimid.tracking.detect import marker_mask
-from swimid.tracking.reader import Frame, FrameKeeper, Video
+from swimid.tracking.reader import Frame, FrameKeeper, Video, largest_channel
 from swimid.tracking.setup import Box, HsvRange
 
 Array = NDArray[np.float64]
@@ -121,8 +121,7 @@ def sample(path: Path, *, apply_rotation: bool = True, step: Step) -> Samples:
     still = cv2.blur(background, (3, 3))
     moving = []
     for frame in frames:
-        blue, green, red = cv2.split(cv2.absdiff(cv2.blur(frame, (3, 3)), still))
-        change = cv2.max(cv2.max(blue, green), red)
+        change = largest_channel(cv2.absdiff(cv2.blur(frame, (3, 3)), still))
         moving.append(
             np.where(change > max(LEAST_CHANGE, 4 * float(np.median(change))), 255, 0).astype(np.uint8)
         )

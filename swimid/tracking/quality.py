@@ -132,23 +132,11 @@ def head_first(track: RawTrack, head: str, tail: str) -> float | None:
     return float(np.mean(ahead > 0)) if len(ahead) >= 4 else None
 
 
-@dataclass(frozen=True)
-class Distance:
-    """How well two markers keep their distance in the picture."""
+def distance_change(track: RawTrack, one: str, other: str) -> float | None:
+    """Return by how much the distance of two markers changes, as a share; None where hardly seen together.
 
-    #: Its robust standard deviation, as a share, as far as no view of a plane explains it.
-    spread: float
-    #: Its change by that view which the size of the markers does not share, as a share.
-    drift: float
-
-    @property
-    def change(self) -> float:
-        """The larger of both."""
-        return max(self.spread, self.drift)
-
-
-def distance(track: RawTrack, one: str, other: str) -> Distance | None:
-    """How well two markers keep their distance; None where they are hardly seen together.
+    It is the larger of two: the robust standard deviation that no view of a plane explains, and the change by
+    that view which the size of the markers does not share.
 
     Notes
     -----
@@ -185,7 +173,7 @@ def distance(track: RawTrack, one: str, other: str) -> Distance | None:
     # The outline of a patch is known to a pixel: of small markers the size says less.
     blurred = float(np.ptp(math.sqrt(2 * math.pi) / np.exp(smooth)))
     drift = min(float(np.ptp(shrunk)), max(float(np.ptp(unshared)) - blurred, 0.0))
-    return Distance(1.4826 * float(np.median(np.abs(left))), drift)
+    return max(1.4826 * float(np.median(np.abs(left))), drift)
 
 
 def _laid_back(points: Array, view: Array) -> Array:
@@ -341,10 +329,7 @@ def _motion(track: RawTrack, setup: Setup) -> Check:
         f"marker '{name}' stays within {farthest.away_px:.2g} px of one place, {farthest.radii:.2g} of its "
         f"radius{', which is its noise' if still else ''}: is it the marker, or a still thing of its colour?"
     )
-    value, limit = (
-        f"{farthest.radii:.2g} radii",
-        f">= {LEAST_RADII:g} radius, and beyond {noise:.2g} px of noise",
-    )
+    value, limit = f"{farthest.radii:.2g} radii", f">= {LEAST_RADII:g} radius and {noise:.2g} px of noise"
     passed = farthest.moves and not still
     return _judged("SWM067", "Motion", value, limit, passed, reason, fails=still)
 
@@ -370,7 +355,7 @@ def _others(track: RawTrack, setup: Setup) -> Iterator[Check]:
     reason = f"marker '{worst}' is found in {100 * shares[worst]:.1f} % of the frames only"
     yield _graded("", "Other markers found", value, ">= 95 %", 1 - shares[worst], UNSEEN, reason)
     still = [n for n in shares if shares[n] > 0 and not reach(track, n).moves]
-    reason = f"never left the radius of one place: {', '.join(still)}; still things of that colour?"
+    reason = f"markers never left the radius of one place: {', '.join(still)}. Are they still things?"
     value, limit = f"{len(shares) - len(still)} of {len(shares)}", f">= {LEAST_RADII:g} radius"
     yield _judged("SWM067", "Other markers move", value, limit, not still, reason)
 
@@ -383,20 +368,14 @@ def _separation(pose: Pose, setup: Setup) -> Iterator[Check]:
     separation = pose.separation[known]
     middle = float(np.median(separation))
     spread = 1.4826 * float(np.median(np.abs(separation - middle))) / middle
-    value, limit = (
-        f"{middle:.4g} {pose.plane.unit} ± {100 * spread:.2f} %",
-        f"± {100 * DISTANCE_SPREAD[0]:g} %",
-    )
+    value = f"{middle:.4g} {pose.plane.unit} ± {100 * spread:.2f} %"
     reason = f"the distance of head and tail marker scatters by {100 * spread:.1f} %"
-    yield _graded("", "Marker separation", value, limit, spread, DISTANCE_SPREAD, reason)
+    yield _graded("", "Marker separation", value, "± 2 %", spread, DISTANCE_SPREAD, reason)
     design = np.column_stack([np.ones(known.sum()), *pose.raw[:, known]])
     design[:, 1:] -= design[:, 1:].mean(0)
     fit, *_ = np.linalg.lstsq(design, separation, rcond=None)
     drift = float(np.ptp(design[:, 1:] @ fit[1:])) / middle
-    reason = (
-        f"the distance of head and tail marker changes by {100 * drift:.1f} % across the picture; the "
-        "calibration (lens, perspective, marker height) or the mounting of a marker is off"
-    )
+    reason = f"the distance of head and tail marker changes by {100 * drift:.1f} % across the picture"
     name, value = "Separation across the picture", f"{100 * drift:.2f} %"
     yield _graded("SWM042", name, value, "<= 2 %", drift, LENGTH_ERROR, reason)
     if setup.places is None:
@@ -404,9 +383,8 @@ def _separation(pose: Pose, setup: Setup) -> Iterator[Check]:
     known_m = math.dist(*setup.places)
     off = middle / known_m - 1
     reason = (
-        f"the distance of head and tail marker in the film is {100 * off:+.1f} % off the {known_m:g} m on "
-        "the robot, and so is every length in the log (a scale taken at another distance from the camera, "
-        "or in air); or their places on the robot are wrong"
+        f"the distance of head and tail marker is {100 * off:+.1f} % off the {known_m:g} m on the robot, and "
+        "so is every length in the log, or their places on the robot are wrong"
     )
     name, value = "Marker distance against the robot", f"{100 * off:+.2f} % of {known_m:g} m"
     yield _graded("SWM042", name, value, "within 2 %", abs(off), LENGTH_ERROR, reason)
@@ -441,17 +419,15 @@ def _direction(pose: Pose, setup: Setup, track: RawTrack) -> Iterator[Check]:
 def _timing(pose: Pose) -> Iterator[Check]:
     share, largest = irregular(pose.times)
     reason = (
-        f"{100 * share:.1f} % of the frames come at uneven steps (the longest is {largest:.1f} times the "
-        "usual one): variable frame rate or dropped frames. The frames' own time stamps are used"
+        f"{100 * share:.1f} % of the frames come at uneven steps (the longest: {largest:.1f} times the usual)"
     )
     value = f"{100 * share:.1f} % uneven"
     yield _judged("SWM043", "Frame timing", value, "<= 1 % uneven", share <= 0.01, reason)
     count, total = int(pose.held.repeated.sum()), len(pose.times)
     if count:
         reason = (
-            f"{count} of {total} pictures repeat the one before: the camera took "
-            f"{1 / pose.held.period_s:.4g} pictures a second. They are left out; the others were taken up to "
-            f"{1000 * pose.held.lateness_s:.3g} ms before their stamps, which the stated deviations contain"
+            f"{count} of {total} pictures repeat the one before and are left out: the camera took "
+            f"{1 / pose.held.period_s:.4g} pictures/s, up to {1e3 * pose.held.lateness_s:.3g} ms early"
         )
         yield _judged("SWM058", "Repeated pictures", f"{count} of {total}", "none", False, reason)
 
@@ -460,10 +436,7 @@ def _sight(track: RawTrack, pose: Pose) -> Iterator[Check]:
     """Whether the markers are cut by the edge of the picture, hidden in part, or jump."""
     count, seen = int(np.any(track.at_edge[pose.rows], axis=0).sum()), track.seen[pose.rows].any(axis=0)
     share = count / max(int(seen.sum()), 1)
-    reason = (
-        f"in {count} frames a marker is cut by the edge of the picture; its centre cannot be told there, so "
-        "these frames count as not found"
-    )
+    reason = f"in {count} frames the edge of the picture cuts a marker; these frames count as not found"
     if count:
         warn("SWM045", reason)
     yield _judged(
@@ -472,8 +445,8 @@ def _sight(track: RawTrack, pose: Pose) -> Iterator[Check]:
     off, measured = pose.hidden[pose.rows].max(axis=0), max(int(pose.measured.sum()), 1)
     count = int(np.sum(off > 0))
     reason = (
-        f"in {count} frames a marker looks smaller than it is, hidden in part or seen aslant; the centre may "
-        f"be {off.max():.1f} px off in frame {int(np.argmax(off))}. The stated deviations contain that"
+        f"in {count} frames a marker is hidden in part or seen aslant; its centre may be {off.max():.1f} "
+        f"px off in frame {int(np.argmax(off))}"
     )
     passed = count / measured <= HIDDEN_SHARE
     yield _judged("SWM066", "Hidden in part", f"{count} frames", "<= 1 %", passed, reason)

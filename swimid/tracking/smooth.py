@@ -5,8 +5,8 @@ position, speed and acceleration (driven by white jerk). The strength of the dri
 and the measurement noise are found by maximum likelihood of the innovations; of the two
 models the likelier is taken.
 
-The final pass over a track is filterpy's. The search for the noise, and the hidden stretches that
-calibrate the deviation in a gap, run the filter hundreds of times: a compiled loop does that.
+The search for the noise, and the hidden stretches that calibrate the deviation in a gap, run the filter
+hundreds of times: it is a compiled loop.
 """
 
 from __future__ import annotations
@@ -202,31 +202,35 @@ def kalman(
 @njit(cache=True)
 def _smooth(times, q, order, smooth, spread):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     transition, noise = np.zeros((order, order)), np.zeros((order, order))
-    work, change = np.zeros((order, order)), np.zeros((order, order))
+    work, keep, after = np.zeros((order, order)), np.zeros((order, order)), np.zeros((order, order))
     predicted, gain, turned = np.zeros((order, order)), np.zeros((order, order)), np.zeros((order, order))
     for k in range(len(times) - 2, -1, -1):
         _step(times[k + 1] - times[k], q, order, transition, noise)
         for i in range(order):
             for j in range(order):
                 predicted[i, j] = noise[i, j]
+                after[i, j] = spread[k + 1, i, j] + noise[i, j]
         _sandwich(transition, spread[k], work, predicted)
         _product(transition, spread[k], gain)
-        for i in range(order):
-            for j in range(order):
-                change[i, j] = spread[k + 1, i, j] - predicted[i, j]
         _solve(predicted, gain)
         for i in range(order):
+            error = smooth[k + 1, i]
             for j in range(order):
                 turned[i, j] = gain[j, i]
-        _sandwich(turned, change, work, spread[k])
-        for j in range(order):
-            error = smooth[k + 1, j]
-            for m in range(order):
-                error -= transition[j, m] * smooth[k, m]
-            work[0, j] = error
+                error -= transition[i, j] * smooth[k, j]
+            work[0, i] = error
         for i in range(order):
             for j in range(order):
                 smooth[k, i] += turned[i, j] * work[0, j]
+        # A sum of covariances: a difference would lose its digits where the start is diffuse.
+        _product(turned, transition, keep)
+        for i in range(order):
+            for j in range(order):
+                keep[i, j] = (1.0 if i == j else 0.0) - keep[i, j]
+                predicted[i, j] = spread[k, i, j]
+                spread[k, i, j] = 0.0
+        _sandwich(keep, predicted, work, spread[k])
+        _sandwich(turned, after, work, spread[k])
 
 
 def rts(times: Array, means: Array, covariances: Array, q: float, order: int) -> tuple[Array, Array]:
@@ -234,38 +238,6 @@ def rts(times: Array, means: Array, covariances: Array, q: float, order: int) ->
     smooth, spread = means.copy(), covariances.copy()
     _smooth(times, q, order, smooth, spread)
     return smooth, spread
-
-
-def filter_and_smooth(
-    times: Array, values: Array, variances: Array, q: float, order: int, start: Array
-) -> tuple[Array, Array, Array, Array]:
-    """:func:`kalman` and :func:`rts` in one, by filterpy; the same numbers to rounding.
-
-    Returns
-    -------
-    means, covariances : ndarray, shapes (n, order), (n, order, order)
-        Smoothed.
-    innovations, innovation_variances : ndarray, shape (n,)
-        Of the filter; NaN where there is no measurement.
-    """
-    from filterpy.kalman import KalmanFilter
-
-    n, seen = len(times), np.flatnonzero(~np.isnan(values))
-    transitions, noises = np.zeros((n, order, order)), np.zeros((n, order, order))
-    for k, step in enumerate(np.diff(times, prepend=times[0])):
-        _step(step, q, order, transitions[k], noises[k])
-    model = KalmanFilter(dim_x=order, dim_z=1)
-    model.x[0], model.P, model.H = values[seen[0]], start.copy(), np.eye(1, order)
-    measured = [None if np.isnan(value) else value for value in values]
-    filtered, spread, ahead, expected = model.batch_filter(measured, Fs=transitions, Qs=noises, Rs=variances)
-    means, covariances, gains, _ = model.rts_smoother(filtered, spread, transitions, noises)
-    # While the start is diffuse differences of covariances lose their digits; sums of them do not.
-    for k in range(min(seen[min(order, len(seen)) - 1], n - 2), -1, -1):
-        keep = np.eye(order) - gains[k] @ transitions[k + 1]
-        after = covariances[k + 1] + noises[k + 1]
-        covariances[k] = keep @ spread[k] @ keep.T + gains[k] @ after @ gains[k].T
-    innovation_variances = np.where(np.isnan(values), np.nan, expected[:, 0, 0] + variances)
-    return means[:, :, 0], covariances, values - ahead[:, 0, 0], innovation_variances
 
 
 def _start(order: int, variance: float, step: float) -> Array:
@@ -403,9 +375,10 @@ def smooth(
             if np.isnan(row).all():
                 continue
             start = _start(order, variance, typical)
-            means, covariances, innovations, expected = filter_and_smooth(
+            means, covariances, innovations, expected = kalman(
                 times[a:b], row, variance * weights[a:b], power, order, start
             )
+            means, covariances = rts(times[a:b], means, covariances, power, order)
             out["position"][i, a:b] = means[:, 0]
             out["velocity"][i, a:b] = means[:, 1]
             out["position_sd"][i, a:b] = np.sqrt(np.maximum(covariances[:, 0, 0], 0))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,24 +27,40 @@ from swimid.tracking.tracker import Run, follow
 
 #: Candidates that are tried as first marker, and trials of each: every trial reads the film once.
 _TRIES = 3
-#: Pictures on the contact sheet, and the width of each.
+#: Number of pictures on the contact sheet, and their width, px.
 _SHEET, _SHEET_WIDTH = 4, 640
-#: Lines of a drafted setup.
-_FACING = (
-    "# Which way in the picture the robot faces and x runs: right, left, or auto (tail to head).",
-    "facing: auto",
-)
-_POSE = (
-    "# The pose is that of the head marker; that of the robot's reference point with at_m of head and",
-    "# tail, or with the name of a robot whose file names markers like these.",
-    "# robot: sealion",
-)
-_NO_SCALE = (
-    "# Without a scale positions are in pixels. One of:",
-    "# scale: {metres_per_pixel: 0.0015}",
-    "# scale: {points_px: [[x1, y1], [x2, y2]], distance_m: 1.0}",
-    "# scale: {points_px: [four corners], points_m: [the same corners]}",
-)
+_FACING = """\
+# Which way in the picture the robot faces and x runs: right, left, or auto (tail to head).
+facing: auto
+"""
+_NO_SCALE = """\
+# Without a scale positions are in pixels. One of:
+# scale: {metres_per_pixel: 0.0015}
+# scale: {points_px: [[x1, y1], [x2, y2]], distance_m: 1.0}
+# scale: {points_px: [four corners], points_m: [the same corners]}
+"""
+_TEXT = """\
+# Drafted by swimid track setup from {video}; edit what is wrong. Every key: docs/tracking.md
+format: {format}
+markers:
+{markers}\
+# The head marker gives the position, head and tail together the heading.
+head: {head}
+{tail}
+# horizontal: camera above, x, y and yaw. vertical: camera at the side, x, z and pitch.
+plane: {plane}
+{facing}\
+# The pose is that of the head marker; that of the robot's reference point with at_m of head and
+# tail, or with the name of a robot whose file names markers like these.
+# robot: sealion
+{scale}\
+# True frame rate, where the container's stamps are wrong.
+{rate}
+# Longest dropout that is bridged, s.
+max_gap_s: {gap}
+# Motionless things of a marker's colour: [left, top, right, bottom].
+ignore_px: {ignored}
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,20 +151,10 @@ def track_setup(
         run, remarks, passed = _unattended(video, common, progress)
     setup = _measured(run)
     shares = {name: float(run.track.found[i].mean()) for i, name in enumerate(run.track.names)}
-    _doubts(setup, run, shares)
-    lines = []
-    for name, share in shares.items():
-        marker = setup.marker(name)
-        hue = (
-            "hue {:g}..{:g} deg".format(*marker.colour_range().hue_deg)
-            if marker.method == "colour"
-            else "any colour"
-        )
-        area = "any" if marker.area_px is None else "{:g}..{:g}".format(*marker.area_px)
-        lines.append(f"{name}: found in {100 * share:.1f} % of the frames, {hue}, area {area} px")
+    ahead = _doubts(setup, run, shares)
+    lines = [f"{name}: found in {100 * share:.1f} % of the frames" for name, share in shares.items()]
     lines += [f"passed over: {one}" for one in passed]
     lines.append(f"head {setup.head}{f', tail {setup.tail}' if setup.tail else '; no tail, so no yaw'}")
-    ahead = None if setup.tail is None else quality.head_first(run.track, setup.head_name, setup.tail)
     if ahead is not None:
         lines.append(f"swims head first in {100 * ahead:.0f} % of the steps")
     if setup.scale is None:
@@ -254,12 +259,12 @@ def _faults(run: Run, pair: list[Candidate], scene: quality.Array | None) -> dic
         return faults
     first, second = track.names
     weaker = int(pair[0].score >= pair[1].score)
-    separation = quality.distance(track, first, second)
+    separation = quality.distance_change(track, first, second)
     other = track.names[1 - weaker]
     if separation is None:
         faults[weaker] = f"is hardly seen together with {other}"
-    elif separation.change > quality.DISTANCE_SPREAD[1]:
-        change = f"{100 * separation.change:.0f} %"
+    elif separation > quality.DISTANCE_SPREAD[1]:
+        change = f"{100 * separation:.0f} %"
         faults[weaker] = f"its distance to {other} changes by {change}: they are on no rigid part"
     return faults
 
@@ -286,8 +291,8 @@ def _by_hand(
     head, tail = setup.head, setup.tail
     if head is not None and tail is not None and markers[0].number > 1:
         # Equal markers may be on one body or on several; only a rigid pair gives a heading.
-        separation = quality.distance(run.track, head, tail)
-        if separation is None or separation.change > quality.DISTANCE_SPREAD[1]:
+        separation = quality.distance_change(run.track, head, tail)
+        if separation is None or separation > quality.DISTANCE_SPREAD[1]:
             setup = setup.model_copy(update={"tail": None})
             remarks[0] += f"; {head} and {tail} keep no distance, so there is no tail"
     return replace(run, setup=setup), remarks
@@ -312,20 +317,23 @@ def _by_background(video: Path, common: dict[str, Any], progress: Progress) -> t
     return run, ["the whole body, by its difference from the empty scene"]
 
 
-def _doubts(setup: Setup, run: Run, shares: dict[str, float]) -> None:
-    """Warn of markers hardly found, of those that do not move, and of a pair that keeps no distance."""
+def _doubts(setup: Setup, run: Run, shares: dict[str, float]) -> float | None:
+    """Warn of markers hardly found or without motion, and of a pair that is not rigid or swims tail first.
+
+    Returns
+    -------
+    float or None
+        Share of the steps in which the pair moves towards its head.
+    """
     for name, share in shares.items():
         reach = quality.reach(run.track, name)
         if share < quality.LEAST_SHARE:
             warn("SWM040", f"marker '{name}' is found in {100 * share:.1f} % of the frames only")
         elif not reach.moves:
-            warn(
-                "SWM067",
-                f"marker '{name}' stays within {reach.radii:.2g} of its radius of one place: "
-                "is it the marker, or a still thing of its colour?",
-            )
+            text = f"marker '{name}' stays within {reach.radii:.2g} of its radius of one place"
+            warn("SWM067", f"{text}: is it the marker, or a still thing of its colour?")
     if setup.head is None or setup.tail is None:
-        return
+        return None
     ahead = quality.head_first(run.track, setup.head, setup.tail)
     if ahead is not None and ahead < 0.5:
         warn(
@@ -333,14 +341,14 @@ def _doubts(setup: Setup, run: Run, shares: dict[str, float]) -> None:
             f"the robot swims head first in {100 * ahead:.0f} % of the steps only: exchange head "
             f"'{setup.head}' and tail '{setup.tail}' in the setup, or say there 'swims: tail-first'",
         )
-    separation = quality.distance(run.track, setup.head, setup.tail)
-    if separation is not None and separation.change > quality.DISTANCE_SPREAD[0]:
-        change = f"{100 * separation.change:.1f} %"
+    separation = quality.distance_change(run.track, setup.head, setup.tail)
+    if separation is not None and separation > quality.DISTANCE_SPREAD[0]:
         warn(
             "SWM042",
-            f"the distance of '{setup.head}' and '{setup.tail}' changes by {change} beyond what a camera "
-            "askew explains: on one rigid part it would not",
+            f"the distance of '{setup.head}' and '{setup.tail}' changes by {100 * separation:.1f} % "
+            "beyond what a camera askew explains: on one rigid part it would not",
         )
+    return ahead
 
 
 def _frame(video: Path, index: int) -> Frame:
@@ -368,72 +376,57 @@ def _measured(run: Run) -> Setup:
 def _text(
     setup: Setup, shares: dict[str, float], remarks: list[str], passed: list[Passed], video: str
 ) -> str:
-    """The setup as commented YAML, with the share of the frames each marker is found in."""
-    lines = [
-        f"# Drafted by swimid track setup from {video}; edit what is wrong. Every key: docs/tracking.md",
-        f"format: {setup.format}",
-        "markers:",
-    ]
-    for marker, remark in zip(setup.markers, remarks, strict=True):
-        found = ", ".join(f"{100 * shares[name]:.1f} %" for name in marker.names)
-        lines += [
-            f"  - name: {marker.name}",
-            f"    # Found in {found} of the frames; {remark}.",
-            *_look(marker),
-            f"    area_px: {_list(marker.area_px or (12.0, 1e5))}",
-        ]
-        if marker.number > 1:
-            lines += [f"    # They are named {marker.names[0]}, {marker.names[1]}, ..."]
-            lines += [f"    number: {marker.number}"]
-        if marker.start_px is not None:
-            lines += [f"    start_px: [{', '.join(_list(place) for place in marker.start_px)}]"]
-    scale: Sequence[str] = _NO_SCALE
+    """Return the setup as commented YAML, with the share of the frames each marker is found in."""
+    markers = [_marker_text(m, shares, remark) for m, remark in zip(setup.markers, remarks, strict=True)]
+    markers += [f"# Passed over: {one}\n" for one in passed]
+    scale, rate = _NO_SCALE, "# frame_rate_hz: 240"
     if setup.scale is not None:
-        keys = yamlio.dumps_flat(setup.scale.model_dump(mode="json", exclude_none=True))
-        scale = ["scale:", *(f"  {line}" for line in keys.splitlines())]
-    tail = f"tail: {setup.tail}" if setup.tail else "# tail: name of the marker behind it"
-    rate = f"frame_rate_hz: {setup.frame_rate_hz:g}" if setup.frame_rate_hz else "# frame_rate_hz: 240"
-    lines += [f"# Passed over: {one}" for one in passed]
-    lines += [
-        "# The head marker gives the position, head and tail together the heading.",
-        f"head: {setup.head_name}",
-        tail,
-        "# horizontal: camera above, x, y and yaw. vertical: camera at the side, x, z and pitch.",
-        f"plane: {setup.plane}",
-        *(_FACING if setup.plane == "vertical" else ()),
-        *_POSE,
-        *scale,
-        "# True frame rate, where the container's stamps are wrong.",
-        rate,
-        "# Longest dropout that is bridged, s.",
-        f"max_gap_s: {setup.max_gap_s:g}",
-    ]
-    if setup.ignore_px:
-        lines += ["# Motionless things of a marker's colour: [left, top, right, bottom].", "ignore_px:"]
-        lines += [f"  - {_list(box)}" for box in setup.ignore_px]
-    else:
-        lines += ["# ignore_px: [[left, top, right, bottom]]"]
-    return "\n".join(lines) + "\n"
+        scale = f"scale: {_flow(setup.scale.model_dump(mode='json', exclude_none=True))}\n"
+    if setup.frame_rate_hz:
+        rate = f"frame_rate_hz: {setup.frame_rate_hz:g}"
+    return _TEXT.format(
+        video=video,
+        format=setup.format,
+        markers="".join(markers),
+        head=setup.head_name,
+        tail=f"tail: {setup.tail}" if setup.tail else "# tail: name of the marker behind it",
+        plane=setup.plane,
+        facing=_FACING if setup.plane == "vertical" else "",
+        scale=scale,
+        rate=rate,
+        gap=f"{setup.max_gap_s:g}",
+        ignored=_flow(setup.ignore_px),
+    )
 
 
-def _look(marker: Marker) -> list[str]:
-    """Lines of a setup that say how a marker is told from the rest."""
-    if marker.method == "background":
-        return ["    method: background"]
-    hsv = marker.colour_range()
-    return [
-        "    # Hue runs from the first to the second angle, through 0 for red.",
-        f"    hsv: {{hue_deg: {_list(hsv.hue_deg)}, saturation: {_list(hsv.saturation)}, "
-        f"value: {_list(hsv.value)}}}",
-    ]
+def _marker_text(marker: Marker, shares: dict[str, float], remark: str) -> str:
+    found = ", ".join(f"{100 * shares[name]:.1f} %" for name in marker.names)
+    keys: dict[str, Any] = {"method": "background"}
+    if marker.method == "colour":
+        keys = {"hsv": marker.colour_range().model_dump()}
+    keys["area_px"] = marker.area_px or (12.0, 1e5)
+    if marker.number > 1:
+        keys["number"] = marker.number
+    if marker.start_px is not None:
+        keys["start_px"] = marker.start_px
+    lines = [f"    {key}: {_flow(value)}" for key, value in keys.items()]
+    return "\n".join(
+        [f"  - name: {marker.name}", f"    # Found in {found} of the frames; {remark}.", *lines, ""]
+    )
 
 
-def _list(values: Any) -> str:
-    return "[" + ", ".join(f"{v:g}" for v in values) + "]"
+def _flow(value: Any) -> str:
+    """Return a value as YAML on one line."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key}: {_flow(one)}" for key, one in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_flow, value)) + "]"
+    short = f"{value:g}" if isinstance(value, float) else str(value)
+    return short if isinstance(value, str) or float(short) == value else repr(value)
 
 
 def _sheet(run: Run) -> NDArray[np.uint8]:
-    """A contact sheet: frames with the markers circled and named, ignored boxes crossed out."""
+    """Return a contact sheet: frames with the markers circled and named, ignored boxes framed."""
     tiles, track = [], run.track
     ranked = sorted(run.kept, key=lambda k: (not track.found[:, k].all(), k))
     for index in sorted(ranked[:_SHEET]):
@@ -443,16 +436,11 @@ def _sheet(run: Run) -> NDArray[np.uint8]:
         for box in run.setup.ignore_px:
             corners = [round(factor * v) for v in box]
             cv2.rectangle(tile, corners[:2], corners[2:], (200, 200, 200), 1)
-            cv2.line(tile, corners[:2], corners[2:], (200, 200, 200), 1)
-        for i, name in enumerate(track.names):
-            if track.found[i, index]:
-                x, y = round(factor * track.x[i, index]), round(factor * track.y[i, index])
-                radius = round(factor * float(np.sqrt(track.area[i, index] / np.pi))) + 5
-                cv2.circle(tile, (x, y), radius, SEEN, 2, cv2.LINE_AA)
-                write_text(tile, name, (x + radius + 3, y + 4), 0.5)
+        for i in np.flatnonzero(track.found[:, index]):
+            x, y = round(factor * track.x[i, index]), round(factor * track.y[i, index])
+            radius = round(factor * float(np.sqrt(track.area[i, index] / np.pi))) + 5
+            cv2.circle(tile, (x, y), radius, SEEN, 2, cv2.LINE_AA)
+            write_text(tile, track.names[i], (x + radius + 3, y + 4), 0.5)
         write_text(tile, f"frame {index}", (8, tile.shape[0] - 8), 0.5)
         tiles.append(tile)
-    while len(tiles) % 2:
-        tiles.append(np.zeros_like(tiles[0]))
-    sheet = np.vstack([np.hstack(tiles[i : i + 2]) for i in range(0, len(tiles), 2)])
-    return np.asarray(cv2.cvtColor(sheet, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+    return np.asarray(cv2.cvtColor(np.vstack(tiles), cv2.COLOR_BGR2RGB), dtype=np.uint8)

@@ -129,8 +129,7 @@ def track_video(
             if remark and result.evidence is not None:
                 result = replace(result, evidence=result.evidence.model_copy(update={"notes": [remark]}))
             result = result.saved(output)
-    written = [] if overlay_path is None else [overlay_path]
-    return replace(result, outputs=[*result.outputs, *written])
+    return result if overlay_path is None else replace(result, outputs=[*result.outputs, overlay_path])
 
 
 def _judged(
@@ -160,7 +159,7 @@ def _judged(
         verb="track video",
         title=f"Track of {video.path.name}",
         verdict=verdict,
-        facts=evidence.facts(made, swum),
+        facts=evidence.facts(made, rules, swum),
         checks=found,
         tables=[evidence.table(swum, rules, ground.unit), evidence.segment_table(made)],
         figures=evidence.figures(made, rules, swum),

@@ -821,13 +821,13 @@ def follow(path: Path, setup: Setup, *, step: Step, file: str | None = None) -> 
     second result is taken when it moves. ``file`` names the setup in messages.
     """
     first = _once(path, setup, step, file)
-    boxes = _motionless(first)
-    if not boxes:
+    still = _motionless(first)
+    if not still:
         return first
+    boxes = list(still.values())
     second = _once(path, setup.model_copy(update={"ignore_px": [*setup.ignore_px, *boxes]}), step, file)
-    for name in second.track.names:
-        if quality.reach(second.track, name).radii < _LEAST_WAY and name in _static_names(first):
-            return first
+    if any(quality.reach(second.track, name).radii < _LEAST_WAY for name in still):
+        return first
     listed = "; ".join(f"[{', '.join(f'{v:.0f}' for v in box)}]" for box in boxes)
     warn(
         "SWM049",
@@ -861,22 +861,14 @@ def _once(path: Path, setup: Setup, step: Step, file: str | None) -> Run:
     return Run(follower.track(video.times()), video, setup, kept)
 
 
-def _static_names(run: Run) -> list[str]:
-    """Markers that are alone of their colour in the setup, are seen, never move, and had rivals."""
-    return [
-        marker.name
-        for marker in run.setup.markers
-        if marker.number == 1
-        and marker.name in run.track.rivals
-        and not quality.reach(run.track, marker.name).moves
-    ]
-
-
-def _motionless(run: Run) -> list[Box]:
-    boxes: list[Box] = []
-    for name in _static_names(run):
-        i = run.track.row(name)
-        x, y, area = (float(np.nanmedian(v[i])) for v in (run.track.x, run.track.y, run.track.area))
+def _motionless(run: Run) -> dict[str, Box]:
+    """Return boxes about markers that never move and have rivals of their colour, by name."""
+    boxes: dict[str, Box] = {}
+    for marker in run.setup.markers:
+        name, track = marker.name, run.track
+        if marker.number > 1 or name not in track.rivals or quality.reach(track, name).moves:
+            continue
+        x, y, area = (float(np.nanmedian(v[track.row(name)])) for v in (track.x, track.y, track.area))
         half = 0.7 * math.sqrt(area) + 3
-        boxes.append((round(x - half), round(y - half), round(x + half), round(y + half)))
+        boxes[name] = (round(x - half), round(y - half), round(x + half), round(y + half))
     return boxes
