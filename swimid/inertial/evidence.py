@@ -121,6 +121,7 @@ def _data(run: Run) -> dict[str, Any]:
     if run.by_paper:
         return out | {"motion_mode": run.options.motion_mode}
     out["impossible"] = list(run.impossible)
+    out["rest_innovation_rms"] = run.rest_score
     surge = {"rms_m_s": _rms(run.surge_osc), "sd_m_s": _rms(run.surge_osc_sd), "above_hz": run.cutoff_hz}
     out["surge_oscillation"] = surge
     bands = {
@@ -230,7 +231,7 @@ def _motion_tests(run: Run) -> Iterator[Test]:
     if run.trust is not None:
         used, limit = run.trust.seconds, "95 % band within 0.1 m or a tenth of the way"
         value = "all of it" if used is None else f"{used:.1f} s of motion"
-        reason = f"the integrated position is not to be trusted after {value} (t = {run.trust.until_s or 0.0:.1f} s)"
+        reason = f"the integrated position is not to be trusted after {value}"
         yield "SWM081", "Path trusted for", value, limit, used is None, reason
     fastest, top = _largest(np.linalg.norm(run.motion.velocity, axis=1)), run.options.top_speed_m_s
     if run.fused is None and not run.by_paper and fastest is not None:
@@ -258,12 +259,10 @@ def _fusion_tests(run: Run) -> Iterator[Test]:
     if fused is None:
         return
     offset, count, stray, limit = fused.offset, len(fused.fixes.time_s), fused.stray, f"below {FORETOLD:g}"
-    value, reason = (
-        f"{1e3 * offset.value_s:.2f} ms",
-        (
-            f"the clocks differ: {1e3 * offset.value_s:.1f} ms to add to the other log (95 %: "
-            f"{1e3 * offset.low_s:.1f} ... {1e3 * offset.high_s:.1f} ms); the output is on the inertial clock"
-        ),
+    value = f"{1e3 * offset.value_s:.2f} ms"
+    reason = (
+        f"the clocks differ: {value} to add to the other log (95 %: {1e3 * offset.low_s:.1f} ... "
+        f"{1e3 * offset.high_s:.1f} ms); the output is on the inertial clock"
     )
     agreed = not offset.excludes_zero or run.options.clock_offset_s is not None
     yield "SWM083", "Clock offset", value, "0 within the 95 % interval", agreed, reason

@@ -418,10 +418,9 @@ def _noise_and_weight(residual: Array, variance: Array, sd: Array) -> tuple[Arra
 
 def _offset(smoothed: Smoothed, clocks: Fit) -> Offset:
     """The clock offset with the whole motion, widened where the innovations are larger than stated."""
-    scores = [
-        s[np.isfinite(s)] for k, s in smoothed.errors.scores.items() if k in ("position", "orientation")
-    ]
-    widening = max(float(np.sqrt(np.mean(np.concatenate(scores) ** 2))), 1.0) if scores else 1.0
+    scores = smoothed.errors.scores
+    seen = [score for kind in ("position", "orientation") for score in scores.get(kind, ())]
+    widening = max(float(np.sqrt(np.mean(np.concatenate(seen) ** 2))), 1.0) if seen else 1.0
     value = float(smoothed.path.clock_s)
     clock_s = PARTS["clock_s"].start
     sd = widening * float(np.sqrt(smoothed.errors.covariance[-1, clock_s, clock_s]))

@@ -139,7 +139,7 @@ class Smoothed:
     def score(self, kind: str) -> float | None:
         """Innovations of a kind of observation, in their deviations, rms; None where there are none."""
         seen = self.errors.scores.get(kind)
-        return None if seen is None else float(np.sqrt(np.nanmean(seen**2)))
+        return None if seen is None else float(np.sqrt(np.mean(np.concatenate(seen) ** 2)))
 
     def widened(self, factor: float) -> Smoothed:
         """The same with all deviations times ``factor``."""

@@ -20,7 +20,7 @@ from swimid.tracking import colour, pick, propose, quality
 from swimid.tracking import setup as setup_format
 from swimid.tracking.options import TrackSetupOptions
 from swimid.tracking.pictures import SEEN, write_text
-from swimid.tracking.propose import Candidate, Passed
+from swimid.tracking.propose import Candidate
 from swimid.tracking.reader import Frame, Video
 from swimid.tracking.setup import FORMAT, Marker, Setup
 from swimid.tracking.tracker import Run, follow
@@ -142,7 +142,7 @@ def track_setup(
             raise UsageError(f"{output} exists", hint="name another file, or give --force to replace it")
     video = Path(video)
     common = {"scale": options.scale, "plane": options.plane, "frame_rate_hz": options.fps}
-    passed: list[Passed] = []
+    passed: list[Candidate] = []
     if options.picks:
         run, remarks = _by_hand(video, options, common, progress)
     elif options.background:
@@ -184,7 +184,7 @@ def _setup(markers: list[Marker], common: dict[str, Any]) -> Setup:
 
 def _unattended(
     video: Path, common: dict[str, Any], progress: Progress
-) -> tuple[Run, list[str], list[Passed]]:
+) -> tuple[Run, list[str], list[Candidate]]:
     """The best candidate that can be followed and moves, with the partner it keeps its distance to.
 
     Its trial, a remark on each marker, and the colours passed over.
@@ -204,26 +204,20 @@ def _unattended(
             faults = _faults(run, pair, scene)
             reasons |= {id(pair[i]): text for i, text in faults.items()}
             if not faults:
-                run = _led_by_its_head(run)
+                head, tail = run.setup.roles[0], run.setup.tail
+                if tail is not None and (quality.head_first(run.track, head, tail) or 0.0) < 0.5:
+                    run = replace(run, setup=run.setup.model_copy(update={"head": tail, "tail": head}))
                 rest = [c for c in found if c not in pair]
-                passed += [c.passed(reasons.get(id(c)) or _weaker(c, pair)) for c in rest]
+                passed += [replace(c, reason=reasons.get(id(c)) or _weaker(c, pair)) for c in rest]
                 return run, [c.remark for c in pair], passed
             if any(pair[i] is first for i in faults):
                 break
-    passed = [c.passed(reasons[id(c)]) for c in found if id(c) in reasons] + passed
+    passed = [replace(c, reason=reasons[id(c)]) for c in found if id(c) in reasons] + passed
     raise NoTrustworthyResult(
         f"no marker of {video.name} can be followed and moves. {propose.listed(passed)}"
         f"{colour.describe_colours(samples.frames[::6])}",
         hint="pick the markers by hand: --marker name@x,y with --frame",
     )
-
-
-def _led_by_its_head(run: Run) -> Run:
-    """Return a trial whose head is the marker towards which the pair moves in most steps."""
-    head, tail = run.setup.head, run.setup.tail
-    if head is None or tail is None or (quality.head_first(run.track, head, tail) or 0.0) >= 0.5:
-        return run
-    return replace(run, setup=run.setup.model_copy(update={"head": tail, "tail": head}))
 
 
 def _tried(video: Path, pair: list[Candidate], common: dict[str, Any], progress: Progress) -> Run:
@@ -374,7 +368,7 @@ def _measured(run: Run) -> Setup:
 
 
 def _text(
-    setup: Setup, shares: dict[str, float], remarks: list[str], passed: list[Passed], video: str
+    setup: Setup, shares: dict[str, float], remarks: list[str], passed: list[Candidate], video: str
 ) -> str:
     """Return the setup as commented YAML, with the share of the frames each marker is found in."""
     markers = [_marker_text(m, shares, remark) for m, remark in zip(setup.markers, remarks, strict=True)]
