@@ -185,7 +185,7 @@ def _clocks(setup: Setup, poses: Poses) -> tuple[Poses, list[Fit], list[Finding]
         return poses, [alignment.fit_at(record, poses, 0.0)], [], refusal
     fit = fits[0]
     if poses.full and fit.by == "turn rates":
-        turned = poses.with_pitch_turned()
+        turned = replace(poses, angles=poses.angles * [1.0, -1.0, 1.0])
         others = alignment.fit_clocks(record, source, turned)
         other = others[0]
         if other.by == fit.by and other.offset.explained > fit.offset.explained + 0.05 and other.handed >= 0:

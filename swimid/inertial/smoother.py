@@ -242,11 +242,8 @@ def _start_covariance(prior: Prior, sensor: Sensor, states: int) -> Array:
         "acceleration_scale": sensor.scale_sd,
         "rate_scale": sensor.scale_sd,
     }
-    sd = np.zeros(states)
-    for name, part in PARTS.items():
-        if part.stop <= states:
-            sd[part] = sds[name]
-    return np.diag(sd**2)
+    parts = [np.broadcast_to(sds.get(name, 0.0), part.stop - part.start) for name, part in PARTS.items()]
+    return np.diag(np.concatenate(parts)[:states] ** 2)
 
 
 def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:

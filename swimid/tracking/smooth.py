@@ -123,53 +123,7 @@ def _solve(a, b):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
 
 
 @njit(cache=True)
-def _filter(  # type: ignore[no-untyped-def]  # noqa: C901  # pragma: no cover - compiled loops
-    times, values, variances, q, order, start, means, covariances, innovations, innovation_variances
-):
-    transition, noise = np.zeros((order, order)), np.zeros((order, order))
-    work, keep = np.zeros((order, order)), np.zeros((order, order))
-    gain, moved = np.zeros(order), np.zeros(order)
-    n = len(times)
-    mean, covariance = means[0], covariances[0]
-    for k in range(n):
-        if values[k] == values[k]:
-            mean[0] = values[k]
-            break
-    for i in range(order):
-        for j in range(order):
-            covariance[i, j] = start[i, j]
-    for k in range(n):
-        if k > 0:
-            _step(times[k] - times[k - 1], q, order, transition, noise)
-            mean, covariance = means[k], covariances[k]
-            for i in range(order):
-                for j in range(order):
-                    mean[i] += transition[i, j] * means[k - 1, j]
-                    covariance[i, j] = noise[i, j]
-            _sandwich(transition, covariances[k - 1], work, covariance)
-        if values[k] != values[k]:
-            continue
-        expected = covariance[0, 0] + variances[k]
-        innovations[k] = values[k] - mean[0]
-        innovation_variances[k] = expected
-        for i in range(order):
-            gain[i] = covariance[i, 0] / expected
-        # Joseph form: stays positive where the start is diffuse.
-        for i in range(order):
-            mean[i] += gain[i] * innovations[k]
-            for j in range(order):
-                keep[i, j] = (1.0 if i == j else 0.0) - (gain[i] if j == 0 else 0.0)
-        _product(keep, covariance, work)
-        for i in range(order):
-            for j in range(order):
-                moved[j] = variances[k] * gain[i] * gain[j]
-                for m in range(order):
-                    moved[j] += work[i, m] * keep[j, m]
-            for j in range(order):
-                covariance[i, j] = moved[j]
-
-
-def kalman(
+def kalman(  # pragma: no cover - compiled loops
     times: Array, values: Array, variances: Array, q: float, order: int, start: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Kalman filter of one coordinate.
@@ -192,15 +146,55 @@ def kalman(
     innovations, innovation_variances : ndarray, shape (n,)
         NaN where there is no measurement.
     """
+    transition, noise = np.zeros((order, order)), np.zeros((order, order))
+    work, keep = np.zeros((order, order)), np.zeros((order, order))
+    gain, moved = np.zeros(order), np.zeros(order)
     n = len(times)
     means, covariances = np.zeros((n, order)), np.zeros((n, order, order))
     innovations, spreads = np.full(n, np.nan), np.full(n, np.nan)
-    _filter(times, values, variances, q, order, start, means, covariances, innovations, spreads)
+    mean, covariance = means[0], covariances[0]
+    for k in range(n):
+        if values[k] == values[k]:
+            mean[0] = values[k]
+            break
+    covariance[:] = start
+    for k in range(n):
+        if k > 0:
+            _step(times[k] - times[k - 1], q, order, transition, noise)
+            mean, covariance = means[k], covariances[k]
+            covariance[:] = noise
+            for i in range(order):
+                for j in range(order):
+                    mean[i] += transition[i, j] * means[k - 1, j]
+            _sandwich(transition, covariances[k - 1], work, covariance)
+        if values[k] != values[k]:
+            continue
+        expected = covariance[0, 0] + variances[k]
+        innovations[k] = values[k] - mean[0]
+        spreads[k] = expected
+        for i in range(order):
+            gain[i] = covariance[i, 0] / expected
+        # Joseph form: stays positive where the start is diffuse.
+        for i in range(order):
+            mean[i] += gain[i] * innovations[k]
+            for j in range(order):
+                keep[i, j] = (1.0 if i == j else 0.0) - (gain[i] if j == 0 else 0.0)
+        _product(keep, covariance, work)
+        for i in range(order):
+            for j in range(order):
+                moved[j] = variances[k] * gain[i] * gain[j]
+                for m in range(order):
+                    moved[j] += work[i, m] * keep[j, m]
+            covariance[i] = moved
     return means, covariances, innovations, spreads
 
 
 @njit(cache=True)
-def _smooth(times, q, order, smooth, spread):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+def rts(  # pragma: no cover - compiled
+    times: Array, means: Array, covariances: Array, q: float, order: int
+) -> tuple[Array, Array]:
+    """Rauch-Tung-Striebel pass over the output of :func:`kalman`."""
+    smooth, spread = means.copy(), covariances.copy()
     transition, noise = np.zeros((order, order)), np.zeros((order, order))
     work, keep, after = np.zeros((order, order)), np.zeros((order, order)), np.zeros((order, order))
     predicted, gain, turned = np.zeros((order, order)), np.zeros((order, order)), np.zeros((order, order))
@@ -227,16 +221,10 @@ def _smooth(times, q, order, smooth, spread):  # type: ignore[no-untyped-def]  #
         for i in range(order):
             for j in range(order):
                 keep[i, j] = (1.0 if i == j else 0.0) - keep[i, j]
-                predicted[i, j] = spread[k, i, j]
-                spread[k, i, j] = 0.0
+        predicted[:] = spread[k]
+        spread[k] = 0.0
         _sandwich(keep, predicted, work, spread[k])
         _sandwich(turned, after, work, spread[k])
-
-
-def rts(times: Array, means: Array, covariances: Array, q: float, order: int) -> tuple[Array, Array]:
-    """Rauch-Tung-Striebel pass over the output of :func:`kalman`."""
-    smooth, spread = means.copy(), covariances.copy()
-    _smooth(times, q, order, smooth, spread)
     return smooth, spread
 
 
