@@ -106,7 +106,9 @@ def main() -> None:
             ("parquet", "csv"),
         ):
             words = [sys.executable, "-m", "swimid", "import", str(folder / f"imu.{source}")]
-            words += ["--map", str(folder / "map.yaml"), "-o", str(folder / f"out.{target}"), "--force", "-q"]
+            output = folder / target / f"out.{target}"
+            output.parent.mkdir(exist_ok=True)
+            words += ["--map", str(folder / "map.yaml"), "-o", str(output), "--force", "-q"]
             # the peer right before: whatever else the machine does, it does to both
             peer, peer_work = (float(x) for x in run(python)[3].split())
             seconds, work, peak, _ = run(words)

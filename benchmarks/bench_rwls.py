@@ -17,8 +17,8 @@ from scipy.signal import lfilter
 
 from swimid.blackbox.arx import estimate, regression
 from swimid.blackbox.difference import Orders, Record
+from swimid.blackbox.identified import KEPT
 from swimid.blackbox.recursive import recursive_least_squares
-from swimid.blackbox.rwls import KEPT
 
 SAMPLES = 100_000
 ORDERS = Orders(3, 4)

@@ -15,11 +15,11 @@ Time
     ``t_s``, seconds, strictly increasing, from the recording's own stamps.
 Missing data
     NaN in arrays, an empty cell in files. Nothing is filled silently.
-Rooms
-    A folder is named for what it is about: ``logs``, ``tracking``, ``inertial``; ``rig``, ``propulsion``,
-    ``swimmer`` and ``blackbox``, one for each family of experiment; ``fitting`` under them; ``simulation``,
-    ``effects``, ``diagnosis``, ``sensitivity_analysis``, ``exporters``; ``results``, ``robots`` and ``files``
-    below all; ``cli`` on top. Imports run one way (``docs/architecture.md``).
+Packages
+    Each is named after its subject: ``logs``, ``tracking``, ``inertial``; one for each family of experiment:
+    ``rig``, ``propulsion``, ``swimmer``, ``blackbox``; ``fitting``, which these share; ``simulation``,
+    ``effects``, ``diagnosis``, ``sensitivity_analysis``, ``exporters``; ``results``, ``robots``, ``files``,
+    which all use; ``cli``. Imports run one way (``docs/architecture.md``).
 """
 
 from typing import Any

@@ -1,4 +1,4 @@
-"""The public names, and the functions that belong to no room of their own."""
+"""The public names, and the functions that belong to no package of their own."""
 
 from __future__ import annotations
 
@@ -61,8 +61,6 @@ NAMES = {
     "PerformanceMap": "swimid.optimisation.performance_map",
     "StiffnessRule": "swimid.optimisation.optimise_stiffness",
     "BestGait": "swimid.optimisation.optimise_gait",
-    "FinChoice": "swimid.optimisation.fins",
-    "SpeedController": "swimid.optimisation.controller",
     # what a model or an effect of one's own is made of
     "Model": "swimid.fitting.model",
     "Parameter": "swimid.fitting.model",

@@ -3,18 +3,57 @@
 ::
 
     SwimidError
-    +-- UsageError          2  the command line is wrong
+    +-- UsageError          2  options or arguments are wrong
     +-- InputError          3  a file cannot be read or is invalid   (also a ValueError)
-    +-- NoTrustworthyResult 4  the work ran, and nothing in it can be trusted
+    +-- NoTrustworthyResult 4  the computation ended without a result that can be trusted
         +-- Interrupted   130  it was stopped before its end
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
+
+#: Argument of each option of the function that runs; None where the options themselves are typed.
+_ARGUMENTS: ContextVar[Mapping[str, str] | None] = ContextVar("_ARGUMENTS")
+#: A command, which is left as it is, or one option.
+_OPTION = re.compile(r"swimid [a-z][^\n;]*|(?<![\w-])--?[a-z][a-z-]*")
+
+
+@contextmanager
+def naming(arguments: Mapping[str, str] | None) -> Iterator[None]:
+    """Let messages of this block name arguments (``start_state``) in place of options (``--start-state``).
+
+    Parameters
+    ----------
+    arguments : mapping or None
+        The argument of each option, beside those of a block around this one. None keeps the options also in
+        inner blocks: they were typed.
+    """
+    inside = None
+    outside = _ARGUMENTS.get({})
+    if arguments is not None and outside is not None:
+        inside = {**outside, **arguments}
+    token = _ARGUMENTS.set(inside)
+    try:
+        yield
+    finally:
+        _ARGUMENTS.reset(token)
+
+
+def in_words_of_the_caller(text: str) -> str:
+    """Return a message with the names of options as the caller writes them.
+
+    >>> with naming({"--start-state": "start_state", "--raw": "clean=False"}):
+    ...     in_words_of_the_caller("give --start-state rest, or --raw")
+    'give start_state rest, or clean=False'
+    """
+    arguments = _ARGUMENTS.get({})
+    return _OPTION.sub(lambda found: arguments.get(found[0], found[0]), text) if arguments else text
 
 
 class SwimidError(Exception):
@@ -27,21 +66,21 @@ class SwimidError(Exception):
     hint : str or None
         What to do about it.
     exit_status : int
-        What the command ends with.
+        Exit status of the command.
     """
 
     exit_status = 1
 
     def __init__(self, message: str, *, hint: str | None = None) -> None:
-        self.message = message
-        self.hint = hint
-        super().__init__(message)
+        self.message = in_words_of_the_caller(message)
+        self.hint = None if hint is None else in_words_of_the_caller(hint)
+        super().__init__(self.message)
 
     def __str__(self) -> str:
         return self.message if self.hint is None else f"{self.message}\n  hint: {self.hint}"
 
     def to_dict(self) -> dict[str, Any]:
-        """The error as the ``error`` member of the ``--json`` envelope."""
+        """Return the error as the ``error`` member of the ``--json`` document."""
         return {
             "type": type(self).__name__,
             "message": self.message,
@@ -51,7 +90,7 @@ class SwimidError(Exception):
 
 
 class UsageError(SwimidError, ValueError):
-    """The command line asks for something that does not exist or does not fit together; so may arguments.
+    """Options or arguments do not exist, are not allowed, or contradict each other.
 
     Attributes
     ----------
@@ -110,20 +149,15 @@ class InputError(SwimidError, ValueError):
         self.frame = frame
         self.row = row
         self.column = column
-        self.reason = message
+        self.reason = in_words_of_the_caller(message)
+        counted = {"line": line, "frame": frame, "row": row}
         place = [] if self.file is None else [self.file]
-        if line is not None:
-            place.append(f"line {line}")
-        if frame is not None:
-            place.append(f"frame {frame}")
-        if row is not None:
-            place.append(f"row {row}")
-        if column is not None:
-            place.append(f"'{column}'")
+        place += [f"{name} {number}" for name, number in counted.items() if number is not None]
+        place += [] if column is None else [f"'{column}'"]
         super().__init__(f"{', '.join(place)}: {message}" if place else message, hint=hint)
 
     def to_dict(self) -> dict[str, Any]:
-        """The error with its place, as the ``error`` member of the ``--json`` envelope."""
+        """Return the error with its place, as the ``error`` member of the ``--json`` document."""
         return super().to_dict() | {
             "file": self.file,
             "line": self.line,
@@ -134,7 +168,7 @@ class InputError(SwimidError, ValueError):
 
 
 class NoTrustworthyResult(SwimidError):
-    """The work ran to its end and gives nothing that should be used.
+    """The computation ended without a result that should be used.
 
     Attributes
     ----------
@@ -146,18 +180,18 @@ class NoTrustworthyResult(SwimidError):
 
 
 class Interrupted(NoTrustworthyResult):
-    """The work was stopped (Ctrl-C); the message says what was written and what was not."""
+    """The computation was stopped (Ctrl-C); the message names the files that were written."""
 
     exit_status = 130
 
 
 def first_line(error: BaseException) -> str:
-    """What an error of a library says, in one line."""
+    """Return the first line of the message of a library's error."""
     return (str(error) or type(error).__name__).splitlines()[0]
 
 
 def nearest(word: str, allowed: list[str] | tuple[str, ...]) -> str | None:
-    """The allowed word most like ``word``, or None where none is close.
+    """Return the allowed word most like ``word``, or None if none is close.
 
     >>> nearest("pulling_mas_kg", ["pulling_mass_kg", "role"])
     'pulling_mass_kg'
@@ -172,7 +206,7 @@ def nearest(word: str, allowed: list[str] | tuple[str, ...]) -> str | None:
 
 
 def suggestion(word: str, allowed: list[str] | tuple[str, ...], lead: str = "there are") -> str:
-    """The hint for a word that is none of those allowed: the nearest of them, or all after the lead.
+    """Return the hint for a word that is not allowed: the nearest allowed one, or all after the lead.
 
     >>> suggestion("gap", ["robot", "trials"])
     'there are: robot, trials'
@@ -182,8 +216,10 @@ def suggestion(word: str, allowed: list[str] | tuple[str, ...], lead: str = "the
 
 
 @contextmanager
-def extra_needed(task: str, extra: str) -> Iterator[None]:
-    """Turn the failed import of an optional library into a :class:`UsageError` that names its extra.
+def extra_needed(task: str, extra: str, *, file: str | Path | None = None) -> Iterator[None]:
+    """Turn the failed import of an optional library into an error that names its extra.
+
+    It is an :class:`InputError` where a file needs the library, else a :class:`UsageError`.
 
     Examples
     --------
@@ -196,5 +232,26 @@ def extra_needed(task: str, extra: str) -> Iterator[None]:
     try:
         yield
     except ImportError as error:
-        text = f"{task} needs {error.name}, which is not installed"
-        raise UsageError(text, hint=f"pip install 'swimid[{extra}]'") from error
+        text, hint = f"{task} needs {error.name}, which is not installed", f"pip install 'swimid[{extra}]'"
+        if file is not None:
+            raise InputError(text, file=file, hint=hint) from error
+        raise UsageError(text, hint=hint) from error
+
+
+@contextmanager
+def file_errors(file: str | Path, done: str = "read") -> Iterator[None]:
+    """Turn an error of the operating system into an :class:`InputError` (cannot be ``done``, and the reason).
+
+    Examples
+    --------
+    >>> with file_errors("absent.yaml"), open("absent.yaml"):
+    ...     pass
+    Traceback (most recent call last):
+    swimid.errors.InputError: absent.yaml: cannot be read: No such file or directory
+      hint: check the path
+    """
+    try:
+        yield
+    except OSError as error:
+        hint = "check the path" if isinstance(error, FileNotFoundError) else None
+        raise InputError(f"cannot be {done}: {error.strerror or error}", file=file, hint=hint) from error

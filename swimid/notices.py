@@ -12,7 +12,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-#: Every code, with what it is about. ``docs/warnings.md`` explains each.
+from swimid.errors import in_words_of_the_caller
+
+#: Subject of every code. ``docs/warnings.md`` explains each.
 CODES: dict[str, str] = {
     "SWM001": "missing samples masked",
     "SWM002": "values are unusual in the stated unit",
@@ -63,7 +65,6 @@ CODES: dict[str, str] = {
     "SWM058": "track cleaned",
     "SWM059": "the track goes on elsewhere after a jump",
     "SWM060": "the target of an export cannot carry something",
-    "SWM061": "exported added mass may make the simulator unstable",
     "SWM062": "parameters in use that their fit does not vouch for",
     "SWM063": "course and heading of a track contradict each other",
     "SWM064": "another thing was first taken for the marker",
@@ -101,7 +102,7 @@ class SwimidWarning(UserWarning):
     code : str
         ``"SWM013"``; ``docs/warnings.md`` explains each.
     text : str
-        What was found, with its numbers.
+        Finding with its numbers.
 
     Examples
     --------
@@ -118,8 +119,8 @@ class SwimidWarning(UserWarning):
         if code not in CODES:
             raise KeyError(f"unknown warning code {code}")
         self.code = code
-        self.text = text
-        super().__init__(f"{code} {text}")
+        self.text = in_words_of_the_caller(text)
+        super().__init__(f"{code} {self.text}")
 
 
 @dataclass(frozen=True)
@@ -137,10 +138,10 @@ def warn(code: str, text: str) -> None:
 
 @contextmanager
 def recorded(*, repeat: bool = False) -> Iterator[list[Notice]]:
-    """Collect every :class:`SwimidWarning` raised inside, each distinct one once.
+    """Collect every :class:`SwimidWarning` of the block, each distinct one once.
 
-    With ``repeat`` they are raised again when the block ends, by an error too, so that
-    whoever listens outside hears them as well.
+    With ``repeat`` they are raised again at the end of the block, also after an error, so that an outer block
+    records them too.
     """
     notices: list[Notice] = []
     show_others = warnings.showwarning

@@ -1,11 +1,11 @@
-"""The options of a verb, declared once.
+"""The options of a command, declared once.
 
-A model of options is a class of :class:`Options` with one :func:`option` for each. From it come the keyword
-arguments of the verb's function and their part of its docstring (:func:`takes`), the options and the help of
-the command (``swimid.cli.builder``), the ``settings`` of the provenance (:meth:`Options.settings`) and the
-table in the docs (``swimid.cli.table``).
+A class of options derives from :class:`Options` and has one :func:`option` for each field. It gives the
+keyword arguments of the function and their docstring (:func:`takes`), the command with its options and help
+(``swimid.cli.builder``), the ``settings`` of the provenance (:meth:`Options.settings`), and the table in the
+docs (``swimid.cli.table``).
 
-Models of options import this module and typing only, so that ``--help`` stays fast.
+Modules with options import this module and typing only, so that ``--help`` stays fast.
 """
 
 from __future__ import annotations
@@ -20,13 +20,11 @@ from typing import Annotated, Any, Literal, Self, TypeVar, Union, cast, get_args
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
-from swimid.errors import SwimidError, UsageError, suggestion
+from swimid.errors import SwimidError, UsageError, naming, suggestion
 
 Returned = TypeVar("Returned")
 
-#: Characters of a refused value that a message quotes.
-LONGEST = 60
-#: A file, or in its place what would be in it; on the command line always a file.
+#: A file, or an object with its content; on the command line always a file.
 Source = Annotated[Path | Any, Field(union_mode="left_to_right")]
 
 
@@ -42,26 +40,26 @@ def option(
     part: str = "",
     **limits: float,
 ) -> Any:
-    """One option: a field of a model of options.
+    """Declare one option, a field of a class of options.
 
     Parameters
     ----------
     default
-        Its value where it is not given. Without one it must be.
+        Value if the option is not given. Without a default it must be given.
     help : str
-        What it does, with its unit: a line of ``--help``, of the docstring and of the docs.
+        Description with the unit: a line of ``--help``, of the docstring and of the docs.
     flag : str, optional
-        As it is typed; default ``--`` and the name of the field. ``--on/--off`` for what can be refused.
+        Name on the command line, by default ``--`` and the name of the field. ``--on/--off`` can be negated.
     metavar : str, optional
-        What stands for its value in the help.
+        Placeholder for the value in the help.
     separated : bool
-        Whether several values may be given at once with commas between them.
+        Whether several values may be given with commas between them.
     written : bool
-        Whether it is a file to write, not one to read.
+        Whether the value is a file that is written, not read.
     recorded : bool or str
-        Whether it is part of the provenance's settings, and its key there; default the name of the field.
+        Whether the settings of the provenance contain it, or its key there if that is not the field's name.
     part : str
-        The group of options it belongs to, where a model treats some alike.
+        Group of options that a class treats alike.
     **limits
         Bounds of a number: ``ge``, ``gt``, ``le``, ``lt``.
     """
@@ -73,13 +71,44 @@ def option(
 
 
 class Options(BaseModel):
-    """Base of the options of a verb; what is given is validated, and cannot be changed afterwards."""
+    """Base of the options of a command; what is given is validated, and cannot be changed afterwards.
+
+    A class with the arguments below is a command. Its docstring is the help, whose first line stands in the
+    list of commands. ``swimid.cli.builder`` reads arguments and docstring in the file, so they are literals.
+
+    Parameters
+    ----------
+    command : str
+        Name of the command, ``"fit-drag"``.
+    section : str
+        Heading above it in the list of commands.
+    output : str
+        What ``-o`` writes.
+    argument : str
+        Files it takes, by default ``"TRIALS"``. ``"LOG..."`` are several, ``"[NAME]"`` is a word or none.
+    function : str
+        Module of the same package and function in it; by default the command with ``_`` for ``-``. It takes
+        the files, ``output`` and the options, and ``progress``, ``allow`` or ``force`` where it wants them.
+    output_flags : tuple of str
+        Other flags where ``--output`` means something else.
+    required : bool
+        Whether ``-o`` must be given.
+    stdout : dict
+        Options of a document that goes to stdout without ``-o``, unless they are given.
+    beside : tuple of str
+        Endings of the files that are written beside the output, by default that of the evidence.
+    page : str
+        Page of the docs, by default that of the command's name.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
+    def __init_subclass__(cls, **command: Any) -> None:
+        super().__init_subclass__()
+
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:
-        """The options from those given; None stands for the default.
+        """Make the options from those given; None stands for the default.
 
         Raises
         ------
@@ -94,16 +123,16 @@ class Options(BaseModel):
 
     @classmethod
     def declared(cls) -> dict[str, Declared]:
-        """Every option by the name of its field, in order."""
+        """Return every option by the name of its field, in order."""
         return {name: Declared(name, info) for name, info in cls.model_fields.items()}
 
     def settings(self, **actual: Any) -> dict[str, Any]:
-        """The options as the provenance records them, as plain data.
+        """Return the options that the provenance records, as plain data.
 
         Parameters
         ----------
         **actual
-            What a key is to say in place of the option as it was given.
+            Values that replace those given, by key.
         """
         recorded = {
             entry.key: _plain(getattr(self, name)) for name, entry in self.declared().items() if entry.key
@@ -112,18 +141,18 @@ class Options(BaseModel):
 
 
 class Declared:
-    """An option as its model declares it; what is not told here is what :func:`option` was given.
+    """An option of a class. Attributes that are not listed are those given to :func:`option`.
 
     Attributes
     ----------
     name : str
-        Of the field, and of the keyword argument.
+        Name of the field and of the keyword argument.
     flags : str
-        As it is typed on the command line, ``--on/--off`` where both can be said.
+        Name on the command line, ``--on/--off`` if it can be negated.
     kind : type
         Its type without None.
     key : str
-        In the settings of the provenance; empty where it is not part of them.
+        Key in the settings of the provenance; empty if it is not recorded.
     """
 
     def __init__(self, name: str, info: FieldInfo) -> None:
@@ -144,24 +173,23 @@ class Declared:
         }
         self.separated: bool = notes["separated"]
         self.written: bool = notes["written"]
-        recorded = notes["recorded"]
-        self.key: str = recorded if isinstance(recorded, str) else name if recorded else ""
+        self.key: str = {True: name, False: ""}.get(notes["recorded"], notes["recorded"])
         self.part: str = notes["part"]
 
     @property
     def flag(self) -> str:
-        """The option as it is named in a message."""
+        """Name of the option in messages."""
         return self.flags.split("/")[0].split(" ")[-1]
 
     def files(self, value: Any) -> list[Path]:
-        """The files a value of it names, those to read only."""
+        """Return the files to read that a value names."""
         if value is None or self.written or Path not in _leaves(self.kind):
             return []
         several = value if isinstance(value, list | tuple) else [value]
         return [Path(one) for one in several if isinstance(one, str | Path)]
 
     def stands_for(self) -> str:
-        """What stands for its value where it is typed; empty for what is only said."""
+        """Return the placeholder for its value in the docs; empty for a switch."""
         if self.metavar or self.kind is bool:
             return self.metavar or ""
         if get_origin(self.kind) is Literal:
@@ -170,22 +198,22 @@ class Declared:
         return {int: "N", float: "X", Path: "FILE"}.get(leaf, "TEXT")
 
     def default_text(self) -> str:
-        """Its default as the docs say it."""
+        """Return its default as the docs write it."""
         if self.required:
             return "required"
         nothing = self.default is None or self.default is False or self.default in ((), {})
         return "" if nothing else f"`{self.default}`"
 
     def type_text(self) -> str:
-        """Its type as a docstring says it."""
+        """Return its type as a docstring writes it."""
         text = _type_text(self.kind)
-        if self.default is None:
-            return text if self.required else f"{text}, optional"
-        return text if self.default in ((), {}) else f"{text}, default {_shown(self.default)}"
+        if self.required or self.default in ((), {}):
+            return text
+        return f"{text}, optional" if self.default is None else f"{text}, default {self.default!r}"
 
 
 def without_none(kind: Any) -> Any:
-    """A type without the None it may also be."""
+    """Return a type without None as an alternative."""
     if get_origin(kind) in (Union, UnionType):
         left = [one for one in get_args(kind) if one is not type(None)]
         return left[0] if len(left) == 1 else Union[tuple(left)]  # noqa: UP007 - made of a tuple
@@ -193,11 +221,11 @@ def without_none(kind: Any) -> Any:
 
 
 def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callable[..., Returned]]:
-    """Give a function the options of a model as keyword arguments.
+    """Give a function the options of a class as keyword arguments.
 
-    The function itself takes them as one argument ``options``. Its signature shows each, its docstring
-    describes each, and one that does not exist is refused with the nearest that does. Who has them as a model
-    already gives that: ``options=...``.
+    The function itself has one argument ``options``. Signature and docstring contain each option. An unknown
+    one is refused, with the nearest name. Messages name arguments, unless the command line runs. The options
+    may also be given as an object of the class: ``options=...``.
     """
 
     def decorate(function: Callable[..., Returned]) -> Callable[..., Returned]:
@@ -205,8 +233,17 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
         own = [p for p in signature.parameters.values() if p.name != "options"]
         keywords = {p.name for p in own}
 
+        arguments = {"-o": "output"}
+        for entry in options.declared().values():
+            on, _, off = entry.flags.partition("/")
+            arguments |= {on: entry.name, off: f"{entry.name}=False"}
+
         @functools.wraps(function)
         def call(*args: Any, **given: Any) -> Returned:
+            with naming(arguments):
+                return checked(*args, **given)
+
+        def checked(*args: Any, **given: Any) -> Returned:
             mine = {name: given.pop(name) for name in list(given) if name in keywords}
             if isinstance(mine.get("output"), str):
                 mine["output"] = Path(mine["output"])
@@ -239,7 +276,7 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
 
 
 def _documented(text: str | None, options: type[Options], rest: Sequence[str]) -> str | None:
-    """A docstring with the options among its Parameters, before those of the function that stand last."""
+    """Return a docstring with the options among its Parameters, before those of the function in ``rest``."""
     if text is None:
         return None
     lines = inspect.cleandoc(text).splitlines()
@@ -254,7 +291,7 @@ def _documented(text: str | None, options: type[Options], rest: Sequence[str]) -
 
 
 def _leaves(kind: Any) -> list[Any]:
-    """The simple types a type is made of."""
+    """Return the simple types in a type."""
     args = get_args(kind)
     return [leaf for one in args for leaf in _leaves(one)] if args else [kind]
 
@@ -262,10 +299,10 @@ def _leaves(kind: Any) -> list[Any]:
 def _type_text(kind: Any) -> str:
     origin, args = get_origin(kind), get_args(kind)
     if origin is Literal:
-        return "{" + ", ".join(f'"{one}"' for one in args) + "}"
+        return f"{{{', '.join(map(repr, args))}}}"
     if origin in (Union, UnionType):
         names = [_type_text(one) for one in args if one is not Any]
-        return " or ".join([*names, "what would be in it"] if Any in args else names)
+        return " or ".join([*names, "its content"] if Any in args else names)
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return f"mapping of {_type_text(args[0])} to {_type_text(args[1])}"
     if origin is tuple and args[-1] is not Ellipsis:
@@ -273,10 +310,6 @@ def _type_text(kind: Any) -> str:
     if isinstance(origin, type) and issubclass(origin, Sequence):
         return f"sequence of {_type_text(args[0])}"
     return {Path: "path"}.get(kind, getattr(kind, "__name__", str(kind)))
-
-
-def _shown(value: Any) -> str:
-    return f'"{value}"' if isinstance(value, str) else f"{value}"
 
 
 def _plain(value: Any) -> Any:
@@ -292,7 +325,7 @@ def _plain(value: Any) -> Any:
 
 
 def _refusal(options: type[Options], error: ValidationError) -> SwimidError:
-    """The first thing wrong with the options, as an error of swimid."""
+    """Return the first error in the options as an error of swimid."""
     problem = error.errors()[0]
     raised = problem.get("ctx", {}).get("error")
     if isinstance(raised, SwimidError):
@@ -301,6 +334,5 @@ def _refusal(options: type[Options], error: ValidationError) -> SwimidError:
     if problem["type"] == "missing":
         return UsageError(f"the option '{name}' is missing", hint=options.declared()[name].help)
     message = problem["msg"]
-    value = repr(problem.get("input"))
-    value = value if len(value) < LONGEST else f"{value[:LONGEST]}..."
+    value = f"{problem.get('input')!r:.60}"
     return UsageError(f"{name}: {value} is not allowed: {message[0].lower()}{message[1:]}")

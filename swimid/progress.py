@@ -1,4 +1,4 @@
-"""Progress of long loops, without the library knowing who shows it."""
+"""Progress of long loops; the caller decides whether and how it is shown."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ class Progress(Protocol):
 
 
 def show(step: Step, text: str) -> None:
-    """Put a remark beside a running bar, where whoever draws it has a ``note(text)`` for that."""
+    """Put a remark beside a running bar, if the bar has a ``note(text)``."""
     note = getattr(step, "note", None)
     if note is not None:
         note(text)
 
 
 def silent(description: str, total: int | None = None) -> AbstractContextManager[Step]:
-    """The progress nobody sees: the default of every library function."""
+    """Show no progress: the default of every library function."""
 
     def step(amount: int = 1) -> None:
         return None

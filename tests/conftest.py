@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -40,7 +41,12 @@ class Ran:
 
     status: int
     out: str
-    err: str
+    stderr: str
+
+    @property
+    def err(self) -> str:
+        """What stands on stderr, with each wrapped warning on one line."""
+        return re.sub(r"\n    (?=\S)", " ", self.stderr)
 
     @property
     def json(self) -> dict[str, Any]:

@@ -271,7 +271,6 @@ def test_an_import_in_memory_is_the_import_on_disk(
     assert made.outputs == ()
     assert made.data == ran.json["result"]
     saved_alike(made, path, tmp_path / "saved")
-    # in its evidence the log has the file's name, and that of the source until there is a file
     here = tmp_path / "polled.csv"
     swimid("import", source, "--map", rules, *options, "-o", here)
     same(made, here)
@@ -343,7 +342,7 @@ def test_figures_are_written_on_request(
     ran = swimid("plot", tmp_path / "log", "-o", there, "--json")
     drawn = plot(seen)
     assert drawn.data["figures"] == ran.json["result"]["figures"] == drawn.figure_names
-    assert drawn.text == plot(Log.from_frame(seen)).text
+    assert drawn.summary() == plot(Log.from_frame(seen)).summary()
     assert drawn.plot("path") is not None
     assert len(drawn.figures()) == len(drawn.figure_names)
     drawn.save(tmp_path / f"here.{ending}")
@@ -360,7 +359,7 @@ def test_two_sensors_over_each_other(vehicle: tuple[pd.DataFrame, pd.DataFrame])
     readings, seen = vehicle
     drawn = plot([Log.from_frame(readings, name="imu"), Log.from_frame(seen, name="camera")])
     assert drawn.data["logs"] == ["imu", "camera"]
-    assert drawn.text.startswith("imu and camera: ")
+    assert drawn.summary().startswith("imu and camera\n")
 
 
 # ---------------------------------------------------------------- tables

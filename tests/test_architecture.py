@@ -1,135 +1,105 @@
-"""The picture in docs/architecture.md, held to: imports run one way, and --help stays light."""
+"""The table of packages in docs/architecture.md, held to: imports run one way, and --help stays light."""
 
 from __future__ import annotations
 
 import ast
-import importlib.util
 import re
 import subprocess
 import sys
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from types import ModuleType
 
+import numpy as np
+import pandas as pd
 import pytest
 
 from swimid import notices
 from tests.conftest import ROOT
 
 PACKAGE = Path(notices.__file__).parent
-PICTURE = ROOT / "docs" / "architecture.md"
-#: The rooms from the ground up: each imports from itself and from those of the rows before its own.
-LEVELS = (
-    {"errors", "notices", "progress", "options"},
-    {"files"},
-    {"results", "robots"},
-    {"logs"},
-    {"tracking", "inertial", "fitting"},
-    {"rig", "propulsion", "swimmer", "blackbox", "effects"},
-    {"simulation", "exporters"},
-    {"diagnosis", "sensitivity_analysis", "optimisation"},
-    {"cli"},
-)
-LEVEL = {room: level for level, rooms in enumerate(LEVELS) for room in rooms}
+PAGE = ROOT / "docs" / "architecture.md"
+#: Level of each package, and of each module that all use: it imports from itself and from lower levels.
+LEVEL = {
+    name: int(level)
+    for level, name in re.findall(r"^\| (\d) \| `(\w+)` \|", PAGE.read_text(encoding="utf-8"), re.M)
+}
+PACKAGES = sorted(path.parent.name for path in PACKAGE.glob("*/__init__.py"))
 
 
-def _modules() -> list[Path]:
-    return [p for p in PACKAGE.rglob("*.py") if p.parent != PACKAGE and "__pycache__" not in p.parts]
+def _modules() -> dict[str, Path]:
+    """Every module by its dotted name, a package by its own."""
+    found = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        if "__pycache__" not in path.parts:  # generated kernels
+            parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
 
 
-@pytest.mark.parametrize("path", _modules(), ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_imports_run_one_way(path: Path) -> None:
-    room = path.relative_to(PACKAGE).parts[0]
-    for node in ast.walk(ast.parse(path.read_text())):
-        names = [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
-        if isinstance(node, ast.ImportFrom) and node.module == "swimid":
-            names = [f"swimid.{alias.name}" for alias in node.names]
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        for name in names:
-            if name.startswith("swimid."):
-                other = name.split(".")[1]
-                below = other == room or LEVEL[other] < LEVEL[room]
-                assert below, f"{path}: {room} may not import {name}"
+MODULES = _modules()
 
 
-def test_every_room_is_in_the_picture() -> None:
-    rooms = {p.name for p in PACKAGE.iterdir() if (p / "__init__.py").exists()}
-    assert rooms == set(LEVEL) - LEVELS[0]
+def _imported(tree: ast.AST) -> set[str]:
+    """The modules of the package that a module imports, inside a function too, but not for types only."""
+    names: set[str] = set()
+    for child in ast.iter_child_nodes(tree):
+        if isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test):
+            continue
+        names |= _imported(child)
+        if isinstance(child, ast.Import):
+            names |= {alias.name for alias in child.names} & set(MODULES)
+        elif isinstance(child, ast.ImportFrom) and child.module in MODULES:
+            whole = [f"{child.module}.{alias.name}" for alias in child.names]
+            # a name that is no module of its own is one in the module before it
+            names |= {name if name in MODULES else child.module for name in whole}
+    return names
 
 
-@pytest.fixture(scope="module")
-def counted() -> ModuleType:
-    """The developers' command that counts the rooms."""
-    spec = importlib.util.spec_from_file_location("rooms", ROOT / "docs" / "rooms.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+GRAPH = {name: _imported(ast.parse(path.read_text(encoding="utf-8"))) for name, path in MODULES.items()}
 
 
-def test_nothing_goes_round_in_circles(counted: ModuleType) -> None:
-    graph = counted.imports()
-    arrows = counted.between_rooms(graph, counted.rooms())
-    assert counted.cycle({name: set(others) for name, others in arrows.items()}) == []
-    assert counted.cycle(graph) == []
+@pytest.mark.parametrize("name", [name for name in MODULES if name.count(".") > 1])
+def test_imports_run_one_way(name: str) -> None:
+    package = name.split(".")[1]
+    for other in GRAPH[name] - {"swimid"}:
+        target = other.split(".")[1]
+        assert target == package or LEVEL[target] < LEVEL[package], f"{name} may not import {other}"
 
 
-def test_a_circle_is_found(counted: ModuleType, tmp_path: Path) -> None:
-    package = tmp_path / "swimid"
-    files = {
-        "__init__.py": "",
-        "low/__init__.py": "",
-        "low/a.py": "def late():\n    from swimid.high import b\n",
-        "high/__init__.py": "",
-        "high/b.py": "from swimid.high.c import name\n",
-        "high/c.py": "import swimid.low.a\n",
-        "high/d.py": "if TYPE_CHECKING:\n    from swimid.low import a\n",
-    }
-    for name, text in files.items():
-        (package / name).parent.mkdir(parents=True, exist_ok=True)
-        (package / name).write_text(text)
-    graph = counted.imports(package)
-    assert graph["high.b"] == {"high.c"}
-    assert graph["high.d"] == set()
-    assert set(counted.cycle(graph)) == {"low.a", "high.b", "high.c"}
-    arrows = counted.between_rooms(graph, counted.rooms(package))
-    assert arrows == {"low": {"high": 1}, "high": {"low": 1}}
+def test_every_package_is_in_the_table() -> None:
+    beside = {"errors", "notices", "progress", "options"}
+    assert set(LEVEL) == {*PACKAGES, *beside}
+    assert {name for name, level in LEVEL.items() if level == 0} == beside
 
 
-def test_the_rooms_are_printed(counted: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
-    assert counted.main([]) == 0
-    shown = capsys.readouterr().out
-    assert {line.split()[0] for line in shown.splitlines()} >= set(LEVEL) - LEVELS[0]
-    assert "cycles between rooms: none" in shown
-    assert counted.main(["rig"]) == 0
-    assert "rig.model" in capsys.readouterr().out
-    assert counted.main(["no-room"]) == 2
+def test_no_modules_import_each_other_in_a_cycle() -> None:
+    # a package imports its modules where it lists them
+    graph = {name: {o for o in others if not name.startswith(f"{o}.")} for name, others in GRAPH.items()}
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(" -> ".join(error.args[1]))
 
 
-def test_the_picture_names_every_room() -> None:
-    """The table of rooms is complete, and its levels are those the imports are held to."""
-    text = PICTURE.read_text(encoding="utf-8")
-    table = re.findall(r"^\| `(\w+)` \|", text, re.M)
-    assert sorted(table) == sorted(set(LEVEL) - LEVELS[0])
-    (block,) = re.findall(r"## Imports run one way\n.*?```\n(.*?)```", text, re.S)
-    drawn = [set(re.findall(r"\w+", line)) for line in block.splitlines()]
-    assert drawn == list(reversed(LEVELS))
+def test_the_page_is_short() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    assert len(text.split()) <= 1500
+    assert text.count("```") == 2  # one picture
 
 
-def test_the_picture_names_what_is_there() -> None:
-    """Every ``room/module.py`` of the documents for developers, and every ``room/folder/``."""
+def test_documents_for_developers_name_what_is_there() -> None:
+    """Every ``package/module.py`` of the documents for developers, and every ``package/folder/``."""
     place = re.compile(r"`(?:swimid/)?([a-z_]+/[a-z_/]*(?:\w+\.(?:py|yaml|md))?)`(?!:$)", re.M)
-    for page in (PICTURE, ROOT / "CONTRIBUTING.md"):
+    for page in (PAGE, ROOT / "CONTRIBUTING.md"):
         for name in place.findall(page.read_text(encoding="utf-8")):
             inside = PACKAGE if name.split("/")[0] in LEVEL else ROOT
             assert (inside / name).exists(), f"{page.name} names {name}"
 
 
-@pytest.mark.parametrize("room", sorted(set(LEVEL) - LEVELS[0]))
-def test_a_room_says_what_is_in_it(room: str) -> None:
-    """The docstring of a room names modules of it, and none that is not there."""
-    folder = PACKAGE / room
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_package_says_what_is_in_it(package: str) -> None:
+    """The docstring of a package names modules of it, and none that is not there."""
+    folder = PACKAGE / package
     said = ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8")))
     assert said is not None
     head = re.split(r"^-{4,}$", said, flags=re.M)[0]
@@ -137,8 +107,8 @@ def test_a_room_says_what_is_in_it(room: str) -> None:
     inside = {path.stem for path in folder.glob("*.py")} | {
         path.name for path in folder.iterdir() if path.is_dir()
     }
-    assert names, f"{room}: names none of its modules"
-    assert set(names) <= inside, f"{room}: {set(names) - inside}"
+    assert names, f"{package}: names none of its modules"
+    assert set(names) <= inside, f"{package}: {set(names) - inside}"
 
 
 def test_help_imports_nothing_heavy() -> None:
@@ -151,6 +121,37 @@ def test_help_imports_nothing_heavy() -> None:
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stderr.strip() == "[]"
+
+
+HEAVY = {"pyarrow", "matplotlib", "scipy.signal", "scipy.stats", "control", "numba"}
+
+
+def test_importing_a_log_imports_nothing_heavy(tmp_path: Path) -> None:
+    """A log with a stroke is imported without pyarrow, and without the libraries of fits and figures."""
+    time_s = np.arange(400) / 50
+    log = pd.DataFrame({"t_s": time_s, "yaw_rad": 0.2 * np.sin(2 * np.pi * 1.5 * time_s)})
+    log.to_csv(tmp_path / "raw.csv", index=False)
+    code = (
+        "import sys; sys.modules['pyarrow'] = None; from swimid.cli.main import main; "
+        f"main(['import', 'raw.csv', '-o', 'run.csv'], standalone_mode=False); "
+        f"print({HEAVY!r} & {{name for name, module in sys.modules.items() if module}}, file=sys.stderr)"
+    )
+    command = [sys.executable, "-c", code]
+    run = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path)
+    assert run.stderr.splitlines()[-1] == "set()"
+    assert "stroke" in run.stdout
+
+
+@pytest.mark.parametrize("path", _modules(), ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_heavy_libraries_are_imported_where_they_are_used(path: Path) -> None:
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.Import):
+            names = {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            names = {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+        else:
+            continue
+        assert not names & {"pyarrow", "scipy.signal", "scipy.stats", "control"}
 
 
 def test_every_warning_code_is_used_and_documented() -> None:

@@ -240,7 +240,7 @@ def test_missing_samples_are_masked_and_the_result_stays(swimid: Run, rig: Path)
 
     for path in rig.glob("w*.csv"):
         edited(path, lose)
-    ran = swimid("fit-drag", rig / "trials.yaml", "--json")
+    ran = swimid("fit-drag", rig / "trials.yaml", "--json", "-v")
     assert ran.status == 0
     warned(ran, "SWM001", ["w10.csv", "w40.csv", "longest run 10"])
     assert [w["code"] for w in ran.json["warnings"]].count("SWM001") == 7

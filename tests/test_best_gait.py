@@ -81,20 +81,16 @@ class TestDescent:
             lambda x, owner: ((x[:, 0] - places[owner]) ** 2)[:, None], np.full((3, 1), 0.4)
         )
         assert found.points[:, 0] == pytest.approx(places, abs=2e-3)
-        counts = [n for n, _ in found.history]
-        assert counts == sorted(counts)
 
 
 def test_the_best_gait_is_that_of_a_scan() -> None:
-    """Both searches, the answer within a hundredth of the range of the scan's maximum."""
+    """The answer is within a hundredth of the range of the scan's maximum, from several starts."""
     found = package.optimise_gait(vary={"K_s": (0.1, 2.0)}, frequency_hz=3.0, **DOLPHIN)
     scan = package.performance_map(over={"K_s": (0.1, 2.0, 77)}, frequency_hz=3.0, **DOLPHIN).frame
     best = scan.loc[scan["mean_speed_m_s"].idxmax()]
     assert found.at["K_s"] == pytest.approx(best["K_s"], abs=0.03)
     assert found.file.optimum.goals["speed"] == pytest.approx(best["mean_speed_m_s"], rel=1e-4)
-    values = [s.value for s in found.file.searches]
-    assert values[0] == pytest.approx(values[1], rel=2e-3)
-    assert found.file.kept in {s.method for s in found.file.searches if s.reached_after is not None}
+    assert sorted(found.file.ends)[-2] == pytest.approx(max(found.file.ends), rel=2e-3)
     assert found.file.robust is None
 
 
@@ -155,13 +151,12 @@ def test_draws_have_the_covariance(tmp_path: Path) -> None:
     applied = performance.applied
     assert isinstance(applied, Applied)
     draws = drawn(applied, 4000, 1)
-    vectors, refused = draws.vectors, draws.refused
-    table = np.array(vectors)
+    table = np.array(draws.vectors)
     drag, friction = (table[:, applied.model.index(n)] for n in ("c_d1", "c_f0"))
     # friction has no values below zero, one standard error away: its normal distribution is cut there
     assert friction.min() >= 0.0
     share = 0.5 * math.erfc(1.0 / math.sqrt(2.0))
-    assert refused / (refused + 4000) == pytest.approx(share, abs=4 * math.sqrt(share / 4000))
+    assert 1.0 - draws.inside == pytest.approx(share, abs=4 * math.sqrt(share / 4000))
     assert friction.mean() == pytest.approx(0.039 * (1.0 + 0.28760), rel=0.02)
     assert np.corrcoef(drag, friction)[0, 1] == pytest.approx(0.6, abs=0.12)
     assert np.ptp(table[:, applied.model.index("c_m0")]) == 0.0
@@ -180,7 +175,7 @@ def test_draws_of_coefficients_hardly_known(tmp_path: Path) -> None:
     assert isinstance(applied, Applied)
     draws = drawn(applied, 400, 1)
     vectors = draws.vectors
-    assert draws.refused > 400
+    assert draws.inside < 0.5
     model, table = applied.model, np.array(vectors)
     at = [model.index(name) for name in ("c_d1", "c_f0")]
     bounds = np.array([(model.parameters[k].lower, model.parameters[k].upper) for k in at])
@@ -195,11 +190,8 @@ def test_draws_of_coefficients_hardly_known(tmp_path: Path) -> None:
         assert table[:, k].std() == pytest.approx(sd, rel=4.0 / math.sqrt(800))
 
 
-@pytest.mark.slow
 def test_draws_from_a_corner_of_the_bounds(tmp_path: Path) -> None:
-    """Two estimates at their lower bounds and one at its upper, all alike: hardly a draw is inside, and from
-    the corner no direction in which draws are independent leads in.
-    """
+    """Two estimates at their lower bounds and one at its upper, all alike: hardly a draw is inside."""
     path = parameters(tmp_path, c_f0=0.004, c_f1=0.004, c_f2=0.004)
     performance = Performance.of_options(
         package.optimise_gait.options.of({"params": path, "vary": {"K_s": (0.1, 1.0)}})
@@ -216,8 +208,7 @@ def test_draws_from_a_corner_of_the_bounds(tmp_path: Path) -> None:
     assert isinstance(performance.applied, Applied)
     draws = drawn(performance.applied, 400, 2)
     vectors = draws.vectors
-    assert draws.inside < 400
-    assert draws.refused > 20 * 400
+    assert draws.inside < 0.05
     model = performance.applied.model
     away = np.array(vectors)[:, [model.index(name) for name in names]] - np.array(list(corner.values()))
     # the density on a grid of six standard deviations into the corner
@@ -227,9 +218,8 @@ def test_draws_from_a_corner_of_the_bounds(tmp_path: Path) -> None:
     for k in range(3):
         mean = float(np.average(u[..., k], weights=density))
         sd = math.sqrt(np.average((u[..., k] - mean) ** 2, weights=density))
-        # neighbours are correlated by 3 / sqrt(200) at most: of 400 draws 260 count
-        assert away[:, k].mean() / 0.004 == pytest.approx(mean, abs=4.0 * sd / math.sqrt(260))
-        assert away[:, k].std() / 0.004 == pytest.approx(sd, rel=4.0 / math.sqrt(260))
+        assert away[:, k].mean() / 0.004 == pytest.approx(mean, abs=4.0 * sd / math.sqrt(400))
+        assert away[:, k].std() / 0.004 == pytest.approx(sd, rel=4.0 / math.sqrt(400))
 
 
 def test_draws_of_what_cannot_be(tmp_path: Path) -> None:
@@ -294,7 +284,7 @@ def test_interrupted_and_taken_up_it_is_the_same_file(
     assert calls - before - taken_up == taken_up + 7
 
 
-def test_the_command_and_its_report(swimid: Callable[..., Ran], tmp_path: Path) -> None:
+def test_the_command(swimid: Callable[..., Ran], tmp_path: Path) -> None:
     out = tmp_path / "gait.yaml"
     ran = swimid(
         "optimise", "gait", "--params", parameters(tmp_path, c_d2=1.0), "--amplitude-deg", "27",
@@ -307,26 +297,23 @@ def test_the_command_and_its_report(swimid: Callable[..., Ran], tmp_path: Path) 
     found = package.load_result(out)
     assert isinstance(found, BestGait)
     assert found.file.optimum.held_by == ["joint_rate_deg_s"]
-    page = tmp_path / "page.html"
-    assert swimid("report", out, "-o", page).status == 0
-    assert "How sure the best gait is" in page.read_text()
-    # files written before have no number of draws inside
-    older = [line for line in out.read_text().splitlines(keepends=True) if not line.startswith("inside:")]
-    out.write_text("".join(older))
-    assert package.load_result(out).file.inside is None
+    assert found.figure_names == ["draws"]
+    assert found.evidence.facts["Limits"] == "joint_rate_deg_s 7.854 rad/s"
+    assert max(len(line) for line in ran.out.splitlines()) <= 100
+    assert ran.out.splitlines()[-1].startswith("CAUTION: look at")
 
 
 @pytest.mark.parametrize(
     ("changed", "says"),
     [
-        ({"vary": {}}, "--vary"),
+        ({"vary": {}}, "varied: vary NAME"),
         ({"vary": {"K": (0.1, 1.0)}}, "there is no 'K'"),
         ({"vary": {"K_s": (1.0, 0.1)}}, "not below"),
-        ({"goal": ["power"]}, "reach-speed"),
+        ({"goal": ["power"]}, "reach_speed"),
         ({"goal": ["speed", "speed"]}, "two that differ"),
         ({"limits": {"torque": 1.0}}, "there is no 'torque'"),
         ({"limits": {"torque_N_m": -1.0}}, "above zero"),
-        ({"frequency_hz": None}, "frequency-hz"),
+        ({"frequency_hz": None}, "needs frequency_hz"),
         ({"robot": "boxfish"}, "multilink"),
     ],
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 import signal
 import tomllib
 from collections.abc import Callable
@@ -17,23 +18,26 @@ import pytest
 from click.testing import CliRunner
 
 import swimid as package
-from swimid.cli.common import Shared, running, shared_options
+from swimid.cli.builder import found
+from swimid.cli.common import Shared, running
 from swimid.cli.main import SECTIONS, main
 from swimid.files.checkpoint import Checkpoint
+from swimid.notices import warn
+from swimid.results.kinds import FORMATS
 from swimid.results.result import Result
-from tests.conftest import ROOT, Ran
+from tests.conftest import ROOT, SAMPLES, Ran
 
 Run = Callable[..., Ran]
 
 
 def test_every_command_is_in_a_section_and_explains_itself(swimid: Run) -> None:
-    listed = [name for _, names in SECTIONS for name in names]
-    assert sorted(listed) == sorted(main.commands)
-    for name in listed:
-        help_text = swimid(name, "--help").out
-        assert "Example" in help_text or "Commands" in help_text, name
-    for name in ("video", "setup"):
-        assert "Example" in swimid("track", name, "--help").out
+    shown = swimid("--help").out
+    assert re.findall(r"^(\w[\w ]+):$", shown, re.M) == ["Options", *SECTIONS]
+    for name in main.commands:
+        assert re.search(rf"^  {name} ", shown, re.M), name
+    for spec in found().values():
+        assert spec.section in SECTIONS, spec.command
+        assert "Example" in swimid(*spec.command.split(), "--help").out, spec.command
 
 
 def test_every_verb_takes_the_shared_options() -> None:
@@ -148,25 +152,10 @@ def test_schema_and_doctor_write_over_nothing_of_others(
     assert swimid(*words, "-o", out).status == 0  # its own may be replaced
 
 
-def test_schema_lists_formats(swimid: Run) -> None:
-    names = [
-        "trials",
-        "robot",
-        "parameters",
-        "setup",
-        "mapping",
-        "comparison",
-        "gap",
-        "power",
-        "sensitivity",
-        "map",
-        "rule",
-        "gait",
-        "fins",
-        "controller",
-        "evidence",
-    ]
-    assert swimid("schema").out.split() == names
+def test_schema_lists_every_format(swimid: Run) -> None:
+    listed = swimid("schema").out.split()
+    assert listed[:5] == ["trials", "robot", "setup", "mapping", "evidence"]
+    assert listed[5:] == [form.removeprefix("swimid-").partition("/")[0] for form in FORMATS]
 
 
 def test_doctor(swimid: Run, tmp_path: Path) -> None:
@@ -206,18 +195,100 @@ def test_a_fit_does_not_write_a_file_called_dash(
     assert not (tmp_path / "-").exists()
 
 
+class TestTerminal:
+    """What a command prints beside its result."""
+
+    def run(self, *warnings: tuple[str, str], **shared: int) -> Any:
+        def command() -> None:
+            with running("verb", Shared(**shared)) as run:
+                for code, text in warnings:
+                    warn(code, text)
+                run.outcome = Result("verb", "done")
+
+        return CliRunner().invoke(click.Command("verb", callback=command))
+
+    def test_a_warning_is_printed_once_and_wrapped(self) -> None:
+        text = "a parameter was not found " * 8 + "in one_very_long_word" + "_" * 100
+        ran = self.run(("SWM010", text), ("SWM011", "other"), ("SWM010", text))
+        first, *rest = ran.stderr.splitlines()
+        assert first.startswith("warning SWM010: a parameter")
+        assert rest[-1] == "warning SWM011: other"
+        assert all(line.startswith("    ") and line[4] != " " for line in rest[:-1])
+        assert [line for line in (first, *rest) if len(line) > 100] == [rest[-2]]
+        assert rest[-2].strip() == "one_very_long_word" + "_" * 100
+
+    @pytest.mark.parametrize("count, shown", [(5, 5), (6, 3)])
+    def test_many_warnings_of_one_code_are_counted(self, count: int, shown: int) -> None:
+        ran = self.run(*(("SWM012", f"parameter {k}") for k in range(count)), ("SWM013", "white"))
+        lines = ran.stderr.splitlines()
+        assert lines[:shown] == [f"warning SWM012: parameter {k}" for k in range(shown)]
+        rest = ["warning SWM012: 3 more like these; -v prints them"] if shown < count else []
+        assert lines[shown:] == [*rest, "warning SWM013: white"]
+
+    def test_verbose_prints_every_warning(self) -> None:
+        ran = self.run(*(("SWM012", f"parameter {k}") for k in range(9)), verbose=1)
+        assert len(ran.stderr.splitlines()) == 9
+
+    def test_json_holds_every_warning(self) -> None:
+        ran = self.run(*(("SWM012", f"parameter {k}") for k in range(9)), as_json=True)
+        assert len(json.loads(ran.stdout)["warnings"]) == 9
+
+    def test_the_next_command_can_be_typed(self, swimid: Run, samples: Path, tmp_path: Path) -> None:
+        trials, out = samples / "rig" / "trials.yaml", tmp_path / "my drag.yaml"
+        lines = swimid("fit-drag", trials, "-o", out).stderr.splitlines()
+        assert lines[-3:-1] == [f"wrote {out}", f"wrote {tmp_path / 'my drag.evidence.json'}"]
+        words = shlex.split(lines[-1].removeprefix("next: "))
+        assert words[:2] == ["swimid", "compare"]
+        assert str(out) in words
+        assert swimid(*words[1:-2], "-o", tmp_path / "comparison.yaml").status == 0
+        drop = ("simulate", "--params", out, "--pulling-mass-kg", "0.02", "-o", tmp_path / "drop.csv")
+        assert f"next: swimid plot {tmp_path / 'drop.csv'} -o log.html" in swimid(*drop).stderr
+        for quiet in (["-q"], ["--json"], []):
+            words = [*quiet, "-o", str(out)] if quiet else []
+            assert "next:" not in swimid("fit-drag", trials, *words).stderr
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
+    """The lines that the quick commands of ``make demo`` print, by command."""
+    out = tmp_path_factory.mktemp("demo")
+    recipe = (ROOT / "Makefile").read_text().split("\ndemo:")[1].split("\n\n")[0]
+    recipe = recipe.replace("\\\n", " ").replace("$(SAMPLES)", str(SAMPLES))
+    recipe = recipe.replace("$(OUT)/tfish.yaml", str(SAMPLES / "gap" / "params.yaml"))
+    printed = {}
+    for line in re.findall(r"^\t\$\(BIN\)/swimid (.*)$", recipe.replace("$(OUT)", str(out)), re.M):
+        words = [word for word in shlex.split(line) if word not in (f"{out}/gap.yaml", f"{out}/run.csv")]
+        if words[0] not in ("fit-graybox", "diagnose", "track"):
+            ran = CliRunner().invoke(main, words, prog_name="swimid")
+            assert ran.exit_code == 0, ran.stderr
+            printed[words[0]] = [*ran.stdout.splitlines(), *ran.stderr.splitlines()]
+    return printed
+
+
+def _own_text(name: str) -> Any:
+    return pytest.param(name, marks=pytest.mark.xfail(reason="prints a text of its own, not of the renderer"))
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["fit-drag", "fit-propulsion", "compare", _own_text("simulate"), _own_text("rwls"), "report"],
+)
+def test_the_demo_fits_a_terminal(demo: dict[str, list[str]], name: str) -> None:
+    """No line is longer than 100 characters, unless it names a file or is a command."""
+    free = re.compile(r"wrote |next: |.*\w\.(yaml|csv|html)\b")
+    assert [line for line in demo[name] if len(line) > 100 and not free.match(line)] == []
+
+
 class TestInterrupts:
     """Ctrl-C ends a verb with status 130 and one line that says what was written."""
 
     def verb(self, work: Callable[[], None], outputs: list[Path], output: Path | None = None) -> Any:
-        @click.command()
-        @shared_options("Written.")
-        def command(shared: Shared) -> None:
-            with running("verb", shared) as run:
+        def command() -> None:
+            with running("verb", Shared(output)) as run:
                 work()
-                run.finish(Result("verb", "done", {}, outputs))
+                run.outcome = Result("verb", "done", {}, outputs)
 
-        return CliRunner().invoke(command, [] if output is None else ["-o", str(output)])
+        return CliRunner().invoke(click.Command("verb", callback=command))
 
     def test_nothing_was_written(self, tmp_path: Path) -> None:
         ran = self.verb(lambda: signal.raise_signal(signal.SIGINT), [], tmp_path / "out.yaml")

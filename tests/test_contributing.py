@@ -25,7 +25,7 @@ TOUCHED = {
     "Add an effect": ["swimid/effects/sensing/encoder_ripple.py"],
     "Add a model": ["swimid/rig/glide.py"],
     "Add a robot": ["swimid/robots/koi.yaml"],
-    "Add a verb": ["swimid/rig/fit_glide.py", "swimid/rig/options.py", "swimid/cli/verbs.py"],
+    "Add a command": ["swimid/rig/fit_glide.py", "swimid/rig/options.py"],
 }
 #: Runs the commands of the manual in the copy.
 RUNNER = """
@@ -83,26 +83,35 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("title", TOUCHED)
 def test_files_touched(title: str) -> None:
-    """An effect, a model and a robot take one file each, a verb three."""
+    """An effect, a model and a robot take one file each, a command two."""
     named = [name for name, *_ in BLOCK.findall(_section(title))]
     assert [name for name in named if not name.startswith("tests/")] == TOUCHED[title]
+
+
+def _tested(copy: Path, *names: str) -> str:
+    """Run tests in the copy and return the last line that pytest prints."""
+    words = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist"]
+    environment = {**os.environ, "PYTHONPATH": str(copy), "PYTEST_ADDOPTS": ""}
+    ran = subprocess.run([*words, *names], cwd=copy, env=environment, capture_output=True, encoding="utf-8")
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    return ran.stdout.splitlines()[-1]
+
+
+def test_the_new_command_runs(copy: Path) -> None:
+    """Two files make ``swimid fit-glide``, its help and its line in the list of commands."""
+    assert _tested(copy, "tests/test_glide_command.py").startswith("2 passed")
+    for words, shown in ((["--help"], "fit-glide "), (["fit-glide", "--help"], "--fix NAME=VALUE")):
+        ran = subprocess.run(
+            [sys.executable, "-m", "swimid", *words], cwd=copy, capture_output=True, encoding="utf-8"
+        )
+        assert shown in ran.stdout, ran.stderr
 
 
 @pytest.mark.slow
 def test_the_examples_work(copy: Path) -> None:
     """The tests that the manual writes for its examples pass, and its commands run."""
     names = [name for name, *_ in BLOCK.findall(TEXT) if name.startswith("tests/")]
-    words = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist"]
-    environment = {**os.environ, "PYTHONPATH": str(copy), "PYTEST_ADDOPTS": ""}
-    ran = subprocess.run(
-        [*words, *names, "tests/test_commands.py"],
-        cwd=copy,
-        env=environment,
-        capture_output=True,
-        encoding="utf-8",
-    )
-    assert ran.returncode == 0, ran.stdout + ran.stderr
-    assert re.search(r"^6 passed", ran.stdout, re.M), ran.stdout
+    assert _tested(copy, *names, "tests/test_commands.py").startswith("6 passed")
     assert (copy / "koi.csv").exists()
 
 

@@ -497,7 +497,7 @@ class TestInterrupted:
         trials = _write(tmp_path, _runs(shared=True), RATES)
         whole = _fit(swimid, trials, "--share", "c_f")
         kept = tmp_path / "kept.yaml"
-        with pytest.raises(NoTrustworthyResult, match="--start-from") as raised:
+        with pytest.raises(NoTrustworthyResult, match="start_from") as raised:
             fit_graybox(trials, output=kept, share=["c_f"], progress=_stopping(3))
         assert raised.value.exit_status == 130
         assert "kept.yaml" in str(raised.value)

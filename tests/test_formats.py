@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +50,38 @@ class TestLog:
         read = log.read(_file(tmp_path, "t_s,x_m,status\n0,1,ok\n1,2,lost\n"))
         assert set(read.columns) == {"t_s", "x_m"}
 
+    def test_columns_that_nobody_asked_for_may_hold_anything(self, tmp_path: Path) -> None:
+        path = _file(tmp_path, 't_s,x_m,note,y_m\n0,1,"a, b",?\n1,2,"5""",\n')
+        assert set(log.read(path, required=("x_m",), optional=()).columns) == {"t_s", "x_m"}
+
+    def test_quotation_mark_in_a_comment(self, tmp_path: Path) -> None:
+        read = log.read(_file(tmp_path, '# fin: 5" long\nt_s,x_m\n0,1\n1,2\n'))
+        assert len(read) == 2
+        assert read.line(0) == 3
+
+    def test_long_logs_keep_every_bit(self, tmp_path: Path, rng: np.random.Generator) -> None:
+        """Numbers of every size and digit, in more samples than are written or read at once."""
+        bits = rng.integers(0, 2**64, 250_000, dtype=np.uint64).view(float)
+        columns = {"t_s": np.arange(250_000) / 3.0, "k": bits, "x_m": rng.normal(size=250_000)}
+        for name in ("k", "x_m"):
+            here = np.isfinite(columns[name]) & (rng.random(250_000) > 0.01)
+            columns[name] = np.where(here, columns[name], np.nan)
+        log.write_numbers(tmp_path / "a.csv", columns, {"robot": "boxfish"})
+        back = log.read(tmp_path / "a.csv")
+        for name, values in columns.items():
+            assert np.array_equal(back[name], values, equal_nan=True)
+
+    def test_parquet_needs_its_extra(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        columns = {"t_s": np.arange(3.0), "x_m": np.arange(3.0)}
+        log.write(tmp_path / "a.parquet", columns)
+        monkeypatch.setitem(sys.modules, "pyarrow", None)
+        monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+        with pytest.raises(UsageError, match=r"swimid\[parquet\]"):
+            log.read(tmp_path / "a.parquet")
+        with pytest.raises(UsageError, match=r"swimid\[parquet\]"):
+            log.write_numbers(tmp_path / "b.parquet", columns, {})
+        assert not (tmp_path / "b.parquet").exists()
+
     def test_blank_lines_at_the_end_are_no_samples(self, tmp_path: Path) -> None:
         assert len(log.read(_file(tmp_path, "t_s,x_m\n0,1\n1,2\n\n\n"))) == 2
 
@@ -66,6 +99,10 @@ class TestLog:
             ("t_s,x_m,x_m\n0,1,1\n1,2,2\n", ["two columns"]),
             ("# a: 1\nt_s,x_m\n0,1\n1,abc\n", ["line 4", "'x_m'", "'abc' is not a number"]),
             ("t_s,x_m\n0,1\n1,2,3\n", ["line 3", "3 cells", "2 columns"]),
+            ("t_s,x_m\n0,1,\n1,2,\n", ["line 2", "3 cells", "2 columns"]),
+            ("t_s,x_m,y_m\n0,1,2\n1,2\n2,3,4\n", ["line 3", "2 cells", "3 columns"]),
+            ("t_s,x_m,y_m\n0,1,2\n1,2,3,4\n2,3\n", ["line 3", "4 cells", "3 columns"]),
+            ('t_s,x_m\n0,"1\n1,2\n', ["line 2", "unreadable cells"]),
             ("t_s,x_m\n0,1\n1,2\n1,3\n", ["line 4", "'t_s'", "time repeats"]),
             ("t_s,x_m\n0,1\n2,2\n1,3\n", ["line 4", "'t_s'", "time goes back"]),
             ("t_s,x_m\n0,1\n,2\n2,3\n", ["line 3", "'t_s'", "no value"]),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import re
 import subprocess
@@ -15,82 +14,80 @@ import click
 import pytest
 from click.shell_completion import ShellComplete
 
-from swimid.cli.builder import Verb
+import swimid as package
+from swimid.cli.builder import CommandSpec, found
 from swimid.cli.main import main
 from swimid.cli.parsing import value_of
-from swimid.cli.verbs import VERBS
 from swimid.errors import UsageError
 from swimid.logs.options import ImportOptions
+from swimid.notices import SwimidWarning
 from swimid.options import Options, Source, option, takes
 from swimid.results import parameters
 from swimid.swimmer.options import FitGrayboxOptions
+from swimid.tracking.options import Pick
 from tests.conftest import ROOT, Ran
 
-verbs = pytest.mark.parametrize("verb", VERBS, ids=lambda v: v.name)
+SPECS = list(found().values())
+commands = pytest.mark.parametrize("spec", SPECS, ids=lambda s: s.command)
 
 
-def _function(verb: Verb) -> Callable[..., Any]:
-    module, _, name = verb.function.partition(":")
-    return getattr(importlib.import_module(module), name)
-
-
-def _command(verb: Verb) -> click.Command:
+def _command(spec: CommandSpec) -> click.Command:
     command: click.Command = main
-    for word in verb.name.split():
+    for word in spec.command.split():
         assert isinstance(command, click.Group)
         command = command.commands[word]
     return command
 
 
-def _options(verb: Verb) -> dict[str, click.Option]:
-    command = _command(verb)
+def _options(spec: CommandSpec) -> dict[str, click.Option]:
+    command = _command(spec)
     made = command.get_params(click.Context(command))
     return {p.name: p for p in made if isinstance(p, click.Option) and p.name is not None}
 
 
-@verbs
-def test_the_signature_shows_every_option(verb: Verb) -> None:
-    shown = inspect.signature(_function(verb)).parameters
+@commands
+def test_the_signature_shows_every_option(spec: CommandSpec) -> None:
+    shown = inspect.signature(spec.run()).parameters
     assert "options" not in shown
-    for name, entry in verb.model().declared().items():
+    for name, entry in spec.model().declared().items():
         assert shown[name].kind is inspect.Parameter.KEYWORD_ONLY
         empty = inspect.Parameter.empty
         assert shown[name].default == (empty if entry.required else entry.default), name
 
 
-@verbs
-def test_the_docstring_and_the_help_describe_every_option(verb: Verb) -> None:
-    documented = inspect.getdoc(_function(verb)) or ""
-    typed = _options(verb)
-    for name, entry in verb.model().declared().items():
+@commands
+def test_the_docstring_and_the_help_describe_every_option(spec: CommandSpec) -> None:
+    documented = inspect.getdoc(spec.run()) or ""
+    typed = _options(spec)
+    for name, entry in spec.model().declared().items():
         assert entry.help, name
         assert f"\n{name} : {entry.type_text()}\n    {entry.help}" in documented, name
         assert typed[name].help == entry.help
 
 
-@verbs
-def test_defaults_of_the_command_are_those_of_the_function(verb: Verb) -> None:
-    typed = _options(verb)
-    for name, entry in verb.model().declared().items():
+@commands
+def test_defaults_of_the_command_are_those_of_the_function(spec: CommandSpec) -> None:
+    typed = _options(spec)
+    for name, entry in spec.model().declared().items():
         assert typed[name].required == entry.required
         if not entry.required:
-            default = value_of(entry, typed[name].get_default(click.Context(_command(verb))))
+            default = value_of(entry, typed[name].get_default(click.Context(_command(spec))))
             assert default == entry.default or (default is None and entry.default in ((), {})), name
 
 
-@verbs
-def test_an_unknown_option_is_refused_with_the_nearest(verb: Verb) -> None:
-    last = list(verb.model().model_fields)[-1]
+@commands
+def test_an_unknown_option_is_refused_with_the_nearest(spec: CommandSpec) -> None:
+    last = [*spec.model().model_fields, "output"][-1]
     with pytest.raises(UsageError, match=f"has no option '{last}x'") as caught:
-        _function(verb)("absent.yaml", **{f"{last}x": 1})
+        spec.run()("absent.yaml", **{f"{last}x": 1})
     assert caught.value.hint is not None
     assert last in caught.value.hint
 
 
-@verbs
-def test_a_verbs_options_import_nothing_heavy(verb: Verb) -> None:
+@commands
+def test_a_verbs_options_import_nothing_heavy(spec: CommandSpec) -> None:
     code = (
-        f"import sys; import {verb.options.partition(':')[0]}; "
+        f"import sys; import {spec.package}.options; "
         "heavy = {'numpy', 'scipy', 'pandas', 'numba', 'cv2', 'control', 'matplotlib', 'ruamel'}; "
         "print(sorted(heavy & set(sys.modules)))"
     )
@@ -170,7 +167,7 @@ class TestModel:
 
     def test_the_docstring_has_them_where_parameters_are(self) -> None:
         text = inspect.getdoc(example) or ""
-        assert text.index("trials : str") < text.index('method : {"fast", "good"}') < text.index("Raises")
+        assert text.index("trials : str") < text.index("method : {'fast', 'good'}") < text.index("Raises")
         assert "step_s : float, default 0.1\n    Step, s." in text
 
 
@@ -200,19 +197,19 @@ RECORDED = {
     "fit-graybox": "fixed freed bounds share channels start_state loss starts seed subset readings "
     "max_step_s method",
     "compare": "channels refit_start start_state set readings dt buoyancy_band",
-    "sensitivity": "method samples range coefficients sweep trial set readings seed dt",
+    "sensitivity": "samples range coefficients set readings seed dt",
     "diagnose": "effects own_effects seed budget_s max_causes readings max_step_s",
     "import": "",
     "track video": "setup fps max_gap_s from_s to_s",
 }
 
 
-@pytest.mark.parametrize("verb", [v for v in VERBS if v.name in RECORDED], ids=lambda v: v.name)
-def test_what_the_provenance_records_is_as_ever(verb: Verb) -> None:
+@pytest.mark.parametrize("spec", [s for s in SPECS if s.command in RECORDED], ids=lambda s: s.command)
+def test_what_the_provenance_records_is_as_ever(spec: CommandSpec) -> None:
     """A key that is renamed or reordered makes files of one run differ, and ends unfinished searches."""
-    model = verb.model()
+    model = spec.model()
     required = {name: "a" for name, entry in model.declared().items() if entry.required}
-    assert list(model.of(required).settings()) == RECORDED[verb.name].split()
+    assert list(model.of(required).settings()) == RECORDED[spec.command].split()
 
 
 def test_the_settings_of_a_front_are_recorded_where_there_is_one() -> None:
@@ -232,10 +229,9 @@ def test_only_what_was_asked_of_an_import_is_recorded() -> None:
     [
         (["fit-graybox", "t.yaml", "--resume"], "--front and --resume belong to --method nsga2 or hybrid"),
         (["fit-drag", "t.yaml", "--points", "1"], "--points: '1' should be two numbers with a comma"),
-        (["sensitivity", "t.yaml", "--sweep", "f=1:2"], "--sweep: 'f=1:2' should be NAME=LOW:HIGH:COUNT"),
+        (["map", "--over", "f=1:2"], "--over: 'f=1:2' should be NAME=LOW:HIGH:COUNT"),
         (["track", "setup", "v.mp4", "--marker", "red", "-o", "s.yaml"], "--marker: 'red' must look like"),
         (["import", "a.csv", "--start", "2", "--end", "1", "-o", "b.csv"], "--end 1 lies before --start 2"),
-        (["report", "a.yaml"], "an HTML page needs a file"),
         (["simulate", "--asymmetry", "1"], "is not in the range -1<x<1"),
         (["export", "a.yaml"], "Missing option '--to'"),
         (["compare", "a.yaml", "--params", "b.yaml", "--dt", "0"], "is not in the range x>0"),
@@ -245,6 +241,74 @@ def test_what_is_typed_wrong_is_told(swimid: Callable[..., Ran], words: list[str
     ran = swimid(*words)
     assert ran.status == 2
     assert text in ran.err
+
+
+class TestWording:
+    """Messages name arguments in Python, and options on the command line."""
+
+    RIG, CRUISE, SWIM = (f"sample_logs/{name}/trials.yaml" for name in ("rig", "cruise", "tfish"))
+    LOG = "sample_logs/longfin/longfin_marching.csv"
+
+    @pytest.mark.parametrize(
+        "words, call, typed, told",
+        [
+            (
+                ["rwls", LOG, "--input", "cmd1_rad", "--output", "u_m_s"],
+                lambda: package.rwls([TestWording.LOG], input_column="cmd1_rad", output_column="u_m_s"),
+                "give --na and --nb, or --order auto",
+                "give na and nb, or order auto",
+            ),
+            (
+                ["fit-propulsion", SWIM, "--drag", "drag.yaml"],
+                lambda: package.fit_propulsion(TestWording.SWIM, drag="drag.yaml"),
+                "--drag belongs to a cruise experiment",
+                "drag belongs to a cruise experiment",
+            ),
+            (
+                ["track", "setup", "v.mp4", "--background", "--marker", "a@1,2", "-o", "{out}"],
+                lambda: package.track_setup("v.mp4", background=True, picks=(Pick("a", 1, 2),)),
+                "--background and --marker contradict each other",
+                "background and picks contradict each other",
+            ),
+        ],
+        ids=["rwls", "fit-propulsion", "track setup"],
+    )
+    def test_errors(
+        self,
+        swimid: Callable[..., Ran],
+        tmp_path: Path,
+        monkeypatch: pytest.MonkeyPatch,
+        words: list[str],
+        call: Callable[[], object],
+        typed: str,
+        told: str,
+    ) -> None:
+        monkeypatch.chdir(ROOT)
+        assert typed in swimid(*(word.format(out=tmp_path / "s.yaml") for word in words)).err
+        with pytest.raises(UsageError, match=f"^{re.escape(told)}"):
+            call()
+
+    def test_warnings(
+        self, swimid: Callable[..., Ran], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.chdir(ROOT)
+        drag = package.fit_drag(self.RIG).save(tmp_path / "drag.yaml")
+        with pytest.warns(SwimidWarning, match="^SWM004 start_state belongs to free-swim trials"):
+            package.fit_propulsion(self.CRUISE, drag=drag, start_state="rest")
+        ran = swimid("fit-propulsion", self.CRUISE, "--drag", drag.path, "--start-state", "rest")
+        assert "warning SWM004: --start-state belongs to free-swim trials" in ran.err
+
+    def test_commands_in_hints_can_still_be_typed(self) -> None:
+        @takes(Example)
+        def failing(*, options: Example) -> None:
+            hint = "add -o out.yaml, leave --secret out, or run swimid example t --hold k=1 -o x"
+            raise UsageError("--dt and --dt-x: the step", hint=hint)
+
+        with pytest.raises(UsageError) as caught:
+            failing(params="a")
+        assert caught.value.message == "step_s and --dt-x: the step"
+        said = "add output out.yaml, leave secret out, or run swimid example t --hold k=1 -o x"
+        assert caught.value.hint == said
 
 
 def test_names_given_together_and_apart_are_the_same() -> None:
@@ -282,12 +346,13 @@ def test_options_may_be_given_whole() -> None:
         example("t", options=made, method="fast")
 
 
-@verbs
-def test_the_docs_list_every_option(verb: Verb) -> None:
-    """The table on the verb's page is the one its options give."""
-    from swimid.cli.table import PAGES, table
+@pytest.mark.parametrize(
+    "spec", [s for s in SPECS if s.package != "swimid.cli" or s.command == "import"], ids=lambda s: s.command
+)
+def test_the_docs_list_every_option(spec: CommandSpec) -> None:
+    """The table on the command's page is the one its options give."""
+    from swimid.cli.table import table
 
-    page = (ROOT / "docs" / PAGES[verb.name]).read_text()
-    assert table(verb) in page, (
-        f"run python -m swimid.cli.table {verb.name} and put its table into {PAGES[verb.name]}"
-    )
+    name = spec.page or f"{spec.command}.md"
+    page = (ROOT / "docs" / name).read_text()
+    assert table(spec) in page, f"run python -m swimid.cli.table '{spec.command}', put its table into {name}"

@@ -14,7 +14,7 @@ import swimid as package
 from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files.checkpoint import Checkpoint
 from swimid.optimisation import measured
-from swimid.optimisation.map_file import MapFile
+from swimid.optimisation.map_file import MapFile, MeasuredPoint
 from swimid.optimisation.performance import Performance
 from tests.conftest import Ran
 
@@ -105,20 +105,29 @@ def test_trials_beside_the_map(swimid: Swimid, samples: Path, tmp_path: Path) ->
     assert ran.status == 0
     checks = package.load_result(tmp_path / "map.yaml").checks().set_index("name")
     assert "extrapolation" in checks.loc["inside the range of the identification trials", "text"]
-    page = tmp_path / "page.html"
-    assert swimid("report", tmp_path / "map.yaml", "-o", page).status == 0
-    assert "identified inside" in page.read_text()
+    figures = {figure.id: figure for figure in package.load_result(tmp_path / "map.yaml").evidence.figures}
+    assert {t.label for t in figures["contours"].panels[0].traces} >= {"identified inside", "trials"}
+
+
+def point(mechanical: float, electrical: float) -> MeasuredPoint:
+    return MeasuredPoint(
+        trial="t", role="fit", at={}, inside=True, mechanical_W=mechanical, electrical_W=electrical
+    )
 
 
 def test_efficiency_of_trials_that_scatter() -> None:
     rng = np.random.default_rng(4)
     electrical = rng.uniform(5.0, 40.0, 200)
-    found = measured.efficiency(0.3 * electrical + rng.normal(0.0, 0.5, 200), electrical)
+    given = zip(0.3 * electrical + rng.normal(0.0, 0.5, 200), electrical, strict=True)
+    found = measured.efficiency([point(mechanical, logged) for mechanical, logged in given])
     assert found is not None
     assert found.stderr is not None
     assert found.value == pytest.approx(0.3, abs=3 * found.stderr)
     assert found.stderr == pytest.approx(0.5 / math.sqrt(float(electrical @ electrical)), rel=0.15)
-    assert measured.efficiency([math.nan], [1.0]) is None
+    exact = measured.efficiency([point(1.0, 4.0), point(2.0, 8.0), point(3.0, 12.0)])
+    assert exact is not None
+    assert (exact.value, exact.stderr, exact.trials) == (0.25, 0.0, 3)
+    assert measured.efficiency([point(math.nan, 1.0)]) is None
 
 
 def test_errors_from_the_covariance(tmp_path: Path) -> None:
@@ -157,7 +166,7 @@ def test_errors_from_the_covariance(tmp_path: Path) -> None:
         ({"over": {"frequency_hz": (2.0, 1.0, 3)}}, "not below"),
         ({"over": {"frequency_hz": (1.0, 2.0, 1)}}, "two points"),
         ({"over": {"asymmetry": (0.0, 0.4, 3)}, "frequency_hz": 1.0}, "a-cpg"),
-        ({"over": {"K_s": (0.1, 1.0, 3)}}, "--frequency-hz"),
+        ({"over": {"K_s": (0.1, 1.0, 3)}}, "needs frequency_hz"),
         ({"over": {"frequency_hz": (1.0, 2.0, 3)}, "chosen": {"K_s": -1.0}}, "negative"),
     ],
 )

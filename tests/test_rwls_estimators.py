@@ -11,9 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from swimid.blackbox import armax, difference, order, prediction, recursive, working_point
+from swimid.blackbox import armax, difference, prediction, recursive, working_point
 from swimid.blackbox.arx import estimate, regression
 from swimid.blackbox.difference import Orders, Record
+from swimid.blackbox.identified import best_order, search_orders
 from swimid.errors import NoTrustworthyResult
 from swimid.logs import sampling
 
@@ -362,7 +363,7 @@ def test_stamps_rounded_to_few_decimals_are_a_constant_rate(hertz, decimals):
 def test_own_level_is_found():
     record = simulated(24, n=400, noise=0.0)
     moved = Record("m", record.time_s, record.source, record.output + 3.0)
-    assert prediction.own_level([moved], Orders(2, 2), TRUTH) == pytest.approx(3.0, abs=1e-9)
+    assert prediction.about_own_level([moved], Orders(2, 2), TRUTH)[1] == pytest.approx(3.0, abs=1e-9)
 
 
 def test_pole_uncertainty_matches_repeats():
@@ -383,7 +384,9 @@ def test_frequency_response_uncertainty_matches_repeats():
         a, b, _ = found.orders.split(found.theta)
         z = np.exp(-1j * omega * 0.1)
         gains.append(np.log(np.abs((b[0] * z + b[1] * z**2) / (1 + a[0] * z + a[1] * z**2))))
-        spreads.append(prediction.response_spread(found.orders, found.theta, found.covariance, 0.1, omega)[0])
+        spreads.append(
+            prediction.frequency_response(found.orders, found.theta, found.covariance, 0.1, omega)[1]
+        )
     np.testing.assert_allclose(np.mean(spreads, axis=0), np.std(gains, axis=0), rtol=0.2)
 
 
@@ -401,18 +404,19 @@ def test_integrating_and_unstable_poles():
 def test_order_search_finds_the_truth():
     record = simulated(25, n=3000, b=np.array([0.0, 0.5, 0.25]))
     held = [simulated(26, n=500, b=np.array([0.0, 0.5, 0.25]))]
-    found = order.search([record], [held], max_na=4, max_nb=4, max_nk=3)
-    assert order.best(found, "bic").orders == Orders(2, 2, 2)
+    found = search_orders([record], [held], Orders(4, 4, 3))
+    assert best_order(found, "bic").orders == Orders(2, 2, 2)
     assert len(found) == 5 * 4 * 4
     direct = estimate([record], Orders(2, 2, 2))
-    chosen = order.best(found, "bic")
-    assert chosen.one_step_rmse == pytest.approx(np.sqrt(np.mean(direct.residuals**2)), rel=1e-2)
-    assert order.on_edge(Orders(4, 2, 1), max_na=4, max_nb=4, max_nk=3) == ["na"]
+    chosen = best_order(found, "bic")
+    rows = len(regression([record], Orders(4, 7, 0)))
+    rmse = np.exp((chosen.aic - 2 * chosen.orders.count) / (2 * rows))
+    assert rmse == pytest.approx(np.sqrt(np.mean(direct.residuals**2)), rel=1e-2)
 
 
 def test_noise_free_data_do_not_reward_superfluous_orders():
-    found = order.search([simulated(27, noise=0.0)], [], max_na=4, max_nb=4, max_nk=2)
-    assert order.best(found, "bic").orders == Orders(2, 2, 1)
+    found = search_orders([simulated(27, noise=0.0)], [], Orders(4, 4, 2))
+    assert best_order(found, "bic").orders == Orders(2, 2, 1)
 
 
 def test_grid_from_time_stamps():

@@ -15,8 +15,7 @@ from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.threads import in_threads
 from swimid.results import evidence
-from swimid.sensitivity_analysis import indices
-from swimid.sensitivity_analysis import outputs as sensitivity_outputs
+from swimid.sensitivity_analysis import indices, sensitivity
 from swimid.sensitivity_analysis.file import SensitivityFile
 from tests.conftest import Ran
 
@@ -95,13 +94,12 @@ class TestSobol:
         assert found.first[0] == pytest.approx(np.array([1.0, 4.0, 9.0]) / 14, abs=1 / math.sqrt(256))
         assert found.mean[0] < 3.0
 
-    @pytest.mark.parametrize("method", [indices.sobol, indices.morris])
-    def test_many_are_refused_naming_where(self, method: Callable[..., Any]) -> None:
+    def test_many_are_refused_naming_where(self) -> None:
         def breaking(x: np.ndarray) -> np.ndarray:
             return linear(x) if x[1] < 0.6 else np.full(2, np.inf)
 
         with pytest.raises(NoTrustworthyResult, match=r"c_two between 0\.[67]") as caught:
-            method(
+            indices.sobol(
                 each(breaking),
                 np.zeros(3),
                 np.ones(3),
@@ -121,8 +119,7 @@ class TestSobol:
         with pytest.raises(UsageError, match="two or more"):
             indices.sobol(each(ishigami), -SIDE[:1], SIDE[:1])
 
-    @pytest.mark.parametrize("method", [indices.sobol, indices.morris])
-    def test_takes_up_what_was_kept(self, method: Callable[..., Any], tmp_path: Path) -> None:
+    def test_takes_up_what_was_kept(self, tmp_path: Path) -> None:
         count = 0
 
         def stopping(x: np.ndarray) -> np.ndarray:
@@ -134,13 +131,13 @@ class TestSobol:
 
         path = tmp_path / "kept"
         with pytest.raises(KeyboardInterrupt):
-            method(each(stopping), -SIDE, SIDE, samples=64, checkpoint=Checkpoint(path, "key"))
+            indices.sobol(each(stopping), -SIDE, SIDE, samples=64, checkpoint=Checkpoint(path, "key"))
         kept = len(path.read_text().splitlines())
         # what was evaluated together is kept together
         assert 49 - indices.TOGETHER <= kept < 64 * 4
         before = count
-        again = method(each(stopping), -SIDE, SIDE, samples=64, checkpoint=Checkpoint(path, "key"))
-        whole = method(each(ishigami), -SIDE, SIDE, samples=64)
+        again = indices.sobol(each(stopping), -SIDE, SIDE, samples=64, checkpoint=Checkpoint(path, "key"))
+        whole = indices.sobol(each(ishigami), -SIDE, SIDE, samples=64)
         assert count == before + whole.evaluations - kept
         assert kept % indices.TOGETHER == 0
         for name, value in vars(whole).items():
@@ -168,38 +165,6 @@ def test_what_has_not_begun_at_an_interrupt_never_does() -> None:
         got.extend(results)
     assert begun == [0, 1, 2, 3, 4, 5]
     assert got == [0, 1, 2, 3, 4]
-
-
-class TestMorris:
-    def test_linear(self) -> None:
-        found = indices.morris(
-            each(linear), np.zeros(3), np.array([1.0, 1.0, 2.0]), samples=10, groups=[[0, 1]]
-        )
-        effects = np.array([[1.0, 2.0, 6.0], [4.0, 0.0, 0.0], [2.5, 1.0, 3.0]])
-        assert found.mu == pytest.approx(effects)
-        assert found.mu_star == pytest.approx(effects)
-        assert found.mu_star_ci == pytest.approx(np.array([effects, effects]))
-        assert found.sigma == pytest.approx(np.zeros((3, 3)), abs=1e-12)
-        assert found.evaluations == 10 * 4
-
-    def test_ishigami(self) -> None:
-        """On four levels: 7 sin^2 differs by 7 * 3/4 over 2/3 of the range; the third acts by interaction."""
-        found = indices.morris(each(ishigami), -SIDE, SIDE, samples=200)
-        assert found.mu_star[0, 1] == pytest.approx(7 * 0.75 / (2 / 3))
-        assert abs(found.mu[0, 2]) < found.sigma[0, 2]
-        assert found.sigma[0, 2] > 0.5 * found.mu_star[0, 2]
-
-    def test_a_broken_trajectory_is_dropped(self) -> None:
-        count = 0
-
-        def once(x: np.ndarray) -> np.ndarray:
-            nonlocal count
-            count += 1
-            return linear(x) if count != 7 else np.full(2, np.nan)
-
-        found = indices.morris(each(once), np.zeros(3), np.ones(3), samples=50)
-        assert (found.broken, found.left_out) == (1, 1)
-        assert found.mu_star[0] == pytest.approx([1.0, 2.0, 3.0])
 
 
 # ------------------------------------------------------------ the command
@@ -283,9 +248,8 @@ class TestCommand:
         assert {f.id for f in beside.figures} == {"indices", "intervals"}
         assert any("Saltelli" in line for line in beside.methods)
         assert not list(tmp_path.glob("*.partial"))
-        page = tmp_path / "page.html"
-        assert swimid("report", out, "-o", page).status == 0
-        assert "Sobol indices" in page.read_text()
+        assert {t.id for t in beside.tables} == {"ranges", "trials"}
+        assert beside.facts["Method"] == "Sobol, 8 rows (80 points)"
 
     def test_the_same_seed_gives_the_same_file(self, swimid: Swimid, tfish: Path, tmp_path: Path) -> None:
         options = ("--samples", "4", "--coefficients", "c_d4,c_ma", "--seed", "7")
@@ -295,9 +259,9 @@ class TestCommand:
     def test_goes_on_after_an_interrupt(
         self, swimid: Swimid, tfish: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        options = ("--samples", "4", "--coefficients", "c_d4,c_ma", "--sweep", "frequency_hz=1:1.4:2")
+        options = ("--samples", "4", "--coefficients", "c_d4,c_ma")
         whole = _run(swimid, tfish, tmp_path / "whole.yaml", *options)
-        plain, calls = sensitivity_outputs.of_columns, 0
+        plain, calls = sensitivity.Run.outputs, 0
 
         def stopping(*given: Any) -> Any:
             nonlocal calls
@@ -307,7 +271,7 @@ class TestCommand:
             return plain(*given)
 
         out = tmp_path / "again.yaml"
-        monkeypatch.setattr(sensitivity_outputs, "of_columns", stopping)
+        monkeypatch.setattr(sensitivity.Run, "outputs", stopping)
         ran = swimid("sensitivity", tfish, "-o", out, "--jobs", "1", *options)
         assert ran.status == 130
         assert f"{out}.partial keeps what was computed: the same command goes on from there" in ran.err
@@ -334,37 +298,11 @@ class TestCommand:
         assert (units["misfit_x_m"], units["misfit_y_m"]) == ("1", "m")
 
     def test_shares_and_single_ranges(self, swimid: Swimid, tfish: Path, tmp_path: Path) -> None:
-        options = ("--range", "20%", "--range", "d_p=0.01,0.05", "--method", "morris", "--samples", "2")
+        options = ("--range", "20%", "--range", "d_p=0.01,0.05", "--samples", "2")
         file = _run(swimid, tfish, tmp_path / "sens.yaml", *options)
         assert file.ranges["c_ma"].low == pytest.approx(0.8 * 1.15971)
         assert file.ranges["c_d0"].high == 5.0
         assert (file.ranges["d_p"].low, file.ranges["d_p"].source) == (0.01, "given")
-        assert all(e.mu_star >= abs(e.mu) for o in file.outputs for e in o.effects.values())
-
-    @pytest.mark.slow
-    def test_sweep(self, swimid: Swimid, tfish: Path, tmp_path: Path) -> None:
-        params = _params(tmp_path, c_ma=0.1, c_d4=0.2)
-        out = tmp_path / "sweep.yaml"
-        options = ("--method", "none", "--sweep", "frequency_hz=1:1.4:2", "--sweep", "amplitude_deg=20:25:2")
-        file = _run(swimid, tfish, out, "--params", params, *options)
-        assert file.sweep is not None
-        assert file.sweep.trial == "f14a25"
-        speed = next(o for o in file.sweep.outputs if o.quantity == "mean_surge_m_s")
-        assert speed.stderr is not None
-        assert all(v is not None and v > 0 for row in speed.stderr for v in row)
-        # a tail that beats faster and wider swims faster
-        assert speed.values[0][0] < speed.values[0][1] < speed.values[1][1]
-        assert speed.values[0][0] < speed.values[1][0]
-        told = swimid(
-            "simulate", "--params", params, "--frequency-hz", "1.4", "--amplitude-deg", "25",
-            "--duration-s", "4", "--json",
-        ).json  # fmt: skip
-        known = told["result"]["runs"][0]["quantities"]["mean_surge_m_s"]
-        # simulate sums 256 samples by rectangles: of a rising speed half a sample's gain is lost
-        assert speed.values[1][1] == pytest.approx(known["value"], abs=2 * known["value"] / 512)
-        assert speed.stderr[1][1] == pytest.approx(known["stderr"], rel=0.05)
-        assert {m.trial: m.inside for m in file.measured} == {"f14a25": True, "f18a20b15": False}
-        assert evidence.read(evidence.sidecar(out)).figures[0].panels[0].heat is not None
 
     @pytest.mark.slow
     def test_a_robot_in_space(self, swimid: Swimid, tmp_path: Path) -> None:
@@ -377,18 +315,11 @@ class TestCommand:
             "  - {id: stroke, log: stroke.csv, drive: {stroke: characteristic}}\n"
         )
         file = _run(
-            swimid, trials, tmp_path / "sens.yaml", "--method", "morris", "--samples", "2",
-            "--sweep", "scale=0.8:1:2",
+            swimid, trials, tmp_path / "sens.yaml", "--samples", "2",
         )  # fmt: skip
         assert set(file.ranges) == {"water_volume", "com_offset", "z_added_mass", "z_drag"}
         quantities = {o.quantity for o in file.outputs}
         assert {"max_speed_m_s", "final_pitch_rad", "surge_m", "heave_m", "misfit_pitch_rad"} <= quantities
-        assert file.sweep is not None
-        surge = next(o for o in file.sweep.outputs if o.quantity == "surge_m")
-        given = next(o for o in file.outputs if o.quantity == "surge_m")
-        # at full scale the sweep is the trial itself, to what its start state moves it by
-        assert surge.values[1][0] == pytest.approx(given.value, abs=0.2)
-        assert surge.values[0][0] != surge.values[1][0]
 
     @pytest.mark.parametrize(
         ("options", "text"),
@@ -403,13 +334,6 @@ class TestCommand:
             (("--set", "c_d4=3", "--coefficients", "c_d4"), "held by --set"),
             (("--coefficients", "initial_surge"), "no coefficient"),
             (("--coefficients", "c_d4"), "two or more"),
-            (("--method", "none"), "without --sweep"),
-            (("--trial", "f14a25"), "belongs to --sweep"),
-            (("--sweep", "scale=0:1:3"), "no 'scale'"),
-            (("--sweep", "frequency_hz=0:1:3"), "no frequency"),
-            (("--sweep", "frequency_hz=2:1:3"), "LOW below HIGH"),
-            (("--sweep", "frequency_hz=1:2"), "NAME=LOW:HIGH:COUNT"),
-            (("--sweep", "frequency_hz=1:2:3", "--trial", "f14"), "no trial 'f14'"),
         ],
     )  # fmt: skip
     def test_wrong_usage(self, swimid: Swimid, tfish: Path, options: tuple[str, ...], text: str) -> None:

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 from scipy.interpolate import CubicSpline
 
-from swimid.cli.track import track
+from swimid.cli.main import track
 from swimid.errors import InputError
 from swimid.files import yamlio
 from swimid.logs import log as log_format

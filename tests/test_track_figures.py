@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from swimid.cli.main import main
-from swimid.cli.track import track
+from swimid.cli.main import main, track
 from swimid.results import evidence
 from tests.generators import clutter_video as clutter
 from tests.generators.clutter_video import RED, YELLOW, Pool

@@ -6,7 +6,7 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
-from swimid.cli.track import track as track_command
+from swimid.cli.main import track as track_command
 from swimid.errors import InputError
 from swimid.results import evidence
 from swimid.tracking.setup import Setup

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from swimid.cli.track import track
+from swimid.cli.main import track
 from tests.generators import pool_video
 from tests.generators.pool_video import Scene
 
@@ -94,7 +94,7 @@ def test_damaged_in_the_middle(tmp_path, setup, film):
     data[middle : middle + len(data) // 5] = rng.integers(0, 256, len(data) // 5, dtype=np.uint8).tobytes()
     path = tmp_path / "damaged.mp4"
     path.write_bytes(data)
-    command = [sys.executable, "-c", "from swimid.cli.track import track; track()"]
+    command = [sys.executable, "-c", "from swimid.cli.main import track; track()"]
     done = subprocess.run(
         [*command, "video", str(path), "--setup", str(setup), "-o", str(tmp_path / "run.csv")],
         capture_output=True,

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner
 
-from swimid.cli.track import track
+from swimid.cli.main import track
 
 DATA = os.environ.get("SWIMID_DATA")
 pytestmark = pytest.mark.skipif(not DATA, reason="SWIMID_DATA is not set")

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner
 
-from swimid.cli.track import track
+from swimid.cli.main import track
 from swimid.results import evidence
 from swimid.tracking import plane
 from swimid.tracking import setup as setup_format

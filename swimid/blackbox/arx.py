@@ -260,17 +260,13 @@ def check_enough(data: Regression, orders: Orders) -> None:
         Fewer usable rows than parameters plus one, or an output that never changes.
     """
     if len(data) <= orders.count:
-        raise NoTrustworthyResult(
-            f"{len(data)} usable rows for {orders.count} parameters ({orders}); "
-            f"at least {orders.count + 1} are needed",
-            hint="a row needs na outputs and nb inputs without a gap: give longer logs or lower orders",
-        )
+        text = f"{len(data)} usable rows for {orders.count} parameters ({orders})"
+        hint = "a row needs na outputs and nb inputs without a gap: give longer logs or lower orders"
+        raise NoTrustworthyResult(f"{text}; at least {orders.count + 1} are needed", hint=hint)
     span = float(np.ptp(data.outputs))
     if span <= 1e-12 * float(np.max(np.abs(data.outputs), initial=0.0)) or span == 0:
-        raise NoTrustworthyResult(
-            f"the output is constant ({data.outputs[0]:.6g}) in all {len(data)} usable rows: "
-            "there is nothing to identify"
-        )
+        text = f"the output is constant ({data.outputs[0]:.6g}) in all {len(data)} usable rows"
+        raise NoTrustworthyResult(f"{text}: there is nothing to identify")
 
 
 def estimate(
@@ -356,18 +352,15 @@ def estimate(
 
 
 def _check_determined(known: Identifiability, orders: Orders) -> None:
-    data_columns = orders.na + orders.nb
-    if not np.any(known.determined[:data_columns]):
-        raise NoTrustworthyResult(
-            f"the regression is singular: its {data_columns} columns span {known.rank} directions, "
-            f"and no coefficient of the {orders} model is determined",
-            hint="lower the orders, or excite the robot with more than one frequency",
+    if not np.any(known.determined[: orders.na + orders.nb]):
+        text = (
+            f"the regression is singular: its columns span {known.rank} of {orders.na + orders.nb} directions"
         )
+        hint = "lower the orders, or excite the robot with more than one frequency"
+        raise NoTrustworthyResult(f"{text}, and no coefficient of the model is determined", hint=hint)
     if known.input_rank == 0:
-        raise NoTrustworthyResult(
-            "the input does not move: nothing can be said of its effect",
-            hint="check the input column, or give --input-model",
-        )
+        text = "the input does not move: nothing can be said of its effect"
+        raise NoTrustworthyResult(text, hint="check the input column, or give --input-model")
 
 
 def covariance(

@@ -1,240 +1,267 @@
-"""The verdict, checks, tables and text of ``swimid rwls``, as data for the report."""
+"""Evidence of ``swimid rwls``: verdict, checks, tables and figures."""
 
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numpy as np
 
-from swimid.blackbox import figures as rwls_figures
+from swimid.blackbox import difference, prediction
 from swimid.blackbox.identified import WORSE, Identified
+from swimid.fitting import residual_tests as rt
 from swimid.results import blocks, numbers
-from swimid.results.evidence import Check, Evidence, NoticeRecord, Table, Verdict
+from swimid.results import evidence as ev
+from swimid.results.evidence import Check, Evidence, Figure, NoticeRecord, Panel, Span, Table, Trace
 from swimid.results.parameters import ParameterFile
 
-PAPER = (
+REFERENCES = [
     "L. Shang, S. Wang, M. Tan, L. Cheng: Swimming locomotion modeling for biomimetic underwater vehicle "
-    "with two undulating long-fins. Robotica 30 (2012) 913-923. doi:10.1017/S0263574711001159"
-)
-BIERMAN = "G. J. Bierman: Factorization Methods for Discrete Sequential Estimation. Academic Press, 1977."
-LJUNG_BOX = (
+    "with two undulating long-fins. Robotica 30 (2012) 913-923. doi:10.1017/S0263574711001159",
+    "G. J. Bierman: Factorization Methods for Discrete Sequential Estimation. Academic Press, 1977.",
     "G. M. Ljung, G. E. P. Box: On a measure of lack of fit in time series models. Biometrika 65 (1978) "
-    "297-303. doi:10.1093/biomet/65.2.297"
-)
-
+    "297-303. doi:10.1093/biomet/65.2.297",
+]
 #: Fit of the free run below which a model does not reproduce half of the output, %.
 HALF_PERCENT = 50.0
 
 
-def build(m: Identified, file: ParameterFile, *, notices: list[NoticeRecord]) -> Evidence:
-    """Assemble the evidence."""
+def build(m: Identified, file: ParameterFile, checks: list[Check], notices: list[NoticeRecord]) -> Evidence:
+    """Assemble the evidence; a model is good only on held-out data."""
+    columns = m.data.columns
+    least = min(s.free_run.fit_percent for s in _deciding_scores(m).values())
+    where = "held-out" if m.scores else "fitted"
+    answer = f"The free run does not reproduce the {where} output."
+    if least >= 0:
+        answer = f"The free run reproduces {least:.1f} % of the {where} output."
+    figures = [_free_run(m), _frequency_response(m), _residuals(m)]
+    if m.options.forgetting < 1:
+        figures.append(_trajectories(m))
     return Evidence(
         verb="rwls",
-        title=f"{m.kind} model, {m.data.columns.source} to {m.data.columns.output}",
-        verdict=_verdict(m),
-        checks=_checks(m),
-        tables=[_errors(m), _poles(m), *_orders(m)],
-        figures=rwls_figures.figures(m, file),
+        title=f"{m.kind} model, {columns.source} to {columns.output}",
+        verdict=ev.judged(answer, checks),
+        facts={"Orders": str(m.estimate.orders), "Rows": str(len(m.estimate.data))},
+        checks=checks,
+        tables=[_errors(m), _modes(m), *_orders(m)],
+        figures=figures,
         notices=notices,
         methods=_methods(m),
-        references=[PAPER, BIERMAN, LJUNG_BOX],
+        references=REFERENCES,
         provenance=file.provenance,
     )
 
 
-def _verdict(m: Identified) -> Verdict:
-    """Grade the model by its free run on held-out data; only held-out data can make it good."""
-    if m.stability == "unstable" or m.diverged:
-        text = "The model is unstable or its free run diverges: it predicts, but it cannot be simulated."
-        return Verdict(level="bad", text=text)
-    tested = m.scores or {"fitted": m.fit_scores}
-    least = min(s.free_run.fit_percent for s in tested.values())
-    where = "held-out" if m.scores else "fitted"
-    if least < 0:
-        text = f"On {where} data the free run is worse than the mean of the output ({least:.1f} % fit)."
-        return Verdict(level="bad", text=text)
-    reasons = []
-    if not m.scores:
-        reasons.append("no held-out data were tested (--validate)")
-    if least < HALF_PERCENT:
-        reasons.append("the model leaves most of the output unexplained")
-    if m.worse:
-        reasons.append(f"its error on {' and '.join(m.worse)} is more than {WORSE:g} times that of the fit")
-    reasons += m.data.repeats
-    if m.stability == "integrating":
-        reasons.append("it integrates, so a free run drifts")
-    if not m.estimate.whiteness.passed:
-        reasons.append("its residuals are not white, so the coefficients are biased")
-    if not np.isfinite(m.estimate.stderr).all():
-        reasons.append("the data do not determine every coefficient")
-    tail = f"; but {', and '.join(reasons)}" if reasons else ""
-    return Verdict(
-        level="caution" if reasons else "good",
-        text=f"The free run reproduces {least:.1f} % of the {where} output{tail}.",
-    )
+def _deciding_scores(m: Identified) -> dict[str, prediction.Scores]:
+    """Return the errors that decide on the model: on held-out data, or else on the fitted ones."""
+    return dict(m.scores) or {"the fitted part": m.fit_scores}
 
 
-def _checks(m: Identified) -> list[Check]:
-    checks = []
-    if m.poles:
-        largest = m.poles[0]
-        checks.append(
-            blocks.check(
-                "largest pole",
-                f"|z| = {numbers.measured(largest.magnitude, largest.stderr)}",
-                "below 1",
-                largest.state == "stable",
-                otherwise="fail" if largest.unstable else "warn",
-                text=largest.state,
-            )
-        )
-    for name, s in m.scores.items():
-        fit, useless = s.free_run.fit_percent, s.diverged or s.free_run.fit_percent < 0
-        checks.append(
-            blocks.check(
-                f"free run, {name}",
-                "diverges" if s.diverged else f"{fit:.1f} % fit",
-                f"at least {HALF_PERCENT:g} %, and an error below {WORSE:g} times that of the fit",
-                fit >= HALF_PERCENT and name not in m.worse and not s.diverged,
-                otherwise="fail" if useless else "warn",
-            )
-        )
-    white, independent, known = m.estimate.whiteness, m.independent, m.estimate.determined
-    rounding = "residuals at rounding level: nothing to test" if m.estimate.exact else ""
-    lost = m.estimate.data.possible - len(m.estimate.data)
-    repeated = Check(name="repeated samples", value="; ".join(m.data.repeats), verdict="warn")
-    return [
-        *checks,
-        *([repeated] if m.data.repeats else []),
-        blocks.check(
-            "residuals white (Ljung-Box)", _p(white.p_value), "p ≥ 0.01", white.passed, text=rounding
-        ),
-        blocks.check(
-            "residuals independent of the input",
-            _p(independent.p_value),
-            "p ≥ 0.01",
-            independent.passed or m.estimate.exact,
-        ),
-        blocks.check(
-            "input excites B",
-            f"{known.input_rank} of {m.estimate.orders.nb}",
-            "all",
-            known.input_rank >= m.estimate.orders.nb,
-            text=f"condition number of the regression {known.condition:.2g}",
-        ),
-        Check(
-            name="rows used",
-            value=f"{len(m.estimate.data)} of {m.estimate.data.possible}",
-            verdict="warn" if lost > 0.2 * m.estimate.data.possible else "info",
-        ),
+def make_checks(m: Identified) -> list[Check]:
+    """Return the checks of a model."""
+    fitted, pole = m.estimate, m.critical_pole
+    checks = [
+        ev.check("Held-out data", str(len(m.scores)), bool(m.scores), "some", reason="no data were held out"),
+        ev.check("Repeated samples", "; ".join(m.data.repeats), not m.data.repeats, "none"),
     ]
-
-
-def _p(value: float) -> str:
-    return f"p = {numbers.number(value, 2)}"
+    if pole is not None:
+        size, grade = f"|z| = {numbers.measured(pole.magnitude, pole.stderr)}", pole.state
+        reason = f"the model integrates ({size}), so that a free run drifts"
+        if pole.unstable:
+            reason = f"the model is unstable ({size}) and cannot be simulated"
+        otherwise: Literal["warn", "fail"] = "fail" if pole.unstable else "warn"
+        passed = pole.state == "stable"
+        checks.append(
+            ev.check("Largest pole", size, passed, "below 1", grade, otherwise=otherwise, reason=reason)
+        )
+    runs = _deciding_scores(m)
+    if m.fit_scores.diverged:
+        runs["the fitted part"] = m.fit_scores
+    for name, s in runs.items():
+        fit, value = s.free_run.fit_percent, f"{s.free_run.fit_percent:.1f} % fit"
+        reason = f"the free run reproduces less than half of {name} ({value})"
+        if s.diverged:
+            reason = f"the free run diverges on {name}"
+        elif fit < 0:
+            reason = f"on {name} the free run is worse than the mean of the output ({value})"
+        elif name in m.worse:
+            reason = f"the error on {name} is more than {WORSE:g} times that of the fit"
+        otherwise = "fail" if s.diverged or fit < 0 else "warn"
+        passed = fit >= HALF_PERCENT and name not in m.worse and not s.diverged
+        limit = f"at least {HALF_PERCENT:g} %, and an error below {WORSE:g} times that of the fit"
+        checks.append(ev.check(f"Free run, {name}", value, passed, limit, otherwise=otherwise, reason=reason))
+    for name, test, reason in (
+        ("white", fitted.whiteness, "are not white, so that the coefficients are biased"),
+        ("independent of the input", m.independent, "depend on past inputs: orders or delay are wrong"),
+    ):
+        p = blocks.p_text(test.p_value)
+        passed = test.passed or fitted.exact
+        checks.append(
+            ev.check(f"Residuals {name}", p, passed, "p ≥ 0.01", reason=f"the residuals {reason} ({p})")
+        )
+    known = int(np.isfinite(fitted.stderr).sum())
+    value = f"{known} of {fitted.orders.count}"
+    why = f"the input excites {fitted.determined.input_rank} of the {fitted.orders.nb} coefficients of B"
+    lost = [n for n, ok in zip(fitted.orders.names, np.isfinite(fitted.stderr), strict=True) if not ok]
+    reason = f"the data do not determine {', '.join(lost)}"
+    passed = known == fitted.orders.count
+    return [*checks, ev.check("Coefficients determined", value, passed, "all", why, reason=reason)]
 
 
 def _errors(m: Identified) -> Table:
-    rows: list[dict[str, blocks.Cell]] = []
+    rows: list[list[blocks.Cell]] = []
     for name, s in {"fitted": m.fit_scores, **m.scores}.items():
-        lines = {"one step": s.one_step, f"{m.options.horizon} steps": s.k_step, "free run": s.free_run}
+        kinds = {"one step": s.one_step, f"{m.options.horizon} steps": s.k_step, "free run": s.free_run}
         if s.strict is not None:
-            lines["free run, predicted level"] = s.strict
-        for kind, q in lines.items():
-            rows.append(
-                {
-                    "data": name,
-                    "prediction": kind,
-                    "fit (%)": _finite(q.fit_percent),
-                    m.data.columns.rmse_title: _finite(q.rmse),
-                    "NRMSE (of the range)": numbers.percent(q.nrmse),
-                    "samples": q.samples,
-                }
-            )
-    caption = (
-        "A simulation model must be judged by its free run: one-step errors are small for almost any model."
-    )
+            kinds["free run, predicted level"] = s.strict
+        for kind, q in kinds.items():
+            nrmse = numbers.percent(q.nrmse)
+            rows.append([name, kind, _finite(q.fit_percent), _finite(q.rmse), nrmse, q.samples])
+    caption = "Judge a simulation model by its free run: one-step errors are small for almost any model."
     if m.point.removed:
         caption += (
-            " The working point was removed: held-out data are judged about a level of their own, and "
-            "the free run beside it at the level the fitted part predicts."
+            " The means of the fitted part were removed; held-out data are judged about a level of their own."
         )
-    return blocks.table("errors", "Errors on fitted and held-out data", rows, caption)
+    rmse = f"RMSE ({numbers.unit_text(m.data.columns.units[1]) or '1'})"
+    columns = ["data", "prediction", "fit (%)", rmse, "NRMSE (of the range)", "samples"]
+    title = "Errors on fitted and held-out data"
+    return Table(id="errors", title=title, columns=columns, rows=rows, caption=caption)
 
 
-def _poles(m: Identified) -> Table:
-    columns = ["z", "|z|", "natural frequency (Hz)", "damping ratio", "verdict"]
-    rows = [
-        (
-            _complex(p.value),
-            numbers.measured(p.magnitude, p.stderr),
-            _finite(p.frequency_hz),
-            _finite(p.damping_ratio),
-            p.state,
-        )
-        for p in m.poles
-    ]
-    caption = "Standard errors by the delta method from the covariance of a1, a2, ..."
-    named = [dict(zip(columns, row, strict=True)) for row in rows]
-    return blocks.table("modes", "What the poles mean in time", named, caption, columns)
-
-
-def _complex(z: complex) -> str:
-    if abs(z.imag) < 1e-12:
-        return numbers.number(z.real)
-    return f"{numbers.number(z.real)} {'+' if z.imag > 0 else '−'} {numbers.number(abs(z.imag))}i"
+def _modes(m: Identified) -> Table:
+    rows: list[list[blocks.Cell]] = []
+    for p in m.poles:
+        size = numbers.measured(p.magnitude, p.stderr)
+        rows.append([size, _finite(p.frequency_hz), _finite(p.damping_ratio), p.state])
+    columns = ["|z|", "natural frequency (Hz)", "damping ratio", "verdict"]
+    return Table(id="modes", title="What the poles mean in time", columns=columns, rows=rows, folded=True)
 
 
 def _orders(m: Identified) -> list[Table]:
     if not m.candidates:
         return []
-    ranked = sorted(m.candidates, key=lambda c: c.score(m.options.criterion))[:12]
     aic, bic = (min(getattr(c, name) for c in m.candidates) for name in ("aic", "bic"))
-    where = "held-out data" if m.scores else "the fitted data"
-    rows: list[dict[str, blocks.Cell]] = [
-        {
-            "na": c.orders.na,
-            "nb": c.orders.nb,
-            "nk": c.orders.nk,
-            "AIC above least": round(_finite(c.aic - aic) or 0.0, 1),
-            "BIC above least": round(_finite(c.bic - bic) or 0.0, 1),
-            f"free-run fit on {where} (%)": _finite(c.free_run_fit),
-            "stable": c.stable,
-        }
-        for c in ranked
-    ]
-    caption = (
-        f"The best {len(rows)} of {len(m.candidates)} by {m.options.criterion}; all fitted on the same rows."
-    )
-    return [blocks.table("orders", "Orders tried", rows, caption)]
+    rows: list[list[blocks.Cell]] = []
+    for c in sorted(m.candidates, key=lambda c: c.score(m.options.criterion))[:15]:
+        rows.append([str(c.orders), c.aic - aic, c.bic - bic, _finite(c.free_run_fit), c.stable])
+    columns = ["orders", "AIC above least", "BIC above least", "free-run fit (%)", "stable"]
+    title = f"The best of {len(m.candidates)} orders by {m.options.criterion}"
+    return [Table(id="orders", title=title, columns=columns, rows=rows, folded=True)]
 
 
 def _methods(m: Identified) -> list[str]:
-    o = m.estimate.orders
-    text = [
-        f"An {m.kind} model with {o} from {m.data.columns.source} to {m.data.columns.output} (sample time "
-        f"{m.data.sample_time_s:.6g} s) was identified from {len(m.estimate.data)} samples by recursive "
-        "weighted least squares (Shang et al. 2012, Eq 9) in UD factors (Bierman 1977), with weight "
-        f"{m.options.weight:g}, P(0) = ({m.options.prior_scale:g})² I and zero initial parameters."
-    ]
-    decay = f"Old samples were discounted exponentially with the factor {m.options.forgetting:g} per sample."
-    gauss = "From the extended recursion's result the one-step error was minimised by Gauss-Newton steps."
-    if m.options.forgetting < 1:
-        text.append(decay)
-    elif m.options.weight != 1:
-        text.append("The weight is constant, so that it rescales P(0) and discounts nothing.")
-    if o.nc:
-        text.append(gauss)
-    if m.point.removed:
-        text.append("The means of the fitted part were removed from input and output first.")
-    sandwich, plain = "of the sandwich form for correlated", "those of least squares with white"
-    text.append(
-        f"Standard errors are {sandwich if m.estimate.robust else plain} residuals. Residual whiteness was "
-        "tested after Ljung and Box (1978)."
+    o = m.options
+    text = (
+        f"An {m.kind} model with {m.estimate.orders} from {m.data.columns.source} to {m.data.columns.output} "
+        f"(sample time {m.data.sample_time_s:.6g} s) was identified from {len(m.estimate.data)} samples by "
+        "recursive weighted least squares (Shang et al. 2012, Eq 9) in UD factors (Bierman 1977), with the "
+        f"weight {o.weight:g}, the forgetting factor {o.forgetting:g} and P(0) = ({o.prior_scale:g})² I."
     )
-    return text
+    if m.estimate.orders.nc:
+        text += " From its result the one-step error was minimised by Gauss-Newton steps."
+    if m.point.removed:
+        text += " The means of the fitted part were removed from input and output first."
+    if m.estimate.robust:
+        text += " Standard errors are of the sandwich form for correlated residuals (Ljung and Box 1978)."
+    return [text]
 
 
 def _finite(value: float) -> float | None:
-    value = float(value)
-    return value if math.isfinite(value) else None
+    return float(value) if math.isfinite(value) else None
+
+
+# ---------------------------------------------------------------- figures
+
+
+def _free_run(m: Identified) -> Figure:
+    """Return measured output and free run of the records with the worst and the best free run."""
+    sets = dict(m.held_out) or {"the fitted part": m.fit}
+    ranked = sorted(sets, key=lambda name: _deciding_scores(m)[name].free_run.fit_percent)
+    panels = []
+    for name in dict.fromkeys([ranked[0], ranked[-1]]):
+        level = m.point.output + _deciding_scores(m)[name].level
+        traces: list[Trace] = []
+        for record in sets[name]:
+            run = difference.simulate(record, m.estimate.orders, m.estimate.theta)
+            curves = {"measured": record.output, "free run": run}
+            for group, (label, y) in enumerate(curves.items()):
+                x, shown = ev.thinned(record.time_s, y + level)
+                label = label if len(traces) < len(curves) else ""
+                traces.append(Trace(x=x, y=shown, label=label, group=group))
+        y_label = numbers.column_title(m.data.columns.output)
+        panels.append(Panel(x_label="t (s)", y_label=y_label, traces=traces, title=name))
+    caption = "The free run sees only the input after its first samples."
+    if len(sets) > 2:
+        caption += f" Shown are the worst and the best of {len(sets)} records."
+    return Figure(id="free-run", title="Measured and simulated output", caption=caption, panels=panels)
+
+
+def _frequency_response(m: Identified) -> Figure:
+    fitted, step = m.estimate, m.data.sample_time_s
+    nyquist = np.pi / step
+    omega = np.geomspace(max(4 * nyquist / len(fitted.data), 1e-4 * nyquist), nyquist * 0.999, 300)
+    response, log_gain, phase_sd = prediction.frequency_response(
+        fitted.orders, fitted.theta, fitted.covariance, step, omega
+    )
+    gain, phase = np.abs(response), np.unwrap(np.angle(response))
+    factor, half = np.exp(np.clip(1.96 * log_gain, 0, 20)), 1.96 * np.minimum(phase_sd, np.pi)
+    hertz = omega / (2 * np.pi)
+    gains = Trace(x=hertz, y=gain, lower=gain / factor, upper=gain * factor, group=0)
+    phases = blocks.band(hertz, np.degrees(phase), np.degrees(half), group=0)
+    spans = _excited(m)
+    panels = [
+        Panel(
+            x_label="frequency (Hz)", y_label=label, traces=[trace], spans=spans, x_scale="log", y_scale=scale
+        )
+        for label, trace, scale in (
+            (f"gain ({numbers.unit_text(m.data.columns.gain_unit) or 1})", gains, "log"),
+            ("phase (deg)", phases, "linear"),
+        )
+    ]
+    caption = "Gain and phase with 95 % bands. Outside of the shaded band the input has little power."
+    return Figure(id="bode", title="Frequency response", caption=caption, panels=panels)
+
+
+def _excited(m: Identified) -> list[Span]:
+    """Return the band that holds the central 90 % of the input's power."""
+    longest = max(m.fit, key=len)
+    u = np.nan_to_num(longest.source - np.nanmean(longest.source))
+    total = np.cumsum(np.abs(np.fft.rfft(u * np.hanning(len(u)))) ** 2)
+    if len(total) < 8 or total[-1] <= 0:
+        return []
+    hertz = np.fft.rfftfreq(len(u), m.data.sample_time_s)
+    low, high = (float(hertz[np.searchsorted(total, q * total[-1])]) for q in (0.05, 0.95))
+    step = float(hertz[1])
+    return [Span(start=max(low, step), end=high + step, label="90 % of the input's power")]
+
+
+def _residuals(m: Identified) -> Figure:
+    residuals, source, lags = m.residual_series
+    own = rt.autocorrelation(residuals, max_lag=lags)
+    cross = rt.cross_correlation(residuals, source, max_lag=lags)
+    return Figure(
+        id="residuals",
+        title="Correlation of the one-step residuals",
+        caption="With themselves, and with the input at earlier (positive lag) and later samples.",
+        panels=[
+            blocks.correlogram(own, "autocorrelation", "residuals", skip_zero=True),
+            blocks.correlogram(cross, "correlation with the input", "residuals", skip_zero=False),
+        ],
+        columns=2,
+    )
+
+
+def _trajectories(m: Identified) -> Figure:
+    run, names = m.estimate.recursion, m.estimate.orders.names
+    scale = m.estimate.noise_sd * math.sqrt(m.options.weight)
+    # The first rows only replace the prior; drawn, they would flatten everything else.
+    settled = np.all(run.spreads <= 8 * run.spreads[-1], axis=1) & (run.kept >= 3 * len(names))
+    shown = slice(min(int(np.argmax(settled)), len(run.kept) // 2), None)
+    panels = []
+    for i, name in enumerate(names):
+        half = 1.96 * scale * run.spreads[shown, i]
+        estimate = blocks.band(run.kept[shown].astype(float), run.thetas[shown, i], half, group=0)
+        panels.append(Panel(x_label="row", y_label=name, traces=[estimate]))
+    caption = "Each coefficient with its 95 % band for white residuals. A step says that the robot changed."
+    title = "Coefficients over the record"
+    return Figure(id="trajectories", title=title, caption=caption, panels=panels, columns=2)

@@ -107,18 +107,15 @@ class ArxModel(Model):
             raise InputError(f"a model '{NAME}' needs 'delay' and 'sample_time_s'", column="delay")
         orders = _orders(parameters)
         settings = parameters.settings
-        output = str(settings.get("output", "y"))
         sine = settings.get("input_model")
         return cls(
             orders,
             parameters.sample_time_s,
             source=str(settings.get("input", "u")),
-            output=output,
+            output=str(settings.get("output", "y")),
             source_level=float(settings.get("input_level", 0.0)),
             output_level=float(settings.get("output_level", 0.0)),
-            sine=None
-            if sine is None
-            else (float(sine["amplitude"]), float(sine["frequency_hz"]), float(sine["phase_rad"])),
+            sine=sine and (sine["amplitude"], sine["frequency_hz"], sine["phase_rad"]),
             start=np.array([parameters.value(name) for name in orders.names]),
             unit=str(settings.get("output_unit", "1")),
             gain_unit=parameters.parameters["b1"].unit,
@@ -158,11 +155,10 @@ class ArxModel(Model):
         time = np.asarray(trial.time_s, dtype=float)
         step = sampling.rate(time).step_s
         if abs(step / self.sample_time_s - 1) > 0.01:
-            raise InputError(
-                f"trial {trial.id} is sampled every {step:.6g} s, the model every {self.sample_time_s:.6g} s",
-                column="t_s",
-                hint="resample the log to the model's sample time",
+            text = (
+                f"trial {trial.id} is sampled every {step:.6g} s, the model every {self.sample_time_s:.6g} s"
             )
+            raise InputError(text, column="t_s", hint="resample the log to the model's sample time")
         source = self.input_of(trial, time) - self.source_level
         measured = trial.measured.get(self.output)
         result = np.full(len(time), np.nan)
@@ -228,11 +224,8 @@ class ArxModel(Model):
         if column is not None:
             return np.asarray(column, dtype=float)
         if self.sine is None:
-            raise InputError(
-                f"trial {trial.id} lacks the model's input",
-                column=self.source,
-                hint=f"it has: {', '.join(trial.inputs) or 'no inputs'}",
-            )
+            hint = f"it has: {', '.join(trial.inputs) or 'no inputs'}"
+            raise InputError(f"trial {trial.id} lacks the model's input", column=self.source, hint=hint)
         return sine_input(time, *self.sine)
 
 

@@ -8,8 +8,24 @@ from typing import Any, Literal
 from swimid.options import Options, option
 
 
-class RwlsOptions(Options):
-    """What ``rwls`` can be told."""
+class RwlsOptions(
+    Options,
+    command="rwls",
+    section="Identify",
+    argument="LOG...",
+    output="Parameter file to write.",
+    output_flags=("-o", "--result"),
+):
+    r"""Identify an ARX or ARMAX model by recursive weighted least squares.
+
+    A(z^-1) y = B(z^-1) u + C(z^-1) e with A = 1 + a1 z^-1 + ..., B = b1 z^-nk + ..., with one-step, k-step
+    and free-run errors on fitted and held-out data, residual tests, poles and stability. LOG may also be a
+    trials file of the experiment arma.
+
+    Example:
+      swimid rwls run.csv --input cmd1_rad --output u_m_s --na 4 --nb 3 --weight 0.95 \
+          --validate 0.25 -o arma.yaml
+    """
 
     input_column: str | None = option(None, flag="--input", metavar="COLUMN", help="Input column u.")
     output_column: str | None = option(
@@ -54,6 +70,3 @@ class RwlsOptions(Options):
         "Repeatable.",
     )
     horizon: int = option(10, ge=2, le=1000, help="Steps of the k-step prediction error.")
-    stride: int | None = option(
-        None, ge=1, help="Keep every n-th row of the trajectories [default: 1000 kept]."
-    )

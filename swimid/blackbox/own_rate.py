@@ -20,14 +20,6 @@ COARSE_STEPS = 5.0
 
 
 @dataclass(frozen=True)
-class Sampled:
-    """A log with one row per measurement, and a sentence for each column that repeated its samples."""
-
-    log: Log
-    repeats: list[str]
-
-
-@dataclass(frozen=True)
 class _Even:
     """Rows of a column's measurements, their times (s), and the time between them."""
 
@@ -36,8 +28,10 @@ class _Even:
     period_s: float
 
 
-def at_own_rate(log: Log, source: str | None, output: str) -> Sampled:
+def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[str]]:
     """Return a log at the rate at which its input and output are measured.
+
+    With it comes a sentence for each column that repeated its samples.
 
     A discrete-time model of a log in which each measurement is written several times describes the logger:
     its poles are wrong. Cells that are filled in every n-th row only are brought to their own rate, too. An
@@ -81,7 +75,7 @@ def at_own_rate(log: Log, source: str | None, output: str) -> Sampled:
         log = replace(log, columns={**log.columns, **emptied})
     if slowest is not None:
         log = _resampled(log, slowest[1], source, slowest[0] == source)
-    return Sampled(log, repeats)
+    return log, repeats
 
 
 def _even_times(time_s: Array, values: Array, held: Held) -> _Even | None:

@@ -6,7 +6,7 @@ start. Poles, stability and frequency response come with uncertainty by the delt
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,8 +19,8 @@ from swimid.errors import NoTrustworthyResult
 from swimid.fitting.metrics import Score, score
 
 
-def predictions(record: Record, orders: Orders, theta: np.ndarray, *, steps: int) -> Iterator[np.ndarray]:
-    """Predictions 1, 2, .. ``steps`` samples ahead, one array of shape (n,) after the other.
+def predict(record: Record, orders: Orders, theta: np.ndarray, *, steps: int = 1) -> np.ndarray:
+    """Return the prediction ``steps`` samples ahead, shape (n,).
 
     The input is known throughout; the output only up to the sample the prediction is made at, NaN where that
     is missing.
@@ -42,12 +42,7 @@ def predictions(record: Record, orders: Orders, theta: np.ndarray, *, steps: int
         done.append(total)
         if ahead > orders.na:
             done[ahead - orders.na - 1] = np.empty(0)  # no longer needed
-        yield total
-
-
-def predict(record: Record, orders: Orders, theta: np.ndarray, *, steps: int = 1) -> np.ndarray:
-    """The prediction ``steps`` samples ahead, shape (n,); see :func:`predictions`."""
-    return list(predictions(record, orders, theta, steps=steps))[-1]
+    return done[-1]
 
 
 def one_step_errors(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
@@ -59,22 +54,17 @@ def one_step_errors(record: Record, orders: Orders, theta: np.ndarray) -> np.nda
     return result
 
 
-def own_level(records: Sequence[Record], orders: Orders, theta: np.ndarray) -> float:
-    """The output level about which records deviate, best for the free run.
-
-    For a model of deviations on data with a working point of their own: one number, so that
-    ``y - level`` is simulated, initial samples included.
-    """
-    measured, run = simulate_all(records, orders, theta)
-    _, raised = simulate_all([replace(r, output=r.output - 1.0) for r in records], orders, theta)
-    return best_level(measured, run, raised + 1.0)
-
-
 def about_own_level(
     records: Sequence[Record], orders: Orders, theta: np.ndarray
 ) -> tuple[list[Record], float]:
-    """The records relative to their :func:`own_level`, and that level."""
-    level = own_level(records, orders, theta)
+    """Return records relative to the output level about which they deviate, and that level.
+
+    For a model of deviations on data with a working point of their own. The level is one number, best for the
+    free run, so that ``y - level`` is simulated, initial samples included.
+    """
+    measured, run = simulate_all(records, orders, theta)
+    _, raised = simulate_all([replace(r, output=r.output - 1.0) for r in records], orders, theta)
+    level = best_level(measured, run, raised + 1.0)
     return [replace(r, output=r.output - level) for r in records], level
 
 
@@ -89,8 +79,6 @@ class Scores:
         own level.
     level : float
         That own level less the predicted one, unit of the output.
-    horizons : list of (int, float)
-        RMSE over the prediction horizon.
     """
 
     one_step: Score
@@ -99,7 +87,6 @@ class Scores:
     strict: Score | None
     level: float
     diverged: bool
-    horizons: list[tuple[int, float]]
 
     def as_dict(self, unit: str, steps: int) -> dict[str, Any]:
         """As the parameter file holds it."""
@@ -114,35 +101,26 @@ class Scores:
         return block
 
 
-def _check_long(records: list[Record], estimate: ArxEstimate) -> int:
-    """Length of the longest record, which the model's memory must fit into."""
-    longest = max((len(r) for r in records), default=0)
-    if longest <= estimate.orders.lag:
-        raise NoTrustworthyResult(
-            f"a held-out part has {longest} samples, the model looks back over {estimate.orders.lag}",
-            hint="hold out a larger share, or validate on a longer log",
-        )
-    return longest
-
-
 def scores(records: list[Record], estimate: ArxEstimate, poles: list[Pole], horizon: int) -> Scores:
-    """Errors one step ahead, ``horizon`` steps ahead and in free run.
+    """Return the errors one step ahead, ``horizon`` steps ahead and in free run.
 
     Raises
     ------
     NoTrustworthyResult
         When the records are shorter than the model looks back.
     """
-    steps = sorted({1, 2, 5, 10, 20, 50, 100, horizon})
-    longest = _check_long(records, estimate)
-    steps = [s for s in steps if s in (1, horizon) or s < longest // 4]
+    longest = max((len(r) for r in records), default=0)
     orders, theta = estimate.orders, estimate.theta
+    if longest <= orders.lag:
+        raise NoTrustworthyResult(
+            f"a held-out part has {longest} samples, the model looks back over {orders.lag}",
+            hint="hold out a larger share, or validate on a longer log",
+        )
     measured = np.concatenate([r.output for r in records])
-    ahead = [
-        [y for k, y in enumerate(predictions(r, orders, theta, steps=steps[-1]), start=1) if k in steps]
-        for r in records
-    ]
-    by_step = {s: score(measured, np.concatenate(parts)) for s, *parts in zip(steps, *ahead, strict=True)}
+    one, many = (
+        score(measured, np.concatenate([predict(r, orders, theta, steps=steps) for r in records]))
+        for steps in (1, horizon)
+    )
     runs = [simulate(r, orders, theta) for r in records]
     free = score(measured, np.concatenate(runs))
     at_risk = any(p.state != "stable" for p in poles)
@@ -151,30 +129,32 @@ def scores(records: list[Record], estimate: ArxEstimate, poles: list[Pole], hori
         for r, run in zip(records, runs, strict=True)
         if np.isfinite(run).any() and not np.isfinite(run[-1])
     )
-    diverged = bool((gave_up and at_risk) or (at_risk and free.fit_percent < 0))
-    rmse = [(s, by_step[s].rmse) for s in steps]
-    return Scores(by_step[1], by_step[horizon], free, None, 0.0, diverged, rmse)
+    return Scores(one, many, free, None, 0.0, bool(at_risk and (gave_up or free.fit_percent < 0)))
 
 
 def pooled(records: Sequence[Record], estimate: ArxEstimate) -> Score:
-    """Free-run score over several records together."""
+    """Return the free-run score over several records together."""
     return score(*simulate_all(records, estimate.orders, estimate.theta))
 
 
-def scores_about_own_level(
-    records: list[Record], estimate: ArxEstimate, poles: list[Pole], horizon: int
+def held_out_scores(
+    records: list[Record], estimate: ArxEstimate, poles: list[Pole], horizon: int, *, own_level: bool
 ) -> tuple[list[Record], Scores]:
-    """Held-out records about their own level, with their errors there and at the predicted level."""
-    _check_long(records, estimate)
-    strict = pooled(records, estimate)
+    """Return held-out records with their errors.
+
+    With ``own_level`` they are about their own level; their errors are those there and at the predicted one.
+    """
+    found = scores(records, estimate, poles, horizon)
+    if not own_level:
+        return records, found
     moved, level = about_own_level(records, estimate.orders, estimate.theta)
-    return moved, replace(scores(moved, estimate, poles, horizon), strict=strict, level=level)
+    return moved, replace(scores(moved, estimate, poles, horizon), strict=found.free_run, level=level)
 
 
-def response_spread(
+def frequency_response(
     orders: Orders, theta: np.ndarray, covariance: np.ndarray, sample_time_s: float, omega_rad_s: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Standard errors of the frequency response B / A.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the frequency response B / A with its standard errors.
 
     Parameters
     ----------
@@ -184,6 +164,7 @@ def response_spread(
 
     Returns
     -------
+    response : ndarray of complex, shape (m,)
     log_gain, phase_rad : ndarray, shape (m,)
         Standard errors of ln of the gain and of the phase, rad.
     """
@@ -202,4 +183,4 @@ def response_spread(
     def spread(part: np.ndarray) -> np.ndarray:
         return np.sqrt(np.maximum(np.einsum("im,ij,jm->m", part, used, part), 0.0))
 
-    return spread(gradient.real), spread(gradient.imag)
+    return numerator / denominator, spread(gradient.real), spread(gradient.imag)

@@ -73,7 +73,7 @@ def load(source: str | Path | TrialSet, file: ParameterFile, parameters_path: Pa
     trials = []
     for entry in entries.trials:
         log = read_log(entry, path.parent, required=(*read, model.output))
-        log = at_own_rate(log, None if model.sine else model.source, model.output).log
+        log, _ = at_own_rate(log, None if model.sine else model.source, model.output)
         inputs.append(log.source)
         measured, given = {model.output: log[model.output]}, {name: log[name] for name in read}
         trials.append(Trial(entry.id, entry.role, log.time_s, measured, given))
@@ -96,18 +96,6 @@ class Columns:
         """Units of input and output by their names' endings, ``"1"`` where there is none."""
         pair = (numbers.split_unit(name)[1] or "1" for name in (self.source, self.output))
         return next(pair), next(pair)
-
-    @property
-    def rmse_title(self) -> str:
-        """What an error of the output is called."""
-        unit = numbers.unit_text(self.units[1])
-        return f"RMSE ({unit})" if unit else "RMSE"
-
-    @property
-    def gain_title(self) -> str:
-        """The unit of output over input in words."""
-        u, y = (numbers.unit_text(unit) or "1" for unit in self.units)
-        return f"{y} per {u}"
 
     @property
     def gain_unit(self) -> str:
@@ -210,23 +198,22 @@ def read(
     for name, part in zip(names, parts, strict=True):
         log = read_log(part.entry, part.folder, required=required)
         _check_distinct(log, columns)
-        sampled = at_own_rate(log, None if columns.sine else columns.source, columns.output)
-        read[name] = sampled.log
-        repeats += sampled.repeats
+        read[name], found = at_own_rate(log, None if columns.sine else columns.source, columns.output)
+        repeats += found
     step = _sample_time(read)
     fitted = [name for name, part in zip(names, parts, strict=True) if part.entry.role == "fit"]
     fit: list[Record] = []
     held: dict[str, list[Record]] = {}
-    for name in fitted:
+    for name, part in zip(names, parts, strict=True):
         log = read[name]
-        cut = len(log) - (round(share * len(log)) if share else 0)
+        if part.entry.role == "validate":
+            held[name] = _records(log, name, columns, step, slice(None))
+            continue
+        cut = len(log) - round(share * len(log))
         fit += _records(log, name, columns, step, slice(0, cut))
         if share:
             label = "held-out part" if len(fitted) == 1 else f"held-out part of {name}"
             held[label] = _records(log, name, columns, step, slice(cut, None))
-    for name in names:
-        if name not in fitted:
-            held[name] = _records(read[name], name, columns, step, slice(None))
     files: list[Input] = [path for path, listed in listings.items() if not listed._in_memory]
     files += [part.origin for part in parts]
     return Data(columns, step, fit, held, fitted, files, robot, repeats)
@@ -272,41 +259,33 @@ def _names(parts: list[_Part]) -> list[str]:
     return [n if names.count(n) == 1 else f"{n} ({k + 1})" for k, n in enumerate(names)]
 
 
-def _held_out(
-    validate: Sequence[Source | float],
-) -> tuple[float, list[Any]]:
-    share: float = 0.0
-    logs: list[Any] = []
+def _held_out(validate: Sequence[Source | float]) -> tuple[float, list[Source]]:
+    """Return the share to hold out, 0 if none, and the logs to hold out."""
+    shares: list[float] = []
+    logs: list[Source] = []
     for item in validate:
         try:
-            value = float(item)
+            shares.append(float(item))
         except (TypeError, ValueError):
             logs.append(item)
-            continue
-        if not 0 < value < 1:
-            raise UsageError(
-                f"--validate {item}: a share must lie between 0 and 1", hint="0.25 is the last quarter"
-            )
-        if share:
-            raise UsageError("--validate: only one share can be given, besides any number of logs")
-        share = value
-    return share, logs
+    if len(shares) > 1:
+        raise UsageError("--validate: only one share can be given, besides any number of logs")
+    if shares and not 0 < shares[0] < 1:
+        hint = "0.25 is the last quarter"
+        raise UsageError(f"--validate {shares[0]:g}: a share must lie between 0 and 1", hint=hint)
+    return sum(shares), logs
 
 
 def _columns(source: str | None, output: str | None, model: str | None) -> Columns:
     if output is None:
         raise UsageError("give the output column with --output COLUMN")
-    if model is not None:
-        if source is not None:
-            raise UsageError("give --input or --input-model, not both")
-        return Columns("F_u", output, _sine(model))
-    if source is None:
+    if (model is None) == (source is None):
         raise UsageError(
             "give the input column with --input COLUMN, or compute it with --input-model sine:A,F"
         )
     if source == output:
         raise UsageError(f"input and output are the same column '{source}'")
-    return Columns(source, output, None)
+    return Columns(source or "F_u", output, None if model is None else _sine(model))
 
 
 def _sine(text: str) -> tuple[float, float, float]:
@@ -316,9 +295,8 @@ def _sine(text: str) -> tuple[float, float, float]:
     except ValueError:
         values = []
     if kind != "sine" or len(values) not in (2, 3) or not all(map(math.isfinite, values)):
-        raise UsageError(
-            f"--input-model '{text}' is not sine:A,F or sine:A,F,PHASE", hint="for example sine:30,1.2"
-        )
+        hint = "for example sine:30,1.2"
+        raise UsageError(f"--input-model '{text}' is not sine:A,F or sine:A,F,PHASE", hint=hint)
     if values[0] == 0 or values[1] <= 0:
         raise UsageError(f"--input-model '{text}': amplitude must not be 0 and frequency must be above 0 Hz")
     return values[0], values[1], values[2] if len(values) == 3 else 0.0
@@ -331,54 +309,41 @@ def _check_distinct(log: log_format.Log, columns: Columns) -> None:
     u, y = log[columns.source], log[columns.output]
     both = np.isfinite(u) & np.isfinite(y)
     if np.any(both) and np.ptp(y[both]) > 0 and np.array_equal(u[both], y[both]):
-        raise InputError(
-            f"holds the same values as the input column '{columns.source}' in every row",
-            file=log.path,
-            column=columns.output,
-            hint="one of the two is a copy: name the measured output with --output",
-        )
+        text = f"holds the same values as the input column '{columns.source}' in every row"
+        hint = "one of the two is a copy: name the measured output with --output"
+        raise InputError(text, file=log.path, column=columns.output, hint=hint)
 
 
 def _sample_time(logs: dict[str, log_format.Log]) -> float:
-    """The common sample time of all logs, s."""
-    first: float | None = None
+    """Return the common sample time of all logs, s."""
+    steps: list[float] = []
     for name, log in logs.items():
         rate = sampling.rate(log.time_s)
+        steps.append(rate.step_s)
+        text = ""
         if not rate.uniform:
-            raise InputError(
+            text = (
                 f"is not sampled at a constant rate: only {100 * rate.on_grid:.0f} % of its steps are whole "
-                f"multiples of {rate.step_s:.6g} s; a discrete-time model needs one rate",
-                file=log.path,
-                column="t_s",
-                hint="resample the log onto a uniform time base first",
+                f"multiples of {rate.step_s:.6g} s"
             )
+        elif abs(rate.step_s / steps[0] - 1) > sampling.SAME_RATE:
+            text = f"is sampled every {rate.step_s:.6g} s, the first log every {steps[0]:.6g} s"
+        if text:
+            text, hint = (
+                f"{text}; a discrete-time model needs one rate",
+                "resample the logs to one sample time",
+            )
+            raise InputError(text, file=log.path, column="t_s", hint=hint)
         if rate.jitter > sampling.NOTABLE_JITTER:
-            warn(
-                "SWM003",
-                f"{name}: time steps scatter by {100 * rate.jitter:.1f} % around {rate.step_s:.6g} s; the "
-                "model takes them as equal",
-            )
-        if first is None:
-            first = rate.step_s
-        elif abs(rate.step_s / first - 1) > 0.01:
-            raise InputError(
-                f"is sampled every {rate.step_s:.6g} s, the first log every {first:.6g} s; a discrete-time "
-                "model needs one rate",
-                file=log.path,
-                column="t_s",
-                hint="resample the logs onto the same time base first",
-            )
-    assert first is not None
-    return first
+            text = f"time steps scatter by {100 * rate.jitter:.1f} % around {rate.step_s:.6g} s"
+            warn("SWM003", f"{name}: {text}; the model takes them as equal")
+    return steps[0]
 
 
 def _records(log: log_format.Log, name: str, columns: Columns, step_s: float, rows: slice) -> list[Record]:
     time = log.time_s[rows]
-    if len(time) < 2:
-        return []
-    y = log[columns.output][rows]
     result = []
-    for piece in sampling.pieces(time, step_s):
+    for piece in sampling.pieces(time, step_s) if len(time) > 1 else []:
         u = sine_input(piece.time_s, *columns.sine) if columns.sine else piece.take(log[columns.source][rows])
-        result.append(Record(name, piece.time_s, u, piece.take(y)))
+        result.append(Record(name, piece.time_s, u, piece.take(log[columns.output][rows])))
     return result

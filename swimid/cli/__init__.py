@@ -1,8 +1,10 @@
 """The command line: parses, calls one function, prints. Nothing is computed here.
 
-``verbs`` lists the commands by purpose, ``builder`` makes them of a verb's options, ``main`` puts them
-together, with the group ``track``. ``common`` holds shared options, output streams and exit statuses,
-``parsing`` values of more than one word, ``table`` the options as the docs show them; ``doctor`` (with
-``options``), ``schema`` and ``import_log`` do what no room below is about, and are imported when their
-command runs. All others import click and the standard library only, so that ``--help`` is instant.
+- ``builder`` finds the commands in the ``options.py`` of every package; ``main`` lists them by purpose.
+- ``common`` holds shared options, output streams and exit statuses, ``parsing`` values of more than one word.
+- ``table`` writes the options as the docs show them.
+- ``import_log``, ``schema`` and ``doctor`` (with ``options``) do what no package below is about.
+
+The last three are imported when their command runs. All others import click and the standard library only,
+so that ``--help`` is instant.
 """

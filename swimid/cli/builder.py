@@ -1,18 +1,24 @@
-"""A command made of a verb's options: what is typed becomes keyword arguments of its function."""
+"""The commands, found in the ``options.py`` of every package, as click takes them.
+
+The files are read as text, so that the list of commands imports no package.
+"""
 
 from __future__ import annotations
 
+import ast
 import importlib
 import inspect
-from collections.abc import Callable
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from swimid.cli import parsing
-from swimid.cli.common import Shared, protect, running, shared_options
+from swimid.cli.common import SHARED, Shared, protect, running
 from swimid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -23,146 +29,143 @@ EVIDENCE = ".evidence.json"
 
 
 @dataclass(frozen=True)
-class Verb:
-    """A command: what it is called, what it says, and the function that does it.
+class CommandSpec:
+    """A command as its class of options states it; see :class:`swimid.options.Options`.
 
     Attributes
     ----------
-    name : str
-    function : str
-        ``package.module:function``; it takes the argument, ``output``, the options, and ``progress``,
-        ``allow`` or ``force`` where it wants them. Imported when the command runs.
-    options : str
-        ``package.module:class`` of its model of options. Imported when its options are looked at.
-    output : str
-        What ``-o`` writes.
-    help : str
-        Its first line is what the list of commands shows, where ``short`` is empty.
-    short : str
-    argument : str
-        Metavar of the files it takes, ``LOG...`` for several, ``[NAME]`` for a word or none; empty for none.
-    output_flags : tuple of str
-    required : bool
-        Whether it must be told where to write.
-    prints : bool
-        Whether without a file its document goes to stdout.
-    beside : tuple of str
-        Endings of the files that it writes beside the output, with the output's stem.
-    check : callable, optional
-        ``check(output, options, shared)`` before the work: what only the command line can get wrong. It may
-        change the options.
+    command, section, output, argument, output_flags, required, stdout, beside, function, page
+        The arguments of the class.
+    package, options, help : str
+        The package and the name of the class; its docstring.
     """
 
-    name: str
-    function: str
-    options: str
+    command: str
+    section: str
     output: str
+    package: str
+    options: str
     help: str
-    short: str = ""
     argument: str = "TRIALS"
     output_flags: tuple[str, ...] = ("-o", "--output")
     required: bool = False
-    prints: bool = False
+    stdout: Mapping[str, Any] | None = None
     beside: tuple[str, ...] = (EVIDENCE,)
-    check: Callable[[Path | None, dict[str, Any], Shared], None] | None = None
+    function: str = ""
+    page: str = ""
 
     def model(self) -> type[Options]:
-        """The model of its options."""
-        return _load(self.options)
+        """Import the class of its options."""
+        loaded: type[Options] = getattr(importlib.import_module(f"{self.package}.options"), self.options)
+        return loaded
 
-    def command(self) -> click.Command:
-        """The command; its options are imported when they are looked at."""
-        return _Command(self)
+    def run(self) -> Any:
+        """Import its function."""
+        name = self.function or re.sub("[ -]", "_", self.command)
+        return getattr(importlib.import_module(f"{self.package}.{name}"), name)
 
 
-class _Command(click.Command):
-    """A command with the options of a verb."""
+@cache
+def found() -> dict[str, CommandSpec]:
+    """Return every command by its name."""
+    specs = {}
+    for path in sorted(Path(__file__).parents[1].glob("*/options.py")):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and node.keywords:
+                given = {str(one.arg): ast.literal_eval(one.value) for one in node.keywords}
+                help = ast.get_docstring(node) or ""
+                spec = CommandSpec(
+                    package=f"swimid.{path.parent.name}", options=node.name, help=help, **given
+                )
+                specs[spec.command] = spec
+    return specs
 
-    def __init__(self, verb: Verb) -> None:
-        shared = shared_options(verb.output, output_flags=verb.output_flags, required=verb.required)
-        plain = click.command()(shared(_runner(verb)))
-        super().__init__(
-            verb.name.split()[-1],
-            params=plain.params,
-            callback=plain.callback,
-            help=inspect.cleandoc(verb.help),
-            short_help=verb.short or None,
+
+class Command(click.Command):
+    """A command; its options are imported when they are looked at."""
+
+    def __init__(self, spec: CommandSpec) -> None:
+        path = click.Path(path_type=Path)
+        output = click.Option(
+            [*spec.output_flags, "output"], type=path, required=spec.required, help=spec.output
         )
-        self.verb = verb
+        # click keeps the lines of a paragraph that begins with \b
+        help = re.sub(r"\n\n(Examples?:)", "\n\n\b\n\\1", spec.help)
+        name = spec.command.split()[-1]
+        super().__init__(name, params=[output, *SHARED], callback=self._called, help=help)
+        self.spec = spec
         self._own: list[click.Parameter] | None = None
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        """The files, the options of the verb, those of every verb."""
+        """Return the files, the options of the command, those of every command."""
         if self._own is None:
-            declared = self.verb.model().declared().values()
-            self._own = [*_argument(self.verb), *(_option(entry) for entry in declared)]
+            declared = self.spec.model().declared().values()
+            self._own = [*_argument(self.spec.argument), *(_option(entry) for entry in declared)]
         return [*self._own, *super().get_params(ctx)]
 
+    def _called(self, *, files: Any = None, **typed: Any) -> None:
+        """Parse, protect the outputs, call the function, print."""
+        shared = Shared.taken_from(typed)
+        spec = self.spec
+        with running(spec.command, shared) as run:
+            declared = spec.model().declared()
+            options = {name: parsing.value_of(declared[name], text) for name, text in typed.items()}
+            output = shared.output
+            if spec.stdout is not None and (output is None or str(output) == "-"):
+                output = None
+                options |= {name: value for name, value in spec.stdout.items() if options[name] is None}
+            read = [*(files if isinstance(files, tuple) else (files,))] if files else []
+            read += [file for entry in declared.values() for file in entry.files(options[entry.name])]
+            written = [options[entry.name] for entry in declared.values() if entry.written]
+            written = [place for place in [output, *written] if place is not None]
+            _insist_distinct(written)
 
-def _argument(verb: Verb) -> list[click.Parameter]:
-    if not verb.argument:
+            def allow(path: Path | None) -> None:
+                protect(path, shared, inputs=read)
+
+            function = spec.run()
+            offered: dict[str, Any] = {"progress": run.progress, "force": shared.force, "allow": allow}
+            given = {
+                name: offered[name] for name in inspect.signature(function).parameters if name in offered
+            }
+            if not {"allow", "force"} & set(given):
+                for place in written:
+                    allow(place)
+            if output is not None and not output.is_dir():
+                _protect_beside(output, spec, shared)
+            outcome = function(*([files] if files else []), output=output, **options, **given)
+            if spec.stdout is not None and output is None and not shared.as_json:
+                # the document is the result: --quiet must not swallow it
+                click.echo(outcome.text)
+                outcome = replace(outcome, text="")
+            run.outcome = outcome
+
+
+def _argument(metavar: str) -> list[click.Parameter]:
+    """Return the files a command takes: ``LOG...`` several, ``[NAME]`` a word or none, empty none."""
+    if not metavar:
         return []
-    count = -1 if verb.argument.endswith("...") else 1
-    name = verb.argument.startswith("[")
+    count = -1 if metavar.endswith("...") else 1
+    name = metavar.startswith("[")
     kind = str if name else click.Path(path_type=Path)
-    return [click.Argument(["files"], nargs=count, required=not name, metavar=verb.argument, type=kind)]
+    return [click.Argument(["files"], nargs=count, required=not name, metavar=metavar, type=kind)]
 
 
 def _option(entry: Declared) -> click.Option:
-    """An option as click takes it; what is more than one word is parsed when the command runs."""
+    """Return an option as click takes it; what is more than one word is parsed when the command runs."""
     names = [entry.flags, entry.name]
     if entry.kind is bool:
         shown = "/" in entry.flags and entry.default is not None
         return click.Option(names, is_flag=True, default=entry.default, show_default=shown, help=entry.help)
     word = parsing.word_of(entry)
-    # a required option that has a default, None even, is not asked for
+    if entry.required:
+        # a required option that has a default, None even, is not asked for
+        return click.Option(names, required=True, metavar=entry.metavar, help=entry.help, **word)
     default = (entry.default or None) if word.get("multiple") else entry.default
-    unasked: dict[str, Any] = {"default": default, "show_default": default is not None}
+    shown = default is not None
     return click.Option(
-        names,
-        required=entry.required,
-        metavar=entry.metavar,
-        help=entry.help,
-        **word,
-        **({} if entry.required else unasked),
+        names, metavar=entry.metavar, help=entry.help, default=default, show_default=shown, **word
     )
-
-
-def _runner(verb: Verb) -> Callable[..., None]:
-    """What the command does: parse, protect the outputs, call the function, print."""
-
-    def run_verb(shared: Shared, files: Any = None, **typed: Any) -> None:
-        with running(verb.name, shared) as run:
-            declared = verb.model().declared()
-            options = {name: parsing.value_of(declared[name], text) for name, text in typed.items()}
-            output = None if verb.prints and str(shared.output) == "-" else shared.output
-            if verb.check is not None:
-                verb.check(output, options, shared)
-            read = [*(files if isinstance(files, tuple) else (files,))] if files else []
-            read += [file for entry in declared.values() for file in entry.files(options[entry.name])]
-            function = _load(verb.function)
-            wanted = inspect.signature(function).parameters
-
-            def allow(path: Path | None) -> None:
-                protect(path, shared, inputs=tuple(read))
-
-            offered: dict[str, Any] = {"progress": run.progress, "force": shared.force, "allow": allow}
-            written = [output, *(options[entry.name] for entry in declared.values() if entry.written)]
-            _insist_distinct([place for place in written if place is not None])
-            if not {"allow", "force"} & set(wanted):
-                for place in written:
-                    allow(place)
-            if output is not None and not output.is_dir():
-                _protect_beside(output, verb, shared)
-            given = {name: value for name, value in offered.items() if name in wanted}
-            outcome = function(*([files] if files else []), output=output, **options, **given)
-            if verb.prints and output is None and not shared.as_json:
-                # the document is the result: --quiet must not swallow it
-                click.echo(outcome.text)
-                outcome = replace(outcome, text="")
-            run.finish(outcome)
-
-    return run_verb
 
 
 def _insist_distinct(places: list[Path]) -> None:
@@ -173,16 +176,11 @@ def _insist_distinct(places: list[Path]) -> None:
             raise UsageError(f"two outputs would be written to {place}", hint="name another file for one")
 
 
-def _protect_beside(output: Path, verb: Verb, shared: Shared) -> None:
+def _protect_beside(output: Path, spec: CommandSpec, shared: Shared) -> None:
     """Refuse to replace files of others, and evidence of other results, beside the output."""
     from swimid.results import evidence
 
-    for ending in verb.beside:
+    for ending in spec.beside:
         protect(output.with_name(output.stem + ending), shared)
-    if EVIDENCE in verb.beside and not shared.force:
+    if EVIDENCE in spec.beside and not shared.force:
         evidence.check_beside(output)
-
-
-def _load(name: str) -> Any:
-    module, _, attribute = name.partition(":")
-    return getattr(importlib.import_module(module), attribute)

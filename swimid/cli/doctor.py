@@ -1,4 +1,4 @@
-"""``doctor``: is this installation whole?"""
+"""``swimid doctor``: check the installation."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results.result import Result
 
-#: Packages that widen what can be done.
+#: Use of each optional package.
 OPTIONAL = {
     "av": "overlay videos that browsers play (pip install 'swimid[video]')",
+    "pyarrow": "Parquet files (pip install 'swimid[parquet]')",
     "h5py": "HDF5, MATLAB and SLEAP files (pip install 'swimid[hdf5]')",
     "mcap": "recordings of ROS 2 (pip install 'swimid[mcap]')",
     "pyulog": "recordings of PX4 (pip install 'swimid[ulog]')",
     "tables": "HDF5 tables of DeepLabCut (pip install 'swimid[deeplabcut]')",
     "vqf": "attitude in swimid track imu (pip install 'swimid[imu]')",
     "pymoo": "genetic searches (pip install 'swimid[search]')",
-    "SALib": "the Morris method of swimid sensitivity (pip install 'swimid[sensitivity]')",
 }
 #: Modules with compiled kernels; each has a ``warm_up()`` that compiles all of them.
 KERNELS = (
@@ -45,7 +45,7 @@ KERNELS = (
 
 @takes(DoctorOptions)
 def doctor(*, options: DoctorOptions, output: Path | None = None, progress: Progress = silent) -> Result:
-    """Versions, video decoding, optional parts; compiles the kernels when asked.
+    """Check versions, video decoding and optional packages; compile the kernels with ``warm_up``.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def doctor(*, options: DoctorOptions, output: Path | None = None, progress: Prog
 
 
 def _required() -> list[str]:
-    """Packages every verb needs: those the installed swimid states, without extras."""
+    """Return the packages that every command needs, from the metadata of the installed swimid."""
     try:
         stated = [text for text in metadata.requires("swimid") or () if "extra ==" not in text]
     except metadata.PackageNotFoundError:
@@ -106,20 +106,16 @@ def _video() -> bool:
 
 
 def _text(findings: dict[str, Any], missing: list[str]) -> str:
-    lines = [f"swimid {findings['swimid']}, Python {findings['python']}, {findings['platform']}"]
-    width = max(map(len, findings["packages"]))
-    lines += [f"  {name:<{width}}  {version or 'MISSING'}" for name, version in findings["packages"].items()]
+    states = {name: version or "MISSING" for name, version in findings["packages"].items()}
     for name, version in findings["optional"].items():
-        lines.append(f"  {name:<{width}}  {version or 'not installed: ' + OPTIONAL[name]}")
-    lines.append(
-        f"  {'video decoding':<{width}}  {'FFmpeg' if findings['video_decoding'] else 'NOT AVAILABLE'}"
-    )
+        states[name] = version or f"not installed: {OPTIONAL[name]}"
+    states["video decoding"] = "FFmpeg" if findings["video_decoding"] else "NOT AVAILABLE"
     for name, seconds in findings.get("kernels_s", {}).items():
-        lines.append(f"  {name:<{width}}  compiled and cached ({seconds:.1f} s)")
-    if findings["healthy"]:
-        lines.append("Everything is in place.")
-    else:
-        lines.append(
-            "Not everything is in place: reinstall swimid" + (f" ({', '.join(missing)})" if missing else "")
-        )
-    return "\n".join(lines)
+        states[name] = f"compiled and cached ({seconds:.1f} s)"
+    end = "Everything is in place."
+    if not findings["healthy"]:
+        lacking = ", ".join(missing) or "video decoding"
+        end = f"Not everything is in place: reinstall swimid. Missing: {lacking}"
+    width = max(map(len, findings["packages"]))
+    head = f"swimid {findings['swimid']}, Python {findings['python']}, {findings['platform']}"
+    return "\n".join([head, *(f"  {name:<{width}}  {state}" for name, state in states.items()), end])

@@ -5,21 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from swimid.cli.options import ImportLogOptions
 from swimid.errors import UsageError
 from swimid.logs.guess_mapping import guess_mapping
 from swimid.logs.import_log import destinations, import_logs
-from swimid.logs.options import ImportCommandOptions
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import evidence
 from swimid.results.result import Result
 
 
-@takes(ImportCommandOptions)
-def import_files(
+@takes(ImportLogOptions)
+def import_log(
     files: tuple[Path, ...],
     *,
-    options: ImportCommandOptions,
+    options: ImportLogOptions,
     output: Path | None,
     allow: Callable[[Path | None], object],
     progress: Progress = silent,

@@ -5,9 +5,18 @@ from __future__ import annotations
 import click
 
 import swimid
-from swimid.cli.optimise import optimise
-from swimid.cli.track import track
-from swimid.cli.verbs import HELPERS, SECTIONS, VERBS
+from swimid.cli.builder import Command, found
+
+#: Headings of the list of commands, in the order one uses them.
+SECTIONS = (
+    "Make logs",
+    "Identify",
+    "Simulate and compare",
+    "Diagnose",
+    "Put to work",
+    "Publish",
+    "Help yourself",
+)
 
 
 class Sectioned(click.Group):
@@ -15,8 +24,11 @@ class Sectioned(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write one list of commands per section."""
-        for title, names in SECTIONS:
-            rows = [(name, self.commands[name].get_short_help_str(limit=88)) for name in names]
+        sections: dict[str, set[str]] = {title: set() for title in SECTIONS}
+        for spec in found().values():
+            sections.setdefault(spec.section, set()).add(spec.command.split()[0])
+        for title, names in sections.items():
+            rows = [(name, self.commands[name].get_short_help_str(limit=88)) for name in sorted(names)]
             with formatter.section(title):
                 formatter.write_dl(rows)
 
@@ -38,11 +50,18 @@ def main() -> None:
     """
 
 
-main.add_command(track)
-main.add_command(optimise)
-for verb in (*VERBS, *HELPERS):
-    if " " not in verb.name:
-        main.add_command(verb.command())
+@main.group()
+def track() -> None:
+    """Make logs: from videos with coloured markers, and from IMU recordings."""
+
+
+@main.group()
+def optimise() -> None:
+    """Find the best stiffness, as a rule for a controller, or the best gait."""
+
+
+for spec in found().values():
+    {"track": track, "optimise": optimise}.get(spec.command.split()[0], main).add_command(Command(spec))
 
 
 def entry() -> None:

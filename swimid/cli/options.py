@@ -1,11 +1,69 @@
-"""The options of ``doctor``; ``schema`` has none."""
+"""The options of ``import``, ``schema`` and ``doctor``."""
 
 from __future__ import annotations
 
+from swimid.logs.options import ImportOptions
 from swimid.options import Options, option
 
 
-class DoctorOptions(Options):
-    """What ``doctor`` can be told."""
+class ImportLogOptions(
+    ImportOptions,
+    command="import",
+    section="Make logs",
+    function="import_log",
+    argument="FILE...",
+    output="The log, CSV or Parquet by its ending; a folder for several; with --guess the mapping.",
+    beside=(),
+):
+    """Import logs: delimited text, MATLAB, HDF5, Parquet, JSON lines, MCAP, ULog.
+
+    A mapping says which source column becomes which column of the log, and in which unit it was
+    written. Without one the columns must have the names of the log format already. Beside each log
+    goes its evidence (<stem>.evidence.json).
+
+    Examples:
+      swimid import field.csv --guess -o map.yaml
+      swimid import field.csv --map map.yaml -o run.csv
+      swimid import run.csv --scale 0.0008 --along -y --start 1.2 --end 2.4 -o drop.csv
+      swimid import STATES1.txt STATES2.txt --map docs/examples/msu-states.yaml -o logs/
+    """
+
+    guess: bool = option(
+        False,
+        recorded=False,
+        help="Draft a mapping instead, with ASK for everything that the file does not state.",
+    )
+
+
+class DoctorOptions(
+    Options,
+    command="doctor",
+    section="Help yourself",
+    argument="",
+    output="Write the findings as JSON to this file.",
+    beside=(),
+):
+    """Check the installation: versions, video codecs, compiled kernels.
+
+    Example:
+      swimid doctor --warm-up
+    """
 
     warm_up: bool = option(False, help="Compile the numerical kernels now, so that no later run waits.")
+
+
+class SchemaOptions(
+    Options,
+    command="schema",
+    section="Help yourself",
+    argument="[NAME]",
+    output="Write the schema to this file instead of stdout.",
+    beside=(),
+):
+    """Print the JSON Schema of a file format.
+
+    Without NAME, list the formats.
+
+    Example:
+      swimid schema trials > trials.schema.json
+    """

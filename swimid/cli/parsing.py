@@ -1,4 +1,4 @@
-"""From the type of an option to what is typed for it, and back."""
+"""Values of options: the click type of an option, and its value from the text that was typed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def word_of(entry: Declared) -> dict[str, Any]:
-    """How click reads an option of this type: its ``type``, and ``multiple`` or ``nargs`` where it has it."""
+    """Return the arguments of a click option of this type: ``type``, and ``multiple`` or ``nargs``."""
     kind, args = entry.kind, get_args(entry.kind)
     if _is_mapping(kind):
         return {"type": str, "multiple": True}
@@ -31,12 +31,12 @@ def word_of(entry: Declared) -> dict[str, Any]:
 
 
 def value_of(entry: Declared, typed: Any) -> Any:
-    """The value of an option from what was typed; None where nothing was.
+    """Return the value of an option from the text that was typed; None if nothing was.
 
     Raises
     ------
     UsageError
-        For text that is not what the option takes.
+        When the text is not a value of the option.
     """
     if typed is None or typed == ():
         return None
@@ -54,7 +54,7 @@ def value_of(entry: Declared, typed: Any) -> Any:
 
 
 def _simple(kind: Any, limits: Mapping[str, float]) -> Any:
-    """The click type of a single word."""
+    """Return the click type of a single word."""
     if get_origin(kind) is Literal:
         return click.Choice(list(get_args(kind)))
     if Path in (kind, *get_args(kind)) and str not in get_args(kind):
@@ -80,7 +80,7 @@ def _by_commas(entry: Declared) -> bool:
 
 
 def number(text: str, option: str) -> float:
-    """One finite number."""
+    """Read one finite number."""
     try:
         value = float(text)
     except ValueError:
@@ -91,7 +91,7 @@ def number(text: str, option: str) -> float:
 
 
 def number_pair(text: str, option: str) -> tuple[float, float]:
-    """Two numbers with a comma between them."""
+    """Read two numbers with a comma between them."""
     parts = text.split(",")
     if len(parts) != 2:
         raise UsageError(f"{option}: '{text}' should be two numbers with a comma between them")
@@ -99,7 +99,7 @@ def number_pair(text: str, option: str) -> tuple[float, float]:
 
 
 def swept(items: list[tuple[str, str]], option: str) -> dict[str, tuple[float, float, int]]:
-    """``NAME=LOW:HIGH:COUNT`` items."""
+    """Read ``NAME=LOW:HIGH:COUNT`` items."""
     sweeps = {}
     for name, value in items:
         parts = value.split(":")
@@ -112,7 +112,7 @@ def swept(items: list[tuple[str, str]], option: str) -> dict[str, tuple[float, f
 
 
 def _named(texts: tuple[str, ...], option: str) -> list[tuple[str, str]]:
-    """``NAME=VALUE`` items."""
+    """Read ``NAME=VALUE`` items."""
     pairs = []
     for text in texts:
         name, equals, value = text.partition("=")
@@ -122,7 +122,7 @@ def _named(texts: tuple[str, ...], option: str) -> list[tuple[str, str]]:
     return pairs
 
 
-#: How a value of a mapping is read, by its type.
+#: Reader of a value of a mapping, by its type.
 _READERS: dict[Any, Callable[[str, str], Any]] = {
     float: number,
     str: lambda text, option: text.strip(),

@@ -2,76 +2,60 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 from pathlib import Path
-from typing import Any
 
-from pydantic import BaseModel, TypeAdapter
+from pydantic import TypeAdapter
 
 import swimid
-from swimid.diagnosis import gap_file as gap
-from swimid.diagnosis import power_file
+from swimid.cli.options import SchemaOptions
 from swimid.errors import UsageError, suggestion
 from swimid.files import atomic
-from swimid.logs import mapping, trials
-from swimid.optimisation import controller, fins, gait_file, map_file, rule
-from swimid.results import evidence, parameters
+from swimid.options import takes
+from swimid.results.kinds import FORMATS
 from swimid.results.result import Result
-from swimid.robots import file as robot
-from swimid.sensitivity_analysis import file as sensitivity
-from swimid.simulation import comparison_file as comparison
-from swimid.tracking import setup
+
+#: Model of each format that is no result: ``module:attribute``.
+OTHERS = {
+    "trials": "swimid.logs.trials:AnyTrials",
+    "robot": "swimid.robots.file:Robot",
+    "setup": "swimid.tracking.setup:Setup",
+    "mapping": "swimid.logs.mapping:Mapping",
+    "evidence": "swimid.results.evidence:Evidence",
+}
 
 
-def schemas() -> dict[str, dict[str, Any]]:
-    """Every format by name, with its JSON Schema."""
-    models: dict[str, Any] = {
-        "trials": TypeAdapter(trials.AnyTrials),
-        "robot": robot.Robot,
-        "parameters": parameters.ParameterFile,
-        "setup": setup.Setup,
-        "mapping": mapping.Mapping,
-        "comparison": comparison.ComparisonFile,
-        "gap": gap.GapFile,
-        "power": power_file.PowerFile,
-        "sensitivity": sensitivity.SensitivityFile,
-        "map": map_file.MapFile,
-        "rule": rule.RuleFile,
-        "gait": gait_file.GaitFile,
-        "fins": fins.FinFile,
-        "controller": controller.ControllerFile,
-        "evidence": evidence.Evidence,
-    }
-    return {
-        name: model.model_json_schema()
-        if isinstance(model, type) and issubclass(model, BaseModel)
-        else model.json_schema()
-        for name, model in models.items()
-    }
-
-
-def schema(name: str | None = None, *, output: Path | None = None) -> Result:
-    """The schema of one format, or the list of formats.
+@takes(SchemaOptions)
+def schema(name: str | None = None, *, options: SchemaOptions, output: Path | None = None) -> Result:
+    """Return the JSON Schema of one format, or the list of formats.
 
     Parameters
     ----------
     name : str, optional
+        ``"gap"`` for ``format: swimid-gap/1``.
     output : path, optional
+        Write the schema.
 
     Raises
     ------
     UsageError
         When there is no such format; names the nearest.
     """
-    known = schemas()
+    results = {form.removeprefix("swimid-").split("/")[0]: place for form, place in FORMATS.items()}
+    places = OTHERS | results
     if name is None:
-        text = "\n".join(known)
-        return Result("schema", text, {"formats": list(known)})
-    if name not in known:
-        hint = suggestion(name, list(known))
-        raise UsageError(f"there is no format '{name}'", hint=hint)
-    mark = {"$comment": f"written by swimid {swimid.__version__}"}
-    document = {"$schema": "https://json-schema.org/draft/2020-12/schema", **mark, **known[name]}
+        return Result("schema", "\n".join(places), {"formats": list(places)})
+    if name not in places:
+        raise UsageError(f"there is no format '{name}'", hint=suggestion(name, list(places)))
+    module, _, attribute = places[name].partition(":")
+    found = getattr(importlib.import_module(module), attribute)
+    document = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$comment": f"written by swimid {swimid.__version__}",
+        # a class of results knows the model of its file
+        **TypeAdapter(getattr(found, "file_type", found)).json_schema(),
+    }
     text = json.dumps(document, indent=2)
     if output is None:
         return Result("schema", text, document)

@@ -9,7 +9,7 @@ from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from swimid.diagnosis import (
     advice,
@@ -374,7 +374,7 @@ def _moved(state: State, base: Fit, given: Mapping[str, Estimate]) -> dict[str, 
     sd = conclusion.parameter_errors(state, base)
     inside = dict(zip(base.labels, base.inside, strict=True))
     names = [p for p in state.context.parameters if p.name in given and inside.get(p.name)]
-    limit = float(stats.norm.isf(0.5 * MOVED / max(len(names), 1)))
+    limit = -float(special.ndtri(0.5 * MOVED / max(len(names), 1)))
     found = {}
     for p in names:
         known, value, stderr = given[p.name], base.value(p.name), sd[p.name]

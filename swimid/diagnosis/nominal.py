@@ -12,13 +12,14 @@ import numpy as np
 from swimid.blackbox import model as arx
 from swimid.diagnosis.random_effects import FEWEST, OWN
 from swimid.effects.parameter_change import ParameterChange
+from swimid.files import parquet
 from swimid.files.provenance import digests_of
 from swimid.fitting.model import Array, Channel, Model, Parameter, Trial
 from swimid.results.parameters import Estimate
 from swimid.simulation.catalogue import Loaded
 
 #: Endings of logs among the inputs.
-LOGS = (".csv", ".parquet")
+LOGS = (".csv", *parquet.ENDINGS)
 
 #: Prior standard deviation of a coefficient of which no other trials tell anything, as a share of its size.
 OWN_PRIOR = 0.6

@@ -14,7 +14,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy import special
 
 from swimid.effects.base import Effect, Stage
 from swimid.fitting.hooks import Hooks
@@ -295,6 +295,6 @@ def _most(estimates: Mapping[int, tuple[float, float]], repeats: Sequence[Sequen
             freedom += len(b) - 1
     if not freedom:
         return LARGEST_SD
-    bound = math.sqrt(squares / float(chi2.ppf(1.0 - LEVEL, freedom)))
+    bound = math.sqrt(squares / float(special.chdtri(freedom, LEVEL)))
     # one pair leaves the bound wide: it shows more than that only where the pair itself differs by more
     return min(bound, max(LARGEST_SD, math.sqrt(squares / freedom)))

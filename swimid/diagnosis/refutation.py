@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import chi2
+from scipy import special
 
 from swimid.diagnosis import crossval, remainder
 from swimid.diagnosis.context import Fit, FitContext, Mixed, beyond
@@ -104,7 +104,7 @@ def unpredicted(
     found = []
     for trial in validation:
         seen = _of_trials(context, fit, noise_model, inner, [trial])
-        largest = float(chi2.ppf(1.0 - CHANCE / len(validation), max(seen.samples, 1)))
+        largest = float(special.chdtri(max(seen.samples, 1), CHANCE / len(validation)))
         if seen.slow and seen.shown and seen.distance > largest:
             found.append((trial.id, seen.times))
     return sorted(found, key=lambda one: -one[1])
@@ -170,7 +170,7 @@ def _chance(problem: Mixed, theta: Array, fit: Fit, noise_model: NoiseModel) -> 
         mine = problem.differing(k)
         names = [problem.parameters[problem.slots[j][0]].name for j in mine]
         away = (theta[mine] - [centre[name] for name in names]) / scale[mine]
-        likely = chi2.ppf(1.0 - CHANCE, len(mine))
+        likely = special.chdtri(len(mine), CHANCE)
         away *= math.sqrt(min(1.0, likely / max(float(away @ away), likely)))
         rows = jacobian[:, mine] * scale[mine]
         own = problem.begun(k)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from swimid.diagnosis.context import Fit, FitContext
 from swimid.diagnosis.figures import Overlay
@@ -278,7 +278,7 @@ def widened(count: int) -> float:
     """By how much a bootstrap interval over so many trials is too narrow: the 97.5 % point of Student's
     distribution with its standard error, over that of a normal one.
     """
-    return float(math.sqrt(count / (count - 1)) * stats.t.ppf(0.975, count - 1) / stats.norm.ppf(0.975))
+    return float(math.sqrt(count / (count - 1)) * special.stdtrit(count - 1, 0.975) / special.ndtri(0.975))
 
 
 def _resampled(
@@ -348,7 +348,7 @@ def gained(found: Sequence[Piece], floors: Mapping[str, float]) -> tuple[Array, 
 def chance(each: Array) -> float:
     """Return what a sum over trials must exceed to be above zero at 95 % (Student); 0 of a single trial."""
     n = len(each)
-    return float(stats.t.ppf(0.95, n - 1) * np.sqrt(n * np.var(each, ddof=1))) if n > 1 else 0.0
+    return float(special.stdtrit(n - 1, 0.95) * np.sqrt(n * np.var(each, ddof=1))) if n > 1 else 0.0
 
 
 def _errors(piece: Piece, which: str, floors: Mapping[str, float]) -> Array:

@@ -27,13 +27,10 @@ class Exported:
         The file.
     limits : sequence of str
         What the target cannot carry, one sentence each.
-    dangers : sequence of str
-        Why the target's simulation may be unstable.
     """
 
     text: str
     limits: Sequence[str] = ()
-    dangers: Sequence[str] = ()
 
 
 def number(*values: float) -> str:
@@ -126,43 +123,19 @@ def added_mass_limits(source: Source, choice: str) -> list[str]:
     return limits
 
 
-def element_limits(source: Source) -> list[str]:
-    """Limits of a target that knows drag only."""
-    limits = []
-    for kind, what in (
-        ("foil", "lift and drag of foils"),
-        ("wake", "thrust and side force of trailing edges"),
-        ("force", "weight, buoyancy and constant forces"),
-    ):
-        left = [source.links[e.link].name for e in source.elements if e.kind == kind]
-        if left:
-            limits.append(f"{what} are left out: {', '.join(dict.fromkeys(left))}")
-    return limits
-
-
-def friction_limits(source: Source) -> list[str]:
-    """Limit of dry friction: swimid rounds it off where a joint nearly rests."""
-    return [
+def joint_limits(source: Source, servo_hz: float) -> list[str]:
+    """Limits of dry friction, which swimid rounds off, and of driven joints, whose motion it prescribes."""
+    limits = [
         f"{name}: swimid rounds the dry friction of {law.friction:.4g} N m off below "
         f"{law.friction_below:g} rad/s; the target holds the joint still there"
         for name, law in source.laws.items()
         if law.friction
     ]
-
-
-def drive_limits(source: Source, servo_hz: float) -> list[str]:
-    """Limit of driven joints: swimid prescribes their motion."""
     driven = [axis.joint for axis in source.assembly.driven]
     assumed = [joint.name for joint in driven if joint.driven and joint.driven.servo is None]
-    if not assumed:
-        return []
-    return [
-        f"driven joints follow their command exactly in swimid; here a position servo of {servo_hz:g} Hz "
-        f"moves them: {', '.join(assumed)}"
-    ]
-
-
-def reading_limits(source: Source) -> list[str]:
-    """What no planar identification tells a simulator in three dimensions."""
-    out = "roll, pitch and heave" if not source.vertical else "roll, yaw and sway"
-    return [f"{out} were not identified: no drag and no added mass there, the moments of inertia are assumed"]
+    if assumed:
+        limits.append(
+            f"driven joints follow their command exactly in swimid; here a position servo of {servo_hz:g} Hz "
+            f"moves them: {', '.join(assumed)}"
+        )
+    return limits

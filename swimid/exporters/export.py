@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import swimid
 from swimid.errors import InputError, UsageError
-from swimid.exporters import gazebo, mjcf, plain, stonefish
+from swimid.exporters import gazebo, mjcf, plain
 from swimid.exporters.common import Exported
-from swimid.exporters.options import AddedMass, ExportOptions
+from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import Source
 from swimid.files import atomic
 from swimid.files.provenance import digest_of
@@ -26,22 +25,11 @@ RIGID = ("falling-weight", "towed")
 MODELS = ("multilink", *RIGID)
 
 
-@dataclass(frozen=True)
-class Target:
-    """A format to export to: the choices of added mass it has, and whether it takes one rigid body too."""
-
-    title: str
-    export: Callable[[Source, ExportOptions], Exported]
-    added_mass: tuple[AddedMass, ...]
-    rigid: bool
-
-
-#: The targets by the name ``--to`` takes.
-TARGETS = {
-    "mjcf": Target("MuJoCo MJCF", mjcf.export, ("native", "fold", "none"), rigid=False),
-    "gazebo": Target("Gazebo SDF", gazebo.export, ("native", "fold", "plugin", "none"), rigid=True),
-    "stonefish": Target("Stonefish scenario", stonefish.export, ("native", "fold", "none"), rigid=False),
-    "json": Target("JSON", plain.export, ("native",), rigid=True),
+#: The targets by the name ``--to`` takes: what each is called, and what makes its text.
+TARGETS: dict[str, tuple[str, Callable[[Source, ExportOptions], Exported]]] = {
+    "mjcf": ("MuJoCo MJCF", mjcf.export),
+    "gazebo": ("Gazebo SDF", gazebo.export),
+    "json": ("JSON", plain.export),
 }
 
 
@@ -63,15 +51,14 @@ def export(params: parameters.Source, *, options: ExportOptions, output: str | P
     -------
     Result
         ``.document`` is the text (XML, or JSON), in SI units; ``.data`` has ``target``, ``added_mass`` and
-        the lists ``limits`` and ``dangers``. Every limit is also a warning SWM060, every danger of
-        instability a SWM061.
+        ``limits``. Every limit is also a warning SWM060.
 
     Raises
     ------
     InputError
         For a broken file, another model, or a robot file without what the target needs.
     UsageError
-        For an unknown target, and for one that cannot take this model or this added-mass choice.
+        For a target that cannot take this model.
 
     Examples
     --------
@@ -81,45 +68,38 @@ def export(params: parameters.Source, *, options: ExportOptions, output: str | P
     >>> json.loads(made.document)["robot"], made.data["limits"]
     ('boxfish', [])
     """
-    to, added_mass = options.to, options.added_mass
-    target = TARGETS[to]
-    if added_mass not in target.added_mass:
-        raise UsageError(
-            f"{to} has no added-mass choice '{added_mass}'", hint=f"there are: {', '.join(target.added_mass)}"
-        )
+    title, make = TARGETS[options.to]
     source = load(params, options.robot)
-    if not source.multilink and not target.rigid:
-        able = ", ".join(name for name, t in TARGETS.items() if t.rigid)
+    if not source.multilink and options.to == "mjcf":
         raise UsageError(
-            f"{to} needs a multi-link robot; this file holds the surge drag of one rigid body",
-            hint=f"export it to one of: {able}",
+            "mjcf needs a multi-link robot; this file holds the surge drag of one rigid body",
+            hint="export it to gazebo or json",
         )
     out = None if output is None or str(output) == "-" else Path(output)
     if out is not None:
         atomic.check_writable(out, inputs=[parameters.origin(params)])
-    done = target.export(source, options)
-    _warn_unknown(source)
+    done = make(source, options)
+    names = source.parameters.parameters
+    unknown = [n for n, e in names.items() if e.status == "unidentifiable" and "[" not in n]
+    if unknown:
+        warn(
+            "SWM010",
+            f"exported as they stand, though their trials do not determine them: {', '.join(unknown)}",
+        )
     for limit in done.limits:
-        warn("SWM060", f"{target.title}: {limit}")
-    for danger in done.dangers:
-        warn("SWM061", f"{target.title}: {danger}")
+        warn("SWM060", f"{title}: {limit}")
     result = {
-        "target": to,
+        "target": options.to,
         "model": source.parameters.model,
         "robot": source.robot.name,
-        "added_mass": added_mass,
+        "added_mass": options.added_mass,
         "limits": list(done.limits),
-        "dangers": list(done.dangers),
     }
     if out is None:
         return Text("export", done.text.rstrip("\n"), result | {"text": done.text}, document=done.text)
     atomic.write_text(out, done.text)
-    count = len(done.limits)
-    carried = (
-        "everything" if not count else f"all but {count} thing{'s' if count > 1 else ''}, see the warnings"
-    )
-    told = f"{source.robot.name} as {target.title}: {carried}"
-    return Text("export", told, result, [out], document=done.text)
+    carried = f"{len(done.limits)} limits, see the warnings" if done.limits else "everything is carried"
+    return Text("export", f"{source.robot.name} as {title}: {carried}", result, [out], document=done.text)
 
 
 def load(params: parameters.Source, robot_name: str | None = None) -> Source:
@@ -173,14 +153,3 @@ def _check_names(source: Source, path: Path) -> None:
                 column=f"parameters.{name}",
                 hint=f"it has: {', '.join(source.assembly.names) or 'none'}",
             )
-
-
-def _warn_unknown(source: Source) -> None:
-    unknown = [
-        n for n, e in source.parameters.parameters.items() if e.status == "unidentifiable" and "[" not in n
-    ]
-    if unknown:
-        warn(
-            "SWM010",
-            f"exported as they stand, though their trials do not determine them: {', '.join(unknown)}",
-        )

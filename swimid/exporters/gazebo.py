@@ -25,9 +25,8 @@ from swimid.exporters.source import Element, Link, Source, about, central, surge
 from swimid.fitting.model import Array
 from swimid.swimmer.planar import engine
 
-#: Letters of force and velocity (SNAME) and sign of turning, by plane; swimid turns from x towards z.
-HORIZONTAL = (("x", "y", "n"), ("U", "V", "R"), (1.0, 1.0, 1.0))
-VERTICAL = (("x", "z", "m"), ("U", "W", "Q"), (1.0, 1.0, -1.0))
+#: Letters of force and velocity (SNAME) by plane.
+HORIZONTAL, VERTICAL = ("xyn", "UVR"), ("xzm", "UWQ")
 #: Mass of a helper link over that of the link it sits on.
 HELPER = 1e-6
 DART_ONLY = "fluid_added_mass acts with the DART engine only (Gazebo's default); others ignore it"
@@ -38,10 +37,10 @@ def export(source: Source, options: ExportOptions) -> Exported:
     inertias = common.bodies(source, fold=options.added_mass == "fold") if source.multilink else []
     heading = source.heading_rad if source.multilink else None
     if source.multilink:
-        links, dangers = _tree(source, options, inertias)
+        links = _tree(source, options, inertias)
         limits = _limits(source, options)
     else:
-        links, limits, dangers = _rigid(source, options)
+        links, limits = _rigid(source, options)
     limits.append(common.NO_ERRORS)
     text = common.document(
         "gazebo.sdf",
@@ -54,7 +53,7 @@ def export(source: Source, options: ExportOptions) -> Exported:
         servos=source.servos(inertias, options.servo_hz) if inertias else [],
         name_of=partial(_joint_name, source),
     )
-    return Exported(text, limits, dangers)
+    return Exported(text, limits)
 
 
 def _pose(source: Source, x: float, y: float, turn: float = 0.0) -> tuple[float, ...]:
@@ -75,9 +74,9 @@ class Part:
     welded_to: str = ""
 
 
-def _tree(source: Source, options: ExportOptions, inertias: list[Array]) -> tuple[list[Part], list[str]]:
-    parts, dangers = [], []
-    native, plugin = options.added_mass == "native", options.added_mass == "plugin"
+def _tree(source: Source, options: ExportOptions, inertias: list[Array]) -> list[Part]:
+    parts = []
+    native = options.added_mass == "native"
     for i, link in enumerate(source.links):
         mass, (x, y), moment = central(inertias[i])
         added = about(link.added, x, y)
@@ -88,7 +87,7 @@ def _tree(source: Source, options: ExportOptions, inertias: list[Array]) -> tupl
             link.name,
             mass,
             [moment] * 3,
-            _derivatives(source, here, added if plugin else None),
+            _derivatives(source, here),
             _six(source, added) if native and np.any(link.added) else None,
             _pose(source, x, y),
             relative_to=_joint_name(source, link.joint.name) if link.joint else "",
@@ -99,13 +98,7 @@ def _tree(source: Source, options: ExportOptions, inertias: list[Array]) -> tupl
             pose = _pose(source, element.at[0] - x, element.at[1] - y)
             tags = _derivatives(source, [element])
             parts.append(Part(name, HELPER * mass, small, tags, None, pose, link.name, welded_to=link.name))
-        ratio = _ratio(added, np.diag([mass, mass, moment]))
-        if plugin and ratio >= 1.0:
-            dangers.append(
-                f"the added mass of {link.name} is {ratio:.3g} times its own inertia: the plugin applies it "
-                "one step late and is unstable from 1 on (gz-sim#1923); leave it in fluid_added_mass"
-            )
-    return parts, dangers
+    return parts
 
 
 def _joint_name(source: Source, name: str) -> str:
@@ -113,12 +106,8 @@ def _joint_name(source: Source, name: str) -> str:
     return f"{name}_joint" if any(link.name == name for link in source.links) else name
 
 
-def _ratio(added: Array, body: Array) -> float:
-    return float(np.abs(np.linalg.eigvals(np.linalg.solve(body, added))).max())
-
-
 def _six(source: Source, added: Array) -> list[list[float]]:
-    """The added mass in six dimensions, positive, about the link's frame."""
+    """The added mass in six dimensions, positive, about the link's frame; swimid turns from x towards z."""
     index, sign = ([0, 2, 4], (1.0, 1.0, -1.0)) if source.vertical else ([0, 1, 5], (1.0, 1.0, 1.0))
     six = np.zeros((6, 6))
     six[np.ix_(index, index)] = added * np.outer(sign, sign)
@@ -130,14 +119,10 @@ def _pushes(element: Element) -> bool:
     return any(element.numbers[k] for k in ("quadratic_x", "quadratic_y", "linear_x", "linear_y"))
 
 
-def _derivatives(source: Source, drag: list[Element], added: Array | None = None) -> list[tuple[str, float]]:
-    """Stability derivatives of drag, and of an added mass, by their tag in the plugin."""
+def _derivatives(source: Source, drag: list[Element]) -> list[tuple[str, float]]:
+    """Stability derivatives of drag by their tag in the plugin."""
     tags = []
-    forces, speeds, sign = VERTICAL if source.vertical else HORIZONTAL
-    for i, (force, speed, key) in enumerate(zip(forces, speeds, "xyr", strict=True)):
-        for j, other in enumerate(speeds):
-            if added is not None and added[i, j] != 0.0:
-                tags.append((f"{force}Dot{other}", -sign[i] * sign[j] * added[i, j]))
+    for force, speed, key in zip(*(VERTICAL if source.vertical else HORIZONTAL), "xyr", strict=True):
         for kind, tag in (("linear", speed), ("quadratic", f"{speed}abs{speed}")):
             total = sum(e.numbers[f"{kind}_{key}"] for e in drag)
             if total:
@@ -163,12 +148,14 @@ def _limits(source: Source, options: ExportOptions) -> list[str]:
     wet = [link for link in source.links if np.any(link.added)]
     if wet and options.added_mass == "native":
         limits.append(DART_ONLY)
-    if wet and options.added_mass == "plugin":
-        limits.append(
-            "added mass in the plugin is deprecated since Gazebo Ionic, and its Coriolis force leaves out "
-            "products between directions"
-        )
-    limits += common.element_limits(source)
+    for kind, what in (
+        ("foil", "lift and drag of foils"),
+        ("wake", "thrust and side force of trailing edges"),
+        ("force", "weight, buoyancy and constant forces"),
+    ):
+        left = [source.links[e.link].name for e in source.elements if e.kind == kind]
+        if left:
+            limits.append(f"{what} are left out: {', '.join(dict.fromkeys(left))}")
     for name, law in source.laws.items():
         if law.spring:
             limits.append(
@@ -178,11 +165,15 @@ def _limits(source: Source, options: ExportOptions) -> list[str]:
             limits.append(f"{name}: the cubic stiffness is left out")
         if law.quadratic_damping:
             limits.append(f"{name}: the quadratic damping is left out")
-    limits += common.friction_limits(source)
-    return limits + common.drive_limits(source, options.servo_hz) + common.reading_limits(source)
+    out = "roll, yaw and sway" if source.vertical else "roll, pitch and heave"
+    return [
+        *limits,
+        *common.joint_limits(source, options.servo_hz),
+        f"{out} were not identified: no drag and no added mass there, the moments of inertia are assumed",
+    ]
 
 
-def _rigid(source: Source, options: ExportOptions) -> tuple[list[Part], list[str], list[str]]:
+def _rigid(source: Source, options: ExportOptions) -> tuple[list[Part], list[str]]:
     """One rigid body with surge drag only."""
     body = source.robot.body
     for key in ("inertial_mass_kg", "length_m", "width_m", "height_m"):
@@ -199,7 +190,7 @@ def _rigid(source: Source, options: ExportOptions) -> tuple[list[Part], list[str
     added = np.diag([drag["added_mass"], 0.0, 0.0])
     whole = mass + (drag["added_mass"] if choice == "fold" else 0.0)
     row = dict.fromkeys(engine.DRAG, 0.0) | {"quadratic_x": drag["quadratic"], "linear_x": drag["linear"]}
-    tags = _derivatives(source, [Element("drag", 0, row)], added if choice == "plugin" else None)
+    tags = _derivatives(source, [Element("drag", 0, row)])
     part = Part("body", whole, box, tags, _six(source, added) if choice == "native" else None)
     limits = [
         "a rig identifies surge only: no drag and no added mass in sway, heave, roll, pitch and yaw",
@@ -209,17 +200,11 @@ def _rigid(source: Source, options: ExportOptions) -> tuple[list[Part], list[str
     left = [name for name in source.parameters.parameters if name not in known]
     if left:
         limits.append(f"belong to the rig, not to the body: {', '.join(left)}")
-    choices = {
-        "fold": "added mass is part of the body's mass, in every direction",
-        "none": "added mass is left out, as asked",
-        "native": DART_ONLY,
-    }
-    if choice in choices:
-        limits.append(choices[choice])
-    dangers = []
-    if choice == "plugin" and drag["added_mass"] >= mass:
-        dangers.append(
-            f"the added mass, {drag['added_mass']:.4g} kg, is not below the body's {mass:.4g} kg: the plugin "
-            "applies it one step late and is unstable then (gz-sim#1923); leave it in fluid_added_mass"
-        )
-    return [part], limits, dangers
+    limits.append(
+        {
+            "fold": "added mass is part of the body's mass, in every direction",
+            "none": "added mass is left out, as asked",
+            "native": DART_ONLY,
+        }[choice]
+    )
+    return [part], limits

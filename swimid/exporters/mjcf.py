@@ -97,10 +97,7 @@ def _limits(source: Source, options: ExportOptions) -> list[str]:
             f"{what}: MuJoCo's fluid models have no such law; the numbers stand at sites and act once "
             "swimid.exporters.mjcf.water is installed as passive callback"
         )
-    limits += common.friction_limits(source)
-    limits += common.drive_limits(source, options.servo_hz)
-    limits.append(common.NO_ERRORS)
-    return limits
+    return [*limits, *common.joint_limits(source, options.servo_hz), common.NO_ERRORS]
 
 
 def water(model: Any) -> Callable[[Any, Any], None]:

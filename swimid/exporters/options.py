@@ -6,22 +6,35 @@ from typing import Literal
 
 from swimid.options import Options, option
 
-#: What becomes of the added mass: the target's own way, added to the bodies' masses, acceleration
-#: terms of the hydrodynamics plugin, or left out.
-AddedMass = Literal["native", "fold", "plugin", "none"]
 
+class ExportOptions(
+    Options,
+    command="export",
+    section="Publish",
+    argument="PARAMS",
+    output="The file to write. Without it, or with -o -, it goes to stdout.",
+    stdout={},
+    beside=(),
+):
+    """Write identified coefficients for MuJoCo or Gazebo, or as JSON.
 
-class ExportOptions(Options):
-    """What ``export`` can be told."""
+    PARAMS is a parameter file of a multi-link robot, or of a falling weight or towed body (Gazebo
+    and JSON). Each thing the simulator cannot carry is named in a warning.
 
-    to: Literal["mjcf", "gazebo", "stonefish", "json"] = option(help="What to write.")
+    Examples:
+      swimid export tfish.yaml --to mjcf --added-mass fold -o tfish.xml
+      swimid export drag.yaml --to gazebo -o boxfish.sdf
+      swimid export tfish.yaml --to json -o tfish.json
+    """
+
+    to: Literal["mjcf", "gazebo", "json"] = option(help="What to write.")
     robot: str | None = option(
         None, metavar="R", help="Built-in name or path of a robot file. Default: the one PARAMS names."
     )
-    added_mass: AddedMass = option(
+    added_mass: Literal["native", "fold", "none"] = option(
         "native",
         help="native: as the simulator itself has it, if it does. fold: part of the bodies' masses. "
-        "plugin: in Gazebo's Hydrodynamics plugin. none: left out.",
+        "none: left out.",
     )
     servo_hz: float = option(
         20.0,

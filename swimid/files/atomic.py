@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and groups of files that appear together or not at all."""
+"""Writing of complete files or none, and of groups of files together or none."""
 
 from __future__ import annotations
 
@@ -7,14 +7,15 @@ import shutil
 import signal
 import tempfile
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from types import FrameType
 
-from swimid.errors import InputError, UsageError
+from swimid.errors import InputError, UsageError, file_errors
+from swimid.files import parquet
 
 
 def check_writable(path: str | Path, *, inputs: Iterable[object] = ()) -> Path:
@@ -31,9 +32,11 @@ def check_writable(path: str | Path, *, inputs: Iterable[object] = ()) -> Path:
     InputError
         When its folder does not exist or cannot be written.
     UsageError
-        When it is one of ``inputs`` or a folder.
+        When it is one of ``inputs`` or a folder, or a Parquet file, and pyarrow is not installed.
     """
     path = Path(path)
+    if path.suffix.lower() in parquet.ENDINGS:
+        parquet.library()
     folder = path.parent
     if not folder.is_dir():
         raise InputError(
@@ -50,7 +53,7 @@ def check_writable(path: str | Path, *, inputs: Iterable[object] = ()) -> Path:
 
 
 def is_device(path: Path) -> bool:
-    """Whether the path is a device or a pipe: it is written to, never replaced."""
+    """Return whether the path is a device or a pipe, which is written to and never replaced."""
     return path.exists() and not path.is_file()
 
 
@@ -69,36 +72,28 @@ class _Group:
         """Rename every file to its own name; Ctrl-C waits, and an error undoes the renaming."""
         several = len(self.pending) + len(self.removed) > 1
         before: dict[Path, Path | None] = {}
-        try:
-            with _uninterrupted():
-                try:
-                    for path in (*self.pending, *self.removed):
-                        before[path] = _second_name(path) if several and path.exists() else None
-                    for path, temporary in self.pending.items():
-                        temporary.chmod(_mode(path))
-                        temporary.replace(path)
-                    for path in self.removed:
-                        path.unlink(missing_ok=True)
-                except OSError as error:
-                    self._undo(before)
-                    raise InputError(f"cannot be written: {error.strerror or error}", file=path) from error
-                self.folders.clear()
-                written = _WRITTEN.get()
-                if written is not None:
-                    written.extend(self.pending)
-        finally:
-            for spare in before.values():
-                if spare is not None:
+        with _uninterrupted():
+            try:
+                for path in (*self.pending, *self.removed):
+                    before[path] = _second_name(path) if several and path.exists() else None
+                for path, temporary in self.pending.items():
+                    temporary.chmod(_mode(path))
+                    temporary.replace(path)
+                for path in self.removed:
+                    path.unlink(missing_ok=True)
+            except OSError as error:
+                for path, spare in before.items():
+                    with suppress(OSError):
+                        if spare is not None:
+                            spare.replace(path)
+                        elif path in self.pending and not self.pending[path].exists():
+                            path.unlink()
+                raise InputError(f"cannot be written: {error.strerror or error}", file=path) from error
+            finally:
+                for spare in filter(None, before.values()):
                     spare.unlink(missing_ok=True)
-
-    def _undo(self, before: dict[Path, Path | None]) -> None:
-        for path, spare in before.items():
-            renamed = path in self.pending and not self.pending[path].exists()
-            with suppress(OSError):
-                if spare is not None:
-                    spare.replace(path)
-                elif renamed:
-                    path.unlink()
+            self.folders.clear()
+            _WRITTEN.get([]).extend(self.pending)
 
     def discard(self) -> None:
         """Remove what was not renamed."""
@@ -110,11 +105,11 @@ class _Group:
 
 
 _GROUP: ContextVar[_Group | None] = ContextVar("_GROUP", default=None)
-_WRITTEN: ContextVar[list[Path] | None] = ContextVar("_WRITTEN", default=None)
+_WRITTEN: ContextVar[list[Path]] = ContextVar("_WRITTEN")
 
 
 @contextmanager
-def together() -> Iterator[None]:
+def together() -> Iterator[_Group]:
     """Make the files that are written in this block appear when it ends well: all of them, or none.
 
     A block inside another one is part of it.
@@ -124,13 +119,14 @@ def together() -> Iterator[None]:
     InputError
         When a file cannot be renamed; those renamed before are restored.
     """
-    if _GROUP.get() is not None:
-        yield
+    outer = _GROUP.get()
+    if outer is not None:
+        yield outer
         return
     group = _Group()
     token = _GROUP.set(group)
     try:
-        yield
+        yield group
         group.commit()
     finally:
         _GROUP.reset(token)
@@ -161,40 +157,32 @@ def replacing(path: str | Path) -> Iterator[Path]:
         When the file cannot be written.
     """
     path = check_writable(path)
-    device = is_device(path)
-    try:
-        with together():
-            group = _GROUP.get()
-            assert group is not None
-            # a link stays, and the file it points to is replaced
-            target = Path(os.path.realpath(path)) if path.is_symlink() else path
-            folder = None if device else target.parent
-            handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=path.suffix, dir=folder)
-            os.close(handle)
-            temporary = Path(name)
-            group.temporaries.append(temporary)
-            yield temporary
-            if device:
-                path.write_bytes(temporary.read_bytes())
-            else:
-                with temporary.open("r+b") as stream:
-                    os.fsync(stream.fileno())
-                group.pending[target] = temporary
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror or error}", file=path) from error
+    # a link stays, and the file it points to is replaced
+    target = Path(os.path.realpath(path)) if path.is_symlink() else path
+    folder = None if is_device(path) else target.parent
+    with file_errors(path, "written"), together() as group:
+        handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=path.suffix, dir=folder)
+        os.close(handle)
+        temporary = Path(name)
+        group.temporaries.append(temporary)
+        yield temporary
+        if folder is None:
+            path.write_bytes(temporary.read_bytes())
+        else:
+            with temporary.open("r+b") as stream:
+                os.fsync(stream.fileno())
+            group.pending[target] = temporary
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write ``text`` as UTF-8, whole or not at all."""
+    """Write ``text`` as UTF-8, complete or not at all."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
 def remove(path: Path) -> None:
     """Remove a file that a new one makes obsolete, when the group of the new one ends well."""
-    with together():
-        group = _GROUP.get()
-        assert group is not None
+    with together() as group:
         group.removed.append(path)
 
 
@@ -206,36 +194,44 @@ def make_folder(path: Path) -> None:
     InputError
         When it cannot be made.
     """
-    group = _GROUP.get()
     if path.is_dir():
         return
-    try:
+    with file_errors(path, "made"), together() as group:
         path.mkdir()
-    except OSError as error:
-        raise InputError(f"cannot be made: {error.strerror or error}", file=path) from error
-    if group is not None:
         group.folders.append(path)
+
+
+@contextmanager
+def on_interrupt(handle: Callable[[Callable[[], None]], object]) -> Iterator[None]:
+    """Call ``handle`` for every Ctrl-C in the block, with the function that does what Ctrl-C did before.
+
+    Outside the main thread, and where Ctrl-C is ignored, nothing changes.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(before):
+        yield
+        return
+    signal.signal(signal.SIGINT, lambda number, frame: handle(partial(before, number, frame)))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
     """Hold Ctrl-C back until the block has ended."""
-    before = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or not callable(before):
-        yield
-        return
-    received: list[tuple[int, FrameType | None]] = []
-    signal.signal(signal.SIGINT, lambda number, frame: received.append((number, frame)))
+    received: list[Callable[[], None]] = []
     try:
-        yield
+        with on_interrupt(received.append):
+            yield
     finally:
-        signal.signal(signal.SIGINT, before)
         if received:
-            before(*received[-1])
+            received[-1]()
 
 
 def _second_name(path: Path) -> Path:
-    """A hidden second name of a file's content, by which it can be restored."""
+    """Return a hidden second name of a file, from which it can be restored."""
     handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=".before", dir=path.parent)
     os.close(handle)
     spare = Path(name)
@@ -248,7 +244,7 @@ def _second_name(path: Path) -> Path:
 
 
 def _mode(path: Path) -> int:
-    """The permissions the finished file should have: the old file's, or the usual ones."""
+    """Return the permissions of the new file: those of the old one, or the usual ones."""
     if path.exists():
         return path.stat().st_mode & 0o777
     mask = os.umask(0)

@@ -1,13 +1,15 @@
-"""Checkpoints: what a long run has computed so far, kept beside its output (``docs/formats.md``)."""
+"""Checkpoints: intermediate results of a long run in a file beside its output (``docs/formats.md``)."""
 
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import threading
 import weakref
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import swimid
-from swimid.errors import InputError
+from swimid.errors import file_errors
 from swimid.files import atomic, lock
 from swimid.notices import warn
 
@@ -24,7 +26,7 @@ DIGITS = 32
 
 
 def place(output: Path) -> Path:
-    """Where the checkpoint of an output is kept."""
+    """Return the path of the checkpoint of an output."""
     return output.with_name(f"{output.name}.partial")
 
 
@@ -82,14 +84,12 @@ class Checkpoint:
         atomic.check_writable(path)
         # also where a run fails: when nobody refers to the checkpoint any more
         self._release = weakref.finalize(self, lock.take(path.with_suffix("")).release)
-        try:
+        with file_errors(path):
             self._read(path, anew)
-        except OSError as error:
-            raise InputError(f"cannot be read: {error.strerror or error}", file=path) from error
 
     @classmethod
     def beside(cls, output: Path | None, belongs_to: Any, *, anew: bool = False) -> Checkpoint:
-        """The checkpoint of an output; its key is of this version and of ``belongs_to`` as JSON."""
+        """Return the checkpoint of an output; its key depends on ``belongs_to`` and the version of swimid."""
         text = json.dumps([belongs_to, swimid.__version__], sort_keys=True)
         path = None if output is None else place(output)
         return cls(path, hashlib.sha256(text.encode()).hexdigest(), anew=anew)
@@ -100,7 +100,7 @@ class Checkpoint:
         return bool(self._known)
 
     def get(self, name: str) -> NDArray[np.float64] | None:
-        """The values kept under a name."""
+        """Return the values kept under a name."""
         kept = self._known.get(name)
         return None if kept is None else np.array(kept, dtype=float)
 
@@ -122,7 +122,7 @@ class Checkpoint:
                 self._full = True
 
     def kept(self, name: str, compute: Callable[[], NDArray[np.float64]]) -> NDArray[np.float64]:
-        """The values kept under a name; computed and kept where there are none."""
+        """Return the values kept under a name; compute and keep them if there are none."""
         values = self.get(name)
         if values is None:
             values = compute()
@@ -153,29 +153,29 @@ class Checkpoint:
         """Sort the lines into those of this run, those of others and damaged ones."""
         raw = path.read_bytes() if path.is_file() else b""
         lines = [line.decode("utf-8", "replace") for line in raw.splitlines() if line.strip()]
-        parsed = [(line, _parsed(line)) for line in lines]
-        damaged = sum(piece is None for _, piece in parsed)
-        for line, piece in parsed:
-            if piece is None:
-                continue
-            key, name, values = piece
-            if key != self._key_of(name):
+        damaged = 0
+        for line in lines:
+            key, name, values = _parsed(line)
+            if not key:
+                damaged += 1
+            elif key != self._key_of(name):
                 self._others.append(line)
             elif not anew:
                 self._known[name] = values
         _PIECES[path] = len(self._known)
         if damaged == len(lines) > 0:
-            aside = _unused(path)
+            names = (path.with_name(f"{path.name}.damaged{k}") for k in itertools.count(1))
+            aside = next(name for name in names if not name.exists())
             path.rename(aside)
-            warn(
-                "SWM150", f"{path} is no checkpoint, or is damaged throughout; it was renamed to {aside.name}"
-            )
-        elif anew:
+            text = f"{path} is no checkpoint, or is damaged throughout; it was renamed to {aside.name}"
+            warn("SWM150", text)
+            return
+        if anew:
             self._rewrite()
         elif lines and not raw.endswith(b"\n"):
             with path.open("ab") as stream:
                 stream.write(b"\n")
-        others, damaged = len(self._others), damaged if damaged < len(lines) else 0
+        others = len(self._others)
         reasons = {"of runs with other inputs or options, or of another version": others, "damaged": damaged}
         if others or damaged:
             told = ", ".join(f"{count} {reason}" for reason, count in reasons.items() if count)
@@ -187,20 +187,11 @@ def _sum(key: str, name: str, values: list[float]) -> str:
     return hashlib.sha256(json.dumps([key, name, values]).encode()).hexdigest()[:DIGITS]
 
 
-def _parsed(line: str) -> tuple[str, str, list[float]] | None:
-    """Key, name and values of a line; None where it is damaged."""
-    try:
+def _parsed(line: str) -> tuple[str, str, list[float]]:
+    """Return key, name and values of a line; the key of a damaged line is empty."""
+    with suppress(ValueError, TypeError, KeyError):
         piece = json.loads(line)
         key, name, values = piece["key"], piece["name"], piece["values"]
-        sound = piece["sum"] == _sum(key, name, values)
-    except (ValueError, TypeError, KeyError):
-        return None
-    return (key, name, values) if sound else None
-
-
-def _unused(path: Path) -> Path:
-    """A name beside a file that no file has."""
-    count = 1
-    while (found := path.with_name(f"{path.name}.damaged{count}")).exists():
-        count += 1
-    return found
+        if piece["sum"] == _sum(key, name, values):
+            return key, name, values
+    return "", "", []

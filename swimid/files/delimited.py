@@ -1,25 +1,25 @@
-"""What the CSV formats share: comment lines, the header, and words for what is wrong with it."""
+"""Comment lines, header and cells of CSV files, and the messages about errors in them."""
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import csv
+import io
+import warnings
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 from swimid.errors import InputError, nearest
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor, Future
+    import pandas as pd
 
-A = TypeVar("A")
-B = TypeVar("B")
 #: Words that mean "missing" in a cell, beside the empty cell the formats ask for.
-MISSING = ["", "nan", "NaN", "NAN", "NA", "null"]
+MISSING = ["", "nan", "-nan", "NaN", "NAN", "NA", "null"]
 
 
 def head(path: Path) -> tuple[list[str], str, int]:
-    """Comment lines without their ``#``, the header line, and its number (from 1).
+    """Return the comment lines without ``#``, the header line, and its number (from 1).
 
     Raises
     ------
@@ -52,7 +52,7 @@ def head(path: Path) -> tuple[list[str], str, int]:
 
 
 def column_names(header: str, path: Path, line: int) -> list[str]:
-    """The names of a header line.
+    """Return the names of a header line.
 
     Raises
     ------
@@ -72,10 +72,77 @@ def column_names(header: str, path: Path, line: int) -> list[str]:
     return names
 
 
+def parse(
+    source: Path | bytes,
+    names: Sequence[str],
+    types: type | Mapping[str, type],
+    *,
+    skip_lines: int = 0,
+    delimiter: str = ",",
+    decimal: str = ".",
+    missing: Sequence[str] = MISSING,
+) -> pd.DataFrame:
+    """Return the cells under the header as a table, one row for each line that is not blank.
+
+    A line with too few cells has missing values at its end. A line with too many is left out. Every
+    number is the nearest one to the digits in its cell.
+
+    Parameters
+    ----------
+    source : path or bytes
+        The file, or its text in UTF-8.
+    names : sequence of str
+        Names of all columns.
+    types : type or mapping of str to type
+        ``float`` or ``str``, of all columns or of each; a column without a type has that of its cells.
+
+    Raises
+    ------
+    ValueError
+        A cell of a column of numbers is none, or a quotation mark is not closed.
+    """
+    import pandas as pd
+
+    try:
+        with warnings.catch_warnings():
+            # of a first line with too many cells, and of cells of two types in a column without one
+            warnings.simplefilter("ignore")
+            return pd.read_csv(
+                source if isinstance(source, Path) else io.BytesIO(source),
+                sep=delimiter,
+                decimal=decimal,
+                header=None,
+                names=names,
+                index_col=False,
+                dtype=types,
+                skiprows=skip_lines,
+                keep_default_na=False,
+                na_values=missing,
+                on_bad_lines="skip",
+                encoding_errors="replace",
+            )
+    except pd.errors.EmptyDataError:
+        return pd.DataFrame(columns=names, dtype=float)
+
+
+def count_cells(line: str, delimiter: str = ",") -> int:
+    """Return the number of cells of a line; 0 if a quotation mark is not closed.
+
+    >>> count_cells('1,,"2,3"')
+    3
+    """
+    if '"' not in line:
+        return line.count(delimiter) + 1
+    try:
+        return len(next(csv.reader([line], delimiter=delimiter, strict=True)))
+    except csv.Error:
+        return 0
+
+
 def missing_column(
     column: str, names: Sequence[str], path: Path, line: int | None, what: str = "this column is missing"
 ) -> InputError:
-    """The error for a column that is not there; suggests the nearest that is."""
+    """Return the error for a missing column, with the nearest name as hint."""
     close = nearest(column, list(names))
     hint = f"did you mean '{close}'? " if close else ""
     return InputError(
@@ -83,19 +150,8 @@ def missing_column(
     )
 
 
-def worked_ahead(pool: Executor, work: Callable[[A], B], pieces: Iterable[A], ahead: int) -> Iterator[B]:
-    """What ``work`` makes of each piece of a file, in their order, ``ahead`` of them worked on beforehand."""
-    waiting: deque[Future[B]] = deque()
-    for piece in pieces:
-        waiting.append(pool.submit(work, piece))
-        if len(waiting) > ahead:
-            yield waiting.popleft().result()
-    while waiting:
-        yield waiting.popleft().result()
-
-
 def number(text: str) -> float | None:
-    """The number a cell holds, or None where it is none.
+    """Return the number in a cell, or None.
 
     >>> number(" 1e-3 "), number("1,5"), number("1_0")
     (0.001, None, None)
@@ -109,7 +165,7 @@ def number(text: str) -> float | None:
 
 
 def number_hint(text: str) -> str:
-    """What to write in place of a cell that is no number."""
+    """Return the hint for a cell that is no number."""
     if number(text.replace(",", ".")) is not None:
         return "write the decimal point as a dot"
     return "leave the cell empty where the sample is missing"

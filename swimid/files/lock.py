@@ -8,8 +8,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from swimid.errors import InputError, UsageError
+from swimid.errors import UsageError, file_errors
+
+if TYPE_CHECKING:
+    from filelock import BaseFileLock
 
 
 @dataclass(eq=False)
@@ -20,22 +24,17 @@ class Lock:
     directly or through a run that failed, shares it.
     """
 
-    path: Path
+    file: BaseFileLock
     thread: threading.Thread = field(default_factory=threading.current_thread)
     holders: int = 1
 
     def release(self) -> None:
         """Remove the lock after as many calls as there were of :func:`take`."""
         self.holders -= 1
-        if self.holders == 0 and _HELD.get(self.path) is self:
-            del _HELD[self.path]
-            self._file.release()
-
-    def __post_init__(self) -> None:
-        from filelock import SoftFileLock
-
-        self._file = SoftFileLock(self.path, timeout=0, thread_local=False)
-        self._file.acquire()
+        path = Path(self.file.lock_file)
+        if self.holders == 0 and _HELD.get(path) is self:
+            del _HELD[path]
+            self.file.release()
 
 
 #: The locks of this process.
@@ -60,17 +59,19 @@ def take(output: Path) -> Lock:
         own.thread = thread
         own.holders += 1
         return own
-    try:
-        _HELD[path] = Lock(path)
-    except Timeout:
-        pid = SoftFileLock(path).pid
-        who = "another run of swimid" if pid is None else f"another run of swimid (process {pid})"
-        raise UsageError(
-            f"{output} is being written by {who}",
-            hint=f"wait for it, or name another output; if no such run exists, delete {path}",
-        ) from None
-    except OSError as error:
-        raise InputError(f"cannot be locked: {error.strerror or error}", file=output) from error
+    file = SoftFileLock(path, timeout=0, thread_local=False)
+    with file_errors(output, "locked"):
+        try:
+            file.acquire()
+        except Timeout:
+            who = "another run of swimid"
+            if file.pid is not None:
+                who = f"{who} (process {file.pid})"
+            raise UsageError(
+                f"{output} is being written by {who}",
+                hint=f"wait for it, or name another output; if no such run exists, delete {path}",
+            ) from None
+    _HELD[path] = Lock(file)
     return _HELD[path]
 
 

@@ -10,11 +10,13 @@ import hashlib
 import json
 import re
 import zlib
+from contextlib import suppress
 from itertools import takewhile
 from pathlib import Path
 
 import swimid
-from swimid.errors import InputError
+from swimid.errors import file_errors
+from swimid.files import parquet
 
 #: Value of a picture's ``Software`` or ``dc:creator``.
 SOFTWARE = "swimid"
@@ -43,11 +45,11 @@ _SVG = re.compile(
     r"<dc:creator>\s*<cc:Agent>\s*<dc:title>swimid</dc:title>",
     re.DOTALL,
 )
-_MARKDOWN = re.compile(r"\nMade by swimid \S+ on \d{4}-\d\d-\d\d [\d:]+ UTC\. [^\n]*\n\Z")
+_MARKDOWN = re.compile(r"\nMade by swimid \S+ on \d{4}-\d\d-\d\d [\d:]+ UTC\. [^\n]*\n?\Z")
 
 
 def is_own(path: Path) -> bool:
-    """Whether swimid wrote this file, so that a rerun may replace it. An empty file and a device are no loss.
+    """Return whether swimid wrote this file, so that a rerun may replace it; true of empty files and devices.
 
     Raises
     ------
@@ -56,7 +58,7 @@ def is_own(path: Path) -> bool:
     """
     if not path.is_file():
         return True
-    try:
+    with file_errors(path), suppress(ValueError):  # neither JSON nor Parquet
         with path.open("rb") as stream:
             head = stream.read(NEAR)
             stream.seek(max(path.stat().st_size - NEAR, 0))
@@ -65,11 +67,8 @@ def is_own(path: Path) -> bool:
             return _own_parquet(path)
         if head[:4] in (b"\x89PNG", b"GIF8"):
             return _own_picture(path)
-        if not head or tail.endswith(VIDEO_BOX):
-            return True
-        return _own_text(path, head, tail)
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror or error}", file=path) from error
+        return not head or tail.endswith(VIDEO_BOX) or _own_text(path, head, tail)
+    return False
 
 
 def draft(text: str) -> str:
@@ -93,12 +92,10 @@ def _digest(text: str) -> str:
 
 
 def _own_parquet(path: Path) -> bool:
-    import pyarrow as pa
-    from pyarrow import parquet
-
+    pyarrow = parquet.library()
     try:
-        stored = (parquet.read_schema(path).metadata or {}).get(b"swimid", b"")
-    except pa.ArrowInvalid:
+        stored = (pyarrow.parquet.read_schema(path).metadata or {}).get(b"swimid", b"")
+    except pyarrow.ArrowInvalid:
         return False
     return any(_LOG.match(line) for line in stored.decode("utf-8", "replace").splitlines())
 
@@ -106,12 +103,9 @@ def _own_parquet(path: Path) -> bool:
 def _own_picture(path: Path) -> bool:
     from PIL import Image, UnidentifiedImageError
 
-    try:
-        with Image.open(path) as picture:
-            said = picture.info
-    except UnidentifiedImageError:
-        return False
-    return said.get("Software") == SOFTWARE or said.get("comment") == MADE_BY.encode()
+    with suppress(UnidentifiedImageError), Image.open(path) as picture:
+        return picture.info.get("Software") == SOFTWARE or picture.info.get("comment") == MADE_BY.encode()
+    return False
 
 
 def _own_text(path: Path, head: bytes, tail: bytes) -> bool:
@@ -134,10 +128,7 @@ def _own_text(path: Path, head: bytes, tail: bytes) -> bool:
 
 
 def _own_json(path: Path) -> bool:
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError:
-        return False
+    data = json.loads(path.read_text(encoding="utf-8"))
     comment = str(data.get("$comment", ""))
     by_verb = comment.startswith("written by swimid ") or {"swimid", "packages", "healthy"} <= set(data)
     return by_verb or _written_format(str(data.get("format")))

@@ -1,4 +1,4 @@
-"""Where a result comes from: command, version, inputs and their SHA-256."""
+"""Provenance of a result: command, version, inputs and their SHA-256."""
 
 from __future__ import annotations
 
@@ -13,43 +13,37 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import swimid
-from swimid.errors import InputError
+from swimid.errors import file_errors
 
 
 def sha256(path: str | Path) -> str:
-    """SHA-256 of a file as hexadecimal digits, read in pieces."""
-    digest = hashlib.sha256()
-    try:
-        with Path(path).open("rb") as stream:
-            while piece := stream.read(1 << 20):
-                digest.update(piece)
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror or error}", file=path) from error
-    return digest.hexdigest()
+    """Return the SHA-256 of a file in hexadecimal digits."""
+    with file_errors(path), Path(path).open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 class InMemory(Protocol):
-    """An input that is no file."""
+    """An input in memory."""
 
     @property
     def name(self) -> str:
-        """What it is called."""
+        """Name of the input."""
         ...
 
     def digest(self) -> str:
-        """SHA-256 of what it holds, as hexadecimal digits."""
+        """Return the SHA-256 of its content in hexadecimal digits."""
         ...
 
 
 @dataclass(frozen=True)
 class Held:
-    """What stands for an input that was in memory and is no longer needed."""
+    """Name and SHA-256 of an input that was in memory."""
 
     name: str
     sha256: str
 
     def digest(self) -> str:
-        """SHA-256 of what it held."""
+        """Return the SHA-256 of its content."""
         return self.sha256
 
 
@@ -58,14 +52,14 @@ Input = str | Path | InMemory
 
 
 def path_of(given: Input) -> Path:
-    """Where an input lies; of one in memory its name."""
+    """Return the path of an input; the name of one in memory."""
     return Path(given if isinstance(given, str | Path) else given.name)
 
 
 def digests_of(inputs: Iterable[Input]) -> dict[str, str]:
-    """SHA-256 of each input; a file by its name relative to the working folder, what is none by its own.
+    """Return the SHA-256 of each input by its name, of a file relative to the working folder.
 
-    Of several in memory that have one name but differ, the later ones are numbered.
+    Inputs in memory that differ but have the same name are numbered.
     """
     digests: dict[str, str] = {}
     for given in inputs:
@@ -82,14 +76,14 @@ def digests_of(inputs: Iterable[Input]) -> dict[str, str]:
 
 
 def digest_of(given: Input) -> str:
-    """SHA-256 of one input as hexadecimal digits."""
+    """Return the SHA-256 of one input in hexadecimal digits."""
     return sha256(given) if isinstance(given, str | Path) else given.digest()
 
 
 def digest_together(name: str | Path, files: Sequence[str | Path]) -> dict[str, str]:
-    """One SHA-256 for many files under one name: that of their digests, each with its file's name.
+    """Return one SHA-256 for many files under one name: that of their digests and names.
 
-    A single file has its own.
+    A single file keeps its own SHA-256.
     """
     if len(files) == 1:
         return {os.path.relpath(name): sha256(files[0])}
@@ -103,16 +97,16 @@ def collect(
     settings: dict[str, Any] | None = None,
     digests: dict[str, str] | None = None,
 ) -> dict[str, Any]:
-    """The ``provenance`` block of a result.
+    """Return the ``provenance`` block of a result.
 
     Parameters
     ----------
     inputs : iterable of paths and objects
-        Every file that was read, named relative to the working folder, and what was handed over in memory.
+        Every file that was read, and every input in memory.
     settings : dict, optional
-        The options the result was made with, defaults included.
+        Options of the command, with defaults.
     digests : dict, optional
-        :func:`digests_of` the inputs, where they were taken while something else went on.
+        :func:`digests_of` the inputs, if they are known already.
     """
     return {
         "command": command_line(),
@@ -124,13 +118,13 @@ def collect(
 
 
 def command_line() -> str:
-    """The command as it was typed, with the program's bare name."""
+    """Return the command as it was typed, without the folder of the program."""
     program = Path(sys.argv[0]).name
     return shlex.join(["swimid" if program == "__main__.py" else program, *sys.argv[1:]])
 
 
 def _versions() -> dict[str, str]:
-    """Versions of Python and of the libraries in use."""
+    """Return the versions of Python and of the imported libraries."""
     labels = ("numpy", "scipy", "numba", "pandas", "opencv", "control")
     loaded = {label: sys.modules.get("cv2" if label == "opencv" else label) for label in labels}
     return {"python": sys.version.split()[0]} | {

@@ -1,4 +1,4 @@
-"""Videos written frame by frame: H.264 where PyAV is there, else MPEG-4; GIF."""
+"""Writing of videos frame by frame: H.264 if PyAV is installed, else MPEG-4; GIF."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from swimid.files.mark import MADE_BY, VIDEO_BOX
 Frame = NDArray[np.uint8]
 #: Ticks a second of the time stamps.
 CLOCK = 90_000
-#: What to say where browsers will not play the result.
+#: Remark if browsers do not play the video.
 REMARK = "the {} is MPEG-4, which browsers do not play; pip install 'swimid[video]' for H.264"
 
 
@@ -108,7 +108,7 @@ class Gif:
 
         if not self._frames:
             return
-        # the last frame shows all there is to show
+        # the last frame shows the whole path
         palette = Image.fromarray(self._frames[-1]).quantize(colors=64)
         first, *rest = (
             Image.fromarray(f).quantize(palette=palette, dither=Image.Dither.NONE) for f in self._frames
@@ -129,7 +129,7 @@ Writer = H264 | Mpeg4 | Gif
 
 
 def open_writer(path: Path, rate: float, width: int, height: int) -> Writer:
-    """A writer for the ending of ``path``; :class:`Mpeg4` where PyAV is missing.
+    """Return a writer for the ending of ``path``; :class:`Mpeg4` if PyAV is missing.
 
     Parameters
     ----------

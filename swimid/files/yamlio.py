@@ -1,4 +1,4 @@
-"""YAML in and out: comments survive, floats keep their last bit, errors name the line."""
+"""Reading and writing of YAML: comments stay, floats keep their last bit, errors name the line."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ import hashlib
 import io
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 from ruamel.yaml import YAML
-from ruamel.yaml.comments import CommentedMap
+from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.constructor import DuplicateKeyError
-from ruamel.yaml.error import MarkedYAMLError
 from ruamel.yaml.nodes import MappingNode, Node, SequenceNode
 
-from swimid.errors import InputError, first_line, nearest
+from swimid.errors import InputError, file_errors, first_line, nearest, suggestion
 from swimid.files import atomic
 
 #: A larger file is refused before it is parsed.
@@ -35,18 +35,18 @@ class Document(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, validate_default=False)
 
     def digest(self) -> str:
-        """SHA-256 of its keys and values, as hexadecimal digits; for a document that is no file."""
+        """Return the SHA-256 of keys and values in hexadecimal digits, for a document in memory."""
         return hashlib.sha256(self.model_dump_json(exclude_none=True).encode()).hexdigest()
 
 
 class ResultFile(Document):
-    """Base of a format that a verb writes, the default of its field ``format``."""
+    """Base of a format that a command writes; the default of its field ``format`` names it."""
 
-    #: What it is called in messages: ``"comparison file"``.
+    #: Name in messages: ``"comparison file"``.
     kind: ClassVar[str]
 
     def write(self, path: str | Path) -> None:
-        """Write the file, whole or not at all; what is not known is left out."""
+        """Write the file, complete or not at all, without the keys whose value is None."""
         write(path, self.model_dump(mode="python", exclude_none=True))
 
     @classmethod
@@ -62,16 +62,26 @@ class ResultFile(Document):
         return validate(data, cls, Path(path))
 
 
-def _known(value: Any) -> Any:
-    """Arrays as lists, and nothing where a number is none."""
-    if hasattr(value, "tolist"):
+def plain(value: Any, *, finite: bool = False) -> Any:
+    """Return data as plain Python dicts, lists, strings and numbers; with ``finite``, NaN and inf as None."""
+    if isinstance(value, BaseModel):
+        value = value.model_dump(mode="python")
+    if hasattr(value, "tolist"):  # numpy scalars and arrays
         value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(k): plain(v, finite=finite) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_known(v) for v in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        return [plain(v, finite=finite) for v in value]
+    if isinstance(value, Path):
+        return value.as_posix()
+    if finite and isinstance(value, float) and not math.isfinite(value):
+        return None
+    kinds = () if isinstance(value, bool) else (float, int, str)
+    return next((kind(value) for kind in kinds if isinstance(value, kind)), value)
 
 
-#: A number, or nothing where none can be had; the same in lists, rows and pairs.
+_known = partial(plain, finite=True)
+#: A number, or None if it is undefined; the same in lists, rows and pairs.
 Number = Annotated[float | None, BeforeValidator(_known)]
 Numbers = Annotated[list[float | None], BeforeValidator(_known)]
 Rows = Annotated[list[list[float | None]], BeforeValidator(_known)]
@@ -113,36 +123,27 @@ def load(path: str | Path) -> CommentedMap:
         key, or expands beyond reason through anchors.
     """
     path = Path(path)
-    try:
+    with file_errors(path):
         raw = path.read_bytes()
-    except OSError as error:
-        hint = "check the path" if isinstance(error, FileNotFoundError) else None
-        raise InputError(f"cannot be read: {error.strerror or error}", file=path, hint=hint) from error
-    if len(raw) > MAX_BYTES:
-        raise InputError(f"has {len(raw)} bytes; a YAML input may have {MAX_BYTES}", file=path)
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line, hint = raw[: error.start].count(b"\n") + 1, "save it as UTF-8, or is it another kind of file?"
         raise InputError("is not UTF-8 text", file=path, line=line, hint=hint) from error
+    if len(raw) > MAX_BYTES:
+        raise InputError(f"has {len(raw)} bytes; a YAML input may have {MAX_BYTES}", file=path)
     try:
         node = _yaml().compose(io.StringIO(text))
         size = 0 if node is None else _expanded(node, {}, 0)
         data = _yaml().load(io.StringIO(text)) if 0 < size <= MAX_NODES else None
-    except MarkedYAMLError as error:
-        twice = isinstance(error, DuplicateKeyError)
-        mark = error.problem_mark or error.context_mark
-        problem = f"is not valid YAML: {error.problem or error.context}"
-        if twice:
-            problem = str(error.problem or "a key stands twice").split("with value")[0].strip()
-        raise InputError(
-            problem,
-            file=path,
-            line=mark.line + 1 if mark else None,
-            hint="keep one of them" if twice else None,
-        ) from error
     except Exception as error:
-        raise InputError(f"is not valid YAML: {first_line(error)}", file=path) from error
+        mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
+        place = mark.line + 1 if mark else None
+        problem = getattr(error, "problem", None) or getattr(error, "context", None) or first_line(error)
+        if isinstance(error, DuplicateKeyError):
+            twice = problem.split("with value")[0].strip()
+            raise InputError(twice, file=path, line=place, hint="keep one of them") from error
+        raise InputError(f"is not valid YAML: {problem}", file=path, line=place) from error
     if size == 0:
         raise InputError("is empty", file=path)
     if size > MAX_NODES:
@@ -154,12 +155,12 @@ def load(path: str | Path) -> CommentedMap:
 
 
 def of_format(path: str | Path, form: str, what: str) -> CommentedMap:
-    """A document that says it has a format.
+    """Read a document of a format.
 
     Raises
     ------
     InputError
-        When it does not, naming ``what`` it should be.
+        When it states another format or none; ``what`` names the document.
     """
     data = load(path)
     if data.get("format") != form:
@@ -168,7 +169,7 @@ def of_format(path: str | Path, form: str, what: str) -> CommentedMap:
 
 
 def _expanded(node: Node, known: dict[int, int], depth: int) -> int:
-    """Number of nodes the document has once every alias is written out."""
+    """Count the nodes of the document with every alias written out."""
     if depth > MAX_DEPTH:
         raise ValueError(f"nested more than {MAX_DEPTH} levels deep")
     if id(node) not in known:
@@ -199,59 +200,67 @@ def validate(data: Mapping[str, Any], model: type[M], path: str | Path) -> M:
         problems = error.errors()
         first = min(problems, key=lambda p: p["type"] != "extra_forbidden")
         message, hint = _explain(first, data, model)
-        others = {tuple(_in_data(data, problem)) for problem in problems}
+        others = {tuple(_key(data, problem)) for problem in problems}
         raise InputError(
             f"{message} (and {len(others) - 1} more)" if len(others) > 1 else message,
             file=path,
             line=line_of(data, first["loc"]),
-            column=".".join(map(str, _in_data(data, first))) or None,
+            column=".".join(map(str, _key(data, first))) or None,
             hint=hint,
         ) from error
 
 
-def _in_data(data: Any, problem: Any) -> list[Any]:
-    """Where a problem is, without the names of the branches of unions that pydantic puts in between."""
-    found = []
-    *way, last = problem["loc"] or ("",)
-    for part in (*way, last):
-        here = (isinstance(data, Mapping) and part in data) or (
-            isinstance(data, list) and isinstance(part, int)
-        )
-        if here:
-            data = data[part] if isinstance(data, Mapping) or part < len(data) else None
-        if here or (part is last and problem["type"] == "missing"):
-            found.append(part)
-    return found
+def _followed(data: Any, location: Sequence[Any]) -> tuple[list[Any], Any, int | None]:
+    """Return the parts of a location that are in the data, what is there, and its line.
+
+    The names of branches of unions, which pydantic puts in between, are not in the data.
+    """
+    parts: list[Any] = []
+    line: int | None = None
+    for part in location:
+        in_list = isinstance(data, list) and isinstance(part, int) and part < len(data)
+        if in_list or (isinstance(data, Mapping) and part in data):
+            lines: dict[Any, Any] = getattr(getattr(data, "lc", None), "data", None) or {}
+            line = lines[part][0] + 1 if part in lines else line
+            parts.append(part)
+            data = data[part]
+    return parts, data, line
+
+
+def line_of(data: Any, location: Sequence[Any]) -> int | None:
+    """Return the line of the deepest part of ``location`` that is in the document."""
+    return _followed(data, location)[2]
+
+
+def _key(data: Any, problem: Any) -> list[Any]:
+    """Return the key that a problem is about, one that is missing too."""
+    parts = _followed(data, problem["loc"])[0]
+    return [*parts, problem["loc"][-1]] if problem["type"] == "missing" else parts
 
 
 def _explain(problem: Any, data: Any, model: type[BaseModel]) -> tuple[str, str | None]:
-    """What is wrong, and what to do about it."""
+    """Return message and hint of a problem."""
     kind, location, value = problem["type"], problem["loc"], problem.get("input")
     if kind == "extra_forbidden":
         allowed = sorted(_keys_at(model, location[:-1]))
-        meant = nearest(str(location[-1]), allowed)
-        hint = f"did you mean '{meant}'?" if meant else f"allowed here: {', '.join(allowed)}"
-        return f"unknown key '{location[-1]}'", hint if allowed else None
+        hint = suggestion(str(location[-1]), allowed, "allowed here") if allowed else None
+        return f"unknown key '{location[-1]}'", hint
     if kind == "missing":
-        place = _at(data, location[:-1])
+        place = _followed(data, location[:-1])[1]
         wrote = nearest(str(location[-1]), [str(key) for key in place] if isinstance(place, Mapping) else [])
         return f"key '{location[-1]}' is missing", f"you wrote '{wrote}'" if wrote else None
     message = problem["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
     if kind == "value_error":
         return message, None
-    close: str | None = None
-    if kind in ("literal_error", "enum"):
-        expected = str(problem.get("ctx", {}).get("expected", "")).replace(" or ", ",")
-        close = nearest(str(value), [word.strip(" '") for word in expected.split(",")])
+    expected = str(problem.get("ctx", {}).get("expected", "")).replace(" or ", ",")
+    close = nearest(str(value), [word.strip(" '") for word in expected.split(",")])
     shown = repr(value) if value is None or isinstance(value, str | int | float) else type(value).__name__
-    return (
-        f"{shown} is not allowed: {message[0].lower()}{message[1:]}",
-        f"did you mean '{close}'?" if close else None,
-    )
+    hint = f"did you mean '{close}'?" if close else None
+    return f"{shown} is not allowed: {message[0].lower()}{message[1:]}", hint
 
 
 def _keys_at(model: Any, location: Sequence[Any]) -> set[str]:
-    """Names the schema allows at a location; empty where it cannot be told."""
+    """Return the keys that the schema allows at a location."""
     schema = model.model_json_schema()
     definitions = schema.get("$defs", {})
 
@@ -265,78 +274,28 @@ def _keys_at(model: Any, location: Sequence[Any]) -> set[str]:
     for part in location:
         following: list[dict[str, Any]] = []
         for node in nodes:
+            inner = node.get("properties", {}).get(part, node.get("additionalProperties"))
             if isinstance(part, int):
-                following += resolve(node["items"]) if isinstance(node.get("items"), dict) else []
-            elif part in node.get("properties", {}):
-                following += resolve(node["properties"][part])
-            elif isinstance(node.get("additionalProperties"), dict):
-                following += resolve(node["additionalProperties"])
+                inner = node.get("items")
+            following += resolve(inner) if isinstance(inner, dict) else []
         nodes = following or nodes
     return {name for node in nodes for name in node.get("properties", {})}
 
 
-def _at(data: Any, location: Sequence[Any]) -> Any:
-    for part in location:
-        try:
-            data = data[part]
-        except (KeyError, IndexError, TypeError):
-            return data
-    return data
-
-
-def line_of(data: Any, location: Sequence[Any]) -> int | None:
-    """Line of the deepest part of ``location`` the document really has."""
-    line = None
-    for part in location:
-        positions = getattr(data, "lc", None)
-        try:
-            if isinstance(data, Mapping) and part in data and positions is not None:
-                line = positions.key(part)[0] + 1
-                data = data[part]
-            elif isinstance(data, list) and isinstance(part, int) and part < len(data):
-                line = positions.item(part)[0] + 1 if positions is not None else line
-                data = data[part]
-        except (KeyError, TypeError, AttributeError):
-            return line
-    return line
-
-
-def plain(value: Any) -> Any:
-    """The same data as plain Python dicts, lists, strings and numbers; numpy included."""
-    if isinstance(value, BaseModel):
-        return plain(value.model_dump(mode="python"))
-    if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
-    if hasattr(value, "tolist"):  # numpy scalars and arrays
-        return plain(value.tolist())
-    if isinstance(value, Path):
-        return value.as_posix()
-    kinds = () if isinstance(value, bool) else (float, int, str)
-    return next((kind(value) for kind in kinds if isinstance(value, kind)), value)
-
-
-def dumps(data: Mapping[str, Any]) -> str:
-    """YAML text of a mapping; short leaf mappings and number lists stand on one line."""
+def dumps(data: Mapping[str, Any], *, flat: bool = False) -> str:
+    """Return the YAML text of a mapping; short leaves, or all below the top with ``flat``, on one line."""
     stream = io.StringIO()
-    _yaml().dump(_styled(plain(data)), stream)
+    _yaml().dump(_styled(plain(data), flat=flat), stream)
     return stream.getvalue()
 
 
 def dumps_flat(data: Mapping[str, Any]) -> str:
-    """YAML of a mapping with every value on its key's line."""
-    stream = io.StringIO()
-    styled = _styled(plain(data), flat=True)
-    if styled:
-        _yaml().dump(styled, stream)
-    return stream.getvalue()
+    """Return the YAML text of a mapping with every value on its key's line."""
+    return dumps(data, flat=True) if data else ""
 
 
 def _styled(value: Any, depth: int = 0, *, flat: bool = False) -> Any:
-    """Data marked with what stands on one line: all below the top where ``flat``, else what is short."""
-    from ruamel.yaml.comments import CommentedSeq
-
+    """Mark the data that stand on one line: all below the top with ``flat``, else short leaves."""
     short = len(str(value)) < 150
     styled: Any = value
     if isinstance(value, dict):
@@ -359,12 +318,12 @@ def _short_list(value: Any) -> bool:
 
 
 def write(path: str | Path, data: Mapping[str, Any]) -> None:
-    """Write a mapping as YAML, whole or not at all."""
+    """Write a mapping as YAML, complete or not at all."""
     atomic.write_text(path, dumps(data))
 
 
 def parse_scalar(text: str) -> Any:
-    """The value of one ``key: value`` line.
+    """Return the value of YAML text.
 
     Raises
     ------

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy import optimize, special, stats
+from scipy import optimize, special
 
 from swimid.fitting.model import Array
 from swimid.fitting.problem import Problem
@@ -174,7 +174,7 @@ def _size(errors: Array) -> float:
 
 def _robust_size(errors: Array) -> float:
     """Standard deviation of the middle: that of normal noise with this median absolute size."""
-    return float(np.median(np.abs(errors)) / stats.norm.ppf(0.75)) or _size(errors)
+    return float(np.median(np.abs(errors)) / special.ndtri(0.75)) or _size(errors)
 
 
 def value_sd(problem: Problem, channel: str, constant: float) -> float:

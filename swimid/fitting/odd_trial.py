@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error, start_states
@@ -66,7 +66,7 @@ def odd_trial(result: FitResult) -> Odd | None:
         return None
     t = (far - float(np.mean(logs))) / (sd * np.sqrt(1.0 + 1.0 / n))
     # the most distant of n + 1 trials was picked (Bonferroni)
-    p_value = min(1.0, (n + 1) * float(stats.t.sf(t, n - 1)))
+    p_value = min(1.0, (n + 1) * float(special.stdtr(n - 1, -t)))
     times = float(np.exp(far - np.median(logs)))
     return Odd(suspect, times, p_value, fits[suspect]) if p_value < ODD and times >= TIMES else None
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 from threadpoolctl import threadpool_limits
 
 from swimid.errors import NoTrustworthyResult
@@ -470,7 +470,7 @@ def _result(search: _Search, task: _Task) -> FitResult:
     if found is not None:
         scale = problem.scale[free]
         # Student's t for few samples: the standard error is that whose 1.96-fold covers 95 %
-        few = float(stats.t.ppf(0.975, max(samples - int(free.sum()), 1)) / stats.norm.ppf(0.975))
+        few = float(special.stdtrit(max(samples - int(free.sum()), 1), 0.975) / special.ndtri(0.975))
         covariance[np.ix_(free, free)] = few**2 * found.covariance * np.outer(scale, scale)
         root[:, free] = found.root / few / scale
         null[free] = found.null

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize, special
 
 from swimid.fitting.fit_result import FitResult
 from swimid.fitting.restarts import weighted
@@ -32,7 +32,7 @@ def profile_interval(
     variance = cost / max(len(best) - len(result.labels), 1)
     white = float(np.linalg.pinv(rows.T @ rows)[j, j]) * variance
     inflation = stderr**2 / white if white > 0 else 1.0
-    limit = float(stats.chi2.ppf(level, 1)) * variance * inflation
+    limit = float(special.chdtri(1, 1.0 - level)) * variance * inflation
     centre, others = float(result.estimate[j]), np.delete(result.estimate, j)
 
     def excess(value: float) -> float:

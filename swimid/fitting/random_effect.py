@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize, special
 
 from swimid.fitting import noise as noise_model
 from swimid.fitting import output_error, sandwich
@@ -111,7 +111,7 @@ def spread(own: Own) -> Spread:
     information = float(np.sum((variances + between) ** -2.0))
     error = math.sqrt(2.0 / information) / (2.0 * sd) if sd > 0 and information > 0 else 0.0
     # no spread lies at the edge of what is possible: half the chi-square (Self and Liang 1987)
-    return Spread(sd, error, 0.5 * float(stats.chi2.sf(max(gain, 0.0), 1)) if sd > 0 else 1.0)
+    return Spread(sd, error, 0.5 * float(special.chdtrc(1, max(gain, 0.0))) if sd > 0 else 1.0)
 
 
 def trend(own: Own, setting: Array) -> Trend:
@@ -125,7 +125,7 @@ def trend(own: Own, setting: Array) -> Trend:
         return Trend(0.0, math.inf, 1.0)
     slope = float(np.sum(slope_column * values * weight)) / information
     error = 1.0 / math.sqrt(information)
-    return Trend(slope, error, float(2.0 * stats.t.sf(abs(slope) / error, len(values) - 1)))
+    return Trend(slope, error, float(2.0 * special.stdtr(len(values) - 1, -abs(slope) / error)))
 
 
 def _contrasts(own: Own) -> tuple[Array, Array, Array]:
@@ -228,7 +228,7 @@ def _for_few(result: FitResult, name: str) -> FitResult:
         return result
     root = result.information_root[:, others]
     alone = np.linalg.pinv(root.T @ root, rcond=LEAST, hermitian=True)
-    widen = float(stats.t.ppf(0.975, int(mine.sum()) - 1) / stats.norm.ppf(0.975)) ** 2
+    widen = float(special.stdtrit(int(mine.sum()) - 1, 0.975) / special.ndtri(0.975)) ** 2
     covariance = result.covariance.copy()
     place = np.ix_(others, others)
     covariance[place] += (widen - 1.0) * (covariance[place] - alone)

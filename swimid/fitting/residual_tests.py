@@ -24,7 +24,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special
 from scipy.linalg import toeplitz
 
 #: Below this p-value a residual series is called not white (or not independent of the input).
@@ -175,7 +175,7 @@ def ljung_box(x: np.ndarray, *, lags: int | None = None, fitted: int = 0) -> Tes
     if n < 2 or not np.any(use):
         return TestResult(0.0, degrees, 1.0)
     statistic = (n + 2) / n * float(np.sum(pairs[use] * r[use] ** 2))
-    return TestResult(statistic, degrees, float(stats.chi2.sf(statistic, degrees)))
+    return TestResult(statistic, degrees, float(special.chdtrc(degrees, statistic)))
 
 
 def cross_correlation(
@@ -280,7 +280,7 @@ def independence(
     if degrees == 0:
         return TestResult(0.0, number, 1.0)
     statistic = float(np.sum(projected[keep] ** 2 / eigenvalues[keep]))
-    return TestResult(statistic, degrees, float(stats.chi2.sf(statistic, degrees)))
+    return TestResult(statistic, degrees, float(special.chdtrc(degrees, statistic)))
 
 
 def fit_autoregression(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 from scipy.linalg import matmul_toeplitz
 
 from swimid.fitting.model import Array
@@ -24,13 +24,10 @@ def _autocorrelation(coefficients: Array, lags: int) -> Array:
     """Autocorrelation of an autoregression at lags 0 .. lags, shape (lags + 1,)."""
     if len(coefficients) == 0:
         return np.eye(1, lags + 1)[0]
-    # impulse response of 1 / A, long enough to have died out, correlated with itself
+    # the spectrum is 1 / |A|^2, in steps so fine that the correlation has died out at the longest lag
     length = lags + 1 + min(20000, max(2000, 10 * lags))
-    from scipy.signal import lfilter
-
-    response = lfilter([1.0], np.concatenate(([1.0], coefficients)), np.eye(1, length)[0])
-    spectrum = np.fft.rfft(response, 2 * length)
-    covariance = np.fft.irfft(np.abs(spectrum) ** 2)[: lags + 1]
+    spectrum = np.fft.rfft(np.concatenate(([1.0], coefficients)), 2 * length)
+    covariance = np.fft.irfft(1.0 / np.abs(spectrum) ** 2)[: lags + 1]
     return np.asarray(covariance / covariance[0])
 
 
@@ -164,5 +161,5 @@ def _scatter(
         degrees += int(keep.sum())
     if degrees < 1:
         return 1.0, 1.0
-    p_value = float(stats.chi2.sf(statistic, degrees))
+    p_value = float(special.chdtrc(degrees, statistic))
     return (max(math.sqrt(statistic / degrees), 1.0) if p_value < HETEROGENEITY else 1.0), p_value

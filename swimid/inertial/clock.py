@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, signal
+from scipy import optimize
 
 from swimid.inertial.record import Array, resampled
 from swimid.inertial.sensor import BAND
@@ -188,6 +188,8 @@ def without_slow(t: Array, channels: Array, slow_s: float) -> Array:
 
 def _correlate(t: Array, reference: Array, seen_t: Array, seen: Array, slow_s: float) -> float | None:
     """Offset of the largest cross-correlation, summed over pairs of channels."""
+    from scipy import signal
+
     step = float(np.median(np.diff(seen_t)))
     a_t, b_t = np.arange(t[0], t[-1], step), np.arange(seen_t[0], seen_t[-1], step)
     if len(a_t) < 16 or len(b_t) < 16:

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy import signal
 from scipy.spatial.transform import Rotation
 
 from swimid.inertial import strapdown
@@ -210,6 +209,8 @@ def _high_passed(time_s: Array, values: Array, cutoff_hz: float) -> Array:
     The filter is a Butterworth filter of fourth order without a phase shift. The result is NaN for a record
     that is too short or too slow for it.
     """
+    from scipy import signal
+
     step = float(np.median(np.diff(time_s)))
     even = np.arange(time_s[0], time_s[-1] + 0.5 * step, step)
     if len(even) < 32 or cutoff_hz >= 0.45 / step:

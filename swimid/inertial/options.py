@@ -10,8 +10,25 @@ from swimid.errors import UsageError
 from swimid.options import Options, Source, option
 
 
-class TrackImuOptions(Options):
-    """What ``track imu`` can be told."""
+class TrackImuOptions(
+    Options,
+    command="track imu",
+    section="Make logs",
+    argument="IMU",
+    output="The log, CSV or Parquet by its ending.",
+    required=True,
+    page="imu.md",
+):
+    """Compute velocity, position and attitude from an inertial recording, with their bands.
+
+    Faults of recording are found, named, and repaired or refused. Without --with the summary says after
+    how many seconds the integrated path is not to be trusted. Writes the log and its evidence.
+
+    Example:
+      swimid track imu imu.csv -o run.csv
+      swimid track imu imu.csv --with camera.csv -o run.csv
+      swimid track imu imu.csv --method paper --motion-mode marching -o paper.csv
+    """
 
     map_path: Source = option(
         None, flag="--map", recorded=False, help="Mapping of foreign columns and units."

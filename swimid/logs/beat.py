@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, signal, stats
+from scipy import special
 
 from swimid.logs.sampling import has_levels
 from swimid.notices import warn
@@ -14,8 +15,6 @@ from swimid.notices import warn
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Steps that differ by less than this share of their mean are even.
-EVEN = 1e-3
 #: Cycles of the short windows a beat is fitted in; they overlap by all but one cycle.
 WINDOW = 2
 #: Order of the polynomial fitted with it in each window: drift and turns are slower than two cycles.
@@ -25,6 +24,8 @@ FEWEST_CYCLES = 4.0
 #: Time-bandwidth product and number of the tapers of the line test, and the most cycles it is made for: in
 #: longer records a rhythm wanders, and windows have power enough.
 BAND, TAPERS, LINE_CYCLES = 3.0, 5, 30.0
+#: Share of a record at either end that is tapered for its spectrum.
+TAPERED = 0.1
 #: Share of a record that must be known for it.
 KNOWN = 0.8
 #: Chance that noise of any colour, without a beat, is said to beat.
@@ -34,8 +35,6 @@ FALSE_ALARM = 0.01
 MIN_SHARE, FAINTEST = 0.1, 0.02
 #: Frequencies that agree within this share of the lower one are one, or one a multiple of the other.
 TOGETHER = 0.03
-#: Peaks of the spectrum that are looked at.
-CANDIDATES = 6
 #: Windows whose phases are regressed; of more, only so many are spread over the record.
 MOST_WINDOWS = 120
 #: Fewest samples a window needs.
@@ -48,8 +47,6 @@ HARMONICS = 5
 #: A slow motion is periodic where a sine leaves less than this share of what a polynomial of as many
 #: coefficients leaves. The polynomial describes a drift or a turn.
 PERIODIC = 0.5
-#: Samples that suffice to find a slow motion.
-SLOW_SAMPLES = 1000
 
 
 @dataclass(frozen=True)
@@ -64,7 +61,8 @@ class Beat:
     share : float
         Part of the variance about the drift that the fundamental explains.
     cycles : float
-        How many the record holds.
+        How many the record holds. Below :data:`FEWEST_CYCLES` the frequency is approximate, and its standard
+        error and share are not known (NaN).
     """
 
     frequency_hz: float
@@ -76,8 +74,12 @@ class Beat:
     @property
     def interval_hz(self) -> tuple[float, float]:
         """95 % interval (Student's t over the cycles), Hz."""
-        half = float(stats.t.ppf(0.975, max(self.cycles - WINDOW - 1.0, 1.0))) * self.stderr_hz
+        half = float(special.stdtrit(max(self.cycles - WINDOW - 1.0, 1.0), 0.975)) * self.stderr_hz
         return self.frequency_hz - half, self.frequency_hz + half
+
+    def may_cause(self, frequency_hz: float) -> bool:
+        """Return whether a beat at this frequency may be a harmonic of this motion."""
+        return frequency_hz < (HARMONICS + 0.5) * self.frequency_hz
 
 
 #: A beat frequency this far from the stated one, as a share of it, contradicts it.
@@ -179,12 +181,8 @@ def find_beats(
         jumps = np.count_nonzero(np.diff(x))
         sure = [beat for beat in sure if 2.0 * beat.cycles <= jumps + 1.0]
     if slow is not None:
-        fastest = slow.amplitude * slow.frequency_hz
-        sure = [
-            beat
-            for beat in sure
-            if beat.amplitude * beat.frequency_hz > fastest or not slow.may_cause(beat.frequency_hz)
-        ]
+        fastest, harmonics = slow.amplitude * slow.frequency_hz, slow.may_cause
+        sure = [b for b in sure if b.amplitude * b.frequency_hz > fastest or not harmonics(b.frequency_hz)]
     large = [beat for beat in sure if beat.share >= MIN_SHARE]
     if not large:
         return []
@@ -206,30 +204,7 @@ def find_beats(
     return [first, *sorted(others, key=lambda beat: -beat.amplitude)]
 
 
-@dataclass(frozen=True)
-class SlowMotion:
-    """A periodic motion of too few cycles for a beat.
-
-    Attributes
-    ----------
-    frequency_hz : float
-        Approximate frequency.
-    amplitude : float
-        Amplitude in the channel's unit.
-    cycles : float
-        Number of cycles in the record, below :data:`FEWEST_CYCLES`.
-    """
-
-    frequency_hz: float
-    amplitude: float
-    cycles: float
-
-    def may_cause(self, frequency_hz: float) -> bool:
-        """Return whether a beat at this frequency may be a harmonic of the slow motion."""
-        return frequency_hz < (HARMONICS + 0.5) * self.frequency_hz
-
-
-def find_slow_motion(time_s: Array, values: Array) -> SlowMotion | None:
+def find_slow_motion(time_s: Array, values: Array) -> Beat | None:
     """Return the strongest motion of a channel if it is periodic and has too few cycles for a beat.
 
     Parameters
@@ -243,7 +218,7 @@ def find_slow_motion(time_s: Array, values: Array) -> SlowMotion | None:
     is compared with that of a quintic, which has as many coefficients.
     """
     there = np.flatnonzero(np.isfinite(values) & np.isfinite(time_s))
-    there = there[:: max(len(there) // SLOW_SAMPLES, 1)]
+    there = there[:: max(len(there) // 1000, 1)]
     t, x = time_s[there], values[there]
     if len(t) < 2 * SAMPLES or not np.ptp(x) > 1e-12 * np.max(np.abs(x)):
         return None
@@ -253,11 +228,11 @@ def find_slow_motion(time_s: Array, values: Array) -> SlowMotion | None:
     parabola, quintic = (np.linalg.qr(powers[:, :k])[0] for k in (3, 6))
     x = x - parabola @ (parabola.T @ x)
     cycles = np.arange(1.0, 1.5 * FEWEST_CYCLES, 0.1)
-    waves = np.exp(2j * np.pi * cycles[:, None] * (t - t[0]) / duration)
-    waves = np.stack([waves.real, waves.imag], axis=-1)
-    waves -= parabola @ (parabola.T @ waves)
-    normal = waves.transpose(0, 2, 1) @ waves
-    right = waves.transpose(0, 2, 1) @ x
+    turns = np.exp(2j * np.pi * cycles[:, None] * (t - t[0]) / duration)
+    sines = np.stack([turns.real, turns.imag], axis=-1)
+    sines -= parabola @ (parabola.T @ sines)
+    normal = sines.transpose(0, 2, 1) @ sines
+    right = sines.transpose(0, 2, 1) @ x
     weights = np.linalg.solve(normal, right[..., None])[..., 0]
     explained = np.sum(right * weights, axis=1)
     best = int(np.argmax(explained))
@@ -265,7 +240,14 @@ def find_slow_motion(time_s: Array, values: Array) -> SlowMotion | None:
     periodic = float(x @ x) - explained[best] < PERIODIC * drift
     if best == 0 or cycles[best] >= FEWEST_CYCLES or not periodic:
         return None
-    return SlowMotion(cycles[best] / duration, float(np.hypot(*weights[best])), float(cycles[best]))
+    amplitude = float(np.hypot(*weights[best]))
+    return Beat(cycles[best] / duration, np.nan, amplitude, np.nan, float(cycles[best]))
+
+
+def waves(t: Array, frequency_hz: float, harmonics: Iterable[int] = (1,)) -> Array:
+    """Return cosine and sine of each harmonic of a frequency, shape (n, 2 k), at times in s, shape (n,)."""
+    turn = 2 * np.pi * frequency_hz * t
+    return np.column_stack([wave(k * turn) for k in harmonics for wave in (np.cos, np.sin)])
 
 
 def multiple(beat: Beat, of: Beat, resolution_hz: float = 0.0) -> int:
@@ -284,12 +266,14 @@ def _peaks(t: Array, x: Array, low: float, high: float, duration: float) -> list
         return []
     centred = t - t.mean()
     level = x - np.polyval(np.polyfit(centred / duration, x, 3), centred / duration)
-    tapered = level * signal.windows.tukey(len(x), 0.2)
+    from_end = np.minimum(np.arange(len(x)), np.arange(len(x))[::-1]) / (len(x) - 1)
+    tapered = level * (0.5 - 0.5 * np.cos(np.pi * np.minimum(from_end / TAPERED, 1.0)))
     power = _power(t, tapered - tapered.mean(), grid)
     chosen: list[float] = []
     for spectrum in (power * grid**4, power * grid**2, power):
-        tops = [k for k in signal.find_peaks(spectrum)[0] if grid[k] >= low]
-        ranked = sorted(tops, key=lambda k: -spectrum[k])[:CANDIDATES]
+        rises = np.diff(spectrum) > 0
+        tops = [k for k in np.flatnonzero(rises[:-1] & ~rises[1:]) + 1 if grid[k] >= low]
+        ranked = sorted(tops, key=lambda k: -spectrum[k])[:6]
         chosen += [float(grid[k]) for k in ranked if all(abs(grid[k] - f) > 0.5 / duration for f in chosen)]
     return chosen
 
@@ -376,6 +360,17 @@ def _incoherent(time: Array, amplitude: Complex, width: float, hop: float) -> fl
     return float((1.0 - coherence**2) ** max(independent - 1.0, 0.0))
 
 
+def _slepian_tapers(count: int) -> Array:
+    """Return the tapers most concentrated within :data:`BAND` cycles a record, shape (TAPERS, count)."""
+    from scipy.linalg import eigh_tridiagonal
+
+    k = np.arange(count)
+    diagonal = ((count - 1) / 2 - k) ** 2 * np.cos(2 * np.pi * BAND / count)
+    beside = k[1:] * (count - k[1:]) / 2
+    largest = (count - TAPERS, count - 1)
+    return eigh_tridiagonal(diagonal, beside, select="i", select_range=largest)[1].T
+
+
 def _no_line(t: Array, x: Array, frequency: float) -> float:
     """Chance that noise, alike over :data:`BAND` cycles a record to either side, looks as much like a line.
 
@@ -393,12 +388,11 @@ def _no_line(t: Array, x: Array, frequency: float) -> float:
     known = t[after] - t[after - 1] <= 0.25 / frequency
     if known.mean() < KNOWN:
         return 1.0
-    turn = 2 * np.pi * frequency * even
-    design = np.column_stack([u**k for k in range(DRIFT + 1)] + [np.cos(turn), np.sin(turn)])
+    design = np.column_stack((np.vander(u, DRIFT + 1), waves(even, frequency)))
     weights = np.linalg.lstsq(design[known], values[known], rcond=None)[0]
     values = np.where(known, values, design @ weights)
     values = values - np.polyval(np.polyfit(u, values, DRIFT), u)
-    tapers = signal.windows.dpss(count, BAND, TAPERS)
+    tapers = _slepian_tapers(count)
     sums = tapers.sum(axis=1)
     best = 0.0
     for near in frequency + np.array([-0.1, -0.05, 0.0, 0.05, 0.1]) / duration:
@@ -407,7 +401,7 @@ def _no_line(t: Array, x: Array, frequency: float) -> float:
         left = float(np.sum(np.abs(tapered - line * sums) ** 2))
         best = max(best, (TAPERS - 1) * abs(line) ** 2 * float(sums @ sums) / max(left, 1e-300))
     best *= float(known.mean())
-    return float(stats.f.sf(best, 2, 2 * TAPERS - 2))
+    return float(special.fdtrc(2, 2 * TAPERS - 2, best))
 
 
 def _fitted(
@@ -441,13 +435,15 @@ def _slope(time: Array, phase: Array, size: Array) -> tuple[float, float]:
     The phases' covariance is that of overlapping windows of white noise, each as noisy as its amplitude is
     small, and of a random walk, in a proportion that the likelihood tells.
     """
+    from scipy.linalg import eigh
+
     n = len(time)
     hop = float(np.min(np.diff(time)))
     hops = np.abs(time[:, None] - time[None, :]) / hop
     noise = np.clip(1.0 - hops / WINDOW, 0.0, 1.0) * np.outer(np.mean(size) / size, np.mean(size) / size)
     walk = (np.minimum.outer(time, time) - time[0]) / hop
     # in coordinates where both covariances are diagonal
-    shares, axes = linalg.eigh(walk, noise + RIDGE * np.eye(n))
+    shares, axes = eigh(walk, noise + RIDGE * np.eye(n))
     design = axes.T @ np.column_stack((np.ones(n), time - time.mean()))
     turned = axes.T @ phase
     fits = []
@@ -467,10 +463,12 @@ def _power(t: Array, x: Array, grid: Array) -> Array:
     """Periodogram of a record at given frequencies, by FFT where its steps are even."""
     steps = np.diff(t)
     step = float(np.mean(steps))
-    if np.ptp(steps) > EVEN * step:
+    if np.ptp(steps) > 1e-3 * step:
+        from scipy.signal import lombscargle
+
         # scipy builds arrays of frequencies times samples: in parts they do not grow with the square of the
         # length
         parts = np.array_split(2 * np.pi * grid, 1 + len(t) * len(grid) // 1_000_000)
-        return np.concatenate([signal.lombscargle(t, x, part) for part in parts])
+        return np.concatenate([lombscargle(t, x, part) for part in parts])
     count = 1 << int(np.ceil(np.log2(20 * len(x))))
     return np.interp(grid, np.fft.rfftfreq(count, step), np.abs(np.fft.rfft(x, count)) ** 2)

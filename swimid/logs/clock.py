@@ -20,11 +20,8 @@ from swimid.logs.foreign.base import Table, is_text
 from swimid.logs.log import TIME
 
 Array = NDArray[np.float64]
-DAY_S = 86400.0
 _TIME_OF_DAY = r"\d{1,2}:\d\d(:\d\d(\.\d+)?)?"
 _DATE = r"^(\d{1,2})[/.-](\d{1,2})[/.-](\d{4})(?:[T ]+|$)"
-#: Widths of the counters of microcontrollers, bits.
-_COUNTER_BITS = (16, 32)
 #: Names of columns that count frames or rows.
 COUNT = re.compile(
     r"(frame|index|idx|row|sample|num(ber)?|n|no|count)s?([ _.#]*(number|num|index|idx|no|id|#))?"
@@ -172,7 +169,7 @@ def wrap_hint(times_s: Array, time: Time | None) -> str:
     unit = time.unit if time is not None and isinstance(time.unit, str) else "s"
     steps = np.diff(times_s[np.isfinite(times_s)]) / units.factor(unit, TIME)
     back = steps[steps < 0]
-    for bits in _COUNTER_BITS:
+    for bits in (16, 32):
         if len(back) and np.all(np.abs(back + 2.0**bits) < 10 * np.median(np.abs(steps))):
             return f"a counter of {bits} bits starts again at {2**bits}: add 'wraps_at: {2**bits}' to 'time:'"
     return ""
@@ -197,12 +194,9 @@ def _parsed(
     else:
         if plain.str.match(_DATE).mean() > 0.5:
             if time.day_first is None:
-                raise InputError(
-                    f"'{cells[cells.notna()].iloc[0]}' may have the day or the month first",
-                    file=path,
-                    column=names[0],
-                    hint="add 'day_first: true' (or false) to 'time:' of the mapping",
-                )
+                text = f"'{cells[cells.notna()].iloc[0]}' may have the day or the month first"
+                hint = "add 'day_first: true' (or false) to 'time:' of the mapping"
+                raise InputError(text, file=path, column=names[0], hint=hint)
             iso = r"\3-\2-\1 " if time.day_first else r"\3-\1-\2 "
             plain = plain.str.replace(_DATE, iso, regex=True).str.strip()
         stamps = pd.to_datetime(plain, errors="coerce", format="ISO8601", utc=True)
@@ -213,5 +207,5 @@ def _parsed(
         hint = "state how it is written under 'time:' of the mapping, as in format: '%d.%m.%Y %H:%M:%S'"
         raise InputError(text, file=path, column=" and ".join(names), hint=hint, **table.place(row))
     if stamps.dtype.kind == "m":
-        return unwrapped(stamps.dt.total_seconds().to_numpy(), DAY_S)
+        return unwrapped(stamps.dt.total_seconds().to_numpy(), 86400.0)
     return stamps.dt.tz_localize(None).to_numpy(dtype="datetime64[ns]")

@@ -17,8 +17,8 @@ Array = NDArray[np.float64]
 MIN_STDERRS = 4.0
 #: Minimum number of increments that do not overlap, for a standard error to mean something.
 MIN_WINDOWS = 8
-#: Factors that a mistaken unit brings: decimal prefixes, and degrees for radians (angles only).
-_DECIMAL, _DEGREES = (1e-3, 1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3), (np.pi / 180, 180 / np.pi)
+#: Factors that degrees for radians bring.
+_DEGREES = (np.pi / 180, 180 / np.pi)
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ def _judge(
 
 def _named(gain: float, *, angle: bool) -> str:
     """Return the mistake whose factor is nearest to a gain; empty if that is none."""
-    factors = [*_DECIMAL, *(_DEGREES if angle else ())]
+    factors = [*(10.0**k for k in range(-3, 4)), *(_DEGREES if angle else ())]
     nearest = min(factors, key=lambda factor: abs(np.log(abs(gain) / factor)))
     words = []
     if gain < 0:

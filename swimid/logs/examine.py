@@ -14,7 +14,6 @@ from swimid.logs import (
     consistency,
     log,
     plausible,
-    projection,
     rhythm,
     time_order,
     track_cleaning,
@@ -24,9 +23,8 @@ from swimid.logs.beat import contradiction
 from swimid.logs.consistency import Contradiction
 from swimid.logs.held import find_frozen
 from swimid.logs.mapping import MappedLog
-from swimid.logs.options import ImportOptions
+from swimid.logs.options import ImportOptions, direction
 from swimid.logs.plausible import Doubt
-from swimid.logs.projection import Projection
 from swimid.logs.rhythm import Rhythm
 from swimid.logs.sampling import find_uneven
 from swimid.logs.time_order import Order
@@ -40,8 +38,28 @@ PIXELS = ("x_px", "y_px", "z_px")
 ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")
 #: What columns of a pose begin with, and those that follow from it.
 _POSE, _POSE_SPEEDS = ("x", "y", "z", "yaw", "pitch", "roll"), ("u", "v", "w", "vx", "vy", "vz")
-#: An angle of a body or a joint that swings farther to either side goes through itself.
-HALF_TURN = np.pi
+
+
+@dataclass(frozen=True)
+class Projection:
+    """A track along a line.
+
+    Attributes
+    ----------
+    along : ndarray, shape (n,)
+        Distance travelled along it from the first sample, NaN where the track has none.
+    direction : ndarray, shape (d,)
+        Unit vector.
+    across : float
+        Root mean square distance from the line through the mean place.
+    extent : float
+        Range of ``along``.
+    """
+
+    along: Array
+    direction: Array
+    across: float
+    extent: float
 
 
 @dataclass(frozen=True)
@@ -50,10 +68,6 @@ class Examined:
 
     Attributes
     ----------
-    path : Path
-        The foreign log.
-    notes : list of str
-        What its reader has to say.
     metadata, columns : dict
         As they are written.
     order : Order
@@ -86,8 +100,6 @@ class Examined:
         Whether the stamps come in bursts.
     """
 
-    path: Path
-    notes: list[str]
     metadata: dict[str, Any]
     columns: dict[str, Array]
     order: Order
@@ -105,6 +117,11 @@ class Examined:
     frozen: dict[str, tuple[float, float]] = field(default_factory=dict)
     uneven: str = ""
     bursts: bool = False
+
+    @property
+    def path(self) -> Path:
+        """The foreign log."""
+        return self.mapped.path
 
     @property
     def time_s(self) -> Array:
@@ -136,10 +153,10 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
     uneven, bursts = find_uneven(columns[log.TIME])
     metadata = dict(source.metadata) | {"source": name, "imported_by": "swimid import"}
     coordinates, known = _track(columns), _measured(columns)
-    own = log.written_by(source.metadata, "swimid track")
-    cleaned = (
-        len(coordinates) > 1 and not own if options.clean is None else options.clean and bool(coordinates)
-    )
+    cleaned = options.clean
+    if cleaned is None:
+        cleaned = len(coordinates) > 1 and not log.written_by(source.metadata, "swimid track")
+    cleaned = cleaned and bool(coordinates)
     cleaning = speed = None
     if len(coordinates) > 1 or cleaned:
         track = [known[column] for column in coordinates]
@@ -149,41 +166,34 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
         if cleaned:
             _take_out(columns, cleaning, name, metadata)
     telling = {column: v for column, v in _measured(columns).items() if column != log.TIME}
-    stated = _stated(metadata)
     times, times_sd_s = columns[log.TIME], 0.0
     if cleaning is not None and cleaning.held is not None:
         times_sd_s = cleaning.held.lateness_s / np.sqrt(12.0)
         measured_s = np.interp(times, stamps, cleaning.held.measured_s)
         if (np.diff(measured_s) > 0).all():  # else rows of other channels stand between the pictures
             times, times_sd_s = measured_s, cleaning.held.measured_sd_s
+    stated = _stated(metadata)
     stroke = rhythm.find(times, telling, range_hz=options.stroke_hz, stated_hz=stated)
-    slow = rhythm.slowest(columns[log.TIME], telling) if stroke is None else None
+    unknown, against, periodic_hz, period_s = "", None, None, None
+    if stroke is None:
+        unknown, periodic_hz = rhythm.unknown(columns[log.TIME], telling)
+    else:
+        stroke = rhythm.with_lateness(stroke, times_sd_s, times)
+        periodic_hz, period_s = stroke.beat.frequency_hz, stroke.period_s[0]
+        against = _against(stroke, stated, name)
     if cleaning is not None:
-        if stroke is not None:
-            stroke = rhythm.with_lateness(stroke, times_sd_s, times)
-        periodic = slow[1] if slow is not None else None if stroke is None else stroke.beat
-        speed = track_speed.speed(
-            stamps, track, cleaning, None if periodic is None else periodic.frequency_hz
-        )
-    frozen = find_frozen(columns[log.TIME], telling)
+        speed = track_speed.speed(stamps, track, cleaning, periodic_hz)
     doubts = [*plausible.doubts(columns[log.TIME], columns), *_bent(stroke)]
     for doubt in doubts:
         warn("SWM002", f"{name}, '{doubt.column}': {doubt.text}")
-    against = None if stroke is None or stated is None else contradiction(stroke.beat, stated)
-    if stroke is not None and against is not None:
-        against = f"{stroke.channel} {against}; the metadata say {stated:g} Hz"
-        warn("SWM032", f"{name}: {against}")
-    if stroke is not None and stroke.doubt:
-        warn("SWM033", f"{name}: {stroke.doubt}")
-    contradictions = consistency.contradictions(columns, None if stroke is None else stroke.period_s[0])
+    contradictions = consistency.contradictions(columns, period_s)
     for one in contradictions:
         warn("SWM090", f"{name}, '{one.column}': {one.text} (against {one.against}: {one.gain:.3g})")
+    frozen = find_frozen(columns[log.TIME], telling)
     line = _along(columns, options, source)
     if line is not None:
         metadata["along"] = [float(part) for part in line.direction]
     return Examined(
-        path=source.path,
-        notes=source.notes,
         metadata=metadata,
         columns=columns,
         order=order,
@@ -192,7 +202,7 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
         speed=speed,
         stroke=stroke,
         against=against,
-        unknown="" if stroke is not None else rhythm.unknown(columns[log.TIME], telling),
+        unknown=unknown,
         doubts=doubts,
         projection=line,
         unit=_unit(coordinates),
@@ -212,14 +222,10 @@ def _in_order(source: MappedLog) -> Order:
         text = f"{len(order.index)} of {len(source)} rows have a time of their own; at least 2 are needed"
         raise InputError(text, file=source.path, column=log.TIME, hint="is the time complete?")
     if order.reset_row is not None:
-        raise InputError(
-            f"the clock starts again: {source.time_s[order.reset_row]:g} s after "
-            f"{np.nanmax(source.time_s[: order.reset_row]):g} s",
-            file=source.path,
-            line=int(source.rows[order.reset_row]),
-            column=log.TIME,
-            hint=source.hint or "split the file there, and import the parts one by one",
-        )
+        last = np.nanmax(source.time_s[: order.reset_row])
+        text = f"the clock starts again: {source.time_s[order.reset_row]:g} s after {last:g} s"
+        line, hint = int(source.rows[order.reset_row]), source.hint or "split the file there"
+        raise InputError(text, file=source.path, line=line, column=log.TIME, hint=hint)
     return order
 
 
@@ -239,15 +245,11 @@ def _unit(coordinates: list[str]) -> str:
 
 
 def _bent(stroke: Rhythm | None) -> list[Doubt]:
-    """Angles that swing by more than half a turn to either side of their drift."""
+    """Return the angles that swing by more than half a turn to either side: a joint goes through itself."""
     beats = {} if stroke is None else stroke.channels
-    return [
-        Doubt(
-            name, f"swings by ±{beat.amplitude:.3g} rad: state the unit if it is degrees (a factor of 57.3)"
-        )
-        for name, beat in beats.items()
-        if name.endswith("_rad") and beat.amplitude > HALF_TURN
-    ]
+    text = "swings by ±{:.3g} rad: state the unit if it is degrees (a factor of 57.3)"
+    bent = {n: b.amplitude for n, b in beats.items() if n.endswith("_rad") and b.amplitude > np.pi}
+    return [Doubt(name, text.format(amplitude)) for name, amplitude in bent.items()]
 
 
 def _take_out(columns: dict[str, Array], cleaning: Cleaning, name: str, metadata: dict[str, Any]) -> None:
@@ -258,20 +260,14 @@ def _take_out(columns: dict[str, Array], cleaning: Cleaning, name: str, metadata
         at = ", ".join(f"{time:.6g} s" for time in elsewhere[:5])
         warn("SWM059", f"{name}: the track goes on elsewhere at {at}")
         done["elsewhere_s"] = elsewhere
-    out = cleaning.repeated | cleaning.jumped
+    out, good = cleaning.repeated | cleaning.jumped, int(cleaning.good.sum())
     if not out.any():
         return
-    good = int(cleaning.good.sum())
     if len(out) >= 2 * track_speed.MIN_SAMPLES and good < track_speed.MIN_SAMPLES:
-        raise NoTrustworthyResult(
-            f"{name}: of {len(out)} samples {good} are no repeats or jumps: no track",
-            hint="--raw keeps them all; is this a track of positions in metres?",
-        )
-    warn(
-        "SWM058",
-        f"{name}: {done['repeats']} repeated samples and {done['samples_jumped']} samples "
-        f"of {done['jumps']} jumps left out of the track",
-    )
+        text = f"{name}: of {len(out)} samples {good} are no repeats or jumps: no track"
+        raise NoTrustworthyResult(text, hint="--raw keeps them all; is this a track of positions in metres?")
+    lost = f"{done['samples_jumped']} samples of {done['jumps']} jumps"
+    warn("SWM058", f"{name}: {done['repeats']} repeated samples and {lost} left out of the track")
     empty = out.copy()
     for column, values in columns.items():
         if column in (*METRES, *PIXELS, *ANGLES):
@@ -279,6 +275,17 @@ def _take_out(columns: dict[str, Array], cleaning: Cleaning, name: str, metadata
         elif column != log.TIME:
             empty &= np.isnan(values)
     _keep(columns, ~empty)
+
+
+def _against(stroke: Rhythm, stated_hz: float | None, name: str) -> str | None:
+    """Return in words how a stroke contradicts the metadata; warn of that, and of what makes it doubtful."""
+    against = None if stated_hz is None else contradiction(stroke.beat, stated_hz)
+    if against is not None:
+        against = f"{stroke.channel} {against}; the metadata say {stated_hz:g} Hz"
+        warn("SWM032", f"{name}: {against}")
+    if stroke.doubt:
+        warn("SWM033", f"{name}: {stroke.doubt}")
+    return against
 
 
 def _stated(metadata: dict[str, Any]) -> float | None:
@@ -298,11 +305,8 @@ def _cut(columns: dict[str, Array], options: ImportOptions, source: MappedLog) -
     high = np.inf if options.end_s is None else options.end_s
     kept = (time >= low) & (time <= high)
     if kept.sum() < 2:
-        raise InputError(
-            f"{int(kept.sum())} samples lie between --start and --end; the log goes from {time[0]:g} s "
-            f"to {time[-1]:g} s",
-            file=source.path,
-        )
+        text = f"{int(kept.sum())} samples lie between --start and --end; the log goes from {time[0]:g} s "
+        raise InputError(f"{text}to {time[-1]:g} s", file=source.path)
     _keep(columns, kept)
 
 
@@ -341,20 +345,37 @@ def _along(columns: dict[str, Array], options: ImportOptions, source: MappedLog)
     names = _track(columns)
     if not names:
         raise InputError("--along needs a track: x_m, y_m, z_m, or those in px", file=source.path)
-    towards = projection.direction(options.along)
-    if towards is not None:
-        towards = towards[["xyz".index(name[0]) for name in names]]
+    stated = direction(options.along)
+    towards = None
+    if stated is not None:
+        towards = np.array(stated)[["xyz".index(name[0]) for name in names]]
         if not np.isclose(np.linalg.norm(towards), 1.0):
             text = f"--along {options.along} points out of the plane of {', '.join(names)}"
             raise InputError(text, file=source.path)
-    try:
-        line = projection.project([_measured(columns)[name] for name in names], towards)
-    except ValueError as error:
-        raise InputError(str(error), file=source.path) from error
+    place = np.column_stack([_measured(columns)[name] for name in names])
+    there: NDArray[np.bool_] = np.asarray(np.isfinite(place).all(axis=1))
+    if there.sum() < 2 or not np.ptp(place[there], axis=0).any():
+        raise InputError("the track does not move", file=source.path)
+    line = _project(place, there, towards)
     rest = {name: values for name, values in columns.items() if not _of_pose(name)}
     columns.clear()
     columns.update({log.TIME: rest.pop(log.TIME), f"x_{_unit(names)}": line.along} | rest)
     return line
+
+
+def _project(place: Array, there: NDArray[np.bool_], towards: Array | None) -> Projection:
+    """Project a track on a line: by default the one it keeps closest to, in the sense of its travel."""
+    centred = place - place[there].mean(axis=0)
+    if towards is None:
+        towards = np.linalg.svd(centred[there], full_matrices=False)[2][0]
+        travel = place[there][-1] - place[there][0]
+        forward = float(travel @ towards)
+        if forward < 0 or (forward == 0 and towards[np.argmax(np.abs(towards))] < 0):
+            towards = -towards
+    along = centred @ towards
+    across = centred[there] - np.outer(along[there], towards)
+    rms = float(np.sqrt(np.mean(np.sum(across**2, axis=1))))
+    return Projection(along - along[there][0], towards, rms, float(np.ptp(along[there])))
 
 
 def _raw(name: str) -> str:

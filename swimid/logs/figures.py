@@ -18,12 +18,6 @@ from swimid.results.evidence import MAX_POINTS, Figure, Mark, Panel, Span, Trace
 Array = NDArray[np.float64]
 #: More channels than this are listed in the table and not drawn.
 MAX_PANELS = 12
-#: More gaps than this are drawn by the longest of them.
-MAX_SPANS = 60
-#: Heading arrows along a track.
-ARROWS = 24
-#: Channels whose spectra are drawn, and how far beyond the stroke.
-MAX_SPECTRA, BEYOND = 6, 6.5
 #: Columns two sensors have different names for.
 SAME = {"wz_rad_s": "yaw_rate_rad_s"}
 
@@ -40,8 +34,7 @@ def figures(logs: Sequence[Log], *, found: Rhythm | None = None) -> list[Figure]
     """
     drawn = [channels(logs), track(logs)]
     for record in logs:
-        stroke = found if found is not None else rhythm.find(record.time_s, _signals(record))
-        drawn.append(_spectra(record, stroke))
+        drawn.append(_spectra(record, found or rhythm.find(record.time_s, _signals(record))))
     return [figure for figure in drawn if figure is not None and figure.panels]
 
 
@@ -81,38 +74,29 @@ def channels(logs: Sequence[Log]) -> Figure:
         traces, gaps = [], []
         for number, record, values in by_channel[channel]:
             x, y = thinned(*_broken(record.time_s, values, after[number]))
-            label, group = (names[number], number) if several else ("", None)
+            label, group, lacking = ("", None, "missing")
+            if several:
+                label, group, lacking = names[number], number, f"missing in {names[number]}"
             traces.append(Trace(x=x, y=y, label=label, group=group))
-            label = f"missing in {names[number]}" if several else "missing"
-            gaps += [
-                Span(start=a, end=b, label=label) for a, b in missing(record.time_s, values, after[number])
-            ]
-        longest = sorted(gaps, key=lambda gap: gap.start - gap.end)[:MAX_SPANS]
+            ends = missing(record.time_s, values, after[number])
+            gaps += [Span(start=start, end=end, label=lacking) for start, end in ends]
+        longest = sorted(gaps, key=lambda gap: gap.start - gap.end)[:60]
         title, spans = numbers.column_title(channel), sorted(longest, key=lambda gap: gap.start)
         panels.append(Panel(x_label="time (s)", y_label=title, traces=traces, spans=spans))
-    title, further = "Channels over time", len(order) - MAX_PANELS
-    remarks = [
-        "Each channel over time; shaded where samples are missing. Good: smooth curves without jumps, "
-        "and gaps that are few and short."
-    ]
+    title, caption = "Channels over time", "Samples are missing where it is shaded."
     if several:
-        shared = sum(len(found) > 1 for found in by_channel.values())
-        title = "Channels over each other" if shared else "Channels of each log"
-        remarks = [
-            "The logs over each other, each on its own clock. Good: curves that lie on each other; a "
-            "constant shift along the axis is an offset between the clocks.",
-            f"{shared} channels are in more than one log."
-            if shared
-            else "The logs have no channel in common.",
-        ]
+        title = "Channels of several logs"
+        caption += (
+            " Each log is on its own clock: a constant shift along the axis is an offset of the clocks."
+        )
     for record in logs:
         if len(record) > MAX_POINTS:
-            samples = f"{len(record)} samples"
-            warn("SWM051", f"{record.path.name}: {samples} drawn as their envelope of {MAX_POINTS} points")
-            remarks.append(f"{samples} are drawn as their envelope of at most {MAX_POINTS} points.")
-    if further > 0:
-        remarks.append(f"{further} further channels are {'not drawn' if several else 'in the table only'}.")
-    return Figure(id="channels", title=title, caption=" ".join(remarks), panels=panels)
+            text = f"{len(record)} samples drawn as their envelope of {MAX_POINTS} points"
+            warn("SWM051", f"{record.path.name}: {text}")
+            caption += f" The {text.replace('drawn', 'are drawn')}."
+    if len(order) > MAX_PANELS:
+        caption += f" {len(order) - MAX_PANELS} further channels are not drawn."
+    return Figure(id="channels", title=title, caption=caption, panels=panels)
 
 
 def _names(logs: Sequence[Log]) -> list[str]:
@@ -143,19 +127,15 @@ def track(logs: Sequence[Log]) -> Figure | None:
             traces.append(_arrows(x, y, record[heading], f"heading, {name}" if several else "heading"))
     if not traces:
         return None
-    caption = (
-        "The path to scale, arrows along the heading. Good: one continuous line inside the pool, the "
-        "arrows along it; a constant angle between them is a heading offset or drift by a current."
-    )
     title = "Path from above" if across == "y_m" else "Path from the side"
-    y_label = numbers.column_title(across)
+    caption, y_label = "The path to scale, with arrows along the heading.", numbers.column_title(across)
     return blocks.figure("path", title, caption, "x (m)", y_label, traces, equal_aspect=True)
 
 
 def _arrows(x: Array, y: Array, angle: Array, label: str) -> Trace:
     """Arrows as one broken line: shaft and two barbs each."""
     good = np.flatnonzero(np.isfinite(x) & np.isfinite(y) & np.isfinite(angle))
-    rows = good[np.linspace(0, len(good) - 1, min(ARROWS, len(good))).astype(int)]
+    rows = good[np.linspace(0, len(good) - 1, min(24, len(good))).astype(int)]
     size = 0.06 * max(float(np.ptp(x[good])), float(np.ptp(y[good])), 1e-9) if len(good) else 0.0
     sides = []
     for values, way in ((x, np.cos), (y, np.sin)):
@@ -166,31 +146,30 @@ def _arrows(x: Array, y: Array, angle: Array, label: str) -> Trace:
     return Trace(x=sides[0], y=sides[1], label=label, style="arrows")
 
 
-def _spectra(record: Log, stroke: Rhythm | None) -> Figure | None:
-    """Amplitude spectra of the channels that tell of the stroke, the stroke and its harmonics marked."""
+def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
+    """Return amplitude spectra of the channels that tell of the stroke, with marks at its harmonics."""
     told = (rhythm.SIDEWAYS, rhythm.PUSHED)
     signals = {n: v for n, v in _signals(record).items() if any(names.fullmatch(n) for names in told)}
-    found = "No stroke was found."
+    caption = "No stroke was found."
+    beats: list[tuple[str, float]] = []
     if stroke is not None:
         signals = dict(sorted(signals.items(), key=lambda item: item[0] not in stroke.channels))
         track = rhythm.swing(record.columns)
         if stroke.channel in track:
             signals = {f"{stroke.channel}_m": track[stroke.channel], **signals}
         frequency = numbers.measured(stroke.beat.frequency_hz, stroke.beat.stderr_hz, "Hz")
-        found = f"The stroke found in {stroke.channel} is {frequency}."
+        caption = f"The stroke in {stroke.channel} is {frequency}."
+        labels = ("stroke", "2 ×, 3 ×", "2 ×, 3 ×")
+        beats = [(label, k * stroke.beat.frequency_hz) for k, label in enumerate(labels, start=1)]
     panels = []
-    for name in list(signals)[:MAX_SPECTRA]:
+    for name in list(signals)[:6]:
         drawn = _spectrum(record.time_s, signals[name], stroke)
         if drawn is None:
             continue
         marks = []
-        if stroke is not None:
-            beats = {k: k * stroke.beat.frequency_hz for k in (1, 2, 3)}
-            marks = [
-                Mark(at=beat, axis="x", label="stroke" if k == 1 else "2 ×, 3 ×")
-                for k, beat in beats.items()
-                if k == 1 or beat <= drawn[0][-1]
-            ]
+        for label, beat_hz in beats:
+            if label == "stroke" or beat_hz <= drawn[0][-1]:
+                marks.append(Mark(at=beat_hz, axis="x", label=label))
         trace, y_label = Trace(x=drawn[0], y=drawn[1]), f"amplitude of {numbers.column_title(name)}"
         panels.append(
             Panel(x_label="frequency (Hz)", y_label=y_label, traces=[trace], y_scale="log", marks=marks)
@@ -198,26 +177,24 @@ def _spectra(record: Log, stroke: Rhythm | None) -> Figure | None:
     return Figure(
         id=f"spectra-{record.path.stem}",
         title=f"Spectra of {record.path.name}",
-        caption=f"{found} Amplitude spectra (Hann window) of the longest stretch without a gap. Good: a "
-        "peak at the stroke in the channels that swing sideways, at twice of it in surge.",
+        caption=f"{caption} Amplitudes (Hann window) of the longest stretch without a gap.",
         panels=panels,
         columns=2 if len(panels) > 1 else 1,
     )
 
 
 def _spectrum(time: Array, values: Array, stroke: Rhythm | None) -> tuple[Array, Array] | None:
-    from scipy import signal
-
     even_s, even = longest_even(time, values, rhythm.FASTEST_HZ)
     if len(even) < 32 or np.ptp(even) == 0:
         return None
     rate = (len(even_s) - 1) / (even_s[-1] - even_s[0])
     length = 1 << int(np.ceil(np.log2(2 * len(even))))
-    frequency, power = signal.periodogram(
-        even, rate, window="hann", detrend="linear", scaling="spectrum", nfft=length
-    )
-    amplitude = np.sqrt(2 * power)
-    highest = frequency[-1] if stroke is None else min(BEYOND * stroke.beat.frequency_hz, frequency[-1])
+    sample = np.arange(len(even))
+    level = even - np.polyval(np.polyfit(sample, even, 1), sample)
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * sample / len(even))
+    frequency = np.fft.rfftfreq(length, 1 / rate)
+    amplitude = 2 * np.abs(np.fft.rfft(window * level, length)) / window.sum()
+    highest = frequency[-1] if stroke is None else min(6.5 * stroke.beat.frequency_hz, frequency[-1])
     shown = (frequency > 0) & (frequency <= highest)
     if not np.any(amplitude[shown] > 0):
         return None

@@ -14,7 +14,7 @@ import numpy as np
 from swimid.errors import InputError
 from swimid.files import atomic, mark, yamlio
 from swimid.files.provenance import path_of
-from swimid.logs import clock, instances, log, mapping, profiles, units
+from swimid.logs import clock, log, mapping, profiles, units
 from swimid.logs.clock import ASK
 from swimid.logs.foreign import open_table
 from swimid.logs.foreign.base import Table, is_text
@@ -27,8 +27,6 @@ RATES, SECONDS = ("fs", "rate", "rate_hz", "fps", "sample_rate"), ("secs", "sec"
 NANOSECONDS = ("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds", "ns")
 #: Stand-ins for what is still open in a drafted time; the scale of the time does not tell instances apart.
 ANSWERS = {"unit": "s", "rate_hz": 1.0, "day_first": True}
-#: Number of values that are shown beside a question.
-SHOWN = 3
 _XYZ = r"[ _.\[]*(?P<axis>[xyz])\]?"
 #: Names that state a quantity (not its unit): pattern of the whole name in small letters, target column.
 _NAMES: list[tuple[str, str]] = [
@@ -165,7 +163,7 @@ def _of_names(name: str, table: Table) -> list[str]:
         taken = {str(key) for key in stated.sources}
         with contextlib.suppress(InputError):
             seconds = clock.seconds(table, stated, usual, Path(name), {})
-            by, there = instances.find_mixed(Table(columns), seconds, np.ones(usual, dtype=bool), taken)
+            by, there = mapping.find_mixed(Table(columns), seconds, np.ones(usual, dtype=bool), taken)
             if there:
                 lines.append(_line("where", {_written("", by): ASK}, ", ".join(there)))
                 taken.add(by)
@@ -305,5 +303,5 @@ def _counts(name: str, values: Any) -> bool:
 
 def _first(values: Any) -> str:
     """Return the first values of a column, for the reader of the draft."""
-    shown = [f"{value:.6g}" if isinstance(value, float) else str(value)[:30] for value in values[:SHOWN]]
+    shown = [f"{value:.6g}" if isinstance(value, float) else str(value)[:30] for value in values[:3]]
     return ", ".join(shown)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from swimid.logs.log import runs
 from swimid.logs.sampling import LONG_ENOUGH, has_levels, late_grid, quantum, step_of, usual_step
@@ -111,7 +111,8 @@ def find_held(time_s: Array, channels: Sequence[Array]) -> Held:
             counted &= sizes < ratio * np.append(sizes[1:], 0.0)
         count = int(counted.sum())
         chance = 2.0 / np.pi * np.arctan(max(ratio, expected))
-        surprise = float(stats.binom.logsf(count - 1, len(sizes), chance)) if count else 0.0
+        by_chance = float(special.bdtrc(count - 1, len(sizes), chance)) if count else 1.0
+        surprise = np.log(max(by_chance, 1e-300))
         if surprise < best:
             best, chosen = surprise, small
     if chosen is None or len(rows) - chosen.sum() < LONG_ENOUGH:

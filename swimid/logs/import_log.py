@@ -5,19 +5,41 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance
 from swimid.logs import imported, log, mapping
-from swimid.logs.examine import examine
-from swimid.logs.imported import Imported
-from swimid.logs.log import LogLike
+from swimid.logs.examine import Examined, examine
+from swimid.logs.log import Log, LogLike
+from swimid.logs.logged import Logged
 from swimid.logs.options import ImportOptions
 from swimid.notices import recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results.result import Result
+
+
+@dataclass(frozen=True, eq=False)
+class Imported(Logged):
+    """A log of another program in the log format, as ``import_log`` returns it.
+
+    Attributes
+    ----------
+    examined : Examined
+        Rows in order, jumps and speed of the track, and the stroke; None for a result read from a file.
+    progress : Progress
+        Shows the writing.
+    """
+
+    examined: Examined | None = None
+    progress: Progress = field(default=silent, repr=False)
+
+    def _write(self, path: Path) -> list[Path]:
+        with self.progress(f"writing {path.name}", total=len(self.log)) as step:
+            log.write_numbers(path, self.log.columns, self.log.metadata, step=step)
+        return [path]
 
 
 @takes(ImportOptions)
@@ -91,7 +113,10 @@ def import_log(
         settings = options.settings(clean=found.cleaned)
         origin = provenance.collect(inputs, settings=settings, digests=digests.result())
         name = f"{found.path.stem}.csv" if output is None else output.name
-        result = imported.result(found, name, origin, tuple(notices), progress)
+        made = Log(Path(name), found.metadata, found.columns, None)
+        proof = imported.build(found, origin, notices)
+    data = imported.data(found, proof)
+    result = Imported("import", "", data, evidence=proof, document=made, examined=found, progress=progress)
     return result.saved(output)
 
 
@@ -144,7 +169,7 @@ def import_logs(
         raise InputError(text, hint=f"the others were written: {written}")
     if len(done) == 1:
         return done[0]
-    text = "\n".join(outcome.text for outcome in done)
+    text = "\n\n".join(outcome.summary() for outcome in done)
     outputs = [path for outcome in done for path in outcome.outputs]
     return Result("import", text, {"logs": [outcome.data for outcome in done]}, outputs)
 

@@ -92,7 +92,8 @@ class Logged(Result):
         folded = self.evidence is not None
         return [Table(id="channels", title="Channels", columns=columns, rows=rows, folded=folded)]
 
-    def _bare(self) -> Evidence:
+    def bare(self) -> Evidence:
+        """Return what a report shows of a log whose evidence is missing."""
         verdict = Verdict(level="caution", text="A log without evidence of how it was made.")
         if self.log.metadata.get("made_by") == "swimid simulate":
             verdict = Verdict(level="good", text="A simulated run.")

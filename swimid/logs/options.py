@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from typing import Any, Self
 
@@ -81,12 +82,7 @@ class ImportOptions(Options):
         if self.stroke_hz is not None and not 0 < self.stroke_hz[0] < self.stroke_hz[1]:
             raise UsageError("--stroke takes two frequencies in Hz, the lower first")
         if self.along is not None:
-            from swimid.logs import projection
-
-            try:
-                projection.direction(self.along)
-            except ValueError as error:
-                raise UsageError(f"--along: {error}") from error
+            direction(self.along)
         return self
 
     def settings(self, **found: Any) -> dict[str, Any]:
@@ -94,17 +90,42 @@ class ImportOptions(Options):
         return {key: value for key, value in super().settings(**found).items() if value is not None}
 
 
-class ImportCommandOptions(ImportOptions):
-    """Options of the command ``import``."""
+def direction(text: str) -> tuple[float, ...] | None:
+    """Return the unit vector that a text names: ``x``, ``-y``, ``0.6,-0.8``; None for ``line``.
 
-    guess: bool = option(
-        False,
-        recorded=False,
-        help="Draft a mapping instead, with ASK for everything that the file does not state.",
-    )
+    Raises
+    ------
+    UsageError
+        It names none.
+    """
+    if text == "line":
+        return None
+    parts: list[float] = []
+    if text[-1:] in ("x", "y", "z") and text[:-1] in ("", "-", "+"):
+        parts = [float(f"{text[:-1]}1") * (axis == text[-1]) for axis in "xyz"]
+    with contextlib.suppress(ValueError):
+        parts = parts or [float(part) for part in text.split(",")]
+    if len(parts) not in (2, 3) or not all(map(math.isfinite, parts)) or not any(parts):
+        hint = "give line, x, -y, z or components as in 0.6,-0.8"
+        raise UsageError(f"--along: '{text}' is no direction", hint=hint)
+    return tuple(part / math.hypot(*parts) for part in [*parts, 0.0][:3])
 
 
-class PlotOptions(Options):
-    """Options of ``plot``."""
+class PlotOptions(
+    Options,
+    command="plot",
+    section="Publish",
+    argument="LOG...",
+    output="The picture: .html, .svg or .png.",
+    required=True,
+    beside=(),
+    page="import.md",
+):
+    """Draw logs: channels, track from above, spectra; several over each other.
+
+    Examples:
+      swimid plot run.csv -o run.png
+      swimid plot imu.csv camera.csv -o both.html
+    """
 
     title: str | None = option(None, help="Title above the figures.")

@@ -20,8 +20,6 @@ FASTEST_M_S = 15.0
 FASTEST_RAD_S = 60.0
 #: Extent of a track that a tank, a pool and a field of view do not have, m.
 WIDEST_M = 100.0
-#: Speeds and turn rates of a track are taken over at least this, so that noise and a jump do not make them.
-LAG_S = 0.1
 #: Share of the record below which they may lie above the limit: jumps of a tracker.
 OUTLIER_SHARE = 0.05
 
@@ -83,7 +81,8 @@ def _usual_rate(time_s: Array, values: Array) -> float:
     t, x = time_s[known], values[known]
     if len(t) < 3 or not np.median(np.diff(t)) > 0:
         return 0.0
-    lag = max(1, round(LAG_S / float(np.median(np.diff(t)))))
+    # over at least 0.1 s, so that noise and a jump do not make a rate
+    lag = max(1, round(0.1 / float(np.median(np.diff(t)))))
     if len(t) <= 2 * lag:
         return 0.0
     steps = t[lag:] - t[:-lag]

@@ -12,7 +12,7 @@ from swimid.errors import UsageError
 from swimid.files import atomic, provenance
 from swimid.logs import figures as log_figures
 from swimid.logs import log
-from swimid.logs.log import Log, LogLike
+from swimid.logs.log import LogLike
 from swimid.logs.options import PlotOptions
 from swimid.notices import recorded
 from swimid.options import takes
@@ -131,24 +131,18 @@ def plot(
         records = [log.of(one, name=name) for one, name in zip(given, names, strict=True)]
         figures = log_figures.figures(records)
     inputs = [one if isinstance(one, Path) else record for one, record in zip(given, records, strict=True)]
-    heading = options.title or " and ".join(record.name for record in records)
     proof = Evidence(
         verb="plot",
-        title=heading,
-        verdict=_nothing_judged(records),
+        title=options.title or " and ".join(record.name for record in records),
+        verdict=Verdict(level="good", text="Drawn as logged, nothing judged."),
+        facts={record.name: f"{len(record)} samples" for record in records},
         figures=figures,
         notices=blocks.notices(notices),
     )
     paths = [str(provenance.path_of(one)) for one in inputs]
     data = {"logs": paths, "figures": [figure.id for figure in figures]}
-    text = f"{heading}: {', '.join(figure.title for figure in figures)}"
-    drawn = Drawn("plot", text, data, evidence=proof, document=records, inputs=inputs, progress=progress)
+    drawn = Drawn("plot", "", data, evidence=proof, document=records, inputs=inputs, progress=progress)
     return drawn.saved(output)
-
-
-def _nothing_judged(records: Sequence[Log]) -> Verdict:
-    samples = ", ".join(f"{record.name}: {len(record)} samples" for record in records)
-    return Verdict(level="good", text=f"Drawn as logged, nothing judged. {samples}.")
 
 
 def _picture(path: Path) -> Path:

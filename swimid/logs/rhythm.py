@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from swimid.logs.beat import (
     FEWEST_CYCLES,
@@ -16,11 +15,11 @@ from swimid.logs.beat import (
     MIN_SHARE,
     TOLERANCE,
     Beat,
-    SlowMotion,
     demodulate,
     find_beats,
     find_slow_motion,
     multiple,
+    waves,
 )
 from swimid.logs.sampling import longest_even, quantum
 
@@ -162,7 +161,7 @@ def swing(columns: Mapping[str, Array], share: float = 1.0 / FEWEST_CYCLES) -> d
     if place.shape[1] == 1:
         return {"surge": place[:, 0]}
     width = max(int(there.sum() * share) | 1, 5)
-    path, tangent = (signal.savgol_filter(place[there], width, 1, deriv=k, axis=0) for k in (0, 1))
+    path, tangent = _averaged_path(place[there], width)
     about = place[there] - path
     ways = ("surge", "sway")
     if np.median(np.linalg.norm(tangent, axis=1)) * width < 2.0 * float(np.sqrt(np.mean(about**2))):
@@ -174,6 +173,21 @@ def swing(columns: Mapping[str, Array], share: float = 1.0 / FEWEST_CYCLES) -> d
     for way, axis in zip(ways, (tangent, normal), strict=True):
         found[way][there] = np.sum(about * axis, axis=1)
     return found
+
+
+def _averaged_path(place: Array, width: int) -> tuple[Array, Array]:
+    """Return the places and the steps per sample of lines fitted to ``width`` samples about each one.
+
+    The first and the last samples lie on the first and the last of these lines.
+    """
+    half = width // 2
+    offsets = np.arange(-half, half + 1)
+    middles = np.column_stack([np.convolve(x, np.full(width, 1 / width), "valid") for x in place.T])
+    slopes = np.column_stack([np.correlate(x, offsets / (offsets @ offsets), "valid") for x in place.T])
+    samples = np.arange(len(place))
+    line = np.clip(samples - half, 0, len(middles) - 1)
+    beyond = samples - half - line
+    return middles[line] + slopes[line] * beyond[:, None], slopes[line]
 
 
 def _place(columns: Mapping[str, Array]) -> Array | None:
@@ -233,7 +247,7 @@ def find(
         return Rhythm(
             best[channel],
             channel,
-            _harmonics(*_as_logged(time_s, _swing_of(channels, channel)), best[channel].frequency_hz),
+            _harmonics(*_as_logged(time_s, channels[channel]), best[channel].frequency_hz),
             {name: found[0] for name, found in beats.items()},
             maybe_double=channel in pushed,
             rivals={} if told else _rivals(chosen, beats | pushed),
@@ -248,21 +262,19 @@ def _motions(
 
     Beats that follow from laps of the path, or from the turns of a heading, are no strokes and left out.
     """
-    channels = {n: v for n, v in columns.items() if not NO_MOTION.fullmatch(n)} | swing(columns)
+    channels = {n: _unwrap(n, v) for n, v in columns.items() if not NO_MOTION.fullmatch(n)}
+    channels |= swing(columns)
     seen = _beats(time_s, channels, within)
-    lap = next(
-        (b for n in (*ALONG, "sway") for b in seen.get(n, []) if _is_lap(time_s, columns, b.frequency_hz)),
-        None,
-    )
+    swings = [b for n in (*ALONG, "sway") for b in seen.get(n, [])]
+    lap = next((b for b in swings if _is_lap(time_s, columns, b.frequency_hz)), None)
     if lap is not None:
         track = swing(columns, 0.25 / lap.cycles)
+        rest = {n: b for n, b in seen.items() if n not in (*ALONG, "sway")}
         channels = {n: v for n, v in channels.items() if n not in (*ALONG, "sway")} | track
-        seen = _beats(time_s, {n: v for n, v in channels.items() if n in track}, within) | {
-            n: b for n, b in seen.items() if n not in (*ALONG, "sway")
-        }
+        seen = _beats(time_s, track, within) | rest
         seen = {n: [b for b in beats if not 1 <= multiple(b, lap) <= CORNERS] for n, beats in seen.items()}
     for name in seen:
-        turns = _turns(_swing_of(channels, name)) if name.endswith("_rad") else 0.0
+        turns = _turns(channels[name]) if name.endswith("_rad") else 0.0
         if turns >= 1.0:
             turning = Beat(turns / float(np.ptp(time_s)), 0.0, 0.0, 0.0, turns)
             resolution = 1.0 / float(np.ptp(time_s))
@@ -295,12 +307,10 @@ def _is_lap(time_s: Array, columns: Mapping[str, Array], frequency_hz: float) ->
         return False
     there = np.isfinite(place).all(axis=1)
     x, y = (_phasors(time_s[there], values[there], frequency_hz) for values in place.T)
-    ways = (
-        sorted(float(np.mean(np.abs(x + turn * y) ** 2)) for turn in (1j, -1j))
-        if len(x) == len(y)
-        else [1, 1]
-    )
-    return bool(ways[0] < LAP**2 * ways[1])
+    if len(x) != len(y):
+        return False
+    less, more = sorted(float(np.mean(np.abs(x + turn * y) ** 2)) for turn in (1j, -1j))
+    return less < LAP**2 * more
 
 
 def _phasors(t: Array, x: Array, frequency_hz: float) -> NDArray[np.complex128]:
@@ -308,12 +318,9 @@ def _phasors(t: Array, x: Array, frequency_hz: float) -> NDArray[np.complex128]:
     windows = demodulate(t, x, frequency_hz)
     if windows is not None:
         return windows[1]
-    turn = 2.0 * np.pi * frequency_hz * t
-    design = np.column_stack(
-        [np.ones(len(t)), t - t.mean(), (t - t.mean()) ** 2, np.cos(turn), -np.sin(turn)]
-    )
+    design = np.column_stack((np.vander(t - t.mean(), 3), waves(t, frequency_hz)))
     weights = np.linalg.lstsq(design, x, rcond=None)[0]
-    return np.array([weights[3] + 1j * weights[4]])
+    return np.array([weights[3] - 1j * weights[4]])
 
 
 def _turns(angle: Array) -> float:
@@ -322,15 +329,16 @@ def _turns(angle: Array) -> float:
     return abs(float(known[-1] - known[0])) / (2 * np.pi) if len(known) else 0.0
 
 
-def slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, SlowMotion] | None:
+def slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat] | None:
     """Return the channel whose strongest motion has too few cycles for a stroke, and that motion.
 
     The drive decides where it is logged. Otherwise any channel that swings sideways does.
     """
-    names = [n for n in columns if DRIVEN.fullmatch(n)] or [n for n in columns if SIDEWAYS.fullmatch(n)]
-    signals = {name: _swing_of(columns, name) for name in names}
-    place = _place(columns)
-    if place is not None and not any(DRIVEN.fullmatch(n) for n in columns):
+    driven = [n for n in columns if DRIVEN.fullmatch(n)]
+    names = driven or [n for n in columns if SIDEWAYS.fullmatch(n)]
+    signals = {name: _unwrap(name, columns[name]) for name in names}
+    place = None if driven else _place(columns)
+    if place is not None:
         there = np.isfinite(place).all(axis=1)
         if there.sum() > 2:
             line = np.polynomial.polynomial.polyfit(time_s[there], place[there], 1)
@@ -374,12 +382,9 @@ def _rivals(chosen: Beat, seen: Mapping[str, list[Beat]]) -> dict[str, Beat]:
     found = {}
     for name, beats in seen.items():
         stroke = max((b.amplitude for b in beats if multiple(b, chosen)), default=0.0)
-        against = [
-            beat
-            for beat in beats
-            if not multiple(beat, chosen)
-            and (beat.amplitude**2 >= MIN_SHARE * stroke**2 or beat.frequency_hz < chosen.frequency_hz)
-        ]
+        others = [b for b in beats if not multiple(b, chosen)]
+        ripple, slow = MIN_SHARE * stroke**2, chosen.frequency_hz
+        against = [b for b in others if b.amplitude**2 >= ripple or b.frequency_hz < slow]
         if against:
             found[name] = max(against, key=lambda beat: beat.amplitude)
     return found
@@ -392,27 +397,26 @@ def with_lateness(stroke: Rhythm, time_sd_s: float, time_s: Array) -> Rhythm:
     return replace(stroke, beat=beat)
 
 
-def unknown(time_s: Array, columns: Mapping[str, Array]) -> str:
-    """Return the reason why :func:`find` finds no stroke."""
+def unknown(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, float | None]:
+    """Return the reason why :func:`find` finds no stroke, and the frequency of a slow motion, Hz."""
     duration = float(np.ptp(time_s)) if len(time_s) else 0.0
     slow = slowest(time_s, columns)
-    laps = [] if slow is None else [slow[1].frequency_hz]
+    slow_hz = None if slow is None else slow[1].frequency_hz
+    laps = [] if slow_hz is None else [slow_hz]
     place = _place(columns)
     if slow is None and place is not None and place.shape[1] > 1:
         laps = [beat.frequency_hz for v in place.T for beat in find_beats(*_prepared(time_s, v))]
     for frequency_hz in laps:
         if _is_lap(time_s, columns, frequency_hz):
-            return f"the path goes in circles of {1.0 / frequency_hz:.3g} s; nothing else keeps a beat"
+            text = f"the path goes in circles of {1.0 / frequency_hz:.3g} s; nothing else keeps a beat"
+            return text, slow_hz
     if slow is not None:
         name, motion = slow
-        return (
-            f"the strongest motion of {name}, at about {motion.frequency_hz:.2g} Hz, has only "
-            f"{motion.cycles:.1f} cycles in {duration:.3g} s; a stroke needs {FEWEST_CYCLES:g}"
-        )
-    return (
-        f"nothing in it keeps a beat over {FEWEST_CYCLES:g} cycles or more"
-        f" (in {duration:.3g} s: from {FEWEST_CYCLES / max(duration, 1e-300):.3g} Hz on)"
-    )
+        text = f"the strongest motion of {name}, at about {motion.frequency_hz:.2g} Hz, has only "
+        cycles = f"{motion.cycles:.1f} cycles in {duration:.3g} s; a stroke needs {FEWEST_CYCLES:g}"
+        return text + cycles, slow_hz
+    lowest = f"in {duration:.3g} s: from {FEWEST_CYCLES / max(duration, 1e-300):.3g} Hz on"
+    return f"nothing in it keeps a beat over {FEWEST_CYCLES:g} cycles or more ({lowest})", None
 
 
 def _beats(
@@ -421,15 +425,13 @@ def _beats(
     """The beats of the channels that beat at all."""
     low, high = within or (None, None)
     found = {}
-    for name in columns:
-        time, prepared = _prepared(time_s, _swing_of(columns, name))
-        found[name] = find_beats(time, prepared, lowest_hz=low, highest_hz=high)
+    for name, values in columns.items():
+        found[name] = find_beats(*_prepared(time_s, values), lowest_hz=low, highest_hz=high)
     return {name: beats for name, beats in found.items() if beats}
 
 
-def _swing_of(columns: Mapping[str, Array], name: str) -> Array:
+def _unwrap(name: str, values: Array) -> Array:
     """A channel, an angle without its jumps by a turn."""
-    values = columns[name]
     if name.endswith("_rad"):
         known = np.isfinite(values)
         values = values.copy()
@@ -466,9 +468,8 @@ def _harmonics(time: Array, values: Array, frequency: float) -> list[Harmonic]:
     t, x = time[known] - time[known].mean(), values[known]
     nyquist = 0.5 / float(np.median(np.diff(time)))
     orders = [k for k in range(1, HARMONICS + 1) if k * frequency < 0.9 * nyquist]
-    drift = [(t / max(float(np.ptp(t)), 1e-300)) ** k for k in range(4)]
-    waves = [wave(2 * np.pi * k * frequency * t) for k in orders for wave in (np.cos, np.sin)]
-    matrix = np.column_stack(drift + waves)
+    drift = np.vander(t / max(float(np.ptp(t)), 1e-300), 4)
+    matrix = np.column_stack((drift, waves(t, frequency, orders)))
     weights = np.linalg.lstsq(matrix, x, rcond=None)[0]
     left = x - matrix @ weights
     stderr = float(np.sqrt(2 * left @ left / max(len(x) - len(weights), 1) / len(x)))

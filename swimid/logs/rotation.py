@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 import warnings
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 
@@ -19,6 +21,7 @@ def angles(rotation: Rotation) -> tuple[Array, Array, Array]:
     Nose up is counter-clockwise in the x-z plane, the sign of pitch in vertical-plane logs; roll is
     port side up. Yaw is unwrapped.
 
+    >>> from scipy.spatial.transform import Rotation
     >>> nose_up = Rotation.from_rotvec([0.0, -0.1, 0.0])
     >>> [round(float(a[0]), 3) for a in angles(Rotation.concatenate([nose_up]))]
     [0.0, 0.1, 0.0]
@@ -31,6 +34,8 @@ def angles(rotation: Rotation) -> tuple[Array, Array, Array]:
 
 def from_angles(roll: Any, pitch: Any, yaw: Any) -> Rotation:
     """The inverse of :func:`angles`; all rad, shape (n,)."""
+    from scipy.spatial.transform import Rotation
+
     return Rotation.from_euler("ZYX", np.column_stack((yaw, -np.asarray(pitch), roll)))
 
 
@@ -71,6 +76,8 @@ def with_angles(columns: dict[str, Array]) -> dict[str, Array]:
     there = np.abs(np.linalg.norm(q, axis=1) - 1.0) < 0.05
     if not there.any():
         return {name: values for name, values in columns.items() if name not in AXES}
+    from scipy.spatial.transform import Rotation
+
     turned = np.full((len(q), 3), np.nan)
     turned[there] = np.column_stack(angles(Rotation.from_quat(q[there], scalar_first=True)))
     return columns | dict(zip(("roll_rad", "pitch_rad", "yaw_rad"), turned.T, strict=True))

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize
 
 #: A pause longer than this many sample times is a gap.
 PAUSE = 6.0
@@ -168,6 +167,8 @@ def late_grid(time_s: np.ndarray, step_s: float, lateness_s: float) -> tuple[flo
     slack_s : float
         Time by which the last could move against the first, s. None in place of all where no even times fit.
     """
+    from scipy import optimize
+
     first = np.arange(-0.5, 0.6, 0.25) * lateness_s
     lines = (_rounded_grid(time_s + late, (step_s,), lateness_s, time_s[0]) for late in first)
     fits = [line for line in lines if line is not None]

@@ -8,10 +8,10 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from swimid.logs import rhythm, track_speed
-from swimid.logs.beat import Beat
+from swimid.logs.beat import Beat, waves
 from swimid.logs.log import runs
 from swimid.logs.track_cleaning import Cleaning, gaps
 from swimid.logs.track_speed import Estimate, mean_of_blocks
@@ -233,9 +233,7 @@ def _stroke(track: Track, begin: float, end: float) -> _Stroke:
     columns = {name: np.where(unknown, np.nan, values) for name, values in columns.items()}
     found = rhythm.find(track.time_s[rows], columns)
     if found is None:
-        slow = rhythm.slowest(track.time_s[rows], columns)
-        frequency_hz = None if slow is None else slow[1].frequency_hz
-        why = rhythm.unknown(track.time_s[rows], columns)
+        why, frequency_hz = rhythm.unknown(track.time_s[rows], columns)
         why = why if track.angle is not None else why.replace("yaw_rad", "the course")
         return _Stroke(unknown=why, slow=frequency_hz)
     if found.maybe_double:
@@ -360,7 +358,7 @@ def _slope(time: Array, values: Array) -> Estimate:
     stderr = math.sqrt(float(left @ left) / freedom / float(design[:, 1] @ design[:, 1]))
     together = float(left[1:] @ left[:-1] / max(float(left @ left), 1e-300))
     together = min(max(together, 0.0), 0.8)
-    half = float(stats.t.ppf(0.975, freedom)) * stderr * math.sqrt((1 + together) / (1 - together))
+    half = float(special.stdtrit(freedom, 0.975)) * stderr * math.sqrt((1 + together) / (1 - together))
     return Estimate(float(weights[1]), float(weights[1]) - half, float(weights[1]) + half)
 
 
@@ -436,8 +434,7 @@ def _amplitude(time: Array, values: Array, begin: float, end: float, frequency: 
         if rows.sum() < 8:
             continue
         t = time[rows] - start
-        turn = 2 * np.pi * frequency * t
-        design = np.column_stack([np.cos(turn), np.sin(turn), np.ones(len(t)), t - t.mean()])
+        design = np.column_stack((waves(t, frequency), np.ones(len(t)), t - t.mean()))
         weights, *_ = np.linalg.lstsq(design, values[rows], rcond=None)
         left = values[rows] - design @ weights
         sizes.append(float(np.hypot(weights[0], weights[1])))

@@ -8,7 +8,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from swimid.logs.held import Held, find_held
 from swimid.logs.log import runs
@@ -28,8 +27,6 @@ FASTER, ALIKE = 2.0, 5
 #: A place of which fewer samples tell than this (or than the share of all) is a jump there and back,
 #: not a track that goes on elsewhere.
 FEW, FEW_SHARE = 12, 0.05
-#: Pieces between jumps that are looked back upon for where the track goes on.
-LOOK_BACK = 100
 
 
 @dataclass(frozen=True)
@@ -125,6 +122,8 @@ def gaps(time_s: Array, good: Flags) -> list[tuple[float, float]]:
 
 def _jumps(time: Array, place: Array) -> tuple[Flags, list[int]]:
     """Samples that stay, and samples at which the track goes on elsewhere."""
+    from scipy import ndimage
+
     steps_s, steps = np.diff(time), np.diff(place, axis=0)
     usual_s = float(np.median(steps_s))
     velocity = steps / steps_s[:, None]
@@ -163,7 +162,7 @@ def _chain(sizes: NDArray[np.int64], goes_on: Callable[[int, int], bool], cost: 
     link = np.full(len(sizes), -1)
     for k, size in enumerate(sizes):
         best[k] = size
-        for j in range(max(0, k - LOOK_BACK), k):
+        for j in range(max(0, k - 100), k):
             gained = best[j] + size
             if gained > best[k] and not goes_on(j, k):
                 gained -= cost

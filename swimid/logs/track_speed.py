@@ -7,8 +7,9 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import interpolate, stats
+from scipy import special
 
+from swimid.logs.beat import waves
 from swimid.logs.track_cleaning import Cleaning
 
 Array = NDArray[np.float64]
@@ -22,8 +23,6 @@ MAX_SAMPLES = 60_000
 STRENGTHS = np.logspace(-4, 6, 11)
 #: Parts of the samples that are left out in turn to choose it.
 FOLDS = 5
-#: Samples that suffice to choose it.
-TUNING_SAMPLES = 600
 
 
 #: Cycles at each end of a track from which the ends of its averaged path are estimated. A shorter track is
@@ -92,7 +91,7 @@ def mean_of_blocks(values: Array, weights: Array, shift: float = 0.0) -> Estimat
         off = means - means.mean()
         together = float(off[1:] @ off[:-1] / max(float(off @ off), 1e-300))
         widen = np.sqrt((1 + max(together, 0.0)) / (1 - min(max(together, 0.0), 0.8)))
-        half = float(stats.t.ppf(0.975, len(means) - 1) * means.std(ddof=1) / np.sqrt(len(means)) * widen)
+        half = float(special.stdtrit(len(means) - 1, 0.975) * means.std(ddof=1) / np.sqrt(len(means)) * widen)
     half = float(np.hypot(half, shift))
     return Estimate(value + shift, value + shift - half, value + shift + half)
 
@@ -171,7 +170,7 @@ def net_speed(
     size = float(np.linalg.norm(away))
     along = float(variance @ (away / max(size, 1e-300)) ** 2)
     late = np.sqrt(2.0) * stamp_sd_s * size / duration
-    half = float(stats.t.ppf(0.975, freedom)) * float(np.hypot(np.sqrt(max(along, 0.0)), late))
+    half = float(special.stdtrit(freedom, 0.975)) * float(np.hypot(np.sqrt(max(along, 0.0)), late))
     return Estimate(size / duration, (size - half) / duration, (size + half) / duration)
 
 
@@ -191,11 +190,10 @@ def _fit_path(
     u = (t - t[0]) / float(np.ptp(t))
     design = np.vander(u, order + 1, increasing=True)
     if frequency_hz is not None:
-        turn = 2.0 * np.pi * frequency_hz * (t - t[0])
-        waves = np.column_stack([wave(k * turn) for k in (1, 2) for wave in (np.cos, np.sin)])
+        swing = waves(t - t[0], frequency_hz, (1, 2))
+        design = np.column_stack((design, swing))
         if changes:
-            waves = np.column_stack([waves, (u - 0.5)[:, None] * waves[:, :2]])
-        design = np.column_stack([design, waves])
+            design = np.column_stack((design, (u - 0.5)[:, None] * swing[:, :2]))
     weights = np.linalg.lstsq(design, place, rcond=None)[0]
     left = place - design @ weights
     squares = np.maximum(np.sum(left**2, axis=0), 1e-300)
@@ -248,7 +246,7 @@ def speed(
     stretches = _stretches(time_s, cleaning)
     if not stretches:
         return None
-    longest = max(stretches, key=len)[:TUNING_SAMPLES]
+    longest = max(stretches, key=len)[:600]
     strength = _strength(time_s[longest], place[longest])
     for rows in stretches:
         t, x = time_s[rows], place[rows]
@@ -293,12 +291,14 @@ def _stretches(time_s: Array, cleaning: Cleaning) -> list[NDArray[np.int64]]:
 
 def _smoothed(t: Array, x: Array, strength: Array) -> tuple[Array, Array]:
     """Smoothed coordinates and their rates."""
+    from scipy.interpolate import make_smoothing_spline
+
     step = float(np.mean(np.diff(t)))
     unit = (t - t[0]) / step  # the spline's equations are ill-conditioned in other units
     smooth, slope = np.empty_like(x), np.empty_like(x)
     for axis, lam in enumerate(strength):
         size = max(float(np.ptp(x[:, axis])), 1e-300)
-        spline = interpolate.make_smoothing_spline(unit, (x[:, axis] - x[0, axis]) / size, lam=lam)
+        spline = make_smoothing_spline(unit, (x[:, axis] - x[0, axis]) / size, lam=lam)
         smooth[:, axis] = spline(unit) * size + x[0, axis]
         slope[:, axis] = spline.derivative()(unit) * size / step
     return smooth, slope
@@ -306,12 +306,14 @@ def _smoothed(t: Array, x: Array, strength: Array) -> tuple[Array, Array]:
 
 def _strength(t: Array, x: Array) -> Array:
     """Smoothness of each coordinate with which samples left out are foretold best."""
+    from scipy.interpolate import make_smoothing_spline
+
     unit = (t - t[0]) / float(np.mean(np.diff(t)))
     errors = np.zeros((len(STRENGTHS), x.shape[1]))
     for fold in range(FOLDS):
         out = np.arange(len(t)) % FOLDS == fold
         out[[0, -1]] = False
         for k, lam in enumerate(STRENGTHS):
-            spline = interpolate.make_smoothing_spline(unit[~out], x[~out], lam=lam)
+            spline = make_smoothing_spline(unit[~out], x[~out], lam=lam)
             errors[k] += np.sum((spline(unit[out]) - x[out]) ** 2, axis=0)
     return STRENGTHS[np.argmin(errors, axis=0)]

@@ -340,13 +340,9 @@ def read(
     if experiment not in names:
         close = nearest(str(experiment), names)
         what = f"'{experiment}' is not allowed" if "experiment" in data else "is missing"
-        raise InputError(
-            f"{what}; here: {', '.join(names)}",
-            file=path,
-            line=_key_line(data, "experiment"),
-            column="experiment",
-            hint=f"did you mean '{close}'?" if close else None,
-        )
+        text, line = f"{what}; here: {', '.join(names)}", _key_line(data, "experiment")
+        hint = f"did you mean '{close}'?" if close else None
+        raise InputError(text, file=path, line=line, column="experiment", hint=hint)
     trials: T = yamlio.validate(data, EXPERIMENTS[experiment], path) if held is None else held  # type: ignore[assignment]
     if uses is not None:
         _refuse_unused(trials, path, uses[experiment], data)
@@ -354,9 +350,8 @@ def read(
     ids = [trial.id for trial in listed]
     for index, name in enumerate(ids):
         if name in ids[:index]:
-            raise InputError(
-                f"two trials have the id '{name}'", file=path, line=_line(data, index), column="id"
-            )
+            text = f"two trials have the id '{name}'"
+            raise InputError(text, file=path, line=_line(data, index), column="id")
     for (_, one), (index, other) in itertools.combinations(enumerate(listed), 2):
         if same_recording(one, path.parent / one.log, other, path.parent / other.log):
             check_apart(one, other, path, _line(data, index))
@@ -408,12 +403,9 @@ def _refuse_unused(trials: Trials, path: Path, uses: Collection[str], data: Any)
             break
     else:
         where, line = "sets", _key_line(data, key)
+    hint = "leave it out if it does not matter, else this is not the fit for these trials"
     raise InputError(
-        f"{where} '{key}', which has no effect here",
-        file=path,
-        line=line,
-        column=key,
-        hint="leave it out if it does not matter, else this is not the fit for these trials",
+        f"{where} '{key}', which has no effect here", file=path, line=line, column=key, hint=hint
     )
 
 
@@ -440,12 +432,8 @@ def check_apart(one: Trial, other: Trial, file: Path, line: int | None = None) -
     ends = [f" {word} {end:g} s" for word, end in (("from", low), ("to", high)) if math.isfinite(end)]
     text = f"the trials '{one.id}' and '{other.id}' are of the same log and share its rows{''.join(ends)}"
     if one.role != other.role:
-        raise InputError(
-            f"{text}: what is held out must not be fitted",
-            file=file,
-            line=line,
-            hint="part them with start_s and end_s, or hold out another log",
-        )
+        hint = "part them with start_s and end_s, or hold out another log"
+        raise InputError(f"{text}: what is held out must not be fitted", file=file, line=line, hint=hint)
     if one.role == "fit":
         warn("SWM074", f"{file.name}: {text}, which count twice: standard errors come out too small")
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from swimid.fitting.model import Array
 
@@ -17,11 +16,6 @@ from swimid.fitting.model import Array
 FIRST, LAST = 0.1, 1e-3
 #: Steps at most.
 STEPS = 24
-#: A limit passed by its own size costs as much as so many times the goal's typical size; one passed by no
-#: more than this share is kept to.
-PENALTY, KEPT_TO = 10.0, 1e-3
-#: Share of draws of the coefficients that count as the worst.
-WORST = 0.1
 #: A value that is no number counts as this.
 BROKEN = 1e9
 #: Points at which a model of the function is looked at, and how often that is repeated in a smaller box.
@@ -41,13 +35,10 @@ class Descended:
     points : ndarray, shape (k, d)
     values : ndarray, shape (k,)
         What is minimised there, with what passing limits costs.
-    history : list of (int, float)
-        After each step: evaluations so far, and the least value found.
     """
 
     points: Array
     values: Array
-    history: list[tuple[int, float]]
 
     @property
     def best(self) -> int:
@@ -95,7 +86,6 @@ def descend(
     parts = evaluate(points, np.arange(count))
     values = merit(parts)
     radius = np.full(count, first)
-    used, history = count, [(count, float(values.min()))]
     for _ in range(steps):
         active = np.flatnonzero(radius >= last)
         if not len(active):
@@ -123,15 +113,15 @@ def descend(
                 points[j], parts[j], values[j] = stencil[n, at], around[n, at], near[at]
             else:
                 radius[j] *= 0.5
-        used += stencil.shape[0] * 2 * width + len(active)
-        history.append((used, float(values.min())))
         advance()
-    return Descended(points, values, history)
+    return Descended(points, values)
 
 
 @cache
 def _cube(width: int) -> Array:
     """Even points of the cube from -1 to 1, its middle among them."""
+    from scipy.stats import qmc
+
     points = 2.0 * qmc.Sobol(width, scramble=False).random(LOOKED) - 1.0
     return np.vstack([np.zeros(width), points])
 

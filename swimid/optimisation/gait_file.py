@@ -1,4 +1,4 @@
-"""The gait file (``swimid-gait/1``): the best gait, how sure it is, and a robust one."""
+"""The gait file (``swimid-gait/2``): the best gait, how sure it is, and a robust one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pydantic import Field
 from swimid.files import yamlio
 from swimid.files.yamlio import Number, Pair, Rows
 
-FORMAT: Literal["swimid-gait/1"] = "swimid-gait/1"
+FORMAT: Literal["swimid-gait/2"] = "swimid-gait/2"
 
 
 class Varied(yamlio.Document):
@@ -27,15 +27,6 @@ class Limit(yamlio.Document):
     at_most: Number = None
     at_least: Number = None
     unit: str
-
-
-class Search(yamlio.Document):
-    """One method's search: what it found, and after how many runs it was within 0.1 % of the best of all."""
-
-    method: Literal["gradient", "nsga2"]
-    value: Number = None
-    runs: int
-    reached_after: int | None = None
 
 
 class Gait(yamlio.Document):
@@ -57,7 +48,7 @@ class Gait(yamlio.Document):
     #: and on the average of the worst tenth; over draws that were not used to find it.
     loss_90: Number = None
     loss_worst_tenth: Number = None
-    #: Share of these draws in which it keeps to its limits; missing where it has none.
+    #: Share of draws in which it keeps to its limits; missing where it has none.
     kept_in_draws: Number = None
 
 
@@ -65,7 +56,7 @@ class GaitFile(yamlio.ResultFile):
     """A gait file."""
 
     kind: ClassVar[str] = "gait file"
-    format: Literal["swimid-gait/1"] = FORMAT
+    format: Literal["swimid-gait/2"] = FORMAT
     verdict: Literal["good", "caution", "bad"]
     robot: str
     model: str
@@ -78,17 +69,16 @@ class GaitFile(yamlio.ResultFile):
     #: In the words of the options, and the quantity and unit of each.
     goals: dict[str, tuple[str, str]]
     limits: dict[str, Limit] = {}
-    searches: list[Search] = []
-    kept: Literal["gradient", "nsga2"]
+    #: Value of the goal, with the penalties of the limits, at which the search from each start ended; the
+    #: best first; empty for two goals.
+    ends: list[float] = []
     optimum: Gait
-    #: The gait that loses least in the worst tenth of draws; the best one where no other can be told from it.
+    #: The gait that loses least in the worst tenth of draws; the best one where no other loses less.
     robust: Gait | None = None
+    #: Number of draws of the coefficients, and the share of draws within the coefficients' bounds.
     draws: int = 0
-    #: Independent draws outside the coefficients' bounds, replaced by others; and those within, where they
-    #: were fewer than ``draws``: these a Gibbs sampler drew within the bounds.
-    refused: int = 0
-    inside: int | None = None
-    #: Best gait of each draw, in the order of ``vary``; of two goals, which gait of the front it is.
+    inside: Number = None
+    #: Best gait of each draw, in the order of ``vary``; none for two goals.
     drawn: Rows = []
     #: Of two goals: the front, what is varied and then the goals; and the 95 % interval of each goal of each
     #: of these gaits, low and high.

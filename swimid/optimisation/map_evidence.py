@@ -9,299 +9,187 @@ import numpy as np
 
 from swimid.fitting.model import Array
 from swimid.notices import Notice
-from swimid.optimisation import grid, trust
-from swimid.optimisation.map_file import Axis, MapFile, Mapped
-from swimid.optimisation.performance import BEAT, STROKE
+from swimid.optimisation import trust
+from swimid.optimisation.map_file import Axis, MapFile
+from swimid.optimisation.performance import BEAT, STROKE, points_of
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 
-#: What is drawn, in this order, of what there is; an ending in ``*`` stands for the robot's turn.
+#: Quantities that are drawn where the robot has them, in this order.
 DRAWN = (
-    "mean_speed_m_s",
-    "cost_of_transport_J_m",
-    "strouhal",
-    "turning_radius_m",
-    "mean_yaw_rate_rad_s",
-    "mean_pitch_rate_rad_s",
-    "peak_yaw_rate_rad_s",
-    "peak_pitch_rate_rad_s",
-    "yaw_range_in_beat_rad",
-    "pitch_range_in_beat_rad",
-    "max_pitch_rate_rad_s",
-    "surge_m",
-    "mean_positive_power_W",
-    "peak_torque_N_m",
-)
-#: Contours of a panel.
-LEVELS = 6
-#: What is best where it is largest, and where it is least.
-LARGEST, LEAST = ("mean_speed_m_s",), ("cost_of_transport_J_m",)
-REFERENCES = [
-    "D. Chen, Y. Xiong, B. Wang, R. Tong, Y. Meng, J. Yu: Performance Optimization for Bionic Robotic "
-    "Dolphin with Active Variable Stiffness Control",
-    "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin",
-]
+    "mean_speed_m_s", "cost_of_transport_J_m", "strouhal", "turning_radius_m", "mean_yaw_rate_rad_s",
+    "mean_pitch_rate_rad_s", "peak_yaw_rate_rad_s", "peak_pitch_rate_rad_s", "yaw_range_in_beat_rad",
+    "pitch_range_in_beat_rad", "max_pitch_rate_rad_s", "surge_m", "mean_positive_power_W", "peak_torque_N_m",
+)  # fmt: skip
+#: Number of contours of a panel.
+N_LEVELS = 6
+#: Quantities with a best point: its name, and the sign that makes it the largest.
+BEST = {"mean_speed_m_s": ("fastest", 1.0), "cost_of_transport_J_m": ("cheapest", -1.0)}
 
 
 def evidence(file: MapFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
-    """What a map rests on."""
-    checks = [*_checks(file), *trust.coefficients_check(notices)]
-    return ev.Evidence(
-        verb="map",
-        title=f"Map of {file.robot}",
-        verdict=ev.judged(answer(file), checks),
-        checks=checks,
-        tables=_tables(file),
+    """Return the evidence of a map."""
+    axes = " and ".join(f"{axis.name} ({len(axis.values)} values)" for axis in file.axes)
+    return trust.evidence(
+        file,
+        "map",
+        answer(file),
+        _checks(file),
+        {
+            "Grid": ", ".join(f"{_axis_range(axis)} × {len(axis.values)}" for axis in file.axes),
+            "Trials beside it": str(len(file.measured)),
+        },
+        notices,
+        origin,
+        tables=[_best_table(file), *_measured_table(file)],
         figures=_figures(file),
-        notices=blocks.notices(notices),
-        methods=_methods(file),
-        references=REFERENCES,
-        provenance=origin,
+        methods=[
+            f"The gait of {file.robot} was varied over {axes}; each run of {file.duration_s:g} s began at "
+            "rest and was judged by its last whole beats. The power of driven joints is that of their "
+            "torques, by inverse dynamics of the simulated motion; the cost of transport is mean positive "
+            "power over speed. Standard deviations, where known, are those of the delta method."
+        ],
     )
-
-
-# ------------------------------------------------------------ checks
 
 
 def _checks(file: MapFile) -> list[ev.Check]:
-    points = int(np.prod([len(axis.values) for axis in file.axes]))
+    axes = {axis.name: axis.values for axis in file.axes}
+    drive = {name: float(value) for name, value in file.drive.items() if name in BEAT | STROKE}
+    points = [{**drive, **point} for point in points_of(axes)]
+    steady = len(points) - file.unsettled
+    region = {n: ends for n, ends in file.identified.items() if n in axes or n in BEAT | STROKE}
     checks = [
-        ev.check(
-            "runs that broke down",
-            f"{file.broken} of {points}",
-            not file.broken,
-            "none",
-            "they are left empty" if file.broken else "",
-        ),
-        ev.check(
-            "steady at the end of the run",
-            f"{points - file.unsettled} of {points}",
-            not file.unsettled,
-            "speed changes by 0.5 % a beat or less",
-            "" if not file.unsettled else "speeds are those after --duration-s from rest, not steady ones",
-        ),
-        _region_check(file),
+        ev.check("runs that broke down", f"{file.broken} of {len(points)}", not file.broken, "none"),
+        trust.steady_check(steady, len(points)),
+        trust.region_check(region, points),
     ]
-    if "mean_surge_from_start_m_s" in file.quantities:
-        surge = [v for row in file.quantities["mean_surge_from_start_m_s"].values for v in row]
-        checks += trust.forwards_check(surge)
-    known = any(q.stderr is not None for q in file.quantities.values())
-    checks.append(
-        ev.check(
-            "uncertainty of the map",
-            "from the coefficients' covariance" if known else "not known",
-            None,
-            text="" if known else "give a parameter file with standard errors: --params",
-        )
-    )
-    off = _residuals(file)
-    if len(off):
+    if (surge := file.quantities.get("mean_surge_from_start_m_s")) is not None:
+        checks += trust.forwards_check([v for row in surge.values for v in row])
+    if all(q.stderr is None for q in file.quantities.values()):
+        checks.append(trust.unknown_check("uncertainty of the map"))
+    known = [m for m in file.measured if m.measured_m_s is not None and m.simulated_m_s is not None]
+    if known:
+        off = np.array([m.measured_m_s - m.simulated_m_s for m in known])  # type: ignore[operator]
         value = f"{numbers.number(float(np.sqrt(np.mean(off**2))), 3, 'm/s')} over {len(off)} trials"
         checks.append(ev.check("measured mean speeds, RMSE", value, None))
-    if file.efficiency is not None:
-        e = file.efficiency
-        value = numbers.measured(e.value, e.stderr)
-        checks.append(
-            ev.check(
-                "mechanical over electrical power", value, e.value <= 1.0, "≤ 1", f"of {e.trials} trials"
-            )
-        )
+    if (e := file.efficiency) is not None:
+        value = f"{numbers.measured(e.value, e.stderr)} of {e.trials} trials"
+        checks.append(ev.check("mechanical over electrical power", value, e.value <= 1.0, "≤ 1"))
     return checks
-
-
-def _region_check(file: MapFile) -> ev.Check:
-    drive = {name: float(value) for name, value in file.drive.items() if name in BEAT | STROKE}
-    axes = {axis.name: axis.values for axis in file.axes}
-    return trust.region_check(
-        {name: ends for name, ends in file.identified.items() if name in axes or name in BEAT | STROKE},
-        [{**drive, **point} for point in grid.points_of(axes)],
-    )
-
-
-def _residuals(file: MapFile) -> Array:
-    """Measured less simulated mean speed of every trial that has both, m/s."""
-    return np.array(
-        [
-            m.measured_m_s - m.simulated_m_s
-            for m in file.measured
-            if m.measured_m_s is not None and m.simulated_m_s is not None
-        ]
-    )
 
 
 # ------------------------------------------------------------ in words
 
 
-def best(file: MapFile, name: str) -> tuple[float, list[tuple[Axis, float]], bool] | None:
-    """The best value of a quantity, where it lies on the axes, and whether that is on the map's edge."""
-    if name not in file.quantities:
-        return None
-    values = np.array(file.quantities[name].values, dtype=float)
-    if not np.isfinite(values).any():
-        return None
-    at = np.unravel_index(int((np.nanargmax if name in LARGEST else np.nanargmin)(values)), values.shape)
-    where = [(axis, axis.values[i]) for axis, i in zip(file.axes, at, strict=False)]
-    edge = any(i in (0, len(axis.values) - 1) for axis, i in zip(file.axes, at, strict=False))
-    return float(values[at]), where, edge
-
-
-def _best_text(file: MapFile, name: str, word: str) -> str:
-    found = best(file, name)
-    if found is None:
-        return ""
-    value, where, edge = found
-    unit = file.quantities[name].unit
-    place = ", ".join(f"{axis.name} {numbers.number(at, 3)}" for axis, at in where)
-    rim = ", on the edge of the map" if edge else ""
-    return f"{word} {numbers.number(value, 3, unit)} at {place}{rim}"
+def _axis_range(axis: Axis) -> str:
+    return f"{axis.name} {numbers.number(axis.values[0])} to {numbers.number(axis.values[-1])}"
 
 
 def answer(file: MapFile) -> str:
-    """The best points, as a sentence."""
-    parts = [
-        _best_text(file, "mean_speed_m_s", "fastest"),
-        _best_text(file, "cost_of_transport_J_m", "cheapest"),
-    ]
-    text = "; ".join(part for part in parts if part) or "Mapped"
+    """Return the best points as a sentence."""
+    parts = []
+    for name, (word, sign) in BEST.items():
+        values = np.array(file.quantities[name].values if name in file.quantities else np.nan, dtype=float)
+        if not np.isfinite(values).any():
+            continue
+        at = np.unravel_index(int(np.nanargmax(sign * values)), values.shape)
+        place = ", ".join(
+            f"{axis.name} {numbers.number(axis.values[i], 3)}" for axis, i in zip(file.axes, at, strict=False)
+        )
+        edge = any(i in (0, len(axis.values) - 1) for axis, i in zip(file.axes, at, strict=False))
+        rim = ", on the edge of the map" if edge else ""
+        parts.append(
+            f"{word} {numbers.number(float(values[at]), 3, file.quantities[name].unit)} at {place}{rim}"
+        )
+    text = "; ".join(parts) or "mapped"
     return f"{text[0].upper()}{text[1:]}."
-
-
-def summary(file: MapFile, evidence: ev.Evidence) -> str:
-    """Plain text for the terminal."""
-    axes = ", ".join(
-        f"{a.name} {numbers.number(a.values[0])} to {numbers.number(a.values[-1])} ({len(a.values)})"
-        for a in file.axes
-    )
-    lines = [f"{file.robot}, {file.params or 'the robot file'}: {axes}", ""]
-    drawn = [(name, file.quantities[name]) for name in DRAWN if name in file.quantities]
-    width = max((len(numbers.split_unit(name)[0]) for name, _ in drawn), default=0)
-    for name, q in drawn:
-        factor, unit = numbers.in_degrees(q.unit)
-        values = factor * np.array(q.values, dtype=float)
-        text = numbers.interval(float(np.nanmin(values)), float(np.nanmax(values)), None, unit)
-        lines.append(f"  {numbers.split_unit(name)[0].replace('_', ' '):<{width}}  {text}")
-    for m in file.measured:
-        if m.measured_m_s is not None and m.simulated_m_s is not None:
-            place = ", ".join(f"{name} {numbers.number(at, 3)}" for name, at in m.at.items())
-            off = numbers.number(m.measured_m_s - m.simulated_m_s, 2, "m/s")
-            lines.append(
-                f"  {m.trial} ({place}): measured {numbers.number(m.measured_m_s, 3, 'm/s')}, off {off}"
-            )
-    lines += ["", f"  {answer(file)}", f"{evidence.verdict.level.upper()}: {blocks.judgement(evidence)}"]
-    return "\n".join(lines)
 
 
 # ------------------------------------------------------------ tables
 
 
-def _tables(file: MapFile) -> list[ev.Table]:
-    tables = []
-    first = file.axes[0]
-    if len(file.axes) == 2 and "mean_speed_m_s" in file.quantities:
-        tables.append(_ridge(file))
-    if file.measured:
-        rows: list[dict[str, blocks.Cell]] = [
-            {
-                "trial": m.trial,
-                "role": "held out" if m.role == "validate" else "fit",
-                **{name: numbers.number(at) for name, at in m.at.items()},
-                "measured": numbers.number(m.measured_m_s, 3, "m/s"),
-                "simulated": numbers.number(m.simulated_m_s, 3, "m/s"),
-                "electrical": numbers.number(m.electrical_W, 3, "W"),
-                "joints": numbers.number(m.mechanical_W, 3, "W"),
-                "inside the map": m.inside,
-            }
-            for m in file.measured
-        ]
-        caption = (
-            "Mean speed over the last beats of log and simulation of the trial itself, by one rule; "
-            "electrical power by voltage and current, and what the joints of the simulation give there."
-        )
-        tables.append(blocks.table("measured", "Measured trials on the map", rows, caption))
-    if len(file.axes) == 1:
-        rows = [
-            {
-                first.name: numbers.number(at),
-                **{name: _cell(q, k, 0) for name, q in file.quantities.items() if name in DRAWN},
-            }
-            for k, at in enumerate(first.values)
-        ]
-        tables.append(blocks.table("points", "Points of the map", rows))
-    return tables
-
-
-def _cell(q: Mapped, row: int, column: int) -> str:
-    factor, unit = numbers.in_degrees(q.unit)
-    value = q.values[row][column]
-    if value is None:
-        return numbers.NOTHING
-    error = None if q.stderr is None else q.stderr[row][column]
-    if error:
-        return numbers.measured(factor * value, factor * error, unit)
-    return numbers.number(factor * value, 3, unit)
-
-
-def _ridge(file: MapFile) -> ev.Table:
-    """For each value of the first axis where on the second the robot is fastest, and where cheapest."""
-    across = file.axes[1]
-    rows = []
-    for i, at in enumerate(file.axes[0].values):
-        row: dict[str, blocks.Cell] = {file.axes[0].name: numbers.number(at)}
-        for name, word in ((LARGEST[0], "fastest"), (LEAST[0], "cheapest")):
-            if name not in file.quantities:
-                continue
-            values = np.array(file.quantities[name].values[i], dtype=float)
-            if np.isfinite(values).any():
-                j = int((np.nanargmax if name in LARGEST else np.nanargmin)(values))
-                row[f"{word} at {across.name}"] = numbers.number(across.values[j])
-                row[word] = _cell(file.quantities[name], i, j)
-            else:
-                row[f"{word} at {across.name}"] = row[word] = numbers.NOTHING
+def _best_table(file: MapFile) -> ev.Table:
+    """Of one axis every point; of two, for each value of the first, the best points on the second."""
+    first, rows = file.axes[0], []
+    for i, at in enumerate(first.values):
+        row: dict[str, blocks.Cell] = {first.name: numbers.number(at)}
+        if len(file.axes) == 1:
+            row |= {name: _cell(file, name, i, 0) for name in _drawn(file)}
+        for name in BEST if len(file.axes) == 2 else ():
+            if name in file.quantities:
+                word, sign = BEST[name]
+                values = sign * np.array(file.quantities[name].values[i], dtype=float)
+                j = int(np.argmax(np.nan_to_num(values, nan=-np.inf)))
+                row[f"{word} at {file.axes[1].name}"] = numbers.number(file.axes[1].values[j])
+                row[word] = _cell(file, name, i, j)
         rows.append(row)
-    return blocks.table("ridge", f"Best {across.name} at each {file.axes[0].name}", rows)
+    return blocks.table("best", f"Best points at each {first.name}", rows)
+
+
+def _cell(file: MapFile, name: str, row: int, column: int) -> str:
+    q = file.quantities[name]
+    factor, unit = numbers.in_degrees(q.unit)
+    value, error = q.values[row][column], None if q.stderr is None else q.stderr[row][column]
+    if value is None or error is None:
+        return numbers.number(None if value is None else factor * value, 3, unit)
+    return numbers.measured(factor * value, factor * error, unit)
+
+
+def _measured_table(file: MapFile) -> list[ev.Table]:
+    rows: list[dict[str, blocks.Cell]] = [
+        {
+            "trial": m.trial,
+            "role": "held out" if m.role == "validate" else "fit",
+            **{name: numbers.number(at) for name, at in m.at.items()},
+            "measured": numbers.number(m.measured_m_s, 3, "m/s"),
+            "simulated": numbers.number(m.simulated_m_s, 3, "m/s"),
+            "electrical": numbers.number(m.electrical_W, 3, "W"),
+            "joints": numbers.number(m.mechanical_W, 3, "W"),
+        }
+        for m in file.measured
+    ]
+    caption = (
+        "Mean speed over the last beats of log and simulation; logged electrical power, and the joints'."
+    )
+    return [blocks.table("measured", "Measured trials on the map", rows, caption)] if rows else []
 
 
 # ------------------------------------------------------------ figures
 
 
+def _drawn(file: MapFile) -> list[str]:
+    return [name for name in DRAWN if name in file.quantities]
+
+
 def _figures(file: MapFile) -> list[ev.Figure]:
-    drawn = [name for name in DRAWN if name in file.quantities]
-    if len(file.axes) == 1:
-        panels = [_curve(file, name) for name in drawn]
-        return [blocks.panels("map", "Over the gait", _caption(file), panels, columns=2)]
-    heats = [_heat(file, name) for name in drawn]
-    contours = [_contours(file, name) for name in drawn]
-    figures = [
-        blocks.panels("map", "Over the grid of gaits", _caption(file), heats, columns=1),
-        blocks.panels(
-            "contours",
-            "Contours",
-            "Lines of equal value. Points: recorded trials. The frame is the range of the trials that the "
-            "coefficients were identified from; outside it the map is extrapolation."
-            if _region(file)
-            else "Lines of equal value.",
-            contours,
-            columns=1,
-        ),
-    ]
-    if "mean_speed_m_s" in drawn:
-        figures.append(_slices(file))
-    return figures
-
-
-def _caption(file: MapFile) -> str:
     drive = ", ".join(f"{name} {value}" for name, value in file.drive.items())
-    return f"Runs of {file.duration_s:g} s from rest, over their last whole beats; {drive}."
+    caption = f"Runs of {file.duration_s:g} s from rest, over their last whole beats; {drive}."
+    if len(file.axes) == 1:
+        curves = [_curve(file, name) for name in _drawn(file)]
+        return [blocks.panels("map", "Over the gait", caption, curves, columns=2)]
+    heats = [_heat(file, name) for name in _drawn(file)]
+    contours = [_contours(file, name) for name in _drawn(file)]
+    lines = "Lines of equal value; outside the frame of the identification trials they are extrapolation."
+    return [
+        blocks.panels("map", "Over the grid of gaits", caption, heats, columns=1),
+        blocks.panels("contours", "Contours", lines, contours, columns=1),
+    ]
 
 
 def _shown(file: MapFile, name: str) -> tuple[Array, str]:
     """A quantity in the unit it is drawn in, and its title."""
     factor, unit = numbers.in_degrees(file.quantities[name].unit)
-    bare = numbers.split_unit(name)[0].replace("_", " ")
-    printed = numbers.unit_text(unit)
-    return factor * np.array(file.quantities[name].values, dtype=float), (
-        f"{bare} ({printed})" if printed else bare
-    )
+    bare, printed = numbers.split_unit(name)[0].replace("_", " "), numbers.unit_text(unit)
+    title = f"{bare} ({printed})" if printed else bare
+    return factor * np.array(file.quantities[name].values, dtype=float), title
+
+
+def _axis_title(axis: Axis) -> str:
+    """What a coefficient is called is no column: ``K_s`` has no seconds."""
+    if axis.name in BEAT | STROKE:
+        return numbers.column_title(axis.name)
+    unit = numbers.unit_text(axis.unit)
+    return f"{axis.name} ({unit})" if unit else axis.name
 
 
 def _heat(file: MapFile, name: str) -> ev.Panel:
@@ -313,16 +201,9 @@ def _heat(file: MapFile, name: str) -> ev.Panel:
     return blocks.panel(along, down, [], title=title, heat=heat)
 
 
-def _axis_title(axis: Axis) -> str:
-    """What a coefficient is called is no column: ``K_s`` has no seconds."""
-    if axis.name in BEAT | STROKE:
-        return numbers.column_title(axis.name)
-    unit = numbers.unit_text(axis.unit)
-    return f"{axis.name} ({unit})" if unit else axis.name
-
-
 def _contours(file: MapFile, name: str) -> ev.Panel:
     import contourpy
+    from matplotlib.ticker import MaxNLocator
 
     values, title = _shown(file, name)
     down, along = file.axes
@@ -330,109 +211,40 @@ def _contours(file: MapFile, name: str) -> ev.Panel:
     traces = []
     if np.ptp(finite) > 0:
         lines = contourpy.contour_generator(along.values, down.values, np.ma.masked_invalid(values))
-        for k, level in enumerate(_levels(finite)):
-            x: list[float] = []
-            y: list[float] = []
-            for line in lines.lines(level):
-                points = np.asarray(line)
-                x += [*points[:, 0].tolist(), np.nan]
-                y += [*points[:, 1].tolist(), np.nan]
-            if x:
+        low, high = float(finite.min()), float(finite.max())
+        levels = [v for v in MaxNLocator(N_LEVELS).tick_values(low, high) if low < v < high]
+        for k, level in enumerate(levels):
+            # a row of NaN ends each line
+            found = [np.vstack([np.asarray(line), [[np.nan, np.nan]]]) for line in lines.lines(level)]
+            if found:
+                x, y = np.vstack(found).T
                 traces.append(ev.Trace(x=x, y=y, label=numbers.number(float(level), 3), group=k))
-    traces += _region(file)
-    shown = [m for m in file.measured if m.inside]
-    if shown:
-        traces.append(
-            ev.Trace(
-                x=[m.at[along.name] for m in shown],
-                y=[m.at[down.name] for m in shown],
-                style="points",
-                label="trials",
-                group=LEVELS + 2,
-            )
-        )
+    if all(axis.name in file.identified for axis in file.axes):
+        (x0, x1), (y0, y1) = (file.identified[axis.name] for axis in (along, down))
+        frame = {"x": [x0, x1, x1, x0, x0], "y": [y0, y0, y1, y1, y0]}
+        traces.append(ev.Trace(**frame, style="dashed", label="identified inside", group=N_LEVELS + 1))
+    inside = [m for m in file.measured if m.inside]
+    if inside:
+        points = blocks.points(inside, lambda m: m.at[along.name], lambda m: m.at[down.name], label="trials")
+        traces.append(points)
     return blocks.panel(_axis_title(along), _axis_title(down), traces, title=title)
-
-
-def _levels(values: Array) -> Array:
-    """Round levels between the smallest and the largest value."""
-    from matplotlib.ticker import MaxNLocator
-
-    ticks = np.asarray(MaxNLocator(LEVELS).tick_values(float(values.min()), float(values.max())))
-    return np.asarray(ticks[(ticks > values.min()) & (ticks < values.max())])
-
-
-def _region(file: MapFile) -> list[ev.Trace]:
-    if not all(axis.name in file.identified for axis in file.axes):
-        return []
-    (x0, x1), (y0, y1) = (file.identified[axis.name] for axis in reversed(file.axes))
-    label = "identified inside"
-    if x0 == x1 and y0 == y1:
-        return [ev.Trace(x=[x0], y=[y0], style="points", label=label, group=LEVELS + 1)]
-    return [
-        ev.Trace(
-            x=[x0, x1, x1, x0, x0],
-            y=[y0, y0, y1, y1, y0],
-            style="dashed",
-            label=label,
-            group=LEVELS + 1,
-        )
-    ]
 
 
 def _curve(file: MapFile, name: str) -> ev.Panel:
     values, title = _shown(file, name)
     axis, q = file.axes[0], file.quantities[name]
     x, y = np.array(axis.values), values[:, 0]
-    factor, _ = numbers.in_degrees(q.unit)
+    traces = [ev.Trace(x=x, y=y, label="model")]
     if q.stderr is not None:
-        traces = [blocks.band(x, y, 2 * factor * np.array(q.stderr, dtype=float)[:, 0], label="model, 2 sd")]
-    else:
-        traces = [ev.Trace(x=x, y=y, label="model")]
-    traces += _measured_speeds(file, name)
+        half = 2 * numbers.in_degrees(q.unit)[0] * np.array(q.stderr, dtype=float)[:, 0]
+        traces = [blocks.band(x, y, half, label="model, 2 sd")]
+    measured = [m for m in file.measured if m.measured_m_s is not None and name == "mean_speed_m_s"]
+    if measured:
+        traces.append(
+            blocks.points(measured, lambda m: m.at[axis.name], lambda m: m.measured_m_s, label="measured")
+        )
     spans = []
     if axis.name in file.identified:
         low, high = file.identified[axis.name]
         spans = [ev.Span(start=low, end=high, label="range of the identification trials")]
     return blocks.panel(_axis_title(axis), title, traces, spans=spans)
-
-
-def _measured_speeds(file: MapFile, name: str) -> list[ev.Trace]:
-    axis = file.axes[0]
-    shown = [m for m in file.measured if m.measured_m_s is not None]
-    if name != "mean_speed_m_s" or not shown:
-        return []
-    return [blocks.points(shown, lambda m: m.at[axis.name], lambda m: m.measured_m_s, label="measured")]
-
-
-def _slices(file: MapFile) -> ev.Figure:
-    """Speed over the second axis at a few values of the first, and the measured speeds of nearby trials."""
-    values, title = _shown(file, "mean_speed_m_s")
-    down, along = file.axes
-    rows = np.unique(np.linspace(0, len(down.values) - 1, min(len(down.values), 5)).astype(int))
-    traces = []
-    for k, i in enumerate(rows):
-        label = f"{down.name} {numbers.number(down.values[i], 3)}"
-        traces.append(ev.Trace(x=along.values, y=values[i], label=label, group=k))
-    panels = [blocks.panel(_axis_title(along), title, traces)]
-    shown = [m for m in file.measured if m.measured_m_s is not None and m.simulated_m_s is not None]
-    if shown:
-        off = [m.measured_m_s - m.simulated_m_s for m in shown]  # type: ignore[operator]
-        trace = ev.Trace(x=[m.measured_m_s for m in shown], y=off, style="points")
-        x, y = "measured mean speed (m/s)", "measured less simulated (m/s)"
-        panels.append(blocks.panel(x, y, [trace], marks=[ev.Mark(at=0.0)]))
-    return blocks.panels(
-        "slices", "Speed along the map, and what was measured", "", panels, columns=len(panels)
-    )
-
-
-def _methods(file: MapFile) -> list[str]:
-    axes = " and ".join(f"{a.name} ({len(a.values)} values)" for a in file.axes)
-    sentences = [
-        f"The gait of {file.robot} was varied over {axes}; each run of {file.duration_s:g} s began at rest "
-        "and was judged by its last whole beats. The power of the driven joints is that of their torques, by "
-        "inverse dynamics of the simulated motion; the cost of transport is mean positive power over speed."
-    ]
-    if any(q.stderr is not None for q in file.quantities.values()):
-        sentences.append("Standard deviations follow from the coefficients' covariance by the delta method.")
-    return sentences

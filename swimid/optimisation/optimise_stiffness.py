@@ -3,42 +3,36 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
 
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
-from swimid.files import atomic, provenance
+from swimid.files import atomic
 from swimid.files.checkpoint import Checkpoint
-from swimid.fitting import genetic
 from swimid.fitting.model import Array
-from swimid.fitting.threads import in_threads
 from swimid.notices import recorded
-from swimid.optimisation import rule_draws, rule_evidence, sweep
-from swimid.optimisation.grid import points_of
+from swimid.optimisation import rule_evidence
+from swimid.optimisation.draws import drawn
 from swimid.optimisation.options import OptimiseStiffnessOptions
-from swimid.optimisation.performance import Performance, Point
-from swimid.optimisation.rule import DEGREE, FORMAT, Curve, Optimum, RuleFile, Swept, fitted
-from swimid.optimisation.search import Search, value_of
-from swimid.optimisation.study import study_of
+from swimid.optimisation.performance import Performance, in_parallel, points_of, study_of
+from swimid.optimisation.problem import Problem
+from swimid.optimisation.rule import DEGREE, FORMAT, Curve, Optimum, RuleFile, Swept, fit_curve
 from swimid.options import takes
 from swimid.progress import Progress, silent
-from swimid.results import evidence as ev
 from swimid.results.result import FileResult
+from swimid.simulation.swim_quantities import PER_BEAT, Steady
 
-#: A stiffness this near to an end of its range, as a share of it, lies at the end: by NSGA-II, and where it
-#: was looked at closely.
-AT_BOUND, CLOSELY = 0.005, 1e-3
-#: Draws by which an interval can be told.
-LEAST_DRAWS = 20
-#: Runs for each draw and point.
-RUNS = 12
-#: Fixed stiffnesses a sweep with the rule is compared with.
-FIXED = 9
+#: First and last radius of the search about the best end of a front.
+RADIUS, LAST = 0.01, 5e-4
+#: A stiffness lies at an end of its range within this share of the range.
+BOUND_TOL = 1e-3
+#: Smallest number of draws of the coefficients, and the number of runs for each draw and point.
+MIN_DRAWS, DRAW_RUNS = 20, 12
+#: Number of fixed stiffnesses that a sweep with the rule is compared with.
+N_FIXED = 9
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,35 +43,21 @@ class StiffnessRule(FileResult[RuleFile]):
     ----------
     file : RuleFile
         What :meth:`save` writes: curves, optima with their Pareto fronts, sweeps; ``.header()`` is the rule
-        in C, ``.table()`` as CSV.
+        in C.
     """
 
     format = FORMAT
     file_type = RuleFile
 
-    def stiffness_for(
-        self,
-        frequency_hz: float,
-        amplitude_deg: float | None = None,
-        *,
-        outside: Literal["refuse", "hold"] = "refuse",
-    ) -> float:
-        """The stiffness at a frequency and an amplitude (see :meth:`RuleFile.stiffness_for`)."""
-        return self.file.stiffness_for(frequency_hz, amplitude_deg, outside=outside)
+    @property
+    def stiffness_for(self) -> Callable[..., float]:
+        """From frequency_hz and amplitude_deg to the stiffness (see :meth:`RuleFile.stiffness_for`)."""
+        return self.file.stiffness_for
 
-    def interval_for(
-        self,
-        frequency_hz: float,
-        amplitude_deg: float | None = None,
-        *,
-        outside: Literal["refuse", "hold"] = "refuse",
-    ) -> tuple[float, float] | None:
+    @property
+    def interval_for(self) -> Callable[..., tuple[float, float] | None]:
         """The 95 % interval of that (see :meth:`RuleFile.interval_for`)."""
-        return self.file.interval_for(frequency_hz, amplitude_deg, outside=outside)
-
-    @classmethod
-    def _told(cls, document: RuleFile, evidence: ev.Evidence | None) -> str:
-        return rule_evidence.summary(document, evidence) if evidence else super()._told(document, evidence)
+        return self.file.interval_for
 
 
 @takes(OptimiseStiffnessOptions)
@@ -112,7 +92,7 @@ def optimise_stiffness(
     UsageError, InputError
         For bad options and files.
     NoTrustworthyResult
-        When every run breaks down or rests, or no stiffness reaches the speed asked for.
+        When every run breaks down or rests.
 
     References
     ----------
@@ -133,80 +113,72 @@ def optimise_stiffness(
     """
     with recorded(repeat=True) as notices:
         performance = Performance.of_options(options)
-        search = _search(performance, options)
+        problem = _problem(performance, options)
+        (coefficient,), (between,) = problem.vary, problem.vary.values()
         axes = {name: [float(v) for v in np.linspace(*axis)] for name, axis in options.over.items()}
         if "amplitude_deg" not in axes:
             axes["amplitude_deg"] = [performance.drive["amplitude_deg"]]
+        points = points_of({name: axes[name] for name in ("amplitude_deg", "frequency_hz")})
+        problems = [replace(problem, fixed=point) for point in points]
         study = study_of(performance, options)
-        for place in (output, options.header, options.table):
+        for place in (output, options.header):
             if place is not None:
                 allow(atomic.check_writable(place, inputs=study.inputs))
         keep = Checkpoint.beside(output, study.key)
-        points = [dict(p) for p in points_of({n: axes[n] for n in ("amplitude_deg", "frequency_hz")})]
-        known = bool(options.draws and options.pick == "best" and performance.applied.uncertain()[0])
-        runs = len(points) * (options.population * options.generations + known * options.draws * RUNS)
+        known = bool(options.draws and performance.applied.uncertain()[0])
+        runs = len(points) * (options.population * options.generations + known * options.draws * DRAW_RUNS)
         performance.model.prepare(progress, simulated_s=runs * options.duration_s, checkpoint=keep)
-        fronts = _fronts(search, points, keep, progress)
-        chosen = np.array([search.chosen(front) for front in fronts])
-        _insist(chosen, fronts, options)
-        curves = _curves(points, chosen)
-        low, high = search.between
-        near = (CLOSELY if options.pick == "best" else AT_BOUND) * (high - low)
-        optima = [
-            Optimum(
-                frequency_hz=point["frequency_hz"],
-                amplitude_deg=point["amplitude_deg"],
-                stiffness=k,
-                at_bound=bool(min(k - low, high - k) < near),
-                knee=float(front[genetic.knee(front[:, 1:]), 0]) if len(front) else None,
-                front=front,  # type: ignore[arg-type]
-            )
-            for point, k, front in zip(points, chosen, fronts, strict=True)
+        reference = float(performance.values[performance.model.index(coefficient)])
+
+        def front(k: int) -> Array:
+            return keep.kept(f"front {k}", lambda: front_at(problems[k], k, reference, options).ravel())
+
+        fronts = [
+            found.reshape(-1, 3)
+            for found in in_parallel(front, range(len(points)), options.jobs, "fronts", progress)
         ]
-        reached = [o.frequency_hz for o in optima if o.stiffness is not None]
-        frequencies = [f for f in axes["frequency_hz"] if min(reached) <= f <= max(reached)]
-        amplitudes = [curve.amplitude_deg for curve in curves]
+        optima = [_optimum(one, found) for one, found in zip(problems, fronts, strict=True)]
+        frequencies, amplitudes = axes["frequency_hz"], axes["amplitude_deg"]
         file = RuleFile(
-            verdict="caution",
             **study.said,
-            coefficient=search.coefficient,
-            unit=performance.axes[search.coefficient],
-            between=search.between,
+            coefficient=coefficient,
+            unit=performance.axes[coefficient],
+            between=between,
             objective=options.objective,
-            objectives=search.names,
-            reach_speed_m_s=options.reach_speed_m_s,
-            pick=options.pick,
-            reference=search.reference,
+            objectives=tuple(quantity for _, quantity, _ in problem.goals),  # type: ignore[arg-type]
+            reference=reference,
             frequency_hz=(frequencies[0], frequencies[-1]),
             amplitude_deg=(amplitudes[0], amplitudes[-1]),
-            curves=curves,
+            curves=[_curve(optima, amplitude) for amplitude in amplitudes],
             optima=optima,
-            provenance=study.repeatable,
         )
-        _assess(search, file)
+        _assess(performance, file, options.jobs or 1)
         performance.insist_motion(np.array(rule_evidence.largest_speeds(file)))
-        file.least_effort = _least_effort(file)
         if known:
             performance.applied.warn_without_error("the intervals")
-            rule_draws.carry(search, file, keep, progress)
+            draws = drawn(performance.applied, options.draws, options.seed)
+            file.draws, file.inside = len(draws.vectors), draws.inside
+
+            def redone(k: int) -> Array:
+                return keep.kept(f"draws {k}", lambda: _redone(problems[k], file, k, draws.vectors).ravel())
+
+            tables = in_parallel(redone, range(len(optima)), options.jobs, "rule in draws", progress)
+            _carry(file, [table.reshape(2, -1) for table in tables])
         if options.objective == "speed":
             file.sweeps = [_swept(performance, file, frequencies, a) for a in amplitudes]
-    origin = provenance.collect(study.inputs, settings=study.settings)
-    evidence = rule_evidence.evidence(file, notices, origin)
+    evidence = rule_evidence.evidence(file, notices, study.origin)
     file.verdict = evidence.verdict.level
-    written = []
     with atomic.together():
         saved = StiffnessRule.of(file, evidence).saved(output)
-        for place, text in ((options.header, file.header()), (options.table, file.table())):
-            if place is not None:
-                atomic.write_text(place, text)
-                written.append(place)
+        if options.header is not None:
+            atomic.write_text(options.header, file.header())
+            saved = replace(saved, outputs=[*saved.outputs, options.header])
     keep.done()
-    return replace(saved, outputs=[*saved.outputs, *written])
+    return saved
 
 
-def _search(performance: Performance, options: OptimiseStiffnessOptions) -> Search:
-    """What is searched, as far as the options go together."""
+def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> Problem:
+    """What is searched at every point of the grid, as far as the options go together."""
     if options.stroke is not None or performance.model.in_space:
         raise UsageError("a stiffness rule is one of a tail beat in a plane")
     if not set(options.over) <= {"frequency_hz", "amplitude_deg"} or "frequency_hz" not in options.over:
@@ -217,130 +189,189 @@ def _search(performance: Performance, options: OptimiseStiffnessOptions) -> Sear
         raise UsageError(
             "--over: a quadratic rule needs three frequencies or more, and two amplitudes or none"
         )
-    if 0 < options.draws < LEAST_DRAWS:
-        raise UsageError(f"--draws: {LEAST_DRAWS} or more, or 0 for none")
-    if (options.reach_speed_m_s is not None) != (options.objective == "effort"):
-        raise UsageError("--objective effort and --reach-speed-m-s belong together")
-    found = performance.model.yielding()
-    name = options.coefficient
-    if name is None:
-        if len(found) != 1:
-            said = (
-                f"there are {', '.join(found)}" if found else "no coefficient stands in a passive joint's law"
-            )
-            raise UsageError(f"which stiffness is to be found? {said}", hint="name it: --coefficient NAME")
-        name = found[0]
-    if name not in performance.model.coefficients:
-        hint = suggestion(name, performance.model.coefficients)
-        raise UsageError(f"--coefficient: there is no '{name}'", hint=hint)
-    if name not in found:
-        known = f"there are {', '.join(found)}" if found else "this robot has none"
-        raise UsageError(f"--coefficient: {name} stands in no passive joint's law", hint=known)
+    if 0 < options.draws < MIN_DRAWS:
+        raise UsageError(f"--draws: {MIN_DRAWS} or more, or 0 for none")
+    name = _coefficient(performance, options)
     p = performance.model.parameters[performance.model.index(name)]
     low, high = options.between or (p.lower, p.upper)
     if not (math.isfinite(low) and math.isfinite(high)):
         raise UsageError(f"{name} has no bounds", hint="give them: --between LOW,HIGH")
     performance.check({name: (low, high)}, "--between")
-    return Search(performance, name, (low, high), options)
+    goals, signs = {
+        "speed": (("mean_surge_from_start_m_s", f"{performance.turn}_rate_range_rad_s"), (-1.0, 1.0)),
+        "cost-of-transport": (("cost_of_transport_J_m", "mean_speed_m_s"), (1.0, -1.0)),
+    }[options.objective]
+    return Problem(performance, {name: (low, high)}, list(zip(goals, goals, signs, strict=True)), {})
 
 
-def _fronts(search: Search, points: Sequence[Point], keep: Checkpoint, progress: Progress) -> list[Array]:
-    def one(k: int) -> Array:
-        return keep.kept(f"front {k}", lambda: search.front(k, points[k]).ravel()).reshape(-1, 3)
+def _coefficient(performance: Performance, options: OptimiseStiffnessOptions) -> str:
+    """The coefficient that is the stiffness."""
+    name, found = options.coefficient, performance.model.yielding()
+    if name is None and len(found) == 1:
+        return found[0]
+    if name is None:
+        known = ", ".join(found) or "no coefficient"
+        raise UsageError(
+            f"which stiffness is to be found? in passive joints' laws stands {known}",
+            hint="name it: --coefficient NAME",
+        )
+    if name not in found:
+        raise UsageError(
+            f"--coefficient: {name} stands in no passive joint's law", hint=suggestion(name, found)
+        )
+    return name
 
-    found = []
-    with (
-        progress("fronts", total=len(points)) as step,
-        in_threads(one, range(len(points)), search.options.jobs or os.cpu_count() or 1) as results,
-    ):
-        for front in results:
-            found.append(front)
-            step()
-    return found
+
+# ------------------------------------------------------------ the optima
 
 
-def _insist(chosen: Array, fronts: Sequence[Array], options: OptimiseStiffnessOptions) -> None:
-    """Refuse a rule that rests on too little."""
-    if not any(len(front) for front in fronts):
+def front_at(problem: Problem, number: int, reference: float, options: OptimiseStiffnessOptions) -> Array:
+    """Search the Pareto front at a point of the grid, its best end by differences.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        Stiffness and both objectives, as they are minimised; the best in the first objective first.
+    """
+    ((low, high),) = problem.vary.values()
+    first = np.array([(reference - low) / (high - low)])
+    front = problem.front(options.population, options.generations, options.seed + number, first=first)
+    if len(front):
+        front = front[np.argsort(front[:, 1], kind="stable")]
+        problem.scale = float(abs(front[0, 1]))
+        closer = problem.minimise(front[:1, :1], first=RADIUS, last=LAST).points
+        found = np.hstack([closer, problem.wanted(problem.table(closer))])
+        if found[0, 1] < front[0, 1]:
+            # points that are worse in both objectives leave the front
+            front = np.vstack([found, front[front[:, 2] < found[0, 2]]])
+    front[:, 0] = low + front[:, 0] * (high - low)
+    return front
+
+
+def _optimum(problem: Problem, front: Array) -> Optimum:
+    if not len(front):
         raise NoTrustworthyResult(
-            "every simulation breaks down", hint="narrow the ranges, or take a smaller --dt"
+            f"every simulation breaks down at {problem.fixed}",
+            hint="narrow the ranges, or take a smaller --dt",
         )
-    if not np.isfinite(chosen).any():
-        fastest = max(float(-front[:, 2].min()) for front in fronts if len(front))
-        raise NoTrustworthyResult(
-            f"no stiffness and frequency reaches {options.reach_speed_m_s:g} m/s; the fastest swims at "
-            f"{fastest:.3g} m/s"
-        )
+    ((low, high),) = problem.vary.values()
+    stiffness = float(front[0, 0])
+    near = min(stiffness - low, high - stiffness) < BOUND_TOL * (high - low)
+    return Optimum(**problem.fixed, front=front, stiffness=stiffness, at_bound=near)  # type: ignore[arg-type]
 
 
-def _curves(points: Sequence[Point], chosen: Array) -> list[Curve]:
-    """The quadratic function of the frequency at each amplitude, by least squares."""
-    places = np.array([[p["amplitude_deg"], p["frequency_hz"]] for p in points])
-    curves = []
-    for amplitude in np.unique(places[:, 0]):
-        at = (places[:, 0] == amplitude) & np.isfinite(chosen)
-        if not at.any():
-            continue  # nothing reaches the speed at this amplitude
-        found = fitted(places[at, 1], chosen[at])
-        curves.append(
-            Curve(
-                amplitude_deg=float(amplitude),
-                coefficients=found.coefficients,
-                stderr=found.stderr,
-                rms=found.rms,
-            )
-        )
-    return curves
+def _curve(optima: Sequence[Optimum], amplitude: float) -> Curve:
+    """The quadratic function of the frequency at an amplitude."""
+    at = [(one.frequency_hz, one.stiffness) for one in optima if one.amplitude_deg == amplitude]
+    return fit_curve(amplitude, *np.array(at).T)
 
 
-def _assess(search: Search, file: RuleFile) -> None:
+def _assess(performance: Performance, file: RuleFile, jobs: int) -> None:
     """Speeds and costs with the stiffness found, with the rule's and with the reference."""
-    runs: list[tuple[Optimum, str, dict[str, float]]] = []
+    gaits, owners = [], []
     for one in file.optima:
-        point = {"frequency_hz": one.frequency_hz, "amplitude_deg": one.amplitude_deg}
         ruled = file.stiffness_for(one.frequency_hz, one.amplitude_deg, outside="hold")
         for prefix, k in (("", one.stiffness), ("rule_", ruled), ("reference_", file.reference)):
-            if k is not None:
-                runs.append((one, prefix, {**point, search.coefficient: k}))
-    told = search.quantities([point for _, _, point in runs])
-    for (one, prefix, _), q in zip(runs, told, strict=True):
-        seen: dict[str, Any] = {
-            f"{prefix}speed_m_s": value_of(q, "mean_speed_m_s"),
-            f"{prefix}cost_of_transport_J_m": value_of(q, "cost_of_transport_J_m"),
-        }
-        if prefix != "rule_":
-            seen[f"{prefix}turn_rate_range_rad_s"] = value_of(q, f"{search.turn}_rate_range_rad_s")
-        if not prefix:
-            seen["settling_time_s"] = value_of(q, "settling_time_s")
-            seen["power_W"] = value_of(q, "mean_positive_power_W")
-        for name, value in seen.items():
-            setattr(one, name, value if math.isfinite(value) else None)
+            beat = {"frequency_hz": one.frequency_hz, "amplitude_deg": one.amplitude_deg}
+            gaits.append({**beat, file.coefficient: k})
+            owners.append((one, prefix))
+    told = {
+        "speed_m_s": "mean_speed_m_s",
+        "cost_of_transport_J_m": "cost_of_transport_J_m",
+        "turn_rate_range_rad_s": f"{performance.turn}_rate_range_rad_s",
+        "settling_time_s": "settling_time_s",
+    }
+    units = list(performance.units)
+    for (one, prefix), row in zip(owners, performance.many(gaits, jobs=jobs), strict=True):
+        for name, quantity in told.items():
+            value = float(row[units.index(quantity)])
+            if prefix + name in Optimum.model_fields and math.isfinite(value):
+                setattr(one, prefix + name, value)
 
 
-def _least_effort(file: RuleFile) -> Optimum | None:
-    """Of all frequencies and amplitudes the one that reaches the speed asked for at the least power."""
-    if file.reach_speed_m_s is None:
-        return None
-    reached = [o for o in file.optima if o.stiffness is not None and o.power_W is not None]
-    return min(reached, key=lambda o: o.power_W or math.inf, default=None)
+# ------------------------------------------------------------ how sure they are
+
+
+def _redone(problem: Problem, file: RuleFile, number: int, vectors: Sequence[Array]) -> Array:
+    """An optimum in draws of the coefficients.
+
+    Returns
+    -------
+    ndarray, shape (2, draws)
+        The stiffness, and the relative loss of the rule against it.
+    """
+    one, (name,) = file.optima[number], problem.vary
+    ruled = file.stiffness_for(one.frequency_hz, one.amplitude_deg, outside="hold")
+    best = problem.minimise_in_draws(vectors, problem.place({name: one.stiffness}))
+    _, cost = problem.costs(problem.place({name: ruled}), vectors)
+    stiffness = [problem.at(x)[name] for x in best.points]
+    return np.array([stiffness, (cost - best.values) / np.abs(best.values)])
+
+
+def _carry(file: RuleFile, tables: Sequence[Array]) -> None:
+    """Carry optima in draws of the coefficients into the intervals, losses and curves of a rule."""
+    for one, (stiffness, lost) in zip(file.optima, tables, strict=True):
+        low, high = np.quantile(stiffness, [0.025, 0.975], method="weibull")
+        one.stiffness_ci95 = (float(low), float(high))
+        one.loss_90 = max(float(np.quantile(lost, 0.9, method="higher")), 0.0)
+    for curve in file.curves:
+        at = [k for k, one in enumerate(file.optima) if one.amplitude_deg == curve.amplitude_deg]
+        f = np.array([file.optima[k].frequency_hz for k in at])
+        for column in np.array([tables[k][0] for k in at]).T:
+            curve.drawn.append([*fit_curve(curve.amplitude_deg, f, column).coefficients])
+
+
+# ------------------------------------------------------------ a frequency sweep in one run
+
+
+def sweep(
+    performance: Performance,
+    frequencies_hz: Sequence[float],
+    amplitude_deg: float,
+    coefficient: str,
+    stiffness: Array,
+) -> Array:
+    """Swim through frequencies without a stop, each for the performance's duration.
+
+    Parameters
+    ----------
+    stiffness : ndarray, shape (runs, frequencies)
+
+    Returns
+    -------
+    ndarray, shape (runs,)
+        Way made in all, m.
+
+    Notes
+    -----
+    A step lasts whole beats and begins with the motion the last one ended with; the drive goes on at the same
+    phase.
+    """
+    model = performance.model
+    states = [performance.values.copy() for _ in stiffness]
+    ways = np.zeros(len(stiffness))
+    for number, frequency in enumerate(frequencies_hz):
+        point = {"frequency_hz": frequency, "amplitude_deg": amplitude_deg}
+        ramp_s = 0.0 if number else performance.ramp_s
+        swim, _ = replace(performance, ramp_s=ramp_s).swim(point)
+        duration_s = math.ceil(performance.duration_s * frequency - 1e-9) / frequency
+        run = Steady.driven(model, f"sweep {number} {point!r}", swim, frequency, duration_s)
+        for values, k in zip(states, stiffness[:, number], strict=True):
+            values[model.index(coefficient)] = k
+        columns = model.simulate_many([(values, run.trial) for values in states])
+        paths = np.array([[column[name][::PER_BEAT] for name in model.pose[:2]] for column in columns])
+        ways += np.hypot(*np.diff(paths, axis=2).transpose(1, 0, 2)).sum(axis=1)
+        for values, seen in zip(states, columns, strict=True):
+            for name, value in model.final_state(seen).items():
+                values[model.index(name)] = value
+        model.forget([run.trial])
+    return ways
 
 
 def _swept(performance: Performance, file: RuleFile, frequencies: Sequence[float], amplitude: float) -> Swept:
     """A frequency sweep with the rule and with fixed stiffnesses over the range of what it says."""
     ruled = [file.stiffness_for(f, amplitude, outside="hold") for f in frequencies]
-    fixed = sorted({float(k) for k in np.linspace(min(ruled), max(ruled), FIXED)} | {file.reference})
-
-    def held(k: float) -> Callable[[float], float]:
-        return lambda _f: k
-
-    laws = [lambda f: file.stiffness_for(f, amplitude, outside="hold"), *(held(k) for k in fixed)]
-    found = sweep.swept(performance, frequencies, amplitude, file.coefficient, laws)
-    return Swept(
-        amplitude_deg=amplitude,
-        frequencies_hz=list(frequencies),
-        rule_m_s=found.speed_m_s[0].tolist(),
-        rule_m=float(found.distance_m[0]),
-        fixed=fixed,
-        fixed_m_s=found.speed_m_s[1:].tolist(),
-        fixed_m=found.distance_m[1:].tolist(),
-    )
+    fixed = sorted({*np.linspace(min(ruled), max(ruled), N_FIXED).tolist(), file.reference})
+    stiffness = np.vstack([ruled, np.tile(np.array(fixed)[:, None], len(ruled))])
+    ways = sweep(performance, frequencies, amplitude, file.coefficient, stiffness).tolist()
+    return Swept(amplitude_deg=amplitude, rule_m=ways[0], fixed=fixed, fixed_m=ways[1:])

@@ -41,8 +41,29 @@ class GaitOptions(Options):
     jobs: int | None = fits.jobs()
 
 
-class MapOptions(GaitOptions):
-    """What ``map`` can be told."""
+class MapOptions(
+    GaitOptions,
+    command="map",
+    section="Put to work",
+    function="performance_map",
+    argument="",
+    output="Map file to write (YAML).",
+    page="optimise.md",
+):
+    r"""Map speed, cost of transport and turning over a grid of gaits.
+
+    Speed, cost of transport, Strouhal number, turning, power and torque over one or two of frequency,
+    amplitude, bias, asymmetry and any coefficient. Recorded trials are set beside it, and the range they
+    cover is marked. A run that was stopped goes on where it was when it is started again.
+
+    Examples:
+      swimid map --robot dolphin --amplitude-deg 27 \
+          --over frequency_hz=1:5:9 --over K_s=0.2:3.0:15 -o map.yaml
+      swimid map --params tfish.yaml --trials trials.yaml --over frequency_hz=0.6:2:8 \
+          --over amplitude_deg=15:35:5 -o map.yaml
+      swimid map --robot tfish --waveform a-cpg --frequency-hz 1 --amplitude-deg 35 \
+          --over bias_deg=25:35:3 --over asymmetry=0:0.4:2 --duration-s 20 -o steering.yaml
+    """
 
     over: Mapping[str, tuple[float, float, int]] = option(
         metavar="NAME=LOW:HIGH:COUNT",
@@ -54,8 +75,26 @@ class MapOptions(GaitOptions):
     )
 
 
-class OptimiseStiffnessOptions(GaitOptions):
-    """What ``optimise stiffness`` can be told."""
+class OptimiseStiffnessOptions(
+    GaitOptions,
+    command="optimise stiffness",
+    section="Put to work",
+    argument="",
+    output="Rule file to write (YAML).",
+    page="optimise.md",
+):
+    r"""Find the best stiffness of a passive joint over frequency and amplitude.
+
+    At every point of the grid NSGA-II searches the stiffness; a quadratic function of the frequency for
+    each amplitude is the rule, which a controller reads as YAML or as a C header. A run that
+    was stopped goes on where it was when it is started again.
+
+    Examples:
+      swimid optimise stiffness --params tfish.yaml --over frequency_hz=0.6:2:8 \
+          --over amplitude_deg=15:35:5 -o rule.yaml --header rule.h
+      swimid optimise stiffness --robot dolphin --amplitude-deg 27 --over frequency_hz=1:5:9 \
+          --between 0.1,3 --objective cost-of-transport -o rule.yaml
+    """
 
     over: Mapping[str, tuple[float, float, int]] = option(
         metavar="NAME=LOW:HIGH:COUNT",
@@ -67,19 +106,10 @@ class OptimiseStiffnessOptions(GaitOptions):
     between: tuple[float, float] | None = option(
         None, metavar="LOW,HIGH", help="Where it is searched; default the coefficient's bounds."
     )
-    objective: Literal["speed", "cost-of-transport", "effort"] = option(
+    objective: Literal["speed", "cost-of-transport"] = option(
         "speed",
         help="speed: mean speed from rest against the range of the turning rate (T-Fish, Eq 12). "
-        "cost-of-transport, or effort (power): against mean speed.",
-    )
-    reach_speed_m_s: float | None = option(
-        None, gt=0, help="effort: the least power among stiffnesses that reach this speed."
-    )
-    pick: Literal["best", "knee"] = option(
-        "best", help="Of each front, the point best in the objective, or nearest to the best of both."
-    )
-    reference: float | None = option(
-        None, help="Stiffness the gain is told against; default the parameters' own value."
+        "cost-of-transport: against mean speed.",
     )
     population: int = option(24, ge=4, help="NSGA-II: population size.")
     generations: int = option(12, ge=1, help="NSGA-II: number of generations.")
@@ -90,14 +120,33 @@ class OptimiseStiffnessOptions(GaitOptions):
     header: Path | None = option(
         None, written=True, recorded=False, help="C header of the rule to write (.h)."
     )
-    table: Path | None = option(None, written=True, recorded=False, help="Table of the rule to write (.csv).")
 
 
 Goal = Literal["speed", "radius", "turn-rate", "cost-of-transport", "power"]
 
 
-class OptimiseGaitOptions(GaitOptions):
-    """What ``optimise gait`` can be told."""
+class OptimiseGaitOptions(
+    GaitOptions,
+    command="optimise gait",
+    section="Put to work",
+    argument="",
+    output="Gait file to write (YAML).",
+    page="optimise.md",
+):
+    r"""Find the best gait within limits.
+
+    Any of frequency, amplitude, bias, asymmetry, phase lag and coefficients against speed, turning, cost
+    of transport or power. With standard errors in the parameter file it says how sure the best gait is,
+    and gives a robust one beside it.
+
+    Examples:
+      swimid optimise gait --params tfish.yaml --vary frequency_hz=0.6,2 --vary d_p=0,0.2 \
+          --amplitude-deg 30 --limit joint_rate_deg_s=120 -o gait.yaml
+      swimid optimise gait --robot tfish --waveform a-cpg --goal radius --vary bias_deg=0,40 \
+          --vary asymmetry=0,0.6 --frequency-hz 1 --amplitude-deg 35 --limit tank_m=4 -o turn.yaml
+      swimid optimise gait --robot dolphin --amplitude-deg 27 --goal speed --goal cost-of-transport \
+          --vary frequency_hz=1,5 --vary K_s=0.1,3 -o front.yaml
+    """
 
     vary: Mapping[str, tuple[float, float]] = option(
         {},

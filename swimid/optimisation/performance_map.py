@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,25 +11,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from swimid.errors import UsageError
-from swimid.files import atomic, provenance
+from swimid.files import atomic
 from swimid.files.checkpoint import Checkpoint
+from swimid.fitting.model import Array
 from swimid.notices import recorded
-from swimid.optimisation import grid, map_evidence
+from swimid.optimisation import map_evidence
 from swimid.optimisation.map_file import FORMAT, Axis, MapFile, Mapped
-from swimid.optimisation.measured import Recorded, efficiency
+from swimid.optimisation.measured import Recorded, efficiency, recorded_trials
 from swimid.optimisation.options import MapOptions
-from swimid.optimisation.performance import Performance
-from swimid.optimisation.study import study_of
+from swimid.optimisation.performance import TOGETHER, Performance, Point, in_parallel, points_of, study_of
 from swimid.options import takes
 from swimid.progress import Progress, silent
-from swimid.results import evidence as ev
 from swimid.results.result import FileResult
 
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Points of a map at most.
-MOST_POINTS = 100_000
+#: Maximum number of points of a map.
+MAX_POINTS = 100_000
 #: A change of speed from beat to beat above this share is not steady.
 UNSTEADY = 0.005
 
@@ -53,13 +53,9 @@ class PerformanceMap(FileResult[MapFile]):
         """A row for each point of the grid."""
         import pandas as pd
 
-        points = grid.points_of({axis.name: axis.values for axis in self.file.axes})
+        points = points_of({axis.name: axis.values for axis in self.file.axes})
         columns = {name: np.array(q.values, dtype=float).ravel() for name, q in self.file.quantities.items()}
         return pd.DataFrame({**pd.DataFrame(points), **columns})
-
-    @classmethod
-    def _told(cls, document: MapFile, evidence: ev.Evidence | None) -> str:
-        return map_evidence.summary(document, evidence) if evidence else super()._told(document, evidence)
 
 
 @takes(MapOptions)
@@ -115,58 +111,75 @@ def performance_map(
         performance.check_drive(options.over, "--over")
         if any(axis[2] < 2 for axis in options.over.values()):
             raise UsageError("--over: an axis has two points or more")
-        if math.prod(axis[2] for axis in options.over.values()) > MOST_POINTS:
-            raise UsageError(f"a map of more than {MOST_POINTS} points is taken for a slip")
+        if math.prod(axis[2] for axis in options.over.values()) > MAX_POINTS:
+            raise UsageError(f"a map has at most {MAX_POINTS} points")
         axes = {name: [float(v) for v in np.linspace(*axis)] for name, axis in options.over.items()}
-        beside = None if options.trials is None else Recorded(options.trials, performance)
-        study = study_of(performance, options, [] if beside is None else beside.inputs)
+        beside = Recorded()
+        if options.trials is not None:
+            beside = recorded_trials(options.trials, performance, axes)
+        study = study_of(performance, options, beside.inputs)
         if output is not None:
             atomic.check_writable(output, inputs=study.inputs)
         keep = Checkpoint.beside(output, study.key)
-        points = grid.points_of(axes)
-        errors = bool(performance.applied.uncertain()[0])
-        runs = len(points) * (1 + 2 * errors * len(performance.applied.uncertain()[0]))
+        points = points_of(axes)
+        uncertain = performance.applied.uncertain()[0]
+        runs = len(points) * (1 + 2 * len(uncertain))
         performance.model.prepare(progress, simulated_s=runs * options.duration_s, checkpoint=keep)
-        found = grid.computed(
-            performance, points, errors=errors, jobs=options.jobs, checkpoint=keep, progress=progress
-        )
+        found = _computed(performance, points, bool(uncertain), options.jobs, keep, progress)
         performance.insist(found[..., 0])
-        if errors:
+        if uncertain:
             performance.applied.warn_without_error("the deviations of the map")
         shape = (len(next(iter(axes.values()))), -1)
         quantities = {
             name: Mapped(
                 unit=unit,
                 values=found[:, k, 0].reshape(shape),  # type: ignore[arg-type]
-                stderr=found[:, k, 1].reshape(shape) if errors else None,  # type: ignore[arg-type]
+                stderr=found[:, k, 1].reshape(shape) if uncertain else None,  # type: ignore[arg-type]
             )
             for k, (name, unit) in enumerate(performance.units.items())
             if np.isfinite(found[:, k, 0]).any()
         }
-        measured = [] if beside is None else beside.points(axes)
         units = performance.axes
-        said = study.said
-        if beside is not None:
-            said["identified"] = {**said["identified"], **beside.region(list(axes))}
+        study.said["identified"] |= beside.region
         file = MapFile(
-            verdict="caution",
-            **said,
+            **study.said,
             axes=[Axis(name=name, unit=units[name], values=values) for name, values in axes.items()],
             quantities=quantities,
             broken=int((~np.isfinite(found[..., 0])).all(axis=1).sum()),
             unsettled=_unsettled(quantities),
-            measured=measured,
-            efficiency=efficiency(
-                [math.nan if m.mechanical_W is None else m.mechanical_W for m in measured],
-                [math.nan if m.electrical_W is None else m.electrical_W for m in measured],
-            ),
-            provenance=study.repeatable,
+            measured=beside.points,
+            efficiency=efficiency(beside.points),
         )
-    evidence = map_evidence.evidence(file, notices, provenance.collect(study.inputs, settings=study.settings))
+    evidence = map_evidence.evidence(file, notices, study.origin)
     file.verdict = evidence.verdict.level
     saved = PerformanceMap.of(file, evidence).saved(output)
     keep.done()
     return saved
+
+
+def _computed(
+    performance: Performance,
+    points: Sequence[Point],
+    uncertain: bool,
+    jobs: int | None,
+    checkpoint: Checkpoint,
+    progress: Progress,
+) -> Array:
+    """Quantities of every point and their standard errors (NaN where unknown), shape (n, quantities, 2)."""
+    size = 1 if uncertain else TOGETHER
+    parts = [points[k : k + size] for k in range(0, len(points), size)]
+
+    def compute(part: Sequence[Point]) -> Array:
+        if uncertain:
+            return np.array([performance.with_errors(point) for point in part]).ravel()
+        table = performance.table(part)
+        return np.stack([table, np.full_like(table, np.nan)], axis=-1).ravel()
+
+    def one(k: int) -> Array:
+        return checkpoint.kept(f"points {k}", lambda: compute(parts[k]))
+
+    found = in_parallel(one, range(len(parts)), jobs, "gaits", progress)
+    return np.concatenate([rows.reshape(-1, len(performance.units), 2) for rows in found])
 
 
 def _unsettled(quantities: dict[str, Mapped]) -> int:

@@ -1,24 +1,62 @@
-"""Checks that maps, rules and gaits share: what their coefficients are worth, and where these were found."""
+"""What maps, rules and gaits share: facts, checks of what their coefficients are worth, and the last line."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from swimid.notices import Notice
-from swimid.results import blocks
+from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 
 #: Warnings that coefficients are not vouched for: outside their bounds, or by a fit that did not converge or
 #: could not identify them.
 DOUBTFUL = ("SWM053", "SWM062")
-#: What a drive has where it does not say.
+#: Values of a drive where it does not say.
 NEUTRAL = {"bias_deg": 0.0, "asymmetry": 0.0, "lag_deg": 0.0, "scale": 1.0}
+#: Width of the terminal.
+WIDTH = 98
+REFERENCES = [
+    "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin",
+    "D. Chen, Y. Xiong, B. Wang, R. Tong, Y. Meng, J. Yu: Performance Optimization for Bionic Robotic "
+    "Dolphin with Active Variable Stiffness Control",
+    "Deb, Pratap, Agarwal, Meyarivan (2002): A fast and elitist multiobjective genetic algorithm: NSGA-II. "
+    "IEEE Transactions on Evolutionary Computation 6, doi:10.1109/4235.996017",
+    "Rockafellar, Uryasev (2000): Optimization of conditional value-at-risk. Journal of Risk 2, "
+    "doi:10.21314/JOR.2000.038",
+]
 #: The range of the identification trials, by the name of what was varied in them.
 Region = Mapping[str, tuple[float, float]]
 
 
+def evidence(
+    file: Any,
+    verb: str,
+    answer: str,
+    checks: Sequence[ev.Check],
+    facts: Mapping[str, str],
+    notices: Sequence[Notice],
+    origin: dict[str, Any],
+    **shown: Any,
+) -> ev.Evidence:
+    """Return the evidence of a study of gaits, with the facts and the check that every study has."""
+    checks = [*checks, *coefficients_check(notices)]
+    robot = {"Robot": file.robot, "Parameters": file.params or "the robot file's"}
+    return ev.Evidence(
+        verb=verb,
+        title=f"{file.kind.removesuffix(' file').capitalize()} of {file.robot}",
+        verdict=ev.judged(answer, checks),
+        facts={**robot, "Runs": f"{file.duration_s:g} s from rest", **facts},
+        checks=checks,
+        notices=blocks.notices(notices),
+        references=REFERENCES,
+        provenance=origin,
+        **shown,
+    )
+
+
 def coefficients_check(notices: Sequence[Notice]) -> list[ev.Check]:
-    """A check that stands only where the coefficients are in doubt."""
+    """Return a check that stands only where the coefficients are in doubt."""
     doubts = [n.text for n in notices if n.code in DOUBTFUL]
     if not doubts:
         return []
@@ -26,27 +64,40 @@ def coefficients_check(notices: Sequence[Notice]) -> list[ev.Check]:
     return [ev.check(name, "no", False, "converged, identified, within bounds", "; ".join(doubts))]
 
 
-def draws_check(draws: int, inside: int | None, refused: int) -> ev.Check:
-    """Whether most draws of the coefficients lie within their bounds.
+def draws_check(inside: float) -> ev.Check:
+    """Check that most draws of the coefficients lie within their bounds."""
+    text = "" if inside >= 0.5 else "the coefficients are hardly known: fit them better"
+    value = numbers.percent(inside, 2)
+    return ev.check("draws within the coefficients' bounds", value, inside >= 0.5, "half or more", text)
 
-    Parameters
-    ----------
-    draws, inside, refused : int
-        That were used, and of those made, inside and outside; an older file does not tell ``inside``.
-    """
-    within = draws if inside is None else inside
-    known = refused <= within
-    return ev.check(
-        "draws within the coefficients' bounds",
-        f"{within} of {within + refused}",
-        known,
-        "half or more",
-        "" if known else "the coefficients are hardly known: fit them better",
-    )
+
+def unknown_check(name: str) -> ev.Check:
+    """Tell that an uncertainty is not known."""
+    return ev.check(name, "not known", None, text="give a parameter file with standard errors: --params")
+
+
+def steady_check(steady: int, count: int) -> ev.Check:
+    """Check that runs are steady at their end."""
+    text = "" if steady == count else "speeds are those after --duration-s from rest, not steady ones"
+    return ev.check("steady at the end of the run", f"{steady} of {count}", steady == count, "all", text)
+
+
+def region_check(region: Region, points: Sequence[Mapping[str, float]]) -> ev.Check:
+    """Check that gaits lie inside the range of the identification trials."""
+    name = "inside the range of the identification trials"
+    if not region:
+        return ev.check(name, "not known", None, text="give the parameter file of a fit: --params")
+    out = [beyond(region, at) for at in points]
+    inside = sum(not names for names in out)
+    text = ""
+    if inside < len(points):
+        names = ", ".join(name for name in region if any(name in one for one in out))
+        text = f"elsewhere it is extrapolation in {names}: the coefficients were not identified there"
+    return ev.check(name, f"{inside} of {len(points)}", inside == len(points), "all", text)
 
 
 def beyond(region: Region, at: Mapping[str, float]) -> list[str]:
-    """What of a gait lies outside the range of the identification trials; what it does not name is neutral.
+    """Return what of a gait lies outside the range of the identification trials.
 
     >>> beyond({"frequency_hz": (1.0, 1.8), "bias_deg": (0.0, 15.0)}, {"frequency_hz": 2.0})
     ['frequency_hz']
@@ -60,22 +111,8 @@ def beyond(region: Region, at: Mapping[str, float]) -> list[str]:
     return found
 
 
-def region_check(region: Region, points: Sequence[Mapping[str, float]]) -> ev.Check:
-    """Whether gaits lie inside the range of the identification trials."""
-    name = "inside the range of the identification trials"
-    if not region:
-        return ev.check(name, "not known", None, text="give the parameter file of a fit: --params")
-    out = [beyond(region, at) for at in points]
-    inside = sum(not names for names in out)
-    text = ""
-    if inside < len(points):
-        names = ", ".join(name for name in region if any(name in one for one in out))
-        text = f"elsewhere it is extrapolation in {names}: the coefficients were not identified there"
-    return ev.check(name, f"{inside} of {len(points)}", inside == len(points), "all", text)
-
-
 def forwards_check(surge_m_s: Sequence[float | None]) -> list[ev.Check]:
-    """Whether gaits swim nose first: speed is that along the path, whichever way the robot faces.
+    """Check that gaits swim nose first: speed is that along the path, whichever way the robot faces.
 
     Parameters
     ----------

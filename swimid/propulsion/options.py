@@ -10,8 +10,21 @@ from swimid.fitting.options import StartState
 from swimid.options import Options, Source, option
 
 
-class FitPropulsionOptions(Options):
-    """What ``fit-propulsion`` can be told."""
+class FitPropulsionOptions(
+    Options,
+    command="fit-propulsion",
+    section="Identify",
+    output="Parameter file to write (YAML).",
+):
+    """Identify the propulsion of a caudal fin.
+
+    TRIALS is a trials file of a cruise experiment (energy recoil law: efficiency and amplitude
+    offset), or of straight free-swim trials (beat-averaged thrust and surge drag).
+
+    Examples:
+      swimid fit-propulsion cruise.yaml --drag drag.yaml -o propulsion.yaml
+      swimid fit-propulsion straight_runs.yaml -o surge.yaml
+    """
 
     drag: Source = option(None, help="Drag file of the rig (fit-drag); needed for a cruise.", recorded=False)
     wake: Literal["fin", "axle"] = option(

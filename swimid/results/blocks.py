@@ -27,6 +27,10 @@ from swimid.results.evidence import (
 
 #: Points of one trial in a figure that shows many.
 POINTS = 400
+#: Maximum number of measured points of one trial in a figure that draws a line below them.
+MAX_MARKS = 150
+#: Maximum number of trials in a figure of residuals, and the half height of a row in standard deviations.
+MAX_ROWS, ROW_SD = 12, 4.0
 
 Cell = str | float | int | bool | None
 
@@ -133,31 +137,65 @@ def points(runs: Sequence[Any], x: Callable[[Any], Any], y: Callable[[Any], Any]
 def measured_and_simulated(
     id: str, title: str, caption: str, x_label: str, y_label: str, shown: Sequence[Series]
 ) -> Figure:
-    """The trials' measurements as points, their simulations as lines, dashed where held out."""
+    """Return measurements as points over their simulation as lines, of the worst and the best trial.
+
+    The trial of the fit with the largest and the one with the smallest root-mean-square weighted residual are
+    drawn, and the worst held-out trial with a dashed line.
+    """
     traces = []
-    for group, s in enumerate(shown):
-        held_out = "" if s.role == "fit" else ", held out"
-        x, y = thinned(s.time_s, s.measured, POINTS)
-        traces.append(Trace(x=x, y=y, style="points", label=f"{s.trial}{held_out}", group=group))
+    for group, (name, s) in enumerate(_extremes(shown).items()):
+        stride = max(len(s.time_s) // MAX_MARKS, 1)
+        known = np.flatnonzero(np.isfinite(s.measured))[::stride]
         x, y = thinned(s.time_s, s.simulated, POINTS)
-        traces.append(Trace(x=x, y=y, style="line" if s.role == "fit" else "dashed", group=group))
+        style: Literal["line", "dashed"] = "line" if s.role == "fit" else "dashed"
+        traces += [
+            Trace(x=s.time_s[known], y=s.measured[known], style="points", label=name, group=group),
+            Trace(x=x, y=y, style=style, group=group),
+        ]
     return figure(id, title, caption, x_label, y_label, traces)
+
+
+def _extremes(shown: Sequence[Series]) -> dict[str, Series]:
+    """Return the worst and the best fitted and the worst held-out trial by what a legend calls them."""
+    ranked = sorted(shown, key=lambda s: _rms(s.weighted))
+    fitted = [s for s in ranked if s.role == "fit"]
+    held_out = [s for s in ranked if s.role != "fit"]
+    if len(fitted) == 1:
+        found = {fitted[0].trial: fitted[0]}
+    else:
+        found = {
+            f"{s.trial} ({word})": s
+            for word, s in zip(("worst", "best"), fitted[-1:] + fitted[:1], strict=False)
+        }
+    return found | {f"{s.trial} (held out)": s for s in held_out[-1:]}
+
+
+def _rms(values: Any) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
 
 
 def residuals(
     id: str, title: str, caption: str, x_label: str, shown: Sequence[Series], correlation: Correlogram
 ) -> Figure:
-    """The trials' residuals over their standard deviation, and the autocorrelation of all."""
-    traces = []
-    for group, s in enumerate(shown):
-        x, y = thinned(s.time_s, s.weighted, POINTS)
-        traces.append(Trace(x=x, y=y, style="points", label=s.trial, group=group))
-    marks = [Mark(at=-2.0), Mark(at=0.0), Mark(at=2.0)]
-    over_time = Panel(x_label=x_label, y_label="residual / sd", traces=traces, marks=marks)
-    stems, null = correlogram_traces(correlation, skip_zero=True)
-    lagged = Panel(
-        x_label="lag (samples)", y_label="autocorrelation", traces=[stems, null], marks=[Mark(at=0.0)]
+    """Return the weighted residuals, one row for each of the worst trials, and their autocorrelation."""
+    rows = sorted(shown, key=lambda s: -_rms(s.weighted))[:MAX_ROWS]
+    traces: list[Trace] = []
+    for k, s in enumerate(rows):
+        x, y = thinned(s.time_s, np.clip(s.weighted, -ROW_SD, ROW_SD), POINTS)
+        role = "fit" if s.role == "fit" else "held out"
+        label = role if role not in [trace.label for trace in traces] else ""
+        group = 0 if s.role == "fit" else 1
+        traces.append(Trace(x=x, y=k - y / (2.2 * ROW_SD), style="points", label=label, group=group))
+    over_time = Panel(
+        x_label=x_label,
+        y_label=f"residual, rows of ±{ROW_SD:g} sd",
+        y_categories=[s.trial for s in rows],
+        invert_y=True,
+        traces=traces,
+        marks=[Mark(at=k) for k in range(len(rows))],
     )
+    lagged = correlogram(correlation, "autocorrelation", "residuals", skip_zero=True)
     return Figure(id=id, title=title, caption=caption, columns=2, panels=[over_time, lagged])
 
 
@@ -165,7 +203,7 @@ def correlogram(correlation: Correlogram, y_label: str, label: str, *, skip_zero
     """A correlation function as stems over its band."""
     stems, null = correlogram_traces(correlation, skip_zero=skip_zero)
     stems.label, stems.group, null.group = label, 0, 1
-    return Panel(x_label="lag (samples)", y_label=y_label, traces=[null, stems], marks=[Mark(at=0.0)])
+    return Panel(x_label="lag (samples)", y_label=y_label, traces=[stems, null], marks=[Mark(at=0.0)])
 
 
 def correlogram_traces(correlation: Correlogram, *, skip_zero: bool) -> tuple[Trace, Trace]:

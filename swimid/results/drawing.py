@@ -19,6 +19,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Rectangle
@@ -77,6 +78,7 @@ def style() -> Any:
         "axes.spines.top": False,
         "axes.spines.right": False,
         "axes.grid": True,
+        "axes.prop_cycle": cycler(color=[_colour(k) for k in range(6)]),
         "axes.axisbelow": True,
         "axes.xmargin": 0.02,
         "axes.formatter.limits": (-3, 5),
@@ -91,6 +93,7 @@ def style() -> Any:
         "legend.handlelength": 1.6,
         "legend.borderaxespad": 0.2,
         "legend.columnspacing": 1.2,
+        "legend.markerscale": 1.5,
         "hatch.linewidth": 0.6,
         "svg.hashsalt": "swimid",
     }
@@ -99,7 +102,7 @@ def style() -> Any:
 # ---------------------------------------------------------------- one panel
 
 
-def paint(axes: Axes, panel: Panel, slots: dict[Any, int]) -> None:
+def paint(axes: Axes, panel: Panel, slots: dict[Any, int], *, compact: bool = False) -> None:
     """Draw a panel on axes.
 
     Parameters
@@ -108,6 +111,8 @@ def paint(axes: Axes, panel: Panel, slots: dict[Any, int]) -> None:
     panel : Panel
     slots : dict
         Number of the colour and marker of each group of traces (:func:`slots_of`).
+    compact : bool
+        Draw many points as one path, which takes a tenth of the space in an SVG.
 
     Raises
     ------
@@ -117,7 +122,9 @@ def paint(axes: Axes, panel: Panel, slots: dict[Any, int]) -> None:
     if panel.heat is not None:
         _heat(axes, panel.heat)
     bars = [trace for trace in panel.traces if trace.style == "bars"]
+    # measured points stand as small dots on the broad, pale line of their model
     pointed = {trace.group for trace in panel.traces if trace.style == "points"} - {None}
+    lined = {trace.group for trace in panel.traces if trace.style in ("line", "dashed", "step")}
     seen: dict[tuple[int, str], int] = {}
     for index, trace in enumerate(panel.traces):
         slot = slots[_key(trace, index)]
@@ -126,16 +133,17 @@ def paint(axes: Axes, panel: Panel, slots: dict[Any, int]) -> None:
         if trace.style == "bars":
             _bars(axes, trace, slot, bars.index(trace), len(bars))
         else:
-            _trace(axes, trace, slot, repeat, plain=slot == 0 or trace.group in pointed)
+            paired = trace.group in pointed & lined
+            _trace(axes, trace, slot, repeat, paired=paired, compact=compact)
     _scales(axes, panel)
     for mark in panel.marks:
         line = axes.axhline if mark.axis == "y" else axes.axvline
-        line(mark.at, color=palette()["ink"], lw=0.8, dashes=(4, 3), zorder=1.8, label=mark.label or None)
+        line(mark.at, color=palette()["ink"], lw=0.6, dashes=(4, 3), zorder=1.8, label=mark.label or None)
     _spans(axes, panel)
     axes.set_xlabel("\n".join(textwrap.wrap(panel.x_label, 52)))
     axes.set_ylabel("\n".join(textwrap.wrap(panel.y_label, 36)))
     rows = _legend(axes)
-    axes.set_title("\n".join(textwrap.wrap(panel.title, 52)), pad=4 + rows * 1.35 * (FONT - 1))
+    axes.set_title("\n".join(textwrap.wrap(panel.title, 52)), pad=5 + rows * 1.6 * (FONT - 1))
 
 
 def slots_of(figure: Figure) -> dict[Any, int]:
@@ -159,17 +167,19 @@ def _array(values: Sequence[float | None]) -> Array:
     return np.array([math.nan if v is None else v for v in values], dtype=float)
 
 
-def _trace(axes: Axes, trace: Trace, slot: int, repeat: int, *, plain: bool) -> None:
-    """Draw a line or points; a line carries sparse markers unless it is ``plain``."""
+def _trace(axes: Axes, trace: Trace, slot: int, repeat: int, *, paired: bool, compact: bool) -> None:
+    """Draw a line or points; ``paired`` ones are a measurement and its model."""
     for name in ("y", "y_error", "lower", "upper"):
         values = getattr(trace, name)
         if values is not None and len(values) != len(trace.x):
-            raise InputError(f"'{name}' has {len(values)} numbers for {len(trace.x)} of 'x' in a figure")
+            raise InputError(f"a trace has {len(values)} numbers of '{name}' for {len(trace.x)} of 'x'")
     x, y, colour = _array(trace.x), _array(trace.y), _colour(slot)
-    marker = MARKERS[(slot + repeat) % len(MARKERS)]
+    marker = MARKERS[slot % len(MARKERS)]
     label = trace.label or None
+    plain = slot == 0 or paired or trace.style == "arrows"
     if trace.lower is not None and trace.upper is not None:
         axes.fill_between(x, _array(trace.lower), _array(trace.upper), color=colour, alpha=0.2, lw=0)
+        plain = True
     elif len(x) > MAX_POINTS:
         x, y = thinned(x, y)
     if trace.y_error is not None:
@@ -177,27 +187,39 @@ def _trace(axes: Axes, trace: Trace, slot: int, repeat: int, *, plain: bool) -> 
     if trace.style in ("points", "stems"):
         if trace.style == "stems":
             axes.vlines(x, 0, y, color=colour, lw=0.9)
-        _points(axes, x, y, colour, marker, label)
+        size = float(np.interp(len(x), [20, 60, 400, 2000], [4.0, 3.0, 2.0, 1.4]))
+        _points(axes, x, y, colour, marker, label, size=0.6 * size if paired else size, compact=compact)
         return
     (line,) = axes.plot(x, y, color=colour, lw=1.0, label=label, zorder=2)
+    if paired:
+        line.set(lw=2.6, alpha=0.4)
     if trace.style == "step":
         line.set_drawstyle("steps-post")
     if trace.style == "dashed" or repeat:
         line.set_dashes(DASHES[repeat % len(DASHES)])
-    if not plain and trace.style != "arrows":
+    if not plain:
         line.set(marker=marker, ms=3, markevery=max(len(x) // 6, 1))
 
 
-def _points(axes: Axes, x: Array, y: Array, colour: str, marker: str, label: str | None) -> None:
-    """Draw points above the lines; many as one path of strokes without length."""
-    size = float(np.interp(len(x), [20, 60, 400, 2000], [4.0, 3.0, 2.0, 1.4]))
-    if len(x) < MIN_CLOUD:
+def _points(
+    axes: Axes,
+    x: Array,
+    y: Array,
+    colour: str,
+    marker: str,
+    label: str | None,
+    *,
+    size: float,
+    compact: bool,
+) -> None:
+    """Draw points above the lines; many compact ones as one path of strokes of almost no length."""
+    if len(x) < MIN_CLOUD or not compact:
         axes.plot(x, y, ls="", marker=marker, ms=size, mew=0, color=colour, label=label, zorder=2.5)
         return
     gap = np.full(len(x), np.nan)
     end = x + 1e-4 * (float(np.nanmax(x) - np.nanmin(x)) or 1.0)
     dots = [np.column_stack(parts).ravel() for parts in ((x, end, gap), (y, y, gap))]
-    (line,) = axes.plot(*dots, color=colour, lw=size, solid_capstyle="round", alpha=0.8, zorder=2.5)
+    (line,) = axes.plot(*dots, color=colour, lw=size, solid_capstyle="round", zorder=2.5)
     line.get_path().should_simplify = False
     axes.plot([], [], ls="", marker="o", ms=3, mew=0, color=colour, label=label)
 
@@ -236,7 +258,7 @@ def _scales(axes: Axes, panel: Panel) -> None:
         _slant(axes, panel.x_categories)
         axes.set_xlim(-0.6, len(panel.x_categories) - 0.4)
     if panel.equal_aspect:
-        axes.set_aspect("equal", adjustable="datalim")
+        axes.set_aspect("equal", adjustable="box")
     if panel.invert_y:
         axes.invert_yaxis()
 
@@ -348,8 +370,9 @@ def canvas(
     rows = [row for figure in figures for row in _rows(figure)]
     across = max(len(row) for _, row in rows)
     heights = [max(_height(panel) for panel in row) for _, row in rows]
+    # made outside the settings: the backend of a notebook changes others, which are to stay
+    drawn = new(figsize=(WIDTH * across, sum(heights)), layout="constrained", facecolor=palette()["paper"])
     with mpl.rc_context(style()):
-        drawn = new(figsize=(WIDTH * across, sum(heights)))
         if title:
             drawn.suptitle(title, x=0.02, ha="left", weight="bold")
         grid = drawn.add_gridspec(len(rows), across, height_ratios=heights)
@@ -397,7 +420,10 @@ def for_page(figure: Figure, prefix: str, step: Callable[[int], None] = lambda a
     with mpl.rc_context({**style(), "svg.fonttype": "none", "figure.facecolor": "none"}):
         for index, panel in enumerate(figure.panels):
             drawn = Canvas(figsize=(WIDTH, _height(panel)))
-            paint(drawn.add_subplot(), panel, slots_of(figure))
+            try:
+                paint(drawn.add_subplot(), panel, slots_of(figure), compact=True)
+            except InputError as error:
+                raise InputError(error.reason, column=f"figures.{figure.id}.panels.{index}") from error
             file = io.StringIO()
             drawn.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
             names = ", ".join(trace.label for trace in panel.traces if trace.label)
@@ -431,6 +457,7 @@ def _tag(tag: str, prefix: str, used: set[str]) -> str:
     for name, colour in palette().items():
         tag = tag.replace(colour, "currentColor" if name == "ink" else f"var(--{name})")
     tag = re.sub(r"font: (?:\w+ )?([\d.]+)px [^;\"]*", r"font-size: \1px", tag)
+    tag = re.sub(r"font-family: [^;\"]*;? ?", "", tag)
     tag = re.sub(r'\bd="([^"]+)"', lambda m: f'd="{_path(m[1])}"', tag)
     return re.sub(r"(\d\.\d{2})\d+", r"\1", tag)
 

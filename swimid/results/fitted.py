@@ -109,7 +109,8 @@ class Fitted(FileResult[ParameterFile]):
             tables.append(leaf_table("fit", "Fit details", details))
         return [table for table in tables if table.rows]
 
-    def _bare(self) -> Evidence:
+    def bare(self) -> Evidence:
+        """Return what a report shows of a parameter file whose evidence is missing."""
         weak = [name for name, e in self.file.parameters.items() if e.status == "unidentifiable"]
         verdict = Verdict(level="caution", text="No evidence file, so its checks cannot be shown.")
         if self.file.fit is not None and not self.file.fit.converged:
@@ -131,7 +132,8 @@ def _estimates(id: str, title: str, estimates: dict[str, Estimate], *, folded: b
             value = numbers.NOTHING
         elif e.status == "estimated":
             ends = interval95(e)
-            band = numbers.interval(*ends, e.stderr) if ends else ""
+            band = numbers.bounds_text(e.ci95) if e.ci95 else ""
+            band = numbers.interval(*ends, e.stderr) if ends else band
         elif e.status == "fixed":
             value = numbers.number(e.value, 6, e.unit)
         rows.append([name, value, band, numbers.bounds_text(e.bounds), STATUS.get(e.status, e.status)])

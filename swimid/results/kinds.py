@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 
 from swimid.errors import InputError, nearest
-from swimid.files import yamlio
+from swimid.files import parquet, yamlio
 from swimid.results.result import Result
 
 #: Class of each ``format:`` of YAML results.
@@ -15,14 +15,12 @@ FORMATS = {
     "swimid-comparison/1": "swimid.simulation.compare:Comparison",
     "swimid-gap/1": "swimid.diagnosis.diagnosed:Diagnosis",
     "swimid-power/1": "swimid.diagnosis.power_file:DetectionPower",
-    "swimid-sensitivity/1": "swimid.sensitivity_analysis.sensitivity:Sensitivity",
+    "swimid-sensitivity/2": "swimid.sensitivity_analysis.sensitivity:Sensitivity",
     "swimid-map/1": "swimid.optimisation.performance_map:PerformanceMap",
-    "swimid-rule/1": "swimid.optimisation.optimise_stiffness:StiffnessRule",
-    "swimid-gait/1": "swimid.optimisation.optimise_gait:BestGait",
-    "swimid-fin/1": "swimid.optimisation.fins:FinChoice",
-    "swimid-controller/1": "swimid.optimisation.controller:SpeedController",
+    "swimid-rule/2": "swimid.optimisation.optimise_stiffness:StiffnessRule",
+    "swimid-gait/2": "swimid.optimisation.optimise_gait:BestGait",
 }
-LOG_ENDINGS = (".csv", ".parquet", ".pq")
+LOG_ENDINGS = (".csv", *parquet.ENDINGS)
 LOG = "swimid.logs.logged:Logged"
 
 

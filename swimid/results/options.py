@@ -9,8 +9,27 @@ from swimid.options import Options, option
 Kind = Literal["html", "md", "json"]
 
 
-class ReportOptions(Options):
-    """What ``report`` can be told."""
+class ReportOptions(
+    Options,
+    command="report",
+    section="Publish",
+    argument="RESULT...",
+    output="The report. Without it, or with -o -, it goes to stdout.",
+    stdout={"format": "md"},
+    beside=(),
+):
+    """Make one self-contained page from any mixture of results.
 
-    format: Kind | None = option(None, help="What to write. Default: by the ending of -o, else html.")
+    RESULT is a parameter file, a gap file or a log. The evidence that swimid wrote beside it
+    (drag.yaml: drag.evidence.json) brings its figures, checks and methods. Nothing is
+    computed again.
+
+    Examples:
+      swimid report drag.yaml propulsion.yaml -o report.html
+      swimid report drag.yaml --format md
+    """
+
+    format: Kind | None = option(
+        None, help="What to write. Default: by the ending of -o; on stdout md, in Python html."
+    )
     title: str | None = option(None, help="Title of the page.")

@@ -5,15 +5,18 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from datetime import datetime
+from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 import swimid
+from swimid.errors import InputError
 from swimid.notices import CODES
 from swimid.progress import Progress, Step, silent
 from swimid.results import drawing, terminal
-from swimid.results.evidence import Evidence, Verdict, leaves
+from swimid.results.compared import compared
+from swimid.results.evidence import MAX_POINTS, Evidence, Figure, Verdict, leaves, sidecar
 from swimid.results.result import Result
 
 #: Word and symbol of every verdict; colour only comes on top.
@@ -65,6 +68,8 @@ def render(
     progress : Progress
         Advances once per figure.
     """
+    groups = compared(results)
+    grouped = [fit for fits, _ in groups for fit in fits]
     contents = [result.content() for result in results]
     environment = Environment(
         loader=PackageLoader("swimid.results"),
@@ -72,49 +77,75 @@ def render(
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        keep_trailing_newline=True,
     )
     environment.globals.update(
         levels=LEVELS, checks=CHECKS, leaves=leaves, cell=terminal.cell_text, numeric=terminal.is_numeric
     )
     environment.filters.update(md=_markdown, code=_code)
-    pictures: list[list[list[str]]] = [[[] for _ in shown.figures] for shown in contents]
+    together = [*(shown for _, shown in groups), *contents]
+    paths = [None] * len(groups) + [result.path for result in results]
+    pictures: list[list[list[str]]] = [[[] for _ in shown.figures] for shown in together]
     if template.endswith("html"):
-        with progress("drawing", total=sum(len(shown.figures) for shown in contents)) as step:
-            pictures = [_drawn(shown, f"r{k}-", step) for k, shown in enumerate(contents)]
+        with progress("drawing", total=sum(len(shown.figures) for shown in together)) as step:
+            pictures = [
+                _drawn(*one, f"r{k}-", step) for k, one in enumerate(zip(together, paths, strict=True))
+            ]
+    sections = [_shown(*one) for one in zip(together, pictures, strict=True)]
+    for k, section in enumerate(sections):
+        section["anchor"] = f"r{k + 1}"
+    for section, result in zip(sections[len(groups) :], results, strict=True):
+        command = terminal.next_command(result.verb, result.path.name, section["content"].provenance)
+        section.update(kind=result.kind, path=result.path, next=command, folded=result in grouped)
     return environment.get_template(template).render(
         title=title,
         version=swimid.__version__,
         created=created,
         verdict=overall(contents),
-        results=[_shown(*one) for one in zip(results, contents, pictures, strict=True)],
+        results=sections,
         references=list(dict.fromkeys(text for shown in contents for text in shown.references)),
         warnings=_warnings(results, contents),
         digests=digests,
     )
 
 
-def _drawn(content: Evidence, prefix: str, step: Step) -> list[list[str]]:
+def _drawn(content: Evidence, path: Path | None, prefix: str, step: Step) -> list[list[str]]:
     """Return the panels of each figure of a result as SVG."""
-    return [drawing.for_page(figure, f"{prefix}{n}-", step=step) for n, figure in enumerate(content.figures)]
+    try:
+        return [
+            drawing.for_page(figure, f"{prefix}{n}-", step=step) for n, figure in enumerate(content.figures)
+        ]
+    except InputError as error:
+        file = None if path is None else sidecar(path)
+        raise InputError(error.reason, file=file, column=error.column) from error
 
 
-def _shown(result: Result, content: Evidence, pictures: list[list[str]]) -> dict[str, Any]:
+def _shown(content: Evidence, pictures: list[list[str]]) -> dict[str, Any]:
     """Return what a template shows of a result, its main parts apart from its folded ones."""
-    figures = list(zip(content.figures, pictures, strict=True))
+    figures = [(_explained(figure), panels) for figure, panels in zip(content.figures, pictures, strict=True)]
     tables = [table for table in content.tables if not table.folded]
     verdicts = [check.verdict for check in content.checks]
     counts = [f"{verdicts.count(one)} {one}" for one in ("pass", "warn", "fail") if one in verdicts]
     return {
         "content": content,
-        "kind": result.kind,
-        "path": result.path,
+        "kind": "Side by side",
+        "path": None,
+        "next": "",
+        "folded": False,
         "figures": figures[:MAIN_FIGURES],
         "tables": tables[:MAIN_TABLES],
         "more_figures": figures[MAIN_FIGURES:],
         "more_tables": [table for table in content.tables if table not in tables[:MAIN_TABLES]],
         "checks": ", ".join(counts),
-        "next": terminal.next_command(content.verb, result.path.name, content.provenance),
     }
+
+
+def _explained(figure: Figure) -> Figure:
+    """Return the figure with a caption that says where a trace has fewer points than its data."""
+    if all(len(trace.x) <= MAX_POINTS for panel in figure.panels for trace in panel.traces):
+        return figure
+    caption = f"{figure.caption} Long traces are drawn as their envelope."
+    return figure.model_copy(update={"caption": caption})
 
 
 def _warnings(

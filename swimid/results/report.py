@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,10 @@ import swimid
 from swimid.errors import UsageError
 from swimid.files import atomic, yamlio
 from swimid.files.provenance import sha256
-from swimid.notices import warn
+from swimid.notices import recorded, warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
-from swimid.results import page
+from swimid.results import blocks, page
 from swimid.results.evidence import Evidence, sidecar
 from swimid.results.kinds import load_result
 from swimid.results.options import Kind, ReportOptions
@@ -107,20 +108,23 @@ def report(
 
 
 def _read(path: Path) -> Result:
-    """Read a result with its evidence.
+    """Read a result with its evidence; warnings raised meanwhile become part of it.
 
     Warns
     -----
     SWM050
         The evidence is missing.
     """
-    result = load_result(path)
-    if result.evidence is None:
-        warn(
-            "SWM050",
-            f"{path.name} has no evidence beside it ({sidecar(path).name}): its checks are not shown",
-        )
-    return result
+    with recorded(repeat=True) as raised:
+        result = load_result(path)
+        shown = result.evidence
+        if shown is None:
+            shown = result.bare()
+            place = sidecar(path).name
+            warn("SWM050", f"{path.name} has no evidence beside it ({place}): its checks are not shown")
+    notices = [record for record in blocks.notices(raised) if record not in shown.notices]
+    update = {"notices": [*shown.notices, *notices]}
+    return replace(result, evidence=shown.model_copy(update=update))
 
 
 def _as_json(

@@ -95,7 +95,7 @@ class Result:
 
         Without evidence its verdict is caution.
         """
-        shown = self._bare() if self.evidence is None else self.evidence
+        shown = self.bare() if self.evidence is None else self.evidence
         own = {
             "tables": [*self._own_tables(), *shown.tables],
             "facts": {**self._own_facts(), **shown.facts},
@@ -233,7 +233,7 @@ class Result:
         """Tables of what the file itself holds."""
         return []
 
-    def _bare(self) -> Evidence:
+    def bare(self) -> Evidence:
         """Return what a report shows of a file whose evidence is missing."""
         tables = [leaf_table("content", "Content of the file", self.data)] if self.data else []
         return Evidence(

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error
@@ -134,4 +134,4 @@ def _load(result: FitResult, trial: Trial, count: int) -> tuple[float, float, fl
     z = over / math.hypot(
         error, result.stderr("force_offset") or 0.0, result.stderr("dry_friction") or 0.0, 1e-300
     )
-    return mean, error, 2.0 * float(stats.norm.sf(z))
+    return mean, error, 2.0 * float(special.ndtr(-z))

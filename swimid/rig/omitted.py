@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error, restarts
@@ -100,7 +100,7 @@ def omitted_parameters(plain: FitResult) -> list[Omitted]:
             sides = 1.0 if parameter.start in parameter.bounds else 2.0
             # the likelihood ratio does not depend on how a parameter is scaled, as the standard error does
             z = min(z, math.sqrt(max(compute_evidence(plain, fit), 0.0)))
-            p_value = min(1.0, len(held) * sides * float(stats.norm.sf(z)))
+            p_value = min(1.0, len(held) * sides * float(special.ndtr(-z)))
             if p_value < SIGNIFICANCE and compute_evidence(plain, fit) > 0.0:
                 found.append(Omitted(parameter, fit, (), compute_evidence(plain, fit), p_value))
         fit, instead = _replacing(plain, parameter)

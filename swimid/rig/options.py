@@ -10,8 +10,21 @@ from swimid.fitting.options import StartState
 from swimid.options import Options, option
 
 
-class FitDragOptions(Options):
-    """What ``fit-drag`` can be told."""
+class FitDragOptions(
+    Options,
+    command="fit-drag",
+    section="Identify",
+    output="Parameter file to write (YAML).",
+):
+    """Identify drag, added mass and friction from a rig.
+
+    TRIALS is a trials file of a falling-weight, towed or free-decay experiment.
+
+    Examples:
+      swimid fit-drag trials.yaml -o drag.yaml
+      swimid fit-drag trials.yaml --method two-point --points 0.293,0.584 -o drag.yaml
+      swimid fit-drag towed.yaml --free linear_drag --free dry_friction -o rig.yaml
+    """
 
     method: Literal["ml", "two-point"] = option(
         "ml", help="ml: maximum likelihood over all samples. two-point: the boxfish paper's Eqs 13-19."

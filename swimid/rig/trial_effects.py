@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize, special
 
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import random_effect
@@ -231,7 +231,7 @@ def _significant(plain: FitResult, rival: FitResult) -> bool:
             fitted = fit_autoregression(series, order=len(noise.autoregression))
             colour = max(colour, fitted.long_run_variance / float(np.nanvar(series)))
     statistic = (before - after) / (after / max(rival.samples - len(rival.labels), 1)) / colour
-    return bool(stats.chi2.sf(statistic, extra) < SIGNIFICANCE)
+    return bool(special.chdtrc(extra, statistic) < SIGNIFICANCE)
 
 
 def misfit(result: FitResult) -> float:

@@ -1,4 +1,4 @@
-"""The sensitivity file (``swimid-sensitivity/1``): what each coefficient does to each output."""
+"""The sensitivity file (``swimid-sensitivity/2``): what each coefficient does to each output."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Any, ClassVar, Literal
 from pydantic import Field
 
 from swimid.files import yamlio
-from swimid.files.yamlio import Number, Rows
+from swimid.files.yamlio import Number
 
-FORMAT: Literal["swimid-sensitivity/1"] = "swimid-sensitivity/1"
+FORMAT: Literal["swimid-sensitivity/2"] = "swimid-sensitivity/2"
 
 
 class Range(yamlio.Document):
@@ -41,15 +41,6 @@ class Shares(yamlio.Document):
     negligible: bool
 
 
-class Effects(yamlio.Document):
-    """Elementary effects of a coefficient, per whole range, in the output's unit."""
-
-    mu: float
-    mu_star: float
-    mu_star_ci95: tuple[float, float]
-    sigma: float
-
-
 class Output(yamlio.Document):
     """One output of one trial, or of all trials together where ``trial`` is missing."""
 
@@ -62,7 +53,6 @@ class Output(yamlio.Document):
     mean: Number = None
     sd: Number = None
     shares: dict[str, Shares] = {}
-    effects: dict[str, Effects] = {}
 
 
 class Simulations(yamlio.Document):
@@ -70,72 +60,24 @@ class Simulations(yamlio.Document):
 
     evaluated: int
     broken: int
-    #: Rows of the design replaced (Sobol), or trajectories dropped (Morris), because a point broke down.
+    #: Rows of the design replaced because a point broke down.
     left_out: int
-
-
-class Axis(yamlio.Document):
-    """One varied number of the drive."""
-
-    name: str
-    values: list[float]
-
-
-class SweptOutput(yamlio.Document):
-    """An output over the grid: rows are the first axis, columns the second (one column without one)."""
-
-    quantity: str
-    unit: str
-    values: Rows
-    #: Standard deviation from the coefficients' covariance; missing where none is known.
-    stderr: Rows | None = None
-
-
-class Sweep(yamlio.Document):
-    """Outputs over a grid of drives."""
-
-    trial: str
-    axes: list[Axis]
-    outputs: list[SweptOutput]
-    broken: int
-
-
-class MeasuredChannel(yamlio.Document):
-    """Error of a channel with the given coefficients."""
-
-    unit: str
-    rmse: Number = None
-    #: Over the measured range.
-    nrmse: Number = None
-
-
-class Measured(yamlio.Document):
-    """A measured trial on the axes of a sweep."""
-
-    trial: str
-    role: Literal["fit", "validate"]
-    drive: dict[str, Number]
-    inside: bool
-    channels: dict[str, MeasuredChannel]
 
 
 class SensitivityFile(yamlio.ResultFile):
     """A sensitivity file."""
 
     kind: ClassVar[str] = "sensitivity file"
-    format: Literal["swimid-sensitivity/1"] = FORMAT
+    format: Literal["swimid-sensitivity/2"] = FORMAT
     verdict: Literal["good", "caution", "bad"]
     model: str
     robot: str
     experiment: str
     params: str | None = None
-    method: Literal["sobol", "morris", "none"]
-    #: Rows of the design (Sobol), or trajectories (Morris).
+    #: Rows of the design.
     samples: int
     trials: list[str]
-    ranges: dict[str, Range] = {}
-    outputs: list[Output] = []
-    simulations: Simulations | None = None
-    sweep: Sweep | None = None
-    measured: list[Measured] = []
+    ranges: dict[str, Range]
+    outputs: list[Output]
+    simulations: Simulations
     provenance: dict[str, Any] = Field(default_factory=dict)

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import chain
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import ks_2samp, qmc, sobol_indices
 
-from swimid.errors import NoTrustworthyResult, UsageError, extra_needed
+from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.model import Array
 from swimid.fitting.threads import in_threads
@@ -22,29 +21,26 @@ BROKEN = 0.01
 #: Draws behind an interval, and its ends.
 RESAMPLES = 1000
 ENDS = (2.5, 97.5)
-#: Levels of the grid on which Morris's trajectories move; the step is half of them.
-LEVELS = 4
-
 #: Points that are evaluated by one call.
 TOGETHER = 8
 
 #: Outputs, shape (n, s), at points, shape (n, d); NaN where the model breaks down.
 Evaluate = Callable[[Array], Array]
-Item = TypeVar("Item")
-Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
-class Indices:
-    """What indices of s outputs to d parameters rest on.
+class Sobol:
+    """Sobol indices of s outputs to d parameters, those of g groups of outputs after them.
 
     Attributes
     ----------
     mean, sd : ndarray, shape (s,)
         Of the outputs over the ranges.
     evaluations, broken, left_out : int
-        Evaluations in all, those that broke down, and rows of the design replaced for it (Sobol) or
-        trajectories dropped (Morris).
+        Evaluations in all, those that broke down, and rows of the design replaced for it.
+    first, total : ndarray, shape (s + g, d)
+    first_ci, total_ci : ndarray, shape (2, s + g, d)
+        Ends of the 95 % intervals.
     """
 
     mean: Array
@@ -52,41 +48,10 @@ class Indices:
     evaluations: int
     broken: int
     left_out: int
-
-
-@dataclass(frozen=True)
-class Sobol(Indices):
-    """Sobol indices, those of g groups of outputs after them.
-
-    Attributes
-    ----------
-    first, total : ndarray, shape (s + g, d)
-    first_ci, total_ci : ndarray, shape (2, s + g, d)
-        Ends of the 95 % intervals.
-    """
-
     first: Array
     total: Array
     first_ci: Array
     total_ci: Array
-
-
-@dataclass(frozen=True)
-class Morris(Indices):
-    """Elementary effects per whole range, in the output's unit; means over g groups of outputs after them.
-
-    Attributes
-    ----------
-    mu, mu_star, sigma : ndarray, shape (s + g, d)
-        Mean, mean magnitude and standard deviation of the effects.
-    mu_star_ci : ndarray, shape (2, s + g, d)
-        Ends of the 95 % interval.
-    """
-
-    mu: Array
-    mu_star: Array
-    sigma: Array
-    mu_star_ci: Array
 
 
 def sobol(
@@ -129,6 +94,8 @@ def sobol(
     NoTrustworthyResult
         When more than :data:`BROKEN` of the evaluations break down, with the range in which they do.
     """
+    from scipy.stats import qmc
+
     d = len(lower)
     if d < 2:
         raise UsageError("Sobol indices share an output's variance between parameters: vary two or more")
@@ -156,109 +123,33 @@ def sobol(
     both = outputs[:2].transpose(1, 0, 2).reshape(outputs.shape[1], -1)
     mean, sd = both.mean(axis=1), both.std(axis=1)
     outputs = outputs - mean[:, None]
-    estimated = sobol_indices(func={"f_A": outputs[0], "f_B": outputs[1], "f_AB": outputs[2:]}, n=samples)
-    shape = (outputs.shape[1], d)
     rng = np.random.default_rng([seed, 1])
-    drawn = [_resampled(outputs[..., rng.integers(samples, size=samples)], groups) for _ in range(RESAMPLES)]
-    return Sobol(
-        mean,
-        sd,
-        runs.done,
-        len(runs.broken),
-        left_out=unused - samples,
-        first=_pooled(estimated.first_order.reshape(shape), sd**2, groups),
-        total=_pooled(estimated.total_order.reshape(shape), sd**2, groups),
-        first_ci=np.percentile([first for first, _ in drawn], ENDS, axis=0),
-        total_ci=np.percentile([total for _, total in drawn], ENDS, axis=0),
-    )
+    drawn = [_indices(outputs[..., rng.integers(samples, size=samples)], groups) for _ in range(RESAMPLES)]
+    first, total = _indices(outputs, groups)
+    first_ci, total_ci = np.percentile(drawn, ENDS, axis=0).transpose(1, 0, 2, 3)
+    broken = len(runs.broken)
+    return Sobol(mean, sd, runs.done, broken, unused - samples, first, total, first_ci, total_ci)
 
 
-def _resampled(outputs: Array, groups: Sequence[Sequence[int]]) -> tuple[Array, Array]:
-    """Indices of one bootstrap sample, shape (s + g, d), by the estimators of SciPy's sobol_indices."""
+def _indices(outputs: Array, groups: Sequence[Sequence[int]]) -> Array:
+    """First-order and total indices of outputs, shape (d + 2, s, n): shape (2, s + g, d).
+
+    Those of a group are means weighted by the outputs' variances; an output that does not vary has none.
+    """
     a, b, ab = outputs[0], outputs[1], outputs[2:]
+    from scipy.stats import sobol_indices
+
     variance = np.var([a, b], axis=(0, -1))
-    size = np.where(variance > 0, variance, 1.0)
-    first = np.mean(b * (ab - a), axis=-1) / size
-    total = 0.5 * np.mean((a - ab) ** 2, axis=-1) / size
-    return _pooled(first.T, variance, groups), _pooled(total.T, variance, groups)
-
-
-def _pooled(indices: Array, variance: Array, groups: Sequence[Sequence[int]]) -> Array:
-    """Indices with those of the groups after them: means weighted by the outputs' variances."""
+    with np.errstate(invalid="ignore"):
+        found = sobol_indices(func={"f_A": a, "f_B": b, "f_AB": ab}, n=a.shape[-1])
+    shape = (2, len(variance), len(ab))
+    indices = np.nan_to_num(np.reshape([found.first_order, found.total_order], shape))
     parts = [indices]
     for members in groups:
         weights = variance[list(members)]
-        known = weights.sum()
-        parts.append(((weights @ indices[list(members)]) / (known if known > 0 else 1.0))[None])
-    return np.concatenate(parts)
-
-
-def morris(
-    evaluate: Evaluate,
-    lower: Array,
-    upper: Array,
-    *,
-    samples: int = 32,
-    seed: int = 0,
-    groups: Sequence[Sequence[int]] = (),
-    **how: Any,
-) -> Morris:
-    """Elementary effects (Morris 1991, doi:10.2307/1269043; mu* after Campolongo et al. 2007), by SALib.
-
-    Parameters
-    ----------
-    samples : int
-        Trajectories, each of d + 1 points, on a grid of :data:`LEVELS` levels.
-    evaluate, lower, upper, seed, groups, **how
-        As :func:`sobol` takes them.
-
-    Returns
-    -------
-    Morris
-        Intervals by SALib's bootstrap over the trajectories: mu* and 1.96 standard deviations of it. Half
-        the width of a group's is the mean of its members', which is what it is when they move together and
-        too wide otherwise. A trajectory of which a point breaks down is dropped.
-
-    Raises
-    ------
-    UsageError
-        With fewer than two trajectories.
-    NoTrustworthyResult
-        As :func:`sobol`.
-    """
-    d = len(lower)
-    if samples < 2:
-        raise UsageError("elementary effects need two trajectories or more")
-    with extra_needed("the Morris method", "sensitivity"):
-        from SALib.analyze.morris import analyze
-        from SALib.sample.morris import sample
-
-    problem = {"num_vars": d, "names": [str(k) for k in range(d)], "bounds": [[0.0, 1.0]] * d}
-    unit = sample(problem, samples, num_levels=LEVELS, seed=seed)
-    runs = Runs(evaluate, len(unit), **how)
-    labels = [f"trajectory {r}.{p}" for r in range(samples) for p in range(d + 1)]
-    values = runs.of(labels, lower + unit * (upper - lower))
-    whole = np.isfinite(values).all(axis=1).reshape(samples, d + 1).all(axis=1)
-    kept = np.repeat(whole, d + 1)
-    settings = {"num_levels": LEVELS, "num_resamples": RESAMPLES, "seed": seed}
-    parts = [analyze(problem, unit[kept], one, **settings) for one in values[kept].T]
-
-    def averaged(key: str) -> Array:
-        effects = np.array([part[key] for part in parts])
-        return np.concatenate([effects, *(effects[list(m)].mean(axis=0)[None] for m in groups)])
-
-    mu_star, half = averaged("mu_star"), averaged("mu_star_conf")
-    return Morris(
-        values[kept].mean(axis=0),
-        values[kept].std(axis=0),
-        runs.done,
-        len(runs.broken),
-        left_out=int((~whole).sum()),
-        mu=averaged("mu"),
-        mu_star=mu_star,
-        sigma=averaged("sigma"),
-        mu_star_ci=np.array([np.maximum(mu_star - half, 0.0), mu_star + half]),
-    )
+        weights = weights / max(weights.sum(), np.finfo(float).tiny)
+        parts.append(np.einsum("m,kmd->kd", weights, indices[:, list(members)])[:, None])
+    return np.concatenate(parts, axis=1)
 
 
 class Runs:
@@ -340,6 +231,8 @@ class Runs:
 
     def _where(self) -> str:
         """The parameter whose values set the broken points apart most, and their range."""
+        from scipy.stats import ks_2samp
+
         bad = np.array(self.broken)
         low, high = bad.min(axis=0), bad.max(axis=0)
         names = list(self.names) or [f"parameter {k + 1}" for k in range(bad.shape[1])]

@@ -20,8 +20,23 @@ def chosen(help: str = "Use this value of a parameter. Repeatable.") -> Any:
     return option({}, flag="--set", metavar="NAME=VALUE", help=help, recorded="set")
 
 
-class CompareOptions(Options):
-    """What ``compare`` can be told."""
+class CompareOptions(
+    Options,
+    command="compare",
+    section="Simulate and compare",
+    output="Comparison file to write (YAML).",
+):
+    """Compare recorded trials with their simulation.
+
+    TRIALS is a trials file of any experiment; the parameter file says which model is to describe it.
+    Errors by channel and trial, stroke by stroke and over the stroke's phase; the report draws them. Of a
+    robot in space, trials that repeat a motion are averaged and shown beside the paper's tables.
+
+    Examples:
+      swimid compare trials.yaml --params tfish.yaml -o comparison.yaml
+      swimid compare trials.yaml --params drag.yaml
+      swimid report comparison.yaml -o comparison.html
+    """
 
     params: Source = option(help="Parameter file, of any model.", recorded=False)
     robot: str | None = robot()
@@ -50,8 +65,27 @@ class CompareOptions(Options):
 RUN = "run"
 
 
-class SimulateOptions(Options):
-    """What ``simulate`` can be told."""
+class SimulateOptions(
+    Options,
+    command="simulate",
+    section="Simulate and compare",
+    argument="",
+    output="Log to write (.csv or .parquet).",
+    beside=(),
+):
+    """Simulate any robot from any parameter file.
+
+    A robot with links swims as its beat says; a falling weight, a cruise and a discrete-time model
+    have options of their own. Printed with the uncertainty the parameter file gives.
+
+    Examples:
+      swimid simulate --params tfish.yaml --frequency-hz 1 --amplitude-deg 20 --duration-s 15 -o sim.csv
+      swimid simulate --robot dolphin --frequency-hz 2.5 --amplitude-deg 27 --animate swim.mp4
+      swimid simulate --robot sealion --stroke characteristic --cycles 3 -o stroke.csv
+      swimid simulate --params tfish.yaml --trials trials.yaml -o simulated
+      swimid simulate --params drag.yaml --pulling-mass-kg 0.02 --duration-s 8 -o drop.csv
+      swimid simulate --params arma.yaml --input run.csv -o free_run.csv
+    """
 
     params: Source = option(None, help="Parameter file, of any model.")
     robot: str | None = robot("Robot; without --params its file's own values are used.")

@@ -13,7 +13,7 @@ import numpy as np
 
 import swimid
 from swimid.errors import NoTrustworthyResult, UsageError
-from swimid.files import atomic
+from swimid.files import atomic, parquet
 from swimid.files.names import file_names
 from swimid.files.provenance import Input
 from swimid.fitting.model import Array, Trial
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 #: Endings of the logs that are written.
-LOG_ENDINGS = (".csv", *log_format.PARQUET_ENDINGS)
+LOG_ENDINGS = (".csv", *parquet.ENDINGS)
 #: Halving the step may change a channel by this share of its range at most.
 STEP_LIMIT = 1e-3
 #: From a parameter vector to what a run comes to.

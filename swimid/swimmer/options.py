@@ -47,8 +47,26 @@ def start_state() -> Any:
 FRONT = "front"
 
 
-class FitGrayboxOptions(Options):
-    """What ``fit-graybox`` can be told."""
+class FitGrayboxOptions(
+    Options,
+    command="fit-graybox",
+    section="Identify",
+    output="Parameter file to write (YAML).",
+    beside=(".evidence.json", ".front.csv"),
+):
+    """Identify the coefficients of a multi-link swimmer.
+
+    TRIALS is a trials file of a free-swim or multibody experiment, with a robot that has links: tfish,
+    dolphin, sealion, or a robot file of your own. Ctrl-C keeps the best point so far, and the generations
+    of a front.
+
+    Examples:
+      swimid fit-graybox trials.yaml -o tfish.yaml
+      swimid fit-graybox trials.yaml --share c_f --starts 8 -o tfish.yaml
+      swimid fit-graybox trials.yaml --channels u_m_s,yaw_rate_rad_s --free d_p -o tfish.yaml
+      swimid fit-graybox strokes.yaml --method hybrid -o sealion.yaml
+      swimid fit-graybox strokes.yaml --method nsga2 --front sealion.front.csv --pick 17 -o mine.yaml
+    """
 
     fixed: Mapping[str, float] = fits.fixed()
     freed: tuple[str, ...] = fits.freed()

@@ -17,8 +17,27 @@ def _rate() -> Any:
     return option(None, gt=0, lt=math.inf, help="True frame rate in Hz, where the container's is wrong.")
 
 
-class TrackVideoOptions(Options):
-    """What ``track video`` can be told."""
+class TrackVideoOptions(
+    Options,
+    command="track video",
+    section="Make logs",
+    argument="VIDEO",
+    output="The log, CSV or Parquet by its ending.",
+    required=True,
+    beside=(".evidence.json", ".png"),
+    page="tracking.md",
+):
+    """Track coloured markers in a video: a log of pose and speeds.
+
+    VIDEO is a film; or a folder of pictures, or a pattern of their names, both with --fps.
+    Writes the log, its evidence (<stem>.evidence.json) and a plot (<stem>.png). Prints the path speed,
+    the steady speed, the stroke's frequency and amplitudes and the accelerations, each with its 95 %
+    interval.
+
+    Example:
+      swimid track video pool.mp4 --setup setup.yaml -o run.csv --overlay overlay.mp4
+      swimid track video frames/%05d.png --fps 30 --setup setup.yaml -o run.csv
+    """
 
     setup: Source = option(help="Setup file (swimid-setup/1).")
     overlay_path: Path | None = option(
@@ -80,8 +99,24 @@ class Pick:
         return cls(name, x, y)
 
 
-class TrackSetupOptions(Options):
-    """What ``track setup`` can be told."""
+class TrackSetupOptions(
+    Options,
+    command="track setup",
+    section="Make logs",
+    argument="VIDEO",
+    output="The setup file to write.",
+    required=True,
+    beside=(".markers.png",),
+    page="tracking.md",
+):
+    """Draft a setup from a video: propose markers, draw them, write a YAML file to edit.
+
+    Works unattended and without a display. The file can be used as it is.
+
+    Example:
+      swimid track setup pool.mp4 -o setup.yaml
+      swimid track setup pool.mp4 --marker nose@412,230 --marker tail@371,236 -o setup.yaml
+    """
 
     picks: tuple[Pick, ...] = option(
         (),

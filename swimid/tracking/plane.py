@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from swimid.errors import InputError
 from swimid.notices import warn
@@ -279,7 +279,7 @@ def _variants(image: Array, world: Array, residual_px: float) -> tuple[Array, ..
     freedom = 2 * len(image) - 8
     if freedom < 1:
         return ()
-    sd = residual_px * np.sqrt(len(image) / freedom) * stats.t.isf(0.025, freedom) / stats.norm.isf(0.025)
+    sd = residual_px * np.sqrt(len(image) / freedom) * special.stdtrit(freedom, 0.025) / special.ndtri(0.025)
     moves = sd * np.eye(image.size).reshape(-1, *image.shape)
     return tuple(cv2.findHomography(image + move, world)[0] for move in moves)
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import maximum_filter1d
 
@@ -349,7 +349,7 @@ def hidden_px(track: RawTrack, marker: int, plane: Plane) -> Array:
     short = -np.log(share)
     scatter = np.maximum(_scatter(short), least)
     chance = FALSE_ALARM / len(seen)
-    twice, alone = float(stats.norm.isf(np.sqrt(chance))), ALONE * float(stats.norm.isf(chance))
+    twice, alone = -float(special.ndtri(np.sqrt(chance))), -ALONE * float(special.ndtri(chance))
     far = short / scatter
     lost = np.exp(short + scatter) - 1  # e / (1 - e)
     bound = np.sqrt(whole / np.pi) * np.minimum(lost, 1.0)

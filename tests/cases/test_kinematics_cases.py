@@ -67,8 +67,8 @@ def test_a_frozen_channel_is_bad(name: str, channel: str, case: Case, swimid: Ru
     case("n-import")
     found = imported(swimid, f"{name}.csv")
     assert found["verdict"]["level"] == "bad"
-    text = next(check["text"] for check in found["checks"] if check["name"] == "Frozen channels")
-    assert text.startswith(f"{channel} from 5")
+    value = next(check["value"] for check in found["checks"] if check["name"] == "Frozen channels")
+    assert value.startswith(f"{channel} from 5")
 
 
 def test_columns_with_constant_windows_are_imported(case: Case, swimid: Run) -> None:

@@ -7,7 +7,6 @@ from typing import ClassVar
 import numpy as np
 from scipy.constants import g
 from scipy.interpolate import CubicSpline
-from scipy.signal import lombscargle
 
 from swimid.effects.base import (
     Array,
@@ -269,6 +268,8 @@ def lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
 
 def oscillation(time_s: Array, series: Array) -> float:
     """Frequency of the oscillation that makes most of a series, Hz; 0 where none does."""
+    from scipy.signal import lombscargle
+
     centred = series - series.mean()
     if len(series) < 2 * ORDER or not centred.any():
         return 0.0

@@ -1,27 +1,23 @@
-"""File formats: one module per format; its ``READER`` makes a :class:`~swimid.logs.foreign.base.Table`.
+"""File formats: a :class:`~swimid.logs.foreign.base.Reader` makes a table of a file.
 
-Every module here with a ``READER`` is found by itself: the next format is one new file.
+Every reader in a module here is found by itself: the next format is one new file.
 """
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from functools import cache
 from pathlib import Path
 
 from swimid.errors import InputError, suggestion
 from swimid.files import yamlio
-from swimid.logs.foreign.base import Options, Reader, Table, first_bytes, reading
+from swimid.logs.foreign.base import Options, Reader, Table, discover, first_bytes, reading
 from swimid.logs.log import Log
 
 
 @cache
 def readers() -> dict[str, Reader]:
     """Return the reader of each file format by its name."""
-    names = [f"{__name__}.{entry.name}" for entry in pkgutil.iter_modules(__path__)]
-    modules = [module for module in map(importlib.import_module, names) if hasattr(module, "READER")]
-    return {module.READER.name: module.READER for module in modules}
+    return discover(__name__, Reader)
 
 
 def reader_of(path: Path, options: Options) -> Reader:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -14,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from swimid.errors import InputError, first_line, suggestion
+from swimid.errors import InputError, extra_needed, first_line, suggestion
 from swimid.files import yamlio
 from swimid.logs import log
 
@@ -134,6 +136,14 @@ class Reader:
     extra: str = ""
 
 
+def discover(package: str, kind: Any) -> dict[str, Any]:
+    """Return every object of a class in the modules of a package, by its ``name``."""
+    entries = pkgutil.iter_modules(importlib.import_module(package).__path__)
+    modules = [importlib.import_module(f"{package}.{entry.name}") for entry in entries]
+    objects: list[Any] = [value for module in modules for value in vars(module).values()]
+    return {one.name: one for one in objects if isinstance(one, kind)}
+
+
 def is_text(values: NDArray[Any]) -> bool:
     """Return whether a column holds text."""
     return values.dtype.kind in "USO"
@@ -157,17 +167,12 @@ def first_bytes(path: Path, count: int) -> bytes:
 
 @contextmanager
 def reading(path: Path, title: str, extra: str = "") -> Iterator[None]:
-    """Turn every exception of a library into an :class:`InputError`: the file is no readable ``title``.
-
-    A library that is not installed is named with the extra to install.
-    """
+    """Turn every exception of a library into an :class:`InputError`: the file is no readable ``title``."""
     try:
-        yield
+        with extra_needed(f"reading this {title}", extra, file=path):
+            yield
     except InputError:
         raise
-    except ImportError as error:
-        text = f"is a {title}, and {error.name} to read it is not installed"
-        raise InputError(text, file=path, hint=f"pip install 'swimid[{extra}]'") from error
     except Exception as error:
         raise InputError(f"is no readable {title}: {first_line(error)}", file=path) from error
 

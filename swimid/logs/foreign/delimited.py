@@ -6,19 +6,22 @@ import codecs
 import csv
 import re
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from itertools import compress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
-from swimid.files.delimited import MISSING, number
+from swimid.files.delimited import MISSING, count_cells, number, parse
 from swimid.logs import units
 from swimid.logs.foreign.base import Options, Reader, Table
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: Bytes in which the layout is found, and lines in which delimiter and decimal mark are.
 SAMPLE, LINES = 1 << 18, 200
@@ -77,22 +80,25 @@ def _open(path: Path, options: Options) -> Table:
         text = comment.sub(b"", text)
     if found.delimiter == " ":
         text = _EDGES.sub(b"", _BLANKS.sub(b" ", text))
-    try:
-        parsed, ragged = _parse(text, found, options)
-    except pa.ArrowInvalid:
-        # some cell is no number: its column stays text, and is refused if a mapping asks for it
-        parsed, ragged = _parse(text, replace(found, numbers=[]), options)
+    parsed, width = None if b'"' in text else _parse(text, found, options), len(found.names)
+    if parsed is not None and _is_regular(text, parsed, found.delimiter):
+        rows = np.arange(len(parsed), dtype=np.int64) + found.first_line
+    else:
+        numbered = enumerate(text.split(b"\n"), start=found.first_line)
+        blanks = b" \t".replace(found.delimiter.encode(), b"")
+        filled = [(at, line) for at, line in numbered if line.strip(blanks)]
+        cells = np.array([count_cells(line.decode(), found.delimiter) for _, line in filled])
+        broken = [(at, int(count)) for (at, _), count in zip(filled, cells, strict=True) if count != width]
+        filled = list(compress(filled, cells == width))
+        rows = np.array([at for at, _ in filled], dtype=np.int64)
+        notes += _note_ragged(broken, width, len(rows), path)
+        if broken or parsed is None:
+            parsed = _parse(b"\n".join(line for _, line in filled), found, options)
     columns, stated = {}, dict(zip(found.names, found.units, strict=False))
     for name in found.names:
-        columns[name], unit = _convert(parsed.column(name), found.decimal)
+        columns[name], unit = _convert(parsed[name], found.decimal)
         if unit:
             stated[name] = unit
-    rows = np.arange(parsed.num_rows, dtype=np.int64) + found.first_line
-    if text.count(b"\n") + (not text.endswith(b"\n")) != parsed.num_rows:
-        numbered = list(enumerate(text.split(b"\n"), start=found.first_line))
-        rows = np.array([at for at, line in numbered if line and line not in ragged], dtype=np.int64)
-        broken = [(at, ragged[line]) for at, line in numbered if line.strip() and line in ragged]
-        notes += _note_ragged(broken, len(found.names), len(rows), path)
     return Table(columns, units=stated, notes=notes, comments=comments, lines=rows)
 
 
@@ -232,40 +238,43 @@ def _fill(cells: list[str]) -> list[str]:
     return filled[1:]
 
 
-def _parse(text: bytes, found: Layout, options: Options) -> tuple[pa.Table, dict[bytes, int]]:
-    """Return the samples, and the number of cells of each line that has a wrong number."""
-    from pyarrow import csv as arrow_csv
-
-    ragged: dict[bytes, int] = {}
-
-    def skip(row: Any) -> str:
-        ragged[row.text.encode()] = row.actual_columns
-        return "skip"
-
-    parsed = arrow_csv.read_csv(
-        pa.BufferReader(text),
-        read_options=arrow_csv.ReadOptions(column_names=found.names),
-        parse_options=arrow_csv.ParseOptions(delimiter=found.delimiter, invalid_row_handler=skip),
-        convert_options=arrow_csv.ConvertOptions(
-            column_types=dict.fromkeys(found.names, pa.string()) | dict.fromkeys(found.numbers, pa.float64()),
-            null_values=[*MISSING, *map(str, options.missing)],
-            strings_can_be_null=True,
-            decimal_point=found.decimal,
-        ),
+def _parse(text: bytes, found: Layout, options: Options) -> pd.DataFrame:
+    """Return the cells of the samples: numbers, or text."""
+    read = partial(
+        parse,
+        text,
+        found.names,
+        delimiter=found.delimiter,
+        decimal=found.decimal,
+        missing=[*MISSING, *map(str, options.missing)],
     )
-    return parsed, ragged
+    try:
+        return read(dict.fromkeys(found.names, str) | dict.fromkeys(found.numbers, float))
+    except ValueError:
+        # some cell is no number: its column stays text, and is refused if a mapping asks for it
+        return read(str)
 
 
-def _convert(column: pa.ChunkedArray, decimal: str) -> tuple[NDArray[Any], str | None]:
+def _is_regular(text: bytes, parsed: pd.DataFrame, delimiter: str) -> bool:
+    """Return whether the text has one line for each row, and each line has the right number of cells.
+
+    A line with too few cells has left the last one missing.
+    """
+    lines = text.count(b"\n") + (not text.endswith(b"\n"))
+    marks = text.count(delimiter.encode())
+    whole = lines == len(parsed) and marks == len(parsed) * (parsed.shape[1] - 1)
+    return whole and not parsed.iloc[:, -1].hasnans
+
+
+def _convert(cells: pd.Series, decimal: str) -> tuple[NDArray[Any], str | None]:
     """Return a column, and the unit in its cells.
 
     Text stays text unless each cell is a number, or a number and a unit of one quantity.
     """
     import pandas as pd
 
-    if not pa.types.is_string(column.type):
-        return column.to_numpy(), None
-    cells = column.to_pandas()
+    if cells.dtype.kind == "f":
+        return cells.to_numpy(), None
     known, plain = cells.notna(), cells.str.strip()
     numbers = pd.to_numeric(plain.str.translate(_POINTS[decimal]), errors="coerce")
     if numbers.notna().equals(known):
@@ -286,7 +295,8 @@ def _note_ragged(broken: list[tuple[int, int]], width: int, rows: int, path: Pat
         return []
     line, cells = broken[0]
     if len(broken) > max(1, MAX_RAGGED * rows):
-        text = f"has {cells} cells where {width} columns are expected ({len(broken)} such lines)"
+        held = f"has {cells or 'unreadable'} cells"
+        text = f"{held} where {width} columns are expected ({len(broken)} such lines)"
         hint = "give delimiter, header or skip_rows under 'reader:' of the mapping"
         raise InputError(text, file=path, line=line, hint=hint)
     share = f"{len(broken)} of {rows + len(broken)} lines"

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from swimid.files import parquet
 from swimid.logs import log
 from swimid.logs.foreign.base import Options, Reader, Table
 
 
 def _open(path: Path, options: Options) -> Table:
-    import pyarrow.parquet as pq
-    from pyarrow.types import is_binary, is_nested
+    import pyarrow.parquet
 
-    table = pq.read_table(path)
-    nested = [field.name for field in table.schema if is_nested(field.type) or is_binary(field.type)]
+    table, types = pyarrow.parquet.read_table(path), pyarrow.types
+    nested = [f.name for f in table.schema if types.is_nested(f.type) or types.is_binary(f.type)]
     notes = [f"columns that hold no plain values left out: {', '.join(nested)}"] if nested else []
     stored = (table.schema.metadata or {}).get(b"swimid", b"")
     frame = table.drop_columns(nested).to_pandas(ignore_metadata=True)
@@ -22,4 +22,4 @@ def _open(path: Path, options: Options) -> Table:
     )
 
 
-READER = Reader("parquet", "Parquet file", (".parquet", ".pq"), _open, magic=(b"PAR1",))
+READER = Reader("parquet", "Parquet file", parquet.ENDINGS, _open, magic=(b"PAR1",), extra="parquet")

@@ -15,7 +15,7 @@ from swimid.errors import InputError
 from swimid.logs.foreign import open_table
 from swimid.logs.foreign.base import Table, is_text
 from swimid.logs.log import TIME
-from swimid.logs.profiles.base import Peek, Profile, axes, choose, renamed, rows
+from swimid.logs.profiles import Peek, Profile, axes, choose, renamed, rows
 from swimid.logs.rotation import from_frd, with_angles
 
 #: Columns of a log by the name of a field.
@@ -31,8 +31,6 @@ FIELDS: dict[str, str] = {
 }
 #: Factors to SI of what is not in SI, by the ending of the column: degrees and milligauss.
 FACTORS = {"_rad": np.pi / 180, "_T": 1e-7}
-#: Fields that number the instance.
-INSTANCE = ("I", "C", "Instance")
 
 
 def _recognises(peek: Peek) -> bool:
@@ -47,7 +45,7 @@ def _read(path: Path, select: str | None, length_unit: str | None) -> Table:
         table = _messages(path, kind or None)
     else:
         table, instance = open_table(path), instance or kind
-    by = next((name for name in INSTANCE if name in table.columns), None)
+    by = next((name for name in ("I", "C", "Instance") if name in table.columns), None)
     if by is not None and not is_text(table.columns[by]):
         there = [f"{value:g}" for value in np.unique(table.columns[by])]
         taken = choose(instance or there[0], there, "instance", path)

@@ -18,9 +18,8 @@ from swimid.logs import clock, units
 from swimid.logs.foreign import open_table
 from swimid.logs.foreign.base import Table, is_text
 from swimid.logs.log import TIME
-from swimid.logs.profiles.base import Peek, Profile
+from swimid.logs.profiles import Peek, Profile
 
-TICKS_PER_TURN, MIDDLE_TICK, REV_PER_MIN = 4096, 2048, 0.229
 _FIELD = re.compile(
     r"(dxl|id|servo|motor|joint)?[ _]*\d*[ _:.-]*(?P<what>present|goal)[ _]*(?P<which>position|velocity)"
     r"[ _\[(#id]*\d*[\])]?",
@@ -58,9 +57,9 @@ def _read(path: Path, select: str | None, length_unit: str | None) -> Table:
         stem = "joint" if hit["what"].lower() == "present" else "cmd"
         joint = f"{stem}{numbers.index(servos[name]) + 1}"
         if hit["which"].lower() == "position":
-            columns[f"{joint}_rad"] = (ticks - MIDDLE_TICK) * 2 * np.pi / TICKS_PER_TURN
+            columns[f"{joint}_rad"] = (ticks - 2048) * 2 * np.pi / 4096
         else:
-            columns[f"{joint}_rad_s"] = ticks * REV_PER_MIN * units.UNITS["turn rate"]["rpm"]
+            columns[f"{joint}_rad_s"] = ticks * 0.229 * units.UNITS["turn rate"]["rpm"]
     return replace(table, columns=columns, metadata={"servos": numbers}, units={})
 
 

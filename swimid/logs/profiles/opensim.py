@@ -15,7 +15,7 @@ import numpy as np
 from swimid.errors import InputError
 from swimid.logs.foreign.base import Table
 from swimid.logs.log import TIME
-from swimid.logs.profiles.base import Array, Peek, Profile, length, numbers, safe
+from swimid.logs.profiles import Array, Peek, Profile, length, numbers, safe
 from swimid.notices import warn
 
 #: Units of the columns of a motion, by pattern; the first that fits counts.

@@ -12,7 +12,7 @@ from pathlib import Path
 from swimid.errors import InputError
 from swimid.logs.foreign.base import Table
 from swimid.logs.log import TIME
-from swimid.logs.profiles.base import Peek, Profile, choose, length, numbers, safe
+from swimid.logs.profiles import Peek, Profile, choose, length, numbers, safe
 
 _NAME = re.compile(
     r"(t|step|frame|(?P<kind>[va]?)_?\{?(?P<axis>[xyr])\}?)(\s*[(\[](?P<unit>[^)\]/]*)[^)\]]*[)\]])?"

@@ -1,7 +1,8 @@
-"""ROS 2 messages in MCAP, by their type: odometry, pose, IMU, joint states.
+"""Recordings of messages of known types: ULog of PX4, and ROS 2 messages in MCAP.
 
-Times are those of the message header, which the sensor driver sets, not those of the recorder. Units and axes
-are those of REP 103: SI, x forward, y left, z up; quaternions are x, y, z, w from body to world.
+The axes of PX4 are forward, right, down and north, east, down; they are turned to y left and z up. ROS 2 has
+the units and axes of REP 103: SI, x forward, y left, z up; quaternions are x, y, z, w from body to world. Its
+times are those of the message header, which the sensor driver sets, not those of the recorder.
 """
 
 from __future__ import annotations
@@ -12,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from swimid.logs.foreign import mcap
+from swimid.logs.foreign import open_table, recordings
 from swimid.logs.foreign.base import Options, Table
 from swimid.logs.log import TIME
-from swimid.logs.profiles.base import Peek, Profile, axes, choose, renamed, safe
-from swimid.logs.rotation import with_angles
+from swimid.logs.profiles import Peek, Profile, axes, choose, renamed, safe
+from swimid.logs.rotation import from_frd, with_angles
 
 
 def _pose(at: str) -> dict[str, str]:
@@ -24,8 +25,16 @@ def _pose(at: str) -> dict[str, str]:
     return axes(f"{at}position.{{}}", "{}_m") | axes(f"{at}orientation.{{}}", "q{}", "wxyz")
 
 
-#: Fields and their columns, by type of message; the package may be written with or without ``/msg``.
+#: Fields and their columns, by type of message; the package of ROS 2 may be written with or without ``/msg``.
 FIELDS: dict[str, dict[str, str]] = {
+    "vehicle_local_position": axes("{}", "{}_m") | axes("v{}", "v{}_m_s") | {"heading": "yaw_rad"},
+    "vehicle_attitude": axes("q[{}]", "q{}", "1234", "wxyz"),
+    "vehicle_angular_velocity": axes("xyz[{}]", "w{}_rad_s", "123", "xyz"),
+    "vehicle_acceleration": axes("xyz[{}]", "a{}_m_s2", "123", "xyz"),
+    "sensor_combined": axes("gyro_rad[{}]", "w{}_rad_s", "123", "xyz")
+    | axes("accelerometer_m_s2[{}]", "a{}_m_s2", "123", "xyz"),
+    "sensor_gyro": axes("{}", "w{}_rad_s"),
+    "sensor_accel": axes("{}", "a{}_m_s2"),
     "nav_msgs/Odometry": _pose("pose.pose.")
     | axes("twist.twist.linear.{}", "{}_m_s", "xyz", "uvw")
     | axes("twist.twist.angular.{}", "w{}_rad_s"),
@@ -40,27 +49,38 @@ FIELDS: dict[str, dict[str, str]] = {
 
 def _topics(path: Path) -> dict[str, str]:
     """Return the topics of known types, with their types."""
-    kinds = {topic: kind.replace("/msg/", "/") for topic, kind in mcap.topics(path).items()}
+    kinds = {topic: kind.replace("/msg/", "/") for topic, kind in recordings.topics(path).items()}
     return {topic: kind for topic, kind in kinds.items() if kind in FIELDS}
 
 
 def _recognises(peek: Peek) -> bool:
     with contextlib.suppress(Exception):  # a damaged file is refused by its reader
-        return peek.head.startswith(mcap.MAGIC) and bool(_topics(peek.path))
+        return bool(_topics(peek.path))
     return False
 
 
-def _read(path: Path, select: str | None, length_unit: str | None) -> Table:
+def _open(path: Path, select: str | None) -> tuple[Table, str]:
+    """Return the samples of the topic that the user selects, or of the only one, and its type."""
     topics = _topics(path)
     topic = choose(select, list(topics), "topic", path)
-    table = mcap.load(path, Options(topic=topic))
+    return open_table(path, Options(topic=topic)), topics[topic]
+
+
+def _read_px4(path: Path, select: str | None, length_unit: str | None) -> Table:
+    table, kind = _open(path, select)
+    time_s = table.columns[table.column("timestamp", path)].astype(np.int64) * 1e-6
+    return replace(table, columns={TIME: time_s, **with_angles(from_frd(renamed(table, FIELDS[kind])))})
+
+
+def _read_ros2(path: Path, select: str | None, length_unit: str | None) -> Table:
+    table, kind = _open(path, select)
     stamp = table.columns.get("header.stamp")
     if stamp is None or not (stamp.astype(np.int64) > 0).any():
         stamp = table.columns["log_time"]
         table.notes.append("its messages have no stamps; the times are those of the recorder")
     nanoseconds = stamp.astype("datetime64[ns]").astype(np.int64)
     table.metadata["first_stamp_s"] = float(nanoseconds[0]) * 1e-9
-    columns = renamed(table, FIELDS[topics[topic]] or _joints(table))
+    columns = renamed(table, FIELDS[kind] or _joints(table))
     time_s = (nanoseconds - nanoseconds[0]) * 1e-9
     return replace(table, columns={TIME: time_s, **with_angles(columns)})
 
@@ -79,4 +99,5 @@ def _joints(table: Table) -> dict[str, str]:
     return fields
 
 
-PROFILE = Profile("ros2", "MCAP recording of ROS 2", _recognises, _read, extra="mcap")
+PX4 = Profile("px4", "ULog recording of PX4", _recognises, _read_px4, "ulog", recordings.ULOG_MAGIC)
+ROS2 = Profile("ros2", "MCAP recording of ROS 2", _recognises, _read_ros2, "mcap", recordings.MCAP_MAGIC)

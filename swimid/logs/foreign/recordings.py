@@ -1,20 +1,28 @@
-"""MCAP recordings (ROS 2 bags, or messages in JSON), by the ``mcap`` libraries."""
+"""Recordings of several topics: ULog, by ``pyulog``, and MCAP of ROS 2 or JSON messages, by ``mcap``."""
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from swimid.logs.foreign.base import Options, Reader, Table, flat, of_records, one_of
+from swimid.logs.foreign.base import Options, Reader, Table, first_bytes, flat, of_records, one_of, reading
 
-MAGIC = b"\x89MCAP0\r\n"
+ULOG_MAGIC, MCAP_MAGIC = b"ULog\x01\x12\x35", b"\x89MCAP0\r\n"
 
 
 def topics(path: Path) -> dict[str, str]:
-    """Return the type of the messages of every topic, as the schema names it (``nav_msgs/msg/Odometry``)."""
+    """Return the topics of a recording, each with the type of its messages, as the file names it.
+
+    Several instances of a topic of a ULog recording are ``name[0]``, ``name[1]``.
+    """
+    if first_bytes(path, len(ULOG_MAGIC)) == ULOG_MAGIC:
+        return {topic: data.name for topic, data in _load_ulog(path)[1].items()}
     from mcap.reader import make_reader
 
     with path.open("rb") as stream:
@@ -29,7 +37,32 @@ def topics(path: Path) -> dict[str, str]:
     return {topic: getattr(schema, "name", "") for topic, schema in sorted(found.items())}
 
 
-def load(path: Path, options: Options) -> Table:
+def _load_ulog(path: Path) -> tuple[Any, dict[str, Any]]:
+    """Return the recording and its topics by name."""
+    with reading(path, "ULog recording", "ulog"), contextlib.redirect_stdout(io.StringIO()):
+        # the library prints warnings about a damaged file; stdout is for results
+        from pyulog import ULog
+
+        log = ULog(str(path))
+    several = {data.name for data in log.data_list if data.multi_id}
+    return log, {f"{d.name}[{d.multi_id}]" if d.name in several else d.name: d for d in log.data_list}
+
+
+def _open_ulog(path: Path, options: Options) -> Table:
+    log, found = _load_ulog(path)
+    topic = one_of(options.topic, list(found), file=path, what="topic")
+    # q[0] becomes q[1]: columns count from 1 in every format
+    values = {
+        re.sub(r"\[(\d+)\]$", lambda index: f"[{int(index[1]) + 1}]", name): column
+        for name, column in found[topic].data.items()
+    }
+    notes = [f"{len(log.dropouts)} dropouts while it was recorded"] if log.dropouts else []
+    if log.file_corruption:
+        notes.append("the file is damaged; its readable part was read")
+    return Table(values, metadata={"topic": topic}, notes=notes)
+
+
+def _open_mcap(path: Path, options: Options) -> Table:
     """Read one topic, its messages in the order of the file; times are ``datetime64[ns]``.
 
     The order of the file is kept, since the recorder's clock (``log_time``) may step back.
@@ -61,4 +94,7 @@ def _parts(value: Any) -> Any:
     return value
 
 
-READER = Reader("mcap", "MCAP file of ROS 2 or JSON messages", (".mcap",), load, magic=(MAGIC,), extra="mcap")
+ULOG = Reader("ulog", "ULog recording", (".ulg", ".ulog"), _open_ulog, magic=(ULOG_MAGIC,), extra="ulog")
+MCAP = Reader(
+    "mcap", "MCAP file of ROS 2 or JSON messages", (".mcap",), _open_mcap, magic=(MCAP_MAGIC,), extra="mcap"
+)

@@ -1,0 +1,126 @@
+"""Tracked points of pictures: tables of DeepLabCut, and analysis files of SLEAP.
+
+A table of DeepLabCut (CSV, HDF5) has one row a frame, and x, y and likelihood of each body part; its columns
+have the levels scorer, (individuals,) bodyparts, coords. SLEAP writes HDF5 (``tracks``: tracks, x and y,
+nodes, frames) and CSV (``node.x``, ``node.y``). Coordinates are pixels with the origin in the upper left
+corner and y down; here y points up. Neither states a frame rate.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from swimid.errors import InputError
+from swimid.logs.foreign import open_table
+from swimid.logs.foreign.base import Table, is_text
+from swimid.logs.profiles import Array, Peek, Profile, choose, rows, safe
+
+_LEVELS = ("scorer", "individuals", "bodyparts", "coords")
+_CELL = re.compile(r"(?!instance\.).+\.(x|y|score)")
+
+
+def points(found: Mapping[str, Array]) -> dict[str, Array]:
+    """Return columns of tracked points, named as in the log: pixels with y turned up, and likelihoods.
+
+    >>> points({"tail tip.y": np.array([2.0]), "tail tip.score": np.array([0.9])})
+    {'tail_tip_y_px': array([-2.]), 'tail_tip_score': array([0.9])}
+    """
+    columns: dict[str, Array] = {}
+    for name, values in found.items():
+        point, _, what = name.rpartition(".")
+        unit = "" if what in ("likelihood", "score") else "_px"
+        columns[f"{safe(point)}_{what}{unit}"] = -values if what == "y" else values
+    return columns
+
+
+def _levels(peek: Peek) -> list[str]:
+    """Return the levels of the column names that the file begins with."""
+    starts = [line.split(",")[0].strip() for line in peek.lines[:4]]
+    return [start for start in starts if start in _LEVELS]
+
+
+def _is_deeplabcut(peek: Peek) -> bool:
+    levels = _levels(peek)
+    return (levels[:1] == ["scorer"] and "bodyparts" in levels) or peek.holds("df_with_missing")
+
+
+def _read_deeplabcut(path: Path, select: str | None, length_unit: str | None) -> Table:
+    import pandas as pd
+
+    peek, lines = Peek.of(path), None
+    if peek.lines:
+        levels = len(_levels(peek))
+        if "bodyparts" not in _levels(peek):
+            hint = "a table of DeepLabCut begins with the lines scorer, bodyparts, coords"
+            raise InputError("has no line of body parts", file=path, hint=hint)
+        frame = pd.read_csv(path, header=list(range(levels)), index_col=0)
+        lines = np.arange(len(frame), dtype=np.int64) + levels + 1
+    else:
+        frame = pd.DataFrame(pd.read_hdf(path))
+    if "individuals" in frame.columns.names:
+        animals = [str(name) for name in frame.columns.unique("individuals")]
+        frame = frame.xs(choose(select, animals, "individual", path), axis=1, level="individuals")
+    if isinstance(frame.index, pd.MultiIndex) or not pd.api.types.is_numeric_dtype(frame.index):
+        text = "its rows are labelled pictures, not the frames of a film"
+        raise InputError(text, file=path, hint="import the table that analyze_videos writes")
+    found = {f"{key[-2]}.{key[-1]}": cells.to_numpy(dtype=float) for key, cells in frame.items()}
+    columns = {"frame": frame.index.to_numpy(dtype=float), **points(found)}
+    return Table(columns, metadata={"y_axis": "up, from the upper edge of the frame"}, lines=lines)
+
+
+def _is_sleap(peek: Peek) -> bool:
+    cells = {hit[1] for name in peek.header if (hit := _CELL.fullmatch(name))}
+    return ("frame_idx" in peek.header and {"x", "y"} <= cells) or peek.holds("tracks", "node_names")
+
+
+def _read_sleap(path: Path, select: str | None, length_unit: str | None) -> Table:
+    return _of_text(path, select) if Peek.of(path).lines else _of_hdf5(path, select)
+
+
+def _of_text(path: Path, select: str | None) -> Table:
+    import pandas as pd
+
+    table = open_table(path)
+    frames = table.column("frame_idx", path)
+    if "track" in table.columns:
+        tracks = pd.Series(table.columns["track"]).dropna().astype(str)
+        names = list(tracks.unique())
+        if len(names) > 1 or select:
+            chosen = choose(select, names, "track", path)
+            table = rows(table, table.columns["track"].astype(str) == chosen)
+    cells = [name for name, values in table.columns.items() if _CELL.fullmatch(name) and not is_text(values)]
+    found = points({name: table.columns[name].astype(float) for name in cells})
+    return replace(table, columns={"frame": table.columns[frames], **found})
+
+
+def _of_hdf5(path: Path, select: str | None) -> Table:
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        tracks = np.asarray(file["tracks"], dtype=float)
+        nodes = [name.decode() for name in file["node_names"]]
+        names = [name.decode() for name in file.get("track_names", [])]
+        scores = np.asarray(file.get("point_scores", []), dtype=float)
+    if tracks.ndim != 4 or tracks.shape[1] != 2 or tracks.shape[2] != len(nodes):
+        text = f"'tracks' has the shape {tracks.shape}; it must be (tracks, 2, {len(nodes)} nodes, frames)"
+        raise InputError(text, file=path)
+    if len(names) != len(tracks):
+        names = [str(k) for k in range(len(tracks))]
+    at = names.index(choose(select, names, "track", path))
+    found: dict[str, Array] = {}
+    for k, node in enumerate(nodes):
+        found[f"{node}.x"], found[f"{node}.y"] = tracks[at, :, k]
+        if scores.shape == tracks[:, 0].shape:
+            found[f"{node}.score"] = scores[at, k]
+    return Table({"frame": np.arange(tracks.shape[3], dtype=float), **points(found)})
+
+
+DEEPLABCUT = Profile(
+    "deeplabcut", "table of DeepLabCut", _is_deeplabcut, _read_deeplabcut, extra="deeplabcut"
+)
+SLEAP = Profile("sleap", "analysis file of SLEAP", _is_sleap, _read_sleap, extra="hdf5")

@@ -1,0 +1,146 @@
+"""What figures draw, by the data of matplotlib's artists; and a notebook that shows them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import matplotlib as mpl
+import nbformat
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
+from nbclient import NotebookClient
+
+from swimid.errors import InputError
+from swimid.results import blocks, drawing
+from swimid.results.evidence import Figure, Heat, Mark, Panel, Span, Trace
+
+ROOT = Path(__file__).parents[1]
+
+
+def drawn(*traces: Trace, **panel: object) -> Axes:
+    """Return the axes of a figure of one panel."""
+    one = Panel(x_label="time (s)", y_label="x (m)", traces=list(traces), **panel)  # type: ignore[arg-type]
+    return drawing.canvas([Figure(id="f", title="t", caption="c", panels=[one])]).axes[0]
+
+
+def test_measured_points_lie_above_the_broad_pale_line_of_their_model() -> None:
+    x = np.linspace(0, 1, 30)
+    axes = drawn(
+        Trace(x=x, y=x**2, style="points", label="w10", group=4),
+        Trace(x=x, y=x**2 + 0.01, group=4),
+    )
+    points, line = axes.lines
+    np.testing.assert_allclose(points.get_ydata(), x**2)
+    np.testing.assert_allclose(line.get_ydata(), x**2 + 0.01)
+    assert points.get_zorder() > line.get_zorder()
+    assert points.get_color() == line.get_color()
+    assert line.get_linewidth() > points.get_markersize()
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["w10"]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("time (s)", "x (m)")
+
+
+def test_groups_have_colours_and_markers_of_their_own() -> None:
+    traces = [Trace(x=[0.0, 1.0], y=[k, k], style="points", label=str(k), group=k) for k in range(6)]
+    axes = drawn(*traces)
+    assert len({(line.get_color(), line.get_marker()) for line in axes.lines}) == 6
+
+
+def test_bars_stand_side_by_side_with_their_errors() -> None:
+    axes = drawn(
+        Trace(x=[0.0, 1.0], y=[1.0, 2.0], style="bars", label="a", y_error=[0.1, 0.2]),
+        Trace(x=[0.0, 1.0], y=[3.0, 4.0], style="bars", label="b"),
+        x_categories=["surge", "sway"],
+    )
+    assert sorted(patch.get_height() for patch in axes.patches) == [1.0, 2.0, 3.0, 4.0]
+    middles = sorted(patch.get_x() + patch.get_width() / 2 for patch in axes.patches)
+    np.testing.assert_allclose(middles, [-0.2, 0.2, 0.8, 1.2])
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["surge", "sway"]
+
+
+def test_bands_marks_and_spans() -> None:
+    axes = drawn(
+        Trace(x=[0.0, 1.0], y=[1.0, 1.0], lower=[0.5, 0.5], upper=[1.5, 1.5], label="95 %"),
+        marks=[Mark(at=0.7, label="limit")],
+        spans=[Span(start=0.2, end=0.4, label="gap")],
+    )
+    vertices = axes.collections[0].get_paths()[0].vertices
+    assert (vertices[:, 1].min(), vertices[:, 1].max()) == (0.5, 1.5)
+    assert {text.get_text() for text in axes.get_legend().get_texts()} == {"95 %", "limit", "gap"}
+    assert any(np.ptp(line.get_ydata()) == 0 and line.get_ydata()[0] == 0.7 for line in axes.lines)
+
+
+def test_a_heat_map_says_each_number_and_shades_the_largest_most() -> None:
+    heat = Heat(rows=["1 Hz", "2 Hz"], columns=["10", "20"], values=[[1.0, 2.0], [None, 4.0]], scale="linear")
+    axes = drawn(heat=heat)
+    assert [text.get_text() for text in axes.texts] == ["1", "2", "–", "4"]
+    assert [patch.get_alpha() for patch in axes.patches] == pytest.approx([0.0, 0.55 / 3, 0.55])
+
+
+def test_lists_of_different_lengths_are_refused() -> None:
+    with pytest.raises(InputError, match="1 numbers of 'y' for 2 of 'x'"):
+        drawn(Trace(x=[0.0, 1.0], y=[1.0]))
+    with pytest.raises(InputError, match="heat map"):
+        drawn(heat=Heat(rows=["a"], columns=["b", "c"], values=[[1.0]]))
+
+
+class Series:
+    """A trial with residuals of a given size."""
+
+    def __init__(self, trial: str, size: float, role: str = "fit") -> None:
+        self.trial, self.role = trial, role
+        self.time_s = np.linspace(0, 1, 50)
+        self.simulated = self.time_s
+        self.weighted = size * np.cos(np.arange(50.0))
+        self.measured = self.simulated + 0.01 * self.weighted
+
+
+def test_the_worst_the_best_and_the_worst_held_out_trial_are_shown() -> None:
+    trials = [Series(f"t{k}", size) for k, size in enumerate((1.0, 3.0, 0.5, 2.0))]
+    trials += [Series("v0", 1.0, "validate"), Series("v1", 4.0, "validate")]
+    figure = blocks.measured_and_simulated("f", "t", "c", "time (s)", "x (m)", trials)
+    labels = [trace.label for trace in figure.panels[0].traces if trace.label]
+    assert labels == ["t1 (worst)", "t2 (best)", "v1 (held out)"]
+
+
+def test_residuals_have_one_row_for_each_trial() -> None:
+    """A residual of 4 standard deviations reaches less than half a row."""
+    trials = [Series("a", 1.0), Series("b", 50.0)]
+    lags = np.arange(5)
+    correlation = type("Correlation", (), {"lags": lags, "values": 0.1 * lags, "bound": 0.2 + 0.0 * lags})
+    rows, lagged = blocks.residuals("f", "t", "c", "time (s)", trials, correlation).panels
+    assert rows.y_categories == ["b", "a"]
+    for k, trace in enumerate(rows.traces):
+        assert np.abs(np.array(trace.y) - k).max() < 0.5
+    assert lagged.traces[0].x == [1.0, 2.0, 3.0, 4.0]
+
+
+def test_settings_of_the_user_stay() -> None:
+    before = dict(mpl.rcParams)
+    assert isinstance(drawing.canvas([_empty()]), Canvas)
+    assert dict(mpl.rcParams) == before
+
+
+def _empty() -> Figure:
+    return Figure(id="f", title="t", caption="c", panels=[Panel(x_label="x", y_label="y")])
+
+
+def test_a_notebook_shows_pictures() -> None:
+    """``plot`` at the end of a cell gives an image, as it does for a user of Jupyter."""
+    cells = [
+        "import swimid",
+        "drag = swimid.fit_drag('sample_logs/rig/trials.yaml')\ndrag",
+        "drag.plot('overlay-x_m')",
+        "drag.plot('residuals-x_m')\n2 + 2",
+    ]
+    book = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell) for cell in cells])
+    environment = {name: value for name, value in os.environ.items() if name != "MPLBACKEND"}
+    environment["PYTHONPATH"] = str(ROOT)
+    client = NotebookClient(book, timeout=300, resources={"metadata": {"path": str(ROOT)}})
+    client.execute(env=environment)
+    shown = [[set(output.get("data", {})) for output in cell.outputs] for cell in book.cells]
+    assert any("text/html" in kinds for kinds in shown[1])
+    for outputs in shown[2:]:
+        assert any("image/png" in kinds for kinds in outputs)
