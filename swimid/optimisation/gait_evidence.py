@@ -57,10 +57,19 @@ def _checks(file: GaitFile) -> list[ev.Check]:
         agree = sum(abs(end - best) <= AGREE_RTOL * abs(best) for end in file.ends)
         text = "" if agree > 1 else "a better gait may be elsewhere: look for more with --starts"
         value = f"{agree} of {len(file.ends)}"
-        checks.append(ev.check("starts that end at the best gait", value, agree > 1, "two or more", text))
+        checks.append(
+            ev.check(
+                "starts that end at the best gait",
+                value,
+                agree > 1,
+                "two or more",
+                text,
+                reason=f"{value} starts end at it",
+            )
+        )
     bound = ", ".join(optimum.at_bound)
     text = f"a better gait may lie beyond the range of {bound}" if bound else ""
-    checks.append(ev.check("gait within its ranges", bound or "yes", not bound, "inside", text))
+    checks.append(ev.check("gait within its ranges", bound or "yes", not bound, "inside", text, reason=text))
     checks += trust.forwards_check([optimum.quantities.get("mean_surge_from_start_m_s")])
     change, speed = (optimum.quantities.get(n) for n in ("speed_change_per_beat_m_s", "mean_speed_m_s"))
     if change is not None and speed:

@@ -58,8 +58,9 @@ def _checks(file: MapFile) -> list[ev.Check]:
     points = [{**drive, **point} for point in points_of(axes)]
     steady = len(points) - file.unsettled
     region = {n: ends for n, ends in file.identified.items() if n in axes or n in BEAT | STROKE}
+    broken = f"{file.broken} of {len(points)}"
     checks = [
-        ev.check("runs that broke down", f"{file.broken} of {len(points)}", not file.broken, "none"),
+        ev.check("runs that broke down", broken, not file.broken, "none", reason=f"{broken} runs broke down"),
         trust.steady_check(steady, len(points)),
         trust.region_check(region, points),
     ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 from swimid.notices import Notice
 from swimid.results import blocks, numbers
@@ -61,14 +61,18 @@ def coefficients_check(notices: Sequence[Notice]) -> list[ev.Check]:
     if not doubts:
         return []
     name = "coefficients are those of a sound fit"
-    return [ev.check(name, "no", False, "converged, identified, within bounds", "; ".join(doubts))]
+    return [ev.check(name, "no", False, "converged, identified, within bounds", reason="; ".join(doubts))]
 
 
 def draws_check(inside: float) -> ev.Check:
     """Check that most draws of the coefficients lie within their bounds."""
     text = "" if inside >= 0.5 else "the coefficients are hardly known: fit them better"
     value = numbers.percent(inside, 2)
-    return ev.check("draws within the coefficients' bounds", value, inside >= 0.5, "half or more", text)
+    name, reason = (
+        "draws within the coefficients' bounds",
+        f"only {value} of draws lie within them",
+    )
+    return ev.check(name, value, inside >= 0.5, "half or more", text, reason=reason)
 
 
 def unknown_check(name: str) -> ev.Check:
@@ -78,8 +82,10 @@ def unknown_check(name: str) -> ev.Check:
 
 def steady_check(steady: int, count: int) -> ev.Check:
     """Check that runs are steady at their end."""
+    name, value = "steady at the end of the run", f"{steady} of {count}"
     text = "" if steady == count else "speeds are those after --duration-s from rest, not steady ones"
-    return ev.check("steady at the end of the run", f"{steady} of {count}", steady == count, "all", text)
+    reason = f"{value} runs are steady at their end"
+    return ev.check(name, value, steady == count, "all", text, reason=reason)
 
 
 def region_check(region: Region, points: Sequence[Mapping[str, float]]) -> ev.Check:
@@ -93,7 +99,9 @@ def region_check(region: Region, points: Sequence[Mapping[str, float]]) -> ev.Ch
     if inside < len(points):
         names = ", ".join(name for name in region if any(name in one for one in out))
         text = f"elsewhere it is extrapolation in {names}: the coefficients were not identified there"
-    return ev.check(name, f"{inside} of {len(points)}", inside == len(points), "all", text)
+    value = f"{inside} of {len(points)}"
+    reason = f"{value} gaits lie inside the range of the identification trials"
+    return ev.check(name, value, inside == len(points), "all", text, reason=reason)
 
 
 def beyond(region: Region, at: Mapping[str, float]) -> list[str]:
@@ -124,13 +132,7 @@ def forwards_check(surge_m_s: Sequence[float | None]) -> list[ev.Check]:
     if not known:
         return []
     text = "elsewhere the robot is driven tail first: its speed there is none of swimming" if back else ""
-    return [
-        blocks.check(
-            "swims nose first",
-            f"{len(known) - back} of {len(known)}",
-            "all",
-            not back,
-            otherwise="fail" if back == len(known) else "warn",
-            text=text,
-        )
-    ]
+    ahead = f"{len(known) - back} of {len(known)}"
+    grade: Literal["warn", "fail"] = "fail" if back == len(known) else "warn"
+    reason = f"{ahead} gaits swim nose first"
+    return [ev.check("swims nose first", ahead, not back, "all", text, otherwise=grade, reason=reason)]

@@ -1,9 +1,8 @@
-"""Results, the evidence they rest on, and the page they become. Nothing is computed again here.
+"""What every command returns, and the one renderer of each form it takes: terminal, page, picture.
 
-``result`` is the base of all results, and one that is a text; ``fitted`` that of every fit;
-``evidence`` holds verdict, checks, tables and figures as data, ``parameters`` the parameter file,
-``numbers`` how numbers and units are written. ``reader`` finds the module ``section`` of each room, which
-turns a result file into the blocks of ``sections``; ``report`` (with ``options``) puts them together,
-``page`` as HTML, ``documents`` as Markdown and JSON. Drawing: ``figures`` and ``sheet`` (matplotlib),
-``looks`` (how traces differ), ``heat`` (shaded tables), ``svg``.
+``result`` is the base of all results, ``fitted`` that of every fit; ``kinds`` lists those that can be read
+again. ``evidence`` holds verdict, checks, tables and figures as data, ``parameters`` the parameter file.
+``terminal`` prints a result, ``page`` makes HTML and Markdown of results, ``compared`` sets several fits of
+one model side by side, ``drawing`` draws figures with matplotlib; ``report`` (with ``options``) is the command.
+``blocks`` has tables and figures that several packages need, ``numbers`` writes numbers and units.
 """

@@ -25,7 +25,10 @@ def summary(evidence: Evidence) -> str:
         parts += ["", table_text(open_tables[0])]
     if evidence.notes:
         parts += ["", *(_wrapped(note) for note in evidence.notes)]
-    verdict = f"{(evidence.verdict.word or evidence.verdict.level).upper()}: {evidence.verdict.text}"
+    passed = sum(check.verdict == "pass" for check in evidence.checks)
+    counted = f" ({passed} checks pass)" if passed else ""
+    word = (evidence.verdict.word or evidence.verdict.level).upper()
+    verdict = f"{word}{counted}: {evidence.verdict.text}"
     return "\n".join([*parts, "", textwrap.fill(verdict, WIDTH)])
 
 
