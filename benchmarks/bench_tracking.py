@@ -10,9 +10,8 @@ alone (one decoder thread more than cores) and of the tracker, and prints median
 the ratios of runs made one after the other. Compare ratios: absolute rates depend on the
 machine and its load.
 
-Then the Kalman filter and smoother over three coordinates of the track, a heading and a place, by filterpy
-(the final pass) and by the compiled loop (the search for the noise), as shares of the time that decoding
-the same film took just before; and the search as it would be by filterpy.
+Then the smoothing of three coordinates of the track, a heading and a place, with the search for the noise, as
+a share of the time that decoding the same film took just before.
 """
 
 from __future__ import annotations
@@ -29,8 +28,8 @@ import numpy as np
 
 from swimid.tracking import plane, smooth
 from swimid.tracking import setup as setup_format
-from swimid.tracking.follow import Follower
 from swimid.tracking.reader import Video
+from swimid.tracking.tracker import Follower
 from tests.generators import pool_video
 from tests.generators.pool_video import Scene
 
@@ -89,31 +88,13 @@ def track(video: Path, rules: setup_format.Setup) -> tuple[float, Follower]:
     return count / (time.perf_counter() - begin), follower
 
 
-def filters(follower: Follower) -> tuple[float, float, float]:
-    """Seconds a frame: filter and smoother by filterpy, the same compiled, and the search by filterpy."""
+def smoothing(follower: Follower) -> float:
+    """Seconds a frame of the smoother, the search for the noise included."""
     raw = follower.track()
-    rows = [np.where(raw.found[0], values, np.nan) for values in (raw.x[0], raw.y[0], raw.x[-1])]
-    ones, start = np.ones(len(raw.times)), np.diag([1e7, 1e10, 1e13])
-    seconds = []
-    for run in (smooth.filter_and_smooth, _compiled):
-        begin = time.perf_counter()
-        for row in rows:
-            run(raw.times, row, ones, 1e6, 3, start)
-        seconds.append((time.perf_counter() - begin) / len(raw.times))
-    evaluations = []
-    likelihood = smooth._likelihood
-    smooth._likelihood = lambda *given: evaluations.append(1) or likelihood(*given)
-    try:
-        smooth.smooth(raw.times, np.array(rows), ones, [(0, len(raw.times))])
-    finally:
-        smooth._likelihood = likelihood
-    # a likelihood takes the filter alone, about half of filter and smoother
-    return seconds[0], seconds[1], seconds[0] / 2 * len(evaluations)
-
-
-def _compiled(times, values, variances, q, order, start):
-    means, covariances, _, _ = smooth.kalman(times, values, variances, q, order, start)
-    return smooth.rts(times, means, covariances, q, order)
+    rows = np.array([np.where(raw.found[0], values, np.nan) for values in (raw.x[0], raw.y[0], raw.x[-1])])
+    begin = time.perf_counter()
+    smooth.smooth(raw.times, rows, np.ones(len(raw.times)), [(0, len(raw.times))])
+    return (time.perf_counter() - begin) / len(raw.times)
 
 
 def accuracy(follower: Follower, scene: Scene) -> tuple[int, float]:
@@ -135,7 +116,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--only", choices=list(FILMS))
     options = parser.parse_args()
-    shares: dict[str, tuple[float, ...]] = {}
+    shares: dict[str, float] = {}
     columns = ["film", "Mbit/s", "decode fps", "own reader fps", "track fps", "of decode", "of own reader"]
     print("| " + " | ".join([*columns, "misses", "rmse px"]) + " |")
     print("|---" * (len(columns) + 2) + "|")
@@ -157,9 +138,8 @@ def main() -> None:
             pairs.append((alone, own, tracked))
         rate = video.stat().st_size * 8 / 1e6 / scene.duration_s
         misses, rmse = accuracy(follower, scene)
-        filters(follower)  # compiles
-        measured = [[s * decode(video) for s in filters(follower)] for _ in range(options.repeats)]
-        shares[name] = tuple(statistics.median(part) for part in zip(*measured, strict=True))
+        smoothing(follower)  # compiles
+        shares[name] = statistics.median(smoothing(follower) * decode(video) for _ in range(options.repeats))
         print(
             f"| {name} | {rate:.1f} | {statistics.median(p[0] for p in pairs):.0f} "
             f"| {statistics.median(p[1] for p in pairs):.0f} "
@@ -168,10 +148,10 @@ def main() -> None:
             f"| {statistics.median(p[2] / p[1] for p in pairs):.3f} | {misses} | {rmse:.3f} |",
             flush=True,
         )
-    print("\n| film | final pass by filterpy, of decode | compiled loop | search by filterpy |")
-    print("|---" * 4 + "|")
-    for name, parts in shares.items():
-        print(f"| {name} | " + " | ".join(f"{part:.4f}" for part in parts) + " |")
+    print("\n| film | smoothing, of decode |")
+    print("|---" * 2 + "|")
+    for name, share in shares.items():
+        print(f"| {name} | {share:.4f} |")
 
 
 if __name__ == "__main__":

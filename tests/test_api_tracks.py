@@ -143,14 +143,14 @@ def test_a_setup_may_be_a_dictionary(film: tuple[Path, Path], tmp_path: Path) ->
         track_video(video, setup=keys | {"markrs": []})
 
 
-def test_a_wrong_scale_is_told_of_the_file(film: tuple[Path, Path], swimid: Run, tmp_path: Path) -> None:
-    """The evidence names the log; a track that is saved has the name of its file there."""
+def test_a_wrong_scale_is_told_of_the_film(film: tuple[Path, Path], swimid: Run, tmp_path: Path) -> None:
+    """Speeds that no swimmer reaches are warned of, with the film and the column."""
     video, setup = film
     keys = yamlio.plain(yamlio.load(setup)) | {"scale": {"metres_per_pixel": 1.0}}
     yamlio.write(tmp_path / "setup.yaml", keys)
     path = tmp_path / "run.csv"
     assert swimid("track", "video", video, "--setup", tmp_path / "setup.yaml", "-o", path).status == 0
-    assert "run.csv, 'u_m_s': " in ev.sidecar(path).read_text()
+    assert f"{video.name}, 'u_m_s': " in ev.sidecar(path).read_text()
     made = track_video(video, setup=keys)
     assert made.verdict == "caution"
     saved_alike(made, path, tmp_path / "saved")
@@ -163,10 +163,10 @@ def test_an_overlay_is_written_without_a_log(film: tuple[Path, Path], tmp_path: 
     assert [p.name for p in tmp_path.glob("*.*")] == ["overlay.mp4"]
 
 
-def test_a_track_has_figures_and_a_section(film: tuple[Path, Path]) -> None:
+def test_a_track_has_figures_and_a_title(film: tuple[Path, Path]) -> None:
     made = track_video(film[0], setup=film[1])
-    assert made.figure_names == list(made.figures()) == ["path", "pose", "speed", "quality"]
-    assert made.section().title.startswith("Track of pool.mp4")
+    assert made.figure_names == list(made.figures()) == ["path", "pose", "speed"]
+    assert made.content().title == "Track of pool.mp4"
     assert made.pose is not None
     assert made.pose.raw.shape == (2, len(made.log))
 

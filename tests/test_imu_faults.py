@@ -11,8 +11,9 @@ import pandas as pd
 import pytest
 
 from swimid.errors import InputError
-from swimid.inertial import faults, mounting
+from swimid.inertial import faults
 from swimid.inertial.record import Record
+from swimid.inertial.setup import settle_mount
 from tests.conftest import Ran
 from tests.generators import imu
 
@@ -219,13 +220,13 @@ def test_wrong_gyroscope_axes_are_put_right_or_refused(
 
 def test_gravity_along_another_axis_is_handled_and_upside_down_refused(run: imu.Run) -> None:
     side = replace(record(run), acceleration=run.acceleration[:, [0, 2, 1]] * [1, 1, -1])
-    mount, found = mounting.settle(side, [], None, level_at_rest=False)
+    mount, found = settle_mount(side, [], None, level_at_rest=False)
     assert names(found) == ["gravity axis"]
     assert "+y" in found[0].text
     up = mount.rotation.inv().apply(side.acceleration.mean(axis=0))
     assert up[2] > 0.9 * G
     with pytest.raises(InputError, match="wrong way"):
-        mounting.settle(replace(record(run), acceleration=-run.acceleration), [], None, level_at_rest=False)
+        settle_mount(replace(record(run), acceleration=-run.acceleration), [], None, level_at_rest=False)
 
 
 @pytest.mark.parametrize("fault", ["g", "deg", "dead", "clipped", "reset"])

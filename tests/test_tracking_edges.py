@@ -9,9 +9,8 @@ from click.testing import CliRunner
 from swimid.cli.main import track as track_command
 from swimid.errors import InputError
 from swimid.results import evidence
-from swimid.tracking.follow import Follower
-from swimid.tracking.search import bars
 from swimid.tracking.setup import Setup
+from swimid.tracking.tracker import Follower, bars
 from tests.generators.disc_film import ONE_RED, RED_AND_YELLOW, WATER, YELLOW, Disc, Film, still, straight
 
 

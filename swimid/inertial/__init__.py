@@ -1,12 +1,12 @@
 """From accelerations and turn rates to motion: ``swimid track imu``.
 
-``record`` and ``sensor`` are what is known, ``faults`` what may be wrong with a recording (one module
-each); ``rest`` and ``mounting`` tell rests and how the sensor sits, and ``setup`` holds all that is known
-before the motion. ``strapdown`` reckons, ``errorstate`` and ``smoother`` follow the errors with what
-``aiding`` observes; they make the path of a unit by itself (``alone``) or beside another log (``fusion``,
-with ``clock`` and ``alignment``), and ``plausible`` judges it. ``motion`` is that path at the body's
-reference point, ``paper`` the long-fin paper's way. The verb is ``track_imu``: its ``options`` and
-``inputs``, the ``run`` with all it estimates, and how that is told (``evidence``, ``checks``, ``figures``).
+``record`` and ``sensor`` hold what is known. ``faults`` and ``conventions`` find what may be wrong with a
+recording, ``rest`` finds rests, and ``setup`` holds all that is known before the motion. ``strapdown``
+integrates, ``errorstate`` and ``smoother`` follow the errors with the observations of ``aiding``. The path is
+that of a unit by itself (``alone``) or beside another log (``fusion``, with ``clock`` and ``alignment``);
+``plausible`` judges it. ``motion`` is that path at the body's reference point, or by the long-fin paper's
+steps. The verb is ``track_imu``: its ``options`` and ``inputs``, the ``run`` with all it estimates, and its
+``evidence``.
 
 Frames
 ------

@@ -58,10 +58,6 @@ class Poses:
         """Which angles of which rows are compared: those of rows that have all, shape (m, 3)."""
         return np.isfinite(self.angles) & self.turned[:, None]
 
-    def with_pitch_turned(self) -> Poses:
-        """The same with the other sign of pitch."""
-        return replace(self, angles=self.angles * [1.0, -1.0, 1.0])
-
 
 @dataclass(frozen=True)
 class Fit:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from swimid.inertial import aiding, plausible, smoother
 from swimid.inertial.errorstate import Observation
-from swimid.inertial.faults.base import Finding
+from swimid.inertial.record import Finding
 from swimid.inertial.sensor import QUATERNION_SD, Sensor
 from swimid.inertial.setup import Setup, Stillness
 from swimid.inertial.smoother import Nominal, Prior, Smoothed, State

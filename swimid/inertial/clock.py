@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, special
+from scipy import optimize
 
 from swimid.inertial.record import Array, resampled
+from swimid.inertial.sensor import BAND
 
 #: The likelihood is searched this far about the start, in periods of the signal.
 _SEARCH_PERIODS = 0.6
@@ -74,8 +75,8 @@ def offset(
     The start is the peak of the cross-correlation, summed over pairs of channels. From there the
     profile likelihood (Pawitan 2001, In All Likelihood, sec. 3.4) of the offset is maximised: factors,
     drift (cosines slower than ``slow_s``) and the noise of every channel are solved for at each offset.
-    The interval holds offsets whose log likelihood is within 1.92 of the best, widened by what
-    correlated residuals add to the variance of the score (Newey and West 1987, doi:10.2307/1913610).
+    The standard error contains what correlated residuals add to the variance of the score (Newey and West
+    1987, doi:10.2307/1913610).
 
     >>> t = np.arange(0.0, 20.0, 0.01)
     >>> wave = np.sin(6 * t) + 0.3 * np.sin(14 * t)
@@ -107,15 +108,14 @@ def offset(
         options={"xatol": 1e-6},
     )
     value = float(found.x)
-    stderr, widening = profile.spread(value)
+    stderr = profile.spread(value)
     if not np.isfinite(stderr):
         return None
-    low, high = (_edge(profile, value, side, stderr, widening) for side in (-1.0, 1.0))
     fitted = profile.fit(value)
     assert fitted is not None
     x, y, factors, _ = fitted
     explained = 1 - float(np.sum((y - x @ factors) ** 2) / max(np.sum(y**2), 1e-30))
-    return Offset(value, stderr, low, high, explained, factors)
+    return Offset(value, stderr, value - BAND * stderr, value + BAND * stderr, explained, factors)
 
 
 class _Profile:
@@ -150,17 +150,17 @@ class _Profile:
         # per sample, so that a smaller overlap is no advantage
         return float(-0.5 * len(self.seen_t) * np.sum(np.log(np.maximum(left, 1e-30))))
 
-    def spread(self, shift: float) -> tuple[float, float]:
-        """Standard error, and the share of it in the variance that correlated residuals add."""
+    def spread(self, shift: float) -> float:
+        """Standard error, widened by what correlated residuals add to the variance of the score."""
         tiny = 1e-3 * self.period_s
         here, after, before = self.fit(shift), self.fit(shift + tiny), self.fit(shift - tiny)
         if here is None or after is None or before is None or len(after[3]) != len(before[3]):
-            return np.nan, 1.0
+            return np.nan
         x, y, factors, rows = here
         residual = y - x @ factors
         slope = (after[0] @ factors - before[0] @ factors) / (2 * tiny)
         if len(slope) != len(residual):
-            return np.nan, 1.0
+            return np.nan
         # what the other unknowns can imitate tells nothing of the offset
         slope = slope - x @ np.linalg.lstsq(x, slope, rcond=1e-9)[0]
         variance = np.maximum(np.mean(residual**2, axis=0), 1e-30)
@@ -171,24 +171,9 @@ class _Profile:
         total = float(score @ score)
         for lag in range(1, lags + 1):
             total += 2 * (1 - lag / (lags + 1)) * float(score[lag:] @ score[:-lag])
-        widening = max(total / information, 1.0) if information > 0 else np.inf
-        return float(np.sqrt(widening / information)) if information > 0 else np.nan, widening
-
-
-def _edge(profile: _Profile, value: float, side: float, stderr: float, widening: float) -> float:
-    """Where the widened log likelihood has dropped by 1.92."""
-    drop = 0.5 * float(special.chdtri(1, 0.05)) * widening
-    best = profile(value)
-
-    def above(shift: float) -> float:
-        return profile(shift) - best + drop
-
-    far = value + side * 2 * stderr
-    for _ in range(8):
-        if above(far) < 0:
-            return float(optimize.brentq(above, *sorted((value, far)), xtol=1e-6))
-        far = value + 2 * (far - value)
-    return far
+        if information <= 0:
+            return np.nan
+        return float(np.sqrt(max(total / information, 1.0) / information))
 
 
 def without_slow(t: Array, channels: Array, slow_s: float) -> Array:

@@ -82,8 +82,8 @@ class Errors:
     gain: Array
     #: Log likelihood of the observations that were used and count.
     likelihood: float
-    #: Normalised innovations of every kind of observation, one row each (NaN beyond its width).
-    scores: dict[str, Array]
+    #: Normalised innovations of every observation, by its kind.
+    scores: dict[str, list[Array]]
     #: Observations beyond their gate.
     rejected: int
 
@@ -178,9 +178,7 @@ def smooth_errors(
         covs[k] = covs[k] + gain @ (covs[k + 1] - predicted_cov[k + 1]) @ gain.T
         gains[k] = gain
         covs[k] = 0.5 * (covs[k] + covs[k].T)
-    return Errors(
-        means, covs, gains, likelihood, {kind: _padded(rows) for kind, rows in scores.items()}, rejected
-    )
+    return Errors(means, covs, gains, likelihood, scores, rejected)
 
 
 def _update(mean: Array, cov: Array, seen: Observation) -> tuple[Array, Array, Array | None, float]:
@@ -198,11 +196,6 @@ def _update(mean: Array, cov: Array, seen: Observation) -> tuple[Array, Array, A
     size = len(innovation) * np.log(2 * np.pi) + np.log(np.linalg.det(spread))
     likely = -0.5 * float(size + innovation @ inverse @ innovation)
     return mean + gain @ innovation, 0.5 * (cov + cov.T), score, likely
-
-
-def _padded(rows: list[Array]) -> Array:
-    width = max(len(row) for row in rows)
-    return np.array([np.pad(row, (0, width - len(row)), constant_values=np.nan) for row in rows])
 
 
 def cross_matrix(vectors: Array) -> Array:

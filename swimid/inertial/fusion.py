@@ -15,8 +15,7 @@ from swimid.inertial.alignment import Fit, Poses
 from swimid.inertial.alone import Estimate, likeliest_class, shown_class
 from swimid.inertial.clock import Offset
 from swimid.inertial.errorstate import FUSED, PARTS, Observation
-from swimid.inertial.faults.base import Finding
-from swimid.inertial.record import Array
+from swimid.inertial.record import Array, Finding
 from swimid.inertial.sensor import BAND, DEG, Sensor
 from swimid.inertial.setup import Setup
 from swimid.inertial.smoother import Nominal, Prior, Smoothed, State
@@ -186,7 +185,7 @@ def _clocks(setup: Setup, poses: Poses) -> tuple[Poses, list[Fit], list[Finding]
         return poses, [alignment.fit_at(record, poses, 0.0)], [], refusal
     fit = fits[0]
     if poses.full and fit.by == "turn rates":
-        turned = poses.with_pitch_turned()
+        turned = replace(poses, angles=poses.angles * [1.0, -1.0, 1.0])
         others = alignment.fit_clocks(record, source, turned)
         other = others[0]
         if other.by == fit.by and other.offset.explained > fit.offset.explained + 0.05 and other.handed >= 0:
@@ -419,10 +418,9 @@ def _noise_and_weight(residual: Array, variance: Array, sd: Array) -> tuple[Arra
 
 def _offset(smoothed: Smoothed, clocks: Fit) -> Offset:
     """The clock offset with the whole motion, widened where the innovations are larger than stated."""
-    scores = [
-        s[np.isfinite(s)] for k, s in smoothed.errors.scores.items() if k in ("position", "orientation")
-    ]
-    widening = max(float(np.sqrt(np.mean(np.concatenate(scores) ** 2))), 1.0) if scores else 1.0
+    scores = smoothed.errors.scores
+    seen = [score for kind in ("position", "orientation") for score in scores.get(kind, ())]
+    widening = max(float(np.sqrt(np.mean(np.concatenate(seen) ** 2))), 1.0) if seen else 1.0
     value = float(smoothed.path.clock_s)
     clock_s = PARTS["clock_s"].start
     sd = widening * float(np.sqrt(smoothed.errors.covariance[-1, clock_s, clock_s]))

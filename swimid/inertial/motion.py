@@ -1,15 +1,20 @@
-"""The motion of the body's reference point, how sure each number of it is, and its part within a stroke."""
+"""The motion of the body's reference point, its standard deviations, and its part within a stroke.
+
+:func:`by_paper` computes it as Shang, Wang, Tan and Cheng (2012, doi:10.1017/S0263574711001159) do.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from swimid.inertial import strapdown
 from swimid.inertial.aiding import turn_to_angles
 from swimid.inertial.errorstate import cross_matrix, jacobian
-from swimid.inertial.record import Array, resampled
+from swimid.inertial.record import Array, Record, resampled
 from swimid.inertial.smoother import Nominal, Smoothed
 
 #: Slower than this is no motion within a stroke where no stroke is found, Hz; with one: this share of its
@@ -53,11 +58,57 @@ def of_attitude(
     time_s: Array, rotation: Rotation, rate: Array, acceleration: Array, attitude_sd: float
 ) -> Motion:
     """A motion of which only the attitude is known; shapes and units as in :class:`Motion`."""
-    missing = np.full((len(time_s), 3), np.nan)
+    empty = np.full((len(time_s), 3), np.nan)
     sd = np.full((len(time_s), 3), attitude_sd)
-    return Motion(
-        time_s, rotation, missing, missing, missing, rate, acceleration, missing, missing, missing, sd
-    )
+    return Motion(time_s, rotation, empty, empty, empty, rate, acceleration, empty, empty, empty, sd)
+
+
+def by_paper(
+    record: Record,
+    rotation: Rotation,
+    mode: Literal["marching", "receding", "rotating"],
+    threshold_m_s2: float,
+    threshold_rad_s: float,
+) -> tuple[Motion, Array]:
+    """Compute the motion by the steps of Shang et al. (2012), section 5; it has no standard deviations.
+
+    The constant part of the readings is removed, small readings are set to zero, accelerations are turned to
+    the earth's axes (Eq 10), and velocity and position follow by the trapezoidal rule (Eqs 12 and 13). The
+    paper states neither the filter nor the threshold.
+
+    Parameters
+    ----------
+    record : Record
+        In body axes.
+    rotation : Rotation
+        Body to earth, n of them: the inverse of the paper's ``M_e^f``.
+    mode : str
+        ``marching`` and ``receding``: the vehicle keeps its heading, so the constant part of all six
+        channels is error (and gravity). ``rotating``: it turns at a mean rate, so that of the yaw rate
+        is kept.
+    threshold_m_s2, threshold_rad_s : float
+        Readings below these are set to 0 ("discarded", sec. 5.2).
+
+    Returns
+    -------
+    Motion
+    ndarray, shape (6,)
+        The constant parts, m/s^2 and rad/s.
+
+    Notes
+    -----
+    Removing the mean acceleration makes the last velocity equal the first, whatever the vehicle did.
+    """
+    constant = record.channels.mean(axis=0)
+    if mode == "rotating":
+        constant[5] = 0.0
+    readings = record.channels - constant
+    readings[np.abs(readings) < np.repeat([threshold_m_s2, threshold_rad_s], 3)] = 0.0
+    acceleration = rotation.apply(readings[:, :3])
+    velocity = strapdown.integral(record.time_s, acceleration)
+    moved = of_attitude(record.time_s, rotation, readings[:, 3:], acceleration, np.nan)
+    position, in_body = strapdown.integral(record.time_s, velocity), rotation.inv().apply(velocity)
+    return replace(moved, position=position, velocity=velocity, body_velocity=in_body), constant
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,6 +70,20 @@ class Record:
         """Only these rows."""
         arrays = {name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
         return replace(self, **arrays)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A fault of recording that was found."""
+
+    #: Name of the fault, as in ``docs/imu.md``.
+    fault: str
+    #: "handled": repaired, or a doubt; "noted": left as it is, said; "refuted": a column is wrong.
+    verdict: Literal["handled", "noted", "refuted"]
+    #: What was found and what was done, one sentence.
+    text: str
+    #: Samples concerned; 0 where it is not a matter of samples.
+    count: int = 0
 
 
 def resampled(at_s: Array, time_s: Array, values: Array) -> Array:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from swimid.errors import InputError
 from swimid.inertial.record import Array, Record
@@ -135,8 +136,6 @@ def noise(record: Record, rests: list[Rest]) -> Noise | None:
 
 
 def _moving_mean(values: Array, size: int) -> Array:
-    from scipy.ndimage import uniform_filter1d
-
     return np.asarray(uniform_filter1d(values, size, axis=0, mode="nearest"))
 
 

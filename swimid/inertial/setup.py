@@ -9,19 +9,20 @@ from typing import Any, Self
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from swimid.errors import extra_needed
-from swimid.inertial import mounting, rest
-from swimid.inertial.faults.base import Finding
-from swimid.inertial.mounting import Mount
+from swimid.errors import InputError, extra_needed
+from swimid.inertial import rest
 from swimid.inertial.options import TrackImuOptions
-from swimid.inertial.record import Array, Record, resampled, rotations
+from swimid.inertial.record import Array, Finding, Record, level, resampled, rotations
 from swimid.inertial.rest import Noise, Rest
 from swimid.inertial.sensor import DEG, FILTER_SD, MILLI_G, QUATERNION_SD, Sensor
+from swimid.logs.rotation import from_angles
 
 #: An attitude that the log itself brings.
 QUATERNIONS = "quaternion columns"
 #: Noise where nothing tells it.
 DATA_SHEET = Noise(0.4 * MILLI_G, 3.5 * DEG / 60.0, "data sheet")
+#: Within this angle of the z axis gravity is where it should be; farther off the sensor lies on its side.
+UPRIGHT = 45 * DEG
 #: Where found rests lie that count as rests of the body and not only of its noise, by ``--rest``.
 BELIEVED = {"ends": ("start", "end"), "all": ("start", "between", "end"), "none": ()}
 
@@ -50,6 +51,15 @@ class Stillness:
         """The same less some rests, which tell nothing then."""
         stretches, left = ([r for r in some if r not in rests] for some in (self.stretches, self.rests))
         return replace(self, stretches=stretches, rests=left)
+
+
+@dataclass(frozen=True)
+class Mount:
+    """Body to sensor, how it is known, and gravity in the sensor at rest (unit vector)."""
+
+    rotation: Rotation
+    by: str
+    up: Array
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,12 +118,62 @@ def prepare(record: Record, options: TrackImuOptions) -> tuple[Setup, list[Findi
     """Rests, mounting and attitude of a record, and what was found of its mounting."""
     sensor = Sensor.of(options)
     still = _stillness(record, sensor, options)
-    mount, findings = mounting.settle(
+    mount, findings = settle_mount(
         record, still.stretches, options.mount_deg, level_at_rest=options.level_at_rest
     )
     source = _attitude(record, still.stretches)
     known = Setup(record=record, options=options, sensor=sensor, still=still, mount=mount, source=source)
     return known, findings
+
+
+def settle_mount(
+    record: Record,
+    rests: list[Rest],
+    mount_deg: tuple[float, float, float] | None,
+    *,
+    level_at_rest: bool,
+) -> tuple[Mount, list[Finding]]:
+    """Body to sensor before any other log is looked at.
+
+    Quaternion columns turn the body to the world, so that with them the sensor's axes are the body's. A body
+    that came to rest lying otherwise than it began tells nothing of its mounting there: then the first rest
+    does.
+
+    Raises
+    ------
+    InputError
+        When gravity points down the z axis: an accelerometer with the wrong sign, or upside down.
+    """
+    seen = rest.mean_accelerations(record, rests)
+    seen = seen / np.linalg.norm(seen, axis=1, keepdims=True)
+    up = seen[0] if np.min(seen @ seen[0]) < np.cos(UPRIGHT) else seen.mean(axis=0)
+    up = up / np.linalg.norm(up)
+    if mount_deg is not None:
+        roll, pitch, yaw = (np.array([angle * DEG]) for angle in mount_deg)
+        return Mount(from_angles(roll, pitch, yaw)[0].inv(), "given", up), []
+    if record.quaternion is not None:
+        return Mount(Rotation.identity(), "quaternions", up), []
+    if float(np.arccos(np.clip(up[2], -1, 1))) <= UPRIGHT:
+        if level_at_rest:
+            return Mount(level(up).inv(), "level at rest", up), []
+        return Mount(Rotation.identity(), "as the sensor's axes", up), []
+    axis = int(np.argmax(np.abs(up)))
+    nearest = np.sign(up[axis]) * np.eye(3)[axis]
+    name = f"{'-' if up[axis] < 0 else '+'}{'xyz'[axis]}"
+    if name == "-z":
+        raise InputError(
+            "gravity points the wrong way at rest: az is negative where a sensor with z up shows +9.81",
+            file=record.name,
+            column="az_m_s2",
+            hint="for an accelerometer of the other sign give factor -1 for all three axes in a mapping "
+            "(--map); for a sensor mounted upside down give --mount-deg 180 0 0",
+        )
+    text = (
+        f"gravity lies along the sensor's {name} axis, not +z: the sensor is taken as turned by the smallest "
+        "turn that puts this axis up; give --mount-deg if the body's forward axis comes out wrong"
+    )
+    rotation = level(up if level_at_rest else nearest).inv()
+    return Mount(rotation, f"{name} axis up", up), [Finding("gravity axis", "handled", text)]
 
 
 def _stillness(record: Record, sensor: Sensor, options: TrackImuOptions) -> Stillness:

@@ -139,7 +139,7 @@ class Smoothed:
     def score(self, kind: str) -> float | None:
         """Innovations of a kind of observation, in their deviations, rms; None where there are none."""
         seen = self.errors.scores.get(kind)
-        return None if seen is None else float(np.sqrt(np.nanmean(seen**2)))
+        return None if seen is None else float(np.sqrt(np.mean(np.concatenate(seen) ** 2)))
 
     def widened(self, factor: float) -> Smoothed:
         """The same with all deviations times ``factor``."""
@@ -242,11 +242,8 @@ def _start_covariance(prior: Prior, sensor: Sensor, states: int) -> Array:
         "acceleration_scale": sensor.scale_sd,
         "rate_scale": sensor.scale_sd,
     }
-    sd = np.zeros(states)
-    for name, part in PARTS.items():
-        if part.stop <= states:
-            sd[part] = sds[name]
-    return np.diag(sd**2)
+    parts = [np.broadcast_to(sds.get(name, 0.0), part.stop - part.start) for name, part in PARTS.items()]
+    return np.diag(np.concatenate(parts)[:states] ** 2)
 
 
 def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:

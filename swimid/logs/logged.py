@@ -89,7 +89,8 @@ class Logged(Result):
             longest = max((end - start for start, end in gaps), default=0.0)
             rows.append([name, *ends, missing, numbers.number(longest, 3, "s")])
         columns = ["channel", "smallest", "largest", "missing", "longest gap"]
-        return [Table(id="channels", title="Channels", columns=columns, rows=rows)]
+        folded = self.evidence is not None
+        return [Table(id="channels", title="Channels", columns=columns, rows=rows, folded=folded)]
 
     def bare(self) -> Evidence:
         """Return what a report shows of a log whose evidence is missing."""

@@ -1,12 +1,11 @@
-"""Video to pose: from coloured markers in a film to a log with honest uncertainty.
+"""Video to pose: from coloured markers in a film to a log with its uncertainty.
 
-``reader`` gives frames and their own time stamps; ``detect`` measures one marker in a small window by its
-``colour``; ``search`` looks for it in a window or in the whole picture; ``target`` is what is known of a
-marker; ``follow`` keeps every marker from frame to frame (``rawtrack``), ``run`` does so from the first to
-the last; ``plane`` turns pixels into metres; ``smooth`` filters with process noise estimated from the data;
-``pose`` puts them together; ``checks``, ``camera`` and ``motion`` judge. ``track_video`` is one verb
-(``swim``: what a run comes to; ``pictures``), ``track_setup`` the other: it drafts a ``setup`` (``propose``,
-``pick``). ``options`` are those of both.
+``reader`` gives frames and their own time stamps. ``detect`` measures one marker in a small window by its
+``colour``, and ``tracker`` keeps every marker from the first frame to the last (``silhouette``: a whole
+body). ``plane`` turns pixels into metres, ``smooth`` filters with process noise estimated from the data,
+and ``pose`` puts them together; ``quality`` judges. The verb ``track_video`` writes log and ``evidence``,
+with frames drawn by ``pictures``. The verb ``track_setup`` drafts a ``setup`` (``propose``, ``pick``).
+``options`` are those of both.
 
 Frames of reference
 -------------------

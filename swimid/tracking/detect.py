@@ -1,9 +1,9 @@
-"""One marker in one small window: which pixels, where to a hundredth of a pixel, how sure."""
+"""Detections: one marker in one small window, to a hundredth of a pixel; and those of all frames."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -11,8 +11,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 from swimid.tracking.colour import ColourModel, mean_hsv
-from swimid.tracking.rawtrack import FULL
 
+#: Words of the status column, by code.
+STATUS = ("lost", "window", "grown", "full")
+LOST, WINDOW, GROWN, FULL = range(4)
+#: Status of a pose in whose frame the edge of the picture cuts a marker.
+CUT = "cut"
 #: Pixels about a blob that are looked at for its rim and its background.
 MARGIN = 8
 #: Least contrast of marker over background: over the scatter of the background, and in grey levels.
@@ -249,3 +253,68 @@ def warm_up() -> None:
     """Compile the kernels of this module."""
     mask = np.full((4, 4), 255, np.uint8)
     _weighted_centre(np.zeros((4, 4, 3), np.uint8), mask, mask, mask, 1)
+
+
+@dataclass(frozen=True)
+class RawTrack:
+    """Every marker in every frame, in image pixels.
+
+    Attributes
+    ----------
+    times : ndarray, shape (n,)
+        s.
+    names : list of str
+        The m markers.
+    x, y, area, confidence : ndarray, shape (m, n)
+        NaN where not seen (confidence 0). The centre is sub-pixel, y down; of a marker cut by the edge of
+        the picture it is that of its visible part.
+    status : ndarray of int, shape (m, n)
+        Index into :data:`STATUS`.
+    at_edge : ndarray of bool, shape (m, n)
+        The marker is cut by the edge of the picture.
+    drift : dict of str to ndarray, shape (3,)
+        Largest drift of each marker kind's colour: hue (2 deg), saturation, value (of 255).
+    rivals : dict of str to int
+        Other things of the colour that were about.
+    mistaken : dict of str to (int, float)
+        Markers that were first mistaken for something else: how many sights of it were taken back, and its
+        area, px.
+    change : ndarray, shape (n,), optional
+        Mean difference of the picture about the markers from the picture before, grey levels; the largest of
+        all markers, NaN where none was seen in the frame before.
+    """
+
+    times: NDArray[np.float64]
+    names: list[str]
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    area: NDArray[np.float64]
+    confidence: NDArray[np.float64]
+    status: NDArray[np.int64]
+    at_edge: NDArray[np.bool_]
+    drift: dict[str, NDArray[np.float64]]
+    rivals: dict[str, int]
+    mistaken: dict[str, tuple[int, float]] = field(default_factory=dict)
+    change: NDArray[np.float64] | None = None
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """Where each marker was seen, whole or cut by the edge of the picture, shape (m, n)."""
+        return self.status > LOST
+
+    @property
+    def found(self) -> NDArray[np.bool_]:
+        """Where each marker was measured: seen whole, shape (m, n).
+
+        Where the edge cuts it, neither its centre nor how far that is off can be told.
+        """
+        return self.seen & ~self.at_edge
+
+    def row(self, name: str) -> int:
+        """The row of a marker."""
+        return self.names.index(name)
+
+    def centre(self, marker: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Centre of a marker where it was measured, else NaN, two arrays of shape (n,), px."""
+        cut = self.at_edge[marker]
+        return np.where(cut, np.nan, self.x[marker]), np.where(cut, np.nan, self.y[marker])

@@ -1,4 +1,4 @@
-"""What a person looks at: frames with the track drawn in, the film with it, and the track's figures."""
+"""Frames of a film with the track drawn in: for the report, and as a film of their own."""
 
 from __future__ import annotations
 
@@ -10,17 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.files import atomic
-from swimid.files.video import REMARK, Mpeg4, open_writer
 from swimid.logs.log import runs
 from swimid.progress import Progress
-from swimid.results import blocks
-from swimid.results.evidence import Figure, Image, Mark, Panel, Span, Trace, thinned
+from swimid.results.evidence import Image
+from swimid.tracking.detect import CUT, LOST, STATUS
 from swimid.tracking.pose import Pose
-from swimid.tracking.rawtrack import CUT, LOST, STATUS, RawTrack
 from swimid.tracking.reader import Frame, Video, reduced
-from swimid.tracking.run import Run
-from swimid.tracking.setup import Setup
-from swimid.tracking.smooth import Smoothed
+from swimid.tracking.tracker import Run
 
 Array = NDArray[np.float64]
 
@@ -114,6 +110,8 @@ class Painter:
         None of it is known while the video is read first, and all its frames do not fit into memory. The
         second decoding is an eighth of what tracking with an overlay costs; encoding is most of it.
         """
+        from swimid.files.video import REMARK, Mpeg4, open_writer
+
         times, source = self.track.times, self.run.video
         width, height = source.width // 2 * 2, source.height // 2 * 2
         rate = 1 / float(np.median(np.diff(times)))
@@ -137,80 +135,3 @@ def write_text(image: Frame, text: str, where: tuple[int, int], size: float, lin
 
 def _point(x: float, y: float) -> tuple[int, int]:
     return round(8 * float(np.clip(x, -1e5, 1e5))), round(8 * float(np.clip(y, -1e5, 1e5)))
-
-
-def figures(track: RawTrack, pose: Pose, setup: Setup, window_s: tuple[float, float]) -> list[Figure]:
-    """Path, coordinates with their bands, speeds over a window and what tells of their quality, as data."""
-    unit, t = pose.plane.unit, pose.times
-    up, turn, side = setup.axes
-    spans = [Span(start=a, end=b, label="gap") for a, b in pose.gaps][:60]
-
-    def over_time(label: str, *traces: Trace, marks: tuple[Mark, ...] = ()) -> Panel:
-        return Panel(x_label="t (s)", y_label=label, traces=list(traces), spans=spans, marks=list(marks))
-
-    def line(values: Array, label: str = "") -> Trace:
-        return Trace(**dict(zip("xy", thinned(t, values), strict=True)), label=label)
-
-    # A parametric curve has no envelope in x: take every k-th point instead.
-    every = slice(None, None, max(len(t) // 1500, 1))
-    (x, y), (raw_x, raw_y) = pose.path.position[:, every], pose.raw[:, every]
-
-    def banded(values: Smoothed, row: int, raw: Array) -> tuple[Trace, Trace]:
-        smooth, sd = values.position[row, every], values.position_sd[row, every]
-        return (
-            Trace(x=t[every], y=raw, label="measured", style="points", group=0),
-            blocks.band(t[every], smooth, 2 * sd, label="smoothed", group=1),
-        )
-
-    coordinates = [
-        over_time(f"x ({unit})", *banded(pose.path, 0, raw_x)),
-        over_time(f"{up} ({unit})", *banded(pose.path, 1, raw_y)),
-    ]
-    vx, vy = pose.path.velocity
-    speeds = {f"vx ({unit}/s)": vx, f"v{up} ({unit}/s)": vy}
-    if pose.angle is not None and pose.raw_angle is not None and pose.body_velocity is not None:
-        coordinates.append(over_time(f"{turn} (rad)", *banded(pose.angle, 0, pose.raw_angle[every])))
-        ahead, across = pose.body_velocity
-        speeds = {f"u ({unit}/s)": ahead, f"{side} ({unit}/s)": across}
-        speeds[f"{turn} rate (rad/s)"] = pose.angle.velocity[0]
-    marks = tuple(Mark(at=at, axis="x", label=end) for at, end in zip(window_s, ("from", "to"), strict=True))
-    quality = [
-        over_time("confidence", *(line(track.confidence[i], name) for i, name in enumerate(track.names)))
-    ]
-    if pose.separation is not None:
-        shown = np.where(pose.measured, pose.separation, np.nan)
-        quality.append(over_time(f"separation ({unit})", line(shown)))
-    return [
-        blocks.figure(
-            "path",
-            "Path",
-            "A good track is one unbroken line through its measurements.",
-            f"x ({unit})",
-            f"{up} ({unit})",
-            [
-                Trace(x=raw_x, y=raw_y, label="measured", style="points", group=0),
-                Trace(x=x, y=y, label="smoothed", group=0),
-            ],
-            equal_aspect=True,
-        ),
-        Figure(
-            id="pose",
-            title="Pose over time",
-            caption="Smoothed with a band of two standard deviations; points are measurements, shaded "
-            "stretches have none. The band should widen there and nowhere else.",
-            panels=coordinates,
-        ),
-        Figure(
-            id="speed",
-            title="Speeds",
-            caption="From the smoother. A beat shows as a regular ripple; single spikes are bad detections.",
-            panels=[over_time(label, line(values), marks=marks) for label, values in speeds.items()],
-        ),
-        Figure(
-            id="quality",
-            title="Quality",
-            caption="Confidence of each marker (0 where lost), and the distance of head and tail marker, "
-            "which should be constant.",
-            panels=quality,
-        ),
-    ]

@@ -221,45 +221,29 @@ def camera_matrix(camera: Camera, width: int, height: int, file: str | None) -> 
         point is far from the middle of the picture or the focal length is many picture widths.
     """
     matrix, film = np.array(camera.matrix), f"{width} x {height} pixels"
-    hint = (
-        f"give the size of the pictures that the matrix is for, size_px: [width, height]; [{width}, "
-        f"{height}] "
-    )
-    hint += "if it is for this film"
     if camera.size_px is not None:
         across, down = width / camera.size_px[0], height / camera.size_px[1]
         if abs(across / down - 1) > MAX_PROPORTION_ERROR:
             size = " x ".join(f"{v:g}" for v in camera.size_px)
             raise InputError(
-                f"the matrix is for pictures of {size} pixels; the film has {film}, which is not that "
-                f"size scaled",
+                f"the matrix is for pictures of {size} pixels; the film has {film}, no scaled copy",
                 file=file,
                 column="camera.size_px",
                 hint="calibrate the camera in the mode in which it films",
             )
         # the middle of the first pixel is at 0: scaled about the corner of the picture, half a pixel before
-        # it
         half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
         return np.asarray(np.linalg.inv(half) @ np.diag([across, down, 1.0]) @ half @ matrix)
-    off = np.abs(matrix[:2, 2] / (width, height) - 0.5)
-    if np.any(off > MAX_OFF_CENTRE):
-        raise InputError(
-            f"the principal point ({matrix[0, 2]:g}, {matrix[1, 2]:g}) of the camera matrix is "
-            f"{100 * off.max():.0f} % of the picture from its middle (allowed {100 * MAX_OFF_CENTRE:g} "
-            f"%): the film "
-            f"has {film}",
-            file=file,
-            column="camera.matrix",
-            hint=hint,
-        )
+    off = float(np.abs(matrix[:2, 2] / (width, height) - 0.5).max())
     focal = max(matrix[0, 0], matrix[1, 1]) / width
-    if focal > MAX_FOCAL_WIDTHS:
+    if off > MAX_OFF_CENTRE or focal > MAX_FOCAL_WIDTHS:
         raise InputError(
-            f"the focal length of the camera matrix is {focal:.1f} widths of the picture (allowed "
-            f"{MAX_FOCAL_WIDTHS:g}): the film has {film}",
+            f"the film has {film}: the principal point of the camera matrix is {100 * off:.0f} % of the "
+            f"picture from its middle (allowed {100 * MAX_OFF_CENTRE:g} %), its focal length {focal:.1f} "
+            f"widths of the picture (allowed {MAX_FOCAL_WIDTHS:g})",
             file=file,
             column="camera.matrix",
-            hint=hint,
+            hint="give the size of the pictures that the matrix is for, size_px: [width, height]",
         )
     return matrix
 

@@ -16,8 +16,8 @@ from swimid.errors import NoTrustworthyResult
 from swimid.logs.held import Held, find_held
 from swimid.logs.log import runs
 from swimid.logs.sampling import usual_step
+from swimid.tracking.detect import CUT, LOST, STATUS, RawTrack
 from swimid.tracking.plane import Plane
-from swimid.tracking.rawtrack import CUT, LOST, STATUS, RawTrack
 from swimid.tracking.setup import Setup
 from swimid.tracking.smooth import Smoothed, smooth
 

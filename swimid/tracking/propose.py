@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
@@ -15,7 +15,7 @@ from swimid.progress import Step
 from swimid.tracking import colour
 from swimid.tracking.colour import ColourModel
 from swimid.tracking.detect import marker_mask
-from swimid.tracking.reader import Frame, FrameKeeper, Video
+from swimid.tracking.reader import Frame, FrameKeeper, Video, largest_channel
 from swimid.tracking.setup import Box, HsvRange
 
 Array = NDArray[np.float64]
@@ -50,36 +50,29 @@ class Samples:
     moving: list[NDArray[np.uint8]]
 
 
-@dataclass(frozen=True)
-class Passed:
-    """A colour that is no marker's by its everyday name, and why."""
-
-    name: str
-    #: Its middle.
-    hue_deg: float
-    reason: str
-
-    def __str__(self) -> str:
-        return f"{self.name} (hue {self.hue_deg:g} deg): {self.reason}"
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Candidate:
-    """A colour that may be a marker's; name and hue as of :class:`Passed`."""
+    """A colour that may be a marker's."""
 
+    #: Everyday name, and middle.
     name: str
     hue_deg: float
     colours: HsvRange
     #: 0 to 1.
-    score: float
+    score: float = 0.0
     #: Centre of its best patch in each sample, shape (n, 2), picture pixels; NaN where there is none.
-    place: Array
+    place: Array = field(default_factory=lambda: np.zeros((0, 2)))
     #: Smallest and largest area worth accepting, picture pixels.
-    area_px: tuple[float, float]
+    area_px: tuple[float, float] = (0.0, 0.0)
     #: Usual number of moving patches of the colour and a comparable size.
-    like: int
+    like: int = 0
     #: Motionless patches of the colour, picture pixels.
-    still: list[Box]
+    still: list[Box] = field(default_factory=list)
+    #: Why it is no marker; empty where it may be one.
+    reason: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.name} (hue {self.hue_deg:g} deg): {self.reason}"
 
     @property
     def presence(self) -> float:
@@ -93,10 +86,6 @@ class Candidate:
         if self.like > 1:
             text += f"; {self.like} patches of this colour move together: the largest is followed"
         return text
-
-    def passed(self, reason: str) -> Passed:
-        """The colour, passed over."""
-        return Passed(self.name, self.hue_deg, reason)
 
     def crosses(self, box: Box) -> bool:
         """Whether it was seen inside a box."""
@@ -121,8 +110,7 @@ def sample(path: Path, *, apply_rotation: bool = True, step: Step) -> Samples:
     still = cv2.blur(background, (3, 3))
     moving = []
     for frame in frames:
-        blue, green, red = cv2.split(cv2.absdiff(cv2.blur(frame, (3, 3)), still))
-        change = cv2.max(cv2.max(blue, green), red)
+        change = largest_channel(cv2.absdiff(cv2.blur(frame, (3, 3)), still))
         moving.append(
             np.where(change > max(LEAST_CHANGE, 4 * float(np.median(change))), 255, 0).astype(np.uint8)
         )
@@ -130,7 +118,7 @@ def sample(path: Path, *, apply_rotation: bool = True, step: Step) -> Samples:
     return Samples(video, np.array(list(keeper.kept)), frames, factor, background, moving)
 
 
-def candidates(samples: Samples) -> tuple[list[Candidate], list[Passed]]:
+def candidates(samples: Samples) -> tuple[list[Candidate], list[Candidate]]:
     """Colours that may be markers, best first, and those that are none.
 
     Raises
@@ -153,8 +141,8 @@ def candidates(samples: Samples) -> tuple[list[Candidate], list[Passed]]:
             "in front of its empty scene is followed with --background",
         )
     judged = [_judge(samples, hsv, peak) for peak in _peaks(hsv, len(samples.frames))]
-    passed = [c for c in judged if isinstance(c, Passed)]
-    good = sorted((c for c in judged if isinstance(c, Candidate)), key=lambda c: -c.score)
+    passed = [c for c in judged if c is not None and c.reason]
+    good = sorted((c for c in judged if c is not None and not c.reason), key=lambda c: -c.score)
     if not good:
         raise NoTrustworthyResult(
             f"nothing in {samples.video.path.name} looks like a marker: a compact patch of one colour that "
@@ -164,7 +152,7 @@ def candidates(samples: Samples) -> tuple[list[Candidate], list[Passed]]:
     return good, passed
 
 
-def listed(passed: list[Passed]) -> str:
+def listed(passed: list[Candidate]) -> str:
     """Colours passed over and why, as a sentence; empty without any."""
     return f"Passed over: {'; '.join(map(str, passed))}. " if passed else ""
 
@@ -211,7 +199,7 @@ def two_digits(value: float) -> float:
     return float(round(value, 2))
 
 
-def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | Passed | None:
+def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | None:
     """Look for patches of one colour in all samples and score them as a marker; None for hardly a pixel."""
     colours = colour_range(hsv, peak)
     if colours is None:
@@ -245,7 +233,7 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | P
             reason = "the background's colour"
         elif still:
             reason = f"does not move (it lies at {where})"
-        return Passed(name, hue, reason)
+        return Candidate(name, hue, colours, reason=reason)
     sizes = samples.factor**2 * np.array(areas)
     spread = 1.4826 * float(np.median(np.abs(np.log(sizes / np.median(sizes)))))
     presence = len(areas) / len(samples.frames)
@@ -262,7 +250,7 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | P
     )
     if score < LEAST_SCORE:
         reason = f"hardly like a marker (score {score:.3f}: scattered, uneven or hardly moving)"
-        return Passed(name, hue, reason)
+        return Candidate(name, hue, colours, reason=reason)
     low, high = np.percentile(sizes, [5, 95])
     sized = (float(math.floor(0.3 * low)), float(math.ceil(3 * high)))
     return Candidate(name, hue, colours, float(score), places, sized, int(np.median(like)), still)

@@ -221,6 +221,12 @@ def reduced(frame: Frame, width: int) -> Frame:
     return np.asarray(small, np.uint8)
 
 
+def largest_channel(picture: Frame) -> Frame:
+    """Return the largest of the three channels of every pixel, shape (rows, columns)."""
+    blue, green, red = cv2.split(picture)
+    return np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
+
+
 class FrameKeeper:
     """Keeps some frames spread evenly over a video of unknown length, at most ``width`` px wide.
 

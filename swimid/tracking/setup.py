@@ -17,7 +17,6 @@ from pydantic import AfterValidator, Field, model_validator
 from swimid.errors import InputError
 from swimid.files import yamlio
 from swimid.files.yamlio import Document
-from swimid.robots import file as robot_format
 
 FORMAT = "swimid-setup/1"
 
@@ -338,6 +337,7 @@ def _complete(data: Mapping[str, Any], path: Path) -> Setup:
 
 def _robot_places(setup: Setup, name: str, path: Path) -> dict[str, tuple[float, float]]:
     """Places of the robot's markers; raises when head or tail is none of them."""
+    from swimid.robots import file as robot_format
 
     def refuse(text: str, hint: str | None = None) -> InputError:
         return InputError(text, file=path, column="robot", hint=hint)

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.tracking import motion
-from swimid.tracking.rawtrack import LOST, WINDOW, RawTrack
-from swimid.tracking.reader import Frame, FrameKeeper, Video, reduced
+from swimid.tracking.detect import LOST, WINDOW, RawTrack
+from swimid.tracking.quality import head_first
+from swimid.tracking.reader import Frame, FrameKeeper, Video, largest_channel, reduced
 from swimid.tracking.setup import Setup
 
 #: Frames from which the empty scene is taken, and the width that all frames are reduced to, px.
@@ -77,8 +77,7 @@ class Silhouette:
     def _measured(self, small: Frame) -> tuple[float, ...]:
         """Return centre, rear point, area, confidence, and whether the edge of the picture cuts the body."""
         self._last = None
-        blue, green, red = cv2.split(cv2.absdiff(small, self._scene))
-        difference = cv2.max(cv2.max(blue, green), red)
+        difference = largest_channel(cv2.absdiff(small, self._scene))
         noise = float(np.median(difference))
         mask = cv2.bitwise_and(
             np.where(difference > max(MIN_CHANGE, NOISE_RATIO * noise), 255, 0).astype(np.uint8),
@@ -133,7 +132,7 @@ class Silhouette:
             rivals={},
             change=change,
         )
-        ahead = motion.head_first(track, *track.names)
+        ahead = head_first(track, *track.names)
         if ahead is not None and (ahead < 0.5) == (self.setup.swims == "head-first"):
             for values in (track.x, track.y):
                 values[1] = 2 * values[0] - values[1]

@@ -5,8 +5,8 @@ position, speed and acceleration (driven by white jerk). The strength of the dri
 and the measurement noise are found by maximum likelihood of the innovations; of the two
 models the likelier is taken.
 
-The final pass over a track is filterpy's. The search for the noise, and the hidden stretches that
-calibrate the deviation in a gap, run the filter hundreds of times: a compiled loop does that.
+The search for the noise, and the hidden stretches that calibrate the deviation in a gap, run the filter
+hundreds of times: it is a compiled loop.
 """
 
 from __future__ import annotations
@@ -123,53 +123,7 @@ def _solve(a, b):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
 
 
 @njit(cache=True)
-def _filter(  # type: ignore[no-untyped-def]  # noqa: C901  # pragma: no cover - compiled loops
-    times, values, variances, q, order, start, means, covariances, innovations, innovation_variances
-):
-    transition, noise = np.zeros((order, order)), np.zeros((order, order))
-    work, keep = np.zeros((order, order)), np.zeros((order, order))
-    gain, moved = np.zeros(order), np.zeros(order)
-    n = len(times)
-    mean, covariance = means[0], covariances[0]
-    for k in range(n):
-        if values[k] == values[k]:
-            mean[0] = values[k]
-            break
-    for i in range(order):
-        for j in range(order):
-            covariance[i, j] = start[i, j]
-    for k in range(n):
-        if k > 0:
-            _step(times[k] - times[k - 1], q, order, transition, noise)
-            mean, covariance = means[k], covariances[k]
-            for i in range(order):
-                for j in range(order):
-                    mean[i] += transition[i, j] * means[k - 1, j]
-                    covariance[i, j] = noise[i, j]
-            _sandwich(transition, covariances[k - 1], work, covariance)
-        if values[k] != values[k]:
-            continue
-        expected = covariance[0, 0] + variances[k]
-        innovations[k] = values[k] - mean[0]
-        innovation_variances[k] = expected
-        for i in range(order):
-            gain[i] = covariance[i, 0] / expected
-        # Joseph form: stays positive where the start is diffuse.
-        for i in range(order):
-            mean[i] += gain[i] * innovations[k]
-            for j in range(order):
-                keep[i, j] = (1.0 if i == j else 0.0) - (gain[i] if j == 0 else 0.0)
-        _product(keep, covariance, work)
-        for i in range(order):
-            for j in range(order):
-                moved[j] = variances[k] * gain[i] * gain[j]
-                for m in range(order):
-                    moved[j] += work[i, m] * keep[j, m]
-            for j in range(order):
-                covariance[i, j] = moved[j]
-
-
-def kalman(
+def kalman(  # pragma: no cover - compiled loops
     times: Array, values: Array, variances: Array, q: float, order: int, start: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Kalman filter of one coordinate.
@@ -192,80 +146,86 @@ def kalman(
     innovations, innovation_variances : ndarray, shape (n,)
         NaN where there is no measurement.
     """
+    transition, noise = np.zeros((order, order)), np.zeros((order, order))
+    work, keep = np.zeros((order, order)), np.zeros((order, order))
+    gain, moved = np.zeros(order), np.zeros(order)
     n = len(times)
     means, covariances = np.zeros((n, order)), np.zeros((n, order, order))
     innovations, spreads = np.full(n, np.nan), np.full(n, np.nan)
-    _filter(times, values, variances, q, order, start, means, covariances, innovations, spreads)
+    mean, covariance = means[0], covariances[0]
+    for k in range(n):
+        if values[k] == values[k]:
+            mean[0] = values[k]
+            break
+    covariance[:] = start
+    for k in range(n):
+        if k > 0:
+            _step(times[k] - times[k - 1], q, order, transition, noise)
+            mean, covariance = means[k], covariances[k]
+            covariance[:] = noise
+            for i in range(order):
+                for j in range(order):
+                    mean[i] += transition[i, j] * means[k - 1, j]
+            _sandwich(transition, covariances[k - 1], work, covariance)
+        if values[k] != values[k]:
+            continue
+        expected = covariance[0, 0] + variances[k]
+        innovations[k] = values[k] - mean[0]
+        spreads[k] = expected
+        for i in range(order):
+            gain[i] = covariance[i, 0] / expected
+        # Joseph form: stays positive where the start is diffuse.
+        for i in range(order):
+            mean[i] += gain[i] * innovations[k]
+            for j in range(order):
+                keep[i, j] = (1.0 if i == j else 0.0) - (gain[i] if j == 0 else 0.0)
+        _product(keep, covariance, work)
+        for i in range(order):
+            for j in range(order):
+                moved[j] = variances[k] * gain[i] * gain[j]
+                for m in range(order):
+                    moved[j] += work[i, m] * keep[j, m]
+            covariance[i] = moved
     return means, covariances, innovations, spreads
 
 
 @njit(cache=True)
-def _smooth(times, q, order, smooth, spread):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+def rts(  # pragma: no cover - compiled
+    times: Array, means: Array, covariances: Array, q: float, order: int
+) -> tuple[Array, Array]:
+    """Rauch-Tung-Striebel pass over the output of :func:`kalman`."""
+    smooth, spread = means.copy(), covariances.copy()
     transition, noise = np.zeros((order, order)), np.zeros((order, order))
-    work, change = np.zeros((order, order)), np.zeros((order, order))
+    work, keep, after = np.zeros((order, order)), np.zeros((order, order)), np.zeros((order, order))
     predicted, gain, turned = np.zeros((order, order)), np.zeros((order, order)), np.zeros((order, order))
     for k in range(len(times) - 2, -1, -1):
         _step(times[k + 1] - times[k], q, order, transition, noise)
         for i in range(order):
             for j in range(order):
                 predicted[i, j] = noise[i, j]
+                after[i, j] = spread[k + 1, i, j] + noise[i, j]
         _sandwich(transition, spread[k], work, predicted)
         _product(transition, spread[k], gain)
-        for i in range(order):
-            for j in range(order):
-                change[i, j] = spread[k + 1, i, j] - predicted[i, j]
         _solve(predicted, gain)
         for i in range(order):
+            error = smooth[k + 1, i]
             for j in range(order):
                 turned[i, j] = gain[j, i]
-        _sandwich(turned, change, work, spread[k])
-        for j in range(order):
-            error = smooth[k + 1, j]
-            for m in range(order):
-                error -= transition[j, m] * smooth[k, m]
-            work[0, j] = error
+                error -= transition[i, j] * smooth[k, j]
+            work[0, i] = error
         for i in range(order):
             for j in range(order):
                 smooth[k, i] += turned[i, j] * work[0, j]
-
-
-def rts(times: Array, means: Array, covariances: Array, q: float, order: int) -> tuple[Array, Array]:
-    """Rauch-Tung-Striebel pass over the output of :func:`kalman`."""
-    smooth, spread = means.copy(), covariances.copy()
-    _smooth(times, q, order, smooth, spread)
+        # A sum of covariances: a difference would lose its digits where the start is diffuse.
+        _product(turned, transition, keep)
+        for i in range(order):
+            for j in range(order):
+                keep[i, j] = (1.0 if i == j else 0.0) - keep[i, j]
+        predicted[:] = spread[k]
+        spread[k] = 0.0
+        _sandwich(keep, predicted, work, spread[k])
+        _sandwich(turned, after, work, spread[k])
     return smooth, spread
-
-
-def filter_and_smooth(
-    times: Array, values: Array, variances: Array, q: float, order: int, start: Array
-) -> tuple[Array, Array, Array, Array]:
-    """:func:`kalman` and :func:`rts` in one, by filterpy; the same numbers to rounding.
-
-    Returns
-    -------
-    means, covariances : ndarray, shapes (n, order), (n, order, order)
-        Smoothed.
-    innovations, innovation_variances : ndarray, shape (n,)
-        Of the filter; NaN where there is no measurement.
-    """
-    from filterpy.kalman import KalmanFilter
-
-    n, seen = len(times), np.flatnonzero(~np.isnan(values))
-    transitions, noises = np.zeros((n, order, order)), np.zeros((n, order, order))
-    for k, step in enumerate(np.diff(times, prepend=times[0])):
-        _step(step, q, order, transitions[k], noises[k])
-    model = KalmanFilter(dim_x=order, dim_z=1)
-    model.x[0], model.P, model.H = values[seen[0]], start.copy(), np.eye(1, order)
-    measured = [None if np.isnan(value) else value for value in values]
-    filtered, spread, ahead, expected = model.batch_filter(measured, Fs=transitions, Qs=noises, Rs=variances)
-    means, covariances, gains, _ = model.rts_smoother(filtered, spread, transitions, noises)
-    # While the start is diffuse differences of covariances lose their digits; sums of them do not.
-    for k in range(min(seen[min(order, len(seen)) - 1], n - 2), -1, -1):
-        keep = np.eye(order) - gains[k] @ transitions[k + 1]
-        after = covariances[k + 1] + noises[k + 1]
-        covariances[k] = keep @ spread[k] @ keep.T + gains[k] @ after @ gains[k].T
-    innovation_variances = np.where(np.isnan(values), np.nan, expected[:, 0, 0] + variances)
-    return means[:, :, 0], covariances, values - ahead[:, 0, 0], innovation_variances
 
 
 def _start(order: int, variance: float, step: float) -> Array:
@@ -403,9 +363,10 @@ def smooth(
             if np.isnan(row).all():
                 continue
             start = _start(order, variance, typical)
-            means, covariances, innovations, expected = filter_and_smooth(
+            means, covariances, innovations, expected = kalman(
                 times[a:b], row, variance * weights[a:b], power, order, start
             )
+            means, covariances = rts(times[a:b], means, covariances, power, order)
             out["position"][i, a:b] = means[:, 0]
             out["velocity"][i, a:b] = means[:, 1]
             out["position_sd"][i, a:b] = np.sqrt(np.maximum(covariances[:, 0, 0], 0))

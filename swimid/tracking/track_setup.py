@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,35 +16,51 @@ from swimid.notices import warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results.result import Result
-from swimid.tracking import camera, colour, motion, pick, propose
+from swimid.tracking import colour, pick, propose, quality
 from swimid.tracking import setup as setup_format
 from swimid.tracking.options import TrackSetupOptions
 from swimid.tracking.pictures import SEEN, write_text
-from swimid.tracking.propose import Candidate, Passed
+from swimid.tracking.propose import Candidate
 from swimid.tracking.reader import Frame, Video
-from swimid.tracking.run import Run, follow
 from swimid.tracking.setup import FORMAT, Marker, Setup
+from swimid.tracking.tracker import Run, follow
 
 #: Candidates that are tried as first marker, and trials of each: every trial reads the film once.
 _TRIES = 3
-#: Pictures on the contact sheet, and the width of each.
+#: Number of pictures on the contact sheet, and their width, px.
 _SHEET, _SHEET_WIDTH = 4, 640
-#: Lines of a drafted setup.
-_FACING = (
-    "# Which way in the picture the robot faces and x runs: right, left, or auto (tail to head).",
-    "facing: auto",
-)
-_POSE = (
-    "# The pose is that of the head marker; that of the robot's reference point with at_m of head and",
-    "# tail, or with the name of a robot whose file names markers like these.",
-    "# robot: sealion",
-)
-_NO_SCALE = (
-    "# Without a scale positions are in pixels. One of:",
-    "# scale: {metres_per_pixel: 0.0015}",
-    "# scale: {points_px: [[x1, y1], [x2, y2]], distance_m: 1.0}",
-    "# scale: {points_px: [four corners], points_m: [the same corners]}",
-)
+_FACING = """\
+# Which way in the picture the robot faces and x runs: right, left, or auto (tail to head).
+facing: auto
+"""
+_NO_SCALE = """\
+# Without a scale positions are in pixels. One of:
+# scale: {metres_per_pixel: 0.0015}
+# scale: {points_px: [[x1, y1], [x2, y2]], distance_m: 1.0}
+# scale: {points_px: [four corners], points_m: [the same corners]}
+"""
+_TEXT = """\
+# Drafted by swimid track setup from {video}; edit what is wrong. Every key: docs/tracking.md
+format: {format}
+markers:
+{markers}\
+# The head marker gives the position, head and tail together the heading.
+head: {head}
+{tail}
+# horizontal: camera above, x, y and yaw. vertical: camera at the side, x, z and pitch.
+plane: {plane}
+{facing}\
+# The pose is that of the head marker; that of the robot's reference point with at_m of head and
+# tail, or with the name of a robot whose file names markers like these.
+# robot: sealion
+{scale}\
+# True frame rate, where the container's stamps are wrong.
+{rate}
+# Longest dropout that is bridged, s.
+max_gap_s: {gap}
+# Motionless things of a marker's colour: [left, top, right, bottom].
+ignore_px: {ignored}
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +142,7 @@ def track_setup(
             raise UsageError(f"{output} exists", hint="name another file, or give --force to replace it")
     video = Path(video)
     common = {"scale": options.scale, "plane": options.plane, "frame_rate_hz": options.fps}
-    passed: list[Passed] = []
+    passed: list[Candidate] = []
     if options.picks:
         run, remarks = _by_hand(video, options, common, progress)
     elif options.background:
@@ -136,20 +151,10 @@ def track_setup(
         run, remarks, passed = _unattended(video, common, progress)
     setup = _measured(run)
     shares = {name: float(run.track.found[i].mean()) for i, name in enumerate(run.track.names)}
-    _doubts(setup, run, shares)
-    lines = []
-    for name, share in shares.items():
-        marker = setup.marker(name)
-        hue = (
-            "hue {:g}..{:g} deg".format(*marker.colour_range().hue_deg)
-            if marker.method == "colour"
-            else "any colour"
-        )
-        area = "any" if marker.area_px is None else "{:g}..{:g}".format(*marker.area_px)
-        lines.append(f"{name}: found in {100 * share:.1f} % of the frames, {hue}, area {area} px")
+    ahead = _doubts(setup, run, shares)
+    lines = [f"{name}: found in {100 * share:.1f} % of the frames" for name, share in shares.items()]
     lines += [f"passed over: {one}" for one in passed]
     lines.append(f"head {setup.head}{f', tail {setup.tail}' if setup.tail else '; no tail, so no yaw'}")
-    ahead = None if setup.tail is None else motion.head_first(run.track, setup.head_name, setup.tail)
     if ahead is not None:
         lines.append(f"swims head first in {100 * ahead:.0f} % of the steps")
     if setup.scale is None:
@@ -179,7 +184,7 @@ def _setup(markers: list[Marker], common: dict[str, Any]) -> Setup:
 
 def _unattended(
     video: Path, common: dict[str, Any], progress: Progress
-) -> tuple[Run, list[str], list[Passed]]:
+) -> tuple[Run, list[str], list[Candidate]]:
     """The best candidate that can be followed and moves, with the partner it keeps its distance to.
 
     Its trial, a remark on each marker, and the colours passed over.
@@ -187,38 +192,32 @@ def _unattended(
     with progress(f"looking at {video.name}") as step:
         samples = propose.sample(video, step=step)
     found, passed = propose.candidates(samples)
-    shift = samples.factor * camera.shifts(samples.frames)
+    shift = samples.factor * quality.shifts(samples.frames)
     taken = ". What moves with it is taken for no marker, but a log will hold the camera's motion"
-    camera.farthest(shift, samples.video.width, taken)
+    quality.moving_camera(shift, samples.video.width, taken)
     reasons: dict[int, str] = {}
     for k, first in enumerate(found[:_TRIES]):
         for second in [*propose.partners(first, found[k + 1 :])[: _TRIES - 1], None]:
             pair = [first] if second is None else [first, second]
             run = _tried(video, pair, common, progress)
-            scene = camera.between(shift, samples.indices, len(run.track.times))
+            scene = quality.between(shift, samples.indices, len(run.track.times))
             faults = _faults(run, pair, scene)
             reasons |= {id(pair[i]): text for i, text in faults.items()}
             if not faults:
-                run = _led_by_its_head(run)
+                head, tail = run.setup.roles[0], run.setup.tail
+                if tail is not None and (quality.head_first(run.track, head, tail) or 0.0) < 0.5:
+                    run = replace(run, setup=run.setup.model_copy(update={"head": tail, "tail": head}))
                 rest = [c for c in found if c not in pair]
-                passed += [c.passed(reasons.get(id(c)) or _weaker(c, pair)) for c in rest]
+                passed += [replace(c, reason=reasons.get(id(c)) or _weaker(c, pair)) for c in rest]
                 return run, [c.remark for c in pair], passed
             if any(pair[i] is first for i in faults):
                 break
-    passed = [c.passed(reasons[id(c)]) for c in found if id(c) in reasons] + passed
+    passed = [replace(c, reason=reasons[id(c)]) for c in found if id(c) in reasons] + passed
     raise NoTrustworthyResult(
         f"no marker of {video.name} can be followed and moves. {propose.listed(passed)}"
         f"{colour.describe_colours(samples.frames[::6])}",
         hint="pick the markers by hand: --marker name@x,y with --frame",
     )
-
-
-def _led_by_its_head(run: Run) -> Run:
-    """Return a trial whose head is the marker towards which the pair moves in most steps."""
-    head, tail = run.setup.head, run.setup.tail
-    if head is None or tail is None or (motion.head_first(run.track, head, tail) or 0.0) >= 0.5:
-        return run
-    return replace(run, setup=run.setup.model_copy(update={"head": tail, "tail": head}))
 
 
 def _tried(video: Path, pair: list[Candidate], common: dict[str, Any], progress: Progress) -> Run:
@@ -237,7 +236,7 @@ def _tried(video: Path, pair: list[Candidate], common: dict[str, Any], progress:
         return follow(video, setup, step=step)
 
 
-def _faults(run: Run, pair: list[Candidate], scene: motion.Array | None) -> dict[int, str]:
+def _faults(run: Run, pair: list[Candidate], scene: quality.Array | None) -> dict[int, str]:
     """Why candidates of a trial are no markers, by their place in ``pair``.
 
     ``scene``, shape (2, n), px, is how far the scene is shifted in each frame.
@@ -245,8 +244,8 @@ def _faults(run: Run, pair: list[Candidate], scene: motion.Array | None) -> dict
     faults: dict[int, str] = {}
     track = run.track
     for i, (name, candidate) in enumerate(zip(track.names, pair, strict=True)):
-        share, reach = float(track.found[i].mean()), motion.reach(track, name, scene)
-        if share < max(motion.LEAST_SHARE, 0.3 * candidate.presence):
+        share, reach = float(track.found[i].mean()), quality.reach(track, name, scene)
+        if share < max(quality.LEAST_SHARE, 0.3 * candidate.presence):
             faults[i] = f"cannot be followed (found in {100 * share:.1f} % of the frames)"
         elif not reach.moves:
             faults[i] = f"does not move (stays within {reach.radii:.2g} of its radius of one place)"
@@ -254,12 +253,12 @@ def _faults(run: Run, pair: list[Candidate], scene: motion.Array | None) -> dict
         return faults
     first, second = track.names
     weaker = int(pair[0].score >= pair[1].score)
-    separation = motion.distance(track, first, second)
+    separation = quality.distance_change(track, first, second)
     other = track.names[1 - weaker]
     if separation is None:
         faults[weaker] = f"is hardly seen together with {other}"
-    elif separation.change > motion.DISTANCE_SPREAD[1]:
-        change = f"{100 * separation.change:.0f} %"
+    elif separation > quality.DISTANCE_SPREAD[1]:
+        change = f"{100 * separation:.0f} %"
         faults[weaker] = f"its distance to {other} changes by {change}: they are on no rigid part"
     return faults
 
@@ -286,8 +285,8 @@ def _by_hand(
     head, tail = setup.head, setup.tail
     if head is not None and tail is not None and markers[0].number > 1:
         # Equal markers may be on one body or on several; only a rigid pair gives a heading.
-        separation = motion.distance(run.track, head, tail)
-        if separation is None or separation.change > motion.DISTANCE_SPREAD[1]:
+        separation = quality.distance_change(run.track, head, tail)
+        if separation is None or separation > quality.DISTANCE_SPREAD[1]:
             setup = setup.model_copy(update={"tail": None})
             remarks[0] += f"; {head} and {tail} keep no distance, so there is no tail"
     return replace(run, setup=setup), remarks
@@ -304,7 +303,7 @@ def _by_background(video: Path, common: dict[str, Any], progress: Progress) -> t
     setup = _setup([Marker(name="body", method="background")], common)
     with progress(f"trying {setup.head}") as step:
         run = follow(video, setup, step=step)
-    if run.track.found[0].mean() < motion.LEAST_SHARE:
+    if run.track.found[0].mean() < quality.LEAST_SHARE:
         raise NoTrustworthyResult(
             f"nothing in {video.name} differs from the empty scene",
             hint="the scene is the film's median: the body must leave its place for more than half of it",
@@ -312,35 +311,38 @@ def _by_background(video: Path, common: dict[str, Any], progress: Progress) -> t
     return run, ["the whole body, by its difference from the empty scene"]
 
 
-def _doubts(setup: Setup, run: Run, shares: dict[str, float]) -> None:
-    """Warn of markers hardly found, of those that do not move, and of a pair that keeps no distance."""
+def _doubts(setup: Setup, run: Run, shares: dict[str, float]) -> float | None:
+    """Warn of markers hardly found or without motion, and of a pair that is not rigid or swims tail first.
+
+    Returns
+    -------
+    float or None
+        Share of the steps in which the pair moves towards its head.
+    """
     for name, share in shares.items():
-        reach = motion.reach(run.track, name)
-        if share < motion.LEAST_SHARE:
+        reach = quality.reach(run.track, name)
+        if share < quality.LEAST_SHARE:
             warn("SWM040", f"marker '{name}' is found in {100 * share:.1f} % of the frames only")
         elif not reach.moves:
-            warn(
-                "SWM067",
-                f"marker '{name}' stays within {reach.radii:.2g} of its radius of one place: "
-                "is it the marker, or a still thing of its colour?",
-            )
+            text = f"marker '{name}' stays within {reach.radii:.2g} of its radius of one place"
+            warn("SWM067", f"{text}: is it the marker, or a still thing of its colour?")
     if setup.head is None or setup.tail is None:
-        return
-    ahead = motion.head_first(run.track, setup.head, setup.tail)
+        return None
+    ahead = quality.head_first(run.track, setup.head, setup.tail)
     if ahead is not None and ahead < 0.5:
         warn(
             "SWM100",
             f"the robot swims head first in {100 * ahead:.0f} % of the steps only: exchange head "
             f"'{setup.head}' and tail '{setup.tail}' in the setup, or say there 'swims: tail-first'",
         )
-    separation = motion.distance(run.track, setup.head, setup.tail)
-    if separation is not None and separation.change > motion.DISTANCE_SPREAD[0]:
-        change = f"{100 * separation.change:.1f} %"
+    separation = quality.distance_change(run.track, setup.head, setup.tail)
+    if separation is not None and separation > quality.DISTANCE_SPREAD[0]:
         warn(
             "SWM042",
-            f"the distance of '{setup.head}' and '{setup.tail}' changes by {change} beyond what a camera "
-            "askew explains: on one rigid part it would not",
+            f"the distance of '{setup.head}' and '{setup.tail}' changes by {100 * separation:.1f} % "
+            "beyond what a camera askew explains: on one rigid part it would not",
         )
+    return ahead
 
 
 def _frame(video: Path, index: int) -> Frame:
@@ -366,74 +368,59 @@ def _measured(run: Run) -> Setup:
 
 
 def _text(
-    setup: Setup, shares: dict[str, float], remarks: list[str], passed: list[Passed], video: str
+    setup: Setup, shares: dict[str, float], remarks: list[str], passed: list[Candidate], video: str
 ) -> str:
-    """The setup as commented YAML, with the share of the frames each marker is found in."""
-    lines = [
-        f"# Drafted by swimid track setup from {video}; edit what is wrong. Every key: docs/tracking.md",
-        f"format: {setup.format}",
-        "markers:",
-    ]
-    for marker, remark in zip(setup.markers, remarks, strict=True):
-        found = ", ".join(f"{100 * shares[name]:.1f} %" for name in marker.names)
-        lines += [
-            f"  - name: {marker.name}",
-            f"    # Found in {found} of the frames; {remark}.",
-            *_look(marker),
-            f"    area_px: {_list(marker.area_px or (12.0, 1e5))}",
-        ]
-        if marker.number > 1:
-            lines += [f"    # They are named {marker.names[0]}, {marker.names[1]}, ..."]
-            lines += [f"    number: {marker.number}"]
-        if marker.start_px is not None:
-            lines += [f"    start_px: [{', '.join(_list(place) for place in marker.start_px)}]"]
-    scale: Sequence[str] = _NO_SCALE
+    """Return the setup as commented YAML, with the share of the frames each marker is found in."""
+    markers = [_marker_text(m, shares, remark) for m, remark in zip(setup.markers, remarks, strict=True)]
+    markers += [f"# Passed over: {one}\n" for one in passed]
+    scale, rate = _NO_SCALE, "# frame_rate_hz: 240"
     if setup.scale is not None:
-        keys = yamlio.dumps_flat(setup.scale.model_dump(mode="json", exclude_none=True))
-        scale = ["scale:", *(f"  {line}" for line in keys.splitlines())]
-    tail = f"tail: {setup.tail}" if setup.tail else "# tail: name of the marker behind it"
-    rate = f"frame_rate_hz: {setup.frame_rate_hz:g}" if setup.frame_rate_hz else "# frame_rate_hz: 240"
-    lines += [f"# Passed over: {one}" for one in passed]
-    lines += [
-        "# The head marker gives the position, head and tail together the heading.",
-        f"head: {setup.head_name}",
-        tail,
-        "# horizontal: camera above, x, y and yaw. vertical: camera at the side, x, z and pitch.",
-        f"plane: {setup.plane}",
-        *(_FACING if setup.plane == "vertical" else ()),
-        *_POSE,
-        *scale,
-        "# True frame rate, where the container's stamps are wrong.",
-        rate,
-        "# Longest dropout that is bridged, s.",
-        f"max_gap_s: {setup.max_gap_s:g}",
-    ]
-    if setup.ignore_px:
-        lines += ["# Motionless things of a marker's colour: [left, top, right, bottom].", "ignore_px:"]
-        lines += [f"  - {_list(box)}" for box in setup.ignore_px]
-    else:
-        lines += ["# ignore_px: [[left, top, right, bottom]]"]
-    return "\n".join(lines) + "\n"
+        scale = f"scale: {_flow(setup.scale.model_dump(mode='json', exclude_none=True))}\n"
+    if setup.frame_rate_hz:
+        rate = f"frame_rate_hz: {setup.frame_rate_hz:g}"
+    return _TEXT.format(
+        video=video,
+        format=setup.format,
+        markers="".join(markers),
+        head=setup.head_name,
+        tail=f"tail: {setup.tail}" if setup.tail else "# tail: name of the marker behind it",
+        plane=setup.plane,
+        facing=_FACING if setup.plane == "vertical" else "",
+        scale=scale,
+        rate=rate,
+        gap=f"{setup.max_gap_s:g}",
+        ignored=_flow(setup.ignore_px),
+    )
 
 
-def _look(marker: Marker) -> list[str]:
-    """Lines of a setup that say how a marker is told from the rest."""
-    if marker.method == "background":
-        return ["    method: background"]
-    hsv = marker.colour_range()
-    return [
-        "    # Hue runs from the first to the second angle, through 0 for red.",
-        f"    hsv: {{hue_deg: {_list(hsv.hue_deg)}, saturation: {_list(hsv.saturation)}, "
-        f"value: {_list(hsv.value)}}}",
-    ]
+def _marker_text(marker: Marker, shares: dict[str, float], remark: str) -> str:
+    found = ", ".join(f"{100 * shares[name]:.1f} %" for name in marker.names)
+    keys: dict[str, Any] = {"method": "background"}
+    if marker.method == "colour":
+        keys = {"hsv": marker.colour_range().model_dump()}
+    keys["area_px"] = marker.area_px or (12.0, 1e5)
+    if marker.number > 1:
+        keys["number"] = marker.number
+    if marker.start_px is not None:
+        keys["start_px"] = marker.start_px
+    lines = [f"    {key}: {_flow(value)}" for key, value in keys.items()]
+    return "\n".join(
+        [f"  - name: {marker.name}", f"    # Found in {found} of the frames; {remark}.", *lines, ""]
+    )
 
 
-def _list(values: Any) -> str:
-    return "[" + ", ".join(f"{v:g}" for v in values) + "]"
+def _flow(value: Any) -> str:
+    """Return a value as YAML on one line."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key}: {_flow(one)}" for key, one in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_flow, value)) + "]"
+    short = f"{value:g}" if isinstance(value, float) else str(value)
+    return short if isinstance(value, str) or float(short) == value else repr(value)
 
 
 def _sheet(run: Run) -> NDArray[np.uint8]:
-    """A contact sheet: frames with the markers circled and named, ignored boxes crossed out."""
+    """Return a contact sheet: frames with the markers circled and named, ignored boxes framed."""
     tiles, track = [], run.track
     ranked = sorted(run.kept, key=lambda k: (not track.found[:, k].all(), k))
     for index in sorted(ranked[:_SHEET]):
@@ -443,16 +430,11 @@ def _sheet(run: Run) -> NDArray[np.uint8]:
         for box in run.setup.ignore_px:
             corners = [round(factor * v) for v in box]
             cv2.rectangle(tile, corners[:2], corners[2:], (200, 200, 200), 1)
-            cv2.line(tile, corners[:2], corners[2:], (200, 200, 200), 1)
-        for i, name in enumerate(track.names):
-            if track.found[i, index]:
-                x, y = round(factor * track.x[i, index]), round(factor * track.y[i, index])
-                radius = round(factor * float(np.sqrt(track.area[i, index] / np.pi))) + 5
-                cv2.circle(tile, (x, y), radius, SEEN, 2, cv2.LINE_AA)
-                write_text(tile, name, (x + radius + 3, y + 4), 0.5)
+        for i in np.flatnonzero(track.found[:, index]):
+            x, y = round(factor * track.x[i, index]), round(factor * track.y[i, index])
+            radius = round(factor * float(np.sqrt(track.area[i, index] / np.pi))) + 5
+            cv2.circle(tile, (x, y), radius, SEEN, 2, cv2.LINE_AA)
+            write_text(tile, track.names[i], (x + radius + 3, y + 4), 0.5)
         write_text(tile, f"frame {index}", (8, tile.shape[0] - 8), 0.5)
         tiles.append(tile)
-    while len(tiles) % 2:
-        tiles.append(np.zeros_like(tiles[0]))
-    sheet = np.vstack([np.hstack(tiles[i : i + 2]) for i in range(0, len(tiles), 2)])
-    return np.asarray(cv2.cvtColor(sheet, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+    return np.asarray(cv2.cvtColor(np.vstack(tiles), cv2.COLOR_BGR2RGB), dtype=np.uint8)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,16 +18,15 @@ from swimid.logs.logged import Logged
 from swimid.notices import Notice, recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
-from swimid.results import blocks, drawing, evidence
-from swimid.results.evidence import Check
-from swimid.tracking import checks, motion, pictures, plane, pose, reader, swim
+from swimid.results import blocks, drawing
+from swimid.results.evidence import Evidence, judged
+from swimid.tracking import evidence, pictures, plane, pose, quality, reader
 from swimid.tracking import setup as setup_format
 from swimid.tracking.colour import describe_colours
 from swimid.tracking.options import TrackVideoOptions
 from swimid.tracking.pose import Pose
-from swimid.tracking.rawtrack import RawTrack
-from swimid.tracking.run import Run, follow
 from swimid.tracking.setup import Setup
+from swimid.tracking.tracker import Run, follow
 
 #: Columns a wrong scale shows in.
 UNIT_COLUMNS = ("t_s", "x_m", "y_m", "z_m", "u_m_s", "v_m_s", "w_m_s")
@@ -47,21 +46,6 @@ class Track(Logged):
 
     pose: Pose | None = None
     setup: Setup | None = None
-
-    def save(self, path: str | Path) -> Self:
-        """Write log, evidence and plot; what the evidence says of speeds no swimmer reaches names the file.
-
-        Raises
-        ------
-        InputError
-            When the folder does not exist or cannot be written.
-        """
-        old, named, proof = f"{self.log.name}, '", Path(path), self.evidence
-        if proof is not None and any(notice.text.startswith(old) for notice in proof.notices):
-            text = proof.model_dump_json().replace(old, f"{named.name}, '")
-            proof = evidence.Evidence.model_validate_json(text)
-        renamed = replace(self, document=replace(self.log, path=named), evidence=proof)
-        return super(Track, renamed).save(path)
 
     def _write(self, path: Path) -> list[Path]:
         written = super()._write(path)
@@ -93,7 +77,7 @@ def track_video(
         The film; or a folder of pictures, or a pattern of their names (``%05d.png``).
     output : path, optional
         The log, CSV or Parquet by its ending. Beside it go ``<stem>.evidence.json`` and ``<stem>.png``.
-        Without it nothing is written; :meth:`Track.save` writes the same files later.
+        Without it nothing is written; :meth:`~swimid.results.result.Result.save` writes the same files later.
     metadata : dict, optional
         Further ``# key: value`` lines of the log.
     progress : Progress
@@ -136,101 +120,65 @@ def track_video(
     rules = setup_format.of(setup)
     source = setup if isinstance(setup, str | Path) else rules
     rules = rules.model_copy(update={k: v for k, v in changed.items() if v is not None})
-    made = Path(f"{video.stem}.csv") if output is None else output
     with recorded(repeat=True) as notices:
         with progress(f"tracking {video.name}") as step:
             run = follow(video, rules, step=step, file=str(provenance.path_of(source)))
-        result, painter = _told(run, source, made, options, metadata or {}, notices)
+        result, painter = _judged(run, source, options, metadata or {}, notices)
         with atomic.together():
+            remark = "" if overlay_path is None else painter.write(overlay_path, progress)
+            if remark and result.evidence is not None:
+                result = replace(result, evidence=result.evidence.model_copy(update={"notes": [remark]}))
             result = result.saved(output)
-            if overlay_path is not None:
-                remark = painter.write(overlay_path, progress)
-                text = f"{result.text}\nnote: {remark}" if remark else result.text
-                result = replace(result, text=text, outputs=[*result.outputs, overlay_path])
-    return result
+    return result if overlay_path is None else replace(result, outputs=[*result.outputs, overlay_path])
 
 
-def _told(
+def _judged(
     run: Run,
     source: str | Path | Setup,
-    made: Path,
     options: TrackVideoOptions,
     metadata: dict[str, Any],
     notices: list[Notice],
 ) -> tuple[Track, pictures.Painter]:
-    """What was followed as a track, to be called ``made``, and what draws it into the film."""
+    """Return the track with its evidence, and its painter."""
     track, video, rules = run.track, run.video, run.setup
     ground = plane.build(rules, video.width, video.height, file=str(provenance.path_of(source)))
     _demand_markers(run)
     ground = pose.facing(track, rules, ground)
-    result = pose.build(track, rules, ground)
-    found = checks.run(track, result, rules, run.kept)
-    swum = swim.find(result, rules.plane, (options.from_s, options.to_s))
-    found += swum.checks()
-    columns = pose.columns(result, track, rules)
-    head = _metadata(run, ground, result.times) | metadata
+    made = pose.build(track, rules, ground)
+    found = quality.checks(track, made, rules, run.kept)
+    swum = evidence.swum(made, (options.from_s, options.to_s))
+    found += evidence.stroke_check(swum)
+    columns = pose.columns(made, track, rules)
+    head = _metadata(run, ground, made.times) | metadata
     # a scale that is wrong by a factor shows as speeds no swimmer reaches
-    log.warn_units(Log(made, head, {name: columns[name] for name in UNIT_COLUMNS if name in columns}))
-    painter = pictures.Painter(run, result)
-    facts = _facts(track, result)
-    share = f"Markers found in {facts['found']} of {facts['frames']} frames"
-    verdict = evidence.judged(f"{share}.{swum.headline()}", found)
-    proof = evidence.Evidence(
+    shown = {name: columns[name] for name in UNIT_COLUMNS if name in columns}
+    log.warn_units(Log(video.path, head, shown))
+    painter = pictures.Painter(run, made)
+    verdict = judged(evidence.answer(made, swum), found)
+    proof = Evidence(
         verb="track video",
         title=f"Track of {video.path.name}",
         verdict=verdict,
+        facts=evidence.facts(made, rules, swum),
         checks=found,
-        tables=[swum.table(), _segment_table(result)],
-        figures=pictures.figures(track, result, rules, (swum.swimming.begin_s, swum.swimming.end_s)),
+        tables=[evidence.table(swum, rules, ground.unit), evidence.segment_table(made)],
+        figures=evidence.figures(made, rules, swum),
         images=painter.images(),
         notices=blocks.notices(notices),
-        methods=_methods(rules, result),
-        references=[
-            "Rauch, H. E., Tung, F., Striebel, C. T. (1965). Maximum likelihood estimates of linear dynamic "
-            "systems. AIAA Journal 3(8), 1445-1450. doi:10.2514/3.3166",
-            swim.REFERENCE,
-        ],
+        methods=evidence.methods(rules, made),
+        references=evidence.REFERENCES,
         provenance=provenance.collect(
             [],
             digests=provenance.digest_together(video.path, video.files) | provenance.digests_of([source]),
             settings=options.settings(setup=rules.model_dump(mode="json", exclude_none=True)),
         ),
     )
-    data = facts | {
-        "swimming": swum.to_dict(),
+    data = evidence.data(track, made, rules, swum) | {
         "verdict": verdict.model_dump(),
         "checks": [check.model_dump() for check in found],
     }
-    text = "\n".join([_summary(facts), *_listed(found), *swum.lines()])
-    document = Log(made, head, log.numeric(columns), None)
-    return Track("track video", text, data, (), proof, document, columns, result, rules), painter
-
-
-def _facts(track: RawTrack, result: Pose) -> dict[str, Any]:
-    """How much was found, and how well, for machines."""
-    count, total, unit = int(result.measured.sum()), len(result.times), result.plane.unit
-    span = checks.Presence.of(track, result)
-    holes = [end - start for start, end in result.gaps]
-    return {
-        "frames": total,
-        "found": count,
-        "found_share": count / total,
-        "first_seen_s": float(result.times[span.first]),
-        "last_seen_s": float(result.times[span.last]),
-        "duration_s": float(result.times[-1]),
-        "interpolated": int(result.interpolated.sum()),
-        "segments": int(result.segment.max()),
-        "gaps": len(holes),
-        "longest_gap_s": max(holes, default=0.0),
-        "unit": unit,
-        "markers": {
-            name: {"found": int(track.found[i].sum()), "at_edge": int(track.at_edge[i].sum())}
-            for i, name in enumerate(track.names)
-        },
-        "measurement_sd": {unit: result.path.measurement_sd}
-        | ({} if result.angle is None else {"rad": result.angle.measurement_sd}),
-        "process_noise": {"order": result.path.order, "value": result.path.process_noise},
-    }
+    document = Log(Path(f"{video.path.stem}.csv"), head, log.numeric(columns), None)
+    return Track("track video", "", data, (), proof, document, columns, made, rules), painter
 
 
 def _metadata(run: Run, ground: plane.Plane, times: NDArray[np.float64]) -> dict[str, Any]:
@@ -264,7 +212,7 @@ def _demand_markers(run: Run) -> None:
     for name in run.setup.roles:
         row = track.row(name)
         count, cut = int(track.found[row].sum()), int(track.at_edge[row].sum())
-        if count >= max(motion.LEAST_SHARE * total, pose.SHORTEST_SEGMENT):
+        if count >= max(quality.LEAST_SHARE * total, pose.SHORTEST_SEGMENT):
             continue
         what = f"in {count} of {total} frames only" if count else f"in no frame of {total}"
         what += f" (in {cut} the edge of the picture cuts it)" if cut else ""
@@ -274,61 +222,3 @@ def _demand_markers(run: Run) -> None:
             hint="'swimid track setup VIDEO -o setup.yaml' proposes markers from the video itself and draws "
             "them; or correct hsv and area_px in the setup",
         )
-
-
-def _segment_table(result: Pose) -> evidence.Table:
-    rows = []
-    for number in range(1, int(result.segment.max()) + 1):
-        part = result.segment == number
-        t = result.times[part]
-        rows.append(
-            {
-                "segment": number,
-                "from (s)": float(t[0]),
-                "to (s)": float(t[-1]),
-                "frames": int(part.sum()),
-                "measured": int((part & result.measured).sum()),
-                f"path length ({result.plane.unit})": float(
-                    np.sum(np.hypot(*np.diff(result.path.position[:, part], axis=1)))
-                ),
-            }
-        )
-    return blocks.table("segments", "Segments", rows, "A gap longer than the limit ends a segment.")
-
-
-def _methods(rules: Setup, result: Pose) -> list[str]:
-    kinds = {2: "constant velocity with white acceleration", 3: "constant acceleration with white jerk"}
-    markers = "a marker" if rules.tail is None else "two markers"
-    rate, clock = "", ", and frames were timed by their own stamps"
-    if rules.frame_rate_hz is not None:
-        rate, clock = f" at {rules.frame_rate_hz:g} Hz", ""
-    return [
-        f"The robot's path was taken from video{rate} by tracking {markers} by colour; centroids were found "
-        f"with sub-pixel resolution by soft membership{clock}.",
-        f"Positions were smoothed with a Kalman filter ({kinds[result.path.order]}) and a Rauch-Tung-"
-        "Striebel smoother whose noise powers maximise the likelihood of the innovations "
-        f"(measurement noise {result.path.measurement_sd:.2g} {result.plane.unit}).",
-        f"Dropouts up to {rules.max_gap_s:g} s were bridged by the smoother and are flagged; longer ones "
-        "were left empty.",
-        swim.METHODS,
-    ]
-
-
-def _summary(facts: dict[str, Any]) -> str:
-    first, last, end = (facts[key] for key in ("first_seen_s", "last_seen_s", "duration_s"))
-    seen = f", first seen at {first:.2f} s" if first > 0 else ""
-    seen += f", last seen at {last:.2f} s of {end:.2f} s" if last < end else ""
-    return (
-        f"found {facts['found']} of {facts['frames']} frames ({100 * facts['found_share']:.1f} %){seen}, "
-        f"{facts['interpolated']} bridged, {facts['gaps']} gaps (longest {facts['longest_gap_s']:.3f} s), "
-        f"{facts['segments']} segment{'s' if facts['segments'] != 1 else ''}, unit {facts['unit']}"
-    )
-
-
-def _listed(found: list[Check]) -> list[str]:
-    width = max(len(check.name) for check in found)
-    return [
-        f"  {check.verdict:4}  {check.name:{width}}  {check.value}"
-        + (f"  ({check.limit})" if check.limit else "")
-        for check in found
-    ]

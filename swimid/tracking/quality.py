@@ -1,0 +1,481 @@
+"""Quality of a track: whether markers move and keep their distance, the camera, and the checks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from swimid.logs.log import runs
+from swimid.notices import warn
+from swimid.results.evidence import Check, check
+from swimid.tracking.detect import RawTrack
+from swimid.tracking.pose import SYSTEMATIC_PX, Pose
+from swimid.tracking.reader import Frame, irregular, reduced
+from swimid.tracking.setup import Setup
+
+Array = NDArray[np.float64]
+
+#: Sights whose area is this far from the usual one, as a share, show a part of the marker only: the
+#: centre of what is left moves though nothing does. Of a bar twenty times as long as broad that a passer-by
+#: covers, what remains whole by this measure moves by 0.6 of the radius of a disc of its area.
+WHOLE_AREA = 0.15
+#: Fewer whole sights than this tell nothing; all are taken.
+LEAST_SIGHTS = 10
+#: What stays within its own radius looks like a still thing that ripples or is half covered at times.
+LEAST_RADII = 1.0
+#: Seen in a smaller share of the frames a marker has no usual place.
+LEAST_SHARE = 0.05
+#: A still point's noise exceeds this many standard deviations per axis in 0.3 % of the frames
+#: (Rayleigh's distribution).
+NOISE_SIGMA = math.sqrt(-2 * math.log(0.003))
+#: Spread of the distance of two markers of a rigid part, as a share: good up to here, bearable up to here.
+DISTANCE_SPREAD = (0.02, 0.06)
+#: Number of steps of a film over which the direction of motion is compared with that of the markers ...
+VOTES = 100
+#: ... and how far the distance of the markers may be from its median there, as a share: otherwise another
+#: thing stood in for one of them. A camera askew changes it by less.
+PAIR_SPREAD = 0.3
+#: A robot that turns by less may owe a change of the distance to a bend of its body, rad.
+BEND_RAD = math.radians(60.0)
+#: Width frames are reduced to before they are compared.
+SCENE_WIDTH = 480
+#: Corners sought, and the fewest that tell of a scene.
+CORNERS, LEAST_CORNERS = 300, 12
+#: A corner found in the other frame is found back from there within so many px of the reduced picture.
+BACK_PX = 0.5
+#: Corners whose shift is this near to the median (px of the reduced picture) go together.
+TOGETHER_PX = 1.0
+#: Share of the corners sought that must do so: most of the scene, whatever swims in it ...
+SCENE_SHARE = 0.5
+#: ... and cells of a grid over the picture they must be in, of how many a side: a robot near the camera may
+#: wear most of the corners.
+CELLS, SIDE = 8, 4
+#: A scene that shifts farther than this (px of the reduced picture) has a camera that moves.
+STILL_PX = 2.0
+#: Normalised innovation from which on a measurement counts as a jump.
+JUMP_SIGMA = 6.0
+#: Maximum share of frames with a marker hidden in part, or cut by the edge of the picture: chance exceeds
+#: three sigma in 0.1 %.
+HIDDEN_SHARE = 0.01
+#: Share of frames without a marker, and share of lengths that differ: good, and bearable, up to here.
+UNSEEN, LENGTH_ERROR = (0.05, 0.5), (0.02, 0.05)
+
+
+@dataclass(frozen=True)
+class Range:
+    """How far a marker gets."""
+
+    #: 95th percentile of its distance from its usual place, over sights of the whole marker.
+    away_px: float
+    #: Of a disc of its usual area.
+    radius_px: float
+    #: Standard deviation of its centre from frame to frame, one axis.
+    noise_px: float
+
+    @property
+    def radii(self) -> float:
+        """The way in radii of the marker."""
+        return self.away_px / self.radius_px
+
+    @property
+    def moves(self) -> bool:
+        """Whether it leaves its own disc."""
+        return self.radii >= LEAST_RADII
+
+
+def reach(track: RawTrack, name: str, scene: Array | None = None) -> Range:
+    """How far a marker gets from its usual place; 0 px where it is hardly seen.
+
+    ``scene``, shape (2, n), px, is how far the scene itself is shifted in each frame.
+    """
+    i = track.row(name)
+    seen = track.found[i]
+    if seen.mean() < LEAST_SHARE:
+        return Range(0.0, 1.0, math.nan)
+    area = track.area[i]
+    usual = float(np.median(area[seen]))
+    whole = seen & (np.abs(area - usual) <= WHOLE_AREA * usual)
+    part = whole if whole.sum() >= LEAST_SIGHTS else seen
+    x, y = np.stack([track.x[i], track.y[i]]) - (0.0 if scene is None else scene)
+    away = np.hypot(x - np.median(x[part]), y - np.median(y[part]))[part]
+    noise = math.sqrt(0.5 * sum(scatter(row[seen]) ** 2 for row in (x, y)))
+    radius = max(math.sqrt(usual / math.pi), 1.0)
+    return Range(float(np.percentile(away, 95)), radius, noise)
+
+
+def scatter(values: Array) -> float:
+    """Standard deviation of what changes from sample to sample; NaN for fewer than five.
+
+    That of second differences (over sqrt 6), which slow changes leave alone.
+    """
+    if len(values) < 5:
+        return math.nan
+    second = values[2:] - 2 * values[1:-1] + values[:-2]
+    return 1.4826 * float(np.median(np.abs(second - np.median(second)))) / math.sqrt(6)
+
+
+def head_first(track: RawTrack, head: str, tail: str) -> float | None:
+    """Return the share of steps in which two markers move towards the head; None below four steps."""
+    i, j = track.row(head), track.row(tail)
+    every = slice(None, None, max(len(track.times) // VOTES, 1))
+    front, rear = (np.stack(track.centre(row))[:, every] for row in (i, j))
+    line = front - rear
+    length = np.hypot(*line)
+    sound = np.abs(length / np.nanmedian(length) - 1) <= PAIR_SPREAD
+    ahead = np.sum(np.diff(front + rear, axis=1) * line[:, :-1], axis=0)[sound[1:] & sound[:-1]]
+    return float(np.mean(ahead > 0)) if len(ahead) >= 4 else None
+
+
+def distance_change(track: RawTrack, one: str, other: str) -> float | None:
+    """Return by how much the distance of two markers changes, as a share; None where hardly seen together.
+
+    It is the larger of two: the robust standard deviation that no view of a plane explains, and the change by
+    that view which the size of the markers does not share.
+
+    Notes
+    -----
+    A camera askew shows the same length smaller where it is farther away, and shorter along the view than
+    across it. The picture is therefore first laid back on the plane, by the homography
+    ``M p / (1 + l p)``, M symmetric with trace 2, under which the distance varies least (Liebowitz and
+    Zisserman 1998, Metric rectification for perspective images of planes, CVPR,
+    doi:10.1109/CVPR.1998.698649: equal lengths fix it up to a similarity). M is left out where the robot
+    turns by no more than a body bends. The same homography changes the markers' areas; what of it they do
+    not show is no view of a plane.
+    """
+    i, j = track.row(one), track.row(other)
+    both = track.found[i] & track.found[j]
+    if both.sum() < LEAST_SIGHTS:
+        return None
+    points = np.stack([track.x[[i, j]][:, both], track.y[[i, j]][:, both]])  # (xy, marker, frame)
+    middle = points.mean(axis=(1, 2), keepdims=True)
+    points = (points - middle) / max(float(np.abs(points - middle).max()), 1.0)
+    heading = np.unwrap(np.arctan2(*(points[:, 0] - points[:, 1])[::-1]))
+    turns = float(np.ptp(heading)) > BEND_RAD
+
+    def scatter_of(view: Array) -> Array:
+        apart = np.log(np.maximum(np.hypot(*np.diff(_laid_back(points, view), axis=1)[:, 0]), 1e-9))
+        return np.asarray(apart - np.median(apart))
+
+    bound = np.array([0.7, 0.7, 0.6, 0.6] if turns else [0.7, 0.7])
+    view = least_squares(scatter_of, np.zeros(len(bound)), bounds=(-bound, bound), loss="soft_l1").x
+    left = scatter_of(view)
+    place = points.mean(axis=1)
+    shrunk = -1.5 * np.log1p(view[:2] @ place)
+    size = 0.5 * np.log(track.area[[i, j]][:, both].sum(axis=0))
+    design = np.column_stack([np.ones(both.sum()), *place])
+    smooth, unshared = (design @ np.linalg.lstsq(design, v, rcond=None)[0] for v in (size, size + shrunk))
+    # The outline of a patch is known to a pixel: of small markers the size says less.
+    blurred = float(np.ptp(math.sqrt(2 * math.pi) / np.exp(smooth)))
+    drift = min(float(np.ptp(shrunk)), max(float(np.ptp(unshared)) - blurred, 0.0))
+    return max(1.4826 * float(np.median(np.abs(left))), drift)
+
+
+def _laid_back(points: Array, view: Array) -> Array:
+    """Image points, shape (2, m, n), on the plane, for ``view`` = l and the two freedoms of M."""
+    a, b = view[2:] if len(view) > 2 else (0.0, 0.0)
+    x, y = points
+    return np.stack([(1 + a) * x + b * y, b * x + (1 - a) * y]) / (1 + view[0] * x + view[1] * y)
+
+
+def shifts(frames: Sequence[Frame]) -> Array:
+    """How far the scene is shifted in each frame against the first one.
+
+    Parameters
+    ----------
+    frames : sequence of n frames
+        Of one size.
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        px, x to the right and y down; NaN where no common shift of most corners is found (ripples, plain
+        water, another scene).
+
+    Notes
+    -----
+    Corners of the first frame followed there and back by Lucas and Kanade's optical flow in pyramids
+    (Bouguet 2001); the median of those that come back, where most of all corners agree with it.
+    """
+    out = np.full((len(frames), 2), np.nan)
+    if not frames:
+        return out
+    factor = max(frames[0].shape[1] / SCENE_WIDTH, 1.0)
+    greys = (np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), np.uint8) for frame in frames)
+    small = [reduced(grey, SCENE_WIDTH) for grey in greys]
+    corners = cv2.goodFeaturesToTrack(small[0], CORNERS, 0.02, 7)
+    if corners is None or len(corners) < LEAST_CORNERS:
+        return out
+    for k, picture in enumerate(small):
+        there, found, _ = cv2.calcOpticalFlowPyrLK(small[0], picture, corners, None)
+        back, again, _ = cv2.calcOpticalFlowPyrLK(picture, small[0], there, None)
+        sound = (found[:, 0] > 0) & (again[:, 0] > 0)
+        sound &= np.linalg.norm((back - corners)[:, 0], axis=1) < BACK_PX
+        if not sound.any():
+            continue
+        flow = (there - corners)[sound, 0]
+        middle = np.median(flow, axis=0)
+        alike = np.linalg.norm(flow - middle, axis=1) < TOGETHER_PX
+        cells = (corners[sound, 0][alike] * SIDE / np.array(picture.shape[::-1])).astype(int)
+        if alike.sum() >= SCENE_SHARE * len(corners) and len(np.unique(cells, axis=0)) >= CELLS:
+            out[k] = factor * middle
+    return out
+
+
+def between(shift: Array, indices: NDArray[np.int64], count: int) -> Array | None:
+    """The shift in each of ``count`` frames from that in some, shape (2, count); None where unknown."""
+    known = np.isfinite(shift[:, 0])
+    if known.sum() < 2:
+        return None
+    frames = np.arange(count)
+    return np.array([np.interp(frames, indices[known], row[known]) for row in shift.T])
+
+
+def moving_camera(shift: Array, width: int, consequence: str) -> tuple[float, float]:
+    """Return the largest shift of the scene and its limit in a picture of ``width`` px; warn beyond that."""
+    largest = float(np.nanmax(np.hypot(*shift.T), initial=0.0))
+    limit = STILL_PX * max(width / SCENE_WIDTH, 1.0)
+    if largest > limit:
+        text = f"the whole scene shifts by {largest:.1f} px in the film: the camera moves"
+        warn("SWM068", f"{text}{consequence}")
+    return largest, limit
+
+
+# ---------------------------------------------------------------- checks
+
+
+def _judged(
+    code: str, name: str, value: str, limit: str, passed: bool, reason: str, *, fails: bool = False
+) -> Check:
+    """Return a check; warn with its code, where it has one, if it does not pass."""
+    if code and not passed:
+        warn(code, reason)
+    return check(name, value, passed, limit, otherwise="fail" if fails else "warn", reason=reason)
+
+
+def _graded(
+    code: str, name: str, value: str, limit: str, size: float, ends: tuple[float, float], reason: str
+) -> Check:
+    """Return a check of a size that passes up to the first end, and fails beyond the second."""
+    return _judged(code, name, value, limit, size <= ends[0], reason, fails=not size <= ends[1])
+
+
+def checks(track: RawTrack, pose: Pose, setup: Setup, kept: dict[int, Frame] | None = None) -> list[Check]:
+    """Every check of a track in order of importance; ``kept`` are some of its frames."""
+    return [
+        *_presence(track, pose, setup),
+        _motion(track, setup),
+        *_camera(kept or {}),
+        *_others(track, setup),
+        *_separation(pose, setup),
+        *_direction(pose, setup, track),
+        *_timing(pose),
+        *_sight(track, pose),
+        *_calibration(pose),
+        *_looks(track),
+    ]
+
+
+def _presence(track: RawTrack, pose: Pose, setup: Setup) -> Iterator[Check]:
+    fresh, t, head = ~pose.held.repeated, pose.times, pose.rows[0]
+    first, last = (int(f) for f in np.flatnonzero(pose.measured)[[0, -1]])
+    # where the edge of the picture cuts a marker in the frame before the first sight, or after the last, the
+    # body is not lost but out of the picture
+    cut = np.any(track.at_edge[pose.rows], axis=0)
+    enters, leaves = bool(cut[first - 1 : first].any()), bool(cut[last + 1 : last + 2].any())
+    count, total = int(pose.measured.sum()), int(fresh.sum())
+    # a film that shows the body for a part only is never all good
+    inside = slice(first if enters else 0, last + 1 if leaves else len(fresh))
+    lost = 1 - float(pose.measured[inside][fresh[inside]].mean())
+    bridged, empty = int((pose.interpolated & fresh).sum()), int(((pose.segment == 0) & fresh).sum())
+    reason = (
+        f"{total - count} of {total} frames show no marker (not all of them, or not whole): {bridged} are "
+        f"bridged and flagged interpolated, {empty} are empty"
+    )
+    if count < total:
+        warn("SWM040", reason)
+    good = UNSEEN[0] if count >= 0.95 * total else -1.0
+    value = f"{count} of {total} ({100 * count / total:.1f} %)"
+    yield _graded("", "Frames found", value, ">= 95 %", lost, (good, UNSEEN[1]), reason)
+    reasons = []
+    if t[first] - t[0] > setup.max_gap_s:
+        before = "cut by the edge of the picture before" if enters else "nothing of it before"
+        place = f"frame {first}, at {track.x[head, first]:.0f}, {track.y[head, first]:.0f} px"
+        reasons.append(f"first seen at {t[first]:.2f} s ({place}; {before})")
+    if t[-1] - t[last] > setup.max_gap_s:
+        after = "then it left the picture" if leaves else "then it is lost for good"
+        place = f"frame {last}, at {track.x[head, last]:.0f}, {track.y[head, last]:.0f} px"
+        reasons.append(f"last seen at {t[last]:.2f} s of {t[-1]:.2f} s ({place}; {after})")
+    value, limit = f"{t[first]:.2f} s and {t[last]:.2f} s", f"within {setup.max_gap_s:g} s of the ends"
+    yield _judged("SWM065", "First and last sight", value, limit, not reasons, "; ".join(reasons))
+    longest, segments = max((end - start for start, end in pose.gaps), default=0.0), int(pose.segment.max())
+    reason = f"the track has {segments} segments: gaps over max_gap_s = {setup.max_gap_s:g} s are left empty"
+    limit = f"<= {setup.max_gap_s:g} s"
+    yield _judged("SWM047", "Longest gap", f"{longest:.3f} s", limit, segments == 1, reason)
+
+
+def _motion(track: RawTrack, setup: Setup) -> Check:
+    """Whether what was followed moves: a still thing is found in every frame and passes all else."""
+    reaches = {name: reach(track, name) for name in setup.roles}
+    name, farthest = max(reaches.items(), key=lambda item: item[1].radii)
+    noise = NOISE_SIGMA * math.hypot(farthest.noise_px, SYSTEMATIC_PX)
+    still = farthest.away_px <= noise
+    reason = (
+        f"marker '{name}' stays within {farthest.away_px:.2g} px of one place, {farthest.radii:.2g} of its "
+        f"radius{', which is its noise' if still else ''}: is it the marker, or a still thing of its colour?"
+    )
+    value, limit = f"{farthest.radii:.2g} radii", f">= {LEAST_RADII:g} radius and {noise:.2g} px of noise"
+    passed = farthest.moves and not still
+    return _judged("SWM067", "Motion", value, limit, passed, reason, fails=still)
+
+
+def _camera(kept: dict[int, Frame]) -> Iterator[Check]:
+    """Whether the camera stood still, where most of the scene can be recognised."""
+    shift = shifts(list(kept.values()))
+    if np.isfinite(shift[:, 0]).sum() < 2:
+        return
+    width = next(iter(kept.values())).shape[1]
+    largest, limit = moving_camera(shift, width, ", and so do positions and speeds in the log")
+    reason = f"the camera moves: the whole scene shifts by {largest:.1f} px"
+    yield _judged("", "Camera", f"{largest:.1f} px", f"<= {limit:.1f} px", largest <= limit, reason)
+
+
+def _others(track: RawTrack, setup: Setup) -> Iterator[Check]:
+    """How often the markers are seen that the pose does not need, and whether they move."""
+    shares = {n: float(track.found[track.row(n)].mean()) for n in track.names if n not in setup.roles}
+    if not shares:
+        return
+    worst = min(shares, key=lambda n: shares[n])
+    value = f"{worst} in {100 * shares[worst]:.1f} %"
+    reason = f"marker '{worst}' is found in {100 * shares[worst]:.1f} % of the frames only"
+    yield _graded("", "Other markers found", value, ">= 95 %", 1 - shares[worst], UNSEEN, reason)
+    still = [n for n in shares if shares[n] > 0 and not reach(track, n).moves]
+    reason = f"markers never left the radius of one place: {', '.join(still)}. Are they still things?"
+    value, limit = f"{len(shares) - len(still)} of {len(shares)}", f">= {LEAST_RADII:g} radius"
+    yield _judged("SWM067", "Other markers move", value, limit, not still, reason)
+
+
+def _separation(pose: Pose, setup: Setup) -> Iterator[Check]:
+    """Whether two markers keep their distance, everywhere in the picture, and as on the robot."""
+    if pose.separation is None:
+        return
+    known = pose.measured & np.isfinite(pose.separation)
+    separation = pose.separation[known]
+    middle = float(np.median(separation))
+    spread = 1.4826 * float(np.median(np.abs(separation - middle))) / middle
+    value = f"{middle:.4g} {pose.plane.unit} ± {100 * spread:.2f} %"
+    reason = f"the distance of head and tail marker scatters by {100 * spread:.1f} %"
+    yield _graded("", "Marker separation", value, "± 2 %", spread, DISTANCE_SPREAD, reason)
+    design = np.column_stack([np.ones(known.sum()), *pose.raw[:, known]])
+    design[:, 1:] -= design[:, 1:].mean(0)
+    fit, *_ = np.linalg.lstsq(design, separation, rcond=None)
+    drift = float(np.ptp(design[:, 1:] @ fit[1:])) / middle
+    reason = f"the distance of head and tail marker changes by {100 * drift:.1f} % across the picture"
+    name, value = "Separation across the picture", f"{100 * drift:.2f} %"
+    yield _graded("SWM042", name, value, "<= 2 %", drift, LENGTH_ERROR, reason)
+    if setup.places is None:
+        return
+    known_m = math.dist(*setup.places)
+    off = middle / known_m - 1
+    reason = (
+        f"the distance of head and tail marker is {100 * off:+.1f} % off the {known_m:g} m on the robot, and "
+        "so is every length in the log, or their places on the robot are wrong"
+    )
+    name, value = "Marker distance against the robot", f"{100 * off:+.2f} % of {known_m:g} m"
+    yield _graded("SWM042", name, value, "within 2 %", abs(off), LENGTH_ERROR, reason)
+
+
+def _direction(pose: Pose, setup: Setup, track: RawTrack) -> Iterator[Check]:
+    """Whether the robot swims the way that head and tail say.
+
+    It swims the other way if that is most of its way, and it gets that way by more than the distance of the
+    markers, or by more than a marker's radius and than its longest stretch in the stated direction: a robot
+    on the spot moves to and fro.
+    """
+    if pose.body_velocity is None or pose.separation is None:
+        return
+    step = np.gradient(pose.times) * pose.body_velocity[0]
+    step = np.where(np.isfinite(step), step, 0.0) * (1 if setup.swims == "head-first" else -1)
+    ahead, astern = float(step[step > 0].sum()), float(-step[step < 0].sum())
+    longest = max((float(step[a:b].sum()) for a, b in runs(step > 0)), default=0.0)
+    head = pose.rows[0]
+    x, y, area = (float(np.nanmedian(values[head])) for values in (track.x, track.y, track.area))
+    radius = math.sqrt(area / math.pi) * pose.plane.size_of_pixel(x, y)
+    least = min(float(np.nanmedian(pose.separation)), max(radius, longest))
+    share, way = ahead / max(ahead + astern, 1e-300), setup.swims.replace("-", " ")
+    reason = (
+        f"the robot swims {way} over {100 * share:.0f} % of its way only: exchange head '{setup.head}' and "
+        f"tail '{setup.tail}' in the setup, or say there how it swims (swims: head-first or tail-first)"
+    )
+    value, passed = f"{100 * share:.0f} % of the way", not astern - ahead > least
+    yield _judged("SWM100", f"Swims {way}", value, "most of the way", passed, reason, fails=True)
+
+
+def _timing(pose: Pose) -> Iterator[Check]:
+    share, largest = irregular(pose.times)
+    reason = (
+        f"{100 * share:.1f} % of the frames come at uneven steps (the longest: {largest:.1f} times the usual)"
+    )
+    value = f"{100 * share:.1f} % uneven"
+    yield _judged("SWM043", "Frame timing", value, "<= 1 % uneven", share <= 0.01, reason)
+    count, total = int(pose.held.repeated.sum()), len(pose.times)
+    if count:
+        reason = (
+            f"{count} of {total} pictures repeat the one before and are left out: the camera took "
+            f"{1 / pose.held.period_s:.4g} pictures/s, up to {1e3 * pose.held.lateness_s:.3g} ms early"
+        )
+        yield _judged("SWM058", "Repeated pictures", f"{count} of {total}", "none", False, reason)
+
+
+def _sight(track: RawTrack, pose: Pose) -> Iterator[Check]:
+    """Whether the markers are cut by the edge of the picture, hidden in part, or jump."""
+    count, seen = int(np.any(track.at_edge[pose.rows], axis=0).sum()), track.seen[pose.rows].any(axis=0)
+    share = count / max(int(seen.sum()), 1)
+    reason = f"in {count} frames the edge of the picture cuts a marker; these frames count as not found"
+    if count:
+        warn("SWM045", reason)
+    yield _judged(
+        "", "At the edge of the picture", f"{count} frames", "<= 1 %", share <= HIDDEN_SHARE, reason
+    )
+    off, measured = pose.hidden[pose.rows].max(axis=0), max(int(pose.measured.sum()), 1)
+    count = int(np.sum(off > 0))
+    reason = (
+        f"in {count} frames a marker is hidden in part or seen aslant; its centre may be {off.max():.1f} "
+        f"px off in frame {int(np.argmax(off))}"
+    )
+    passed = count / measured <= HIDDEN_SHARE
+    yield _judged("SWM066", "Hidden in part", f"{count} frames", "<= 1 %", passed, reason)
+    innovations = [pose.path.innovation] + ([] if pose.angle is None else [pose.angle.innovation])
+    far = np.nanmax(np.abs(np.concatenate(innovations)), axis=0, initial=0.0) > JUMP_SIGMA
+    count, limit = int(far.sum()), f"0 beyond {JUMP_SIGMA:g} sigma"
+    reason = f"{count} measurements jump, the first in frame {int(np.argmax(far))}: is it the marker?"
+    yield _graded("", "Jumps", f"{count} frames", limit, count / measured, (0.0, 0.02), reason)
+
+
+def _calibration(pose: Pose) -> Iterator[Check]:
+    plane = pose.plane
+    if plane.unit == "px":
+        reason = "positions are in pixels: the setup has no scale"
+        yield _judged("", "Calibration", "none", "a scale", False, reason)
+    elif plane.residual_px > 1e-2:
+        value = f"{plane.residual_px:.2f} px, {1000 * plane.residual:.2f} mm rms"
+        reason = f"the calibration points misfit by {plane.residual_px:.1f} px"
+        yield _graded("", "Calibration", value, "<= 1 px", plane.residual_px, (1.0, 4.0), reason)
+
+
+def _looks(track: RawTrack) -> Iterator[Check]:
+    """Whether something else came before the marker, and whether its colour drifted."""
+    for name, (count, area) in track.mistaken.items():
+        now = float(np.nanmedian(track.area[track.row(name)]))
+        value = f"{count} sights of a thing of {area:.0f} px, then one of {now:.0f} px"
+        reason = f"marker '{name}' was first taken for another thing: {value}, which stayed longer"
+        yield _judged("SWM064", f"What is {name}", value, "one thing", False, reason)
+    for name, drift in track.drift.items():
+        value = f"hue {2 * drift[0]:+.0f} deg, saturation {drift[1] / 255:+.2f}, value {drift[2] / 255:+.2f}"
+        warn("SWM046", f"the colour of marker '{name}' drifted ({value}); the colour model followed it")
+        yield check(f"Colour of {name}", f"drifted by {value}", None)
