@@ -37,7 +37,6 @@ class Diagnosis(FileResult[GapFile]):
         What :meth:`save` writes; it also has rivals, what remains, advice and the scores of all effects.
     """
 
-    kind = "Gap"
     format = gap_file.FORMAT
     file_type = GapFile
 

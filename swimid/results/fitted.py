@@ -44,7 +44,6 @@ class Fitted(FileResult[ParameterFile]):
     ('estimated', 0.066, 'm')
     """
 
-    kind = "Parameters"
     format = parameters.FORMAT
     file_type = ParameterFile
 

@@ -343,6 +343,10 @@ class FileResult(Result, Generic[File]):
 
     file_type: ClassVar[type[ResultFile]]
 
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        cls.kind = cls.file_type.kind.capitalize()
+
     @property
     def file(self) -> File:
         """What :meth:`save` writes."""

@@ -44,7 +44,6 @@ class Comparison(FileResult[ComparisonFile]):
         What :meth:`save` writes; its ``channels`` hold the scores of all trials together.
     """
 
-    kind = "Comparison"
     format = FORMAT
     file_type = ComparisonFile
 
