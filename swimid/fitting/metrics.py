@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+import numba
 import numpy as np
 
 from swimid.fitting.model import Array, Model
@@ -187,8 +188,6 @@ def dtw_distance(measured: Array, simulated: Array, *, band: int) -> float:
     >>> round(dtw_distance(np.array([0.0, 1.0, 0.0, 0.0]), late, band=0), 3)
     0.707
     """
-    from swimid.fitting.warping import warping_cost
-
     y, z = _both(measured, simulated)
     if len(y) == 0:
         return np.nan
@@ -237,3 +236,29 @@ def _both(measured: Array, simulated: Array) -> tuple[Array, Array]:
     if there.ndim > 1:
         there = np.asarray(there.all(axis=1))
     return np.asarray(measured, dtype=float)[there], np.asarray(simulated, dtype=float)[there]
+
+
+@numba.njit(cache=True, nogil=True)
+def warping_cost(a: Array, b: Array, band: int) -> float:
+    """Return the least sum of squared distances along a warping path, shape (n, d) both.
+
+    Two rows of the cost matrix are kept; in each the path may lie ``band`` cells off the diagonal at most
+    (Sakoe and Chiba, 1978).
+    """
+    n = len(a)
+    before = np.full(n + 1, np.inf)
+    before[0] = 0.0
+    for i in range(1, n + 1):
+        row = np.full(n + 1, np.inf)
+        for j in range(max(1, i - band), min(n, i + band) + 1):
+            squares = 0.0
+            for k in range(a.shape[1]):
+                squares += (a[i - 1, k] - b[j - 1, k]) ** 2
+            row[j] = squares + min(before[j], row[j - 1], before[j - 1])
+        before = row
+    return float(before[n])
+
+
+def warm_up() -> None:
+    """Compile the kernel of this module."""
+    warping_cost(np.zeros((2, 1)), np.ones((2, 1)), 1)

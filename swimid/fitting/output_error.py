@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -50,6 +50,8 @@ CENTRAL_NUMBERS = 50_000
 #: standard deviations of its noise, at most so many times.
 STEP_ERROR = 0.1
 MAX_REFINEMENTS = 6
+#: Relative tolerance of the search for the start state of a trial.
+START_TOLERANCE = 1e-8
 #: Restarts near an answer, at most, and how much they raise twice the log-likelihood to have been needed: as
 #: much as one standard error.
 RESTARTS, ANOTHER = 6, 1.0
@@ -568,3 +570,61 @@ def _series(problem: Problem, result: FitResult) -> list[Series]:
                 Series(trial.id, trial.role, channel, trial.time_s, measured, simulated[channel], sd)
             )
     return series
+
+
+# ---------------------------------------------------------------- start states of held-out trials
+
+
+def estimate_start(
+    model: Model,
+    parameters: tuple[Parameter, ...],
+    trial: Trial,
+    sd: Mapping[str, float],
+    *,
+    tolerance: float = START_TOLERANCE,
+) -> dict[str, float]:
+    """Estimate per-trial parameters of one trial by label, ``name[trial]``, with the shared ones held.
+
+    A held-out trial has its own start pose, speed and clock. They are no part of what it tests.
+
+    Parameters
+    ----------
+    parameters : tuple of Parameter
+        Shared ones with their values as ``start``; of the others those that are free are estimated.
+    sd : mapping of channel name to float
+        Noise of each channel, for the weights; channels that are not in it are not used.
+    """
+    held = [replace(p, free=p.free and p.per_trial) for p in parameters]
+    used = {c: v for c, v in trial.measured.items() if c in sd}
+    problem = Problem(model, held, [replace(trial, role="fit", measured=used)])
+    try:
+        if not problem.labels:
+            return {}
+        for i, channel in enumerate(problem.channels[0]):
+            problem.sd[0][i] = np.full(len(trial.time_s), sd[channel])
+        begin = problem.start
+        if problem.broken(begin):
+            # known from other coefficients, with which it did not diverge
+            begin = np.clip([held[i].start for i, _ in problem.slots], problem.lower, problem.upper)
+        solution = problem.solve(begin, tolerance=tolerance)
+        return {label: float(v) for label, v in zip(problem.labels, solution.x, strict=True)}
+    finally:
+        problem.close()
+
+
+def with_held_out(result: FitResult) -> FitResult:
+    """The result with each validation trial simulated from its own start state."""
+    waiting = [t for t in result.trials if t.role == "validate"]
+    if not any(p.free and p.per_trial for p in result.parameters):
+        return result
+    sd = {name: noise.value_sd for name, noise in result.noise.items()}
+    found: dict[str, float] = {}
+    for trial in waiting:
+        found.update(estimate_start(result.model, result.at_estimates(), trial, sd))
+    result = replace(result, start_states=found)
+    simulated = {t.id: result.model.simulate(result.values(t.id), t) for t in waiting}
+    series = [
+        replace(s, simulated=simulated[s.trial][s.channel]) if s.trial in simulated else s
+        for s in result.series
+    ]
+    return replace(result, series=series)

@@ -10,7 +10,7 @@ import numpy as np
 
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.model import Array
-from swimid.fitting.threads import in_threads
+from swimid.fitting.parallel import in_threads
 from swimid.optimisation.performance import TOGETHER, Performance, Point
 from swimid.progress import Progress
 

@@ -16,7 +16,7 @@ from swimid.files import atomic, provenance
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting import genetic
 from swimid.fitting.model import Array
-from swimid.fitting.threads import in_threads
+from swimid.fitting.parallel import in_threads
 from swimid.notices import recorded
 from swimid.optimisation import rule_draws, rule_evidence, sweep
 from swimid.optimisation.grid import points_of

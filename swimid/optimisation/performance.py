@@ -14,8 +14,8 @@ from swimid.errors import InputError, NoTrustworthyResult, UsageError, suggestio
 from swimid.fitting.drives import Beat
 from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Array
+from swimid.fitting.parallel import in_threads
 from swimid.fitting.swimmer import Swimmer
-from swimid.fitting.threads import in_threads
 from swimid.logs.trials import StrokeDrive
 from swimid.results import parameters as parameters_format
 from swimid.simulation import catalogue, swim_quantities

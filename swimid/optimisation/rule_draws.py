@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.model import Array
-from swimid.fitting.threads import in_threads
+from swimid.fitting.parallel import in_threads
 from swimid.optimisation.descent import KEPT_TO, WORST, descend
 from swimid.optimisation.draws import drawn
 from swimid.optimisation.rule import Optimum, RuleFile, fitted

@@ -9,12 +9,12 @@ import numpy as np
 
 from swimid.errors import NoTrustworthyResult
 from swimid.files import provenance
-from swimid.fitting import fit_common, output_error, start_states
+from swimid.fitting import fit_common, output_error
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.fit_result import FitResult
 from swimid.fitting.model import Parameter, chosen
 from swimid.fitting.multistart import agreeing, multistart
-from swimid.fitting.profile import profile_interval
+from swimid.fitting.restarts import profile_interval
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded, warn
 from swimid.options import takes
@@ -182,7 +182,7 @@ def _best_fit(
     if not told:
         best = replace(best, checks=omission_checks(plain, omitted_parameters(plain)))
     forces = force_checks(best.result) if experiment.name == "towed" else []
-    result = start_states.with_held_out(best.result)
+    result = output_error.with_held_out(best.result)
     checks = [*starts, *best.checks, *forces, *([odd_check(result, odd, masses)] if odd else [])]
     facts = {**({"encoder_rounding": name} if name else {}), **best.facts}
     return replace(best, result=result, facts=facts, checks=checks)

@@ -14,7 +14,7 @@ from scipy.stats import ks_2samp, qmc, sobol_indices
 from swimid.errors import NoTrustworthyResult, UsageError, extra_needed
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.model import Array
-from swimid.fitting.threads import in_threads
+from swimid.fitting.parallel import in_threads
 from swimid.progress import Progress, silent
 
 #: Share of the evaluations that may break down.

@@ -17,8 +17,8 @@ from swimid.files import atomic, provenance
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array, Parameter, Trial
+from swimid.fitting.parallel import in_threads
 from swimid.fitting.swimmer import Swimmer
-from swimid.fitting.threads import in_threads
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
 from swimid.options import takes

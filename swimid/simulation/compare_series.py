@@ -11,7 +11,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
-from swimid.fitting import grading, metrics, mistakes, start_states
+from swimid.fitting import grading, metrics, mistakes, output_error
 from swimid.fitting.body import Body
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array, Channel, Model, Trial
@@ -158,7 +158,7 @@ def compared(
 
 
 def start_of(
-    applied: Applied, trial: Trial, refit: bool, tolerance: float = start_states.TOLERANCE
+    applied: Applied, trial: Trial, refit: bool, tolerance: float = output_error.START_TOLERANCE
 ) -> tuple[Array, Start, dict[str, float]]:
     """Parameters of a trial with its start state: from the file, estimated, or neutral."""
     model = applied.model
@@ -187,7 +187,7 @@ def start_of(
         at = zip(model.parameters, _replaced(model, values, start), strict=True)
         held = tuple(replace(p, start=float(v), free=p.name in names) for p, v in at)
         try:
-            labelled = start_states.estimate(model, held, trial, sd, tolerance=tolerance)
+            labelled = output_error.estimate_start(model, held, trial, sd, tolerance=tolerance)
         except (NoTrustworthyResult, np.linalg.LinAlgError):
             continue
         tried = {label.split("[")[0]: v for label, v in labelled.items()}
