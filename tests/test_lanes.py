@@ -36,7 +36,7 @@ from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.spatial import engine as spatial_engine
 from swimid.swimmer.spatial.assembly import Assembly as SpatialAssembly
 from swimid.swimmer.spatial.model import MultibodyModel
-from swimid.swimmer.spatial.planar import Lifted
+from swimid.swimmer.spatial.assembly import Lifted
 from tests import lanes_forms
 from tests.generators import lagrange
 

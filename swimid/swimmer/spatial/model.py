@@ -16,8 +16,7 @@ from swimid.swimmer.lanes.kernel import Engine
 from swimid.swimmer.model import LinkedModel, Run
 from swimid.swimmer.planar.engine import FILLED
 from swimid.swimmer.spatial import engine
-from swimid.swimmer.spatial.assembly import Assembly
-from swimid.swimmer.spatial.planar import Lifted
+from swimid.swimmer.spatial.assembly import Assembly, Lifted
 
 #: Signs of roll, pitch (nose up) and yaw against rotation about x, y and z.
 SIGNS = np.array([1.0, -1.0, 1.0])
