@@ -39,9 +39,8 @@ from benchmarks.bench_diagnose import settings
 from swimid.diagnosis.generic import ResidualForce
 from swimid.effects import catalogue
 from swimid.effects.affected import Affected
-from swimid.fitting.drives import Beat, Cycle
+from swimid.fitting.drives import Beat, Cycle, SwimInput
 from swimid.fitting.hooks import NONE
-from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Trial
 from swimid.robots import file as robot
 from swimid.swimmer.lanes.kernel import Kernel

@@ -17,9 +17,8 @@ from swimid.effects import catalogue
 from swimid.effects.affected import Affected
 from swimid.effects.base import Effect
 from swimid.effects.reading import OtherReading
-from swimid.fitting.drives import Beat
+from swimid.fitting.drives import Beat, RigInput, SwimInput
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.inputs import RigInput, SwimInput
 from swimid.fitting.model import Array, Model, Trial
 from swimid.robots import file as robot_format
 from swimid.swimmer import trials as swimmer_trials

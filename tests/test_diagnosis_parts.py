@@ -41,8 +41,8 @@ from swimid.diagnosis.shrinkage import closed
 from swimid.effects.affected import Affected
 from swimid.effects.base import Effect, Inside
 from swimid.effects.parameter_change import ParameterChange
+from swimid.fitting.drives import CruiseInput, RigInput, SwimInput
 from swimid.fitting.hooks import Hooks, Stroke
-from swimid.fitting.inputs import CruiseInput, RigInput, SwimInput
 from swimid.fitting.model import Model, Parameter, Trial
 from swimid.fitting.problem import Problem
 from swimid.logs.sampling import white_noise_sd

@@ -9,10 +9,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from swimid.fitting.drives import Beat
-from swimid.fitting.energetics import Energetics
-from swimid.fitting.inputs import SwimInput
+from swimid.fitting.drives import Beat, SwimInput
 from swimid.fitting.model import Trial
+from swimid.fitting.swimmer import Energetics
 from swimid.logs.trials import StrokeDrive
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid

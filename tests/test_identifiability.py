@@ -10,7 +10,7 @@ import pytest
 from swimid.fitting import identifiability as idn
 from swimid.fitting import output_error
 from swimid.fitting.fit_result import FitResult
-from swimid.fitting.tied import Tied
+from swimid.fitting.model import Tied
 from tests.toy_models import FRICTION, FRICTION_TRUTH, WEIGHTS, Toy, friction, parameter, trials
 
 TOTAL = float(np.dot(WEIGHTS, FRICTION_TRUTH[1:]))

@@ -18,10 +18,9 @@ import pytest
 from swimid.effects import catalogue as effect_catalogue
 from swimid.effects.affected import Affected
 from swimid.fitting import drives
-from swimid.fitting.inputs import SwimInput
-from swimid.fitting.model import Trial
+from swimid.fitting.drives import SwimInput
+from swimid.fitting.model import Tied, Trial
 from swimid.fitting.problem import Problem
-from swimid.fitting.tied import Tied
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid
 from swimid.robots.planar import Multilink
@@ -35,8 +34,8 @@ from swimid.swimmer.planar.assembly import Assembly as PlanarAssembly
 from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.spatial import engine as spatial_engine
 from swimid.swimmer.spatial.assembly import Assembly as SpatialAssembly
-from swimid.swimmer.spatial.model import MultibodyModel
 from swimid.swimmer.spatial.assembly import Lifted
+from swimid.swimmer.spatial.model import MultibodyModel
 from tests import lanes_forms
 from tests.generators import lagrange
 

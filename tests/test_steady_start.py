@@ -11,8 +11,7 @@ import pytest
 import yaml
 
 from swimid.errors import InputError
-from swimid.fitting.drives import Beat
-from swimid.fitting.inputs import SwimInput
+from swimid.fitting.drives import Beat, SwimInput
 from swimid.fitting.model import Trial
 from swimid.swimmer import trials as swimmer
 from tests.conftest import Ran

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from abc import ABC
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from swimid.effects.base import Effect
-from swimid.fitting.body import Body
 from swimid.fitting.hooks import Force, Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
+
+if TYPE_CHECKING:
+    from swimid.swimmer.planar.body import Body
 
 
 def parameter(

@@ -1,16 +1,103 @@
-"""What models of robots with links have in common, in a plane or in space."""
+"""Interface of models of robots with links, in a plane or in space."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
-from swimid.fitting.body import Axis
-from swimid.fitting.energetics import Energetics
-from swimid.fitting.inputs import SwimInput
+import numpy as np
+
+from swimid.fitting.drives import SwimInput
 from swimid.fitting.model import Array, Model, Trial
 from swimid.robots.file import Robot
+from swimid.robots.planar import Driven
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A joint (or hinge) of a robot file that moves, its column in a log, and the link it turns."""
+
+    joint: Any
+    column: str
+    link: int
+
+    @property
+    def name(self) -> str:
+        """Of the joint."""
+        return str(self.joint.name)
+
+    @property
+    def driven(self) -> Driven | None:
+        """How it follows the drive; None where it yields."""
+        law: Driven | None = self.joint.driven
+        return law
+
+    @property
+    def rate(self) -> str:
+        """The column of its rate."""
+        return self.column.replace("_rad", "_rate_rad_s")
+
+
+@dataclass(frozen=True)
+class Energetics:
+    """What the joints of a run do, over its integration grid.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (m,)
+        Even.
+    torque_N_m, rate_rad_s : ndarray, shape (m, driven joints)
+        Generalised force of each driven joint, on the link behind it, and its rate.
+    passive_torque_N_m, passive_rate_rad_s : ndarray, shape (m, passive joints)
+        The same of joints that yield: what spring, wire and damper do.
+    kinetic_J : ndarray, shape (m,)
+        Kinetic energy of the robot and of the water it carries along.
+    stored_J : ndarray, shape (m,)
+        In the springs of passive joints.
+    water_W : ndarray, shape (m,)
+        Power given to the water by drag, foils and trailing edges.
+    weight_W : ndarray, shape (m,)
+        Power given to constant forces: weight and buoyancy.
+    dissipated_W : ndarray, shape (m,)
+        Power lost in the dampers of passive joints.
+    """
+
+    time_s: Array
+    torque_N_m: Array
+    rate_rad_s: Array
+    passive_torque_N_m: Array
+    passive_rate_rad_s: Array
+    kinetic_J: Array
+    stored_J: Array
+    water_W: Array
+    weight_W: Array
+    dissipated_W: Array
+
+    @property
+    def power_W(self) -> Array:
+        """Mechanical power of each driven joint, shape (m, driven joints)."""
+        return self.torque_N_m * self.rate_rad_s
+
+    def mean(self, power_W: Array) -> float:
+        """Mean of a power over the whole time, W; of even samples, by the trapezoidal rule."""
+        return float(np.trapezoid(power_W, self.time_s) / (self.time_s[-1] - self.time_s[0]))
+
+    def mean_power_W(self) -> float:
+        """Mean mechanical power of all driven joints, W: what they give less what they take back."""
+        return self.mean(self.power_W.sum(axis=1))
+
+    def mean_positive_power_W(self) -> float:
+        """The same for motors that give nothing back: each joint's negative power counts as none, W."""
+        return self.mean(np.maximum(self.power_W, 0.0).sum(axis=1))
+
+    def balance_J(self) -> tuple[float, float]:
+        """Energy the driven joints gave, and what went into water, weight, dampers, springs and motion, J."""
+        duration = self.time_s[-1] - self.time_s[0]
+        gone = duration * self.mean(self.water_W + self.weight_W + self.dissipated_W)
+        kept = self.kinetic_J + self.stored_J
+        return duration * self.mean_power_W(), gone + float(kept[-1] - kept[0])
 
 
 class Cruise(NamedTuple):

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import InputError, NoTrustworthyResult, UsageError, suggestion
-from swimid.fitting.drives import Beat
-from swimid.fitting.inputs import SwimInput
+from swimid.fitting.drives import Beat, SwimInput
 from swimid.fitting.model import Array
 from swimid.fitting.parallel import in_threads
 from swimid.fitting.swimmer import Swimmer

@@ -14,8 +14,7 @@ from swimid.blackbox import trials as arma
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.files.provenance import Input
 from swimid.fitting import drives
-from swimid.fitting.drives import Cycle
-from swimid.fitting.inputs import CruiseInput, RigInput, SurgeInput, SwimInput
+from swimid.fitting.drives import CruiseInput, Cycle, RigInput, SurgeInput, SwimInput
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.swimmer import Swimmer
 from swimid.logs import log as log_format

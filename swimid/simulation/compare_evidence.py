@@ -8,7 +8,6 @@ from typing import TypeVar
 import numpy as np
 
 from swimid.fitting import grading
-from swimid.fitting.body import Body
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.grading import GOOD_SPEED, USABLE_SPEED
 from swimid.fitting.model import Array
@@ -17,6 +16,7 @@ from swimid.results import evidence as ev
 from swimid.simulation import compare_series, compare_strokes_evidence
 from swimid.simulation.compare_series import Compared, Pair
 from swimid.simulation.comparison_file import ChannelScore, ComparisonFile, TrialComparison
+from swimid.swimmer.planar.body import Body
 
 #: Trials drawn one by one.
 MAX_TRIALS = 8

@@ -12,7 +12,6 @@ from scipy.integrate import cumulative_trapezoid
 
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.fitting import grading, metrics, mistakes, output_error
-from swimid.fitting.body import Body
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array, Channel, Model, Trial
 from swimid.logs.derivative import slope
@@ -20,6 +19,7 @@ from swimid.notices import warn
 from swimid.simulation import cases, cycles, swim_quantities
 from swimid.simulation.applied import Applied
 from swimid.simulation.comparison_file import ChannelScore, Cruise, Speed, TrialComparison
+from swimid.swimmer.planar.body import Body
 
 T = TypeVar("T")
 Start = Literal["file", "estimated", "neutral"]

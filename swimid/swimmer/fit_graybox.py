@@ -16,8 +16,7 @@ from swimid.files import atomic, provenance
 from swimid.fitting import fit_common, identifiability, mistakes, multistart, output_error
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.fit_result import FitResult
-from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.fitting.tied import Tied, groups_by_prefix
+from swimid.fitting.model import Array, Model, Parameter, Tied, Trial, groups_by_prefix
 from swimid.logs import trials as trials_format
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded

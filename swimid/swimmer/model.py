@@ -14,13 +14,10 @@ import numpy as np
 
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting import drives
-from swimid.fitting.body import Axis
-from swimid.fitting.drives import Motion
-from swimid.fitting.energetics import Energetics
+from swimid.fitting.drives import Motion, SwimInput
 from swimid.fitting.hooks import NONE, Hooks
-from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Array, Channel, Parameter, Trial, unless_broken
-from swimid.fitting.swimmer import Cruise, Swimmer
+from swimid.fitting.swimmer import Axis, Cruise, Energetics, Swimmer
 from swimid.progress import Progress, silent
 from swimid.robots.file import Robot
 from swimid.swimmer.lanes.kernel import Engine, Kernel

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import InputError, suggestion
-from swimid.fitting.body import Axis
 from swimid.fitting.model import Array, Parameter
+from swimid.fitting.swimmer import Axis
 from swimid.robots.planar import Coefficient, Joint
 from swimid.robots.spatial import Hinge
 from swimid.swimmer.planar.engine import PASSIVE

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Trial, Trials
-from swimid.fitting.scales import MEAN_SPEED, POSITIONS
+from swimid.fitting.model import MEAN_SPEED, POSITIONS
 
 SPEEDS = ("u_m_s", "v_m_s", "w_m_s", MEAN_SPEED)
 #: What a camera, or an encoder on a rig, measures as a length.

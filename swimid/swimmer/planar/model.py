@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from swimid.fitting.drives import Beat
+from swimid.fitting.drives import Beat, SwimInput
 from swimid.fitting.hooks import TRACEABLE, Hooks
-from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Array, Parameter, Trial
 from swimid.progress import Progress, silent
 from swimid.robots.planar import Multilink
@@ -20,7 +19,7 @@ from swimid.swimmer.lanes.wide import Room
 from swimid.swimmer.model import LinkedModel, Run, joint_motion, of_trial
 from swimid.swimmer.planar import drive, engine
 from swimid.swimmer.planar.assembly import Assembly
-from swimid.swimmer.planar.body import PlanarBody, SwimmerScales
+from swimid.swimmer.planar.body import Body, SwimmerScales
 
 #: Grid on which the command of a drive is read, s.
 READ_S = 0.0025
@@ -59,7 +58,7 @@ class MultilinkModel(LinkedModel):
     velocity: tuple[str, str, str]
     tree: Assembly
     #: With the parameters it was made of.
-    _body: tuple[tuple[Parameter, ...], PlanarBody] | None = None
+    _body: tuple[tuple[Parameter, ...], Body] | None = None
 
     def _tree(self) -> Assembly:
         second, v, sideways, turn = PLANES[self.links.plane]
@@ -85,11 +84,11 @@ class MultilinkModel(LinkedModel):
         return -self.links.reference.station_m, self.links.reference.offset_m
 
     @property
-    def body(self) -> PlanarBody:
+    def body(self) -> Body:
         """Its links."""
         known = self._body
         if known is None or known[0] is not self.parameters:
-            known = self._body = self.parameters, PlanarBody(self)
+            known = self._body = self.parameters, Body(self)
         return known[1]
 
     @property
