@@ -20,7 +20,7 @@ from tests.generators import three_link
 BEAT = Beat("sine", 1.5, np.radians(25.0), ramp_s=0.5, phase_rad=0.7)
 
 
-def _model(folder: Path, **drag: float) -> tuple[swimmer.LinkedModel, np.ndarray]:
+def _model(folder: Path, **drag: float) -> tuple[swimmer.Swimmer, np.ndarray]:
     _, model = swimmer.robot_model(str(three_link.robot(folder, **drag)))  # type: ignore[arg-type]
     values = np.array(
         [{**{p.name: p.start for p in model.parameters}, **model.stated()}[p.name] for p in model.parameters]

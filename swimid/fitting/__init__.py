@@ -1,8 +1,7 @@
 """Identification of any model: the model interface, and output error by maximum likelihood.
 
 Interface: ``model`` (parameters, channels, trials, their typical sizes, and parameters that share a value),
-``drives`` (beats, strokes, and other inputs of trials), ``swimmer`` (models of robots with links), ``hooks``
-(effects on a model), ``experiment`` (a model and its trials). Search: ``output_error``, ``problem``,
+``drives`` (beats, strokes, and other inputs of trials), ``hooks`` (effects on a model), ``experiment`` (a model and its trials). Search: ``output_error``, ``problem``,
 ``levenberg``, ``multistart``, ``restarts`` (with profile-likelihood intervals), ``genetic`` (several
 objectives), ``parallel``. Uncertainty: ``noise``, ``sandwich`` (covariance), ``identifiability``,
 ``random_effect``, ``odd_trial``. Judging: ``residual_tests``, ``metrics``, ``grading`` (limits), ``mistakes``

@@ -13,7 +13,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +23,6 @@ from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.drives import CruiseInput, RigInput, SurgeInput, SwimInput
 from swimid.fitting.hooks import NONE, Hooks
 from swimid.progress import Progress, silent
-
-if TYPE_CHECKING:
-    from swimid.fitting.swimmer import Swimmer
 
 Array = NDArray[np.float64]
 #: Columns that hold a position, and the one of a timed run's mean speed.
@@ -257,8 +254,8 @@ class Model(ABC):
         return None
 
     @property
-    def swimmer(self) -> Swimmer | None:
-        """Itself where it is a robot with links; None elsewhere."""
+    def swimmer(self) -> Any:
+        """Itself where it is a robot with links (:class:`swimid.swimmer.model.Swimmer`); None elsewhere."""
         return None
 
     @property
@@ -619,7 +616,7 @@ class Tied(Model):
         return self.model.body
 
     @property
-    def swimmer(self) -> Swimmer | None:
+    def swimmer(self) -> Any:
         """The untied model where it is a robot with links."""
         return self.model.swimmer
 

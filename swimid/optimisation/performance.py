@@ -14,13 +14,13 @@ from swimid.errors import InputError, NoTrustworthyResult, UsageError, suggestio
 from swimid.fitting.drives import Beat, SwimInput
 from swimid.fitting.model import Array
 from swimid.fitting.parallel import in_threads
-from swimid.fitting.swimmer import Swimmer
 from swimid.logs.trials import StrokeDrive
 from swimid.results import parameters as parameters_format
 from swimid.simulation import catalogue, swim_quantities
 from swimid.simulation.applied import Applied, Quantity
 from swimid.simulation.swim_quantities import Steady
 from swimid.swimmer import trials as swimmer
+from swimid.swimmer.model import Swimmer
 
 #: What of a drive may be varied, with its unit: of a beat, and of a stroke.
 BEAT = {"frequency_hz": "Hz", "amplitude_deg": "deg", "bias_deg": "deg", "asymmetry": "1", "lag_deg": "deg"}

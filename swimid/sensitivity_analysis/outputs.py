@@ -14,11 +14,11 @@ from swimid.errors import InputError
 from swimid.fitting import metrics
 from swimid.fitting.drives import Beat, Cycle
 from swimid.fitting.model import Array, Trial
-from swimid.fitting.swimmer import Swimmer
 from swimid.simulation import swim_quantities
 from swimid.simulation.applied import Quantity
 from swimid.simulation.swim_quantities import PER_BEAT
 from swimid.swimmer import stroke_cycles
+from swimid.swimmer.model import Swimmer
 
 #: How the cycles of a trial become one number; what is not here is averaged.
 OVER_CYCLES: dict[str, Callable[[list[float]], Any]] = {

@@ -18,7 +18,6 @@ from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array, Parameter, Trial
 from swimid.fitting.parallel import in_threads
-from swimid.fitting.swimmer import Swimmer
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
 from swimid.options import takes
@@ -51,6 +50,7 @@ from swimid.sensitivity_analysis.outputs import Run
 from swimid.simulation import catalogue, compare_series
 from swimid.simulation.applied import Applied, Quantity
 from swimid.swimmer import trials as swimmer
+from swimid.swimmer.model import Swimmer
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -16,7 +16,6 @@ from swimid.files.provenance import Input
 from swimid.fitting import drives
 from swimid.fitting.drives import CruiseInput, Cycle, RigInput, SurgeInput, SwimInput
 from swimid.fitting.model import Array, Trial
-from swimid.fitting.swimmer import Swimmer
 from swimid.logs import log as log_format
 from swimid.logs import trials as trials_format
 from swimid.logs.beat import find_beat
@@ -36,6 +35,7 @@ from swimid.simulation.run import Case, Quantities
 from swimid.simulation.swim_quantities import Steady
 from swimid.swimmer import stroke_cycles
 from swimid.swimmer import trials as swimmer
+from swimid.swimmer.model import Swimmer
 from swimid.swimmer.planar import drive
 
 #: Length and rate of a run where nothing else says.

@@ -24,11 +24,10 @@ from swimid.logs.trials import Drive, FreeSwim, FreeSwimTrial, Multibody, Stroke
 from swimid.notices import warn
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
-from swimid.swimmer.model import LinkedModel
+from swimid.swimmer.model import Swimmer
 from swimid.swimmer.options import STEP_S
 from swimid.swimmer.planar import drive
 from swimid.swimmer.planar.model import MultilinkModel
-from swimid.swimmer.spatial.model import MultibodyModel
 
 #: The start state is estimated when a log's first stretch moves faster than this share of its top
 #: speed, by more than this many standard errors.
@@ -63,7 +62,7 @@ def robot_model(
     *,
     readings: Mapping[str, str] | None = None,
     max_step: float = STEP_S,
-) -> tuple[Robot, LinkedModel]:
+) -> tuple[Robot, Swimmer]:
     """A robot with links and its model: in space where the file says how, else in its plane.
 
     Raises
@@ -81,6 +80,8 @@ def robot_model(
         )
     try:
         if robot.multibody is not None:
+            from swimid.swimmer.spatial.model import MultibodyModel
+
             return robot, MultibodyModel(robot, max_step=max_step)
         return robot, MultilinkModel(robot, max_step=max_step)
     except InputError as error:
@@ -171,7 +172,7 @@ def load(
     )
 
 
-def _start_state(entry: FreeSwimTrial, chosen: str, *, moving: bool, model: LinkedModel, path: Path) -> str:
+def _start_state(entry: FreeSwimTrial, chosen: str, *, moving: bool, model: Swimmer, path: Path) -> str:
     """State in which a trial begins: ``rest``, ``estimate`` or ``steady``.
 
     Raises
@@ -193,7 +194,7 @@ def _start_state(entry: FreeSwimTrial, chosen: str, *, moving: bool, model: Link
     return state
 
 
-def _in_phase(trial: Trial, model: LinkedModel) -> Trial:
+def _in_phase(trial: Trial, model: Swimmer) -> Trial:
     """The trial with the phase from which a search starts: that of the stated robot's best run."""
     stated = {**{p.name: p.start for p in model.parameters}, **model.stated()}
     values = np.array([stated[p.name] for p in model.parameters])
@@ -227,7 +228,7 @@ def _shape_error(trial: Trial, simulated: Mapping[str, Array]) -> float:
 
 
 def _check_course(
-    path: Path, model: LinkedModel, logs: Sequence[Log], frequencies_hz: Sequence[float | None]
+    path: Path, model: Swimmer, logs: Sequence[Log], frequencies_hz: Sequence[float | None]
 ) -> None:
     """Warn where the robot does not swim where its heading points."""
     if tuple(model.pose) != ("x_m", "y_m", "yaw_rad"):
@@ -289,7 +290,7 @@ def beat_of(command: Drive) -> drives.Beat:
     )
 
 
-def cycle_of(command: StrokeDrive, model: LinkedModel, path: Path | None = None) -> Cycle:
+def cycle_of(command: StrokeDrive, model: Swimmer, path: Path | None = None) -> Cycle:
     """A stroke as the robot file has it.
 
     Raises
@@ -317,9 +318,7 @@ def cycle_of(command: StrokeDrive, model: LinkedModel, path: Path | None = None)
     )
 
 
-def _trial(
-    entry: FreeSwimTrial, path: Path, model: LinkedModel, channels: Sequence[str]
-) -> tuple[Trial, Log]:
+def _trial(entry: FreeSwimTrial, path: Path, model: Swimmer, channels: Sequence[str]) -> tuple[Trial, Log]:
     known = [c.name for c in model.channels]
     commands = [a.column.replace("joint", "cmd") for a in model.driven]
     log = read_log(entry, path.parent, required=tuple(channels), optional=(*known, *commands))
@@ -344,7 +343,7 @@ def _trial(
     return Trial(entry.id, entry.role, log.time_s, measured, inputs=others, swim=swim), log
 
 
-def _headless(model: LinkedModel, log: Log) -> bool:
+def _headless(model: Swimmer, log: Log) -> bool:
     """Whether a log shows where a robot is in its plane, and not its heading: one marker."""
     *place, heading = model.pose
     known = [name in log and np.isfinite(log[name]).any() for name in (*place, heading)]
@@ -360,7 +359,7 @@ def _course(x: Array, y: Array) -> float:
     return math.atan2(across[at], along[at])
 
 
-def _own_coefficients(entry: FreeSwimTrial, path: Path, model: LinkedModel) -> dict[str, float]:
+def _own_coefficients(entry: FreeSwimTrial, path: Path, model: Swimmer) -> dict[str, float]:
     """The coefficients a trial sets for itself."""
     for name in entry.coefficients:
         if name not in model.coefficients:
@@ -385,7 +384,7 @@ def _unwrapped(name: str, values: Array) -> Array:
     return found
 
 
-def _default_channels(model: LinkedModel, log: Log) -> list[str]:
+def _default_channels(model: Swimmer, log: Log) -> list[str]:
     def there(names: Sequence[str]) -> list[str]:
         return [n for n in names if n in log and np.isfinite(log[n]).sum() > 1]
 
@@ -402,7 +401,7 @@ def _default_channels(model: LinkedModel, log: Log) -> list[str]:
     return chosen
 
 
-def _motion(model: LinkedModel, number: int, log: Log) -> tuple[Any, bool]:
+def _motion(model: Swimmer, number: int, log: Log) -> tuple[Any, bool]:
     """A driven joint's motion from its measured angle, or from its commanded one, and whether it was that.
 
     A joint no drive moves (gain 0) stays straight where the log has neither.
@@ -425,7 +424,7 @@ def _motion(model: LinkedModel, number: int, log: Log) -> tuple[Any, bool]:
     )
 
 
-def _beat(entry: FreeSwimTrial, log: Log, model: LinkedModel) -> dict[str, Any] | None:
+def _beat(entry: FreeSwimTrial, log: Log, model: Swimmer) -> dict[str, Any] | None:
     """The beat found in the heading, against the drive's."""
     if entry.drive is None or isinstance(entry.drive, StrokeDrive) or not model.free_base:
         return None
@@ -441,7 +440,7 @@ def _beat(entry: FreeSwimTrial, log: Log, model: LinkedModel) -> dict[str, Any] 
     return None
 
 
-def _moving(trial: Trial, log: Log, model: LinkedModel) -> bool:
+def _moving(trial: Trial, log: Log, model: Swimmer) -> bool:
     """Whether the log begins under way, or its first stretch shows the body or a passive joint in motion."""
     beat = trial.swim.drive
     still = beat is None or getattr(beat, "amplitude_rad", 1.0) == 0
@@ -476,7 +475,7 @@ def _opening(log: Log) -> NDArray[np.bool_]:
     return log.time_s <= log.time_s[0] + max(OPENING_S, 8 * float(np.median(np.diff(log.time_s))))
 
 
-def _starts(trial: Trial, log: Log, model: LinkedModel) -> dict[str, float]:
+def _starts(trial: Trial, log: Log, model: Swimmer) -> dict[str, float]:
     """Where a search for the start state begins: what the fitted channels show of it at first."""
     headless = _headless(model, log)
 

@@ -16,7 +16,7 @@ from swimid.progress import Progress, silent
 from swimid.robots.planar import Multilink
 from swimid.swimmer.lanes.kernel import Engine
 from swimid.swimmer.lanes.wide import Room
-from swimid.swimmer.model import LinkedModel, Run, joint_motion, of_trial
+from swimid.swimmer.model import Run, Swimmer, joint_motion, of_trial
 from swimid.swimmer.planar import drive, engine
 from swimid.swimmer.planar.assembly import Assembly
 from swimid.swimmer.planar.body import Body, SwimmerScales
@@ -28,7 +28,7 @@ READ_S = 0.0025
 PLANES = {"horizontal": ("y", "v", "sway", "yaw"), "vertical": ("z", "w", "heave", "pitch")}
 
 
-class MultilinkModel(LinkedModel):
+class MultilinkModel(Swimmer):
     """A planar multi-link robot (:mod:`swimid.swimmer.planar.engine`).
 
     Parameters
@@ -120,12 +120,12 @@ class MultilinkModel(LinkedModel):
         yield from known[2]
 
     def prepare(self, progress: Progress = silent, **how: Any) -> None:
-        """Compile the kernels (see :meth:`LinkedModel.prepare`)."""
+        """Compile the kernels (see :meth:`Swimmer.prepare`)."""
         prepare(progress)
         super().prepare(progress, **how)
 
     def opening(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
-        """Velocities at the first sample, by parameter (see :meth:`LinkedModel.opening`)."""
+        """Velocities at the first sample, by parameter (see :meth:`Swimmer.opening`)."""
         names = [f"initial_{name}" for name in self.rates]
         found = {name: seen(column, 0) for name, column in zip(names, self.velocity, strict=True)}
         heading = seen(self.pose[2], 0)
