@@ -13,7 +13,7 @@ import numpy as np
 
 from swimid.errors import Interrupted
 from swimid.files import atomic
-from swimid.fitting import grading, metrics
+from swimid.fitting import metrics
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.fit_result import FitResult
 from swimid.fitting.identifiability import combinations, sentences
@@ -388,7 +388,7 @@ def error_checks(result: FitResult, roles: Sequence[str] = ("fit", "validate")) 
     for role in roles:
         known = {name: score for name, score in scores(result, role).items() if name in result.noise}
         white = [name for name in known if ljung_box(_weighted(result, name, role), fitted=0).passed]
-        found += grading.error_checks(known, fitted=result.noise, noise=white, held_out=role == "validate")
+        found += metrics.error_checks(known, fitted=result.noise, noise=white, held_out=role == "validate")
     return found
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import metrics
 from swimid.fitting.drives import Beat, Motion
-from swimid.fitting.grading import GOOD, USABLE
+from swimid.fitting.metrics import GOOD, USABLE
 from swimid.fitting.model import Array, Model, Trial
 from swimid.fitting.residual_tests import autocorrelation
 from swimid.notices import recorded

@@ -36,16 +36,11 @@ ROUNDS = 12
 SETTLED = 0.01
 #: Relative tolerance of the cost while the weights still change, and at the end.
 COARSE, FINE = 1e-3, 1e-10
-#: An estimate at its bound that would lie beyond it by at most this many standard errors may
-#: be there by noise alone.
-BY_NOISE = 2.0
 #: A move by this share of a standard error is no news: the root of :data:`problem.IMMATERIAL`.
 SLIGHT = 0.03
 #: Iterations of one search over all its rounds, and where what it came to is wanted unfinished: three times
 #: what fits of right models take (6 to 25; 52 where simulations break down at the start).
 MAX_ITERATIONS, BUDGET = 200, 75
-#: Derivatives of more numbers than this (samples times unknowns) are taken forward only.
-CENTRAL_NUMBERS = 50_000
 #: The integration step is halved until halving it changes no sample by more than this many
 #: standard deviations of its noise, at most so many times.
 STEP_ERROR = 0.1
@@ -457,7 +452,7 @@ def _influences(
 def _result(search: _Search, task: _Task) -> FitResult:
     problem, theta = search.problem, search.theta
     samples = sum(int(mask.sum()) for masks in problem.masks for mask in masks)
-    raw, residuals, rows = _influences(problem, theta, central=samples * len(theta) <= CENTRAL_NUMBERS)
+    raw, residuals, rows = _influences(problem, theta, central=samples * len(theta) <= 50_000)
     autoregressions = noise_model.autoregressions(problem, residuals)
     priors = problem.priors(theta)
     rows = [np.vstack((a, b * problem.scale)) for a, (_, b) in zip(rows, priors, strict=True)]
@@ -534,7 +529,8 @@ def _by_noise(
         sd = np.sqrt(np.maximum(np.diag(found.covariance), 1e-300))
         beyond = np.where(np.isfinite(sd) & (outward[free] != 0), outward[free] * found.step / sd, 0.0)
         worst = int(np.argmax(beyond))
-        if beyond[worst] <= BY_NOISE:
+        # within two standard errors a bound may hold it by noise alone
+        if beyond[worst] <= 2.0:
             return free, found
         free[np.flatnonzero(free)[worst]] = False
     return free, None

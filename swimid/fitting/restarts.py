@@ -22,8 +22,6 @@ PAIRS, PAIR_DISTANCE = 3, 2.0
 #: A cost of a pair of points that is off by more than this share of what curvature predicts (or of a standard
 #: error's worth) has corners.
 ROUGH = 0.5
-#: Of that less is left at a quarter of the distance where a bend is the cause (1/256; 1/16 where stairs are).
-VANISHING = 1.0 / 32.0
 #: Distances, in the same standard errors, from which short searches start, and those where it has corners.
 FAR, FAR_ROUGH = (10.0,), (3.0, 10.0, 30.0, 100.0, 3.0, 10.0, 30.0, 100.0)
 #: Iterations of such a search, and of the two that came lowest where the cost has corners.
@@ -31,8 +29,6 @@ SHORT, LONG = 3, 10
 #: Sizes a parameter with corners is tried at: in its scale, where the search may have gone far astray, and in
 #: its estimate, since a decay that sticks has a minimum for every number of half swings it may take.
 SIZES, FACTORS = (0.25, 1.0, 3.0), (0.6, 0.8, 0.9, 1.1, 1.25, 1.6)
-#: Share of its distance from the answer that a step leaves of it at most, to be on the way back.
-RETURNED = 0.5
 #: How far inside a parameter at its bound is tried, in its scale.
 INSIDE = 1.0
 #: Relative size beyond which a step along a direction the data hardly see does not go.
@@ -141,7 +137,8 @@ def _smooth(problem: Problem, theta: Array, rows: Array, step: Array, off: float
         step = step / 4.0
         predicted = float(np.sum((rows @ step) ** 2))
         nearer = 0.5 * (_cost(problem, theta + step) + _cost(problem, theta - step)) - here - predicted
-        if abs(nearer) < VANISHING * abs(off):
+        # 1/256 is left of a bend at a quarter of the distance, 1/16 of stairs
+        if abs(nearer) < 1.0 / 32.0 * abs(off):
             return True
         off = nearer
     return False
@@ -169,7 +166,7 @@ def _stepped(problem: Problem, start: Array, rows: Array) -> tuple[float, Array]
 def _back(rows: Array, theta: Array, start: Array, end: Array) -> bool:
     """Whether an end is on the way back to the answer, ways measured by what they change in the residuals."""
     before, after = (float(np.linalg.norm(rows @ (point - theta))) for point in (start, end))
-    return after <= RETURNED * before
+    return after <= 0.5 * before
 
 
 def _searched(

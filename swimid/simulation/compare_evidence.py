@@ -7,9 +7,9 @@ from typing import TypeVar
 
 import numpy as np
 
-from swimid.fitting import grading
+from swimid.fitting import metrics
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.grading import GOOD_SPEED, USABLE_SPEED
+from swimid.fitting.metrics import GOOD_SPEED, USABLE_SPEED
 from swimid.fitting.model import Array
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
@@ -45,12 +45,12 @@ def checks(file: ComparisonFile, fitted: Iterable[str]) -> list[ev.Check]:
     fitted : iterable of str
         Channels that the parameters were fitted to.
     """
-    graded = grading.error_checks(file.channels, fitted=fitted)
+    graded = metrics.error_checks(file.channels, fitted=fitted)
     share = _speed_share(file)
     if share is not None:
         what = "root-mean-square difference over the trials, over the root mean square measured"
         graded.append(
-            grading.share_check("error of mean speeds", share, GOOD_SPEED, USABLE_SPEED, "measured", what)
+            metrics.share_check("error of mean speeds", share, GOOD_SPEED, USABLE_SPEED, "measured", what)
         )
     graded += _cruise_checks(file)
     own = [t.id for t in file.trials if t.start == "estimated"]
@@ -90,7 +90,7 @@ def _cruise_checks(file: ComparisonFile) -> list[ev.Check]:
         return [blocks.check("cruising speed", "not tested", "steady swimming in a trial", False, text=text)]
     measured, settles = np.array(rows).T
     share = float(np.sqrt(np.mean((measured - settles) ** 2) / np.mean(measured**2)))
-    return [grading.share_check("cruising speed", share, GOOD_SPEED, USABLE_SPEED, "measured", text)]
+    return [metrics.share_check("cruising speed", share, GOOD_SPEED, USABLE_SPEED, "measured", text)]
 
 
 def _speed_share(file: ComparisonFile) -> float | None:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
-from swimid.fitting import grading, metrics, mistakes, output_error
+from swimid.fitting import metrics, mistakes, output_error
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array, Channel, Model, Trial
 from swimid.logs.derivative import slope
@@ -326,7 +326,7 @@ def _cruise(applied: Applied, trial: Trial, values: Array, pairs: Mapping[str, P
     return Cruise(
         settled=found.speed_m_s,
         settling_s=found.settling_s,
-        steady=abs(late - early) <= grading.GOOD_SPEED * abs(late),
+        steady=abs(late - early) <= metrics.GOOD_SPEED * abs(late),
     )
 
 

@@ -36,11 +36,6 @@ from swimid.swimmer.options import FitGrayboxOptions
 if TYPE_CHECKING:
     from swimid.swimmer.front import Found
 
-#: Number of starts by default, where a search is begun again at all.
-DEFAULT_STARTS = 4
-#: A search of fewer integration steps than this is short: it takes about a second on one processor (1.3 us a
-#: step of the tendon fish, ``python -m benchmarks.bench_lanes``).
-SHORT_SEARCH = 1e6
 #: Jacobians that a fit takes, about; the work ahead need be known to half only.
 STEPS = 20
 
@@ -346,7 +341,7 @@ def _least_squares(
         )  # fmt: skip
         if options.starts is not None or first.interrupted or not _deserves_starts(first):
             return first, [], starts
-        starts = DEFAULT_STARTS
+        starts = 4
     result, ends = multistart.multistart(
         model, trials, parameters, starts=starts, seed=options.seed, begins=begins,
         jobs=jobs, loss=loss, first=first, progress=progress,
@@ -361,7 +356,8 @@ def _deserves_starts(first: FitResult) -> bool:
     lengths = [float(t.time_s[-1] - t.time_s[0]) for t in first.trials]
     steps = first.evaluations * float(np.mean(lengths)) / swimmer_model.max_step
     failing = [c for c in fit_common.error_checks(first, roles=("fit",)) if c.verdict == "fail"]
-    return steps < SHORT_SEARCH or not first.converged or bool(failing)
+    # about a second on one processor (1.3 us a step of the tendon fish, benchmarks.bench_lanes)
+    return steps < 1e6 or not first.converged or bool(failing)
 
 
 def _tied(model: Model, share: Sequence[str]) -> Model:

@@ -17,9 +17,6 @@ from swimid.robots.file import Robot
 from swimid.robots.planar import Multilink
 from swimid.robots.spatial import Multibody
 
-#: The beat of a channel is searched up to this multiple of the drive's frequency: surge beats at twice it.
-BEAT_HARMONICS = 3.5
-
 
 def body_of(robot: Robot) -> Multilink | Multibody:
     """Return the links of a robot: in space where its file says how, else in its plane."""
@@ -159,7 +156,8 @@ def _phase(s: Series, drive: Beat | None) -> str:
     highest = None
     if drive is not None and there.sum() > 1:
         rate = 1.0 / float(np.median(np.diff(s.time_s[there])))
-        highest = min(BEAT_HARMONICS * drive.frequency_hz, 0.45 * rate)
+        # surge beats at twice the frequency of the drive
+        highest = min(3.5 * drive.frequency_hz, 0.45 * rate)
     beat = find_beat(s.time_s[there], s.measured[there], highest_hz=highest)
     if beat is None:
         return ""

@@ -215,13 +215,32 @@ def _numbered(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _read(path: Path, profiles: Profiles) -> pd.DataFrame:
-    """A front file's points, where they belong to these trials."""
-    table = read(path)
-    scored = [name for name in table.columns[2:] if name.endswith("]")]
-    coefficients = [name for name in table.columns[2:] if name not in scored]
-    if sorted(coefficients) != sorted(profiles.labels):
+    """Read the points of a front of these trials: their profile, coefficients and objectives.
+
+    Raises
+    ------
+    InputError
+        For a file that is no front, or the front of other coefficients, profiles or channels.
+    """
+    try:
+        table = pd.read_csv(path, dtype={"profile": str})
+    except FileNotFoundError as error:
+        raise InputError("there is no such file", file=path) from error
+    except (ValueError, UnicodeDecodeError) as error:
+        raise InputError(f"is no table: {error}", file=path) from error
+    names = [str(column) for column in table.columns]
+    scored = [name for name in names if name.endswith("]")]
+    points = [name for name in names[2:] if name not in scored]
+    if names[:2] != ["index", "profile"] or not scored or not points or table.empty:
         raise InputError(
-            f"is a front of {', '.join(coefficients)}, and these are estimated: {', '.join(profiles.labels)}",
+            "holds no front: its columns are index, profile, coefficients, and objectives such as "
+            "position[characteristic]",
+            file=path,
+            hint="give the .front.csv that an earlier --method nsga2 or hybrid wrote",
+        )
+    if sorted(points) != sorted(profiles.labels):
+        raise InputError(
+            f"is a front of {', '.join(points)}, and these are estimated: {', '.join(profiles.labels)}",
             file=path,
             hint="give the same --fix, --free and --share as when it was made",
         )
@@ -231,6 +250,10 @@ def _read(path: Path, profiles: Profiles) -> pd.DataFrame:
             file=path,
             hint="give the trials file and --channels it was made with",
         )
+    for column in [*points, *scored]:
+        bad = np.flatnonzero(~np.isfinite(pd.to_numeric(table[column], errors="coerce").to_numpy()))
+        if len(bad):
+            raise InputError("holds no number", file=path, line=int(bad[0]) + 2, column=column)
     return _numbered(table[["profile", *profiles.labels, *profiles.columns]])
 
 
@@ -253,37 +276,6 @@ def save(output: Path, found: Found, options: FitGrayboxOptions) -> list[Path]:
         return []
     atomic.write_text(path, found.table.to_csv(index=False))
     return [path]
-
-
-def read(path: Path) -> pd.DataFrame:
-    """Read the points of a front: their index, profile, coefficients and objectives.
-
-    Raises
-    ------
-    InputError
-        For a file that is none.
-    """
-    try:
-        table = pd.read_csv(path, dtype={"profile": str})
-    except FileNotFoundError as error:
-        raise InputError("there is no such file", file=path) from error
-    except (ValueError, UnicodeDecodeError) as error:
-        raise InputError(f"is no table: {error}", file=path) from error
-    names = [str(c) for c in table.columns]
-    scored = [n for n in names if n.endswith("]") and "[" in n]
-    points = [n for n in names[2:] if n not in scored]
-    if names[:2] != ["index", "profile"] or not scored or not points or table.empty:
-        raise InputError(
-            "holds no front: its columns are index, profile, coefficients, and objectives such as "
-            "position[characteristic]",
-            file=path,
-            hint="give the .front.csv that an earlier --method nsga2 or hybrid wrote",
-        )
-    for column in [*points, *scored]:
-        bad = np.flatnonzero(~np.isfinite(pd.to_numeric(table[column], errors="coerce").to_numpy()))
-        if len(bad):
-            raise InputError("holds no number", file=path, line=int(bad[0]) + 2, column=column)
-    return table
 
 
 # ---------------------------------------------------------------- what it shows

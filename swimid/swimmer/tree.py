@@ -18,8 +18,6 @@ from swimid.robots.spatial import Hinge
 from swimid.swimmer.planar.engine import PASSIVE
 from swimid.swimmer.polynomial import Polynomial, Table
 
-#: Tables of so many sets of coefficients are kept.
-KEPT_TABLES = 64
 #: Keys that hold words, not quantities.
 WORDS = {
     "name",
@@ -271,7 +269,7 @@ class Tree(ABC):
         known = self._known.get(key)
         if known is None:
             known = self._filled(values)
-            if len(self._known) >= KEPT_TABLES:
+            if len(self._known) >= 64:
                 self._known.clear()
             self._known[key] = known
         return dict(known)

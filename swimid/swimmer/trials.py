@@ -37,8 +37,6 @@ OPENING_S = 0.3
 #: Fewest samples in it from which anything is said, and the F ratio from which a more pliant curve counts.
 MIN_OPENING = 7
 BETTER = 6.0
-#: Share of the drive's ramp after which a log that begins there begins in motion.
-UNDER_WAY = 0.3
 #: The keys of a trials file that are used, by experiment.
 USES = dict.fromkeys(
     ("free-swim", "multibody"),
@@ -46,14 +44,8 @@ USES = dict.fromkeys(
     | {"trials.coefficients", "trials.drive", "trials.start_state"}
     | {f"trials.drive.{key}" for kind in (Drive, StrokeDrive) for key in kind.model_fields},
 )
-#: The beat is looked for up to this multiple of the stated frequency.
-BEAT_RANGE = 8.0
-#: Largest range of a heading that jumps by whole turns, rad: one turn and the noise of a twentieth.
-WRAPPED_RANGE = 2.1 * math.pi
 #: Phases of the drive tried for a trial that begins in steady swimming.
 PHASES = 12
-#: A track has set out once it is this share of its farthest from where it began.
-SETS_OUT = 0.25
 
 
 def robot_model(
@@ -355,7 +347,7 @@ def _course(x: Array, y: Array) -> float:
     there = np.isfinite(x) & np.isfinite(y)
     along, across = x[there] - x[there][0], y[there] - y[there][0]
     gone = np.hypot(along, across)
-    at = int(np.argmax(gone >= SETS_OUT * gone.max()))
+    at = int(np.argmax(gone >= 0.25 * gone.max()))
     return math.atan2(across[at], along[at])
 
 
@@ -379,7 +371,8 @@ def _unwrapped(name: str, values: Array) -> Array:
     there = np.isfinite(values)
     found = values.copy()
     # values beyond one turn do not jump: they go on, or they are no radians
-    if there.any() and np.ptp(values[there]) <= WRAPPED_RANGE:
+    # one turn, and the noise of a twentieth
+    if there.any() and np.ptp(values[there]) <= 2.1 * math.pi:
         found[there] = np.unwrap(values[there])
     return found
 
@@ -434,7 +427,7 @@ def _beat(entry: FreeSwimTrial, log: Log, model: Swimmer) -> dict[str, Any] | No
         if name in log and np.isfinite(log[name]).sum() > 16:
             seen = np.isfinite(log[name])
             time = log.time_s[seen]
-            highest = min(BEAT_RANGE * entry.drive.frequency_hz, 0.45 / float(np.median(np.diff(time))))
+            highest = min(8.0 * entry.drive.frequency_hz, 0.45 / float(np.median(np.diff(time))))
             found = find_beat(time, log[name][seen], highest_hz=highest)
             return stated_against_found(entry.id, entry.drive.frequency_hz, found, used="stated")
     return None
@@ -445,7 +438,7 @@ def _moving(trial: Trial, log: Log, model: Swimmer) -> bool:
     beat = trial.swim.drive
     still = beat is None or getattr(beat, "amplitude_rad", 1.0) == 0
     begun = 0.0 if still else trial.time_s[0]
-    if beat is not None and begun > max(UNDER_WAY * beat.ramp_s, OPENING_S):
+    if beat is not None and begun > max(0.3 * beat.ramp_s, OPENING_S):
         return True
     body = (*model.pose, *model.velocity) if model.free_base else ()
     joints = tuple(a.column for a in model.passive)
