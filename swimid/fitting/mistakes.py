@@ -163,11 +163,6 @@ def catalogue(model: Model, trials: Sequence[Trial]) -> list[Mistake]:
     return found
 
 
-def _renamed(trial: Trial, says: str) -> Trial:
-    """The trial under a name of its own: models keep what they simulated by the name."""
-    return replace(trial, id=f"{trial.id} ({says})")
-
-
 def _changed(
     model: Model, says: str, factors: Mapping[str, float], offsets: Mapping[str, float] | None = None
 ) -> Mistake:
@@ -287,7 +282,8 @@ def screened(
             changed = mistake.undo(trial)
             if changed is None or trial.id not in before:
                 continue
-            changed = _renamed(changed, mistake.says)
+            # models keep what they simulated by the id of the trial
+            changed = replace(changed, id=f"{trial.id} ({mistake.says})")
             try:
                 # a correction that cannot be simulated is no problem of the recording
                 with recorded():

@@ -217,14 +217,14 @@ def _insist(
         )
     if not result.converged:
         kept = f"; what it came to is in {output}, marked so" if output else ""
-        raise NoTrustworthyResult(
-            f"the fit did not converge: {result.message}{kept}",
-            hint=told.sentence
-            if told is not None
-            else "the model may lack an effect, which its coefficients cannot stand in for: swimid diagnose "
-            f"{trials_format.place(source)}{f' --params {output}' if output else ''} -o gap.yaml; "
-            "if not, check units and trial settings",
+        params = f" --params {output}" if output else ""
+        hint = (
+            f"the model may lack an effect: swimid diagnose {trials_format.place(source)}{params} -o gap.yaml "
+            "finds it; if not, check units and trial settings"
         )
+        if told is not None:
+            hint = told.sentence
+        raise NoTrustworthyResult(f"the fit did not converge: {result.message}{kept}", hint=hint)
     unknown = [label for label in result.shared if result.status[label] == "unidentifiable"]
     if unknown and unknown == result.shared and not file.derived:
         raise NoTrustworthyResult(
@@ -235,9 +235,7 @@ def _insist(
 
 def _insist_steady(experiment: Experiment, parameters: Sequence[Parameter]) -> None:
     """Refuse trials that begin in steady swimming where the model has none."""
-    swimmer_model = experiment.model.swimmer
-    stated = experiment.model.stated()
-    assert swimmer_model is not None
+    swimmer_model, stated = experiment.model.swimmer, experiment.model.stated()
     known = {p.name: p.start for p in parameters if p.name in [q.name for q in swimmer_model.parameters]}
     starts = {p.name: known.get(p.name, p.start) for p in swimmer_model.parameters}
     fixed = {p.name for p in parameters if not p.free}
@@ -351,10 +349,8 @@ def _least_squares(
 
 def _deserves_starts(first: FitResult) -> bool:
     """Whether a search is begun again from other points: it was short, or its answer is bad."""
-    swimmer_model = first.model.swimmer
-    assert swimmer_model is not None
     lengths = [float(t.time_s[-1] - t.time_s[0]) for t in first.trials]
-    steps = first.evaluations * float(np.mean(lengths)) / swimmer_model.max_step
+    steps = first.evaluations * float(np.mean(lengths)) / first.model.swimmer.max_step
     failing = [c for c in fit_common.error_checks(first, roles=("fit",)) if c.verdict == "fail"]
     # about a second on one processor (1.3 us a step of the tendon fish, benchmarks.bench_lanes)
     return steps < 1e6 or not first.converged or bool(failing)

@@ -27,13 +27,13 @@ def body_of(robot: Robot) -> Multilink | Multibody:
 
 def track(experiment: Experiment, result: FitResult) -> list[ev.Figure]:
     """Draw the paths where the pose was fitted; in space from above and from the side."""
-    swimmer, body = result.model.swimmer, body_of(experiment.robot)
-    assert swimmer is not None
+    body = body_of(experiment.robot)
     if isinstance(body, Multibody):
         views = [_path(result, "x_m", "z_m", "from the side"), _path(result, "x_m", "y_m", "from above")]
     else:
         view = "from above" if body.plane == "horizontal" else "from the side"
-        views = [_path(result, swimmer.pose[0], swimmer.pose[1], view)]
+        across, along, *_ = result.model.swimmer.pose
+        views = [_path(result, across, along, view)]
     panels = [panel for panel in views if panel.traces]
     caption = "Points are measured, lines simulated with the estimated parameters."
     return [ev.Figure(id="track", title="Paths", caption=caption, panels=panels, columns=2)] if panels else []
@@ -176,14 +176,12 @@ def methods(
     fitted = sum(t.role == "fit" for t in result.trials)
     body = body_of(experiment.robot)
     kind = "planar model" if isinstance(body, Multilink) else "model in space"
-    swimmer = result.model.swimmer
-    assert swimmer is not None
     by = "the search on the front" if method == "nsga2" else "output-error maximum likelihood"
     said = [
         f"{', '.join(result.shared)} were estimated from {fitted} {experiment.name} trials "
         f"({result.samples} samples of {', '.join(result.noise)}) by {by} with a {kind} of "
         f"{len(body.links)} links, integrated by a fourth-order Runge-Kutta method with steps of at most "
-        f"{1e3 * swimmer.max_step:g} ms; halving them changes no sample by more than "
+        f"{1e3 * result.model.swimmer.max_step:g} ms; halving them changes no sample by more than "
         f"{result.step_error:.2g} standard deviations of its noise.",
         fit_common.COVARIANCE,
     ]

@@ -140,7 +140,7 @@ def search(
         When it is interrupted, or every simulation breaks down.
     """
     if options.front is not None:
-        table, searches = _read(options.front, profiles), {}
+        table, searches = read(options.front, profiles), {}
     else:
         searches = _searched(profiles, options, checkpoint, progress)
         table = _joined(profiles, searches)
@@ -214,7 +214,7 @@ def _numbered(table: pd.DataFrame) -> pd.DataFrame:
     return table.assign(index=np.arange(len(table)))[["index", *table.columns.drop("index", errors="ignore")]]
 
 
-def _read(path: Path, profiles: Profiles) -> pd.DataFrame:
+def read(path: Path, profiles: Profiles) -> pd.DataFrame:
     """Read the points of a front of these trials: their profile, coefficients and objectives.
 
     Raises

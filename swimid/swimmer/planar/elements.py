@@ -61,17 +61,14 @@ class Tables:
         turning: Polynomial,
     ) -> None:
         """Add a mass (which may differ by direction) at a point, and a moment of inertia about it."""
-        row = self.inertia[self.index[link]]
-        terms: Row = [
-            forward,
-            0.0,
-            -(forward * y),
-            port,
-            port * x,
-            turning + forward * y * y + port * x * x,
-        ]
-        self.inertia[self.index[link]] = [
-            Polynomial.of(a) + Polynomial.of(b) for a, b in zip(row, terms, strict=True)
+        about = turning + forward * y * y + port * x * x
+        self.add_to(link, [forward, 0.0, -(forward * y), port, port * x, about])
+
+    def add_to(self, link: str, terms: Row) -> None:
+        """Add terms to the row of inertia of a link."""
+        at = self.index[link]
+        self.inertia[at] = [
+            Polynomial.of(a) + Polynomial.of(b) for a, b in zip(self.inertia[at], terms, strict=True)
         ]
 
 

@@ -89,7 +89,7 @@ class Assembly(Tree):
         moments = [*link.inertia_kg_m2, *[0.0] * (6 - len(link.inertia_kg_m2))]
         xx, yy, zz, xy, xz, yz = place(moments)
         turning = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
-        rows.add_inertia(link.name, diagonal((mass, mass, mass)), place(link.com_m), turning)
+        rows.add_mass(link.name, diagonal((mass, mass, mass)), place(link.com_m), turning)
 
     def _place(self, joint: Hinge | None) -> Row:
         if joint is None:

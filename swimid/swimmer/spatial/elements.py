@@ -25,6 +25,7 @@ from swimid.robots.spatial import (
     Spheroid,
     Water,
 )
+from swimid.swimmer.planar import elements as planar
 from swimid.swimmer.polynomial import Polynomial
 
 Quantity = Polynomial | float
@@ -32,30 +33,15 @@ Row = list[Quantity]
 
 
 @dataclass
-class Tables:
+class Tables(planar.Tables):
     """Rows being collected, as polynomials.
 
-    Attributes
-    ----------
-    density_kg_m3, gravity_m_s2 : float
-    index : dict of link name to int
-    inertia : list of rows, one per link
-        Columns of ``engine.INERTIA``.
-    drag, damping, foil, force, wake : list of (link index, row)
-        Columns of the engine's tables of these names.
+    The tables of a planar robot, with ``damping``: (link index, row) in columns of ``engine.DAMPING``.
     """
 
-    density_kg_m3: float
-    gravity_m_s2: float
-    index: dict[str, int]
-    inertia: list[Row]
-    drag: list[tuple[int, Row]] = field(default_factory=list)
     damping: list[tuple[int, Row]] = field(default_factory=list)
-    foil: list[tuple[int, Row]] = field(default_factory=list)
-    force: list[tuple[int, Row]] = field(default_factory=list)
-    wake: list[tuple[int, Row]] = field(default_factory=list)
 
-    def add_inertia(
+    def add_mass(
         self,
         link: str,
         mass: Sequence[Sequence[Quantity]],
@@ -63,11 +49,7 @@ class Tables:
         turning: Sequence[Sequence[Quantity]] | None = None,
     ) -> None:
         """Add a mass (which may differ by direction) at a place, and a moment of inertia about it."""
-        terms = block(mass, at, turning or diagonal((0.0, 0.0, 0.0)))
-        row = self.inertia[self.index[link]]
-        self.inertia[self.index[link]] = [
-            Polynomial.of(a) + Polynomial.of(b) for a, b in zip(row, terms, strict=True)
-        ]
+        self.add_to(link, block(mass, at, turning or diagonal((0.0, 0.0, 0.0))))
 
 
 def place(vector: Sequence[Any]) -> list[Polynomial]:
@@ -124,7 +106,7 @@ def full(row: Array) -> Array:
 
 def _added_mass(element: AddedMass, body: Body, tables: Tables) -> None:
     """Added mass along the axes of a link, and added inertia about them. Add the masses at their place."""
-    tables.add_inertia(
+    tables.add_mass(
         body.name,
         diagonal(place(element.mass_kg)),
         place(element.at_m),
@@ -169,7 +151,7 @@ def _spheroid(element: Spheroid, body: Body, tables: Tables) -> None:
     # turning about z moves water sideways, about y up and down: the factors go with it
     _, sideways, upwards = place(element.factors)
     about = (0.0, upwards * inertia, sideways * inertia)
-    tables.add_inertia(body.name, diagonal(masses), place(element.at_m), diagonal(about))
+    tables.add_mass(body.name, diagonal(masses), place(element.at_m), diagonal(about))
 
 
 def _plate(element: Plate, body: Body, tables: Tables) -> None:
@@ -178,7 +160,7 @@ def _plate(element: Plate, body: Body, tables: Tables) -> None:
     Add ``pi rho k b c^2 / 4`` across the plate, at its place.
     """
     mass = 0.25 * math.pi * tables.density_kg_m3 * element.span_m * element.chord_m**2
-    tables.add_inertia(body.name, along(element.normal, Polynomial.of(element.k) * mass), place(element.at_m))
+    tables.add_mass(body.name, along(element.normal, Polynomial.of(element.k) * mass), place(element.at_m))
 
 
 def _drag(element: Drag, body: Body, tables: Tables) -> None:
@@ -256,7 +238,7 @@ def _water(element: Water, body: Body, tables: Tables) -> None:
     """
     mass = tables.density_kg_m3 * Polynomial.of(element.volume_m3)
     about = [mass * float(k) ** 2 for k in element.gyration_m]
-    tables.add_inertia(body.name, diagonal((mass, mass, mass)), place(element.at_m), diagonal(about))
+    tables.add_mass(body.name, diagonal((mass, mass, mass)), place(element.at_m), diagonal(about))
     if element.weighs:
         row: Row = [*place(element.at_m), 0.0, 0.0, -tables.gravity_m_s2 * mass, 1.0, 0.0]
         tables.force.append((tables.index[body.name], row))
