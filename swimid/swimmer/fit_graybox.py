@@ -219,8 +219,8 @@ def _insist(
         kept = f"; what it came to is in {output}, marked so" if output else ""
         params = f" --params {output}" if output else ""
         hint = (
-            f"the model may lack an effect: swimid diagnose {trials_format.place(source)}{params} -o gap.yaml "
-            "finds it; if not, check units and trial settings"
+            "the model may lack an effect, which this looks for: swimid diagnose "
+            f"{trials_format.place(source)}{params} -o gap.yaml; if not, check units and trial settings"
         )
         if told is not None:
             hint = told.sentence
