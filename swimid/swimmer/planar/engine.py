@@ -397,7 +397,26 @@ def derivative(  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def integrate(start, step, table, *given):  # type: ignore[no-untyped-def]
+def integrate(  # type: ignore[no-untyped-def]
+    start,
+    step,
+    table,
+    topology,
+    joint,
+    inertia,
+    passive,
+    drag_link,
+    drag,
+    foil_link,
+    foil,
+    force_link,
+    force,
+    wake_link,
+    wake,
+    free_base,
+    forced,
+    begin,
+):
     """States and their rates on the step grid, by fourth-order Runge-Kutta with fixed steps.
 
     Parameters
@@ -406,17 +425,17 @@ def integrate(start, step, table, *given):  # type: ignore[no-untyped-def]
     step : float, s
     table : ndarray, shape (2 steps + 1, driven joints, 5)
         Driven joints on the half-step grid; see :func:`derivative`.
-    *given
-        As :func:`derivative` takes them, from ``topology`` to ``forced``, and the time of the first state, s,
-        for the forces from outside.
+    begin : float, s
+        Time of the first state, for the forces from outside. Given by name or left to a default, a None for
+        ``forced`` would cost half as much again: it must be an argument for the compiler to leave them out.
+    others
+        As :func:`derivative`.
 
     Returns
     -------
     states, rates : ndarray, shape (steps + 1, 2 n)
         NaN from where the motion breaks down.
     """
-    topology, joint, inertia, passive, drag_link, drag, foil_link, foil = given[:8]
-    force_link, force, wake_link, wake, free_base, forced, begin = given[8:]
     steps = (table.shape[0] - 1) // 2
     size = len(start)
     n = size // 2
@@ -510,7 +529,24 @@ def _accelerate(state, rate, topology, joint, inertia, work, moved):  # type: ig
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def energetics(states, rates, table, *tables):  # type: ignore[no-untyped-def]
+def energetics(  # type: ignore[no-untyped-def]
+    states,
+    rates,
+    table,
+    topology,
+    joint,
+    inertia,
+    passive,
+    drag_link,
+    drag,
+    foil_link,
+    foil,
+    force_link,
+    force,
+    wake_link,
+    wake,
+    free_base,
+):
     """Joint torques of a run by inverse dynamics, and where the energy goes.
 
     Parameters
@@ -519,8 +555,8 @@ def energetics(states, rates, table, *tables):  # type: ignore[no-untyped-def]
         As :func:`integrate` gives them, without forces from outside.
     table : ndarray, shape (m, driven joints, 5)
         Driven joints at the same instants.
-    *tables
-        As :func:`derivative` takes them, from ``topology`` to ``free_base``.
+    others
+        As :func:`derivative`.
 
     Returns
     -------
@@ -535,8 +571,6 @@ def energetics(states, rates, table, *tables):  # type: ignore[no-untyped-def]
     -----
     ``sum(torque * joint rate) = d(kinetic energy)/dt + both powers`` over all joints.
     """
-    topology, joint, inertia = tables[:3]
-    drag_link, drag, foil_link, foil, force_link, force, wake_link, wake = tables[4:12]
     count, links = states.shape[0], topology.shape[0]
     torque, flow = np.empty((count, links)), np.empty((count, 3))
     work, before, moved = np.zeros((links, 19)), np.zeros((links, 3)), np.zeros((links, 3))

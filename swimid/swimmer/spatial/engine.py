@@ -587,7 +587,27 @@ def settled(state):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def integrate(start, step, table, *tables):  # type: ignore[no-untyped-def]
+def integrate(  # type: ignore[no-untyped-def]
+    start,
+    step,
+    table,
+    topology,
+    joint,
+    inertia,
+    passive,
+    drag_link,
+    drag,
+    damping_link,
+    damping,
+    foil_link,
+    foil,
+    force_link,
+    force,
+    wake_link,
+    wake,
+    surface,
+    free_base,
+):
     """States and their rates on the step grid, by fourth-order Runge-Kutta with fixed steps.
 
     Parameters
@@ -596,16 +616,14 @@ def integrate(start, step, table, *tables):  # type: ignore[no-untyped-def]
     step : float, s
     table : ndarray, shape (2 steps + 1, driven hinges, 5)
         Driven hinges on the half-step grid; see :func:`derivative`.
-    *tables
-        As :func:`derivative` takes them, from ``topology`` to ``free_base``.
+    others
+        As :func:`derivative`.
 
     Returns
     -------
     states, rates : ndarray, shape (steps + 1, 13 + 2 passive hinges)
         NaN from where the motion breaks down. The quaternion is brought back to length 1 after each step.
     """
-    topology, joint, inertia, passive, drag_link, drag, damping_link, damping = tables[:8]
-    foil_link, foil, force_link, force, wake_link, wake, surface, free_base = tables[8:]
     steps = (table.shape[0] - 1) // 2
     size = len(start)
     n = 6 + passive.shape[0]
@@ -707,15 +725,32 @@ def _accelerate(twist, rate, topology, joint, inertia, work, moved):  # type: ig
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def energetics(states, rates, table, *tables):  # type: ignore[no-untyped-def]
+def energetics(  # type: ignore[no-untyped-def]
+    states,
+    rates,
+    table,
+    topology,
+    joint,
+    inertia,
+    passive,
+    drag_link,
+    drag,
+    damping_link,
+    damping,
+    foil_link,
+    foil,
+    force_link,
+    force,
+    wake_link,
+    wake,
+    surface,
+    free_base,
+):
     """Hinge torques of a run by inverse dynamics, and where the energy goes.
 
     As :func:`swimid.swimmer.planar.engine.energetics`, with the arguments of :func:`derivative`; the torque
     of a base is zero.
     """
-    topology, joint, inertia, passive = tables[:4]
-    drag_link, drag, damping_link, damping, foil_link, foil = tables[4:10]
-    force_link, force, wake_link, wake, surface = tables[10:15]
     count, links = states.shape[0], topology.shape[0]
     torque, flow = np.zeros((count, links)), np.empty((count, 3))
     work, before, moved = np.zeros((links, _WORK)), np.zeros((links, 6)), np.zeros((links, 6))
