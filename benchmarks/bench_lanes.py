@@ -39,13 +39,12 @@ from benchmarks.bench_diagnose import settings
 from swimid.diagnosis.generic import ResidualForce
 from swimid.effects import catalogue
 from swimid.effects.affected import Affected
-from swimid.fitting.drives import Beat, Cycle
+from swimid.fitting.drives import Beat, Cycle, SwimInput
 from swimid.fitting.hooks import NONE
-from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Trial
 from swimid.robots import file as robot
 from swimid.swimmer.lanes.kernel import Kernel
-from swimid.swimmer.model import LinkedModel
+from swimid.swimmer.model import Swimmer
 from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.spatial.model import MultibodyModel
 from tests.blind import swim_actuation
@@ -67,7 +66,7 @@ def best(*functions: Callable[[], Any]) -> list[float]:
     return least
 
 
-def model_of(name: str) -> tuple[LinkedModel, Trial]:
+def model_of(name: str) -> tuple[Swimmer, Trial]:
     """A built-in robot and a swim of it."""
     known = robot.read(name)
     clock = np.arange(0.0, DURATION_S + 1e-9, 0.02)
@@ -80,7 +79,7 @@ def model_of(name: str) -> tuple[LinkedModel, Trial]:
     )
 
 
-def kernels_of(name: str) -> LinkedModel:
+def kernels_of(name: str) -> Swimmer:
     """A built-in robot with its kernels, not compiled."""
     catalogue.catalogue()
     model, _ = model_of(name)

@@ -26,9 +26,8 @@ from typing import Any
 import numpy as np
 
 from swimid.fitting import genetic
-from swimid.fitting.drives import Cycle
+from swimid.fitting.drives import Cycle, SwimInput
 from swimid.fitting.hooks import NONE
-from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Trial
 from swimid.robots import file as robot
 from swimid.swimmer.profiles import Profiles

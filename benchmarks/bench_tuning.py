@@ -21,8 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from swimid.fitting.drives import Beat
-from swimid.fitting.inputs import SwimInput
+from swimid.fitting.drives import Beat, SwimInput
 from swimid.fitting.model import Trial
 from swimid.notices import SwimidWarning
 from swimid.swimmer.fit_graybox import fit_graybox

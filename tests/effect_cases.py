@@ -10,8 +10,7 @@ import numpy as np
 
 from swimid.effects.affected import Affected
 from swimid.effects.base import Effect
-from swimid.fitting.drives import Beat
-from swimid.fitting.inputs import RigInput, SwimInput
+from swimid.fitting.drives import Beat, RigInput, SwimInput
 from swimid.fitting.model import Model, Trial
 from swimid.rig import model as rig
 from swimid.robots import file as robots

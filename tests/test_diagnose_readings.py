@@ -17,13 +17,12 @@ from swimid.diagnosis.search import Search, State
 from swimid.effects import catalogue
 from swimid.effects.affected import Affected
 from swimid.effects.base import Effect
-from swimid.fitting.drives import Beat
+from swimid.fitting.drives import Beat, RigInput, SwimInput
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.inputs import RigInput, SwimInput
 from swimid.fitting.model import Array, Model, Trial
 from swimid.robots import file as robot_format
 from swimid.swimmer import trials as swimmer_trials
-from swimid.swimmer.model import LinkedModel
+from swimid.swimmer.model import Swimmer
 from tests.blind import swim_effects
 from tests.conftest import Ran
 from tests.generators import gap_trials, swimmer
@@ -131,8 +130,8 @@ def test_a_finer_step_keeps_the_reading(fish: Experiment, others: dict[str, Othe
     acting = Affected(fish.model, [others["reading:areas=as-printed"]], fish.trials)
     finer = acting.refined()
     assert finer is not None
-    assert isinstance(finer.model, LinkedModel)
-    assert isinstance(fish.model, LinkedModel)
+    assert isinstance(finer.model, Swimmer)
+    assert isinstance(fish.model, Swimmer)
     assert finer.model.max_step == 0.5 * fish.model.max_step
     assert finer.model.robot.readings["areas"].chosen == "as-printed"
 

@@ -40,8 +40,8 @@ from swimid.diagnosis.random_effects import LARGEST_SD, RandomEffect, kinds, spr
 from swimid.diagnosis.shrinkage import closed
 from swimid.effects.affected import Affected
 from swimid.effects.base import Effect, Inside
+from swimid.fitting.drives import CruiseInput, RigInput, SwimInput
 from swimid.fitting.hooks import Hooks, Stroke
-from swimid.fitting.inputs import CruiseInput, RigInput, SwimInput
 from swimid.fitting.model import Model, Parameter, Trial
 from swimid.fitting.problem import Problem
 from swimid.logs.sampling import white_noise_sd

@@ -18,8 +18,8 @@ from swimid.effects.actuation import servo_lag as lag
 from swimid.effects.actuation import slip as slipping
 from swimid.effects.affected import Affected
 from swimid.fitting import drives
+from swimid.fitting.drives import CruiseInput, SurgeInput, SwimInput
 from swimid.fitting.hooks import Hooks, Stroke
-from swimid.fitting.inputs import CruiseInput, SurgeInput, SwimInput
 from swimid.fitting.model import Trial
 from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, mean_speed, terminal_speed, velocity_ratio
 from swimid.robots import file as robot_format

@@ -16,8 +16,7 @@ from swimid.effects.environment.tether import Tether, pull_back
 from swimid.effects.environment.wall import Wall, push_off
 from swimid.effects.environment.waves import Waves, _Travelling, lines
 from swimid.effects.rig.initial_speed import InitialSpeed
-from swimid.fitting.drives import Beat
-from swimid.fitting.inputs import CruiseInput, RigInput, SwimInput
+from swimid.fitting.drives import Beat, CruiseInput, RigInput, SwimInput
 from swimid.fitting.model import Trial
 from swimid.propulsion.model import RecoilModel
 from swimid.rig import model as rig

@@ -17,7 +17,7 @@ from swimid.effects.fluid.linear_drag import LinearDrag
 from swimid.effects.fluid.quadratic_drag import QuadraticDrag
 from swimid.effects.fluid.wake_lift import WakeLift
 from swimid.effects.rig.initial_speed import InitialSpeed
-from swimid.fitting.inputs import CruiseInput, RigInput, SurgeInput
+from swimid.fitting.drives import CruiseInput, RigInput, SurgeInput
 from swimid.fitting.model import Trial
 from swimid.propulsion.model import RecoilModel, SurgeModel
 from swimid.rig import model as rig

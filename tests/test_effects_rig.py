@@ -12,8 +12,8 @@ from swimid.effects.rig.pulley_inertia import PulleyInertia
 from swimid.effects.rig.pulley_viscous import PulleyViscous
 from swimid.effects.rig.start_offset import StartOffset
 from swimid.effects.rig.string_stretch import StringStretch, oscillation
+from swimid.fitting.drives import RigInput
 from swimid.fitting.hooks import Hooks
-from swimid.fitting.inputs import RigInput
 from swimid.fitting.model import Trial
 from swimid.propulsion.model import RecoilModel
 from swimid.rig import model as rig

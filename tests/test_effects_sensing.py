@@ -23,7 +23,7 @@ from swimid.effects.sensing import (
     time_offset,
 )
 from swimid.fitting import drives
-from swimid.fitting.inputs import CruiseInput, RigInput, SurgeInput, SwimInput
+from swimid.fitting.drives import CruiseInput, RigInput, SurgeInput, SwimInput
 from swimid.fitting.model import Trial
 from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel
 from swimid.rig import model as rig

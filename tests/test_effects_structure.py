@@ -22,8 +22,8 @@ from swimid.effects.structure.joint_stiffness import JointStiffness
 from swimid.effects.structure.load_friction import LoadFriction
 from swimid.effects.structure.stribeck import Stribeck
 from swimid.effects.structure.water_ingress import WaterIngress
+from swimid.fitting.drives import CruiseInput, RigInput
 from swimid.fitting.hooks import Stroke
-from swimid.fitting.inputs import CruiseInput, RigInput
 from swimid.fitting.model import Trial
 from swimid.propulsion.model import RecoilModel
 from swimid.rig import model as rig

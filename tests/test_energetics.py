@@ -9,16 +9,15 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from swimid.fitting.drives import Beat
-from swimid.fitting.energetics import Energetics
-from swimid.fitting.inputs import SwimInput
+from swimid.fitting.drives import Beat, SwimInput
 from swimid.fitting.model import Trial
 from swimid.logs.trials import StrokeDrive
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid
 from swimid.robots.planar import Multilink
 from swimid.simulation import swim_quantities
-from swimid.swimmer.model import LinkedModel
+from swimid.swimmer.energetics import Energetics
+from swimid.swimmer.model import Swimmer
 from swimid.swimmer.planar import engine
 from swimid.swimmer.planar.assembly import Assembly
 from swimid.swimmer.planar.model import MultilinkModel
@@ -30,12 +29,12 @@ WATER = 1000.0
 needs_casadi = pytest.mark.skipif(importlib.util.find_spec("casadi") is None, reason="casadi is missing")
 
 
-def values_of(model: LinkedModel) -> np.ndarray:
+def values_of(model: Swimmer) -> np.ndarray:
     stated = model.stated()
     return np.array([stated.get(p.name, p.start) for p in model.parameters])
 
 
-def swum(model: LinkedModel, swim: SwimInput, duration_s: float, last_s: float) -> Energetics:
+def swum(model: Swimmer, swim: SwimInput, duration_s: float, last_s: float) -> Energetics:
     time = np.arange(round(duration_s * 100) + 1) / 100
     trial = Trial("run", "fit", time, {}, swim=swim)
     columns, found = model.with_energetics([(values_of(model), trial)], [last_s])[0]
@@ -88,7 +87,7 @@ def test_torques_of_random_trees(base: str) -> None:
         pytest.param(MultibodyModel, "tfish", 1.0, 20.0, marks=pytest.mark.slow),
     ],
 )
-def test_balance_of_energy(form: type[LinkedModel], name: str, hz: float, deg: float) -> None:
+def test_balance_of_energy(form: type[Swimmer], name: str, hz: float, deg: float) -> None:
     """Over four beats to 1e-6, with steps of 2.5 ms; what is left falls with their fourth power."""
     left = []
     for step in (0.0025, 0.00125):

@@ -13,10 +13,10 @@ from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
 from swimid.fitting import output_error
-from swimid.fitting.inputs import RigInput
+from swimid.fitting.drives import RigInput
 from swimid.fitting.levenberg import BRIEF, CREEPING, PATIENCE, Solution, Unnoticed, minimise
 from swimid.fitting.model import Trial
-from swimid.fitting.profile import profile_interval
+from swimid.fitting.restarts import profile_interval
 from swimid.results import evidence, parameters
 from swimid.rig import derived, equation, two_point
 from swimid.rig import model as rig_model

@@ -36,8 +36,7 @@ def test_the_truth_comes_back_with_its_evidence(model: Toy, swings: list[Trial])
     assert fitted.verdict == "good"
     assert {"overlay-y", "residuals-y"} <= set(fitted.figure_names)
     assert {"converged", "identifiable", "trials agree"} <= set(fitted.checks()["name"])
-    assert fitted.summary().startswith("toy: 3 trials, 600 samples\n")
-    assert fitted.section().title == "Fit of toy"
+    assert fitted.summary().startswith("Fit of toy\n  model toy; trials 3\n")
 
 
 def test_choices_are_applied_and_recorded(model: Toy, swings: list[Trial]) -> None:

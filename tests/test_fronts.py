@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -248,7 +249,8 @@ def test_options_of_a_front_need_its_method(swimid: Run, tmp_path: Path) -> None
 def test_a_file_that_is_no_front_is_told_so(tmp_path: Path, text: str, said: str) -> None:
     path = tmp_path / "front.csv"
     path.write_text(text)
+    profiles = SimpleNamespace(labels=["c"], columns=["position[p]"])
     with pytest.raises(InputError, match=said):
-        front_format.read(path)
+        front_format.read(path, profiles)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="no such file"):
-        front_format.read(tmp_path / "none.csv")
+        front_format.read(tmp_path / "none.csv", profiles)  # type: ignore[arg-type]

@@ -10,7 +10,7 @@ import pytest
 from swimid.fitting import identifiability as idn
 from swimid.fitting import output_error
 from swimid.fitting.fit_result import FitResult
-from swimid.fitting.tied import Tied
+from swimid.fitting.model import Tied
 from tests.toy_models import FRICTION, FRICTION_TRUTH, WEIGHTS, Toy, friction, parameter, trials
 
 TOTAL = float(np.dot(WEIGHTS, FRICTION_TRUTH[1:]))
@@ -182,9 +182,9 @@ class TestGroups:
 @pytest.mark.parametrize(
     ("value", "stderr", "text"),
     [
-        (0.012345, 0.00021, "0.01235 ± 0.00021"),
-        (-2.5, 0.031, "-2.500 ± 0.031"),
-        (187654.0, 910.0, "1.8765e+05 ± 9.1e+02"),
+        (0.012346, 0.00021, "0.01235 ± 0.00021"),
+        (-2.5, 0.031, "−2.500 ± 0.031"),
+        (187654.0, 910.0, "187650 ± 910"),
         (3.0, 0.0, "3"),
     ],
 )

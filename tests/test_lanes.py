@@ -18,10 +18,9 @@ import pytest
 from swimid.effects import catalogue as effect_catalogue
 from swimid.effects.affected import Affected
 from swimid.fitting import drives
-from swimid.fitting.inputs import SwimInput
-from swimid.fitting.model import Trial
+from swimid.fitting.drives import SwimInput
+from swimid.fitting.model import Tied, Trial
 from swimid.fitting.problem import Problem
-from swimid.fitting.tied import Tied
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid
 from swimid.robots.planar import Multilink
@@ -29,18 +28,18 @@ from swimid.robots.spatial import Multibody
 from swimid.swimmer.lanes import kernel as kernels
 from swimid.swimmer.lanes import symbols
 from swimid.swimmer.lanes.kernel import Kernel
-from swimid.swimmer.model import LinkedModel
+from swimid.swimmer.model import Swimmer
 from swimid.swimmer.planar import engine as planar_engine
 from swimid.swimmer.planar.assembly import Assembly as PlanarAssembly
 from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.spatial import engine as spatial_engine
 from swimid.swimmer.spatial.assembly import Assembly as SpatialAssembly
+from swimid.swimmer.spatial.assembly import Lifted
 from swimid.swimmer.spatial.model import MultibodyModel
-from swimid.swimmer.spatial.planar import Lifted
 from tests import lanes_forms
 from tests.generators import lagrange
 
-ENGINES: dict[type[LinkedModel], ModuleType] = {
+ENGINES: dict[type[Swimmer], ModuleType] = {
     MultilinkModel: planar_engine,
     MultibodyModel: spatial_engine,
 }
@@ -59,7 +58,7 @@ def drive_of(rng: np.random.Generator, joints: int, steps: int, step: float) -> 
     return table
 
 
-def scalar(form: type[LinkedModel], start: np.ndarray, step: float, drive: np.ndarray, tables: Any) -> Any:
+def scalar(form: type[Swimmer], start: np.ndarray, step: float, drive: np.ndarray, tables: Any) -> Any:
     """By the engine itself."""
     return ENGINES[form].integrate(start, step, drive, *tables.values(), *form.engine.extra)
 
@@ -112,7 +111,7 @@ def hinged(**changed: Any) -> SpatialAssembly:
     return SpatialAssembly(Multibody.model_validate(body), Fluid(density_kg_m3=1000.0))
 
 
-CASES: dict[str, tuple[type[LinkedModel], Any]] = {
+CASES: dict[str, tuple[type[Swimmer], Any]] = {
     **{f"planar tree {seed}": (MultilinkModel, lambda seed=seed: planar_tree(seed)) for seed in range(4)},
     "planar tree, held": (MultilinkModel, lambda: planar_tree(7, base="fixed")),
     "sea lion": (MultibodyModel, sea_lion),
@@ -121,9 +120,7 @@ CASES: dict[str, tuple[type[LinkedModel], Any]] = {
 }
 
 
-def spread(
-    form: type[LinkedModel], tree: Any, kernel: Kernel, rng: np.random.Generator
-) -> list[tuple[Any, ...]]:
+def spread(form: type[Swimmer], tree: Any, kernel: Kernel, rng: np.random.Generator) -> list[tuple[Any, ...]]:
     """Runs that differ in start, step, length, drive and coefficients."""
     given = np.array([c.value for c in tree.body.coefficients.values()])
     runs = []
@@ -151,7 +148,7 @@ def test_the_module_of_lanes_as_plain_python(name: str, rng: np.random.Generator
     compare(form, kernel, runs)
 
 
-def compare(form: type[LinkedModel], kernel: Kernel, runs: list[tuple[Any, ...]]) -> None:
+def compare(form: type[Swimmer], kernel: Kernel, runs: list[tuple[Any, ...]]) -> None:
     starts, steps, drives_, tables = (list(column) for column in zip(*runs, strict=True))
     assert all(kernel.fits(t) for t in tables)
     for run, (states, rates) in zip(runs, kernel.run(starts, steps, drives_, tables), strict=True):
@@ -165,7 +162,7 @@ def compare(form: type[LinkedModel], kernel: Kernel, runs: list[tuple[Any, ...]]
 
 
 @pytest.fixture(scope="module")
-def fish() -> LinkedModel:
+def fish() -> Swimmer:
     """The tendon fish, its kernel compiled."""
     model = MultilinkModel(robot_format.read("tfish"))
     model.kernel = Kernel(model.engine, model.tree.tables, len(model.coefficients))

@@ -19,8 +19,8 @@ from swimid.effects.affected import Affected
 from swimid.effects.base import Effect
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting import drives
+from swimid.fitting.drives import SwimInput
 from swimid.fitting.hooks import TRACEABLE
-from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Trial
 from swimid.robots import file as robot_format
 from swimid.swimmer.lanes import source, symbols

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from swimid.errors import InputError
 from swimid.fitting import drives
-from swimid.fitting.inputs import SwimInput
+from swimid.fitting.drives import SwimInput
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid
 from swimid.robots.spatial import Multibody
@@ -20,11 +20,9 @@ from swimid.swimmer.planar import drive
 from swimid.swimmer.planar import engine as planar_engine
 from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.spatial import engine
-from swimid.swimmer.spatial.assembly import Assembly
-from swimid.swimmer.spatial.elements import spheroid
-from swimid.swimmer.spatial.inertia import full
+from swimid.swimmer.spatial.assembly import Assembly, Lifted
+from swimid.swimmer.spatial.elements import full, spheroid_coefficients
 from swimid.swimmer.spatial.model import MultibodyModel
-from swimid.swimmer.spatial.planar import Lifted
 from tests import lanes_forms
 
 WATER, G = 1000.0, 9.81
@@ -331,9 +329,9 @@ def wrench(model: Assembly, **at: Any) -> np.ndarray:
 
 def test_spheroid_of_lamb() -> None:
     """Sphere limit 1/2, 1/2, 0; a slender body 0, 1, 1; Lamb's table at 5:1 (0.059, 0.895, 0.700)."""
-    assert spheroid.coefficients(1.0, 0.999) == pytest.approx((0.5, 0.5, 0.0), abs=2e-3)
-    assert spheroid.coefficients(1.0, 1e-3) == pytest.approx((0.0, 1.0, 1.0), abs=1e-4)
-    assert spheroid.coefficients(5.0, 1.0) == pytest.approx((0.059, 0.895, 0.700), abs=1e-3)
+    assert spheroid_coefficients(1.0, 0.999) == pytest.approx((0.5, 0.5, 0.0), abs=2e-3)
+    assert spheroid_coefficients(1.0, 1e-3) == pytest.approx((0.0, 1.0, 1.0), abs=1e-4)
+    assert spheroid_coefficients(5.0, 1.0) == pytest.approx((0.059, 0.895, 0.700), abs=1e-3)
 
 
 def test_spheroid_and_plate_masses() -> None:
@@ -349,7 +347,7 @@ def test_spheroid_and_plate_masses() -> None:
         },
     )
     matrix = full(model.tables(np.zeros(0))["inertia"][0])
-    k1, k2, _ = spheroid.coefficients(0.5, 0.1)
+    k1, k2, _ = spheroid_coefficients(0.5, 0.1)
     hull = 4.0 / 3.0 * math.pi * WATER * 0.5 * 0.1**2
     plate = math.pi * WATER * 0.8 * 0.3 * 0.1**2 / 4.0
     np.testing.assert_allclose(

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from swimid.fitting import metrics, output_error, start_states
-from swimid.fitting.drives import Beat
+from swimid.fitting import metrics, output_error
+from swimid.fitting.drives import Beat, SwimInput
 from swimid.fitting.fit_result import FitResult
-from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Array, Trial, chosen
 from swimid.swimmer import trials as swimmer
 from tests.conftest import ROOT, Ran
@@ -69,7 +68,9 @@ def rms(result: FitResult, role: str, coefficients: Mapping[str, float]) -> floa
             for p in result.parameters
         )
         # every joint counts alike
-        found = start_states.estimate(result.model, parameters, trial, dict.fromkeys(trial.measured, 1.0))
+        found = output_error.estimate_start(
+            result.model, parameters, trial, dict.fromkeys(trial.measured, 1.0)
+        )
         values = np.array([found.get(f"{p.name}[{trial.id}]", p.start) for p in parameters])
         simulated = result.model.simulate(values, trial)
         squares += [np.mean((y - simulated[name]) ** 2) for name, y in trial.measured.items()]
@@ -237,7 +238,7 @@ def fish(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> FitResult
         file, channels=("u_m_s", "yaw_rate_rad_s"), start_state="estimate", max_step=0.012
     )
     parameters = chosen(experiment.model.parameters, freed=("drive_phase",))
-    return start_states.with_held_out(
+    return output_error.with_held_out(
         output_error.fit(experiment.model, experiment.trials, parameters=parameters)
     )
 

@@ -12,7 +12,7 @@ import pytest
 from scipy import optimize
 
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting import output_error, start_states
+from swimid.fitting import output_error
 from swimid.fitting.model import Trial
 from swimid.fitting.problem import Problem
 from swimid.fitting.sandwich import sandwich
@@ -330,6 +330,6 @@ def test_a_start_that_diverges_is_left_for_the_default_one(rng: np.random.Genera
     time = np.linspace(0.0, 4.0, 50)
     y = 1.0 * np.exp(-time) + 0.7 * time + 0.01 * rng.normal(size=50)
     trial = Trial("t", "validate", time, {"y": y}, starts={"rate": 50.0})
-    found = start_states.estimate(model, model.parameters, trial, {"y": 0.01})
+    found = output_error.estimate_start(model, model.parameters, trial, {"y": 0.01})
     # the slope's error is 0.01 over the root of the sum of squared times
     assert found["rate[t]"] == pytest.approx(0.7, abs=4 * 0.01 / np.sqrt(np.sum(time**2)))

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from swimid.diagnosis import settings
-from swimid.fitting.drives import Beat, Cycle, Motion
-from swimid.fitting.inputs import CruiseInput, RigInput, SurgeInput, SwimInput
+from swimid.fitting.drives import Beat, CruiseInput, Cycle, Motion, RigInput, SurgeInput, SwimInput
 from swimid.fitting.model import Array, Trial
 from swimid.robots.spatial import Stroke
 

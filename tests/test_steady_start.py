@@ -11,8 +11,7 @@ import pytest
 import yaml
 
 from swimid.errors import InputError
-from swimid.fitting.drives import Beat
-from swimid.fitting.inputs import SwimInput
+from swimid.fitting.drives import Beat, SwimInput
 from swimid.fitting.model import Trial
 from swimid.swimmer import trials as swimmer
 from tests.conftest import Ran
@@ -21,7 +20,7 @@ from tests.generators import three_link
 BEAT = Beat("sine", 1.5, np.radians(25.0), ramp_s=0.5, phase_rad=0.7)
 
 
-def _model(folder: Path, **drag: float) -> tuple[swimmer.LinkedModel, np.ndarray]:
+def _model(folder: Path, **drag: float) -> tuple[swimmer.Swimmer, np.ndarray]:
     _, model = swimmer.robot_model(str(three_link.robot(folder, **drag)))  # type: ignore[arg-type]
     values = np.array(
         [{**{p.name: p.start for p in model.parameters}, **model.stated()}[p.name] for p in model.parameters]

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from swimid.errors import UsageError
-from swimid.fitting.model import Model, Trial
-from swimid.fitting.tied import Tied, groups_by_prefix
+from swimid.fitting.model import Model, Tied, Trial, groups_by_prefix
 from tests.toy_models import FRICTION, Toy, friction, parameter
 
 TRIAL = Trial("t", "fit", np.linspace(0, 3, 20), {})

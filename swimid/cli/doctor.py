@@ -37,7 +37,7 @@ KERNELS = (
     "swimid.swimmer.planar.model",
     "swimid.blackbox.recursive",
     "swimid.blackbox.armax",
-    "swimid.fitting.warping",
+    "swimid.fitting.metrics",
     "swimid.tracking.detect",
     "swimid.tracking.smooth",
 )

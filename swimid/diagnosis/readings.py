@@ -15,8 +15,8 @@ from swimid.errors import InputError, UsageError, suggestion
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.hooks import NONE, Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.fitting.swimmer import Swimmer
 from swimid.robots.file import RobotFile
+from swimid.swimmer.model import Swimmer
 
 #: Readings whose simulations differ by no more than this share of a channel's range differ in nothing.
 ALIKE = 1e-9

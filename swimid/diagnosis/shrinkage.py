@@ -13,7 +13,7 @@ from scipy import special
 from swimid.diagnosis.context import Fit, FitContext
 from swimid.diagnosis.gap_file import Shrinkage
 from swimid.diagnosis.noise_model import NoiseModel
-from swimid.fitting import start_states
+from swimid.fitting import output_error
 from swimid.fitting.model import Array, Model, Trial
 
 #: Relative tolerance of the search for a held-out trial's start state.
@@ -75,7 +75,7 @@ def _own_start(model: Model, shared: Mapping[str, float], trial: Trial, sd: Mapp
         p if p.per_trial else replace(p, start=shared.get(p.name, p.start)) for p in model.parameters
     )
     parameters = tuple(replace(p, free=False) if p.name in trial.held else p for p in parameters)
-    found = start_states.estimate(model, parameters, trial, sd, tolerance=TOLERANCE)
+    found = output_error.estimate_start(model, parameters, trial, sd, tolerance=TOLERANCE)
     return np.array([found.get(f"{p.name}[{trial.id}]", p.start) for p in parameters])
 
 

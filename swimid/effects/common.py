@@ -6,16 +6,18 @@ import math
 from abc import ABC
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numba
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameter, Trial, Trials
-from swimid.fitting.body import Body
 from swimid.fitting.hooks import Command, Force, Stroke
-from swimid.fitting.scales import MEAN_SPEED, POSITIONS
+from swimid.fitting.model import MEAN_SPEED, POSITIONS
+
+if TYPE_CHECKING:
+    from swimid.swimmer.planar.body import Body
 
 #: Where no command says how large: an angle a servo turns, rad.
 USUAL_ANGLE = 0.3

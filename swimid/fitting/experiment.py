@@ -11,8 +11,7 @@ import numpy as np
 
 from swimid.errors import InputError
 from swimid.files.provenance import Input
-from swimid.fitting.model import Array, Model, Trial
-from swimid.fitting.scales import POSITIONS
+from swimid.fitting.model import POSITIONS, Array, Model, Trial
 from swimid.logs import log as log_format
 from swimid.logs.held import LONG_HOLD, find_frozen, find_held
 from swimid.logs.log import Log

@@ -13,7 +13,7 @@ import numpy as np
 
 from swimid.errors import Interrupted
 from swimid.files import atomic
-from swimid.fitting import grading, metrics
+from swimid.fitting import metrics
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.fit_result import FitResult
 from swimid.fitting.identifiability import combinations, sentences
@@ -31,12 +31,10 @@ from swimid.results.parameters import Correlation, Estimate, Fit, ParameterFile
 STRONG = 0.95
 #: A validation error above this multiple of the fit error is a warning.
 VALIDATION_RATIO = 2.0
+#: Sentence of the methods section.
+COVARIANCE = "Standard errors follow from the Jacobian at the optimum and account for coloured residuals."
 #: Residuals beyond this many robust standard deviations are outliers.
 OUTLIER = 8.0
-#: Traces of single trials shown in one figure.
-MAX_TRIALS = 10
-#: Maximum number of parameters in the text of a verdict.
-MAX_ANSWERS = 3
 
 
 def estimates(
@@ -222,102 +220,101 @@ def prepare(
 
 
 def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
-    """Tests of a fit against their limits; warns of each that fails."""
-    found = [_check("converged", _yes(result.converged), "yes", result.converged, "fail", result.message)]
+    """Test a fit against its limits; warn of each test that fails."""
+    found = [
+        ev.check(
+            "converged",
+            numbers.number(result.converged),
+            result.converged,
+            "yes",
+            result.message,
+            otherwise="fail",
+            reason=f"the fit did not converge: {result.message}",
+        )
+    ]
     if result.restarts is not None:
         after = f", after {result.restarts} restarts" if result.restarts else ""
-        name, text = "starts near the answer lead back to it", "points and short searches around it"
-        found.append(_check(name, _yes(result.settled) + after, "yes", result.settled, text=text))
-    shared = [status for label, status in result.status.items() if "[" not in label]
-    shaky = [label for label in result.shared if result.status[label] == "unidentifiable"]
+        found.append(
+            ev.check(
+                "starts near the answer lead back to it",
+                numbers.number(result.settled) + after,
+                result.settled,
+                "yes",
+                "points and short searches around it",
+                reason="starts near the answer still lead to better ones",
+            )
+        )
+    status = {label: result.status[label] for label in result.shared}
+    unknown = [label for label, s in status.items() if s == "unidentifiable"]
+    at_bound = [label for label, s in status.items() if s == "at-bound"]
+    mostly = list(status.values()).count("estimated") >= len(unknown)
     found.append(
-        _check(
+        ev.check(
             "identifiable",
-            "all" if not shaky else f"not: {', '.join(shaky)}",
+            f"not: {', '.join(unknown)}" if unknown else "all",
+            not unknown,
             "every estimated parameter",
-            not shaky,
-            "warn" if shared.count("estimated") >= len(shaky) else "fail",
-            "a parameter counts as identified when its standard error is below half its size",
+            "standard errors are below half of the sizes of identifiable parameters",
+            otherwise="warn" if mostly else "fail",
+            reason=f"not identifiable: {', '.join(unknown)}",
         )
     )
-    at_bound = [label for label, status in result.status.items() if status == "at-bound"]
     if at_bound:
-        found.append(_check("inside bounds", ", ".join(at_bound), "no parameter at a bound", False))
+        names = ", ".join(at_bound)
+        reason = f"at a bound: {names}"
+        found.append(ev.check("inside bounds", names, False, "no parameter at a bound", reason=reason))
     found += [_whiteness(result, channel) for channel in result.noise]
-    if len([t for t in result.trials if t.role == "fit"]) > 2:
-        agree = result.scatter_p >= HETEROGENEITY
+    if sum(t.role == "fit" for t in result.trials) > 2:
+        p = blocks.p_text(result.scatter_p)
         found.append(
-            _check(
+            _warned(
+                "SWM014",
                 "trials agree",
-                blocks.p_text(result.scatter_p),
+                p,
+                result.scatter_p >= HETEROGENEITY,
                 f"p ≥ {HETEROGENEITY:g}",
-                agree,
-                text="" if agree else f"standard errors are enlarged by {result.scatter:.2f}",
-                warning=(
-                    "SWM014",
-                    f"the trials scatter {result.scatter:.2f} times more than their noise allows (p = "
-                    f"{result.scatter_p:.1g}): something differs between them that the model does not know; "
-                    "the standard errors are enlarged by that factor",
-                ),
+                f"standard errors are enlarged by {result.scatter:.2f}" if result.scatter > 1 else "",
+                f"the trials scatter {result.scatter:.2f} times more than their noise allows ({p})",
             )
         )
     found += [check for channel in result.noise if (check := _outliers(result, channel))]
     if result.step_error:
         size = f"{result.step_error:.2g} sd"
         found.append(
-            _check(
+            _warned(
+                "SWM016",
                 "integration step",
                 size,
-                f"≤ {STEP_ERROR:g} sd",
                 result.step_error <= STEP_ERROR,
-                text="largest change of a simulated sample when the step is halved",
-                warning=("SWM016", f"halving the integration step changes samples by {size} of their noise"),
+                f"≤ {STEP_ERROR:g} sd",
+                "largest change of a simulated sample when the step is halved",
+                f"halving the integration step changes samples by {size} of their noise",
             )
         )
     held_out = [c for c in result.model.channels if result.series_of(c.name, "validate")]
     return found + [_validation(result, c) for c in held_out if c.name in result.noise]
 
 
-def error_checks(result: FitResult, roles: Sequence[str] = ("fit", "validate")) -> list[ev.Check]:
-    """Errors of fitted and of held-out trials against the limits of ``compare``."""
-    found = []
-    for role in roles:
-        found += grading.error_checks(
-            {name: score for name, score in scores(result, role).items() if name in result.noise},
-            fitted=result.noise,
-            noise=[name for name in result.noise if _is_white(result, name, role)],
-            held_out=role == "validate",
-        )
-    return found
-
-
-def _is_white(result: FitResult, channel: str, role: str) -> bool:
-    """Whether the residuals of a channel cannot be told from white noise."""
-    parts = [s.weighted for s in result.series_of(channel, role)]
-    return bool(parts) and ljung_box(joined(parts, gap=30), fitted=0).passed
-
-
-def _yes(fact: bool) -> str:
-    return "yes" if fact else "no"
-
-
-def _check(
+def _warned(
+    code: str,
     name: str,
     value: str,
-    limit: str,
     passed: bool,
-    otherwise: Literal["warn", "fail"] = "warn",
-    text: str = "",
-    warning: tuple[str, str] | None = None,
+    limit: str,
+    text: str,
+    reason: str,
+    *,
+    failed: bool = False,
 ) -> ev.Check:
-    """A test of the result against a limit, with the code and text of the warning where it fails."""
-    if warning and not passed:
-        warn(*warning)
-    return blocks.check(name, value, limit, passed, otherwise=otherwise, text=text)
+    """Return a check; warn with its reason where it does not pass."""
+    if not passed:
+        warn(code, f"{reason}; {text}" if text else reason)
+    otherwise: Literal["warn", "fail"] = "fail" if failed else "warn"
+    return ev.check(name, value, passed, limit, text, otherwise=otherwise, reason=reason)
 
 
 def _outliers(result: FitResult, channel: str) -> ev.Check | None:
-    """Samples far outside the bulk of the residuals, by the median absolute deviation."""
+    """Count samples far outside the bulk of the residuals, by the median absolute deviation."""
     parts = {s.trial: s.weighted for s in result.series_of(channel, "fit")}
     values = np.concatenate(list(parts.values()))
     values = values[np.isfinite(values)]
@@ -329,117 +326,111 @@ def _outliers(result: FitResult, channel: str) -> ev.Check | None:
     if limit <= 0 or not count:
         return None
     named = ", ".join(f"{t}: {n}" for t, n in owners.items() if n)
-    return _check(
+    return _warned(
+        "SWM025",
         f"no outliers, {channel}",
         f"{count} of {len(values)} samples",
-        f"within {OUTLIER:g} robust standard deviations",
         False,
-        text=named,
-        warning=(
-            "SWM025",
-            f"{count} of {len(values)} samples of {channel} lie more than {OUTLIER:g} robust deviations off "
-            f"({named}); they are fitted like all others: blank the cells if the sensor failed there",
-        ),
+        f"within {OUTLIER:g} robust standard deviations",
+        f"{named}; they are fitted like all others: blank the cells if the sensor failed there",
+        f"{count} of {len(values)} samples of {channel} are outliers",
     )
 
 
 def _whiteness(result: FitResult, channel: str) -> ev.Check:
     test = ljung_box(_weighted(result, channel), fitted=0)
     p = blocks.p_text(test.p_value)
-    coloured = "coloured residuals: the standard errors account for it, but the model may miss an effect"
-    return _check(
+    return _warned(
+        "SWM013",
         f"white residuals, {channel}",
         p,
-        "p ≥ 0.01",
         test.passed,
-        text="" if test.passed else coloured,
-        warning=(
-            "SWM013",
-            f"the residuals of {channel} are coloured (Ljung-Box {p}): the "
-            "model may miss an effect; the standard errors account for the colour",
-        ),
+        "p ≥ 0.01",
+        "" if test.passed else "the model may miss an effect; the standard errors account for it",
+        f"residuals are not white in {channel} ({p})",
     )
 
 
 def _validation(result: FitResult, channel: Channel) -> ev.Check:
-    """Error on validation trials against that on fitted ones, and against knowing nothing."""
+    """Compare the error on validation trials with that on fitted ones, and with that of a constant."""
     held_out = result.series_of(channel.name, "validate")
     fitted = _rms([s.residual for s in result.series_of(channel.name, "fit")])
     error = _rms([s.residual for s in held_out])
-    nothing = _rms([s.measured - np.nanmean(s.measured) for s in held_out])
+    constant = _rms([s.measured - np.nanmean(s.measured) for s in held_out])
     ratio = error / fitted if fitted else math.inf
-    worse = ratio > VALIDATION_RATIO
-    # on the scale of logarithms more than half of what the model says of fitted trials is lost
-    lost = worse and error > math.sqrt(fitted * nothing)
     worst = max(held_out, key=lambda s: _rms([s.residual]))
-    far = "nearer to that of no model at all than to the fit's"
-    return _check(
+    return _warned(
+        "SWM015",
         f"validation, {channel.name}",
         numbers.number(error, 3, channel.unit),
+        ratio <= VALIDATION_RATIO,
         f"≤ {VALIDATION_RATIO:g} × fit error ({numbers.number(fitted, 3, channel.unit)})",
-        not worse,
-        "fail" if lost else "warn",
-        "root-mean-square error on trials that were not fitted" + (f"; {far}" if lost else ""),
-        (
-            "SWM015",
-            f"the error of {channel.name} on validation trials is {ratio:.1f} times that on fitted ones "
-            f"(worst in {worst.trial})" + (f", {far}" if lost else ""),
-        ),
+        f"root-mean-square error on trials that were not fitted, largest in {worst.trial}",
+        f"the held-out error of {channel.name} is {ratio:.1f} times that of fitted trials",
+        # nearer to the error of a constant than to the fit's, on the scale of logarithms
+        failed=error > math.sqrt(fitted * constant),
     )
 
 
-def _rms(parts: Sequence[np.ndarray]) -> float:
+def _rms(parts: Sequence[Array]) -> float:
     values = np.concatenate(parts)
     values = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
 
 
+def _weighted(result: FitResult, channel: str, role: str = "fit") -> Array:
+    return joined([s.weighted for s in result.series_of(channel, role)], gap=30)
+
+
+def error_checks(result: FitResult, roles: Sequence[str] = ("fit", "validate")) -> list[ev.Check]:
+    """Check the errors of fitted and of held-out trials against the limits of ``compare``."""
+    found = []
+    for role in roles:
+        known = {name: score for name, score in scores(result, role).items() if name in result.noise}
+        white = [name for name in known if ljung_box(_weighted(result, name, role), fitted=0).passed]
+        found += metrics.error_checks(known, fitted=result.noise, noise=white, held_out=role == "validate")
+    return found
+
+
 def beat_check(found: Mapping[str, Mapping[str, Any] | None]) -> ev.Check:
-    """Whether the beat in each log is the one its metadata state (:mod:`swimid.logs.beat`)."""
+    """Check that the beat in each log is the one its metadata state (:mod:`swimid.logs.beat`)."""
     known = {name: b for name, b in found.items() if b is not None and b["found_hz"] is not None}
     wrong = [
         name
         for name, b in known.items()
         if abs(b["found_hz"] - b["stated_hz"]) > max(TOLERANCE * b["stated_hz"], 3 * b["stderr_hz"])
     ]
-    return blocks.check(
+    return ev.check(
         "beat frequency as stated",
-        "yes" if not wrong else f"not in {len(wrong)} of {len(known)} trials",
-        f"within {100 * TOLERANCE:g} %",
+        f"not in {len(wrong)} of {len(known)} trials" if wrong else "yes",
         not wrong,
-        text="found in the heading of each log",
+        f"within {100 * TOLERANCE:g} %",
+        "found in the heading of each log",
+        reason=f"the beat found in {', '.join(wrong)} is not the stated one",
     )
 
 
-def _weighted(result: FitResult, channel: str) -> np.ndarray:
-    return joined([s.weighted for s in result.series_of(channel, "fit")], gap=30)
-
-
 def figures(result: FitResult) -> list[ev.Figure]:
-    """Measured against simulated, residuals over time, and their autocorrelation."""
+    """Draw measured and simulated series of each channel, and its residuals with their autocorrelation."""
     found = []
-    for channel in (c for name in result.noise for c in result.model.channels if c.name == name):
-        parts = result.series_of(channel.name)
-        shown = parts if len(parts) <= MAX_TRIALS else parts[:: math.ceil(len(parts) / MAX_TRIALS)]
-        count = "" if len(shown) == len(parts) else f" {len(shown)} of {len(parts)} trials are shown."
+    for channel in (c for c in result.model.channels if c.name in result.noise):
+        series = result.series_of(channel.name)
         found += [
             blocks.measured_and_simulated(
                 f"overlay-{channel.name}",
                 f"Measured and simulated: {channel.name}",
-                "Points are measured, lines simulated with the estimated parameters; in a good fit the lines "
-                f"run through the points of every trial.{count}",
+                "Points are measured, lines simulated with the estimated parameters.",
                 result.model.abscissa,
                 f"{channel.meaning or channel.name} ({numbers.unit_text(channel.unit) or '1'})",
-                shown,
+                series,
             ),
             blocks.residuals(
                 f"residuals-{channel.name}",
                 f"Residuals: {channel.name}",
-                "Left: measured minus simulated over the noise's standard deviation; good residuals scatter "
-                "about zero, mostly within ±2, without a trend. Right: their autocorrelation with the 95 % "
-                "band of white noise.",
+                "Measured minus simulated over the standard deviation of the noise, and the autocorrelation "
+                "over all fitted trials with the 95 % band of white noise.",
                 result.model.abscissa,
-                shown,
+                series,
                 autocorrelation(_weighted(result, channel.name)),
             ),
         ]
@@ -455,5 +446,5 @@ def answer(file: ParameterFile) -> str:
     ]
     if not parts:
         return "Nothing was estimated."
-    more = f"; and {len(parts) - MAX_ANSWERS} more" if len(parts) > MAX_ANSWERS else ""
-    return f"{'; '.join(parts[:MAX_ANSWERS])}{more}."
+    more = f"; and {len(parts) - 3} more" if len(parts) > 3 else ""
+    return f"{'; '.join(parts[:3])}{more}."

@@ -8,7 +8,7 @@ from pathlib import Path
 from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance
 from swimid.files.provenance import Held
-from swimid.fitting import fit_common, output_error, start_states
+from swimid.fitting import fit_common, output_error
 from swimid.fitting.model import Model, Trial, chosen
 from swimid.notices import recorded
 from swimid.progress import Progress, silent
@@ -106,7 +106,7 @@ def fit_model(
     with recorded(repeat=True) as notices:
         parameters = chosen(tuple(model.parameters), fixed=fixed, freed=tuple(freed), bounds=bounds)
         result = output_error.fit(model, trials, parameters=parameters, progress=progress)
-        result = start_states.with_held_out(result)
+        result = output_error.with_held_out(result)
         settings = {
             "fixed": dict(fixed or {}),
             "freed": list(freed),
@@ -122,7 +122,6 @@ def fit_model(
             hint="use more trials, and such as differ more",
         )
     fitted_trials = sum(trial.role == "fit" for trial in trials)
-    used = f"{fitted_trials} trial{'s' if fitted_trials != 1 else ''}"
     whose = f"{model.name} of {robot}" if robot else model.name
     evidence = ev.Evidence(
         verb=verb,
@@ -132,10 +131,9 @@ def fit_model(
         figures=fit_common.figures(result),
         notices=blocks.notices(notices),
         methods=[
-            f"{', '.join(shared)} were estimated from {used} ({result.samples} samples) "
+            f"{', '.join(shared)} were estimated from {fitted_trials} trial(s) ({result.samples} samples) "
             f"by output-error maximum likelihood with the model {model.name}.",
-            "Standard errors follow from the Jacobian at the optimum with the residuals' autocorrelation "
-            "accounted for.",
+            fit_common.COVARIANCE,
         ],
         provenance=origin,
     )

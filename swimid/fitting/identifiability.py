@@ -20,13 +20,12 @@ from swimid.fitting.model import Array
 from swimid.fitting.output_error import UNIDENTIFIABLE
 from swimid.fitting.sandwich import orthogonal_part
 from swimid.progress import Progress, silent
+from swimid.results import numbers
 
 #: Directions seen less than this, relatively to the one seen best, are not seen.
 UNSEEN = 1e-7
 #: A standard error above this share of a parameter's size lets it be part of a confounded group.
 VAGUE = 0.5 * UNIDENTIFIABLE
-#: Two parameters are confounded when what is not known of them overlaps by more than this.
-OVERLAP = 0.02
 #: Weights of a combination below this share of the largest are left out.
 NEGLIGIBLE = 0.01
 
@@ -58,8 +57,7 @@ class Combination:
             factor = f"{abs(weight):.2g} ".removeprefix("1 ")
             sign = ("-" if weight < 0 else "") if not terms else (" - " if weight < 0 else " + ")
             terms += f"{sign}{factor}{label}"
-        unit = "" if self.unit == "1" else f" {self.unit}"
-        return f"{terms} = {_rounded(self.value, self.stderr)}{unit}"
+        return f"{terms} = {numbers.measured(self.value, self.stderr, self.unit)}"
 
 
 def unidentifiable(result: FitResult) -> list[str]:
@@ -80,7 +78,7 @@ def confounded(result: FitResult) -> list[tuple[str, ...]]:
         return []
     _, singular, vt = np.linalg.svd(_marginal(result, vague))
     dark = vt[singular * UNIDENTIFIABLE < 1.0]
-    overlap = np.abs(dark.T @ dark) > OVERLAP
+    overlap = np.abs(dark.T @ dark) > 0.02
     _, numbers = csgraph.connected_components(overlap, directed=False)
     groups = [
         tuple(result.labels[i] for i, g in zip(vague, numbers, strict=True) if g == n) for n in set(numbers)
@@ -234,13 +232,3 @@ def _sd(direction: Array, singular: Array, vt: Array) -> float:
     parts = vt @ direction
     floor = np.maximum(singular, UNSEEN * singular[0])
     return float(np.linalg.norm(parts / floor))
-
-
-def _rounded(value: float, stderr: float) -> str:
-    """A value and its error to two digits of the error."""
-    if not stderr > 0 or not math.isfinite(stderr):
-        return f"{value:.4g}"
-    digits = 1 - math.floor(math.log10(stderr))
-    if 0 <= digits <= 6:
-        return f"{value:.{digits}f} ± {stderr:.{digits}f}"
-    return f"{value:.{max(digits + math.floor(math.log10(max(abs(value), stderr))), 1)}e} ± {stderr:.1e}"

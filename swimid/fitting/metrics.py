@@ -1,4 +1,4 @@
-"""Errors of a simulation against a measurement.
+"""Errors of a simulation against a measurement, and their limits, the same for every command.
 
 A pose has no natural origin and no natural axes: errors of a pose are relative to each trial's own motion.
 Positions in the horizontal plane are turned into the trial's mean heading (:func:`own_axes`), and ranges and
@@ -8,13 +8,21 @@ variances are those about each trial's own mean (:func:`score_trials`).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
+import numba
 import numpy as np
 
 from swimid.fitting.model import Array, Model
+from swimid.results import evidence as ev
+from swimid.results import numbers
+
+#: Largest error over the measured range of a channel that is described well, and of a usable one.
+GOOD, USABLE = 0.15, 0.30
+#: The same for the mean speeds of the trials, over those measured.
+GOOD_SPEED, USABLE_SPEED = 0.10, 0.25
 
 
 @dataclass(frozen=True)
@@ -49,15 +57,19 @@ def score(measured: Array, simulated: Array) -> Score:
     e = y - z
     if len(y) == 0:
         return Score(np.nan, np.nan, np.nan, np.nan, np.nan, 0)
-    rmse = float(np.sqrt(np.mean(e**2)))
-    span, variance = float(np.ptp(y)), float(np.var(y))
+    return _scored(e, float(np.ptp(y)), float(np.var(y)), float(np.var(e)))
+
+
+def _scored(error: Array, span: float, variance: float, missed: float) -> Score:
+    """Return the score of errors by the range and the variance of the measurement, and their own variance."""
+    rmse = float(np.sqrt(np.mean(error**2)))
     return Score(
         rmse=rmse,
         nrmse=rmse / span if span > 0 else np.nan,
-        vaf=1.0 - float(np.var(e)) / variance if variance > 0 else np.nan,
+        vaf=1.0 - missed / variance if variance > 0 else np.nan,
         fit_percent=100.0 * (1.0 - rmse / math.sqrt(variance)) if variance > 0 else np.nan,
-        bias=float(np.mean(e)),
-        samples=len(y),
+        bias=float(np.mean(error)),
+        samples=len(error),
     )
 
 
@@ -86,19 +98,13 @@ def score_trials(parts: Sequence[tuple[Array, Array]], *, own_motion: bool) -> S
     if not there:
         return score(np.empty(0), np.empty(0))
     measured, simulated = (np.concatenate(side) for side in zip(*there, strict=True))
-    pooled = score(measured, simulated)
     if not own_motion or len(there) == 1:
-        return pooled
+        return score(measured, simulated)
     share = np.array([len(y) for y, _ in there]) / len(measured)
     span = math.sqrt(float(share @ [np.ptp(y) ** 2 for y, _ in there]))
     variance = float(share @ [np.var(y) for y, _ in there])
     missed = float(share @ [np.var(y - z) for y, z in there])
-    return replace(
-        pooled,
-        nrmse=pooled.rmse / span if span > 0 else np.nan,
-        vaf=1.0 - missed / variance if variance > 0 else np.nan,
-        fit_percent=100.0 * (1.0 - pooled.rmse / math.sqrt(variance)) if variance > 0 else np.nan,
-    )
+    return _scored(measured - simulated, span, variance, missed)
 
 
 def pose_channels(model: Model) -> tuple[str, ...]:
@@ -187,8 +193,6 @@ def dtw_distance(measured: Array, simulated: Array, *, band: int) -> float:
     >>> round(dtw_distance(np.array([0.0, 1.0, 0.0, 0.0]), late, band=0), 3)
     0.707
     """
-    from swimid.fitting.warping import warping_cost
-
     y, z = _both(measured, simulated)
     if len(y) == 0:
         return np.nan
@@ -237,3 +241,89 @@ def _both(measured: Array, simulated: Array) -> tuple[Array, Array]:
     if there.ndim > 1:
         there = np.asarray(there.all(axis=1))
     return np.asarray(measured, dtype=float)[there], np.asarray(simulated, dtype=float)[there]
+
+
+@numba.njit(cache=True, nogil=True)
+def warping_cost(a: Array, b: Array, band: int) -> float:
+    """Return the least sum of squared distances along a warping path, shape (n, d) both.
+
+    Two rows of the cost matrix are kept; in each the path may lie ``band`` cells off the diagonal at most
+    (Sakoe and Chiba, 1978).
+    """
+    n = len(a)
+    before = np.full(n + 1, np.inf)
+    before[0] = 0.0
+    for i in range(1, n + 1):
+        row = np.full(n + 1, np.inf)
+        for j in range(max(1, i - band), min(n, i + band) + 1):
+            squares = 0.0
+            for k in range(a.shape[1]):
+                squares += (a[i - 1, k] - b[j - 1, k]) ** 2
+            row[j] = squares + min(before[j], row[j - 1], before[j - 1])
+        before = row
+    return float(before[n])
+
+
+def warm_up() -> None:
+    """Compile the kernel of this module."""
+    warping_cost(np.zeros((2, 1)), np.ones((2, 1)), 1)
+
+
+# ---------------------------------------------------------------- limits
+
+
+def error_checks(
+    scores: Mapping[str, Any], *, fitted: Iterable[str], noise: Iterable[str] = (), held_out: bool = False
+) -> list[ev.Check]:
+    """Check the errors of channels against their limits.
+
+    Parameters
+    ----------
+    scores : mapping of channel name to Score, or to what has ``nrmse`` and ``vaf``
+        Errors over all trials.
+    fitted : iterable of str
+        Channels that the parameters were fitted to: a negative variance accounted for fails there.
+    noise : iterable of str
+        Channels whose residuals are white: their errors are noise, however large it is over the range.
+    held_out : bool
+        The trials were held out.
+    """
+    where = "held-out error" if held_out else "error"
+    found = []
+    for name, score in scores.items():
+        check = share_check(f"{where} of {name}", score.nrmse, GOOD, USABLE, "measured range")
+        if name in set(noise) and check.verdict != "pass":
+            text = "the residuals are white: noise alone is left"
+            check = ev.check(check.name, check.value, None, text=text)
+        found.append(check)
+    for name in fitted:
+        vaf = scores[name].vaf if name in scores else None
+        if vaf is not None and vaf < 0.0:
+            found.append(
+                ev.check(
+                    f"{'held-out ' if held_out else ''}variance accounted for, {name}",
+                    numbers.percent(vaf),
+                    False,
+                    "≥ 0 %",
+                    otherwise="fail",
+                    reason=f"the simulated {name} is farther from the measurement than a constant is",
+                )
+            )
+    return found
+
+
+def share_check(
+    name: str, share: float | None, good: float, usable: float, of: str, text: str = ""
+) -> ev.Check:
+    """Check a share against two limits: above the first is a warning, above the second a failure."""
+    value = math.inf if share is None or math.isnan(share) else share
+    shown = numbers.percent(share)
+    return ev.check(
+        name,
+        shown,
+        value <= good,
+        f"≤ {100 * good:g} % of the {of} (fail above {100 * usable:g} %)",
+        text,
+        otherwise="warn" if value <= usable else "fail",
+        reason=f"the {name} is {shown} of the {of}",
+    )

@@ -18,12 +18,12 @@ import numpy as np
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import metrics
 from swimid.fitting.drives import Beat, Motion
-from swimid.fitting.grading import GOOD, USABLE
+from swimid.fitting.metrics import GOOD, USABLE
 from swimid.fitting.model import Array, Model, Trial
 from swimid.fitting.residual_tests import autocorrelation
 from swimid.notices import recorded
-from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
+from swimid.results import numbers
 
 #: Units of length and of angle that are mixed up.
 FACTORS = (10.0, 100.0, 1000.0, 0.1, 0.01, 0.001)
@@ -163,11 +163,6 @@ def catalogue(model: Model, trials: Sequence[Trial]) -> list[Mistake]:
     return found
 
 
-def _renamed(trial: Trial, says: str) -> Trial:
-    """The trial under a name of its own: models keep what they simulated by the name."""
-    return replace(trial, id=f"{trial.id} ({says})")
-
-
 def _changed(
     model: Model, says: str, factors: Mapping[str, float], offsets: Mapping[str, float] | None = None
 ) -> Mistake:
@@ -287,7 +282,8 @@ def screened(
             changed = mistake.undo(trial)
             if changed is None or trial.id not in before:
                 continue
-            changed = _renamed(changed, mistake.says)
+            # models keep what they simulated by the id of the trial
+            changed = replace(changed, id=f"{trial.id} ({mistake.says})")
             try:
                 # a correction that cannot be simulated is no problem of the recording
                 with recorded():
@@ -338,15 +334,12 @@ def explained(
 
 
 def check(found: Explanation | None, count: int) -> ev.Check:
-    """Result of the search among a number of usual mistakes, for the report."""
+    """Report the search among a number of usual mistakes."""
     if found is None:
-        text = (
-            f"none of {count} usual mistakes (a sign, a unit, a mirrored axis, an amplitude), in one "
-            "trial or in all, explains the error"
-        )
-        return ev.check("usual mistakes", "none found", None, text=text)
+        return ev.check("usual mistakes", f"none of {count} found", None)
     text = f"{found.sentence} Check how these data were recorded; nothing was changed"
-    return blocks.check("usual mistakes", found.says, "none", False, otherwise="fail", text=text)
+    reason = f"a usual mistake explains the error: {found.says}"
+    return ev.check("usual mistakes", found.says, False, "none", text, otherwise="fail", reason=reason)
 
 
 def is_suspect(checks: Iterable[ev.Check], errors: Mapping[str, Errors]) -> bool:

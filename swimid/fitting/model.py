@@ -8,27 +8,28 @@ reporting are written once against this interface; a new model is one new file h
 from __future__ import annotations
 
 import math
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import UsageError, suggestion
 from swimid.files.checkpoint import Checkpoint
-from swimid.fitting.body import Body
+from swimid.fitting.drives import CruiseInput, RigInput, SurgeInput, SwimInput
 from swimid.fitting.hooks import NONE, Hooks
-from swimid.fitting.inputs import CruiseInput, RigInput, SurgeInput, SwimInput
-from swimid.fitting.scales import Scales
 from swimid.progress import Progress, silent
 
-if TYPE_CHECKING:
-    from swimid.fitting.swimmer import Swimmer
-
 Array = NDArray[np.float64]
+#: Columns that hold a position, and the one of a timed run's mean speed.
+POSITIONS = ("x_m", "y_m", "z_m")
+MEAN_SPEED = "mean_speed_m_s"
+#: Stretches into which a track is cut to find its speed, so that noise does not lengthen it.
+STRETCHES = 12
 Entry = TypeVar("Entry")
 Outcome = TypeVar("Outcome")
 
@@ -237,7 +238,7 @@ class Model(ABC):
     timed_runs: bool = False
     #: Its output may be missing by design, where the input is.
     has_gaps: bool = False
-    #: Parameters that share one value, by the name of that (:class:`swimid.fitting.tied.Tied`).
+    #: Parameters that share one value, by the name of that (:class:`Tied`).
     groups: Mapping[str, tuple[str, ...]] = MappingProxyType({})
     #: A robot with links that moves in space, stroke by stroke, not in a plane.
     in_space: bool = False
@@ -248,13 +249,13 @@ class Model(ABC):
         return None
 
     @property
-    def body(self) -> Body | None:
-        """The links of a planar robot; None where there are none, or where they move in space."""
+    def body(self) -> Any:
+        """The links of a planar robot (:class:`swimid.swimmer.planar.body.Body`); None elsewhere."""
         return None
 
     @property
-    def swimmer(self) -> Swimmer | None:
-        """Itself where it is a robot with links; None elsewhere."""
+    def swimmer(self) -> Any:
+        """Itself where it is a robot with links (:class:`swimid.swimmer.model.Swimmer`); None elsewhere."""
         return None
 
     @property
@@ -478,3 +479,227 @@ def chosen(
             parameter = replace(parameter, free=True)
         result.append(parameter)
     return tuple(result)
+
+
+class Scales:
+    """Typical sizes of a model's trials; a model that knows more of its forces and masses overrides them.
+
+    Parameters
+    ----------
+    model : Model
+        Its parameters at their start values.
+    trials : sequence of Trial
+    """
+
+    #: Channels whose range is the extent of the motion.
+    places: tuple[str, ...] = POSITIONS
+
+    def __init__(self, model: Model, trials: Sequence[Trial]) -> None:
+        self.model = model
+        self.trials = trials
+
+    @property
+    def duration(self) -> float:
+        """Median length of a trial, s; 1 where that is not known."""
+        found = [float(t.time_s[-1] - t.time_s[0]) for t in self.trials if len(t.time_s) > 1]
+        return float(np.median(found)) or 1.0 if found else 1.0
+
+    @property
+    def speed(self) -> float:
+        """Typical speed, m/s (rad/s for an angle); 0.1 where nothing tells."""
+        found = [v for t in self.trials if (v := _speed(t)) is not None]
+        return float(np.median(found)) or 0.1 if found else 0.1
+
+    @property
+    def span(self) -> float:
+        """Typical extent of the motion, m (rad for an angle); 1 where nothing tells."""
+        found = [
+            float(np.nanmax(t.measured[name]) - np.nanmin(t.measured[name]))
+            for t in self.trials
+            for name in self.places
+            if name in t.measured and np.isfinite(t.measured[name]).any()
+        ]
+        return float(np.median(found)) or 1.0 if found else 1.0
+
+    @property
+    def inertia(self) -> float:
+        """What has to be accelerated: kg, kg m2 for an angle; 1 where nothing tells."""
+        return 1.0
+
+    @property
+    def force(self) -> float:
+        """Typical force that moves the robot, in :attr:`Model.force_unit`."""
+        return 0.1 * self.speed**2
+
+    @property
+    def brake(self) -> float:
+        """Size of a drag or friction that one begins to see: a tenth of what moves the robot."""
+        return 0.1 * self.force
+
+    @property
+    def quadratic(self) -> float:
+        """The quadratic drag the model has, the least of all trials; 0 where it has no such coefficient."""
+        return 0.0
+
+
+def _speed(trial: Trial) -> float | None:
+    for name in ("u_m_s", MEAN_SPEED):
+        if name in trial.measured:
+            return float(np.sqrt(np.nanmean(trial.measured[name] ** 2)))
+    time, place = _track(trial)
+    every = slice(None, None, max(len(time) // STRETCHES, 1))
+    if len(time) > 1 and time[every][-1] > time[0]:
+        path = float(np.linalg.norm(np.diff(place[every], axis=0), axis=1).sum())
+        return path / float(time[every][-1] - time[0])
+    return None
+
+
+def _track(trial: Trial) -> tuple[Array, Array]:
+    """Times and positions where all measured coordinates are there, shapes (n,) and (n, coordinates)."""
+    names = [name for name in POSITIONS if name in trial.measured]
+    if not names:
+        return np.zeros(0), np.zeros((0, 1))
+    values = np.column_stack([trial.measured[name] for name in names])
+    there = np.isfinite(values).all(axis=1)
+    return trial.time_s[there], values[there]
+
+
+class Tied(Model):
+    """A model in which each group of parameters is replaced by one they share.
+
+    The shared parameter stands where the group's first member stood. It starts at the
+    members' mean, its bounds are what all members' bounds allow, its scale is the largest.
+
+    Parameters
+    ----------
+    model : Model
+    groups : mapping of name to sequence of str
+        The shared parameter's name, and the members it stands for.
+
+    Raises
+    ------
+    UsageError
+        For an unknown member, one in two groups, a group of one, a name already taken, and
+        members of different unit or with no common value.
+    """
+
+    def __init__(self, model: Model, groups: Mapping[str, Sequence[str]]) -> None:
+        self.model = model
+        self.groups = {name: tuple(members) for name, members in groups.items()}
+        self.name = model.name
+        self.channels = model.channels
+        self.abscissa = model.abscissa
+        owner: dict[str, str] = {}
+        for name, members in self.groups.items():
+            if len(members) < 2:
+                raise UsageError(f"{name} needs at least two parameters to be shared by")
+            for member in members:
+                model.index(member)
+                if member in owner:
+                    raise UsageError(f"{member} is shared twice: as {owner[member]} and as {name}")
+                owner[member] = name
+        parameters: list[Parameter] = []
+        places: dict[str, int] = {}
+        for parameter in model.parameters:
+            name = owner.get(parameter.name, parameter.name)
+            if parameter.name not in owner and name in self.groups:
+                raise UsageError(f"the name {name} is taken by a parameter that does not share it")
+            if name not in places:
+                places[name] = len(parameters)
+                parameters.append(self._shared(name) if name in self.groups else parameter)
+        self.parameters = tuple(parameters)
+        self._places = np.array([places[owner.get(p.name, p.name)] for p in model.parameters], dtype=int)
+
+    @property
+    def body(self) -> Any:
+        """The links of the untied model."""
+        return self.model.body
+
+    @property
+    def swimmer(self) -> Any:
+        """The untied model where it is a robot with links."""
+        return self.model.swimmer
+
+    def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
+        """Simulate with every member at its group's value (see :meth:`Model.simulate`)."""
+        return self.model.simulate(self.members(values), trial)
+
+    @property
+    def together(self) -> int:
+        """As of the untied model."""
+        return self.model.together
+
+    def hooked_many(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> list[dict[str, Array]]:
+        """Several runs (see :meth:`Model.hooked_many`)."""
+        return self.model.hooked_many([(self.members(values), trial, hooks) for values, trial, hooks in runs])
+
+    def prepare(self, progress: Progress = silent, **how: Any) -> None:
+        """As the untied model (see :meth:`Model.prepare`)."""
+        self.model.prepare(progress, **how)
+
+    def sensitivity_to_time(self, values: Array, trial: Trial) -> dict[str, Array]:
+        """Rate of change of each channel (see :meth:`Model.sensitivity_to_time`)."""
+        return self.model.sensitivity_to_time(self.members(values), trial)
+
+    def refined(self) -> Tied | None:
+        """The same with half the integration step; None where nothing is integrated."""
+        finer = self.model.refined()
+        return None if finer is None else Tied(finer, self.groups)
+
+    def members(self, values: Array) -> Array:
+        """Values of the untied model's parameters, shape (len(self.model.parameters),)."""
+        return np.asarray(values, dtype=float)[self._places]
+
+    def expanded(self, entries: Mapping[str, Entry]) -> dict[str, Entry]:
+        """What is known of each parameter, by the names of the untied model.
+
+        A shared one is repeated for every member; its standard error is each member's, all of them fully
+        correlated.
+        """
+        found: dict[str, Entry] = {}
+        for label, entry in entries.items():
+            name, bracket, rest = label.partition("[")
+            for member in self.groups.get(name, (name,)):
+                found[member + bracket + rest] = entry
+        return found
+
+    def _shared(self, name: str) -> Parameter:
+        members = [self.model.parameters[self.model.index(m)] for m in self.groups[name]]
+        first = members[0]
+        for other in members[1:]:
+            if (other.unit, other.per_trial) != (first.unit, first.per_trial):
+                raise UsageError(
+                    f"{first.name} ({first.unit}) and {other.name} ({other.unit}) cannot share a value"
+                )
+        lower, upper = max(m.lower for m in members), min(m.upper for m in members)
+        if lower > upper:
+            raise UsageError(f"no value lies within the bounds of all of {', '.join(self.groups[name])}")
+        start = float(np.clip(np.mean([m.start for m in members]), lower, upper))
+        return replace(
+            first,
+            name=name,
+            lower=lower,
+            upper=upper,
+            start=start,
+            scale=max(m.scale for m in members),
+            free=any(m.free for m in members),
+            meaning=f"one value for {', '.join(self.groups[name])}",
+            source="",
+        )
+
+
+def groups_by_prefix(model: Model, prefix: str) -> dict[str, tuple[str, ...]]:
+    """The group of all parameters whose name is the prefix followed by digits.
+
+    Raises
+    ------
+    UsageError
+        With the nearest prefix, when fewer than two parameters have it.
+    """
+    members = tuple(p.name for p in model.parameters if re.fullmatch(re.escape(prefix) + r"\d+", p.name))
+    if len(members) < 2:
+        stems = [re.sub(r"\d+$", "", p.name) for p in model.parameters if re.search(r"\d+$", p.name)]
+        several = sorted({s for s in stems if stems.count(s) > 1})
+        hint = suggestion(prefix, several)
+        raise UsageError(f"the model {model.name} has no parameters to share as '{prefix}'", hint=hint)
+    return {prefix: members}

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import special
 
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting import output_error, start_states
+from swimid.fitting import output_error
 from swimid.fitting.fit_result import FitResult
 
 #: Fewest trials among which one can be odd: of fewer the others do not show how far off is far.
@@ -48,7 +48,7 @@ def odd_trial(result: FitResult) -> Odd | None:
     def without(*left_out: str) -> FitResult:
         trials = [replace(t, role="validate") if t.id in left_out else t for t in result.trials]
         fit = output_error.fit(result.model, trials, parameters=here, tested=False)
-        return start_states.with_held_out(fit)
+        return output_error.with_held_out(fit)
 
     try:
         fits = {name: without(name) for name in names}

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,20 +36,17 @@ ROUNDS = 12
 SETTLED = 0.01
 #: Relative tolerance of the cost while the weights still change, and at the end.
 COARSE, FINE = 1e-3, 1e-10
-#: An estimate at its bound that would lie beyond it by at most this many standard errors may
-#: be there by noise alone.
-BY_NOISE = 2.0
 #: A move by this share of a standard error is no news: the root of :data:`problem.IMMATERIAL`.
 SLIGHT = 0.03
 #: Iterations of one search over all its rounds, and where what it came to is wanted unfinished: three times
 #: what fits of right models take (6 to 25; 52 where simulations break down at the start).
 MAX_ITERATIONS, BUDGET = 200, 75
-#: Derivatives of more numbers than this (samples times unknowns) are taken forward only.
-CENTRAL_NUMBERS = 50_000
 #: The integration step is halved until halving it changes no sample by more than this many
 #: standard deviations of its noise, at most so many times.
 STEP_ERROR = 0.1
 MAX_REFINEMENTS = 6
+#: Relative tolerance of the search for the start state of a trial.
+START_TOLERANCE = 1e-8
 #: Restarts near an answer, at most, and how much they raise twice the log-likelihood to have been needed: as
 #: much as one standard error.
 RESTARTS, ANOTHER = 6, 1.0
@@ -455,7 +452,7 @@ def _influences(
 def _result(search: _Search, task: _Task) -> FitResult:
     problem, theta = search.problem, search.theta
     samples = sum(int(mask.sum()) for masks in problem.masks for mask in masks)
-    raw, residuals, rows = _influences(problem, theta, central=samples * len(theta) <= CENTRAL_NUMBERS)
+    raw, residuals, rows = _influences(problem, theta, central=samples * len(theta) <= 50_000)
     autoregressions = noise_model.autoregressions(problem, residuals)
     priors = problem.priors(theta)
     rows = [np.vstack((a, b * problem.scale)) for a, (_, b) in zip(rows, priors, strict=True)]
@@ -532,7 +529,8 @@ def _by_noise(
         sd = np.sqrt(np.maximum(np.diag(found.covariance), 1e-300))
         beyond = np.where(np.isfinite(sd) & (outward[free] != 0), outward[free] * found.step / sd, 0.0)
         worst = int(np.argmax(beyond))
-        if beyond[worst] <= BY_NOISE:
+        # within two standard errors a bound may hold it by noise alone
+        if beyond[worst] <= 2.0:
             return free, found
         free[np.flatnonzero(free)[worst]] = False
     return free, None
@@ -568,3 +566,61 @@ def _series(problem: Problem, result: FitResult) -> list[Series]:
                 Series(trial.id, trial.role, channel, trial.time_s, measured, simulated[channel], sd)
             )
     return series
+
+
+# ---------------------------------------------------------------- start states of held-out trials
+
+
+def estimate_start(
+    model: Model,
+    parameters: tuple[Parameter, ...],
+    trial: Trial,
+    sd: Mapping[str, float],
+    *,
+    tolerance: float = START_TOLERANCE,
+) -> dict[str, float]:
+    """Estimate per-trial parameters of one trial by label, ``name[trial]``, with the shared ones held.
+
+    A held-out trial has its own start pose, speed and clock. They are no part of what it tests.
+
+    Parameters
+    ----------
+    parameters : tuple of Parameter
+        Shared ones with their values as ``start``; of the others those that are free are estimated.
+    sd : mapping of channel name to float
+        Noise of each channel, for the weights; channels that are not in it are not used.
+    """
+    held = [replace(p, free=p.free and p.per_trial) for p in parameters]
+    used = {c: v for c, v in trial.measured.items() if c in sd}
+    problem = Problem(model, held, [replace(trial, role="fit", measured=used)])
+    try:
+        if not problem.labels:
+            return {}
+        for i, channel in enumerate(problem.channels[0]):
+            problem.sd[0][i] = np.full(len(trial.time_s), sd[channel])
+        begin = problem.start
+        if problem.broken(begin):
+            # known from other coefficients, with which it did not diverge
+            begin = np.clip([held[i].start for i, _ in problem.slots], problem.lower, problem.upper)
+        solution = problem.solve(begin, tolerance=tolerance)
+        return {label: float(v) for label, v in zip(problem.labels, solution.x, strict=True)}
+    finally:
+        problem.close()
+
+
+def with_held_out(result: FitResult) -> FitResult:
+    """The result with each validation trial simulated from its own start state."""
+    waiting = [t for t in result.trials if t.role == "validate"]
+    if not any(p.free and p.per_trial for p in result.parameters):
+        return result
+    sd = {name: noise.value_sd for name, noise in result.noise.items()}
+    found: dict[str, float] = {}
+    for trial in waiting:
+        found.update(estimate_start(result.model, result.at_estimates(), trial, sd))
+    result = replace(result, start_states=found)
+    simulated = {t.id: result.model.simulate(result.values(t.id), t) for t in waiting}
+    series = [
+        replace(s, simulated=simulated[s.trial][s.channel]) if s.trial in simulated else s
+        for s in result.series
+    ]
+    return replace(result, series=series)

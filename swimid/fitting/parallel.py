@@ -1,4 +1,4 @@
-"""Work shared among processes: much of a simulation is Python, which threads do not run side by side."""
+"""Work on many items shared among threads or processes."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import multiprocessing
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 Item = TypeVar("Item")
@@ -16,7 +17,9 @@ _work: tuple[Callable[[Any], Any], list[Any]] | None = None
 
 
 def mapped(function: Callable[[Item], Made], items: Iterable[Item], jobs: int) -> Iterator[Made]:
-    """Results of a function in the order of its items, each as soon as it and those before are there.
+    """Yield the results of a function in the order of its items, each as soon as it is there.
+
+    Much of a simulation is Python, which threads do not run side by side.
 
     On Linux the items are shared among forked processes, which begin with all that is in memory here; only
     results are sent, and what else the function changes is lost. Elsewhere, where forking is not safe, they
@@ -44,3 +47,42 @@ def _one(index: int) -> Any:
     assert _work is not None
     function, items = _work
     return function(items[index])
+
+
+@contextmanager
+def in_threads(work: Callable[[Item], Made], items: Iterable[Item], jobs: int) -> Iterator[Iterator[Made]]:
+    """Results of work on items, in the items' order.
+
+    Parameters
+    ----------
+    work : callable
+        Called with one item, in any thread. The first failure, an interrupt too, is that of every item
+        which has not begun by then.
+    items : iterable
+        What to work on.
+    jobs : int
+        Threads; at least one.
+
+    Yields
+    ------
+    iterator
+        Waits for each result. What has not begun when the block is left is cancelled.
+    """
+    failures: list[BaseException] = []
+
+    def one(item: Item) -> Made:
+        # Whoever waits for the results may hear of a failure late, and the queue would go on till then.
+        if failures:
+            raise failures[0]
+        try:
+            return work(item)
+        except BaseException as failure:
+            failures.append(failure)
+            raise
+
+    pool = ThreadPoolExecutor(max(jobs, 1))
+    try:
+        waiting = [pool.submit(one, item) for item in items]
+        yield (future.result() for future in waiting)
+    finally:
+        pool.shutdown(cancel_futures=True)

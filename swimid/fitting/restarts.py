@@ -6,9 +6,10 @@ dry friction, or a bound keeps a parameter from leaving, that is no minimum.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import optimize, special
 
 from swimid.fitting.fit_result import FitResult
 from swimid.fitting.levenberg import minimise
@@ -21,8 +22,6 @@ PAIRS, PAIR_DISTANCE = 3, 2.0
 #: A cost of a pair of points that is off by more than this share of what curvature predicts (or of a standard
 #: error's worth) has corners.
 ROUGH = 0.5
-#: Of that less is left at a quarter of the distance where a bend is the cause (1/256; 1/16 where stairs are).
-VANISHING = 1.0 / 32.0
 #: Distances, in the same standard errors, from which short searches start, and those where it has corners.
 FAR, FAR_ROUGH = (10.0,), (3.0, 10.0, 30.0, 100.0, 3.0, 10.0, 30.0, 100.0)
 #: Iterations of such a search, and of the two that came lowest where the cost has corners.
@@ -30,8 +29,6 @@ SHORT, LONG = 3, 10
 #: Sizes a parameter with corners is tried at: in its scale, where the search may have gone far astray, and in
 #: its estimate, since a decay that sticks has a minimum for every number of half swings it may take.
 SIZES, FACTORS = (0.25, 1.0, 3.0), (0.6, 0.8, 0.9, 1.1, 1.25, 1.6)
-#: Share of its distance from the answer that a step leaves of it at most, to be on the way back.
-RETURNED = 0.5
 #: How far inside a parameter at its bound is tried, in its scale.
 INSIDE = 1.0
 #: Relative size beyond which a step along a direction the data hardly see does not go.
@@ -140,7 +137,8 @@ def _smooth(problem: Problem, theta: Array, rows: Array, step: Array, off: float
         step = step / 4.0
         predicted = float(np.sum((rows @ step) ** 2))
         nearer = 0.5 * (_cost(problem, theta + step) + _cost(problem, theta - step)) - here - predicted
-        if abs(nearer) < VANISHING * abs(off):
+        # 1/256 is left of a bend at a quarter of the distance, 1/16 of stairs
+        if abs(nearer) < 1.0 / 32.0 * abs(off):
             return True
         off = nearer
     return False
@@ -168,7 +166,7 @@ def _stepped(problem: Problem, start: Array, rows: Array) -> tuple[float, Array]
 def _back(rows: Array, theta: Array, start: Array, end: Array) -> bool:
     """Whether an end is on the way back to the answer, ways measured by what they change in the residuals."""
     before, after = (float(np.linalg.norm(rows @ (point - theta))) for point in (start, end))
-    return after <= RETURNED * before
+    return after <= 0.5 * before
 
 
 def _searched(
@@ -220,3 +218,47 @@ def _inside(problem: Problem, result: FitResult, theta: Array, rough: bool) -> l
             point[j] = np.clip(value, problem.lower[j], problem.upper[j])
             found.append(point)
     return found
+
+
+def profile_interval(
+    result: FitResult, name: str, *, level: float = 0.95
+) -> tuple[float | None, float | None]:
+    """Profile-likelihood interval of one shared parameter.
+
+    The parameter is held at values ever farther from its estimate, all others are refitted,
+    and the interval ends where the fit is worse by the chi-square quantile. Coloured residuals
+    and scattering trials widen it by the same factor as they widen the standard error. An
+    end is None where the interval runs into a bound or does not end within some ten standard errors.
+    """
+    stderr = result.stderr(name)
+    if stderr is None:
+        return None, None
+    whole = weighted(result, result.parameters)
+    best = whole.residuals(result.estimate)
+    cost = float(best @ best)
+    rows = whole.jacobian(result.estimate)
+    j = result.labels.index(name)
+    variance = cost / max(len(best) - len(result.labels), 1)
+    white = float(np.linalg.pinv(rows.T @ rows)[j, j]) * variance
+    inflation = stderr**2 / white if white > 0 else 1.0
+    limit = float(special.chdtri(1, 1.0 - level)) * variance * inflation
+    centre, others = float(result.estimate[j]), np.delete(result.estimate, j)
+
+    def excess(value: float) -> float:
+        held = tuple(replace(p, start=value, free=False) if p.name == name else p for p in result.parameters)
+        return weighted(result, held).solve(others, tolerance=1e-8).cost - cost - limit
+
+    parameter = result.parameter(name)
+    ends: list[float | None] = []
+    for side, bound in ((-1.0, parameter.lower), (1.0, parameter.upper)):
+        near, end = centre, None
+        for k in range(7):
+            far = centre + side * 2.5 * stderr * 1.4**k
+            if (far - bound) * side >= 0:
+                break
+            if excess(far) > 0:
+                end = float(optimize.brentq(excess, near, far, xtol=1e-3 * stderr))
+                break
+            near = far
+        ends.append(end)
+    return ends[0], ends[1]

@@ -16,8 +16,6 @@ from swimid.fitting.problem import Problem
 
 #: Trials are called inconsistent below this p-value.
 HETEROGENEITY = 1e-3
-#: Directions in which the residuals change by less than this, relatively, are not seen.
-SINGULAR = 1e-8
 
 
 def _autocorrelation(coefficients: Array, lags: int) -> Array:
@@ -108,7 +106,7 @@ def sandwich(
     null = size == 0
     size = np.where(null, 1.0, size)
     u, singular, vt = np.linalg.svd(j / size, full_matrices=False)
-    good = singular > SINGULAR * singular[0] if singular[0] > 0 else np.zeros(len(singular), bool)
+    good = singular > 1e-8 * singular[0] if singular[0] > 0 else np.zeros(len(singular), bool)
     # a parameter with a part in a direction the data do not see is not identifiable
     null |= (np.abs(vt[~good]) > 1e-3).any(axis=0)
     ends = np.cumsum([0, *(len(r) for r in residuals)])

@@ -14,7 +14,6 @@ from swimid.errors import UsageError
 from swimid.files.provenance import Input
 from swimid.fitting.experiment import read_log
 from swimid.fitting.model import Array, Trial
-from swimid.fitting.swimmer import Swimmer
 from swimid.logs import trials as trials_format
 from swimid.logs.log import Log
 from swimid.logs.trials import TrialSet
@@ -25,6 +24,7 @@ from swimid.simulation import compare_series
 from swimid.simulation.applied import Applied
 from swimid.simulation.swim_quantities import Steady, Window
 from swimid.swimmer import trials as swimmer
+from swimid.swimmer.model import Swimmer
 
 #: Columns of electrical power in a log.
 VOLTAGE, CURRENT = "voltage_V", "current_A"

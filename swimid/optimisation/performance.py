@@ -15,11 +15,9 @@ import numpy as np
 from swimid.errors import InputError, NoTrustworthyResult, UsageError, suggestion
 from swimid.files import provenance
 from swimid.files.provenance import Input
-from swimid.fitting.drives import Beat
-from swimid.fitting.inputs import SwimInput
+from swimid.fitting.drives import Beat, SwimInput
 from swimid.fitting.model import Array
-from swimid.fitting.swimmer import Swimmer
-from swimid.fitting.threads import in_threads
+from swimid.fitting.parallel import in_threads
 from swimid.logs.trials import StrokeDrive
 from swimid.optimisation.options import GaitOptions
 from swimid.progress import Progress
@@ -29,6 +27,7 @@ from swimid.simulation import catalogue, swim_quantities
 from swimid.simulation.applied import Applied, Quantity
 from swimid.simulation.swim_quantities import Steady
 from swimid.swimmer import trials as swimmer
+from swimid.swimmer.model import Swimmer
 
 #: What of a drive may be varied, with its unit: of a beat, and of a stroke.
 BEAT = {"frequency_hz": "Hz", "amplitude_deg": "deg", "bias_deg": "deg", "asymmetry": "1", "lag_deg": "deg"}

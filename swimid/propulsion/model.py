@@ -12,8 +12,7 @@ import numba
 import numpy as np
 
 from swimid.fitting.hooks import Hooks, Stroke
-from swimid.fitting.model import Array, Channel, Model, Parameter, Trial
-from swimid.fitting.scales import MEAN_SPEED, Scales
+from swimid.fitting.model import MEAN_SPEED, Array, Channel, Model, Parameter, Scales, Trial
 
 SPEED = MEAN_SPEED
 #: Longest step in which the surge is integrated where it has no closed form, s.

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting import fit_common, output_error, start_states
+from swimid.fitting import fit_common, output_error
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Parameter, chosen
 from swimid.notices import warn
@@ -49,7 +49,7 @@ def fit(
         choices = tuple(replace(p, free=False) if p.name == "initial_speed" else p for p in choices)
     result = output_error.fit(model, experiment.trials, parameters=choices, progress=progress)
     fit_common.refuse_interrupted(result)
-    result = start_states.with_held_out(result)
+    result = output_error.with_held_out(result)
     shared = [label for label in result.labels if "[" not in label]
     if all(result.status[label] != "estimated" for label in shared):
         raise NoTrustworthyResult("neither thrust nor drag can be identified from these trials")

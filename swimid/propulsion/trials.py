@@ -10,8 +10,8 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from swimid.errors import InputError, nearest
+from swimid.fitting.drives import CruiseInput, SurgeInput
 from swimid.fitting.experiment import Experiment, inputs_of, read_log
-from swimid.fitting.inputs import CruiseInput, SurgeInput
 from swimid.fitting.model import Trial
 from swimid.logs import trials as trials_format
 from swimid.logs.beat import TOLERANCE, find_beat, stated_against_found

@@ -10,12 +10,12 @@ import numpy as np
 
 from swimid.errors import NoTrustworthyResult
 from swimid.files import provenance
-from swimid.fitting import fit_common, output_error, start_states
+from swimid.fitting import fit_common, output_error
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.fit_result import FitResult
 from swimid.fitting.model import Parameter, chosen
 from swimid.fitting.multistart import agreeing, multistart
-from swimid.fitting.profile import profile_interval
+from swimid.fitting.restarts import profile_interval
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded, warn
 from swimid.options import takes
@@ -181,7 +181,7 @@ def _best_fit(
     checks += best.checks
     if experiment.name == "towed":
         checks += force_checks(best.result)
-    result = start_states.with_held_out(best.result)
+    result = output_error.with_held_out(best.result)
     if odd is not None:
         checks.append(lack_of_fit.odd_check(result, odd))
     facts = {**({"encoder_rounding": name} if name else {}), **best.facts}

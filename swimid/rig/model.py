@@ -19,10 +19,9 @@ from typing import Any
 
 import numpy as np
 
+from swimid.fitting.drives import RigInput
 from swimid.fitting.hooks import MOST_FORCES, NONE, Hooks, no_force
-from swimid.fitting.inputs import RigInput
-from swimid.fitting.model import Array, Channel, Model, Parameter, Rig, Trial
-from swimid.fitting.scales import Scales
+from swimid.fitting.model import Array, Channel, Model, Parameter, Rig, Scales, Trial
 from swimid.rig.equation import falling_weight_closed_form, integrate, integrate_forced, step_ends
 
 #: Coordinates a rig may log, with unit, unit of speed and whether it is a rotation.

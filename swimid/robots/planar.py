@@ -12,7 +12,7 @@ import re
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, PositiveFloat, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, PositiveFloat, model_validator
 
 from swimid.files import yamlio
 
@@ -89,6 +89,16 @@ class Coefficient(yamlio.Document):
             if value is not None and not low <= value <= high:
                 raise ValueError(f"its {name} {value:g} lies outside its bounds")
         return self
+
+
+def _named(coefficients: dict[str, Coefficient]) -> dict[str, Coefficient]:
+    for name in coefficients:
+        if not NAME.fullmatch(name):
+            raise ValueError(f"a coefficient cannot be called '{name}': letters, digits and _ only")
+    return coefficients
+
+
+Coefficients = Annotated[dict[str, Coefficient], AfterValidator(_named)]
 
 
 class Link(yamlio.Document):
@@ -359,14 +369,7 @@ class Multilink(yamlio.Document):
     heading_deg: float = 0.0
     reference: Reference = Reference()
     markers: dict[str, Reference] = {}
-    coefficients: dict[str, Coefficient] = {}
+    coefficients: Coefficients = {}
     links: Annotated[list[Link], Field(min_length=1)]
     joints: list[Joint] = []
     elements: list[Element] = []
-
-    @model_validator(mode="after")
-    def _names_of_coefficients(self) -> Multilink:
-        for name in self.coefficients:
-            if not NAME.fullmatch(name):
-                raise ValueError(f"a coefficient cannot be called '{name}': letters, digits and _ only")
-        return self

@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 from pydantic import Field, PositiveFloat, model_validator
 
 from swimid.files import yamlio
-from swimid.robots.planar import NAME, Coefficient, Driven, OnLink, Quantity, Yielding
+from swimid.robots.planar import Coefficients, Driven, OnLink, Quantity, Yielding
 
 #: Along the axes of a link.
 Vector = tuple[Quantity, Quantity, Quantity]
@@ -248,7 +248,7 @@ class Multibody(yamlio.Document):
     markers: dict[str, Reference] = {}
     #: Height of the water's surface in the world; without it there is none near.
     surface_z_m: float | None = None
-    coefficients: dict[str, Coefficient] = {}
+    coefficients: Coefficients = {}
     links: Annotated[list[Body], Field(min_length=1)]
     joints: list[Hinge] = []
     elements: list[Element] = []
@@ -256,9 +256,6 @@ class Multibody(yamlio.Document):
 
     @model_validator(mode="after")
     def _names(self) -> Multibody:
-        for name in self.coefficients:
-            if not NAME.fullmatch(name):
-                raise ValueError(f"a coefficient cannot be called '{name}': letters, digits and _ only")
         driven = [h.name for h in self.joints if h.driven is not None]
         for stroke, law in self.strokes.items():
             unknown = [name for name in law.angles_deg if name not in driven]

@@ -18,7 +18,6 @@ from swimid.files import atomic, provenance
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array, Parameter, Trial
-from swimid.fitting.swimmer import Swimmer
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
 from swimid.options import takes
@@ -42,6 +41,7 @@ from swimid.simulation.applied import Applied, Quantity
 from swimid.simulation.swim_quantities import Steady
 from swimid.swimmer import stroke_cycles
 from swimid.swimmer import trials as swimmer
+from swimid.swimmer.model import Swimmer
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -14,10 +14,8 @@ from swimid.blackbox import trials as arma
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.files.provenance import Input
 from swimid.fitting import drives
-from swimid.fitting.drives import Cycle
-from swimid.fitting.inputs import CruiseInput, RigInput, SurgeInput, SwimInput
+from swimid.fitting.drives import CruiseInput, Cycle, RigInput, SurgeInput, SwimInput
 from swimid.fitting.model import Array, Model, Trial
-from swimid.fitting.swimmer import Swimmer
 from swimid.logs import log as log_format
 from swimid.logs import trials as trials_format
 from swimid.logs.beat import find_beat
@@ -37,6 +35,7 @@ from swimid.simulation.options import SimulateOptions
 from swimid.simulation.swim_quantities import Steady
 from swimid.swimmer import stroke_cycles
 from swimid.swimmer import trials as swimmer
+from swimid.swimmer.model import Swimmer
 from swimid.swimmer.planar import drive
 
 #: Duration of a run (s) and sampling rate (Hz) by default.

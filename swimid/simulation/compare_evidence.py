@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from swimid.fitting import grading
+from swimid.fitting import metrics
 from swimid.fitting.experiment import Experiment
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -56,12 +56,12 @@ def checks(file: ComparisonFile, fitted: Iterable[str]) -> list[ev.Check]:
     fitted : iterable of str
         Channels that the parameters were fitted to.
     """
-    graded = grading.error_checks(file.channels, fitted=fitted)
+    graded = metrics.error_checks(file.channels, fitted=fitted)
     share = _speed_share(file)
     if share is not None:
         what = "root-mean-square difference over the trials, over the root mean square measured"
-        limits = (grading.GOOD_SPEED, grading.USABLE_SPEED)
-        graded.append(grading.share_check("error of mean speeds", share, *limits, "measured", what))
+        limits = (metrics.GOOD_SPEED, metrics.USABLE_SPEED)
+        graded.append(metrics.share_check("error of mean speeds", share, *limits, "measured", what))
     return graded + _cruise_checks(file)
 
 
@@ -94,8 +94,8 @@ def _cruise_checks(file: ComparisonFile) -> list[ev.Check]:
         return [ev.check("cruising speed", "not tested", False, limit, text, reason=reason)]
     measured, settles = np.array(rows).T
     share = float(np.sqrt(np.mean((measured - settles) ** 2) / np.mean(measured**2)))
-    limits = (grading.GOOD_SPEED, grading.USABLE_SPEED)
-    return [grading.share_check("cruising speed", share, *limits, "measured", text)]
+    limits = (metrics.GOOD_SPEED, metrics.USABLE_SPEED)
+    return [metrics.share_check("cruising speed", share, *limits, "measured", text)]
 
 
 def _speed_share(file: ComparisonFile) -> float | None:

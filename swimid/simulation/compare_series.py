@@ -11,8 +11,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
-from swimid.fitting import grading, metrics, mistakes, start_states
-from swimid.fitting.body import Body
+from swimid.fitting import metrics, mistakes, output_error
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array, Channel, Model, Trial
 from swimid.logs.derivative import slope
@@ -20,6 +19,7 @@ from swimid.notices import warn
 from swimid.simulation import cases, swim_quantities
 from swimid.simulation.applied import Applied
 from swimid.simulation.comparison_file import ChannelScore, Cruise, CycleTable, Speed, TrialComparison
+from swimid.swimmer.planar.body import Body
 
 Start = Literal["file", "estimated", "neutral"]
 #: Per-trial parameters that say how a trial starts and is seen, and nothing of the robot.
@@ -156,7 +156,7 @@ def compared(
 
 
 def start_of(
-    applied: Applied, trial: Trial, refit: bool, tolerance: float = start_states.TOLERANCE
+    applied: Applied, trial: Trial, refit: bool, tolerance: float = output_error.START_TOLERANCE
 ) -> tuple[Array, Start, dict[str, float]]:
     """Parameters of a trial with its start state: from the file, estimated, or neutral."""
     model = applied.model
@@ -185,7 +185,7 @@ def start_of(
         at = zip(model.parameters, _replaced(model, values, start), strict=True)
         held = tuple(replace(p, start=float(v), free=p.name in names) for p, v in at)
         try:
-            labelled = start_states.estimate(model, held, trial, sd, tolerance=tolerance)
+            labelled = output_error.estimate_start(model, held, trial, sd, tolerance=tolerance)
         except (NoTrustworthyResult, np.linalg.LinAlgError):
             continue
         tried = {label.split("[")[0]: v for label, v in labelled.items()}
@@ -349,7 +349,7 @@ def _cruise(applied: Applied, trial: Trial, values: Array, pairs: Mapping[str, P
     return Cruise(
         settled=found.speed_m_s,
         settling_s=found.settling_s,
-        steady=abs(late - early) <= grading.GOOD_SPEED * abs(late),
+        steady=abs(late - early) <= metrics.GOOD_SPEED * abs(late),
     )
 
 

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swimid.fitting.body import Body
-from swimid.fitting.energetics import Energetics
-from swimid.fitting.inputs import SwimInput
+from swimid.fitting.drives import SwimInput
 from swimid.fitting.model import Array, Trial
-from swimid.fitting.swimmer import Swimmer
 from swimid.simulation.applied import Quantity
 from swimid.swimmer import stroke_cycles
+from swimid.swimmer.energetics import Energetics
+from swimid.swimmer.model import Swimmer
+from swimid.swimmer.planar.body import Body
 
 #: Whole beats at the end of a run over which it is judged, and samples of each.
 BEATS, PER_BEAT = 4, 64

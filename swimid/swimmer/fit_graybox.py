@@ -7,17 +7,16 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from swimid.errors import InputError, Interrupted, NoTrustworthyResult
 from swimid.files import atomic, provenance
-from swimid.fitting import fit_common, identifiability, mistakes, multistart, output_error, start_states
+from swimid.fitting import fit_common, identifiability, mistakes, multistart, output_error
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.fit_result import FitResult
-from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.fitting.tied import Tied, groups_by_prefix
+from swimid.fitting.model import Array, Model, Parameter, Tied, Trial, groups_by_prefix
 from swimid.logs import trials as trials_format
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
@@ -29,18 +28,14 @@ from swimid.results import parameters as parameters_format
 from swimid.results.fitted import Fitted
 from swimid.results.parameters import ParameterFile
 from swimid.robots import file as robot_format
-from swimid.swimmer import fit_graybox_evidence, front
+from swimid.swimmer import fit_graybox_evidence
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.fit_graybox_evidence import body_of
-from swimid.swimmer.front import Found
 from swimid.swimmer.options import FitGrayboxOptions
-from swimid.swimmer.profiles import Profiles
 
-#: Number of starts by default, where a search is begun again at all.
-DEFAULT_STARTS = 4
-#: A search of fewer integration steps than this is short: it takes about a second on one processor (1.3 us a
-#: step of the tendon fish, ``python -m benchmarks.bench_lanes``).
-SHORT_SEARCH = 1e6
+if TYPE_CHECKING:
+    from swimid.swimmer.front import Found
+
 #: Jacobians that a fit takes, about; the work ahead need be known to half only.
 STEPS = 20
 
@@ -140,39 +135,20 @@ def fit_graybox(
         )
         _insist_steady(experiment, choices)
         ahead_s = _simulated_s(experiment.trials, choices, options)
-        origin = provenance.collect(
-            [
-                *experiment.inputs,
-                *(parameters_format.origin(p) for p in (begin, options.front) if p is not None),
-            ],
-            settings=options.settings(),
-        )
+        files = [parameters_format.origin(p) for p in (begin, options.front) if p is not None]
+        origin = provenance.collect([*experiment.inputs, *files], settings=options.settings())
         found: Found | None = None
-        stages: dict[str, FitResult | None] = {}
         ends: list[multistart.Start] = []
         starts = 1
         if options.method == "least-squares":
             model.prepare(progress, simulated_s=ahead_s)
             result, ends, starts = _least_squares(model, experiment.trials, choices, None, options, progress)
         else:
-            profiles = Profiles(
-                model, choices, experiment.trials, front.profiled(experiment.facts["profiles"], options),
-                scales=options.scales, band=options.band, jobs=options.jobs or os.cpu_count() or 1,
-            )  # fmt: skip
+            from swimid.swimmer import front
+
             keep = front.kept(output, [origin["inputs"], origin["settings"]], options)
             model.prepare(progress, simulated_s=ahead_s, checkpoint=keep)
-            found = front.search(profiles, options, checkpoint=keep, progress=progress)
-
-            def at(point: Array) -> FitResult:
-                theta = profiles.theta(point)
-                return output_error.at(model, experiment.trials, theta, parameters=choices, jobs=options.jobs)
-
-            message = f"point {found.chosen} of the front; standard errors are local to it"
-            result = replace(at(found.point), message=message)
-            stages[front.UNTUNED] = None
-            with suppress(NoTrustworthyResult):
-                stages[front.UNTUNED] = start_states.with_held_out(at(profiles.start))
-            stages[front.CHOSEN] = start_states.with_held_out(result)
+            found, result = front.fit(experiment, model, choices, options, keep, progress)
             if options.method == "hybrid":
                 begins = found.begins(options.starts or 1)
                 result, ends, starts = _least_squares(
@@ -182,9 +158,7 @@ def fit_graybox(
         if options.subset and result.converged:
             result = _starting_here(result, experiment)
             result, left_out = identifiability.select_subset(result, jobs=options.jobs, progress=progress)
-        result = start_states.with_held_out(result)
-        if options.method == "hybrid":
-            stages[front.AFTER] = result
+        result = output_error.with_held_out(result)
         file = _file(experiment, result, origin, left_out, output, trials, options)
         checks = [
             *fit_common.checks(result, file),
@@ -193,19 +167,18 @@ def fit_graybox(
         ]
         if ends:
             checks.append(fit_graybox_evidence.starts_check(ends, asked=options.starts is not None))
-        if found is not None:
-            found.profiles.close()
-        before = {t.id: _misfits(result, t) for t in result.trials}
         told: mistakes.Explanation | None = None
-        if options.method == "least-squares" and mistakes.is_suspect(checks, before):
-            known = mistakes.catalogue(model, result.trials)
-            tried = len(known) * (len(result.trials) + 1)
-            told = _explained(result, known, tried, before, options, progress)
-            checks.append(mistakes.check(told, len(known)))
+        if options.method == "least-squares":
+            before = {t.id: _misfits(result, t) for t in result.trials}
+            if mistakes.is_suspect(checks, before):
+                known = mistakes.catalogue(model, result.trials)
+                told = _explained(result, known, before, options, progress)
+                checks.append(mistakes.check(told, len(known)))
     evidence = ev.Evidence(
         verb="fit-graybox",
         title=f"Gray-box identification of {experiment.robot.name}",
         verdict=ev.judged(fit_common.answer(file), checks),
+        notes=[] if told is None else [told.sentence],
         checks=checks,
         tables=fit_graybox_evidence.tables(experiment, result, ends),
         figures=[*fit_graybox_evidence.track(experiment, result), *fit_common.figures(result)],
@@ -214,24 +187,15 @@ def fit_graybox(
         references=list(experiment.robot.sources),
         provenance=origin,
     )
-    fronts: list[Path] = []
     if found is not None:
-        evidence.tables[:0] = [front.stages_table(found, stages), front.choices_table(found)]
-        evidence.figures[:0] = front.figures(found, stages)
-        evidence.methods[:0] = front.methods(found, options)
-        fronts = front.places(output, options) if output else []
-        evidence.notes += front.summary(found, fronts)
-    if told is not None:
-        evidence.notes.append(told.sentence)
+        front.show_in(evidence, found, result, options)
     with atomic.together():
         fitted = Fitted.of(file, evidence).saved(output)
-        for path in fronts:
-            assert found is not None
-            front.save(path, found)
-    if found is not None and output is not None:
-        keep.done()
+        if found is not None and output is not None:
+            fitted = replace(fitted, outputs=[*fitted.outputs, *front.save(output, found, options)])
+            keep.done()
     _insist(result, file, ends, starts, trials, output, told)
-    return replace(fitted, outputs=[*fitted.outputs, *fronts])
+    return fitted
 
 
 def _insist(
@@ -253,13 +217,14 @@ def _insist(
         )
     if not result.converged:
         kept = f"; what it came to is in {output}, marked so" if output else ""
-        raise NoTrustworthyResult(
-            f"the fit did not converge: {result.message}{kept}",
-            hint=told.sentence
-            if told is not None
-            else "the model may lack an effect, which its coefficients cannot stand in for: "
-            f"{_diagnose(source, output)} -o gap.yaml; if not, check units and trial settings",
+        params = f" --params {output}" if output else ""
+        hint = (
+            "the model may lack an effect, which this looks for: swimid diagnose "
+            f"{trials_format.place(source)}{params} -o gap.yaml; if not, check units and trial settings"
         )
+        if told is not None:
+            hint = told.sentence
+        raise NoTrustworthyResult(f"the fit did not converge: {result.message}{kept}", hint=hint)
     unknown = [label for label in result.shared if result.status[label] == "unidentifiable"]
     if unknown and unknown == result.shared and not file.derived:
         raise NoTrustworthyResult(
@@ -268,24 +233,9 @@ def _insist(
         )
 
 
-def _diagnose(source: str | Path | TrialSet, output: Path | None) -> str:
-    """The command that looks for what the model lacks."""
-    return f"swimid diagnose {trials_format.place(source)}" + (f" --params {output}" if output else "")
-
-
-def _next(checks: Sequence[ev.Check], source: str | Path | TrialSet, output: Path | None) -> list[str]:
-    """What to do about residuals that are more than noise."""
-    coloured = ("white", "trials agree", "inside")
-    if not any(c.verdict == "warn" and c.name.startswith(coloured) for c in checks):
-        return []
-    return [f"next: {_diagnose(source, output)} says whether the model lacks an effect, and which"]
-
-
 def _insist_steady(experiment: Experiment, parameters: Sequence[Parameter]) -> None:
     """Refuse trials that begin in steady swimming where the model has none."""
-    swimmer_model = experiment.model.swimmer
-    stated = experiment.model.stated()
-    assert swimmer_model is not None
+    swimmer_model, stated = experiment.model.swimmer, experiment.model.stated()
     known = {p.name: p.start for p in parameters if p.name in [q.name for q in swimmer_model.parameters]}
     starts = {p.name: known.get(p.name, p.start) for p in swimmer_model.parameters}
     fixed = {p.name for p in parameters if not p.free}
@@ -309,7 +259,6 @@ def _misfits(result: FitResult, trial: Trial) -> mistakes.Errors:
 def _explained(
     result: FitResult,
     known: Sequence[mistakes.Mistake],
-    tried: int,
     before: Mapping[str, mistakes.Errors],
     options: FitGrayboxOptions,
     progress: Progress,
@@ -321,7 +270,7 @@ def _explained(
     """
     model, trials = result.model, result.trials
     sd = {name: noise.value_sd for name, noise in result.noise.items()}
-    stated = model.stated()
+    stated, tried = model.stated(), len(known) * (len(trials) + 1)
     sets = (
         result.at_estimates(),
         tuple(replace(p, start=stated.get(p.name, p.start)) for p in result.parameters),
@@ -330,7 +279,9 @@ def _explained(
     def evaluate(trial: Trial) -> mistakes.Errors:
         found: list[mistakes.Errors] = []
         for parameters in sets:
-            own = start_states.estimate(model, parameters, trial, sd, tolerance=mistakes.START_TOLERANCE)
+            own = output_error.estimate_start(
+                model, parameters, trial, sd, tolerance=mistakes.START_TOLERANCE
+            )
             values = np.array([own.get(f"{p.name}[{trial.id}]", p.start) for p in parameters])
             found.append(mistakes.misfits(trial, model.attempt(values, trial)))
         found = [errors for errors in found if errors]
@@ -347,7 +298,7 @@ def _explained(
                 changed = [each[t.id][0] if t.id in chosen else t for t in trials]
                 names = dict(zip((t.id for t in changed), (t.id for t in trials), strict=True))
                 with suppress(NoTrustworthyResult):
-                    fit = start_states.with_held_out(
+                    fit = output_error.with_held_out(
                         output_error.fit(
                             model, changed, parameters=result.parameters,
                             jobs=options.jobs, loss=options.loss, tested=False, unfinished=True,
@@ -388,7 +339,7 @@ def _least_squares(
         )  # fmt: skip
         if options.starts is not None or first.interrupted or not _deserves_starts(first):
             return first, [], starts
-        starts = DEFAULT_STARTS
+        starts = 4
     result, ends = multistart.multistart(
         model, trials, parameters, starts=starts, seed=options.seed, begins=begins,
         jobs=jobs, loss=loss, first=first, progress=progress,
@@ -398,12 +349,11 @@ def _least_squares(
 
 def _deserves_starts(first: FitResult) -> bool:
     """Whether a search is begun again from other points: it was short, or its answer is bad."""
-    swimmer_model = first.model.swimmer
-    assert swimmer_model is not None
     lengths = [float(t.time_s[-1] - t.time_s[0]) for t in first.trials]
-    steps = first.evaluations * float(np.mean(lengths)) / swimmer_model.max_step
+    steps = first.evaluations * float(np.mean(lengths)) / first.model.swimmer.max_step
     failing = [c for c in fit_common.error_checks(first, roles=("fit",)) if c.verdict == "fail"]
-    return steps < SHORT_SEARCH or not first.converged or bool(failing)
+    # about a second on one processor (1.3 us a step of the tendon fish, benchmarks.bench_lanes)
+    return steps < 1e6 or not first.converged or bool(failing)
 
 
 def _tied(model: Model, share: Sequence[str]) -> Model:

@@ -1,4 +1,4 @@
-"""What ``fit-graybox`` shows of a fit: paths, starts, errors of every trial, how it was done."""
+"""Evidence of ``fit-graybox``: paths, starts, errors of every trial, methods."""
 
 from __future__ import annotations
 
@@ -11,130 +11,144 @@ from swimid.fitting.drives import Beat
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.fit_result import FitResult, Series
 from swimid.logs.beat import find_beat
-from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.results.parameters import ParameterFile
+from swimid.results import numbers
 from swimid.robots.file import Robot
 from swimid.robots.planar import Multilink
 from swimid.robots.spatial import Multibody
 
-#: A channel's beat is looked for up to this multiple of the drive's frequency: surge beats at twice it.
-BEAT_HARMONICS = 3.5
-
 
 def body_of(robot: Robot) -> Multilink | Multibody:
-    """The links of a robot: in space where its file says how, else in its plane."""
+    """Return the links of a robot: in space where its file says how, else in its plane."""
     body = robot.multibody or robot.multilink
     assert body is not None
     return body
 
 
 def track(experiment: Experiment, result: FitResult) -> list[ev.Figure]:
-    """The paths in the plane of motion, where the pose was fitted; in space from above and from the side."""
-    swimmer, body = result.model.swimmer, body_of(experiment.robot)
-    assert swimmer is not None
-    if isinstance(body, Multilink):
+    """Draw the paths where the pose was fitted; in space from above and from the side."""
+    body = body_of(experiment.robot)
+    if isinstance(body, Multibody):
+        views = [_path(result, "x_m", "z_m", "from the side"), _path(result, "x_m", "y_m", "from above")]
+    else:
         view = "from above" if body.plane == "horizontal" else "from the side"
-        return _path(result, swimmer.pose[0], swimmer.pose[1], view)
-    return [*_path(result, "x_m", "z_m", "from the side"), *_path(result, "x_m", "y_m", "from above")]
+        across, along, *_ = result.model.swimmer.pose
+        views = [_path(result, across, along, view)]
+    panels = [panel for panel in views if panel.traces]
+    caption = "Points are measured, lines simulated with the estimated parameters."
+    return [ev.Figure(id="track", title="Paths", caption=caption, panels=panels, columns=2)] if panels else []
 
 
-def _path(result: FitResult, across: str, along: str, view: str) -> list[ev.Figure]:
+def _path(result: FitResult, across: str, along: str, view: str) -> ev.Panel:
+    """Draw the paths of the worst and the best fitted trial, and of the worst held-out one."""
+    paths = {}
+    for trial in result.trials:
+        series = {s.channel: s for s in result.series if s.trial == trial.id}
+        if across in series and along in series:
+            error = np.nanmean(series[across].weighted ** 2) + np.nanmean(series[along].weighted ** 2)
+            paths[trial.id] = float(error), series
+    by_error = sorted(paths, key=lambda name: -paths[name][0])
+    fitted = [name for name in by_error if paths[name][1][across].role == "fit"]
+    held_out = [name for name in by_error if name not in fitted]
+    chosen = {
+        **dict.fromkeys(held_out[:1], "worst held out"),
+        **dict.fromkeys(fitted[-1:], "best"),
+        **dict.fromkeys(fitted[:1], "worst"),
+    }
     traces = []
-    for group, trial in enumerate(t.id for t in result.trials):
-        series = {s.channel: s for s in result.series if s.trial == trial}
-        if across not in series or along not in series:
-            continue
-        held_out = ", held out" if series[across].role == "validate" else ""
-        for style, part in (("points", "measured"), ("line" if not held_out else "dashed", "simulated")):
-            x, y = getattr(series[across], part), getattr(series[along], part)
-            step = max(len(x) // 200, 1) if style == "points" else 1
-            label = f"{trial}{held_out}" if style == "points" else ""
-            traces.append(ev.Trace(x=x[::step], y=y[::step], style=style, label=label, group=group))
-    if not traces:
-        return []
-    return [
-        blocks.figure(
-            "track" if view == "from above" else "track-side",
-            f"Paths {view}",
-            "Points are measured, lines simulated with the estimated parameters.",
-            f"{across[:-2]} (m)",
-            f"{along[:-2]} (m)",
-            traces,
-            equal_aspect=True,
-        )
-    ]
+    for group, (name, word) in enumerate(chosen.items()):
+        x, y = (paths[name][1][channel] for channel in (across, along))
+        step = max(len(x.measured) // 200, 1)
+        measured, simulated = (x.measured[::step], y.measured[::step]), (x.simulated, y.simulated)
+        for style, (xs, ys) in (("points", measured), ("line" if x.role == "fit" else "dashed", simulated)):
+            label = f"{name} ({word})" if style == "points" else ""
+            traces.append(ev.Trace(x=xs, y=ys, style=style, label=label, group=group))
+    return ev.Panel(
+        x_label=f"{across[:-2]} (m)",
+        y_label=f"{along[:-2]} (m)",
+        title=view,
+        traces=traces,
+        equal_aspect=True,
+    )
 
 
 def starts_check(ends: Sequence[multistart.Start], *, asked: bool) -> ev.Check:
-    """Number of starts that end in the reported minimum; a doubt where the user asked for the starts."""
+    """Count the starts that end in the reported minimum; for information unless the user asked for them."""
     agree = multistart.agreeing(ends)
     value = f"{agree} of {len(ends)} starts end in it"
     text = "the other starts end higher; the lowest is reported" if agree < len(ends) else ""
-    if not asked:
-        return ev.check("one minimum", value, None, text=text)
-    return blocks.check("one minimum", value, "every start", agree == len(ends), text=text)
+    passed = agree == len(ends) if asked else None
+    reason = f"only {agree} of {len(ends)} starts end in the reported minimum"
+    return ev.check("one minimum", value, passed, "every start", text, reason=reason)
 
 
 def tables(experiment: Experiment, result: FitResult, ends: Sequence[multistart.Start]) -> list[ev.Table]:
-    """Errors of every trial, what is known best, the starts, and how the source was read."""
-    tables = [_metrics_table(result)]
-    ranking: list[dict[str, blocks.Cell]] = [
-        {"parameter": label, "share of its own": round(share, 4), "status": result.status[label]}
-        for label, share in identifiability.ranked(result)
+    """List errors of trials, parameters by identifiability, starts, and readings of the source."""
+    ranking = [[label, share, result.status[label]] for label, share in identifiability.ranked(result)]
+    starts = [[k, end.converged, float(end.cost)] for k, end in enumerate(ends, start=1)]
+    readings = experiment.robot.readings.items()
+    found = [
+        ev.Table(
+            id="metrics",
+            title="Errors of every trial",
+            columns=["trial", "data", "channel", "RMSE", "NRMSE", "VAF", "peak", "DTW", "phase"],
+            rows=_error_rows(result),
+            caption="NRMSE: over the measured range (tendon fish, Eq 13). Peak: difference of the largest "
+            "magnitudes over the measured one (Eq 14). DTW: distance per sample after warping within 5 % of "
+            "the record. Phase: at the beat.",
+            folded=True,
+        ),
+        ev.Table(
+            id="ranking",
+            title="Parameters by identifiability",
+            columns=["parameter", "share of its own", "status"],
+            rows=ranking if len(ranking) > 1 else [],
+            caption="The share is the part of the sensitivity to a parameter that those above it, and the "
+            "start states, cannot imitate.",
+            folded=True,
+        ),
+        ev.Table(
+            id="starts",
+            title="Starts",
+            columns=["start", "converged", "cost"],
+            rows=starts,
+            caption="The cost is the mean squared residual, averaged geometrically over the channels.",
+            folded=True,
+        ),
+        ev.Table(
+            id="readings",
+            title="Readings of the source",
+            columns=["reading", "question", "chosen", "meaning"],
+            rows=[[name, r.question, r.chosen, r.options[r.chosen].says] for name, r in readings],
+            caption="Other readings are options of the robot file (--reading NAME=OPTION).",
+            folded=True,
+        ),
     ]
-    if len(ranking) > 1:
-        caption = (
-            "From the best to the least identifiable parameter. The share is the part of the trials' "
-            "sensitivity to it that those above it, and the start states, cannot imitate."
-        )
-        tables.append(blocks.table("ranking", "What the trials know best", ranking, caption))
-    starts = [
-        {"start": k, "converged": end.converged, "cost": float(end.cost)}
-        for k, end in enumerate(ends, start=1)
-    ]
-    if starts:
-        caption = "The cost is the mean squared residual, averaged geometrically over the channels."
-        tables.append(blocks.table("starts", "Starts", starts, caption))
-    readings = [
-        {"reading": k, "question": r.question, "chosen": r.chosen, "meaning": r.options[r.chosen].says}
-        for k, r in experiment.robot.readings.items()
-    ]
-    if readings:
-        caption = "Other readings are options of the robot file (--reading NAME=OPTION)."
-        tables.append(blocks.table("readings", "How the source was read", readings, caption))
-    return tables
+    return [table for table in found if table.rows]
 
 
-def _metrics_table(result: FitResult) -> ev.Table:
-    rows: list[dict[str, blocks.Cell]] = []
+def _error_rows(result: FitResult) -> list[list[str]]:
+    rows = []
     units = {c.name: c.unit for c in result.model.channels}
     drives = {t.id: t.swim.beat for t in result.trials}
     for s in result.series:
+        unit = units[s.channel]
         score = fit_common.scores(result, s.role, [s.trial])[s.channel]
-        _, relative = metrics.peak_error(s.measured, s.simulated)
         warped = metrics.dtw_distance(s.measured, s.simulated, band=max(1, len(s.measured) // 20))
         rows.append(
-            {
-                "trial": s.trial,
-                "role": "held out" if s.role == "validate" else "fit",
-                "channel": s.channel,
-                "RMSE": numbers.number(score.rmse, 3, units[s.channel]),
-                "NRMSE": numbers.percent(score.nrmse),
-                "VAF": numbers.number(100 * score.vaf, 4, "%"),
-                "peak error": numbers.number(100 * relative, 3, "%"),
-                "DTW distance": numbers.number(warped, 3, units[s.channel]),
-                "phase error": _phase(s, drives[s.trial]),
-            }
+            [
+                s.trial,
+                "held out" if s.role == "validate" else "fit",
+                s.channel,
+                numbers.number(score.rmse, 3, unit),
+                numbers.percent(score.nrmse),
+                numbers.percent(score.vaf, 4),
+                numbers.percent(metrics.peak_error(s.measured, s.simulated)[1]),
+                numbers.number(warped, 3, unit),
+                _phase(s, drives[s.trial]),
+            ]
         )
-    return blocks.table(
-        "metrics",
-        "Errors of every trial",
-        rows,
-        "NRMSE is over the measured range (tendon fish, Eq 13); the peak error is the difference of the "
-        "largest magnitudes over the measured one (Eq 14); DTW is the distance per sample after warping "
-        "within 5 % of the record; the phase error is taken at the beat.",
-    )
+    return rows
 
 
 def _phase(s: Series, drive: Beat | None) -> str:
@@ -142,7 +156,8 @@ def _phase(s: Series, drive: Beat | None) -> str:
     highest = None
     if drive is not None and there.sum() > 1:
         rate = 1.0 / float(np.median(np.diff(s.time_s[there])))
-        highest = min(BEAT_HARMONICS * drive.frequency_hz, 0.45 * rate)
+        # surge beats at twice the frequency of the drive
+        highest = min(3.5 * drive.frequency_hz, 0.45 * rate)
     beat = find_beat(s.time_s[there], s.measured[there], highest_hz=highest)
     if beat is None:
         return ""
@@ -157,49 +172,28 @@ def methods(
     left_out: list[str],
     method: str,
 ) -> list[str]:
-    """How it was done, in sentences."""
-    fitted = [t for t in result.trials if t.role == "fit"]
+    """Describe the fit in sentences for a methods section."""
+    fitted = sum(t.role == "fit" for t in result.trials)
     body = body_of(experiment.robot)
     kind = "planar model" if isinstance(body, Multilink) else "model in space"
-    swimmer = result.model.swimmer
-    assert swimmer is not None
     by = "the search on the front" if method == "nsga2" else "output-error maximum likelihood"
     said = [
-        f"{', '.join(result.shared)} were estimated from {len(fitted)} {experiment.name} trials "
+        f"{', '.join(result.shared)} were estimated from {fitted} {experiment.name} trials "
         f"({result.samples} samples of {', '.join(result.noise)}) by {by} with a {kind} of "
         f"{len(body.links)} links, integrated by a fourth-order Runge-Kutta method with steps of at most "
-        f"{1e3 * swimmer.max_step:g} ms; halving them changes no sample by more than "
+        f"{1e3 * result.model.swimmer.max_step:g} ms; halving them changes no sample by more than "
         f"{result.step_error:.2g} standard deviations of its noise.",
-        "Standard errors follow from the Jacobian at the optimum with the residuals' autocorrelation "
-        "accounted for.",
+        fit_common.COVARIANCE,
     ]
     if result.loss == "huber":
         said.append("Huber's loss was used.")
     if ends:
-        said.append(
-            f"{multistart.agreeing(ends)} of {len(ends)} starts, "
-            f"{'on the front' if method == 'hybrid' else 'drawn evenly within the bounds'}, end in the "
-            "reported minimum."
-        )
+        drawn = "on the front" if method == "hybrid" else "drawn evenly within the bounds"
+        agree = multistart.agreeing(ends)
+        said.append(f"{agree} of {len(ends)} starts, {drawn}, end in the reported minimum.")
     if left_out:
         said.append(f"{', '.join(left_out)} could not be identified and were held at the whole fit's values.")
-    if any("[" in label for label in result.labels):
-        kinds = dict.fromkeys(label.split("[")[0] for label in result.labels if "[" in label)
-        said.append(
-            f"Each trial has its own {', '.join(kinds)}; on held-out trials these are estimated with the "
-            "rest held."
-        )
+    own = dict.fromkeys(label.split("[")[0] for label in result.labels if "[" in label)
+    if own:
+        said.append(f"Each trial has its own {', '.join(own)}; on held-out trials with the rest held.")
     return said
-
-
-def scores(file: ParameterFile) -> list[str]:
-    """Errors by channel, for the terminal."""
-    assert file.fit is not None
-    lines = []
-    for title, block in (("fit", file.fit.channels), ("held out", file.fit.validation.get("channels", {}))):
-        for channel, score in block.items():
-            rmse = numbers.number(score["rmse"], 3, score["unit"])
-            nrmse = numbers.percent(score["nrmse"])
-            vaf = numbers.number(100 * score["vaf"], 4)
-            lines.append(f"  {title}, {channel}: RMSE {rmse}, NRMSE {nrmse}, VAF {vaf} %")
-    return lines

@@ -6,8 +6,10 @@ called ``KIND[PROFILE]``; nothing else in the header has brackets.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,23 +20,22 @@ from swimid.errors import InputError, Interrupted, NoTrustworthyResult, UsageErr
 from swimid.files import atomic
 from swimid.files import checkpoint as checkpoint_format
 from swimid.files.checkpoint import Checkpoint
-from swimid.fitting import fit_common, genetic
+from swimid.fitting import fit_common, genetic, output_error
+from swimid.fitting.experiment import Experiment
 from swimid.fitting.fit_result import FitResult
 from swimid.fitting.genetic import Front
-from swimid.fitting.model import Array
+from swimid.fitting.model import Array, Model, Parameter
 from swimid.notices import warn
 from swimid.progress import Progress, show, silent
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.swimmer.options import FitGrayboxOptions
-from swimid.swimmer.profiles import SCALES, UNITS, Profiles
+from swimid.swimmer.profiles import Profiles
 
 #: How a point of the front is chosen, and what the rule is called.
 RULES = {"least-worst": genetic.least_worst, "knee": genetic.knee}
 #: Titles of the stages.
 UNTUNED, CHOSEN, AFTER = "untuned", "chosen on the front", "least squares"
-#: One profile for all trials.
-OVERALL = "all trials"
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,8 @@ class Found:
     chosen: int
     #: What every rule would choose; the knee of a single profile's objectives as well.
     rules: dict[str, int]
+    #: Fits before the search and at the chosen point; None where the model cannot be simulated.
+    stages: dict[str, FitResult | None] = field(default_factory=dict)
 
     @property
     def points(self) -> Array:
@@ -73,11 +76,6 @@ class Found:
         return [self.profiles.theta(self.points[k]) for k in distinct[: max(count, len(ruled))]]
 
 
-def profiled(known: Mapping[str, str], options: FitGrayboxOptions) -> dict[str, str]:
-    """The motion profile of each trial."""
-    return dict(known) if options.per_profile else dict.fromkeys(known, OVERALL)
-
-
 def kept(output: Path | None, belongs_to: Any, options: FitGrayboxOptions) -> Checkpoint:
     """What an earlier search left beside the output; raises where there is none although the user insists."""
     if options.resume and output is None:
@@ -94,6 +92,41 @@ def kept(output: Path | None, belongs_to: Any, options: FitGrayboxOptions) -> Ch
     return keep
 
 
+def fit(
+    experiment: Experiment,
+    model: Model,
+    parameters: tuple[Parameter, ...],
+    options: FitGrayboxOptions,
+    checkpoint: Checkpoint,
+    progress: Progress,
+) -> tuple[Found, FitResult]:
+    """Search the fronts, choose a point, and return both with the model's fit there."""
+    known = experiment.facts["profiles"]
+    profiles = Profiles(
+        model,
+        parameters,
+        experiment.trials,
+        known if options.per_profile else dict.fromkeys(known, "all trials"),
+        scales=options.scales,
+        band=options.band,
+        jobs=options.jobs or os.cpu_count() or 1,
+    )
+    found = search(profiles, options, checkpoint=checkpoint, progress=progress)
+
+    def at(point: Array) -> FitResult:
+        theta = profiles.theta(point)
+        return output_error.at(model, experiment.trials, theta, parameters=parameters, jobs=options.jobs)
+
+    message = f"point {found.chosen} of the front; standard errors are local to it"
+    result = replace(at(found.point), message=message)
+    stages: dict[str, FitResult | None] = {UNTUNED: None}
+    with suppress(NoTrustworthyResult):
+        stages[UNTUNED] = output_error.with_held_out(at(profiles.start))
+    stages[CHOSEN] = output_error.with_held_out(result)
+    profiles.close()
+    return replace(found, stages=stages), result
+
+
 def search(
     profiles: Profiles, options: FitGrayboxOptions, *, checkpoint: Checkpoint, progress: Progress = silent
 ) -> Found:
@@ -107,7 +140,7 @@ def search(
         When it is interrupted, or every simulation breaks down.
     """
     if options.front is not None:
-        table, searches = _read(options.front, profiles), {}
+        table, searches = read(options.front, profiles), {}
     else:
         searches = _searched(profiles, options, checkpoint, progress)
         table = _joined(profiles, searches)
@@ -181,14 +214,33 @@ def _numbered(table: pd.DataFrame) -> pd.DataFrame:
     return table.assign(index=np.arange(len(table)))[["index", *table.columns.drop("index", errors="ignore")]]
 
 
-def _read(path: Path, profiles: Profiles) -> pd.DataFrame:
-    """A front file's points, where they belong to these trials."""
-    table = read(path)
-    scored = [name for name in table.columns[2:] if name.endswith("]")]
-    coefficients = [name for name in table.columns[2:] if name not in scored]
-    if sorted(coefficients) != sorted(profiles.labels):
+def read(path: Path, profiles: Profiles) -> pd.DataFrame:
+    """Read the points of a front of these trials: their profile, coefficients and objectives.
+
+    Raises
+    ------
+    InputError
+        For a file that is no front, or the front of other coefficients, profiles or channels.
+    """
+    try:
+        table = pd.read_csv(path, dtype={"profile": str})
+    except FileNotFoundError as error:
+        raise InputError("there is no such file", file=path) from error
+    except (ValueError, UnicodeDecodeError) as error:
+        raise InputError(f"is no table: {error}", file=path) from error
+    names = [str(column) for column in table.columns]
+    scored = [name for name in names if name.endswith("]")]
+    points = [name for name in names[2:] if name not in scored]
+    if names[:2] != ["index", "profile"] or not scored or not points or table.empty:
         raise InputError(
-            f"is a front of {', '.join(coefficients)}, and these are estimated: {', '.join(profiles.labels)}",
+            "holds no front: its columns are index, profile, coefficients, and objectives such as "
+            "position[characteristic]",
+            file=path,
+            hint="give the .front.csv that an earlier --method nsga2 or hybrid wrote",
+        )
+    if sorted(points) != sorted(profiles.labels):
+        raise InputError(
+            f"is a front of {', '.join(points)}, and these are estimated: {', '.join(profiles.labels)}",
             file=path,
             hint="give the same --fix, --free and --share as when it was made",
         )
@@ -198,6 +250,10 @@ def _read(path: Path, profiles: Profiles) -> pd.DataFrame:
             file=path,
             hint="give the trials file and --channels it was made with",
         )
+    for column in [*points, *scored]:
+        bad = np.flatnonzero(~np.isfinite(pd.to_numeric(table[column], errors="coerce").to_numpy()))
+        if len(bad):
+            raise InputError("holds no number", file=path, line=int(bad[0]) + 2, column=column)
     return _numbered(table[["profile", *profiles.labels, *profiles.columns]])
 
 
@@ -213,59 +269,33 @@ def _chosen(pick: str, rules: Mapping[str, int], count: int) -> int:
     return int(pick)
 
 
-def places(output: Path, options: FitGrayboxOptions) -> list[Path]:
-    """The file of the front beside the parameter file; none where the front was read from there."""
+def save(output: Path, found: Found, options: FitGrayboxOptions) -> list[Path]:
+    """Write the front beside the parameter file, whole or not at all; not where it was read from there."""
     path = output.with_name(f"{output.stem}.front.csv")
     if options.front is not None and options.front.resolve() == path.resolve():
         return []
-    return [path]
-
-
-def save(path: Path, found: Found) -> None:
-    """Write the front, whole or not at all."""
     atomic.write_text(path, found.table.to_csv(index=False))
-
-
-def read(path: Path) -> pd.DataFrame:
-    """Read the points of a front: their index, profile, coefficients and objectives.
-
-    Raises
-    ------
-    InputError
-        For a file that is none.
-    """
-    try:
-        table = pd.read_csv(path, dtype={"profile": str})
-    except FileNotFoundError as error:
-        raise InputError("there is no such file", file=path) from error
-    except (ValueError, UnicodeDecodeError) as error:
-        raise InputError(f"is no table: {error}", file=path) from error
-    names = [str(c) for c in table.columns]
-    scored = [n for n in names if n.endswith("]") and "[" in n]
-    points = [n for n in names[2:] if n not in scored]
-    if names[:2] != ["index", "profile"] or not scored or not points or table.empty:
-        raise InputError(
-            "holds no front: its columns are index, profile, coefficients, and objectives such as "
-            "position[characteristic]",
-            file=path,
-            hint="give the .front.csv that an earlier --method nsga2 or hybrid wrote",
-        )
-    for column in [*points, *scored]:
-        bad = np.flatnonzero(~np.isfinite(pd.to_numeric(table[column], errors="coerce").to_numpy()))
-        if len(bad):
-            raise InputError("holds no number", file=path, line=int(bad[0]) + 2, column=column)
-    return table
+    return [path]
 
 
 # ---------------------------------------------------------------- what it shows
 
 
-def stages_table(found: Found, stages: Mapping[str, FitResult | None]) -> ev.Table:
-    """Objectives and errors before the search, at the chosen point and after least squares."""
+def show_in(evidence: ev.Evidence, found: Found, result: FitResult, options: FitGrayboxOptions) -> None:
+    """Add the front, the choice on it and what the search gained to the evidence of a fit."""
+    stages = found.stages if options.method == "nsga2" else {**found.stages, AFTER: result}
+    evidence.tables[:0] = [_stages_table(found, stages), _choices_table(found)]
+    evidence.figures[:0] = _figures(found, stages)
+    evidence.methods[:0] = _methods(found, options)
+    chosen = ", ".join(rule for rule, k in found.rules.items() if k == found.chosen) or "by index"
+    evidence.facts["Front"] = f"{len(found.points)} points, {found.chosen} chosen ({chosen})"
+
+
+def _stages_table(found: Found, stages: Mapping[str, FitResult | None]) -> ev.Table:
+    """List objectives and errors before the search, at the chosen point and after least squares."""
     scored = [None if r is None else found.profiles.scored(r.series) for r in stages.values()]
     rows: list[list[Any]] = [
-        [f"DTW distance, {kind}", profile]
-        + ["" if s is None else numbers.number(float(s[j]), 3) for s in scored]
+        [f"DTW distance, {kind}", profile, *(None if s is None else float(s[j]) for s in scored)]
         for j, (profile, kind) in enumerate(found.profiles.objectives)
     ]
     units = {c.name: c.unit for r in stages.values() if r is not None for c in r.model.channels}
@@ -277,33 +307,24 @@ def stages_table(found: Found, stages: Mapping[str, FitResult | None]) -> ev.Tab
             rows.append([f"RMSE, {channel}", title, *shown])
     return ev.Table(
         id="stages",
-        title="What the search gained",
+        title="Errors before and after the search",
         columns=["quantity", "of", *stages],
         rows=rows,
-        caption="DTW distances are per sample, over the scale of the channel ("
-        + ", ".join(_scale_text(kind) for kind in found.profiles.kinds)
-        + " unless told otherwise); their mean over the trials of a profile.",
+        caption="DTW distances are per sample, over the scale of the channel, averaged over trials.",
     )
 
 
-def _scale_text(kind: str) -> str:
-    size, unit = SCALES[kind], UNITS[kind]
-    if unit.startswith("rad"):
-        return f"{kind} {np.degrees(size):.3g} {unit.replace('rad', 'deg')}"
-    return f"{kind} {size:g} {unit}"
-
-
-def choices_table(found: Found) -> ev.Table:
-    """What every rule chooses, and how far the coefficients range over the front."""
-    rows: list[list[Any]] = []
+def _choices_table(found: Found) -> ev.Table:
+    """List the point that every rule chooses, and the range of each coefficient over the front."""
     picks = {**found.rules}
     if found.chosen not in picks.values():
         picks = {"by index": found.chosen, **picks}
+    rows: list[list[Any]] = []
     for j, label in enumerate(found.profiles.labels):
         column = found.points[:, j]
         searched = numbers.interval(float(found.profiles.lower[j]), float(found.profiles.upper[j]), None)
         spread = numbers.interval(float(column.min()), float(column.max()), None)
-        rows.append([label, searched, spread, *(numbers.number(float(column[k]), 4) for k in picks.values())])
+        rows.append([label, searched, spread, *(float(column[k]) for k in picks.values())])
     rows.append(["index", "", f"0 to {len(found.points) - 1}", *picks.values()])
     return ev.Table(
         id="front-choices",
@@ -312,38 +333,32 @@ def choices_table(found: Found) -> ev.Table:
         rows=rows,
         caption="least-worst: the largest objective, each over the least on the front, is smallest. knee: "
         "nearest to the best of every objective. Any other point is chosen with --front FILE --pick INDEX.",
+        folded=True,
     )
 
 
-def figures(found: Found, stages: Mapping[str, FitResult | None]) -> list[ev.Figure]:
-    """The front of every profile, and how it was approached."""
+def _figures(found: Found, stages: Mapping[str, FitResult | None]) -> list[ev.Figure]:
+    """Draw the front of every profile, and the search by generations."""
     ends = {t: found.profiles.scored(r.series) for t, r in stages.items() if r is not None}
     shown = [name for name in found.profiles.names if len(found.profiles.of(name)) > 1]
-    drawn = []
-    if shown:
-        drawn.append(
-            ev.Figure(
-                id="front",
-                title="Pareto fronts",
-                caption="Each point is a set of coefficients; no point of a profile's own front is better "
-                "than another one of it in both distances. A model that explains all profiles with one set "
-                "has points of all fronts close together at the lower left.",
-                columns=2,
-                panels=[_front_panel(found, name, ends) for name in shown],
-            )
-        )
-    if found.searches:
-        drawn.append(
-            ev.Figure(
-                id="generations",
-                title="The search, generation by generation",
-                caption="Least distance of each kind in the population. A search that is done has been level "
-                "for a while.",
-                columns=2,
-                panels=[_history_panel(found, name) for name in found.searches],
-            )
-        )
-    return drawn
+    drawn = [
+        ev.Figure(
+            id="front",
+            title="Pareto fronts",
+            caption="Each point is a set of coefficients. One set can explain all profiles where the points "
+            "of all fronts lie close together at the lower left.",
+            columns=2,
+            panels=[_front_panel(found, name, ends) for name in shown],
+        ),
+        ev.Figure(
+            id="generations",
+            title="Search by generations",
+            caption="Least distance of each kind in the population.",
+            columns=2,
+            panels=[_history_panel(found, name) for name in found.searches],
+        ),
+    ]
+    return [figure for figure in drawn if figure.panels]
 
 
 def _front_panel(found: Found, name: str, ends: Mapping[str, Array]) -> ev.Panel:
@@ -374,16 +389,14 @@ def _history_panel(found: Found, name: str) -> ev.Panel:
     return ev.Panel(x_label="generation", y_label="least distance", title=name, traces=traces, y_scale="log")
 
 
-def methods(found: Found, options: FitGrayboxOptions) -> list[str]:
-    """How it was done, in sentences."""
+def _methods(found: Found, options: FitGrayboxOptions) -> list[str]:
+    """Describe the search in sentences for a methods section."""
     said = []
     if found.searches:
         evaluations = sum(f.evaluations for f in found.searches.values())
-        of = (
-            f"for each of {len(found.searches)} motion profiles ({', '.join(found.searches)})"
-            if len(found.searches) > 1
-            else "over all fitted trials"
-        )
+        of = "over all fitted trials"
+        if len(found.searches) > 1:
+            of = f"for each of {len(found.searches)} motion profiles ({', '.join(found.searches)})"
         said.append(
             f"A Pareto front of {len(found.profiles.labels)} coefficients was searched {of} by NSGA-II "
             f"(Deb et al. 2002; pymoo), population {options.population}, {options.generations} generations, "
@@ -391,25 +404,13 @@ def methods(found: Found, options: FitGrayboxOptions) -> list[str]:
             f"Objectives are dynamic-time-warping distances ({', '.join(found.profiles.kinds)}), "
             f"time stretched by at most {100 * options.band:g} % of the record (Sakoe and Chiba 1978)."
         )
-    rule = next((r for r, k in found.rules.items() if k == found.chosen), "")
-    by = f"by the rule {options.pick}" if options.pick in found.rules else "by hand"
-    said.append(
-        f"Point {found.chosen} of {len(found.points)} was chosen {by}"
-        + (f" (it is also that of the rule {rule})" if by == "by hand" and rule else "")
-        + "."
-    )
+    by = f"by the rule {options.pick}" if options.pick in found.rules else "by its index"
+    said.append(f"Point {found.chosen} of {len(found.points)} was chosen {by}.")
     if options.method == "nsga2":
         said.append(
-            "Standard errors are those of the model made linear at that point, what it misses counted as "
-            "noise; the point is no least-squares optimum (--method hybrid goes on to one)."
+            "Standard errors are those of the linearised model at that point, its error counted as noise; "
+            "the point is no least-squares optimum."
         )
     else:
         said.append("Least squares started there and at the points of the other rules.")
     return said
-
-
-def summary(found: Found, saved: Sequence[Path]) -> list[str]:
-    """The choice, for the terminal."""
-    where = "".join(f" in {path}" for path in saved)
-    names = ", ".join(f"{rule} {k}" for rule, k in found.rules.items())
-    return [f"  front: {len(found.points)} points{where}; chosen {found.chosen} ({names})"]

@@ -16,10 +16,6 @@ STATE_RTOL = 1e-10
 FIRST_PERIODS, MORE_PERIODS = 20, 60
 #: Maximum numbers of attempts and of Newton iterations in one.
 MAX_ATTEMPTS, MAX_ITERATIONS = 8, 12
-#: A step that leaves more than this share of the residual asks for new derivatives.
-SLOW_STEP = 0.1
-#: Step of the finite differences, relative to the size of the motion.
-DIFFERENCE = 1e-6
 #: Largest size of a perturbation after one period, relative to its size before, that counts as settling: the
 #: perturbation then falls by 1/e in 1000 periods. Motion without damping has 1 within 1e-6, the error of the
 #: differences.
@@ -105,8 +101,8 @@ def _newton(period: Callable[[Array], Array], state: Array, slopes: Array | None
         size = np.maximum(np.max(np.abs(states), axis=0, initial=0.0), 1e-12)
         miss = states[-1] - state
         error = float(np.max(np.abs(miss) / size, initial=0.0))
-        if slopes is None or (error > STATE_RTOL and error > SLOW_STEP * before):
-            slopes = _slopes(period, state, states[-1], DIFFERENCE * size)
+        if slopes is None or (error > STATE_RTOL and error > 0.1 * before):
+            slopes = _slopes(period, state, states[-1], 1e-6 * size)
             if not np.isfinite(slopes).all():
                 return None
         if error <= STATE_RTOL:

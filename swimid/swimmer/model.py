@@ -8,30 +8,27 @@ from abc import abstractmethod
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Self, TypeVar
+from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting import drives
-from swimid.fitting.body import Axis
-from swimid.fitting.drives import Motion
-from swimid.fitting.energetics import Energetics
+from swimid.fitting.drives import Motion, SwimInput
 from swimid.fitting.hooks import NONE, Hooks
-from swimid.fitting.inputs import SwimInput
-from swimid.fitting.model import Array, Channel, Parameter, Trial, unless_broken
-from swimid.fitting.swimmer import Cruise, Swimmer
+from swimid.fitting.model import Array, Channel, Model, Parameter, Trial, unless_broken
 from swimid.progress import Progress, silent
 from swimid.robots.file import Robot
+from swimid.swimmer.energetics import Energetics, elastic
 from swimid.swimmer.lanes.kernel import Engine, Kernel
 from swimid.swimmer.lanes.source import LANES
 from swimid.swimmer.lanes.wide import Room, WideKernel
 from swimid.swimmer.limit_cycle import STATE_RTOL, LimitCycle, limit_cycle
 from swimid.swimmer.options import STEP_S
 from swimid.swimmer.planar import drive
-from swimid.swimmer.planar.engine import PASSIVE, sampled
+from swimid.swimmer.planar.engine import sampled
 from swimid.swimmer.polynomial import Polynomial
-from swimid.swimmer.tree import Tree, coefficients, law_of
+from swimid.swimmer.tree import Axis, Tree, coefficients, law_of
 
 Kept = TypeVar("Kept")
 #: Trajectories kept per trial: what changes only how they are seen costs no simulation.
@@ -102,7 +99,22 @@ class Run:
     tables: Mapping[str, Any] = field(default_factory=dict)
 
 
-class LinkedModel(Swimmer):
+class Cruise(NamedTuple):
+    """Steady swimming of a model.
+
+    Attributes
+    ----------
+    speed_m_s : float
+        Path length over one period of the drive, over the period; NaN where the speed never settles.
+    settling_s : float
+        Time in which a difference from the steady speed falls by a factor e; infinite where it never settles.
+    """
+
+    speed_m_s: float
+    settling_s: float
+
+
+class Swimmer(Model):
     """A robot with links whose runs are kept as long as only how they are seen changes.
 
     What is known of a trial is its :attr:`Trial.swim`.
@@ -114,6 +126,9 @@ class LinkedModel(Swimmer):
         Each sampling interval is cut into equal steps no longer than this.
     """
 
+    #: Channels of the reference point.
+    pose: tuple[str, ...]
+    velocity: tuple[str, ...]
     #: The coordinates of the base in a state, and its velocities; those of passive joints follow each.
     coordinates: int
     speeds: int
@@ -129,11 +144,11 @@ class LinkedModel(Swimmer):
         self.robot, self.max_step = robot, max_step
         self.tree = self._tree()
         self.driven, self.passive = self.tree.driven, self.tree.passive
+        # the coefficients of the robot file are the first of the parameters
         self.free_base, self.coefficients = self.tree.free_base, self.tree.names
+        # offsets of the start pose, of single trials
         self.starts = tuple(f"start_{word}" for word in self.places)
-        body = robot.multibody or robot.multilink
-        assert body is not None
-        self.parameters = (*coefficients(body.coefficients), *self._start(), *self._view())
+        self.parameters = (*coefficients(self.tree.body.coefficients), *self._start(), *self._view())
         self._at = {p.name: i for i, p in enumerate(self.parameters)}
         self._count = len(self.tree.names)
         seen = {"clock_offset", *(p.name for p in self.camera), *self._offsets()}
@@ -157,6 +172,25 @@ class LinkedModel(Swimmer):
         self.wide_side_by_side = False
 
     # -------------------------------------------------------- what it offers
+
+    @property
+    def swimmer(self) -> Self:
+        """Itself."""
+        return self
+
+    def stated(self) -> dict[str, float]:
+        """The robot file's values of its coefficients."""
+        return {name: c.value for name, c in self.tree.body.coefficients.items()}
+
+    def given(self, trial: Trial) -> list[str]:
+        """Measured joints that drive the run where no servo follows them."""
+        if trial.swim.joints is None:
+            return []
+        return [a.column for a in self.driven if a.driven is not None and a.driven.servo is None]
+
+    def with_buoyancy(self, factor: float) -> Self | None:
+        """The same model with every volume that displaces water multiplied; None where none does."""
+        return None
 
     @abstractmethod
     def _tree(self) -> Tree:
@@ -216,7 +250,12 @@ class LinkedModel(Swimmer):
         """The start velocities, angles and rates that these channels can tell."""
 
     def check(self, values: Array) -> None:
-        """Refuse coefficients that make masses no body has."""
+        """Refuse coefficients that make masses no body has.
+
+        Raises
+        ------
+        InputError
+        """
         own = values[: self._count].tobytes()
         if own != self._sound:
             self.tree.check(values[: self._count])
@@ -280,7 +319,9 @@ class LinkedModel(Swimmer):
         return other
 
     def read_otherwise(self, robot: Robot) -> Self:
-        """The same model with the robot read otherwise (see :meth:`Swimmer.read_otherwise`).
+        """The same model of the same robot, of whose source something was read otherwise.
+
+        Its parameters are this model's where both have the same.
 
         It runs side by side where this one does and the compiled form serves both: where only numbers differ.
         """
@@ -352,7 +393,18 @@ class LinkedModel(Swimmer):
     def with_energetics(
         self, runs: Sequence[tuple[Array, Trial]], last_s: Sequence[float]
     ) -> list[tuple[dict[str, Array], Energetics | None]]:
-        """Several runs with torques and powers (see :meth:`Swimmer.with_energetics`)."""
+        """Several runs, each as :meth:`simulate`, with torques and powers over its last stretch each.
+
+        Parameters
+        ----------
+        last_s : sequence of float
+            Length of that stretch of each, s; rounded to whole integration steps.
+
+        Returns
+        -------
+        list of (channels, Energetics)
+            NaN throughout, and None, where a run breaks down.
+        """
         each = self._each([(values, trial, NONE) for values, trial in runs])
         found: list[tuple[dict[str, Array], Energetics | None]] = []
         for one, (values, trial), length_s in zip(each, runs, last_s, strict=True):
@@ -394,14 +446,14 @@ class LinkedModel(Swimmer):
         )
 
     def yielding(self) -> list[str]:
-        """The coefficients that stand in the law of a passive joint (see :meth:`Swimmer.yielding`)."""
+        """The coefficients that stand in the law of a passive joint."""
         used = {
             factor for axis in self.passive for q in law_of(axis.joint) for term in q.terms for factor in term
         }
         return [name for name in self.coefficients if name in used]
 
     def final_state(self, columns: Mapping[str, Array]) -> dict[str, float]:
-        """The end of a run as a start (see :meth:`Swimmer.final_state`)."""
+        """Velocities, passive angles and rates at the end of a run, by the parameters of a start."""
         found = {}
         if self.free_base:
             for name, column in zip(self.rates, self.velocity, strict=True):
@@ -412,7 +464,7 @@ class LinkedModel(Swimmer):
         return found
 
     def forget(self, trials: Sequence[Trial]) -> None:
-        """Let go of what is kept of trials (see :meth:`Swimmer.forget`)."""
+        """Let go of what is kept of trials that will not be simulated again."""
         names = {trial.id for trial in trials}
         with self._lock:
             for name in names:
@@ -555,7 +607,13 @@ class LinkedModel(Swimmer):
         return start
 
     def cruise(self, values: Array, trial: Trial) -> Cruise | None:
-        """Speed at which the model settles (see :meth:`Swimmer.cruise`)."""
+        """Speed at which the model settles under a trial's drive.
+
+        Returns
+        -------
+        Cruise or None
+            None where the question has no answer: no periodic drive, a fixed base, or motion in space.
+        """
         if trial.swim.drive is None or not self.free_base or self.in_space:
             return None
         period = 1.0 / trial.swim.drive.frequency_hz
@@ -794,32 +852,6 @@ def _memory_s(swim: SwimInput, servos: Sequence[tuple[float, float] | None], hoo
     rates = [2.0 * math.pi * s[0] * min(s[1], 1.0 / max(2.0 * s[1], 1e-9)) for s in servos if s is not None]
     forgotten = max((-math.log(STATE_RTOL) / max(rate, 1e-3) for rate in rates), default=0.0)
     return forgotten + (2.0 / swim.drive.frequency_hz if hooks.command else 0.0)
-
-
-def elastic(passive: Array, angle: Array, rate: Array) -> tuple[Array, Array]:
-    """Power lost in the dampers (W) and energy in the springs (J) of passive joints, shape (m,) each.
-
-    Parameters
-    ----------
-    passive : ndarray, shape (joints, 11)
-        Columns of :data:`swimid.swimmer.planar.engine.PASSIVE`.
-    angle, rate : ndarray, shape (m, joints), rad and rad/s
-
-    Notes
-    -----
-    Of a wire and spring the energy of the tendon fish's Eq 4, ``K_t d_p d_t + K_t d_t^2 / 2`` with Eq 3.
-    """
-    law = dict(zip(PASSIVE, passive.T, strict=True))
-    speed = np.abs(rate)
-    lost = (law["damping"] + law["quadratic_damping"] * speed) * rate**2
-    smooth = np.sqrt(rate**2 + law["friction_below"] ** 2)
-    lost += law["friction"] * rate**2 / np.where(smooth > 0, smooth, 1.0)
-    off = angle - law["rest"]
-    arm, crank = law["arm"], law["crank"]
-    stretch = np.sqrt(arm**2 + crank**2 - 2.0 * arm * crank * np.cos(angle)) - arm + crank
-    stored = 0.5 * law["stiffness"] * off**2 + 0.25 * law["cubic"] * off**4
-    stored += law["spring"] * (law["pretension"] * stretch + 0.5 * stretch**2)
-    return lost.sum(axis=1), stored.sum(axis=1)
 
 
 def _servo(axis: Axis) -> tuple[Polynomial, Polynomial] | None:

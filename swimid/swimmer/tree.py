@@ -5,21 +5,19 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from swimid.errors import InputError, suggestion
-from swimid.fitting.body import Axis
 from swimid.fitting.model import Array, Parameter
-from swimid.robots.planar import Coefficient, Joint
+from swimid.robots.planar import Coefficient, Driven, Joint
 from swimid.robots.spatial import Hinge
 from swimid.swimmer.planar.engine import PASSIVE
 from swimid.swimmer.polynomial import Polynomial, Table
 
-#: Tables of so many sets of coefficients are kept.
-KEPT_TABLES = 64
 #: Keys that hold words, not quantities.
 WORDS = {
     "name",
@@ -33,6 +31,31 @@ WORDS = {
     "frame",
     "added_mass_direction",
 }
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A joint (or hinge) of a robot file that moves, its column in a log, and the link it turns."""
+
+    joint: Any
+    column: str
+    link: int
+
+    @property
+    def name(self) -> str:
+        """Of the joint."""
+        return str(self.joint.name)
+
+    @property
+    def driven(self) -> Driven | None:
+        """How it follows the drive; None where it yields."""
+        law: Driven | None = self.joint.driven
+        return law
+
+    @property
+    def rate(self) -> str:
+        """The column of its rate."""
+        return self.column.replace("_rad", "_rate_rad_s")
 
 
 def check_names(body: Any, part: str) -> None:
@@ -246,7 +269,7 @@ class Tree(ABC):
         known = self._known.get(key)
         if known is None:
             known = self._filled(values)
-            if len(self._known) >= KEPT_TABLES:
+            if len(self._known) >= 64:
                 self._known.clear()
             self._known[key] = known
         return dict(known)

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.fitting import drives, metrics
-from swimid.fitting.drives import Cycle
+from swimid.fitting.drives import Cycle, SwimInput
 from swimid.fitting.experiment import Experiment, inputs_of, read_log
-from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Array, Trial
 from swimid.logs import course
 from swimid.logs import trials as trials_format
@@ -25,11 +24,10 @@ from swimid.logs.trials import Drive, FreeSwim, FreeSwimTrial, Multibody, Stroke
 from swimid.notices import warn
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
-from swimid.swimmer.model import LinkedModel
+from swimid.swimmer.model import Swimmer
 from swimid.swimmer.options import STEP_S
 from swimid.swimmer.planar import drive
 from swimid.swimmer.planar.model import MultilinkModel
-from swimid.swimmer.spatial.model import MultibodyModel
 
 #: The start state is estimated when a log's first stretch moves faster than this share of its top
 #: speed, by more than this many standard errors.
@@ -39,8 +37,6 @@ OPENING_S = 0.3
 #: Fewest samples in it from which anything is said, and the F ratio from which a more pliant curve counts.
 MIN_OPENING = 7
 BETTER = 6.0
-#: Share of the drive's ramp after which a log that begins there begins in motion.
-UNDER_WAY = 0.3
 #: The keys of a trials file that are used, by experiment.
 USES = dict.fromkeys(
     ("free-swim", "multibody"),
@@ -48,14 +44,8 @@ USES = dict.fromkeys(
     | {"trials.coefficients", "trials.drive", "trials.start_state"}
     | {f"trials.drive.{key}" for kind in (Drive, StrokeDrive) for key in kind.model_fields},
 )
-#: The beat is looked for up to this multiple of the stated frequency.
-BEAT_RANGE = 8.0
-#: Largest range of a heading that jumps by whole turns, rad: one turn and the noise of a twentieth.
-WRAPPED_RANGE = 2.1 * math.pi
 #: Phases of the drive tried for a trial that begins in steady swimming.
 PHASES = 12
-#: A track has set out once it is this share of its farthest from where it began.
-SETS_OUT = 0.25
 
 
 def robot_model(
@@ -64,7 +54,7 @@ def robot_model(
     *,
     readings: Mapping[str, str] | None = None,
     max_step: float = STEP_S,
-) -> tuple[Robot, LinkedModel]:
+) -> tuple[Robot, Swimmer]:
     """A robot with links and its model: in space where the file says how, else in its plane.
 
     Raises
@@ -82,6 +72,8 @@ def robot_model(
         )
     try:
         if robot.multibody is not None:
+            from swimid.swimmer.spatial.model import MultibodyModel
+
             return robot, MultibodyModel(robot, max_step=max_step)
         return robot, MultilinkModel(robot, max_step=max_step)
     except InputError as error:
@@ -172,7 +164,7 @@ def load(
     )
 
 
-def _start_state(entry: FreeSwimTrial, chosen: str, *, moving: bool, model: LinkedModel, path: Path) -> str:
+def _start_state(entry: FreeSwimTrial, chosen: str, *, moving: bool, model: Swimmer, path: Path) -> str:
     """State in which a trial begins: ``rest``, ``estimate`` or ``steady``.
 
     Raises
@@ -194,7 +186,7 @@ def _start_state(entry: FreeSwimTrial, chosen: str, *, moving: bool, model: Link
     return state
 
 
-def _in_phase(trial: Trial, model: LinkedModel) -> Trial:
+def _in_phase(trial: Trial, model: Swimmer) -> Trial:
     """The trial with the phase from which a search starts: that of the stated robot's best run."""
     stated = {**{p.name: p.start for p in model.parameters}, **model.stated()}
     values = np.array([stated[p.name] for p in model.parameters])
@@ -228,7 +220,7 @@ def _shape_error(trial: Trial, simulated: Mapping[str, Array]) -> float:
 
 
 def _check_course(
-    path: Path, model: LinkedModel, logs: Sequence[Log], frequencies_hz: Sequence[float | None]
+    path: Path, model: Swimmer, logs: Sequence[Log], frequencies_hz: Sequence[float | None]
 ) -> None:
     """Warn where the robot does not swim where its heading points."""
     if tuple(model.pose) != ("x_m", "y_m", "yaw_rad"):
@@ -290,7 +282,7 @@ def beat_of(command: Drive) -> drives.Beat:
     )
 
 
-def cycle_of(command: StrokeDrive, model: LinkedModel, path: Path | None = None) -> Cycle:
+def cycle_of(command: StrokeDrive, model: Swimmer, path: Path | None = None) -> Cycle:
     """A stroke as the robot file has it.
 
     Raises
@@ -318,9 +310,7 @@ def cycle_of(command: StrokeDrive, model: LinkedModel, path: Path | None = None)
     )
 
 
-def _trial(
-    entry: FreeSwimTrial, path: Path, model: LinkedModel, channels: Sequence[str]
-) -> tuple[Trial, Log]:
+def _trial(entry: FreeSwimTrial, path: Path, model: Swimmer, channels: Sequence[str]) -> tuple[Trial, Log]:
     known = [c.name for c in model.channels]
     commands = [a.column.replace("joint", "cmd") for a in model.driven]
     log = read_log(entry, path.parent, required=tuple(channels), optional=(*known, *commands))
@@ -345,7 +335,7 @@ def _trial(
     return Trial(entry.id, entry.role, log.time_s, measured, inputs=others, swim=swim), log
 
 
-def _headless(model: LinkedModel, log: Log) -> bool:
+def _headless(model: Swimmer, log: Log) -> bool:
     """Whether a log shows where a robot is in its plane, and not its heading: one marker."""
     *place, heading = model.pose
     known = [name in log and np.isfinite(log[name]).any() for name in (*place, heading)]
@@ -357,11 +347,11 @@ def _course(x: Array, y: Array) -> float:
     there = np.isfinite(x) & np.isfinite(y)
     along, across = x[there] - x[there][0], y[there] - y[there][0]
     gone = np.hypot(along, across)
-    at = int(np.argmax(gone >= SETS_OUT * gone.max()))
+    at = int(np.argmax(gone >= 0.25 * gone.max()))
     return math.atan2(across[at], along[at])
 
 
-def _own_coefficients(entry: FreeSwimTrial, path: Path, model: LinkedModel) -> dict[str, float]:
+def _own_coefficients(entry: FreeSwimTrial, path: Path, model: Swimmer) -> dict[str, float]:
     """The coefficients a trial sets for itself."""
     for name in entry.coefficients:
         if name not in model.coefficients:
@@ -381,12 +371,13 @@ def _unwrapped(name: str, values: Array) -> Array:
     there = np.isfinite(values)
     found = values.copy()
     # values beyond one turn do not jump: they go on, or they are no radians
-    if there.any() and np.ptp(values[there]) <= WRAPPED_RANGE:
+    # one turn, and the noise of a twentieth
+    if there.any() and np.ptp(values[there]) <= 2.1 * math.pi:
         found[there] = np.unwrap(values[there])
     return found
 
 
-def _default_channels(model: LinkedModel, log: Log) -> list[str]:
+def _default_channels(model: Swimmer, log: Log) -> list[str]:
     def there(names: Sequence[str]) -> list[str]:
         return [n for n in names if n in log and np.isfinite(log[n]).sum() > 1]
 
@@ -403,7 +394,7 @@ def _default_channels(model: LinkedModel, log: Log) -> list[str]:
     return chosen
 
 
-def _motion(model: LinkedModel, number: int, log: Log) -> tuple[Any, bool]:
+def _motion(model: Swimmer, number: int, log: Log) -> tuple[Any, bool]:
     """A driven joint's motion from its measured angle, or from its commanded one, and whether it was that.
 
     A joint no drive moves (gain 0) stays straight where the log has neither.
@@ -426,7 +417,7 @@ def _motion(model: LinkedModel, number: int, log: Log) -> tuple[Any, bool]:
     )
 
 
-def _beat(entry: FreeSwimTrial, log: Log, model: LinkedModel) -> dict[str, Any] | None:
+def _beat(entry: FreeSwimTrial, log: Log, model: Swimmer) -> dict[str, Any] | None:
     """The beat found in the heading, against the drive's."""
     if entry.drive is None or isinstance(entry.drive, StrokeDrive) or not model.free_base:
         return None
@@ -436,18 +427,18 @@ def _beat(entry: FreeSwimTrial, log: Log, model: LinkedModel) -> dict[str, Any] 
         if name in log and np.isfinite(log[name]).sum() > 16:
             seen = np.isfinite(log[name])
             time = log.time_s[seen]
-            highest = min(BEAT_RANGE * entry.drive.frequency_hz, 0.45 / float(np.median(np.diff(time))))
+            highest = min(8.0 * entry.drive.frequency_hz, 0.45 / float(np.median(np.diff(time))))
             found = find_beat(time, log[name][seen], highest_hz=highest)
             return stated_against_found(entry.id, entry.drive.frequency_hz, found, used="stated")
     return None
 
 
-def _moving(trial: Trial, log: Log, model: LinkedModel) -> bool:
+def _moving(trial: Trial, log: Log, model: Swimmer) -> bool:
     """Whether the log begins under way, or its first stretch shows the body or a passive joint in motion."""
     beat = trial.swim.drive
     still = beat is None or getattr(beat, "amplitude_rad", 1.0) == 0
     begun = 0.0 if still else trial.time_s[0]
-    if beat is not None and begun > max(UNDER_WAY * beat.ramp_s, OPENING_S):
+    if beat is not None and begun > max(0.3 * beat.ramp_s, OPENING_S):
         return True
     body = (*model.pose, *model.velocity) if model.free_base else ()
     joints = tuple(a.column for a in model.passive)
@@ -477,7 +468,7 @@ def _opening(log: Log) -> NDArray[np.bool_]:
     return log.time_s <= log.time_s[0] + max(OPENING_S, 8 * float(np.median(np.diff(log.time_s))))
 
 
-def _starts(trial: Trial, log: Log, model: LinkedModel) -> dict[str, float]:
+def _starts(trial: Trial, log: Log, model: Swimmer) -> dict[str, float]:
     """Where a search for the start state begins: what the fitted channels show of it at first."""
     headless = _headless(model, log)
 

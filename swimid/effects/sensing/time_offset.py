@@ -4,7 +4,7 @@ import numpy as np
 
 from swimid.effects import common
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
-from swimid.fitting.scales import MEAN_SPEED
+from swimid.fitting.model import MEAN_SPEED
 
 #: Largest offset that is looked for, s.
 LARGEST_S = 2.0

@@ -34,14 +34,6 @@ Array = NDArray[np.float64]
 #: What one traced operation takes in the scalar engine, and to compile, s: of the built-in robots, printed
 #: by ``python -m benchmarks.bench_lanes --only engine compile``.
 OPERATION_S, COMPILING_S = 3.5e-10, 5e-3
-#: Compiling pays when the scalar engine would take this many times as long: the work ahead is known to half.
-PAYS = 2.0
-#: Arrays of results whose memory is used again.
-ROOMS = 8
-#: A module that has been compiling for so long, s, was given up.
-GIVEN_UP_S = 600.0
-#: Shorter work than this is not looked at twice, s.
-LEAST_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -167,13 +159,14 @@ class Kernel:
             return False
         operations = len(self.traced().operations)
         scalar_s = derivatives * OPERATION_S * operations
-        if wanted == "auto" and scalar_s < LEAST_S:
+        if wanted == "auto" and scalar_s < 0.5:
             return False
         text = source.text(self.traced())
         if on_disk(text):
             self.compiled()
             return True
-        if wanted == "auto" and scalar_s < PAYS * COMPILING_S * operations:
+        # the work ahead is known to half
+        if wanted == "auto" and scalar_s < 2.0 * COMPILING_S * operations:
             later(text)
             return False
         with progress("compiling the simulation for several runs at once (on first use only)"):
@@ -253,7 +246,7 @@ class Kernel:
             counts = _references(self._rooms)
             idle = [k for k, n in enumerate(counts) if n == IDLE and len(self._rooms[k]) >= need]
             if not idle:
-                self._rooms = [np.empty(need), *self._rooms[: ROOMS - 1]]
+                self._rooms = [np.empty(need), *self._rooms[:7]]
             return self._rooms[idle[0] if idle else 0][:need].reshape(shape)
 
     def numbers(self, tables: Mapping[str, Any]) -> Array:
@@ -363,7 +356,7 @@ def later(text: str) -> None:
 def compile_file(path: str) -> None:
     """Compile the module at a path, politely; once, however many ask for it."""
     mark = Path(path).with_suffix(".compiling")
-    if mark.exists() and time.time() - mark.stat().st_mtime > GIVEN_UP_S:
+    if mark.exists() and time.time() - mark.stat().st_mtime > 600.0:
         mark.unlink(missing_ok=True)  # of a process that was stopped
     try:
         mark.touch(exist_ok=False)

@@ -13,7 +13,7 @@ from swimid.fitting.model import Array
 from swimid.robots.file import Fluid
 from swimid.robots.planar import Joint, Link, Multilink
 from swimid.swimmer.planar import engine
-from swimid.swimmer.planar.elements import Row, Tables, adders
+from swimid.swimmer.planar.elements import ADDERS, Row, Tables
 from swimid.swimmer.polynomial import Polynomial, Table
 from swimid.swimmer.tree import Tree, quantities
 
@@ -56,7 +56,7 @@ class Assembly(Tree):
         self._sizes = self._sized()
         empty: list[Row] = [[0.0] * len(engine.INERTIA) for _ in self.links]
         rows = Tables(fluid.density_kg_m3, fluid.gravity_m_s2, self.index, empty)
-        self.fill(rows, adders(), engine)
+        self.fill(rows, ADDERS, engine)
         self.world_forces = any(row[4] == 1.0 for _, row in rows.force)
 
     def _sized(self) -> tuple[list[str], NDArray[np.intp], NDArray[np.bool_], Table]:

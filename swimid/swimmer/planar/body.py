@@ -1,4 +1,4 @@
-"""The body of a planar robot as effects ask for it, and the typical sizes of its trials."""
+"""Links of a planar robot with changes of their tables, and the typical sizes of its trials."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.fitting.body import Array, Body, Frames, Point
-from swimid.fitting.scales import Scales
+from swimid.fitting.model import Array, Scales
 from swimid.swimmer.planar import engine
 from swimid.swimmer.polynomial import Polynomial
 
 if TYPE_CHECKING:
     from swimid.swimmer.planar.model import MultilinkModel
 
+Point = tuple[float, float]
+Frames = tuple[Array, Array, Array]
 STIFFNESS, CUBIC, DAMPING = (engine.PASSIVE.index(n) for n in ("stiffness", "cubic", "damping"))
 WIRE = slice(engine.PASSIVE.index("spring"), engine.PASSIVE.index("crank") + 1)
 QUADRATIC = [engine.DRAG.index(n) for n in ("quadratic_x", "quadratic_y", "quadratic_r")]
@@ -23,12 +24,23 @@ QUADRATIC = [engine.DRAG.index(n) for n in ("quadratic_x", "quadratic_y", "quadr
 SMALL = 1e-4
 
 
-class PlanarBody(Body):
-    """The links of a :class:`~swimid.swimmer.planar.model.MultilinkModel`; columns as :mod:`engine` has them.
+class Body:
+    """The links of a planar robot at the start values of its model's parameters, as effects ask for them.
 
-    Parameters
+    Attributes
     ----------
-    model : MultilinkModel
+    free : bool
+        The base moves; otherwise it is held.
+    pose, velocity, words : tuple of str
+        Channels of the reference point: two positions and the heading, two velocities in the body's axes and
+        the turning rate; the same in words.
+    lengths_m : tuple of float
+        Length of each link, the base first.
+    reference_m : (float, float)
+        The reference point in the base's axes, m.
+    density_kg_m3, step_s : float
+        Density of the water, and longest step of the integration.
+    driven, passive : sequence of Axis
     """
 
     def __init__(self, model: MultilinkModel) -> None:
@@ -42,6 +54,30 @@ class PlanarBody(Body):
         self.step_s = model.max_step
         self.driven, self.passive = model.driven, model.passive
         self._masses: dict[int, tuple[float, Point]] = {}
+
+    @property
+    def vertical(self) -> bool:
+        """Whether its plane of motion is vertical."""
+        return "z_m" in self.pose
+
+    @property
+    def last(self) -> int:
+        """The last link."""
+        return len(self.lengths_m) - 1
+
+    @property
+    def masses_kg(self) -> list[float]:
+        """Mass of each link, without water."""
+        return [self.mass(link)[0] for link in range(len(self.lengths_m))]
+
+    @property
+    def hull(self) -> int:
+        """The heaviest link."""
+        return int(np.argmax(self.masses_kg))
+
+    def centre(self, link: int) -> Point:
+        """Centre of mass of a link in its axes, m."""
+        return self.mass(link)[1]
 
     def mass(self, link: int) -> tuple[float, Point]:
         """Mass (kg) and centre of mass (m, in its axes) of a link, without water."""

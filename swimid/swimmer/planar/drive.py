@@ -136,10 +136,6 @@ def servo(command, step, omega, damping):  # type: ignore[no-untyped-def]
     return result
 
 
-#: Half the width of the bell that smooths what an actuator adds to its command, s: a joint cannot jump.
-SMOOTH_S = 0.015
-
-
 def deviated(motion: Motion, actual: Array, step_s: float) -> Motion:
     """A commanded motion on an even grid as the actuator really does it; its actual angle may have corners.
 
@@ -159,7 +155,8 @@ def deviated(motion: Motion, actual: Array, step_s: float) -> Motion:
 @lru_cache(maxsize=32)
 def _bells(step_s: float) -> list[Array]:
     """The bell and its first two derivatives on an even grid, each shape (2 reach + 1,)."""
-    spacing = max(0.5 * SMOOTH_S, 1.5 * step_s)
+    # half the width of the bell, s: a joint cannot jump
+    spacing = max(0.5 * 0.015, 1.5 * step_s)
     reach = math.ceil(2.0 * spacing / step_s)
     at = np.arange(-reach, reach + 1) * step_s / spacing
     bell = BSpline.basis_element(np.arange(-2.0, 3.0), extrapolate=False)

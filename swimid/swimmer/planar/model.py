@@ -9,18 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from swimid.fitting.drives import Beat
+from swimid.fitting.drives import Beat, SwimInput
 from swimid.fitting.hooks import TRACEABLE, Hooks
-from swimid.fitting.inputs import SwimInput
 from swimid.fitting.model import Array, Parameter, Trial
 from swimid.progress import Progress, silent
 from swimid.robots.planar import Multilink
 from swimid.swimmer.lanes.kernel import Engine
 from swimid.swimmer.lanes.wide import Room
-from swimid.swimmer.model import LinkedModel, Run, joint_motion, of_trial
+from swimid.swimmer.model import Run, Swimmer, joint_motion, of_trial
 from swimid.swimmer.planar import drive, engine
 from swimid.swimmer.planar.assembly import Assembly
-from swimid.swimmer.planar.body import PlanarBody, SwimmerScales
+from swimid.swimmer.planar.body import Body, SwimmerScales
 
 #: Grid on which the command of a drive is read, s.
 READ_S = 0.0025
@@ -29,7 +28,7 @@ READ_S = 0.0025
 PLANES = {"horizontal": ("y", "v", "sway", "yaw"), "vertical": ("z", "w", "heave", "pitch")}
 
 
-class MultilinkModel(LinkedModel):
+class MultilinkModel(Swimmer):
     """A planar multi-link robot (:mod:`swimid.swimmer.planar.engine`).
 
     Parameters
@@ -59,7 +58,7 @@ class MultilinkModel(LinkedModel):
     velocity: tuple[str, str, str]
     tree: Assembly
     #: With the parameters it was made of.
-    _body: tuple[tuple[Parameter, ...], PlanarBody] | None = None
+    _body: tuple[tuple[Parameter, ...], Body] | None = None
 
     def _tree(self) -> Assembly:
         second, v, sideways, turn = PLANES[self.links.plane]
@@ -85,11 +84,11 @@ class MultilinkModel(LinkedModel):
         return -self.links.reference.station_m, self.links.reference.offset_m
 
     @property
-    def body(self) -> PlanarBody:
+    def body(self) -> Body:
         """Its links."""
         known = self._body
         if known is None or known[0] is not self.parameters:
-            known = self._body = self.parameters, PlanarBody(self)
+            known = self._body = self.parameters, Body(self)
         return known[1]
 
     @property
@@ -121,12 +120,12 @@ class MultilinkModel(LinkedModel):
         yield from known[2]
 
     def prepare(self, progress: Progress = silent, **how: Any) -> None:
-        """Compile the kernels (see :meth:`LinkedModel.prepare`)."""
+        """Compile the kernels (see :meth:`Swimmer.prepare`)."""
         prepare(progress)
         super().prepare(progress, **how)
 
     def opening(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
-        """Velocities at the first sample, by parameter (see :meth:`LinkedModel.opening`)."""
+        """Velocities at the first sample, by parameter (see :meth:`Swimmer.opening`)."""
         names = [f"initial_{name}" for name in self.rates]
         found = {name: seen(column, 0) for name, column in zip(names, self.velocity, strict=True)}
         heading = seen(self.pose[2], 0)

@@ -13,17 +13,16 @@ from swimid.fitting.model import Array, Trial
 from swimid.logs.rotation import angles, from_angles
 from swimid.robots.spatial import Hydrostatics
 from swimid.swimmer.lanes.kernel import Engine
-from swimid.swimmer.model import LinkedModel, Run
+from swimid.swimmer.model import Run, Swimmer
 from swimid.swimmer.planar.engine import FILLED
 from swimid.swimmer.spatial import engine
-from swimid.swimmer.spatial.assembly import Assembly
-from swimid.swimmer.spatial.planar import Lifted
+from swimid.swimmer.spatial.assembly import Assembly, Lifted
 
 #: Signs of roll, pitch (nose up) and yaw against rotation about x, y and z.
 SIGNS = np.array([1.0, -1.0, 1.0])
 
 
-class MultibodyModel(LinkedModel):
+class MultibodyModel(Swimmer):
     """A robot with links in space (:mod:`swimid.swimmer.spatial.engine`).
 
     A robot of a planar file moves in space as in its plane.
@@ -64,7 +63,7 @@ class MultibodyModel(LinkedModel):
         return ("start_x", "start_y", "start_yaw")
 
     def opening(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
-        """Velocities at the first sample; still where no channel tells (see :meth:`LinkedModel.opening`)."""
+        """Velocities at the first sample; still where no channel tells (see :meth:`Swimmer.opening`)."""
         names = [f"initial_{name}" for name in self.rates]
         found = {name: seen(column, 0) for name, column in zip(names, self.velocity, strict=True)}
         turned = [seen(column, 0) or 0.0 for column in self.pose[3:]]

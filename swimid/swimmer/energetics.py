@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from swimid.fitting.model import Array
+from swimid.swimmer.planar.engine import PASSIVE
 
 
 @dataclass(frozen=True)
@@ -68,3 +68,29 @@ class Energetics:
         gone = duration * self.mean(self.water_W + self.weight_W + self.dissipated_W)
         kept = self.kinetic_J + self.stored_J
         return duration * self.mean_power_W(), gone + float(kept[-1] - kept[0])
+
+
+def elastic(passive: Array, angle: Array, rate: Array) -> tuple[Array, Array]:
+    """Power lost in the dampers (W) and energy in the springs (J) of passive joints, shape (m,) each.
+
+    Parameters
+    ----------
+    passive : ndarray, shape (joints, 11)
+        Columns of :data:`swimid.swimmer.planar.engine.PASSIVE`.
+    angle, rate : ndarray, shape (m, joints), rad and rad/s
+
+    Notes
+    -----
+    Of a wire and spring the energy of the tendon fish's Eq 4, ``K_t d_p d_t + K_t d_t^2 / 2`` with Eq 3.
+    """
+    law = dict(zip(PASSIVE, passive.T, strict=True))
+    speed = np.abs(rate)
+    lost = (law["damping"] + law["quadratic_damping"] * speed) * rate**2
+    smooth = np.sqrt(rate**2 + law["friction_below"] ** 2)
+    lost += law["friction"] * rate**2 / np.where(smooth > 0, smooth, 1.0)
+    off = angle - law["rest"]
+    arm, crank = law["arm"], law["crank"]
+    stretch = np.sqrt(arm**2 + crank**2 - 2.0 * arm * crank * np.cos(angle)) - arm + crank
+    stored = 0.5 * law["stiffness"] * off**2 + 0.25 * law["cubic"] * off**4
+    stored += law["spring"] * (law["pretension"] * stretch + 0.5 * stretch**2)
+    return lost.sum(axis=1), stored.sum(axis=1)
