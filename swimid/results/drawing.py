@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from functools import cache, partial
 from html import escape
 from importlib import resources
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
+from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, LogFormatter
 from numpy.typing import NDArray
@@ -147,11 +149,13 @@ def paint(axes: Axes, panel: Panel, slots: dict[Any, int], *, compact: bool = Fa
 
 
 def slots_of(figure: Figure) -> dict[Any, int]:
-    """Return the number of each group of traces; a group looks the same in every panel."""
-    slots: dict[Any, int] = {}
-    for panel in figure.panels:
-        for index, trace in enumerate(panel.traces):
-            slots.setdefault(_key(trace, index), len(slots))
+    """Return the number of each group of traces, so that a group looks alike in every panel."""
+    keys = [_key(trace, k) for panel in figure.panels for k, trace in enumerate(panel.traces)]
+    slots: dict[Any, int] = {key: key for key in keys if isinstance(key, int)}
+    free = (k for k in count() if k not in slots.values())
+    for key in keys:
+        if key not in slots:
+            slots[key] = next(free)
     return slots
 
 
@@ -176,10 +180,11 @@ def _trace(axes: Axes, trace: Trace, slot: int, repeat: int, *, paired: bool, co
     x, y, colour = _array(trace.x), _array(trace.y), _colour(slot)
     marker = MARKERS[slot % len(MARKERS)]
     label = trace.label or None
-    plain = slot == 0 or paired or trace.style == "arrows"
     if trace.lower is not None and trace.upper is not None:
-        axes.fill_between(x, _array(trace.lower), _array(trace.upper), color=colour, alpha=0.2, lw=0)
-        plain = True
+        band = axes.fill_between(x, _array(trace.lower), _array(trace.upper), color=colour, alpha=0.2, lw=0)
+        if not np.any(y):  # a band about zero
+            band.set_label(trace.label)
+            return
     elif len(x) > MAX_POINTS:
         x, y = thinned(x, y)
     if trace.y_error is not None:
@@ -197,8 +202,8 @@ def _trace(axes: Axes, trace: Trace, slot: int, repeat: int, *, paired: bool, co
         line.set_drawstyle("steps-post")
     if trace.style == "dashed" or repeat:
         line.set_dashes(DASHES[repeat % len(DASHES)])
-    if not plain:
-        line.set(marker=marker, ms=3, markevery=max(len(x) // 6, 1))
+    elif slot and not paired and trace.style != "arrows":
+        line.set_dashes(DASHES[(slot - 1) % len(DASHES)])
 
 
 def _points(
@@ -299,7 +304,7 @@ def _legend(axes: Axes) -> int:
     """Set the legend above the axes; return its number of rows."""
     handles, labels = axes.get_legend_handles_labels()
     found = dict(zip(labels, handles, strict=True))
-    if not found or (len(found) == 1 and len(axes.lines) + len(axes.patches) == 1):
+    if not found or (len(found) == 1 and isinstance(next(iter(found.values())), Line2D)):
         return 0
     longest = max(len(label) for label in found)
     columns = max(int(60 * WIDTH / (longest * LETTER * (FONT - 1) + 28)), 1)
@@ -389,8 +394,9 @@ def canvas(
         for k, (figure, row) in enumerate(rows):
             for n, panel in enumerate(row):
                 cell = grid[k, n] if len(row) > 1 else grid[k, :]
-                titled = panel.model_copy(update={"title": panel.title or figure.title})
-                paint(drawn.add_subplot(cell), titled, slots_of(figure))
+                if len(figures) > 1 and panel is figure.panels[0] and not panel.title:
+                    panel = panel.model_copy(update={"title": figure.title})
+                paint(drawn.add_subplot(cell), panel, slots_of(figure))
                 step(1)
     return drawn
 
