@@ -171,7 +171,6 @@ def test_a_model_that_says_nothing_of_held_out_trials_is_bad(
     ran = swimid("fit-drag", trials)
     assert _verdict(ran) == level
     assert ("largest in w20" in ran.err) is (level != "GOOD")
-    assert ("no model at all" in ran.err) is (level == "BAD")
 
 
 def test_friction_of_each_trial_on_request_is_a_random_effect(swimid: Run, tmp_path: Path) -> None:
