@@ -25,7 +25,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
-from matplotlib.ticker import FuncFormatter, LogFormatter
+from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
@@ -46,6 +46,8 @@ LETTER = 0.58
 DPI = 300
 #: From this many points on a trace is drawn as one path of dots, which takes a tenth of the space.
 MIN_CLOUD = 60
+#: Minimum height over width of a path whose axes end where its data end.
+MIN_SHAPE = 0.2
 #: Opacity of the darkest cell of a heat map, on which its number can still be read.
 DARKEST = 0.55
 
@@ -253,8 +255,8 @@ def _scales(axes: Axes, panel: Panel) -> None:
         values = [v for trace in panel.traces for v in getattr(trace, name) if v is not None]
         if getattr(panel, f"{name}_scale") == "log" and any(v > 0 for v in values):
             getattr(axes, f"set_{name}scale")("log", nonpositive="mask")
-            axis.set_major_formatter(LogFormatter())
-            axis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.5)))
+            axis.set_major_formatter(FuncFormatter(partial(_scaled, 1.0)))
+            axis.set_minor_formatter(NullFormatter())
             continue
         largest = max((abs(v) for v in values if v is not None and math.isfinite(v)), default=0.0)
         power = math.floor(math.log10(largest)) if largest else 0
@@ -269,7 +271,7 @@ def _scales(axes: Axes, panel: Panel) -> None:
         _slant(axes, panel.x_categories)
         axes.set_xlim(-0.6, len(panel.x_categories) - 0.4)
     if panel.equal_aspect:
-        axes.set_aspect("equal", adjustable="box")
+        axes.set_aspect("equal", adjustable="box" if _shape(panel) > MIN_SHAPE else "datalim")
     if panel.invert_y:
         axes.invert_yaxis()
 
@@ -356,11 +358,16 @@ def _height(panel: Panel) -> float:
         return max(1.0 + 0.16 * len(panel.y_categories), 1.6)
     if not panel.equal_aspect:
         return HEIGHT
+    return min(max(WIDTH * _shape(panel), 0.8), 4.0) + 0.6
+
+
+def _shape(panel: Panel) -> float:
+    """Return the height of the data of a panel over their width."""
     spans = []
     for name in ("x", "y"):
         values = [v for trace in panel.traces for v in getattr(trace, name) if v is not None]
         spans.append(max(values) - min(values) if values else 0.0)
-    return min(max(WIDTH * spans[1] / spans[0], 0.8), 4.0) + 0.6 if spans[0] else HEIGHT
+    return spans[1] / spans[0] if spans[0] else HEIGHT / WIDTH
 
 
 def canvas(
@@ -393,7 +400,7 @@ def canvas(
         grid = drawn.add_gridspec(len(rows), across, height_ratios=heights)
         for k, (figure, row) in enumerate(rows):
             for n, panel in enumerate(row):
-                cell = grid[k, n] if len(row) > 1 else grid[k, :]
+                cell = grid[k, n] if figure.columns > 1 else grid[k, :]
                 if len(figures) > 1 and panel is figure.panels[0] and not panel.title:
                     panel = panel.model_copy(update={"title": figure.title})
                 paint(drawn.add_subplot(cell), panel, slots_of(figure))
