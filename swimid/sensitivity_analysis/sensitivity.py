@@ -25,7 +25,7 @@ from swimid.progress import Progress, silent
 from swimid.results import parameters as parameters_format
 from swimid.results.result import FileResult
 from swimid.sensitivity_analysis import evidence as sensitivity_evidence
-from swimid.sensitivity_analysis.file import (
+from swimid.sensitivity_analysis.evidence import (
     FORMAT,
     Index,
     Output,
@@ -37,7 +37,7 @@ from swimid.sensitivity_analysis.file import (
 from swimid.sensitivity_analysis.indices import Sobol, sobol
 from swimid.sensitivity_analysis.options import SensitivityOptions
 from swimid.simulation import catalogue, compare_series
-from swimid.simulation.applied import Applied, Quantity
+from swimid.simulation.catalogue import Applied, Quantity
 from swimid.simulation.swim_quantities import Steady
 from swimid.swimmer import stroke_cycles
 from swimid.swimmer import trials as swimmer

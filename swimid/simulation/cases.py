@@ -30,7 +30,7 @@ from swimid.rig import model as rig
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
 from swimid.simulation import catalogue
-from swimid.simulation.applied import Applied, Quantity
+from swimid.simulation.catalogue import Applied, Quantity
 from swimid.simulation.options import SimulateOptions
 from swimid.simulation.swim_quantities import Steady
 from swimid.swimmer import stroke_cycles

@@ -14,7 +14,7 @@ import numpy as np
 
 from swimid.fitting.drives import SwimInput
 from swimid.fitting.model import Array, Trial
-from swimid.simulation.applied import Quantity
+from swimid.simulation.catalogue import Quantity
 from swimid.swimmer import stroke_cycles
 from swimid.swimmer.energetics import Energetics
 from swimid.swimmer.model import Swimmer
