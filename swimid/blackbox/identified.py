@@ -166,9 +166,12 @@ def predict(record: Record, orders: Orders, theta: np.ndarray, *, steps: int = 1
     driven = np.zeros(len(record))
     for j, value in enumerate(b):
         driven = driven + value * lagged(record.source, orders.nk + j)
-    errors = one_step_errors(record, orders, theta) if orders.nc else np.empty(0)
-    # Before its first row a model with C knows no error; it takes zero, as the fit does.
-    errors = np.nan_to_num(errors)
+    # Where it has no whole row, a model with C knows no error; it takes zero, as the fit does.
+    errors = np.zeros(len(record))
+    if orders.nc:
+        data = regression([record], orders)
+        found, _ = errors_and_gradient(theta, data.rows, data.outputs, data.fresh, orders.nc)
+        errors[data.sample] = np.nan_to_num(found)
     done: list[np.ndarray] = []  # the predictions 1, 2, .. steps ahead so far
     for ahead in range(1, steps + 1):
         total = driven.copy()
@@ -180,15 +183,6 @@ def predict(record: Record, orders: Orders, theta: np.ndarray, *, steps: int = 1
         if ahead > orders.na:
             done[ahead - orders.na - 1] = np.empty(0)  # no longer needed
     return done[-1]
-
-
-def one_step_errors(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
-    """One-step errors on the record's samples, shape (n,); NaN where there is no whole row."""
-    data = regression([record], orders)
-    errors, _ = errors_and_gradient(theta, data.rows, data.outputs, data.fresh, orders.nc)
-    result = np.full(len(record), np.nan)
-    result[data.sample] = errors
-    return result
 
 
 def about_own_level(
@@ -337,19 +331,19 @@ class Candidate:
     ----------
     aic, bic : float
         Akaike's and the Bayesian information criterion.
-    free_run_fit : float
+    free_run_fit_percent : float
         Fit of the free run on held-out data, per cent; minus infinity when it runs away.
     """
 
     orders: Orders
     aic: float
     bic: float
-    free_run_fit: float
+    free_run_fit_percent: float
     stable: bool
 
     def score(self, criterion: str) -> float:
         """Return what ``criterion`` ("bic", "aic" or "free-run") minimises."""
-        return {"bic": self.bic, "aic": self.aic, "free-run": -self.free_run_fit}[criterion]
+        return {"bic": self.bic, "aic": self.aic, "free-run": -self.free_run_fit_percent}[criterion]
 
 
 @dataclass(frozen=True)

@@ -29,8 +29,6 @@ from swimid.results.parameters import ParameterFile
 
 #: Warnings that tell the reason of a check that does not pass.
 CODES = {"Largest pole": "SWM020", "Residuals white": "SWM013", "Coefficients determined": "SWM010"}
-#: A scaled regression above this condition number is worth a warning.
-ILL_CONDITIONED = 1e6
 
 
 @takes(RwlsOptions)
@@ -118,13 +116,7 @@ def rwls(
     file = _parameter_file(m, settings, block)
     made = Fitted.of(file, build(m, file, checks, blocks.notices(notices)))
     made.data["orders_tried"] = [
-        {
-            **asdict(c.orders),
-            "aic": c.aic,
-            "bic": c.bic,
-            "free_run_fit_percent": c.free_run_fit,
-            "stable": c.stable,
-        }
+        {**vars(c.orders), **{name: value for name, value in vars(c).items() if name != "orders"}}
         for c in m.candidates
     ]
     return made.saved(output)
@@ -180,7 +172,7 @@ def _warn(m: Identified, checks: Sequence[Check]) -> None:
     elif known.input_rank < orders.nb:
         text = f"the input excites {known.input_rank} of the {orders.nb} coefficients of B"
         warn("SWM022", f"{text}; a single sine excites two" if known.input_rank == 2 else text)
-    elif known.condition > ILL_CONDITIONED:
+    elif known.condition > 1e6:
         text = f"the regression is ill-conditioned (condition number {known.condition:.1e}): lower the orders"
         warn("SWM022", text)
     if fitted.recursion.windup:
@@ -402,7 +394,7 @@ def _orders(m: Identified) -> list[Table]:
     aic, bic = (min(getattr(c, name) for c in m.candidates) for name in ("aic", "bic"))
     rows: list[list[blocks.Cell]] = []
     for c in sorted(m.candidates, key=lambda c: c.score(m.options.criterion))[:15]:
-        rows.append([str(c.orders), c.aic - aic, c.bic - bic, _finite(c.free_run_fit), c.stable])
+        rows.append([str(c.orders), c.aic - aic, c.bic - bic, _finite(c.free_run_fit_percent), c.stable])
     columns = ["orders", "AIC above least", "BIC above least", "free-run fit (%)", "stable"]
     title = f"The best of {len(m.candidates)} orders by {m.options.criterion}"
     return [Table(id="orders", title=title, columns=columns, rows=rows, folded=True)]

@@ -77,7 +77,8 @@ def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[st
         values = log[column]
         held = find_held(log.time_s, [values])
         empty = np.isnan(values)
-        if column == source and _is_designed(values[~held.repeated & ~empty]):
+        # independent values between the repeats are the levels of a random staircase
+        if column == source and rt.ljung_box(values[~held.repeated & ~empty]).passed:
             continue
         even = _even_times(log.time_s, values, held)
         if even is None and (column == source or not _is_lossy(values[~empty], held.repeated[~empty])):
@@ -158,11 +159,6 @@ def _is_lossy(values: Array, repeated: Array) -> bool:
     """Return whether a signal repeats samples at no even rate, and moves by more than its rounding."""
     changes = np.abs(np.diff(values[~repeated]))
     return bool(repeated.any() and np.median(changes) >= COARSE_STEPS * (step_of(values) or quantum(values)))
-
-
-def _is_designed(levels: Array) -> bool:
-    """Return whether the values between the repeats are independent, as the levels of a random staircase."""
-    return rt.ljung_box(levels).passed
 
 
 #: The keys of a trials file that are used, by experiment.
@@ -463,10 +459,8 @@ def _sample_time(logs: dict[str, log_format.Log]) -> float:
         elif abs(rate.step_s / steps[0] - 1) > sampling.SAME_RATE:
             text = f"is sampled every {rate.step_s:.6g} s, the first log every {steps[0]:.6g} s"
         if text:
-            text, hint = (
-                f"{text}; a discrete-time model needs one rate",
-                "resample the logs to one sample time",
-            )
+            text += "; a discrete-time model needs one rate"
+            hint = "resample the logs to one sample time"
             raise InputError(text, file=log.path, column="t_s", hint=hint)
         if rate.jitter > sampling.NOTABLE_JITTER:
             text = f"time steps scatter by {100 * rate.jitter:.1f} % around {rate.step_s:.6g} s"

@@ -24,14 +24,13 @@ from swimid.optimisation import study as studies
 from swimid.optimisation.options import OptimiseGaitOptions
 from swimid.optimisation.performance import BEAT, STROKE, Performance
 from swimid.optimisation.problem import DRAW_STEPS, STEPS, Limit, Problem, descend, drawn, merit
-from swimid.optimisation.study import Study, study_of
+from swimid.optimisation.study import Study, StudyFile, study_of
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results.result import FileResult
-
-FORMAT: Literal["swimid-gait/2"] = "swimid-gait/2"
+from swimid.simulation.swim_quantities import UNSTEADY
 
 
 class Varied(yamlio.Document):
@@ -65,19 +64,11 @@ class Gait(yamlio.Document):
     kept_in_draws: Number = None
 
 
-class GaitFile(yamlio.ResultFile):
+class GaitFile(StudyFile):
     """A gait file."""
 
     kind: ClassVar[str] = "gait file"
-    format: Literal["swimid-gait/2"] = FORMAT
-    verdict: Literal["good", "caution", "bad"]
-    robot: str
-    model: str
-    params: str | None = None
-    drive: dict[str, Any]
-    duration_s: float
-    #: Range of the drives that the coefficients were identified from; outside it is extrapolation.
-    identified: dict[str, tuple[float, float]] = {}
+    format: Literal["swimid-gait/2"] = "swimid-gait/2"
     vary: dict[str, Varied]
     #: In the words of the options, and the quantity and unit of each.
     goals: dict[str, tuple[str, str]]
@@ -121,7 +112,7 @@ class BestGait(FileResult[GaitFile]):
         What :meth:`save` writes; it also has intervals, the robust gait and the searches.
     """
 
-    format = FORMAT
+    format = "swimid-gait/2"
     file_type = GaitFile
 
     @property
@@ -443,8 +434,6 @@ def _robust(
 
 #: Two starts of the search end at the same value within this share of it.
 AGREE_RTOL = 0.005
-#: Change of the speed in a beat up to which it is steady, as a share of the speed.
-STEADY_RTOL = 0.005
 #: Smallest share of draws of the coefficients in which the limits are kept.
 MIN_KEPT = 0.9
 
@@ -487,23 +476,15 @@ def _checks(file: GaitFile) -> list[ev.Check]:
         agree = sum(abs(end - best) <= AGREE_RTOL * abs(best) for end in file.ends)
         text = "" if agree > 1 else "a better gait may be elsewhere: look for more with --starts"
         value = f"{agree} of {len(file.ends)}"
-        checks.append(
-            ev.check(
-                "starts that end at the best gait",
-                value,
-                agree > 1,
-                "two or more",
-                text,
-                reason=f"{value} starts end at it",
-            )
-        )
+        name, reason = "starts that end at the best gait", f"{value} starts end at it"
+        checks.append(ev.check(name, value, agree > 1, "two or more", text, reason=reason))
     bound = ", ".join(optimum.at_bound)
     text = f"a better gait may lie beyond the range of {bound}" if bound else ""
     checks.append(ev.check("gait within its ranges", bound or "yes", not bound, "inside", text, reason=text))
     checks += studies.forwards_check([optimum.quantities.get("mean_surge_from_start_m_s")])
     change, speed = (optimum.quantities.get(n) for n in ("speed_change_per_beat_m_s", "mean_speed_m_s"))
     if change is not None and speed:
-        checks.append(studies.steady_check(int(abs(change / speed) <= STEADY_RTOL), 1))
+        checks.append(studies.steady_check(int(abs(change / speed) <= UNSTEADY), 1))
     drive = {name: float(value) for name, value in file.drive.items() if name in BEAT | STROKE}
     checks.append(studies.region_check(file.identified, [{**drive, **optimum.at}]))
     if file.inside is None:

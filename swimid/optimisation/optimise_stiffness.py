@@ -19,7 +19,7 @@ from swimid.optimisation import study as studies
 from swimid.optimisation.options import OptimiseStiffnessOptions
 from swimid.optimisation.performance import BEAT, Performance, points_of
 from swimid.optimisation.problem import Problem, drawn
-from swimid.optimisation.rule import DEGREE, FORMAT, Curve, Optimum, RuleFile, Swept, fit_curve
+from swimid.optimisation.rule import DEGREE, Curve, Optimum, RuleFile, Swept, fit_curve
 from swimid.optimisation.study import in_parallel, study_of
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -34,8 +34,6 @@ RADIUS, LAST = 0.01, 5e-4
 BOUND_TOL = 1e-3
 #: Smallest number of draws of the coefficients, and the number of runs for each draw and point.
 MIN_DRAWS, DRAW_RUNS = 20, 12
-#: Number of fixed stiffnesses that a sweep with the rule is compared with.
-N_FIXED = 9
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +47,7 @@ class StiffnessRule(FileResult[RuleFile]):
         in C.
     """
 
-    format = FORMAT
+    format = "swimid-rule/2"
     file_type = RuleFile
 
     @property
@@ -374,7 +372,7 @@ def sweep(
 def _swept(performance: Performance, file: RuleFile, frequencies: Sequence[float], amplitude: float) -> Swept:
     """A frequency sweep with the rule and with fixed stiffnesses over the range of what it says."""
     ruled = [file.stiffness_for(f, amplitude, outside="hold") for f in frequencies]
-    fixed = sorted({*np.linspace(min(ruled), max(ruled), N_FIXED).tolist(), file.reference})
+    fixed = sorted({*np.linspace(min(ruled), max(ruled), 9).tolist(), file.reference})
     stiffness = np.vstack([ruled, np.tile(np.array(fixed)[:, None], len(ruled))])
     ways = sweep(performance, frequencies, amplitude, file.coefficient, stiffness).tolist()
     return Swept(amplitude_deg=amplitude, rule_m=ways[0], fixed=fixed, fixed_m=ways[1:])
@@ -382,8 +380,6 @@ def _swept(performance: Performance, file: RuleFile, frequencies: Sequence[float
 
 #: Largest loss of speed, or rise of cost, of the rule against its own optima.
 MAX_LOSS = 0.02
-#: Number of points of a curve, and of panels of a figure.
-N_POINTS, MAX_PANELS = 60, 6
 
 
 def evidence_of(file: RuleFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
@@ -540,7 +536,7 @@ def _optima(file: RuleFile) -> ev.Table:
 
 def _rule(file: RuleFile) -> ev.Figure:
     traces = []
-    x = np.linspace(*file.frequency_hz, N_POINTS)
+    x = np.linspace(*file.frequency_hz, 60)
     for group, c in enumerate(file.curves):
         optima = [o for o in file.optima if o.amplitude_deg == c.amplitude_deg]
         label = f"{numbers.number(c.amplitude_deg, 3)} deg"
@@ -565,7 +561,7 @@ def _curve_trace(file: RuleFile, curve: Curve, x: Array, group: int) -> ev.Trace
 
 def _speeds(file: RuleFile) -> ev.Figure:
     panels = []
-    for c in file.curves[:MAX_PANELS]:
+    for c in file.curves[:6]:
         optima = [o for o in file.optima if o.amplitude_deg == c.amplitude_deg]
         x, fixed = [o.frequency_hz for o in optima], numbers.number(file.reference, 3, file.unit)
         traces = [

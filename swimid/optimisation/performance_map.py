@@ -25,7 +25,7 @@ from swimid.notices import Notice, recorded, warn
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import MapOptions
 from swimid.optimisation.performance import BEAT, STROKE, TOGETHER, Performance, Point, points_of
-from swimid.optimisation.study import in_parallel, study_of
+from swimid.optimisation.study import StudyFile, in_parallel, study_of
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers
@@ -33,14 +33,12 @@ from swimid.results import evidence as ev
 from swimid.results.result import FileResult
 from swimid.simulation import compare_series
 from swimid.simulation.catalogue import Applied
-from swimid.simulation.swim_quantities import Steady, Window
+from swimid.simulation.swim_quantities import UNSTEADY, Steady, Window
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.model import Swimmer
 
 if TYPE_CHECKING:
     import pandas as pd
-
-FORMAT: Literal["swimid-map/1"] = "swimid-map/1"
 
 
 class Axis(yamlio.Document):
@@ -84,25 +82,16 @@ class Efficiency(yamlio.Document):
     trials: int
 
 
-class MapFile(yamlio.ResultFile):
+class MapFile(StudyFile):
     """A map file."""
 
     kind: ClassVar[str] = "map file"
-    format: Literal["swimid-map/1"] = FORMAT
-    verdict: Literal["good", "caution", "bad"]
-    robot: str
-    model: str
-    params: str | None = None
-    #: What is not varied.
-    drive: dict[str, Any]
-    duration_s: float
+    format: Literal["swimid-map/1"] = "swimid-map/1"
     axes: list[Axis]
     quantities: dict[str, Mapped]
     #: Runs that broke down, and runs whose speed still changes.
     broken: int
     unsettled: int
-    #: Range of drive and axes in the trials the coefficients were identified from; beyond is extrapolation.
-    identified: dict[str, tuple[float, float]] = {}
     measured: list[MeasuredPoint] = []
     efficiency: Efficiency | None = None
     provenance: dict[str, Any] = Field(default_factory=dict)
@@ -265,8 +254,6 @@ def _powers(model: Swimmer, trial: Trial, log: Log, values: Array) -> tuple[floa
 
 #: Maximum number of points of a map.
 MAX_POINTS = 100_000
-#: A change of speed from beat to beat above this share is not steady.
-UNSTEADY = 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,7 +268,7 @@ class PerformanceMap(FileResult[MapFile]):
         What :meth:`save` writes; it also has standard deviations, measured trials and their region.
     """
 
-    format = FORMAT
+    format = "swimid-map/1"
     file_type = MapFile
 
     @property

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.errors import InputError, NoTrustworthyResult
+from swimid.errors import NoTrustworthyResult
 from swimid.files import yamlio
 from swimid.files.checkpoint import Checkpoint
 from swimid.files.yamlio import Number
 from swimid.fitting import genetic
-from swimid.fitting.model import Array, Model
+from swimid.fitting.model import Array
 from swimid.optimisation.performance import Performance, Point
-from swimid.simulation.catalogue import Applied
+from swimid.simulation.catalogue import Applied, is_possible
 
 #: Number of draws that are made at once, and the largest number in all.
 BLOCK, MAX_DRAWS = 50_000, 5_000_000
@@ -66,7 +66,7 @@ def drawn(applied: Applied, count: int, seed: int) -> Draws:
         for k in np.flatnonzero(((moved >= lower) & (moved <= upper)).all(axis=1)):
             vector = centre.copy()
             vector[index] = moved[k]
-            if _is_possible(model, vector):
+            if is_possible(model, vector):
                 found.append(vector)
             if len(found) == count:
                 return Draws(found, count / (made + int(k) + 1))
@@ -74,15 +74,6 @@ def drawn(applied: Applied, count: int, seed: int) -> Draws:
         "hardly a draw of the coefficients from their covariance is possible",
         hint="they lie at their bounds or are hardly known; hold them (--set) or fit them better",
     )
-
-
-def _is_possible(model: Model, values: Array) -> bool:
-    try:
-        if model.swimmer is not None:
-            model.swimmer.check(values)
-    except InputError:
-        return False
-    return True
 
 
 #: First and last radius of the differences, as a share of the range.

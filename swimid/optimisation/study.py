@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from swimid.files import provenance
+from swimid.files import provenance, yamlio
 from swimid.files.provenance import Input
 from swimid.fitting.model import Array
 from swimid.fitting.parallel import in_threads
@@ -19,6 +19,21 @@ from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
 from swimid.robots import file as robot_format
+
+
+class StudyFile(yamlio.ResultFile):
+    """What the files of all studies of gaits begin with."""
+
+    format: str
+    verdict: Literal["good", "caution", "bad"]
+    robot: str
+    model: str
+    params: str | None = None
+    #: What is not varied.
+    drive: dict[str, Any]
+    duration_s: float
+    #: Range of drive and axes in the trials the coefficients were identified from; beyond is extrapolation.
+    identified: dict[str, tuple[float, float]] = {}
 
 
 @dataclass(frozen=True)
@@ -94,8 +109,6 @@ def in_parallel(
 DOUBTFUL = ("SWM053", "SWM062")
 #: Values of a drive where it does not say.
 NEUTRAL = {"bias_deg": 0.0, "asymmetry": 0.0, "lag_deg": 0.0, "scale": 1.0}
-#: Width of the terminal.
-WIDTH = 98
 REFERENCES = [
     "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin",
     "D. Chen, Y. Xiong, B. Wang, R. Tong, Y. Meng, J. Yu: Performance Optimization for Bionic Robotic "
@@ -148,10 +161,7 @@ def draws_check(inside: float) -> ev.Check:
     """Check that most draws of the coefficients lie within their bounds."""
     text = "" if inside >= 0.5 else "the coefficients are hardly known: fit them better"
     value = numbers.percent(inside, 2)
-    name, reason = (
-        "draws within the coefficients' bounds",
-        f"only {value} of draws lie within them",
-    )
+    name, reason = "draws within the coefficients' bounds", f"only {value} of draws lie within them"
     return ev.check(name, value, inside >= 0.5, "half or more", text, reason=reason)
 
 

@@ -449,3 +449,13 @@ def _propulsion(trials: str | Path | TrialSet, file: ParameterFile, path: Path) 
                 column=f"drive.{key}",
             )
     return experiment
+
+
+def is_possible(model: Model, values: Array) -> bool:
+    """Return whether the coefficients make masses that a body has."""
+    try:
+        if model.swimmer is not None:
+            model.swimmer.check(values)
+    except InputError:
+        return False
+    return True

@@ -25,7 +25,6 @@ from swimid.results.result import FileResult
 from swimid.simulation import cases, catalogue, compare_series, compare_strokes
 from swimid.simulation.catalogue import Applied
 from swimid.simulation.compare_series import (
-    FORMAT,
     WINDOW_BEATS,
     ChannelScore,
     Compared,
@@ -54,7 +53,7 @@ class Comparison(FileResult[ComparisonFile]):
         What :meth:`save` writes; its ``channels`` hold the scores of all trials together.
     """
 
-    format = FORMAT
+    format = "swimid-comparison/1"
     file_type = ComparisonFile
 
     @property
@@ -210,8 +209,6 @@ def _explained(
 ERRORS = ("channel", "RMSE", "NRMSE", "VAF", "bias")
 #: Settings of a drive that a mean speed is drawn over.
 SETTINGS = ("frequency_hz", "amplitude_deg", "bias_deg", "asymmetry")
-#: Maximum number of values of a setting, and of curves, in a figure.
-MAX_LEVELS, MAX_CURVES = 12, 3
 #: Maximum number of samples of a curve.
 MAX_SAMPLES = 400
 #: Headings of the quantities of a stroke.
@@ -587,7 +584,7 @@ def _speed_figure(file: ComparisonFile) -> list[ev.Figure]:
     known = [row for row in file.mean_speeds if row[0].drive]
     counts = {key: len({t.drive.get(key) for t, _, _ in known}) for key in SETTINGS}
     # a setting that hardly any two trials share was measured, not set: it is no axis
-    varied = [key for key in SETTINGS if 1 < counts[key] <= max(MAX_LEVELS, len(known) // 2)]
+    varied = [key for key in SETTINGS if 1 < counts[key] <= max(12, len(known) // 2)]
     if not varied:
         return []
     axis = max(varied, key=lambda key: counts[key])
@@ -599,7 +596,7 @@ def _speed_figure(file: ComparisonFile) -> list[ev.Figure]:
     # a single value of the setting makes no curve
     curves = [tail for tail, rows in groups.items() if len({row[0] for row in rows}) > 1]
     traces = []
-    for group, tail in enumerate(sorted(curves, key=lambda tail: -len(groups[tail]))[:MAX_CURVES]):
+    for group, tail in enumerate(sorted(curves, key=lambda tail: -len(groups[tail]))[:3]):
         x, y, z = np.array(sorted(groups[tail])).T
         levels = np.unique(x)
         # repeats of one setting make one point of the line

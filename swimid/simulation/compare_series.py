@@ -23,8 +23,6 @@ from swimid.simulation import cases, swim_quantities
 from swimid.simulation.catalogue import Applied
 from swimid.swimmer.planar.body import Body
 
-FORMAT: Literal["swimid-comparison/1"] = "swimid-comparison/1"
-
 
 class ChannelScore(yamlio.Document):
     """Errors of one channel, in its unit; measured minus simulated."""
@@ -127,7 +125,7 @@ class ComparisonFile(yamlio.ResultFile):
     """A comparison file."""
 
     kind: ClassVar[str] = "comparison file"
-    format: Literal["swimid-comparison/1"] = FORMAT
+    format: Literal["swimid-comparison/1"] = "swimid-comparison/1"
     verdict: Literal["good", "caution", "bad"]
     model: str
     robot: str
@@ -157,8 +155,6 @@ Start = Literal["file", "estimated", "neutral"]
 STARTS = ("start_", "initial_", "clock_offset", "drive_phase", "camera_rotation", "rest_position")
 #: Half width of the derivative's window: this share of a beat, or s where there is none.
 WINDOW_BEATS, WINDOW_S = 0.2, 0.15
-#: Maximum number of samples that time warping is computed over.
-MAX_WARPED = 2000
 #: Minimum number of samples of a stroke, and of their share of what a whole one has.
 MIN_SAMPLES, WHOLE = 4, 0.95
 
@@ -449,7 +445,8 @@ def cycles(pair: Pair, frequency_hz: float) -> CycleTable:
 def _timing(pair: Pair, frequency: float) -> dict[str, float]:
     """Phase error at the beat, and the error left when time may be stretched."""
     phase = metrics.phase_error(pair.measured, pair.simulated, pair.time_s, frequency_hz=frequency)
-    keep = slice(None, None, max(1, -(-len(pair.time_s) // MAX_WARPED)))
+    # time warping is computed over 2000 samples at most
+    keep = slice(None, None, max(1, -(-len(pair.time_s) // 2000)))
     step = float(np.median(np.diff(pair.time_s[keep])))
     band = max(1, round(0.25 / (frequency * step)))
     distance = metrics.dtw_distance(pair.measured[keep], pair.simulated[keep], band=band)

@@ -29,6 +29,7 @@ from swimid.simulation import animation, cases
 from swimid.simulation.cases import Case
 from swimid.simulation.catalogue import Quantity
 from swimid.simulation.options import RUN, SimulateOptions
+from swimid.simulation.swim_quantities import UNSTEADY
 from swimid.swimmer import stroke_cycles
 
 if TYPE_CHECKING:
@@ -257,8 +258,6 @@ class Simulation(Result):
         return replace(self, outputs=[*self.outputs, *write(Path(path), self.document)])
 
 
-#: Largest change of the speed from beat to beat, over the speed, of a steady run.
-UNSTEADY = 0.005
 #: Quantities that the table of several runs holds.
 BRIEF = ("mean_speed_m_s", "peak_yaw_rate_rad_s", "peak_pitch_rate_rad_s", "turning_radius_m")
 
@@ -507,9 +506,7 @@ def _data(done: Sequence[Simulated], options: SimulateOptions) -> dict[str, Any]
                 "id": d.case.id,
                 "metadata": dict(d.case.metadata),
                 "samples": len(d.case.trial.time_s),
-                "quantities": {
-                    n: {"value": q.value, "stderr": q.stderr, "unit": q.unit} for n, q in d.quantities.items()
-                },
+                "quantities": {n: vars(q) for n, q in d.quantities.items()},
                 "step_check": {
                     n: {"largest_change": c.largest, "share_of_range": c.share} for n, c in d.step.items()
                 },
