@@ -53,7 +53,7 @@ NAMES = {
     "Result": "swimid.results.result",
     "Fitted": "swimid.results.fitted",
     "Logged": "swimid.logs.logged",
-    "Simulation": "swimid.simulation.run",
+    "Simulation": "swimid.simulation.simulate",
     "Comparison": "swimid.simulation.compare",
     "Diagnosis": "swimid.diagnosis.diagnosed",
     "DetectionPower": "swimid.diagnosis.power_file",

@@ -29,7 +29,7 @@ from swimid.diagnosis.gap_file import (
 from swimid.diagnosis.shrinkage import Piece
 from swimid.fitting.model import Trial
 from swimid.results import evidence as ev
-from swimid.simulation.comparison_file import ChannelScore
+from swimid.simulation.compare_series import ChannelScore
 
 Part = TypeVar("Part", bound=BaseModel)
 

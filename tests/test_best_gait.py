@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 import swimid as package
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.fitting.model import Array
-from swimid.optimisation import descent
-from swimid.optimisation.draws import drawn
+from swimid.optimisation import problem
 from swimid.optimisation.optimise_gait import BestGait
 from swimid.optimisation.performance import Performance
-from swimid.simulation.applied import Applied
+from swimid.optimisation.problem import drawn
+from swimid.simulation.catalogue import Applied
 from tests.conftest import Ran
 
 DOLPHIN = {"robot": "dolphin", "amplitude_deg": 27.0, "duration_s": 6.0}
@@ -51,7 +51,7 @@ class TestDescent:
             away = x - middle
             return np.einsum("ni,ij,nj->n", away, matrix, away)[:, None]
 
-        found = descent.descend(bowl, np.full((1, 3), 0.5), steps=60)
+        found = problem.descend(bowl, np.full((1, 3), 0.5), steps=60)
         assert found.points[0] == pytest.approx(middle, abs=0.01)
 
     def test_a_limit_that_cuts_across(self) -> None:
@@ -61,7 +61,7 @@ class TestDescent:
             gain = x[:, 0] + 2.0 * x[:, 1]
             return np.column_stack([-gain, 10.0 * (np.hypot(*(x - 0.5).T) / 0.3 - 1.0)])
 
-        found = descent.descend(parts, np.array([[0.5, 0.5], [0.1, 0.9]]), steps=60)
+        found = problem.descend(parts, np.array([[0.5, 0.5], [0.1, 0.9]]), steps=60)
         expected = 0.5 + 0.3 * np.array([1.0, 2.0]) / math.sqrt(5.0)
         assert found.points == pytest.approx(np.tile(expected, (2, 1)), abs=5e-3)
 
@@ -72,12 +72,12 @@ class TestDescent:
             value = (x[:, 0] + 0.2) ** 2 + (x[:, 1] - 0.7) ** 2
             return np.where(np.hypot(x[:, 0] - 0.5, x[:, 1]) < 0.2, np.nan, value)[:, None]
 
-        found = descent.descend(parts, np.array([[0.9, 0.1], [0.5, 0.1]]))
+        found = problem.descend(parts, np.array([[0.9, 0.1], [0.5, 0.1]]))
         assert found.points[found.best] == pytest.approx([0.0, 0.7], abs=5e-3)
 
     def test_each_search_has_its_own_function(self) -> None:
         places = np.array([0.2, 0.5, 0.9])
-        found = descent.descend(
+        found = problem.descend(
             lambda x, owner: ((x[:, 0] - places[owner]) ** 2)[:, None], np.full((3, 1), 0.4)
         )
         assert found.points[:, 0] == pytest.approx(places, abs=2e-3)

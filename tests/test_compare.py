@@ -18,7 +18,7 @@ from swimid.results import evidence
 from swimid.results import parameters as parameters_format
 from swimid.results.parameters import Estimate, ParameterFile
 from swimid.simulation import compare_series
-from swimid.simulation.comparison_file import ComparisonFile
+from swimid.simulation.compare_series import ComparisonFile
 from tests.conftest import Ran
 from tests.generators import swimmer
 

@@ -12,7 +12,7 @@ import pytest
 
 from swimid.results import evidence
 from swimid.results.parameters import Estimate, ParameterFile
-from swimid.simulation.comparison_file import ComparisonFile
+from swimid.simulation.compare_series import ComparisonFile
 from swimid.swimmer import stroke_cycles
 from tests.conftest import SAMPLES, Ran
 

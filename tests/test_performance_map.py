@@ -13,9 +13,9 @@ import pytest
 import swimid as package
 from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files.checkpoint import Checkpoint
-from swimid.optimisation import measured
-from swimid.optimisation.map_file import MapFile, MeasuredPoint
+from swimid.optimisation import performance_map
 from swimid.optimisation.performance import Performance
+from swimid.optimisation.performance_map import MapFile, MeasuredPoint
 from tests.conftest import Ran
 
 Swimid = Callable[..., Ran]
@@ -119,15 +119,15 @@ def test_efficiency_of_trials_that_scatter() -> None:
     rng = np.random.default_rng(4)
     electrical = rng.uniform(5.0, 40.0, 200)
     given = zip(0.3 * electrical + rng.normal(0.0, 0.5, 200), electrical, strict=True)
-    found = measured.efficiency([point(mechanical, logged) for mechanical, logged in given])
+    found = performance_map.efficiency([point(mechanical, logged) for mechanical, logged in given])
     assert found is not None
     assert found.stderr is not None
     assert found.value == pytest.approx(0.3, abs=3 * found.stderr)
     assert found.stderr == pytest.approx(0.5 / math.sqrt(float(electrical @ electrical)), rel=0.15)
-    exact = measured.efficiency([point(1.0, 4.0), point(2.0, 8.0), point(3.0, 12.0)])
+    exact = performance_map.efficiency([point(1.0, 4.0), point(2.0, 8.0), point(3.0, 12.0)])
     assert exact is not None
     assert (exact.value, exact.stderr, exact.trials) == (0.25, 0.0, 3)
-    assert measured.efficiency([point(math.nan, 1.0)]) is None
+    assert performance_map.efficiency([point(math.nan, 1.0)]) is None
 
 
 def test_errors_from_the_covariance(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from swimid.blackbox import armax, difference, prediction, recursive, working_point
+from swimid.blackbox import arx, difference, identified, recursive
 from swimid.blackbox.arx import estimate, regression
 from swimid.blackbox.difference import Orders, Record
 from swimid.blackbox.identified import best_order, search_orders
@@ -128,19 +128,19 @@ def test_recursion_refuses_nonsense(bad):
 
 def test_exact_arx_data_without_offset_give_plain_least_squares():
     record = simulated(7, mean=1.0)
-    point = working_point.centre([record], Orders(2, 2))
+    point = identified.centre([record], Orders(2, 2))
     assert not point.removed
-    found = estimate(working_point.shifted([record], point), Orders(2, 2))
+    found = estimate(identified.shifted([record], point), Orders(2, 2))
     plain = np.linalg.lstsq(found.data.rows, found.data.outputs, rcond=None)[0]
     np.testing.assert_allclose(found.theta, plain, rtol=1e-8, atol=1e-10)
 
 
 def test_offset_is_found_and_removed():
     record = simulated(8, n=2000, offset=2.0)
-    point = working_point.centre([record], Orders(2, 2))
+    point = identified.centre([record], Orders(2, 2))
     assert point.removed
     assert point.constant == pytest.approx(2.0, abs=0.1)
-    found = estimate(working_point.shifted([record], point), Orders(2, 2))
+    found = estimate(identified.shifted([record], point), Orders(2, 2))
     assert np.all(np.abs(found.theta - TRUTH) < 3 * found.stderr + 0.02)
 
 
@@ -149,7 +149,7 @@ def test_centring_takes_away_a_pole_at_one_that_the_level_put_there():
     slow = lfilter([1.0], [1.0, -0.97], 0.02 * rng.normal(size=1500))
     record = simulated(10, n=1500, a=np.array([-0.9]), b=np.array([0.1]), noise=0.01)
     far = Record("far", record.time_s, record.source, record.output + slow + 40.0)
-    assert working_point.centre([far], Orders(3, 2)).removed
+    assert identified.centre([far], Orders(3, 2)).removed
 
 
 def test_a_working_point_near_zero_is_removed_when_the_free_run_gains():
@@ -159,7 +159,7 @@ def test_a_working_point_near_zero_is_removed_when_the_free_run_gains():
         record = simulated(60 + seed, n=600, a=np.array([-0.95]), b=np.array([0.05]), noise=0.05)
         level = 2.5 * np.std(record.output)
         moved = Record("moved", record.time_s, record.source + 3.0, record.output + level)
-        centred += working_point.centre([moved], Orders(1, 1)).removed
+        centred += identified.centre([moved], Orders(1, 1)).removed
     assert centred >= 18
 
 
@@ -167,8 +167,7 @@ def test_slow_systems_without_offset_are_seldom_centred():
     """16 of these 60 gain 10 % of free run by chance; the constant term must agree."""
     slow = {"a": np.array([-0.95]), "b": np.array([0.5])}
     centred = [
-        working_point.centre([simulated(s, n=200, noise=0.5, **slow)], Orders(1, 1)).removed
-        for s in range(60)
+        identified.centre([simulated(s, n=200, noise=0.5, **slow)], Orders(1, 1)).removed for s in range(60)
     ]
     assert sum(centred) <= 3
 
@@ -211,12 +210,12 @@ def test_coloured_noise_biases_arx_and_not_armax():
 def test_armax_gradient_is_the_derivative():
     data = regression([simulated(13, n=80)], Orders(2, 2))
     theta = np.append(TRUTH, [0.4, -0.2])
-    _, gradient = armax.errors_and_gradient(theta, data.rows, data.outputs, data.fresh, 2)
+    _, gradient = arx.errors_and_gradient(theta, data.rows, data.outputs, data.fresh, 2)
     for i in range(6):
         step = np.zeros(6)
         step[i] = 1e-6
-        up, _ = armax.errors_and_gradient(theta + step, data.rows, data.outputs, data.fresh, 2)
-        down, _ = armax.errors_and_gradient(theta - step, data.rows, data.outputs, data.fresh, 2)
+        up, _ = arx.errors_and_gradient(theta + step, data.rows, data.outputs, data.fresh, 2)
+        down, _ = arx.errors_and_gradient(theta - step, data.rows, data.outputs, data.fresh, 2)
         np.testing.assert_allclose(gradient[:, i], -(up - down) / 2e-6, rtol=1e-5, atol=1e-6)
 
 
@@ -306,7 +305,7 @@ def test_no_result_where_none_can_be_trusted(record, orders, match):
 def test_predictions_of_every_horizon_against_a_direct_loop():
     record, orders = simulated(20, n=60), Orders(2, 2, nk=1)
     for steps in (1, 2, 3, 7):
-        got = prediction.predict(record, orders, TRUTH, steps=steps)
+        got = identified.predict(record, orders, TRUTH, steps=steps)
         for k in range(12, 60):
             y = record.output[: k - steps + 1].tolist()
             for j in range(k - steps + 1, k + 1):
@@ -317,7 +316,7 @@ def test_predictions_of_every_horizon_against_a_direct_loop():
 
 def test_armax_one_step_prediction_leaves_the_noise():
     record = simulated(21, n=4000, noise=0.3, c=(0.7,))
-    error = record.output - prediction.predict(record, Orders(2, 2, nc=1), np.append(TRUTH, 0.7))
+    error = record.output - identified.predict(record, Orders(2, 2, nc=1), np.append(TRUTH, 0.7))
     assert np.nanstd(error) == pytest.approx(0.3, rel=0.05)
 
 
@@ -363,7 +362,7 @@ def test_stamps_rounded_to_few_decimals_are_a_constant_rate(hertz, decimals):
 def test_own_level_is_found():
     record = simulated(24, n=400, noise=0.0)
     moved = Record("m", record.time_s, record.source, record.output + 3.0)
-    assert prediction.about_own_level([moved], Orders(2, 2), TRUTH)[1] == pytest.approx(3.0, abs=1e-9)
+    assert identified.about_own_level([moved], Orders(2, 2), TRUTH)[1] == pytest.approx(3.0, abs=1e-9)
 
 
 def test_pole_uncertainty_matches_repeats():
@@ -385,7 +384,7 @@ def test_frequency_response_uncertainty_matches_repeats():
         z = np.exp(-1j * omega * 0.1)
         gains.append(np.log(np.abs((b[0] * z + b[1] * z**2) / (1 + a[0] * z + a[1] * z**2))))
         spreads.append(
-            prediction.frequency_response(found.orders, found.theta, found.covariance, 0.1, omega)[1]
+            identified.frequency_response(found.orders, found.theta, found.covariance, 0.1, omega)[1]
         )
     np.testing.assert_allclose(np.mean(spreads, axis=0), np.std(gains, axis=0), rtol=0.2)
 
@@ -450,12 +449,12 @@ def _halves(name, step_s):
 def test_hair_dryer_free_run_on_the_second_half():
     first, second = _halves("dryer", 0.08)
     orders = Orders(4, 4)
-    point = working_point.centre([first], orders)
+    point = identified.centre([first], orders)
     assert point.removed
-    found = estimate(working_point.shifted([first], point), orders)
-    moved, _ = prediction.about_own_level(working_point.shifted([second], point), orders, found.theta)
+    found = estimate(identified.shifted([first], point), orders)
+    moved, _ = identified.about_own_level(identified.shifted([second], point), orders, found.theta)
     assert (
-        prediction.score(moved[0].output, difference.simulate(moved[0], orders, found.theta)).fit_percent
+        identified.score(moved[0].output, difference.simulate(moved[0], orders, found.theta)).fit_percent
         >= 89.0
     )
 

@@ -11,7 +11,7 @@ import yaml
 from swimid.results import evidence
 from swimid.results import parameters as parameters_format
 from swimid.results.parameters import Estimate, ParameterFile
-from swimid.simulation.comparison_file import ComparisonFile
+from swimid.simulation.compare_series import ComparisonFile
 from tests.conftest import Ran
 from tests.generators import sealion
 

@@ -16,7 +16,7 @@ from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.parallel import in_threads
 from swimid.results import evidence
 from swimid.sensitivity_analysis import indices, sensitivity
-from swimid.sensitivity_analysis.file import SensitivityFile
+from swimid.sensitivity_analysis.evidence import SensitivityFile
 from tests.conftest import Ran
 
 Swimid = Callable[..., Ran]

@@ -17,7 +17,7 @@ from swimid.notices import recorded
 from swimid.results import evidence, parameters
 from swimid.results.parameters import Estimate, ParameterFile
 from swimid.robots import file as robot
-from swimid.simulation.comparison_file import ComparisonFile
+from swimid.simulation.compare_series import ComparisonFile
 from swimid.swimmer import stroke_cycles
 from swimid.tracking import plane, pose, quality
 from swimid.tracking import setup as setup_format

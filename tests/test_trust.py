@@ -10,13 +10,13 @@ import pytest
 
 import swimid as package
 from swimid.errors import UsageError
-from swimid.optimisation import gait_evidence, trust
-from swimid.optimisation.draws import drawn
-from swimid.optimisation.measured import electrical_power
+from swimid.optimisation import optimise_gait, study
 from swimid.optimisation.options import OptimiseStiffnessOptions
 from swimid.optimisation.performance import Performance
+from swimid.optimisation.performance_map import electrical_power
+from swimid.optimisation.problem import drawn
 from swimid.results.parameters import ParameterFile
-from swimid.simulation.applied import Applied, Quantity
+from swimid.simulation.catalogue import Applied, Quantity
 from swimid.simulation.swim_quantities import Window
 
 VALUES = {
@@ -170,9 +170,9 @@ def test_a_gait_that_swims_tail_first_is_bad() -> None:
         **BEAT,
     )
     found.file.optimum.quantities["mean_surge_from_start_m_s"] = -0.1
-    assert gait_evidence.evidence(found.file, [], {}).verdict.level == "bad"
-    assert trust.forwards_check([0.1, None])[0].verdict == "pass"
-    assert trust.forwards_check([None]) == []
+    assert optimise_gait.evidence_of(found.file, [], {}).verdict.level == "bad"
+    assert study.forwards_check([0.1, None])[0].verdict == "pass"
+    assert study.forwards_check([None]) == []
 
 
 def test_electrical_power_of_a_log_with_gaps() -> None:

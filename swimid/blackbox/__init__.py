@@ -1,8 +1,7 @@
 """Discrete-time ARX and ARMAX models from an input and an output column: ``swimid rwls``.
 
-``trials`` gives records on one time grid, ``own_rate`` brings a log to the rate of its measurements,
-``difference`` is the equation and its free run, ``model`` the same behind the model interface. ``arx``
-regresses, ``armax`` searches the noise polynomial, ``recursive`` is recursive least squares,
-``working_point`` decides on means, ``prediction`` predicts and judges. ``identified`` chooses orders and puts
-these together; ``rwls`` is the command, with ``options`` and ``evidence``.
+``trials`` gives records on one time grid, at the rate of their measurements. ``difference`` is the equation
+and its free run, ``model`` the same behind the model interface. ``arx`` regresses and searches the noise
+polynomial, ``recursive`` is recursive least squares. ``identified`` decides on means, chooses orders and
+predicts; ``rwls`` is the command with its evidence, ``options`` are its options.
 """

@@ -1,8 +1,14 @@
-"""ARX and ARMAX models from records with gaps: regression, estimate, uncertainty.
+"""ARX and ARMAX models from records with gaps: regression, noise polynomial, estimate, uncertainty.
 
 The model is that of :mod:`swimid.blackbox.difference`. A row of the regression exists only where every
 sample it needs is there; a gap costs the rows around it and nothing else. See L. Ljung, "System
 Identification: Theory for the User", 2nd ed. (1999), ch. 7-9, 11.
+
+The noise polynomial C is searched for the least one-step error by Gauss-Newton steps. statsmodels' SARIMAX
+can be given the same rows, as regressors of a moving average, with a Kalman filter across the gaps. On 60
+records of 600 samples of an ARMAX(2, 2, nc 2) model its estimates are as good (as much as 13 % less scatter
+of one coefficient with 30 % of the samples missing, none without gaps), it takes 40 to 70 times as long, one
+in ten does not converge, and it cannot discount old samples.
 """
 
 from __future__ import annotations
@@ -11,12 +17,130 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 
-from swimid.blackbox import armax, recursive
+from swimid.blackbox import recursive
 from swimid.blackbox.difference import Orders, Record, lagged
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import residual_tests as rt
 from swimid.logs.sampling import rounding
+
+#: Zeros of C are kept this far inside the unit circle, where its inverse is stable.
+EDGE = 0.999
+#: Gauss-Newton steps, at most.
+MOST_STEPS = 100
+
+
+@njit(cache=True, error_model="numpy")
+def errors_and_gradient(
+    theta: np.ndarray, rows: np.ndarray, outputs: np.ndarray, fresh: np.ndarray, nc: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """One-step errors of an ARMAX model and the derivative of its prediction.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (m + nc,)
+        Coefficients of A, B and C.
+    rows, outputs : ndarray, shape (n, m) and (n,)
+        Regression vectors of A and B, and z.
+    fresh : ndarray of bool, shape (n,)
+        True where a row does not continue the one before: the past errors are taken as zero.
+
+    Returns
+    -------
+    errors : ndarray, shape (n,)
+        ``e(k) = z(k) - h(k)' theta_AB - sum_j c_j e(k-j)``.
+    gradient : ndarray, shape (n, m + nc)
+        Minus its derivative: the regression vector filtered by 1 / C.
+    """
+    n, m = rows.shape
+    p = m + nc
+    errors = np.zeros(n)
+    gradient = np.zeros((n, p))
+    start = 0
+    for k in range(n):
+        if fresh[k]:
+            start = k
+        past = min(k - start, nc)
+        error = outputs[k]
+        for i in range(m):
+            error -= rows[k, i] * theta[i]
+            gradient[k, i] = rows[k, i]
+        for j in range(past):
+            error -= errors[k - 1 - j] * theta[m + j]
+            gradient[k, m + j] = errors[k - 1 - j]
+        for j in range(past):
+            for i in range(p):
+                gradient[k, i] -= theta[m + j] * gradient[k - 1 - j, i]
+        errors[k] = error
+    return errors, gradient
+
+
+def invertible(c: np.ndarray) -> np.ndarray:
+    """C with its zeros outside the unit circle mirrored to the inside."""
+    roots = np.roots(np.concatenate(([1.0], c)))
+    size = np.abs(roots)
+    roots = np.where(size > 1, roots / np.maximum(size, 1.0) ** 2, roots)
+    size = np.abs(roots)
+    roots = np.where(size > EDGE, roots / np.maximum(size, EDGE) * EDGE, roots)
+    # np.roots drops leading zeros of the reversed polynomial: a trailing c of zero stays zero.
+    coefficients = np.real(np.poly(roots))[1:]
+    return np.concatenate((coefficients, np.zeros(len(c) - len(coefficients))))
+
+
+def refine(
+    theta: np.ndarray,
+    rows: np.ndarray,
+    outputs: np.ndarray,
+    fresh: np.ndarray,
+    nc: int,
+    weights: np.ndarray,
+) -> np.ndarray:
+    """The coefficients of least weighted one-step error, from those of the extended recursion.
+
+    Gauss-Newton with step halving; C is kept invertible. See :func:`errors_and_gradient`; ``weights`` are
+    those of the squared errors, shape (n,).
+
+    Raises
+    ------
+    NoTrustworthyResult
+        When the search does not converge.
+    """
+    m = rows.shape[1]
+    root = np.sqrt(weights)
+
+    def cost(candidate: np.ndarray) -> float:
+        errors, _ = errors_and_gradient(candidate, rows, outputs, fresh, nc)
+        total = float(np.sum(weights * errors**2))
+        return total if np.isfinite(total) else float("inf")
+
+    best = np.concatenate((theta[:m], invertible(theta[m:])))
+    value = cost(best)
+    for _ in range(MOST_STEPS):
+        errors, gradient = errors_and_gradient(best, rows, outputs, fresh, nc)
+        step = np.linalg.lstsq(gradient * root[:, None], errors * root, rcond=None)[0]
+        for halving in range(30):
+            candidate = best + step / 2**halving
+            candidate[m:] = invertible(candidate[m:])
+            tried = cost(candidate)
+            if tried < value:
+                break
+        else:
+            return best  # no step makes it smaller: the minimum, to rounding
+        gained = value - tried
+        best, value = candidate, tried
+        if gained <= 1e-13 * value:
+            return best
+    raise NoTrustworthyResult(
+        f"the noise polynomial C did not converge in {MOST_STEPS} steps",
+        hint="lower --nc, or give longer logs",
+    )
+
+
+def warm_up() -> None:
+    """Compile the kernels of this module."""
+    errors_and_gradient(np.zeros(2), np.ones((3, 1)), np.ones(3), np.array([True, False, False]), 1)
+
 
 #: Residuals below this share of the output's deviation are rounding, not noise.
 EXACT = 1e-9
@@ -284,7 +408,7 @@ def estimate(
     ----------
     records : sequence of Record
         All at the same rate, working point removed where there is one
-        (:mod:`swimid.blackbox.working_point`).
+        (:func:`swimid.blackbox.identified.centre`).
     weight, forgetting, prior_scale, stride
         See :func:`swimid.blackbox.recursive.recursive_least_squares`. The recursion runs
         through the records one after the other.
@@ -299,7 +423,7 @@ def estimate(
     -----
     With ``nc`` = 0 theta is the recursion's last estimate, equal to batch weighted least
     squares with the prior. With ``nc`` > 0 the extended recursion gives the start of a
-    Gauss-Newton search for the least one-step error (:mod:`swimid.blackbox.armax`), whose
+    Gauss-Newton search for the least one-step error (:func:`refine`), whose
     standard errors are known.
 
     Standard errors: with weights w_k = forgetting^(n-1-k), J the derivative of the one-step
@@ -327,8 +451,8 @@ def estimate(
     weights = forgetting ** np.arange(len(data) - 1, -1, -1.0)
     theta = run.theta
     if orders.nc:
-        theta = armax.refine(theta, data.rows, data.outputs, data.fresh, orders.nc, weights)
-        residuals, jacobian = armax.errors_and_gradient(theta, data.rows, data.outputs, data.fresh, orders.nc)
+        theta = refine(theta, data.rows, data.outputs, data.fresh, orders.nc, weights)
+        residuals, jacobian = errors_and_gradient(theta, data.rows, data.outputs, data.fresh, orders.nc)
     else:
         residuals, jacobian = data.outputs - data.rows @ theta, data.rows
     prior = forgetting ** (len(data) - 1) / (weight * prior_scale**2)

@@ -1,4 +1,10 @@
-"""Identification of an ARX or ARMAX model: orders, working point, estimate and errors."""
+"""Identification of an ARX or ARMAX model: working point, orders, estimate, and how well it predicts.
+
+A model without a constant term describes deviations. Data recorded around a working point (20 degrees, half
+throttle) need it removed; data that obey the model as they stand must not be touched, or the estimate would
+change for nothing. Predictions are one step ahead, k steps ahead, and the free run (simulation), which sees
+no output after its start.
+"""
 
 from __future__ import annotations
 
@@ -6,21 +12,310 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
+from typing import Any
 
 import numpy as np
 
-from swimid.blackbox import difference, prediction, working_point
-from swimid.blackbox.arx import EXACT, ArxEstimate, check_enough, estimate, regression
-from swimid.blackbox.difference import Orders, Pole, Record, simulate_all
+from swimid.blackbox import difference
+from swimid.blackbox.arx import (
+    EXACT,
+    ArxEstimate,
+    Regression,
+    check_enough,
+    covariance,
+    directions,
+    errors_and_gradient,
+    estimate,
+    regression,
+)
+from swimid.blackbox.difference import (
+    INTEGRATING,
+    Orders,
+    Pole,
+    Record,
+    best_level,
+    lagged,
+    simulate,
+    simulate_all,
+)
 from swimid.blackbox.options import RwlsOptions
-from swimid.blackbox.prediction import Scores, about_own_level
 from swimid.blackbox.trials import Data
-from swimid.blackbox.working_point import WorkingPoint
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import residual_tests as rt
-from swimid.fitting.metrics import score
+from swimid.fitting.metrics import Score, score
 from swimid.notices import warn
 from swimid.progress import Progress, silent
+
+#: |t| of a constant term from which on the working point is removed.
+CLEAR_T = 5.0
+#: |t| that is enough when the free run gains clearly. By chance alone, data that need no constant
+#: reach both less than once in a hundred records, those of slow systems included.
+LIKELY_T = 3.5
+#: |t| that is enough where the data sit far from zero and the free run gains at all. There a
+#: missing constant hides in the other coefficients (A(1) goes to zero: a pole at 1 that is not
+#: in the robot), and shows weakly or not at all in t.
+WEAK_T = 2.0
+#: Gain of the free run, as a share of its error, that is clear.
+CLEAR_GAIN = 0.1
+#: Mean of the output over its standard deviation from which on that counts as far.
+FAR = 3.0
+
+
+@dataclass(frozen=True)
+class WorkingPoint:
+    """Means removed from the data, and why.
+
+    Attributes
+    ----------
+    source, output : float
+        Removed from u and y; zero where nothing was removed.
+    constant, t : float
+        The constant term of the regression on raw data (NaN where it was not tested), and over its standard
+        error.
+    removed : bool
+    """
+
+    source: float
+    output: float
+    constant: float
+    t: float
+    removed: bool
+
+
+def centre(records: Sequence[Record], orders: Orders, mode: str = "auto") -> WorkingPoint:
+    """Decide whether the working point must be removed; ``records`` are the fit part.
+
+    Mode ``auto`` removes the means when a constant term beside A and B has a t value above
+    :data:`CLEAR_T` in size, or above :data:`LIKELY_T` when the free run over the fit part gets
+    better by :data:`CLEAR_GAIN`. Where the output's mean is more than :data:`FAR` deviations
+    from zero, it also does when the free run gets better by that much whatever t is, at all
+    with t above :data:`WEAK_T`, or when a pole at 1 of the raw model goes away by it. Data
+    without an offset stay as they are. ``none`` and ``mean``: never, and always.
+    """
+    source, output = _mean([r.source for r in records]), _mean([r.output for r in records])
+    data = regression(records, replace(orders, nc=0))
+    constant, t = _constant(data)
+    point = WorkingPoint(source, output, constant, t, True)
+    removed = mode != "none"
+    level = float(np.sqrt(np.mean(data.outputs**2))) if len(data) else 0.0
+    size = abs(t) if abs(constant) > EXACT * level else 0.0
+    if mode == "auto" and size <= CLEAR_T:
+        far = len(data) > 0 and abs(output) > FAR * float(np.std(data.outputs))
+        worth_trying = len(data) > orders.count and (far or size > LIKELY_T)
+        removed = worth_trying and _helps(records, orders, point, far=far, likely=size > WEAK_T)
+    return point if removed else WorkingPoint(0.0, 0.0, constant, t, False)
+
+
+def _helps(
+    records: Sequence[Record], orders: Orders, point: WorkingPoint, *, far: bool, likely: bool
+) -> bool:
+    """Whether removing the working point betters the free run, or takes away a spurious integrator.
+
+    ``far`` and ``likely``: the output sits far from zero; a constant term is likely.
+    """
+    plain = replace(orders, nc=0)
+    rms, largest = [], []
+    for part in (list(records), shifted(records, point)):
+        data = regression(part, plain)
+        theta = np.linalg.lstsq(data.rows, data.outputs, rcond=None)[0]
+        errors = np.subtract(*simulate_all(part, plain, theta))
+        rms.append(float(np.sqrt(np.nanmean(errors**2))) if np.isfinite(errors).any() else float("inf"))
+        roots = difference.poles(theta[: orders.na], None, 1.0)
+        largest.append(roots[0].magnitude if roots else 0.0)
+    if far and largest[0] > INTEGRATING >= largest[1]:
+        return True
+    return rms[1] < rms[0] * (1.0 if far and likely else 1.0 - CLEAR_GAIN)
+
+
+def _mean(parts: list[np.ndarray]) -> float:
+    values = np.concatenate(parts) if parts else np.empty(0)
+    values = values[np.isfinite(values)]
+    return float(np.mean(values)) if len(values) else 0.0
+
+
+def _constant(data: Regression) -> tuple[float, float]:
+    """Constant term beside the regression (NaN where undetermined), and that over its standard error."""
+    n, p = data.rows.shape
+    rows = np.hstack((data.rows, np.ones((n, 1))))
+    if n <= p + 1 or not directions(rows, np.zeros(p + 1)).determined[-1]:
+        return float("nan"), 0.0
+    theta = np.linalg.lstsq(rows, data.outputs, rcond=None)[0]
+    residuals = data.outputs - rows @ theta
+    white = rt.ljung_box(data.spread(residuals, gap=rt.default_lags(n))).passed
+    spread, _ = covariance(rows, residuals, np.ones(n), 0.0, None if white else data)
+    constant, stderr = float(theta[-1]), float(np.sqrt(max(spread[-1, -1], 0.0)))
+    if stderr > 0:
+        return constant, constant / stderr
+    return constant, 0.0 if constant == 0 else float("inf")
+
+
+def shifted(records: Sequence[Record], point: WorkingPoint) -> list[Record]:
+    """The records relative to a working point; the given ones are not touched."""
+    if not point.removed:
+        return list(records)
+    return [replace(r, source=r.source - point.source, output=r.output - point.output) for r in records]
+
+
+def predict(record: Record, orders: Orders, theta: np.ndarray, *, steps: int = 1) -> np.ndarray:
+    """Return the prediction ``steps`` samples ahead, shape (n,).
+
+    The input is known throughout; the output only up to the sample the prediction is made at, NaN where that
+    is missing.
+    """
+    a, b, c = orders.split(theta)
+    driven = np.zeros(len(record))
+    for j, value in enumerate(b):
+        driven = driven + value * lagged(record.source, orders.nk + j)
+    # Where it has no whole row, a model with C knows no error; it takes zero, as the fit does.
+    errors = np.zeros(len(record))
+    if orders.nc:
+        data = regression([record], orders)
+        found, _ = errors_and_gradient(theta, data.rows, data.outputs, data.fresh, orders.nc)
+        errors[data.sample] = np.nan_to_num(found)
+    done: list[np.ndarray] = []  # the predictions 1, 2, .. steps ahead so far
+    for ahead in range(1, steps + 1):
+        total = driven.copy()
+        for i, value in enumerate(a, start=1):
+            total -= value * lagged(done[ahead - i - 1] if ahead > i else record.output, i)
+        for i in range(ahead, orders.nc + 1):
+            total += c[i - 1] * np.nan_to_num(lagged(errors, i))
+        done.append(total)
+        if ahead > orders.na:
+            done[ahead - orders.na - 1] = np.empty(0)  # no longer needed
+    return done[-1]
+
+
+def about_own_level(
+    records: Sequence[Record], orders: Orders, theta: np.ndarray
+) -> tuple[list[Record], float]:
+    """Return records relative to the output level about which they deviate, and that level.
+
+    For a model of deviations on data with a working point of their own. The level is one number, best for the
+    free run, so that ``y - level`` is simulated, initial samples included.
+    """
+    measured, run = simulate_all(records, orders, theta)
+    _, raised = simulate_all([replace(r, output=r.output - 1.0) for r in records], orders, theta)
+    level = best_level(measured, run, raised + 1.0)
+    return [replace(r, output=r.output - level) for r in records], level
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Errors on one set of records.
+
+    Attributes
+    ----------
+    strict : metrics.Score or None
+        The free run at the level the fitted part predicts, where all else is about the data's
+        own level.
+    level : float
+        That own level less the predicted one, unit of the output.
+    """
+
+    one_step: Score
+    k_step: Score
+    free_run: Score
+    strict: Score | None
+    level: float
+    diverged: bool
+
+    def as_dict(self, unit: str, steps: int) -> dict[str, Any]:
+        """As the parameter file holds it."""
+        block: dict[str, Any] = {
+            "one_step": self.one_step.as_dict(unit),
+            "k_step": {"steps": steps, **self.k_step.as_dict(unit)},
+            "free_run": {**self.free_run.as_dict(unit), "diverged": self.diverged},
+        }
+        if self.strict is not None:
+            block["free_run"]["level_shift"] = self.level
+            block["free_run"]["at_predicted_level"] = self.strict.as_dict(unit)
+        return block
+
+
+def errors_on(records: list[Record], estimate: ArxEstimate, poles: list[Pole], horizon: int) -> Scores:
+    """Return the errors one step ahead, ``horizon`` steps ahead and in free run.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        When the records are shorter than the model looks back.
+    """
+    longest = max((len(r) for r in records), default=0)
+    orders, theta = estimate.orders, estimate.theta
+    if longest <= orders.lag:
+        raise NoTrustworthyResult(
+            f"a held-out part has {longest} samples, the model looks back over {orders.lag}",
+            hint="hold out a larger share, or validate on a longer log",
+        )
+    measured = np.concatenate([r.output for r in records])
+    one, many = (
+        score(measured, np.concatenate([predict(r, orders, theta, steps=steps) for r in records]))
+        for steps in (1, horizon)
+    )
+    runs = [simulate(r, orders, theta) for r in records]
+    free = score(measured, np.concatenate(runs))
+    at_risk = any(p.state != "stable" for p in poles)
+    gave_up = any(
+        np.isfinite(r.source[np.isfinite(run).nonzero()[0][-1] + 1 :]).any()
+        for r, run in zip(records, runs, strict=True)
+        if np.isfinite(run).any() and not np.isfinite(run[-1])
+    )
+    return Scores(one, many, free, None, 0.0, bool(at_risk and (gave_up or free.fit_percent < 0)))
+
+
+def pooled(records: Sequence[Record], estimate: ArxEstimate) -> Score:
+    """Return the free-run score over several records together."""
+    return score(*simulate_all(records, estimate.orders, estimate.theta))
+
+
+def held_out_scores(
+    records: list[Record], estimate: ArxEstimate, poles: list[Pole], horizon: int, *, own_level: bool
+) -> tuple[list[Record], Scores]:
+    """Return held-out records with their errors.
+
+    With ``own_level`` they are about their own level; their errors are those there and at the predicted one.
+    """
+    found = errors_on(records, estimate, poles, horizon)
+    if not own_level:
+        return records, found
+    moved, level = about_own_level(records, estimate.orders, estimate.theta)
+    return moved, replace(errors_on(moved, estimate, poles, horizon), strict=found.free_run, level=level)
+
+
+def frequency_response(
+    orders: Orders, theta: np.ndarray, covariance: np.ndarray, sample_time_s: float, omega_rad_s: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the frequency response B / A with its standard errors.
+
+    Parameters
+    ----------
+    theta, covariance : ndarray, shape (p,) and (p, p)
+        Coefficients and their covariance.
+    omega_rad_s : ndarray, shape (m,)
+
+    Returns
+    -------
+    response : ndarray of complex, shape (m,)
+    log_gain, phase_rad : ndarray, shape (m,)
+        Standard errors of ln of the gain and of the phase, rad.
+    """
+    a, b, _ = orders.split(theta)
+    backward = np.exp(-1j * np.asarray(omega_rad_s) * sample_time_s)
+    denominator = 1.0 + sum(value * backward**i for i, value in enumerate(a, start=1))
+    powers = [backward ** (orders.nk + j) for j in range(orders.nb)]
+    numerator = sum(value * power for value, power in zip(b, powers, strict=True))
+    # d ln G: -z^-i / A for a_i, z^-(nk+j) / B for b_j.
+    gradient = np.array(
+        [-(backward**i) / denominator for i in range(1, orders.na + 1)]
+        + [power / numerator for power in powers]
+    )
+    used = covariance[: orders.na + orders.nb, : orders.na + orders.nb]
+
+    def spread(part: np.ndarray) -> np.ndarray:
+        return np.sqrt(np.maximum(np.einsum("im,ij,jm->m", part, used, part), 0.0))
+
+    return numerator / denominator, spread(gradient.real), spread(gradient.imag)
+
 
 #: Ratio of the free-run error on held-out data to that on the fitted data above which SWM015 is raised.
 WORSE = 2.0
@@ -36,19 +331,19 @@ class Candidate:
     ----------
     aic, bic : float
         Akaike's and the Bayesian information criterion.
-    free_run_fit : float
+    free_run_fit_percent : float
         Fit of the free run on held-out data, per cent; minus infinity when it runs away.
     """
 
     orders: Orders
     aic: float
     bic: float
-    free_run_fit: float
+    free_run_fit_percent: float
     stable: bool
 
     def score(self, criterion: str) -> float:
         """Return what ``criterion`` ("bic", "aic" or "free-run") minimises."""
-        return {"bic": self.bic, "aic": self.aic, "free-run": -self.free_run_fit}[criterion]
+        return {"bic": self.bic, "aic": self.aic, "free-run": -self.free_run_fit_percent}[criterion]
 
 
 @dataclass(frozen=True)
@@ -123,8 +418,8 @@ def identify(data: Data, options: RwlsOptions, progress: Progress) -> Identified
     if options.order == "auto":
         candidates = _search(data, options, progress)
         orders = replace(best_order(candidates, options.criterion).orders, nc=options.nc)
-    point = working_point.centre(data.fit, orders, options.centre)
-    fit = working_point.shifted(data.fit, point)
+    point = centre(data.fit, orders, options.centre)
+    fit = shifted(data.fit, point)
     fitted = estimate(
         fit,
         orders,
@@ -137,19 +432,19 @@ def identify(data: Data, options: RwlsOptions, progress: Progress) -> Identified
     poles = difference.poles(a, fitted.covariance[: orders.na, : orders.na], data.sample_time_s)
     held, scores = {}, {}
     for name, part in data.held_out.items():
-        held[name], scores[name] = prediction.held_out_scores(
-            working_point.shifted(part, point), fitted, poles, options.horizon, own_level=point.removed
+        held[name], scores[name] = held_out_scores(
+            shifted(part, point), fitted, poles, options.horizon, own_level=point.removed
         )
-    fit_scores = prediction.scores(fit, fitted, poles, options.horizon)
+    fit_scores = errors_on(fit, fitted, poles, options.horizon)
     return Identified(options, data, point, fit, held, fitted, poles, fit_scores, scores, candidates)
 
 
 def _search(data: Data, options: RwlsOptions, progress: Progress) -> list[Candidate]:
     """Fit every order of the grid; warn where the best one lies at its edge or uses the held-out data up."""
     widest = Orders(options.max_na, options.max_nb, options.max_nk)
-    point = working_point.centre(data.fit, replace(widest, nk=1), options.centre)
-    fit = working_point.shifted(data.fit, point)
-    held = [working_point.shifted(part, point) for part in data.held_out.values()]
+    point = centre(data.fit, replace(widest, nk=1), options.centre)
+    fit = shifted(data.fit, point)
+    held = [shifted(part, point) for part in data.held_out.values()]
     candidates = search_orders(fit, held, widest, level_removed=point.removed, progress=progress)
     best = best_order(candidates, options.criterion).orders
     # nk = 0 is no edge: none is less

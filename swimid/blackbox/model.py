@@ -6,6 +6,7 @@ The models the long-fin paper published (Tables II and III) lie in ``published``
 from __future__ import annotations
 
 import copy
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -243,10 +244,7 @@ def _orders(parameters: ParameterFile) -> Orders:
     """Orders by the names present: a1 .. a_na, b1 .. b_nb, c1 .. c_nc."""
 
     def count(letter: str) -> int:
-        number = 0
-        while f"{letter}{number + 1}" in parameters.parameters:
-            number += 1
-        return number
+        return next(k for k in itertools.count() if f"{letter}{k + 1}" not in parameters.parameters)
 
     if count("b") == 0:
         raise InputError("this parameter is missing", column="parameters.b1")
@@ -265,9 +263,8 @@ def to_control(parameters: ParameterFile) -> control.TransferFunction:
         raise InputError("this key is missing", column="sample_time_s")
     a = [parameters.value(f"a{i}") for i in range(1, orders.na + 1)]
     b = [parameters.value(f"b{i}") for i in range(1, orders.nb + 1)]
-    power = max(orders.na, orders.nk + orders.nb - 1)
-    denominator = np.concatenate(([1.0], a, np.zeros(power - orders.na)))
-    numerator = np.concatenate((b, np.zeros(power - (orders.nk + orders.nb - 1))))
+    denominator = np.concatenate(([1.0], a, np.zeros(orders.lag - orders.na)))
+    numerator = np.concatenate((b, np.zeros(orders.lag - (orders.nk + orders.nb - 1))))
     return control.TransferFunction(numerator, denominator, parameters.sample_time_s)
 
 

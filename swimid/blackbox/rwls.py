@@ -1,4 +1,4 @@
-"""``swimid rwls``: a discrete-time model from input and output columns."""
+"""``swimid rwls``: a discrete-time model from input and output columns, and its evidence."""
 
 from __future__ import annotations
 
@@ -6,28 +6,29 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from swimid.blackbox import evidence, prediction
-from swimid.blackbox.identified import Identified, identify
+from swimid.blackbox import difference
+from swimid.blackbox.identified import WORSE, Identified, Scores, frequency_response, identify, pooled
 from swimid.blackbox.model import NAME
 from swimid.blackbox.options import RwlsOptions
 from swimid.blackbox.trials import read
 from swimid.errors import UsageError
 from swimid.files import atomic, provenance
+from swimid.fitting import residual_tests as rt
 from swimid.notices import recorded, warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers, parameters
-from swimid.results.evidence import Check
+from swimid.results import evidence as ev
+from swimid.results.evidence import Check, Evidence, Figure, NoticeRecord, Panel, Span, Table, Trace
 from swimid.results.fitted import Fitted
+from swimid.results.parameters import ParameterFile
 
 #: Warnings that tell the reason of a check that does not pass.
 CODES = {"Largest pole": "SWM020", "Residuals white": "SWM013", "Coefficients determined": "SWM010"}
-#: A scaled regression above this condition number is worth a warning.
-ILL_CONDITIONED = 1e6
 
 
 @takes(RwlsOptions)
@@ -42,7 +43,7 @@ def rwls(
 
     A trials file may name the columns instead. See :class:`swimid.blackbox.difference.Orders` for the orders,
     :mod:`swimid.blackbox.recursive` for weight, forgetting and P(0), and
-    :func:`swimid.blackbox.working_point.centre` for the means. Where the one-step residuals are not white
+    :func:`swimid.blackbox.identified.centre` for the means. Where the one-step residuals are not white
     (SWM013) the coefficients of an ARX model are biased: judge it by its free run, or give ``nc``.
 
     Parameters
@@ -104,7 +105,7 @@ def rwls(
         if output is not None:
             atomic.check_writable(output, inputs=data.files)
         m = identify(data, options, progress)
-        checks = evidence.make_checks(m)
+        checks = make_checks(m)
         _warn(m, checks)
     # held-out data are named by a share, a file, or a log in memory
     held_out = [
@@ -113,15 +114,9 @@ def rwls(
     settings = _settings(m)
     block = provenance.collect(data.files, settings={**settings, "validate": held_out})
     file = _parameter_file(m, settings, block)
-    made = Fitted.of(file, evidence.build(m, file, checks, blocks.notices(notices)))
+    made = Fitted.of(file, build(m, file, checks, blocks.notices(notices)))
     made.data["orders_tried"] = [
-        {
-            **asdict(c.orders),
-            "aic": c.aic,
-            "bic": c.bic,
-            "free_run_fit_percent": c.free_run_fit,
-            "stable": c.stable,
-        }
+        {**vars(c.orders), **{name: value for name, value in vars(c).items() if name != "orders"}}
         for c in m.candidates
     ]
     return made.saved(output)
@@ -177,7 +172,7 @@ def _warn(m: Identified, checks: Sequence[Check]) -> None:
     elif known.input_rank < orders.nb:
         text = f"the input excites {known.input_rank} of the {orders.nb} coefficients of B"
         warn("SWM022", f"{text}; a single sine excites two" if known.input_rank == 2 else text)
-    elif known.condition > ILL_CONDITIONED:
+    elif known.condition > 1e6:
         text = f"the regression is ill-conditioned (condition number {known.condition:.1e}): lower the orders"
         warn("SWM022", text)
     if fitted.recursion.windup:
@@ -209,7 +204,7 @@ def _parameter_file(
     identifiable = [name for name, e in estimates.items() if e.status == "estimated"]
     validation: dict[str, Any] = {}
     if m.scores:
-        together = prediction.pooled([r for part in m.held_out.values() for r in part], fitted)
+        together = pooled([r for part in m.held_out.values() for r in part], fitted)
         by_set = {name: s.as_dict(unit, horizon) for name, s in m.scores.items()}
         validation[channel] = {**together.as_dict(unit), "data": by_set}
     words = []
@@ -269,3 +264,255 @@ def _parameter_file(
         ),
         provenance=block,
     )
+
+
+REFERENCES = [
+    "L. Shang, S. Wang, M. Tan, L. Cheng: Swimming locomotion modeling for biomimetic underwater vehicle "
+    "with two undulating long-fins. Robotica 30 (2012) 913-923. doi:10.1017/S0263574711001159",
+    "G. J. Bierman: Factorization Methods for Discrete Sequential Estimation. Academic Press, 1977.",
+    "G. M. Ljung, G. E. P. Box: On a measure of lack of fit in time series models. Biometrika 65 (1978) "
+    "297-303. doi:10.1093/biomet/65.2.297",
+]
+#: Fit of the free run below which a model does not reproduce half of the output, %.
+HALF_PERCENT = 50.0
+
+
+def build(m: Identified, file: ParameterFile, checks: list[Check], notices: list[NoticeRecord]) -> Evidence:
+    """Assemble the evidence; a model is good only on held-out data."""
+    columns = m.data.columns
+    least = min(s.free_run.fit_percent for s in _deciding_scores(m).values())
+    where = "held-out" if m.scores else "fitted"
+    answer = f"The free run does not reproduce the {where} output."
+    if least >= 0:
+        answer = f"The free run reproduces {least:.1f} % of the {where} output."
+    figures = [_free_run(m), _frequency_response(m), _residuals(m)]
+    if m.options.forgetting < 1:
+        figures.append(_trajectories(m))
+    return Evidence(
+        verb="rwls",
+        title=f"{m.kind} model, {columns.source} to {columns.output}",
+        verdict=ev.judged(answer, checks),
+        facts={"Orders": str(m.estimate.orders), "Rows": str(len(m.estimate.data))},
+        checks=checks,
+        tables=[_errors(m), _modes(m), *_orders(m)],
+        figures=figures,
+        notices=notices,
+        methods=_methods(m),
+        references=REFERENCES,
+        provenance=file.provenance,
+    )
+
+
+def _deciding_scores(m: Identified) -> dict[str, Scores]:
+    """Return the errors that decide on the model: on held-out data, or else on the fitted ones."""
+    return dict(m.scores) or {"the fitted part": m.fit_scores}
+
+
+def make_checks(m: Identified) -> list[Check]:
+    """Return the checks of a model."""
+    fitted, pole = m.estimate, m.critical_pole
+    checks = [
+        ev.check("Held-out data", str(len(m.scores)), bool(m.scores), "some", reason="no data were held out"),
+        ev.check("Repeated samples", "; ".join(m.data.repeats), not m.data.repeats, "none"),
+    ]
+    if pole is not None:
+        size, grade = f"|z| = {numbers.measured(pole.magnitude, pole.stderr)}", pole.state
+        reason = f"the model integrates ({size}), so that a free run drifts"
+        if pole.unstable:
+            reason = f"the model is unstable ({size}) and cannot be simulated"
+        otherwise: Literal["warn", "fail"] = "fail" if pole.unstable else "warn"
+        passed = pole.state == "stable"
+        checks.append(
+            ev.check("Largest pole", size, passed, "below 1", grade, otherwise=otherwise, reason=reason)
+        )
+    runs = _deciding_scores(m)
+    if m.fit_scores.diverged:
+        runs["the fitted part"] = m.fit_scores
+    for name, s in runs.items():
+        fit, value = s.free_run.fit_percent, f"{s.free_run.fit_percent:.1f} % fit"
+        reason = f"the free run reproduces less than half of {name} ({value})"
+        if s.diverged:
+            reason = f"the free run diverges on {name}"
+        elif fit < 0:
+            reason = f"on {name} the free run is worse than the mean of the output ({value})"
+        elif name in m.worse:
+            reason = f"the error on {name} is more than {WORSE:g} times that of the fit"
+        otherwise = "fail" if s.diverged or fit < 0 else "warn"
+        passed = fit >= HALF_PERCENT and name not in m.worse and not s.diverged
+        limit = f"at least {HALF_PERCENT:g} %, and an error below {WORSE:g} times that of the fit"
+        checks.append(ev.check(f"Free run, {name}", value, passed, limit, otherwise=otherwise, reason=reason))
+    for name, test, reason in (
+        ("white", fitted.whiteness, "are not white, so that the coefficients are biased"),
+        ("independent of the input", m.independent, "depend on past inputs: orders or delay are wrong"),
+    ):
+        p = blocks.p_text(test.p_value)
+        passed = test.passed or fitted.exact
+        checks.append(
+            ev.check(f"Residuals {name}", p, passed, "p ≥ 0.01", reason=f"the residuals {reason} ({p})")
+        )
+    known = int(np.isfinite(fitted.stderr).sum())
+    value = f"{known} of {fitted.orders.count}"
+    why = f"the input excites {fitted.determined.input_rank} of the {fitted.orders.nb} coefficients of B"
+    lost = [n for n, ok in zip(fitted.orders.names, np.isfinite(fitted.stderr), strict=True) if not ok]
+    reason = f"the data do not determine {', '.join(lost)}"
+    passed = known == fitted.orders.count
+    return [*checks, ev.check("Coefficients determined", value, passed, "all", why, reason=reason)]
+
+
+def _errors(m: Identified) -> Table:
+    rows: list[list[blocks.Cell]] = []
+    for name, s in {"fitted": m.fit_scores, **m.scores}.items():
+        kinds = {"one step": s.one_step, f"{m.options.horizon} steps": s.k_step, "free run": s.free_run}
+        if s.strict is not None:
+            kinds["free run, predicted level"] = s.strict
+        for kind, q in kinds.items():
+            nrmse = numbers.percent(q.nrmse)
+            rows.append([name, kind, _finite(q.fit_percent), _finite(q.rmse), nrmse, q.samples])
+    caption = "Judge a simulation model by its free run: one-step errors are small for almost any model."
+    if m.point.removed:
+        caption += (
+            " The means of the fitted part were removed; held-out data are judged about a level of their own."
+        )
+    rmse = f"RMSE ({numbers.unit_text(m.data.columns.units[1]) or '1'})"
+    columns = ["data", "prediction", "fit (%)", rmse, "NRMSE (of the range)", "samples"]
+    title = "Errors on fitted and held-out data"
+    return Table(id="errors", title=title, columns=columns, rows=rows, caption=caption)
+
+
+def _modes(m: Identified) -> Table:
+    rows: list[list[blocks.Cell]] = []
+    for p in m.poles:
+        size = numbers.measured(p.magnitude, p.stderr)
+        rows.append([size, _finite(p.frequency_hz), _finite(p.damping_ratio), p.state])
+    columns = ["|z|", "natural frequency (Hz)", "damping ratio", "verdict"]
+    return Table(id="modes", title="What the poles mean in time", columns=columns, rows=rows, folded=True)
+
+
+def _orders(m: Identified) -> list[Table]:
+    if not m.candidates:
+        return []
+    aic, bic = (min(getattr(c, name) for c in m.candidates) for name in ("aic", "bic"))
+    rows: list[list[blocks.Cell]] = []
+    for c in sorted(m.candidates, key=lambda c: c.score(m.options.criterion))[:15]:
+        rows.append([str(c.orders), c.aic - aic, c.bic - bic, _finite(c.free_run_fit_percent), c.stable])
+    columns = ["orders", "AIC above least", "BIC above least", "free-run fit (%)", "stable"]
+    title = f"The best of {len(m.candidates)} orders by {m.options.criterion}"
+    return [Table(id="orders", title=title, columns=columns, rows=rows, folded=True)]
+
+
+def _methods(m: Identified) -> list[str]:
+    o = m.options
+    text = (
+        f"An {m.kind} model with {m.estimate.orders} from {m.data.columns.source} to {m.data.columns.output} "
+        f"(sample time {m.data.sample_time_s:.6g} s) was identified from {len(m.estimate.data)} samples by "
+        "recursive weighted least squares (Shang et al. 2012, Eq 9) in UD factors (Bierman 1977), with the "
+        f"weight {o.weight:g}, the forgetting factor {o.forgetting:g} and P(0) = ({o.prior_scale:g})² I."
+    )
+    if m.estimate.orders.nc:
+        text += " From its result the one-step error was minimised by Gauss-Newton steps."
+    if m.point.removed:
+        text += " The means of the fitted part were removed from input and output first."
+    if m.estimate.robust:
+        text += " Standard errors are of the sandwich form for correlated residuals (Ljung and Box 1978)."
+    return [text]
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+# ---------------------------------------------------------------- figures
+
+
+def _free_run(m: Identified) -> Figure:
+    """Return measured output and free run of the records with the worst and the best free run."""
+    sets = dict(m.held_out) or {"the fitted part": m.fit}
+    ranked = sorted(sets, key=lambda name: _deciding_scores(m)[name].free_run.fit_percent)
+    panels = []
+    for name in dict.fromkeys([ranked[0], ranked[-1]]):
+        level = m.point.output + _deciding_scores(m)[name].level
+        traces: list[Trace] = []
+        for record in sets[name]:
+            run = difference.simulate(record, m.estimate.orders, m.estimate.theta)
+            curves = {"measured": record.output, "free run": run}
+            for group, (label, y) in enumerate(curves.items()):
+                x, shown = ev.thinned(record.time_s, y + level)
+                label = label if len(traces) < len(curves) else ""
+                traces.append(Trace(x=x, y=shown, label=label, group=group))
+        y_label = numbers.column_title(m.data.columns.output)
+        panels.append(Panel(x_label="t (s)", y_label=y_label, traces=traces, title=name))
+    caption = "The free run sees only the input after its first samples."
+    if len(sets) > 2:
+        caption += f" Shown are the worst and the best of {len(sets)} records."
+    return Figure(id="free-run", title="Measured and simulated output", caption=caption, panels=panels)
+
+
+def _frequency_response(m: Identified) -> Figure:
+    fitted, step = m.estimate, m.data.sample_time_s
+    nyquist = np.pi / step
+    omega = np.geomspace(max(4 * nyquist / len(fitted.data), 1e-4 * nyquist), nyquist * 0.999, 300)
+    response, log_gain, phase_sd = frequency_response(
+        fitted.orders, fitted.theta, fitted.covariance, step, omega
+    )
+    gain, phase = np.abs(response), np.unwrap(np.angle(response))
+    factor, half = np.exp(np.clip(1.96 * log_gain, 0, 20)), 1.96 * np.minimum(phase_sd, np.pi)
+    hertz = omega / (2 * np.pi)
+    gains = Trace(x=hertz, y=gain, lower=gain / factor, upper=gain * factor, group=0)
+    phases = blocks.band(hertz, np.degrees(phase), np.degrees(half), group=0)
+    spans = _excited(m)
+    panels = [
+        Panel(
+            x_label="frequency (Hz)", y_label=label, traces=[trace], spans=spans, x_scale="log", y_scale=scale
+        )
+        for label, trace, scale in (
+            (f"gain ({numbers.unit_text(m.data.columns.gain_unit) or 1})", gains, "log"),
+            ("phase (deg)", phases, "linear"),
+        )
+    ]
+    caption = "Gain and phase with 95 % bands. Outside of the shaded band the input has little power."
+    return Figure(id="bode", title="Frequency response", caption=caption, panels=panels)
+
+
+def _excited(m: Identified) -> list[Span]:
+    """Return the band that holds the central 90 % of the input's power."""
+    longest = max(m.fit, key=len)
+    u = np.nan_to_num(longest.source - np.nanmean(longest.source))
+    total = np.cumsum(np.abs(np.fft.rfft(u * np.hanning(len(u)))) ** 2)
+    if len(total) < 8 or total[-1] <= 0:
+        return []
+    hertz = np.fft.rfftfreq(len(u), m.data.sample_time_s)
+    low, high = (float(hertz[np.searchsorted(total, q * total[-1])]) for q in (0.05, 0.95))
+    step = float(hertz[1])
+    return [Span(start=max(low, step), end=high + step, label="90 % of the input's power")]
+
+
+def _residuals(m: Identified) -> Figure:
+    residuals, source, lags = m.residual_series
+    own = rt.autocorrelation(residuals, max_lag=lags)
+    cross = rt.cross_correlation(residuals, source, max_lag=lags)
+    return Figure(
+        id="residuals",
+        title="Correlation of the one-step residuals",
+        caption="With themselves, and with the input at earlier (positive lag) and later samples.",
+        panels=[
+            blocks.correlogram(own, "autocorrelation", "residuals", skip_zero=True),
+            blocks.correlogram(cross, "correlation with the input", "residuals", skip_zero=False),
+        ],
+        columns=2,
+    )
+
+
+def _trajectories(m: Identified) -> Figure:
+    run, names = m.estimate.recursion, m.estimate.orders.names
+    scale = m.estimate.noise_sd * math.sqrt(m.options.weight)
+    # The first rows only replace the prior; drawn, they would flatten everything else.
+    settled = np.all(run.spreads <= 8 * run.spreads[-1], axis=1) & (run.kept >= 3 * len(names))
+    shown = slice(min(int(np.argmax(settled)), len(run.kept) // 2), None)
+    panels = []
+    for i, name in enumerate(names):
+        half = 1.96 * scale * run.spreads[shown, i]
+        estimate = blocks.band(run.kept[shown].astype(float), run.thetas[shown, i], half, group=0)
+        panels.append(Panel(x_label="row", y_label=name, traces=[estimate]))
+    caption = "Each coefficient with its 95 % band for white residuals. A step says that the robot changed."
+    title = "Coefficients over the record"
+    return Figure(id="trajectories", title=title, caption=caption, panels=panels, columns=2)

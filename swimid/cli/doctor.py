@@ -36,7 +36,7 @@ KERNELS = (
     "swimid.blackbox.difference",
     "swimid.swimmer.planar.model",
     "swimid.blackbox.recursive",
-    "swimid.blackbox.armax",
+    "swimid.blackbox.arx",
     "swimid.fitting.metrics",
     "swimid.tracking.detect",
     "swimid.tracking.smooth",

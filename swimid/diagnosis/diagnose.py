@@ -27,7 +27,7 @@ from swimid.results import parameters as parameters_format
 from swimid.simulation import catalogue as experiment_catalogue
 from swimid.simulation import compare_series
 from swimid.simulation.catalogue import Loaded
-from swimid.simulation.comparison_file import ChannelScore
+from swimid.simulation.compare_series import ChannelScore
 
 #: Why no change of a parameter is looked for without a parameter file.
 NOT_GIVEN = (

@@ -11,7 +11,7 @@ from pydantic import ConfigDict, Field, model_validator
 from swimid.files import yamlio
 from swimid.files.yamlio import Number, Pair
 from swimid.results.parameters import Status
-from swimid.simulation.comparison_file import ChannelScore
+from swimid.simulation.compare_series import ChannelScore
 
 FORMAT: Literal["swimid-gap/1"] = "swimid-gap/1"
 Verdict = Literal["none", "explained", "ambiguous", "unexplained"]

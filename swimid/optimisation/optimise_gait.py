@@ -7,27 +7,89 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
-from swimid.files import atomic
+from swimid.files import atomic, yamlio
 from swimid.files.checkpoint import Checkpoint
+from swimid.files.yamlio import Number, Pair, Rows
 from swimid.fitting import genetic
 from swimid.fitting.model import Array
-from swimid.notices import recorded
-from swimid.optimisation import gait_evidence
-from swimid.optimisation.descent import STEPS, descend, merit
-from swimid.optimisation.draws import drawn
-from swimid.optimisation.gait_file import FORMAT, Gait, GaitFile, Limit, Varied
+from swimid.notices import Notice, recorded
+from swimid.optimisation import study as studies
 from swimid.optimisation.options import OptimiseGaitOptions
-from swimid.optimisation.performance import Performance, Study, study_of
-from swimid.optimisation.problem import DRAW_STEPS, Problem
+from swimid.optimisation.performance import BEAT, STROKE, Performance
+from swimid.optimisation.problem import DRAW_STEPS, STEPS, Limit, Problem, descend, drawn, merit
+from swimid.optimisation.study import Study, StudyFile, study_of
 from swimid.options import takes
 from swimid.progress import Progress, silent
+from swimid.results import blocks, numbers
+from swimid.results import evidence as ev
 from swimid.results.result import FileResult
+from swimid.simulation.swim_quantities import UNSTEADY
+
+
+class Varied(yamlio.Document):
+    """What may be changed."""
+
+    unit: str
+    low: float
+    high: float
+
+
+class Gait(yamlio.Document):
+    """A gait, with what the robot comes to."""
+
+    at: dict[str, float]
+    #: At an end of its range: a better gait may lie beyond.
+    at_bound: list[str] = []
+    #: Limits that hold it back.
+    held_by: list[str] = []
+    #: Of each goal; SI units.
+    goals: dict[str, Number]
+    quantities: dict[str, Number] = {}
+    #: 95 % interval of each goal at this gait, from the coefficients' covariance.
+    goals_ci95: dict[str, Pair] = {}
+    #: 95 % interval of the best gait: where it lies in draws of the coefficients.
+    at_ci95: dict[str, Pair] = {}
+    #: What it loses against the best gait of each draw (in the goal's unit): in nine of ten draws at most,
+    #: and on the average of the worst tenth; over draws that were not used to find it.
+    loss_90: Number = None
+    loss_worst_tenth: Number = None
+    #: Share of draws in which it keeps to its limits; missing where it has none.
+    kept_in_draws: Number = None
+
+
+class GaitFile(StudyFile):
+    """A gait file."""
+
+    kind: ClassVar[str] = "gait file"
+    format: Literal["swimid-gait/2"] = "swimid-gait/2"
+    vary: dict[str, Varied]
+    #: In the words of the options, and the quantity and unit of each.
+    goals: dict[str, tuple[str, str]]
+    limits: dict[str, Limit] = {}
+    #: Value of the goal, with the penalties of the limits, at which the search from each start ended; the
+    #: best first; empty for two goals.
+    ends: list[float] = []
+    optimum: Gait
+    #: The gait that loses least in the worst tenth of draws; the best one where no other loses less.
+    robust: Gait | None = None
+    #: Number of draws of the coefficients, and the share of draws within the coefficients' bounds.
+    draws: int = 0
+    inside: Number = None
+    #: Best gait of each draw, in the order of ``vary``; none for two goals.
+    drawn: Rows = []
+    #: Of two goals: the front, what is varied and then the goals; and the 95 % interval of each goal of each
+    #: of these gaits, low and high.
+    front: Rows = []
+    front_ci95: Rows = []
+    provenance: dict[str, Any] = Field(default_factory=dict)
+
 
 #: A gait lies at an end of its range within this share of the range; a limit holds a gait back within this
 #: share of the limit.
@@ -50,7 +112,7 @@ class BestGait(FileResult[GaitFile]):
         What :meth:`save` writes; it also has intervals, the robust gait and the searches.
     """
 
-    format = FORMAT
+    format = "swimid-gait/2"
     file_type = GaitFile
 
     @property
@@ -120,7 +182,7 @@ def optimise_gait(
             draws = drawn(performance.applied, options.draws, options.seed)
             file.draws, file.inside = len(draws.vectors), draws.inside
             (_one_in_draws if single else _front_in_draws)(problem, file, draws.vectors, progress)
-    evidence = gait_evidence.evidence(file, notices, study.origin)
+    evidence = evidence_of(file, notices, study.origin)
     file.verdict = evidence.verdict.level
     saved = BestGait.of(file, evidence).saved(output)
     keep.done()
@@ -368,3 +430,214 @@ def _robust(
             losses, starts, first=ROBUST_RADIUS, last=ROBUST_LAST, steps=ROBUST_STEPS, advance=step
         )
     return found.points[found.best]
+
+
+#: Two starts of the search end at the same value within this share of it.
+AGREE_RTOL = 0.005
+#: Smallest share of draws of the coefficients in which the limits are kept.
+MIN_KEPT = 0.9
+
+
+def evidence_of(file: GaitFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
+    """Return the evidence of a gait."""
+    limits = [
+        f"{name} {numbers.number(limit.at_most or limit.at_least, 4, limit.unit)}"
+        for name, limit in file.limits.items()
+    ]
+    return studies.evidence(
+        file,
+        "optimise gait",
+        answer(file),
+        _checks(file),
+        {
+            "Goal": ", ".join(file.goals),
+            "Varied": ", ".join(file.vary),
+            "Limits": ", ".join(limits) or "none",
+            "Draws": str(file.draws or "none"),
+        },
+        notices,
+        origin,
+        tables=[_gaits(file), _quantities(file)],
+        figures=[
+            *([_front_figure(file)] if file.front else []),
+            *([_drawn_figure(file)] if file.drawn else []),
+        ],
+        notes=[f"The front has {len(file.front)} gaits; shown is the one nearest to the best of both goals."]
+        * bool(file.front),
+        methods=_methods(file),
+    )
+
+
+def _checks(file: GaitFile) -> list[ev.Check]:
+    optimum = file.optimum
+    checks = []
+    if file.ends:
+        best = file.ends[0]
+        agree = sum(abs(end - best) <= AGREE_RTOL * abs(best) for end in file.ends)
+        text = "" if agree > 1 else "a better gait may be elsewhere: look for more with --starts"
+        value = f"{agree} of {len(file.ends)}"
+        name, reason = "starts that end at the best gait", f"{value} starts end at it"
+        checks.append(ev.check(name, value, agree > 1, "two or more", text, reason=reason))
+    bound = ", ".join(optimum.at_bound)
+    text = f"a better gait may lie beyond the range of {bound}" if bound else ""
+    checks.append(ev.check("gait within its ranges", bound or "yes", not bound, "inside", text, reason=text))
+    checks += studies.forwards_check([optimum.quantities.get("mean_surge_from_start_m_s")])
+    change, speed = (optimum.quantities.get(n) for n in ("speed_change_per_beat_m_s", "mean_speed_m_s"))
+    if change is not None and speed:
+        checks.append(studies.steady_check(int(abs(change / speed) <= UNSTEADY), 1))
+    drive = {name: float(value) for name, value in file.drive.items() if name in BEAT | STROKE}
+    checks.append(studies.region_check(file.identified, [{**drive, **optimum.at}]))
+    if file.inside is None:
+        return [*checks, studies.unknown_check("uncertainty of the gait")]
+    return [*checks, studies.draws_check(file.inside), *_kept_check(file)]
+
+
+def _kept_check(file: GaitFile) -> list[ev.Check]:
+    """Whether a gait that is told keeps to its limits whatever the coefficients are."""
+    shares = [gait.kept_in_draws for gait in (file.optimum, file.robust) if gait is not None]
+    known = [share for share in shares if share is not None]
+    if not known:
+        return []
+    text = ""
+    if known[0] < MIN_KEPT:
+        text = "take the robust gait, leave more room to the limits, or fit better"
+    value = ", ".join(
+        f"{word} {numbers.percent(share, 2)}"
+        for word, share in zip(("best gait", "robust gait"), known, strict=False)
+    )
+    limit = f"≥ {numbers.percent(MIN_KEPT)} of one"
+    name = "draws in which the limits are kept to"
+    return [ev.check(name, value, max(known) >= MIN_KEPT, limit, text)]
+
+
+# ------------------------------------------------------------ in words
+
+
+def _goal(file: GaitFile, goal: str, value: float | None) -> str:
+    factor, unit = numbers.in_degrees(file.goals[goal][1])
+    return numbers.number(None if value is None else factor * value, 4, unit)
+
+
+def _where(file: GaitFile, gait: Gait) -> str:
+    return ", ".join(f"{name} {numbers.number(v, 4, file.vary[name].unit)}" for name, v in gait.at.items())
+
+
+def _span(ends: Sequence[str]) -> str:
+    """Both ends in words; one where they are the same."""
+    return " … ".join(dict.fromkeys(ends))
+
+
+def _rows(file: GaitFile) -> list[dict[str, blocks.Cell]]:
+    """A row for each of best and robust gait, with intervals and losses where they are known."""
+    rows = []
+    for word, gait in (("best gait", file.optimum), ("robust gait", file.robust)):
+        if gait is None:
+            continue
+        row: dict[str, blocks.Cell] = {"gait": word}
+        for name, value in gait.at.items():
+            row[name] = numbers.number(value, 4, file.vary[name].unit)
+            row[f"{name}, 95 %"] = _span([numbers.number(e) for e in gait.at_ci95.get(name, ())])
+        for goal, reached in gait.goals.items():
+            row[goal] = _goal(file, goal, reached)
+            row[f"{goal}, 95 %"] = _span([_goal(file, goal, e) for e in gait.goals_ci95.get(goal, ())])
+        if gait.loss_90 is not None:
+            row["loss in 90 % of draws, at most"] = _goal(file, next(iter(file.goals)), gait.loss_90)
+            row["loss, worst tenth"] = _goal(file, next(iter(file.goals)), gait.loss_worst_tenth)
+        rows.append(row)
+    return rows
+
+
+def answer(file: GaitFile) -> str:
+    """Return the best gait as a sentence."""
+    goals = ", ".join(f"{goal} {_goal(file, goal, value)}" for goal, value in file.optimum.goals.items())
+    held = f", held back by {', '.join(file.optimum.held_by)}" if file.optimum.held_by else ""
+    return f"Best gait: {_where(file, file.optimum)}; {goals}{held}."
+
+
+# ------------------------------------------------------------ tables and figures
+
+
+def _gaits(file: GaitFile) -> ev.Table:
+    caption = (
+        "Intervals and losses are over draws of the coefficients; losses are against the best gait of each "
+        "draw that the robust gait was not chosen with."
+    )
+    return blocks.table("gaits", "Gaits", _rows(file), caption if file.draws else "")
+
+
+def _quantities(file: GaitFile) -> ev.Table:
+    rows: list[dict[str, blocks.Cell]] = []
+    for name, value in file.optimum.quantities.items():
+        if value is not None:
+            bare, unit = numbers.split_unit(name)
+            factor, shown = numbers.in_degrees(unit)
+            text = numbers.number(factor * value, 4, shown)
+            rows.append({"quantity": bare.replace("_", " "), "value": text})
+    return blocks.table("quantities", "What the robot comes to with the best gait", rows)
+
+
+def _title(file: GaitFile, name: str) -> str:
+    unit = numbers.unit_text(file.vary[name].unit)
+    return f"{name} ({unit})" if unit else name
+
+
+def _front_figure(file: GaitFile) -> ev.Figure:
+    table, width = np.array(file.front, dtype=float), len(file.vary)
+    labels, columns, best = [], [], []
+    for k, (goal, (_, unit)) in enumerate(file.goals.items()):
+        factor, shown = numbers.in_degrees(unit)
+        labels.append(f"{goal} ({numbers.unit_text(shown)})")
+        columns.append(factor * table[:, width + k])
+        best.append(factor * (file.optimum.goals[goal] or np.nan))
+    error = None
+    if file.front_ci95:
+        factor, _ = numbers.in_degrees(list(file.goals.values())[1][1])
+        error = 0.5 * factor * np.ptp(np.array(file.front_ci95, dtype=float)[:, 2:], axis=1)
+    traces = [
+        ev.Trace(x=columns[0], y=columns[1], style="points", label="front", y_error=error),  # type: ignore[arg-type]
+        ev.Trace(x=best[:1], y=best[1:], style="points", label="told"),
+    ]
+    panels = [blocks.panel(labels[0], labels[1], traces)]
+    for k, name in enumerate(file.vary):
+        trace = ev.Trace(x=columns[0], y=table[:, k], style="points")
+        panels.append(blocks.panel(labels[0], _title(file, name), [trace]))
+    caption = "No gait is better in both goals than one of these; bars are 95 % intervals over draws."
+    return blocks.panels("front", "Pareto front of two goals", caption, panels, columns=2)
+
+
+def _drawn_figure(file: GaitFile) -> ev.Figure:
+    table, names = np.array(file.drawn, dtype=float), list(file.vary)
+    gaits = {"best gait": file.optimum, **({"robust gait": file.robust} if file.robust else {})}
+    panels = []
+    for k, name in enumerate(names):
+        x = np.sort(table[:, k])
+        share = (np.arange(len(x)) + 0.5) / len(x)
+        marks = [ev.Mark(at=gait.at[name], axis="x", label=label) for label, gait in gaits.items()]
+        trace = ev.Trace(x=x, y=share, style="step", label="share of draws below")
+        panels.append(blocks.panel(_title(file, name), "share of draws", [trace], marks=marks))
+    caption = "The best gait of each draw of the coefficients: a steep step is a gait that is well known."
+    return blocks.panels("draws", "How sure the best gait is", caption, panels, columns=2)
+
+
+def _methods(file: GaitFile) -> list[str]:
+    varied = ", ".join(
+        f"{name} ({numbers.number(v.low)} to {numbers.number(v.high, 4, v.unit)})"
+        for name, v in file.vary.items()
+    )
+    search = "by differences from several starts"
+    if file.front:
+        search = "by NSGA-II (Deb et al. 2002, as implemented in pymoo)"
+    sentences = [
+        f"The {' and '.join(file.goals)} of {file.robot} was optimised over {varied} {search}; each run of "
+        f"{file.duration_s:g} s began at rest and was judged by its last whole beats."
+    ]
+    if file.draws:
+        sentences.append(
+            f"Intervals are percentiles over {file.draws} draws of the coefficients from their covariance."
+        )
+    if file.robust is not None:
+        sentences.append(
+            "The robust gait minimises the average of the worst tenth of losses against the best gait of each"
+            " draw (Rockafellar and Uryasev 2000), over half of the draws; losses are told over the others."
+        )
+    return sentences

@@ -4,27 +4,21 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from swimid.errors import InputError, NoTrustworthyResult, UsageError, suggestion
-from swimid.files import provenance
-from swimid.files.provenance import Input
 from swimid.fitting.drives import Beat, SwimInput
 from swimid.fitting.model import Array
 from swimid.fitting.parallel import in_threads
 from swimid.logs.trials import StrokeDrive
 from swimid.optimisation.options import GaitOptions
-from swimid.progress import Progress
 from swimid.results import parameters as parameters_format
-from swimid.robots import file as robot_format
 from swimid.simulation import catalogue, swim_quantities
-from swimid.simulation.applied import Applied, Quantity
+from swimid.simulation.catalogue import Applied, Quantity
 from swimid.simulation.swim_quantities import Steady
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.model import Swimmer
@@ -297,71 +291,3 @@ class Performance:
 def points_of(axes: Mapping[str, Sequence[float]]) -> list[dict[str, float]]:
     """Return the points of a grid, the last axis fastest."""
     return [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
-
-
-@dataclass(frozen=True)
-class Study:
-    """What a study of gaits says of itself.
-
-    Attributes
-    ----------
-    inputs : list of Input
-        What was read.
-    origin : dict
-        The provenance, with the time and the command.
-    said : dict
-        The first keys of its file, with the part of the provenance that is the same whenever the study is
-        made again: a file of results is the same to the last byte.
-    """
-
-    inputs: list[Input]
-    origin: dict[str, Any]
-    said: dict[str, Any]
-
-    @property
-    def key(self) -> list[Any]:
-        """What an unfinished study belongs to."""
-        return [self.origin["inputs"], self.origin["settings"]]
-
-
-def study_of(performance: Performance, options: GaitOptions, more: Sequence[Input] = ()) -> Study:
-    """Return what a study with these options says of itself."""
-    applied, given = performance.applied, options.params
-    inputs: list[Input] = [*more]
-    name, folder = options.robot, None
-    if given is not None:
-        inputs.append(parameters_format.origin(given))
-        if name is None and applied.file is not None:
-            name, folder = applied.file.robot, parameters_format.place(given).parent
-    inputs.append(robot_format.locate(str(name), folder))
-    origin = provenance.collect(inputs, settings=options.settings())
-    if performance.stroke is None:
-        drive = {"waveform": performance.waveform, **performance.drive, "ramp_s": performance.ramp_s}
-    else:
-        drive = {"stroke": performance.stroke, **performance.drive}
-    said = {
-        "verdict": "caution",
-        "robot": performance.model.robot.name,
-        "model": performance.model.name,
-        "params": None if given is None else parameters_format.place(given).name,
-        "drive": drive,
-        "duration_s": performance.duration_s,
-        "identified": performance.identified,
-        "provenance": {key: origin[key] for key in ("version", "inputs", "settings")},
-    }
-    return Study(inputs, origin, said)
-
-
-def in_parallel(
-    work: Callable[[int], Array], numbers: Sequence[int], jobs: int | None, label: str, progress: Progress
-) -> list[Array]:
-    """Return the results of work on numbered items, by all processors unless jobs are given."""
-    done = []
-    with (
-        progress(label, total=len(numbers)) as step,
-        in_threads(work, numbers, jobs or os.cpu_count() or 1) as results,
-    ):
-        for found in results:
-            done.append(found)
-            step()
-    return done

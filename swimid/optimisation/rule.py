@@ -15,8 +15,8 @@ from swimid.errors import UsageError
 from swimid.files import yamlio
 from swimid.files.yamlio import Number, Pair, Rows
 from swimid.fitting.model import Array
+from swimid.optimisation.study import StudyFile
 
-FORMAT: Literal["swimid-rule/2"] = "swimid-rule/2"
 #: Highest power of the frequency in a curve.
 DEGREE = 2
 
@@ -98,19 +98,11 @@ def fit_curve(amplitude_deg: float, frequency_hz: Array, stiffness: Array) -> Cu
     )
 
 
-class RuleFile(yamlio.ResultFile):
+class RuleFile(StudyFile):
     """A rule file."""
 
     kind: ClassVar[str] = "rule file"
-    format: Literal["swimid-rule/2"] = FORMAT
-    verdict: Literal["good", "caution", "bad"]
-    robot: str
-    model: str
-    params: str | None = None
-    drive: dict[str, Any]
-    duration_s: float
-    #: Range of the drives that the coefficients were identified from; outside it is extrapolation.
-    identified: dict[str, tuple[float, float]] = {}
+    format: Literal["swimid-rule/2"] = "swimid-rule/2"
     #: The coefficient that is set, its unit, and between which values.
     coefficient: str
     unit: str

@@ -1,15 +1,90 @@
-"""Checks, tables, figures and sentences of ``swimid sensitivity``."""
+"""The sensitivity file (``swimid-sensitivity/2``) and its evidence: checks, tables, figures and sentences."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any, ClassVar, Literal
 
 import numpy as np
+from pydantic import Field
 
+from swimid.files import yamlio
+from swimid.files.yamlio import Number
 from swimid.notices import Notice
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.sensitivity_analysis.file import Index, Output, SensitivityFile
+
+
+class Range(yamlio.Document):
+    """What a coefficient was varied over."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+    #: ``bounds``, ``stderr`` (two standard errors to either side), ``share`` of its value, or ``given``.
+    source: Literal["bounds", "stderr", "share", "given"]
+
+
+class Index(yamlio.Document):
+    """A Sobol index with its 95 % interval."""
+
+    value: float
+    ci95: tuple[float, float]
+
+
+class Shares(yamlio.Document):
+    """A coefficient's share of an output's variance: alone, and with all interactions it takes part in."""
+
+    first: Index
+    total: Index
+    #: Whether the interval of the first-order index stays clear of zero.
+    first_told: bool
+    #: Whether the whole interval of the total index lies below 0.01.
+    negligible: bool
+
+
+class Output(yamlio.Document):
+    """One output of one trial, or of all trials together where ``trial`` is missing."""
+
+    quantity: str
+    unit: str
+    trial: str | None = None
+    #: With the given coefficients; of all trials together there is none.
+    value: Number = None
+    #: Over the ranges.
+    mean: Number = None
+    sd: Number = None
+    shares: dict[str, Shares] = {}
+
+
+class Simulations(yamlio.Document):
+    """How many points were simulated."""
+
+    evaluated: int
+    broken: int
+    #: Rows of the design replaced because a point broke down.
+    left_out: int
+
+
+class SensitivityFile(yamlio.ResultFile):
+    """A sensitivity file."""
+
+    kind: ClassVar[str] = "sensitivity file"
+    format: Literal["swimid-sensitivity/2"] = "swimid-sensitivity/2"
+    verdict: Literal["good", "caution", "bad"]
+    model: str
+    robot: str
+    experiment: str
+    params: str | None = None
+    #: Rows of the design.
+    samples: int
+    trials: list[str]
+    ranges: dict[str, Range]
+    outputs: list[Output]
+    simulations: Simulations
+    provenance: dict[str, Any] = Field(default_factory=dict)
+
 
 #: Largest width of a 95 % interval of a total index.
 MAX_WIDTH = 0.3
@@ -17,10 +92,6 @@ MAX_WIDTH = 0.3
 MAX_STEP_CHANGE = 0.05
 #: Largest correlation of two estimates whose ranges are independent.
 MAX_CORRELATION = 0.5
-#: Number of coefficients named of an output, of outputs in the answer, and of panels of a figure.
-N_NAMED, N_ANSWERED, MAX_PANELS = 3, 3, 8
-#: Width of the terminal.
-WIDTH = 100
 REFERENCES = [
     "Saltelli, Annoni, Azzini, Campolongo, Ratto, Tarantola (2010): Variance based sensitivity analysis of "
     "model output. Computer Physics Communications 181, doi:10.1016/j.cpc.2009.09.018",
@@ -53,7 +124,7 @@ def evidence(
             "Robot": file.robot,
             "Parameters": file.params or "the robot file's",
             "Trials": str(len(file.trials)),
-            "Method": _design(file),
+            "Method": f"Sobol, {file.samples} rows ({file.simulations.evaluated} points)",
         },
         checks=checks,
         tables=[_totals(file), _ranges(file), _trials(file)],
@@ -63,10 +134,6 @@ def evidence(
         references=list(REFERENCES),
         provenance=file.provenance,
     )
-
-
-def _design(file: SensitivityFile) -> str:
-    return f"Sobol, {file.samples} rows ({file.simulations.evaluated} points)"
 
 
 def _headline(file: SensitivityFile) -> list[Output]:
@@ -96,28 +163,17 @@ def _checks(
         for o in _headline(file)
         for name, index in [("", Index(value=0.0, ci95=(0.0, 0.0))), *_ranked(o)]
     )
+    broken, replaced = f"{runs.broken} of {runs.evaluated}", f"{runs.left_out} rows of the design replaced"
+    wide, more = f"at most {numbers.number(width, 2)} wide", f"{where}: take more --samples"
+    change, steady = f"{numbers.number(step_change, 2)} sd", step_change <= MAX_STEP_CHANGE
+    halved = "largest change of an output when the step is halved, over its deviation in the ranges"
+    none = "none (refused above 1 %)"
     checks = [
+        ev.check("simulations that broke down", broken, not runs.broken, none, replaced * bool(runs.broken)),
         ev.check(
-            "simulations that broke down",
-            f"{runs.broken} of {runs.evaluated}",
-            not runs.broken,
-            "none (refused above 1 %)",
-            f"{runs.left_out} rows of the design replaced" if runs.broken else "",
+            "narrow intervals", wide, width <= MAX_WIDTH, f"≤ {MAX_WIDTH:g}", more * (width > MAX_WIDTH)
         ),
-        ev.check(
-            "narrow intervals",
-            f"at most {numbers.number(width, 2)} wide",
-            width <= MAX_WIDTH,
-            f"≤ {MAX_WIDTH:g}",
-            "" if width <= MAX_WIDTH else f"{where}: take more --samples",
-        ),
-        ev.check(
-            "integration step",
-            f"{numbers.number(step_change, 2)} sd",
-            step_change <= MAX_STEP_CHANGE,
-            f"≤ {MAX_STEP_CHANGE:g} sd",
-            "largest change of an output when the step is halved, over its deviation in the ranges",
-        ),
+        ev.check("integration step", change, steady, f"≤ {MAX_STEP_CHANGE:g} sd", halved),
     ]
     if strongest is not None:
         size, one, other = strongest
@@ -134,7 +190,7 @@ def _checks(
 def answer(file: SensitivityFile) -> str:
     """Return what the first outputs are most sensitive to as a sentence."""
     parts = []
-    for o in _headline(file)[:N_ANSWERED]:
+    for o in _headline(file)[:3]:
         named = [f"{name} ({numbers.number(index.value, 2)})" for name, index in _ranked(o)[:2]]
         if named:
             parts.append(f"{o.quantity} is most sensitive to {', '.join(named)}")
@@ -146,7 +202,7 @@ def answer(file: SensitivityFile) -> str:
 
 def _totals(file: SensitivityFile) -> ev.Table:
     """The most influential coefficients of each output."""
-    ranks = ("largest", "second", "third")[:N_NAMED]
+    ranks = ("largest", "second", "third")
     rows: list[dict[str, blocks.Cell]] = []
     for o in _headline(file):
         row: dict[str, blocks.Cell] = {"output": o.quantity, **dict.fromkeys(ranks, "")}
@@ -204,7 +260,7 @@ def _map(file: SensitivityFile) -> ev.Figure:
 
 def _intervals(file: SensitivityFile) -> ev.Figure:
     places, panels = np.arange(len(file.ranges), dtype=float), []
-    for o in [o for o in _headline(file) if o.shares][:MAX_PANELS]:
+    for o in [o for o in _headline(file) if o.shares][:8]:
         traces = []
         for kind, label, shift in (("first", "first order", -0.12), ("total", "total", 0.12)):
             index = [getattr(o.shares[n], kind) for n in file.ranges]

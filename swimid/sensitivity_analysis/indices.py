@@ -18,9 +18,6 @@ from swimid.progress import Progress, silent
 
 #: Share of the evaluations that may break down.
 BROKEN = 0.01
-#: Draws behind an interval, and its ends.
-RESAMPLES = 1000
-ENDS = (2.5, 97.5)
 #: Points that are evaluated by one call.
 TOGETHER = 8
 
@@ -124,9 +121,9 @@ def sobol(
     mean, sd = both.mean(axis=1), both.std(axis=1)
     outputs = outputs - mean[:, None]
     rng = np.random.default_rng([seed, 1])
-    drawn = [_indices(outputs[..., rng.integers(samples, size=samples)], groups) for _ in range(RESAMPLES)]
+    drawn = [_indices(outputs[..., rng.integers(samples, size=samples)], groups) for _ in range(1000)]
     first, total = _indices(outputs, groups)
-    first_ci, total_ci = np.percentile(drawn, ENDS, axis=0).transpose(1, 0, 2, 3)
+    first_ci, total_ci = np.percentile(drawn, (2.5, 97.5), axis=0).transpose(1, 0, 2, 3)
     broken = len(runs.broken)
     return Sobol(mean, sd, runs.done, broken, unused - samples, first, total, first_ci, total_ci)
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from swimid.errors import InputError, NoTrustworthyResult, UsageError, suggestion
+from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, provenance
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.experiment import Experiment
@@ -25,8 +25,7 @@ from swimid.progress import Progress, silent
 from swimid.results import parameters as parameters_format
 from swimid.results.result import FileResult
 from swimid.sensitivity_analysis import evidence as sensitivity_evidence
-from swimid.sensitivity_analysis.file import (
-    FORMAT,
+from swimid.sensitivity_analysis.evidence import (
     Index,
     Output,
     Range,
@@ -37,7 +36,7 @@ from swimid.sensitivity_analysis.file import (
 from swimid.sensitivity_analysis.indices import Sobol, sobol
 from swimid.sensitivity_analysis.options import SensitivityOptions
 from swimid.simulation import catalogue, compare_series
-from swimid.simulation.applied import Applied, Quantity
+from swimid.simulation.catalogue import Applied, Quantity, is_possible
 from swimid.simulation.swim_quantities import Steady
 from swimid.swimmer import stroke_cycles
 from swimid.swimmer import trials as swimmer
@@ -46,8 +45,6 @@ from swimid.swimmer.model import Swimmer
 if TYPE_CHECKING:
     import pandas as pd
 
-#: A total index whose interval lies below this is negligible.
-NEGLIGIBLE = 0.01
 #: An output that varies less than this share of its size does not vary.
 CONSTANT = 1e-9
 
@@ -65,7 +62,7 @@ class Sensitivity(FileResult[SensitivityFile]):
         What :meth:`save` writes; it also has the ranges.
     """
 
-    format = FORMAT
+    format = "swimid-sensitivity/2"
     file_type = SensitivityFile
 
     @property
@@ -380,7 +377,7 @@ def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) 
         run = _run(applied, model, trial)
         quantities = run.outputs(model, run.values, model.attempt(run.values, run.trial))
         broken = any(not math.isfinite(q.value) for q in quantities.values())
-        if broken or not _is_possible(model, run.values):
+        if broken or not is_possible(model, run.values):
             raise NoTrustworthyResult(
                 f"the simulation of '{trial.id}' breaks down with the given coefficients",
                 hint="check the parameters and the drive, or take a smaller --dt",
@@ -412,15 +409,6 @@ def _run(applied: Applied, model: Swimmer, trial: Trial) -> Run:
     return Run(replace(trial, time_s=times, measured={}, inputs={}), steady, measured, values)
 
 
-def _is_possible(model: Swimmer, values: Array) -> bool:
-    """Whether the coefficients make masses that a body has."""
-    try:
-        model.check(values)
-    except InputError:
-        return False
-    return True
-
-
 def _evaluation(study: Study, model: Swimmer | None = None) -> Callable[[Array], Array]:
     """From coefficients, shape (n, d), to the outputs, shape (n, s); NaN where a simulation breaks down."""
     known = model or _swimmer(study.applied)
@@ -430,7 +418,7 @@ def _evaluation(study: Study, model: Swimmer | None = None) -> Callable[[Array],
         results = np.full((len(points), len(study.columns)), np.nan)
         vectors = np.repeat(np.array([run.values for run in study.runs])[None], len(points), axis=0)
         vectors[:, :, places] = points[:, None]
-        asked = [k for k, each in enumerate(vectors) if all(_is_possible(known, one) for one in each)]
+        asked = [k for k, each in enumerate(vectors) if all(is_possible(known, one) for one in each)]
         pairs = [(one, run) for k in asked for one, run in zip(vectors[k], study.runs, strict=True)]
         simulated = known.simulate_many([(one, run.trial) for one, run in pairs])
         told = [
@@ -455,16 +443,10 @@ def _step_change(study: Study, estimates: Sobol) -> float:
 
 
 def _outputs(study: Study, estimates: Sobol) -> list[Output]:
+    numbers = np.column_stack([study.centre, estimates.mean, estimates.sd]).tolist()
     outputs = [
-        Output(
-            quantity=quantity,
-            trial=trial,
-            unit=unit,
-            value=float(study.centre[k]),
-            mean=float(estimates.mean[k]),
-            sd=float(estimates.sd[k]),
-        )
-        for k, (quantity, trial, unit) in enumerate(study.columns)
+        Output(quantity=quantity, trial=trial, unit=unit, value=value, mean=mean, sd=sd)
+        for (quantity, trial, unit), (value, mean, sd) in zip(study.columns, numbers, strict=True)
     ]
     for quantity, members in study.groups.items():
         sd = float(np.sqrt(np.mean(estimates.sd[members] ** 2)))
@@ -476,12 +458,11 @@ def _outputs(study: Study, estimates: Sobol) -> list[Output]:
     return outputs
 
 
-def _ci95(ends: Array, row: int, k: int) -> tuple[float, float]:
-    return float(ends[0, row, k]), float(ends[1, row, k])
-
-
 def _shares(sobol: Sobol, row: int, k: int) -> Shares:
-    first = Index(value=float(sobol.first[row, k]), ci95=_ci95(sobol.first_ci, row, k))
-    total = Index(value=float(sobol.total[row, k]), ci95=_ci95(sobol.total_ci, row, k))
-    negligible = total.ci95[1] < NEGLIGIBLE
+    first, total = (
+        Index(value=float(index[row, k]), ci95=ends[:, row, k].tolist())
+        for index, ends in ((sobol.first, sobol.first_ci), (sobol.total, sobol.total_ci))
+    )
+    # a total index whose interval lies below 0.01 is negligible
+    negligible = total.ci95[1] < 0.01
     return Shares(first=first, total=total, first_told=first.ci95[0] > 0, negligible=negligible)

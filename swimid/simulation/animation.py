@@ -20,14 +20,8 @@ Array = NDArray[np.float64]
 RATE_HZ = 25.0
 #: Longer side of the picture, pixels, by the file's ending.
 SIZE = {".mp4": 960, ".gif": 560}
-#: A path longer than so many robots makes a fixed picture useless: the view then follows.
-LONGEST = 12.0
 #: Largest width of the body over its length, and the least (a fin), with the share along it.
 FULLNESS, THINNEST = 0.16, 0.012
-#: Width of a bar over the robot's length.
-BAR = 0.06
-#: Water around what a fixed picture shows, robot lengths.
-MARGIN = 0.4
 #: Blue, green, red.
 WATER, RIPPLE, INK, TRACE = (250, 246, 240), (238, 228, 214), (70, 55, 40), (190, 150, 60)
 DRIVEN, PASSIVE = (150, 105, 45), (80, 130, 225)
@@ -88,7 +82,7 @@ def outline(film: Film, link: int) -> Array:
     if film.tapered:
         half = half_width((film.begins_m[link] + along) / film.length_m, film.width_m, film.length_m)
     else:
-        half = np.full(len(along), 0.5 * BAR * film.length_m)
+        half = np.full(len(along), 0.03 * film.length_m)
     port = np.column_stack((-along, half))
     # a round front closes the gap that a bent joint opens
     round_front = film.begins_m[link] > 0 or not film.tapered
@@ -169,8 +163,10 @@ class _Camera:
             for rows, turn in ((film.x_m, np.cos), (film.y_m, np.sin))
         ]
         path = [float(np.ptp(rows[0])) for rows in (film.x_m, film.y_m)]
-        follows = view == "follow" or (view == "auto" and max(path) > LONGEST * film.length_m)
-        spans = [float(np.ptp(rows)) + MARGIN * film.length_m for rows in ends]
+        # a path longer than twelve robots makes a fixed picture useless: the view then follows
+        follows = view == "follow" or (view == "auto" and max(path) > 12.0 * film.length_m)
+        # with some water around
+        spans = [float(np.ptp(rows)) + 0.4 * film.length_m for rows in ends]
         if follows:
             spans = [3.2 * film.length_m, 1.9 * film.length_m]
         scale = size / max(spans)

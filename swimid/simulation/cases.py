@@ -30,7 +30,7 @@ from swimid.rig import model as rig
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
 from swimid.simulation import catalogue
-from swimid.simulation.applied import Applied, Quantity
+from swimid.simulation.catalogue import Applied, Quantity
 from swimid.simulation.options import SimulateOptions
 from swimid.simulation.swim_quantities import Steady
 from swimid.swimmer import stroke_cycles
@@ -40,12 +40,8 @@ from swimid.swimmer.planar import drive
 
 #: Duration of a run (s) and sampling rate (Hz) by default.
 DURATION_S, RATE_HZ = 15.0, 50.0
-#: Maximum number of integration steps.
-MAX_STEPS = 20_000_000
 #: Length of a course on which the start from rest does not matter, m.
 FAR_M = 1e9
-#: Largest bend of a joint in a swimming beat, degrees.
-MAX_BEND_DEG = 90.0
 #: From a parameter vector to the quantities of a run.
 Quantities = Callable[[Array], dict[str, Quantity]]
 
@@ -105,7 +101,7 @@ def _times(options: SimulateOptions, stroke: Cycle | None = None) -> Array:
     whole = DURATION_S if stroke is None or math.isinf(stroke.cycles) else stroke.cycles / stroke.frequency_hz
     duration = options.duration_s or whole
     rate = options.sample_rate_hz or RATE_HZ
-    if duration * max(rate, 1.0 / options.dt) > MAX_STEPS:
+    if duration * max(rate, 1.0 / options.dt) > 20_000_000:
         raise UsageError(f"{duration:g} s at this rate and step are too many samples")
     return np.arange(max(round(duration * rate), 1) + 1) / rate
 
@@ -294,7 +290,7 @@ def _beat(options: SimulateOptions, model: Swimmer) -> drives.Beat:
         assert law is not None
         bias_gain = law.gain if law.bias_gain is None else law.bias_gain
         bend = abs(law.gain) * amplitude + abs(bias_gain * options.bias_deg)
-        if bend > MAX_BEND_DEG:
+        if bend > 90.0:
             warn("SWM054", f"{axis.name} bends by up to {bend:.0f} degrees")
             break
     asymmetry = options.asymmetry

@@ -1,33 +1,160 @@
-"""What ``swimid compare`` compares: the channels of each trial, measured beside simulated."""
+"""What ``compare`` compares: the channels of each trial, measured beside simulated; the comparison file."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
+from pydantic import Field
 from scipy.integrate import cumulative_trapezoid
 
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
+from swimid.files import yamlio
+from swimid.files.yamlio import Number, Numbers
 from swimid.fitting import metrics, mistakes, output_error
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array, Channel, Model, Trial
 from swimid.logs.derivative import slope
 from swimid.notices import warn
 from swimid.simulation import cases, swim_quantities
-from swimid.simulation.applied import Applied
-from swimid.simulation.comparison_file import ChannelScore, Cruise, CycleTable, Speed, TrialComparison
+from swimid.simulation.catalogue import Applied
 from swimid.swimmer.planar.body import Body
+
+
+class ChannelScore(yamlio.Document):
+    """Errors of one channel, in its unit; measured minus simulated."""
+
+    unit: str
+    #: ``logged``, or ``pose``: derived from the logged pose and the simulated one alike.
+    source: Literal["logged", "pose"] = "logged"
+    rmse: Number = None
+    #: Over the measured range (tendon fish, Eq 13).
+    nrmse: Number = None
+    vaf: Number = None
+    fit_percent: Number = None
+    bias: Number = None
+    samples: int
+    #: Difference of the largest magnitudes, and that over the measured one (tendon fish, Eq 14).
+    peak_error: Number = None
+    peak_error_normalised: Number = None
+    #: Of the simulation ahead of the measurement, at the beat.
+    phase_error_rad: Number = None
+    #: Error per sample left when time may be stretched within a quarter of a beat.
+    dtw_distance: Number = None
+
+
+class CycleTable(yamlio.Document):
+    """Means and largest magnitudes of every whole stroke."""
+
+    time_s: Numbers
+    mean_measured: Numbers
+    mean_simulated: Numbers
+    peak_measured: Numbers
+    peak_simulated: Numbers
+
+
+class Speed(yamlio.Document):
+    """Mean speed over the last whole beats, m/s."""
+
+    measured: Number = None
+    simulated: Number = None
+    beats: int
+
+
+class Cruise(yamlio.Document):
+    """Steady swimming of the model under the drive of a trial that begins in motion.
+
+    The start speed of such a trial comes from the trial itself, so its simulated speed is no prediction
+    before the speed has settled.
+    """
+
+    #: Speed at which the model settles, m/s; null where it never settles.
+    settled: Number = None
+    #: Time in which a difference from that speed falls by a factor e, s; null where it never settles.
+    settling_s: Number = None
+    #: Whether the measured speed is steady, so that the two can be compared.
+    steady: bool
+
+
+class TrialComparison(yamlio.Document):
+    """One trial."""
+
+    id: str
+    role: Literal["fit", "validate"]
+    #: Start state: from the parameter file, estimated from this trial, or at rest at the first pose.
+    start: Literal["file", "estimated", "neutral"]
+    start_values: dict[str, float] = {}
+    frequency_hz: Number = None
+    #: What drove it.
+    drive: dict[str, Any] = {}
+    channels: dict[str, ChannelScore]
+    cycles: dict[str, CycleTable] = {}
+    mean_speed: Speed | None = None
+    cruise: Cruise | None = None
+
+
+class CycleComparison(yamlio.Document):
+    """One stroke of a motion profile: quantities by name (Tables I and II of the sea lion paper), in SI."""
+
+    cycle: int
+    #: Means over the profile's trials.
+    measured: dict[str, Number]
+    simulated: dict[str, Number]
+    #: Standard deviation over them, where there are several.
+    spread: dict[str, Number] = {}
+
+
+class ProfileComparison(yamlio.Document):
+    """Trials that repeat one motion, the mean of them against that of their simulations."""
+
+    name: str
+    trials: list[str]
+    cycles: list[CycleComparison] = []
+    #: Between the mean paths, and the mean angles.
+    position_rmse_m: Number = None
+    orientation_rmse_rad: Number = None
+    #: From the first sample to the last, ``measured`` and ``simulated``.
+    surge_m: dict[str, Number] = {}
+    heave_m: dict[str, Number] = {}
+
+
+class ComparisonFile(yamlio.ResultFile):
+    """A comparison file."""
+
+    kind: ClassVar[str] = "comparison file"
+    format: Literal["swimid-comparison/1"] = "swimid-comparison/1"
+    verdict: Literal["good", "caution", "bad"]
+    model: str
+    robot: str
+    experiment: str
+    params: str
+    #: All trials together, by channel.
+    channels: dict[str, ChannelScore]
+    trials: list[TrialComparison]
+    #: Of a robot in space.
+    profiles: list[ProfileComparison] = []
+    #: Root-mean-square error of the mean speeds of all trials, m/s.
+    mean_speed_rmse_m_s: Number = None
+    provenance: dict[str, Any] = Field(default_factory=dict)
+
+    @property
+    def mean_speeds(self) -> list[tuple[TrialComparison, float, float]]:
+        """The trials that have a mean speed, with the measured and the simulated one, m/s."""
+        return [
+            (t, t.mean_speed.measured, t.mean_speed.simulated)
+            for t in self.trials
+            if t.mean_speed and t.mean_speed.measured is not None and t.mean_speed.simulated is not None
+        ]
+
 
 Start = Literal["file", "estimated", "neutral"]
 #: Per-trial parameters that say how a trial starts and is seen, and nothing of the robot.
 STARTS = ("start_", "initial_", "clock_offset", "drive_phase", "camera_rotation", "rest_position")
 #: Half width of the derivative's window: this share of a beat, or s where there is none.
 WINDOW_BEATS, WINDOW_S = 0.2, 0.15
-#: Maximum number of samples that time warping is computed over.
-MAX_WARPED = 2000
 #: Minimum number of samples of a stroke, and of their share of what a whole one has.
 MIN_SAMPLES, WHOLE = 4, 0.95
 
@@ -318,7 +445,8 @@ def cycles(pair: Pair, frequency_hz: float) -> CycleTable:
 def _timing(pair: Pair, frequency: float) -> dict[str, float]:
     """Phase error at the beat, and the error left when time may be stretched."""
     phase = metrics.phase_error(pair.measured, pair.simulated, pair.time_s, frequency_hz=frequency)
-    keep = slice(None, None, max(1, -(-len(pair.time_s) // MAX_WARPED)))
+    # time warping is computed over 2000 samples at most
+    keep = slice(None, None, max(1, -(-len(pair.time_s) // 2000)))
     step = float(np.median(np.diff(pair.time_s[keep])))
     band = max(1, round(0.25 / (frequency * step)))
     distance = metrics.dtw_distance(pair.measured[keep], pair.simulated[keep], band=band)

@@ -12,8 +12,7 @@ import numpy as np
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array, Channel
 from swimid.logs.derivative import slope
-from swimid.simulation.compare_series import Compared
-from swimid.simulation.comparison_file import CycleComparison, ProfileComparison
+from swimid.simulation.compare_series import Compared, CycleComparison, ProfileComparison
 from swimid.swimmer import stroke_cycles
 
 #: Half width of the window speeds are derived in, as a share of a stroke, and s where there is none.

@@ -14,7 +14,7 @@ import numpy as np
 
 from swimid.fitting.drives import SwimInput
 from swimid.fitting.model import Array, Trial
-from swimid.simulation.applied import Quantity
+from swimid.simulation.catalogue import Quantity
 from swimid.swimmer import stroke_cycles
 from swimid.swimmer.energetics import Energetics
 from swimid.swimmer.model import Swimmer
@@ -28,6 +28,8 @@ SLOWEST = 0.05
 STRAIGHT = math.radians(15.0)
 #: A turning radius is given where the robot turns faster than this without being told to, rad/s.
 TURNING = math.radians(2.0)
+#: Largest change of the speed from beat to beat, over the speed, of a steady run.
+UNSTEADY = 0.005
 #: A run has settled where its mean surge over a beat stays within this share of its last.
 SETTLED = 0.05
 
@@ -295,7 +297,7 @@ def _speeds(
     chord = np.hypot(np.diff(x[whole]), np.diff(y[whole]))
     bend = np.diff(heading[whole])
     arc = chord / np.sinc(bend / (2 * np.pi))
-    duration = window.end_s - window.begin_s
+    duration = window.length_s
     speed = float(arc.sum()) / duration
     length = body.length(values)
     rate = float(heading[-1] - heading[0]) / duration

@@ -9,7 +9,7 @@ import pytest
 
 from swimid.diagnosis.diagnosed import Diagnosis
 from swimid.diagnosis.gap_file import ChangedValue, GapFile
-from swimid.simulation.comparison_file import ComparisonFile
+from swimid.simulation.compare_series import ComparisonFile
 from tests.conftest import Ran
 
 Case = Callable[..., Path]

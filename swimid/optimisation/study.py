@@ -1,21 +1,114 @@
-"""What maps, rules and gaits share: facts, checks of what their coefficients are worth, and the last line."""
+"""What maps, rules and gaits share: what their files say first, work in parallel, evidence and checks."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Literal
 
+from swimid.files import provenance, yamlio
+from swimid.files.provenance import Input
+from swimid.fitting.model import Array
+from swimid.fitting.parallel import in_threads
 from swimid.notices import Notice
+from swimid.optimisation.options import GaitOptions
+from swimid.optimisation.performance import Performance
+from swimid.progress import Progress
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
+from swimid.results import parameters as parameters_format
+from swimid.robots import file as robot_format
+
+
+class StudyFile(yamlio.ResultFile):
+    """What the files of all studies of gaits begin with."""
+
+    format: str
+    verdict: Literal["good", "caution", "bad"]
+    robot: str
+    model: str
+    params: str | None = None
+    #: What is not varied.
+    drive: dict[str, Any]
+    duration_s: float
+    #: Range of drive and axes in the trials the coefficients were identified from; beyond is extrapolation.
+    identified: dict[str, tuple[float, float]] = {}
+
+
+@dataclass(frozen=True)
+class Study:
+    """What a study of gaits says of itself.
+
+    Attributes
+    ----------
+    inputs : list of Input
+        What was read.
+    origin : dict
+        The provenance, with the time and the command.
+    said : dict
+        The first keys of its file, with the part of the provenance that is the same whenever the study is
+        made again: a file of results is the same to the last byte.
+    """
+
+    inputs: list[Input]
+    origin: dict[str, Any]
+    said: dict[str, Any]
+
+    @property
+    def key(self) -> list[Any]:
+        """What an unfinished study belongs to."""
+        return [self.origin["inputs"], self.origin["settings"]]
+
+
+def study_of(performance: Performance, options: GaitOptions, more: Sequence[Input] = ()) -> Study:
+    """Return what a study with these options says of itself."""
+    applied, given = performance.applied, options.params
+    inputs: list[Input] = [*more]
+    name, folder = options.robot, None
+    if given is not None:
+        inputs.append(parameters_format.origin(given))
+        if name is None and applied.file is not None:
+            name, folder = applied.file.robot, parameters_format.place(given).parent
+    inputs.append(robot_format.locate(str(name), folder))
+    origin = provenance.collect(inputs, settings=options.settings())
+    if performance.stroke is None:
+        drive = {"waveform": performance.waveform, **performance.drive, "ramp_s": performance.ramp_s}
+    else:
+        drive = {"stroke": performance.stroke, **performance.drive}
+    said = {
+        "verdict": "caution",
+        "robot": performance.model.robot.name,
+        "model": performance.model.name,
+        "params": None if given is None else parameters_format.place(given).name,
+        "drive": drive,
+        "duration_s": performance.duration_s,
+        "identified": performance.identified,
+        "provenance": {key: origin[key] for key in ("version", "inputs", "settings")},
+    }
+    return Study(inputs, origin, said)
+
+
+def in_parallel(
+    work: Callable[[int], Array], numbers: Sequence[int], jobs: int | None, label: str, progress: Progress
+) -> list[Array]:
+    """Return the results of work on numbered items, by all processors unless jobs are given."""
+    done = []
+    with (
+        progress(label, total=len(numbers)) as step,
+        in_threads(work, numbers, jobs or os.cpu_count() or 1) as results,
+    ):
+        for found in results:
+            done.append(found)
+            step()
+    return done
+
 
 #: Warnings that coefficients are not vouched for: outside their bounds, or by a fit that did not converge or
 #: could not identify them.
 DOUBTFUL = ("SWM053", "SWM062")
 #: Values of a drive where it does not say.
 NEUTRAL = {"bias_deg": 0.0, "asymmetry": 0.0, "lag_deg": 0.0, "scale": 1.0}
-#: Width of the terminal.
-WIDTH = 98
 REFERENCES = [
     "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin",
     "D. Chen, Y. Xiong, B. Wang, R. Tong, Y. Meng, J. Yu: Performance Optimization for Bionic Robotic "
@@ -68,10 +161,7 @@ def draws_check(inside: float) -> ev.Check:
     """Check that most draws of the coefficients lie within their bounds."""
     text = "" if inside >= 0.5 else "the coefficients are hardly known: fit them better"
     value = numbers.percent(inside, 2)
-    name, reason = (
-        "draws within the coefficients' bounds",
-        f"only {value} of draws lie within them",
-    )
+    name, reason = "draws within the coefficients' bounds", f"only {value} of draws lie within them"
     return ev.check(name, value, inside >= 0.5, "half or more", text, reason=reason)
 
 
