@@ -15,7 +15,7 @@ from swimid.simulation import cases
 from swimid.simulation.compare_series import WINDOW_BEATS, Compared
 from swimid.simulation.compare_strokes import SIDES, Mean, Profile
 from swimid.simulation.comparison_file import ChannelScore, ComparisonFile, ProfileComparison
-from swimid.swimmer.stroke_cycles import QUANTITIES
+from swimid.swimmer.run_quantities import QUANTITIES
 
 #: Columns of the errors of a channel.
 ERRORS = ("channel", "RMSE", "NRMSE", "VAF", "bias")

@@ -19,7 +19,7 @@ from swimid.notices import warn
 from swimid.simulation import cases, swim_quantities
 from swimid.simulation.applied import Applied
 from swimid.simulation.comparison_file import ChannelScore, Cruise, CycleTable, Speed, TrialComparison
-from swimid.swimmer.planar.body import Body
+from swimid.swimmer.planar.model import Body
 
 Start = Literal["file", "estimated", "neutral"]
 #: Per-trial parameters that say how a trial starts and is seen, and nothing of the robot.

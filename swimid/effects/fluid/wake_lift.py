@@ -13,7 +13,7 @@ class WakeLift(Effect):
     """``-m u w n + m w^2 t / 2`` at the rear end of the last link.
 
     u and w are the edge's velocities along and across its link, m the added mass per length there
-    (:mod:`swimid.swimmer.planar.elements.trailing_edge`).
+    (:mod:`swimid.swimmer.planar.assembly.trailing_edge`).
     """
 
     name = "wake-lift"
