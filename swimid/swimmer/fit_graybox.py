@@ -516,44 +516,44 @@ def tables(experiment: Experiment, result: FitResult, ends: Sequence[multistart.
     ranking = [[label, share, result.status[label]] for label, share in identifiability.ranked(result)]
     starts = [[k, end.converged, float(end.cost)] for k, end in enumerate(ends, start=1)]
     readings = experiment.robot.readings.items()
-    found = [
-        ev.Table(
-            id="metrics",
-            title="Errors of every trial",
-            columns=["trial", "data", "channel", "RMSE", "NRMSE", "VAF", "peak", "DTW", "phase"],
-            rows=_error_rows(result),
-            caption="NRMSE: over the measured range (tendon fish, Eq 13). Peak: difference of the largest "
-            "magnitudes over the measured one (Eq 14). DTW: distance per sample after warping within 5 % of "
-            "the record. Phase: at the beat.",
-            folded=True,
+    found: list[tuple[str, str, list[str], list[list[Any]], str]] = [
+        (
+            "metrics",
+            "Errors of every trial",
+            ["trial", "data", "channel", "RMSE", "NRMSE", "VAF", "peak", "DTW", "phase"],
+            _error_rows(result),
+            "NRMSE: over the measured range (tendon fish, Eq 13). Peak: difference of the largest magnitudes "
+            "over the measured one (Eq 14). DTW: distance per sample after warping within 5 % of the record. "
+            "Phase: at the beat.",
         ),
-        ev.Table(
-            id="ranking",
-            title="Parameters by identifiability",
-            columns=["parameter", "share of its own", "status"],
-            rows=ranking if len(ranking) > 1 else [],
-            caption="The share is the part of the sensitivity to a parameter that those above it, and the "
-            "start states, cannot imitate.",
-            folded=True,
+        (
+            "ranking",
+            "Parameters by identifiability",
+            ["parameter", "share of its own", "status"],
+            ranking if len(ranking) > 1 else [],
+            "The share is the part of the sensitivity to a parameter that those above it, and the start "
+            "states, cannot imitate.",
         ),
-        ev.Table(
-            id="starts",
-            title="Starts",
-            columns=["start", "converged", "cost"],
-            rows=starts,
-            caption="The cost is the mean squared residual, averaged geometrically over the channels.",
-            folded=True,
+        (
+            "starts",
+            "Starts",
+            ["start", "converged", "cost"],
+            starts,
+            "The cost is the mean squared residual, averaged geometrically over the channels.",
         ),
-        ev.Table(
-            id="readings",
-            title="Readings of the source",
-            columns=["reading", "question", "chosen", "meaning"],
-            rows=[[name, r.question, r.chosen, r.options[r.chosen].says] for name, r in readings],
-            caption="Other readings are options of the robot file (--reading NAME=OPTION).",
-            folded=True,
+        (
+            "readings",
+            "Readings of the source",
+            ["reading", "question", "chosen", "meaning"],
+            [[name, r.question, r.chosen, r.options[r.chosen].says] for name, r in readings],
+            "Other readings are options of the robot file (--reading NAME=OPTION).",
         ),
     ]
-    return [table for table in found if table.rows]
+    return [
+        ev.Table(id=name, title=title, columns=columns, rows=rows, caption=caption, folded=True)
+        for name, title, columns, rows, caption in found
+        if rows
+    ]
 
 
 def _error_rows(result: FitResult) -> list[list[str]]:

@@ -6,7 +6,6 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from swimid.errors import InputError, suggestion
 from swimid.fitting.model import Array, Parameter
+from swimid.robots.file import Fluid
 from swimid.robots.planar import Coefficient, Driven, Joint, factors
 from swimid.robots.spatial import Hinge
 from swimid.swimmer.planar.engine import PASSIVE
@@ -73,6 +73,11 @@ class Polynomial:
     def at(self, values: dict[str, float]) -> float:
         """Its value."""
         return float(sum(n * np.prod([values[name] for name in names]) for names, n in self.terms.items()))
+
+
+#: An entry of a table before it is evaluated; words are quantities of a robot file. A row of a table.
+Entry = Polynomial | float | str
+Row = list[Entry]
 
 
 class Table:
@@ -323,11 +328,13 @@ class Tree(ABC):
         self.constants = {"free_base": self.free_base}
         self._known: dict[bytes, dict[str, Any]] = {}
 
-    def fill(self, rows: Any, adders: Mapping[str, Callable[..., None]], engine: ModuleType) -> None:
-        """Collect the rows of links and elements, and check them at the file's coefficients.
+    def fill(self, fluid: Fluid, rows_of: Any, adders: Mapping[str, Callable[..., None]], engine: Any) -> Any:
+        """Collect and return the rows of links and elements, checked at the file's coefficients.
 
-        ``rows`` has an empty row of inertia for each link; the engine names the columns of its tables.
+        ``rows_of`` makes them (``Tables``); the engine names the columns of its tables.
         """
+        empty = [[0.0] * len(engine.INERTIA) for _ in self.links]
+        rows = rows_of(fluid.density_kg_m3, fluid.gravity_m_s2, self.index, empty)
         for link in self.links:
             self._add_rigid(link, rows)
         rigid = [list(row) for row in rows.inertia]
@@ -346,6 +353,7 @@ class Tree(ABC):
             entries = [row for _, row in getattr(rows, name)]
             self._elements.append((name, owners, table(entries, getattr(engine, name.upper()))))
         self.check(np.array([c.value for c in self.body.coefficients.values()]))
+        return rows
 
     def tables(self, values: Array) -> dict[str, Any]:
         """The arguments of the engine's ``integrate`` from ``topology`` on, by their names.
@@ -394,7 +402,7 @@ class Tree(ABC):
         """Add a link's own mass and inertia."""
 
     @abstractmethod
-    def _place(self, joint: Any) -> list[Polynomial | float]:
+    def _place(self, joint: Any) -> Row:
         """A joint's row of the engine's table; of the base with None."""
 
 
@@ -404,16 +412,14 @@ def law_of(joint: Joint | Hinge) -> list[Polynomial]:
     assert law is not None
     tendon = getattr(law, "tendon", None)
     wire = (tendon.spring_N_m, tendon.pretension_m, tendon.arm_m, tendon.crank_m) if tendon else (0.0,) * 4
-    return [
-        Polynomial.of(q)
-        for q in (
-            law.stiffness_N_m_rad,
-            law.cubic_N_m_rad3,
-            law.damping_N_m_s_rad,
-            law.quadratic_damping_N_m_s2_rad2,
-            math.radians(law.rest_deg),
-            *wire,
-            law.friction_N_m,
-            law.friction_below_rad_s,
-        )
-    ]
+    row = (
+        law.stiffness_N_m_rad,
+        law.cubic_N_m_rad3,
+        law.damping_N_m_s_rad,
+        law.quadratic_damping_N_m_s2_rad2,
+        math.radians(law.rest_deg),
+        *wire,
+        law.friction_N_m,
+        law.friction_below_rad_s,
+    )
+    return [Polynomial.of(entry) for entry in row]

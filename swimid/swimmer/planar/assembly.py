@@ -31,9 +31,7 @@ from swimid.robots.planar import (
     TrailingEdge,
 )
 from swimid.swimmer.planar import engine
-from swimid.swimmer.tree import Polynomial, Table, Tree, quantities
-
-Row = list[Polynomial | float]
+from swimid.swimmer.tree import Polynomial, Row, Table, Tree, quantities
 
 
 @dataclass
@@ -79,6 +77,15 @@ class Tables:
             Polynomial.of(a) + Polynomial.of(b) for a, b in zip(self.inertia[at], terms, strict=True)
         ]
 
+    def add(self, table: str, link: str, row: Row) -> None:
+        """Add a row to a table of elements."""
+        getattr(self, table).append((self.index[link], row))
+
+
+def _point(station: float | str, offset: float | str) -> list[Polynomial]:
+    """A place on a link in its axes."""
+    return [-Polynomial.of(station), Polynomial.of(offset)]
+
 
 def _added_mass(element: AddedMass, link: Link, tables: Tables) -> None:
     """Add the element's mass at its station (default the link's centre of mass).
@@ -89,14 +96,8 @@ def _added_mass(element: AddedMass, link: Link, tables: Tables) -> None:
     their Eqs 6 and 7 is its derivative and must not be applied again.
     """
     station = link.com_m if element.at_m is None else element.at_m
-    tables.add_inertia(
-        link.name,
-        -Polynomial.of(station),
-        Polynomial.of(element.offset_m),
-        Polynomial.of(element.surge_kg),
-        Polynomial.of(element.sway_kg),
-        Polynomial.of(element.inertia_kg_m2),
-    )
+    at, mass = _point(station, element.offset_m), (element.surge_kg, element.sway_kg, element.inertia_kg_m2)
+    tables.add_inertia(link.name, *at, *(Polynomial.of(m) for m in mass))
 
 
 def _damping(element: Damping, link: Link, tables: Tables) -> None:
@@ -104,8 +105,8 @@ def _damping(element: Damping, link: Link, tables: Tables) -> None:
 
     Moment against the rotation of a link.
     """
-    turning = (Polynomial.of(element.quadratic_N_m_s2_rad2), Polynomial.of(element.linear_N_m_s_rad))
-    tables.drag.append((tables.index[link.name], [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, *turning]))
+    turning = element.quadratic_N_m_s2_rad2, element.linear_N_m_s_rad
+    tables.add("drag", link.name, [*[0.0] * 6, *turning])
 
 
 def _drag(element: Drag, link: Link, tables: Tables) -> None:
@@ -129,8 +130,8 @@ def _drag(element: Drag, link: Link, tables: Tables) -> None:
         stations = [Polynomial.of(low + 0.5 * (high - low) * (1.0 + float(z))) for z in nodes]
         shares = [0.5 * float(w) for w in weights]
     for station, share in zip(stations, shares, strict=True):
-        row: Row = [-station, Polynomial.of(element.offset_m), *(share * g for g in gains), 0.0, 0.0]
-        tables.drag.append((tables.index[link.name], row))
+        row = [-station, element.offset_m, *(share * g for g in gains), 0.0, 0.0]
+        tables.add("drag", link.name, row)
 
 
 def _foil(element: Foil, link: Link, tables: Tables) -> None:
@@ -139,17 +140,10 @@ def _foil(element: Foil, link: Link, tables: Tables) -> None:
     Lift and drag of a fin (dolphin, Eq 9) with the polar of a flat plate.
     """
     chord = math.radians(element.chord_deg)
-    row: Row = [
-        -Polynomial.of(element.at_m),
-        Polynomial.of(element.offset_m),
-        0.5 * tables.density_kg_m3 * Polynomial.of(element.area_m2),
-        Polynomial.of(element.lift_coefficient),
-        Polynomial.of(element.drag_coefficient_0),
-        Polynomial.of(element.drag_coefficient_1),
-        math.cos(chord),
-        math.sin(chord),
-    ]
-    tables.foil.append((tables.index[link.name], row))
+    polar = element.lift_coefficient, element.drag_coefficient_0, element.drag_coefficient_1
+    gain = 0.5 * tables.density_kg_m3 * Polynomial.of(element.area_m2)
+    at = _point(element.at_m, element.offset_m)
+    tables.add("foil", link.name, [*at, gain, *polar, math.cos(chord), math.sin(chord)])
 
 
 def _force(element: Force, link: Link, tables: Tables) -> None:
@@ -157,14 +151,8 @@ def _force(element: Force, link: Link, tables: Tables) -> None:
 
     A constant force at a point of a link.
     """
-    row: Row = [
-        -Polynomial.of(element.at_m),
-        Polynomial.of(element.offset_m),
-        Polynomial.of(element.forward_N),
-        Polynomial.of(element.port_N),
-        1.0 if element.frame == "world" else 0.0,
-    ]
-    tables.force.append((tables.index[link.name], row))
+    at, world = _point(element.at_m, element.offset_m), 1.0 if element.frame == "world" else 0.0
+    tables.add("force", link.name, [*at, element.forward_N, element.port_N, world])
 
 
 def _hydrostatics(element: Hydrostatics, link: Link, tables: Tables) -> None:
@@ -172,15 +160,14 @@ def _hydrostatics(element: Hydrostatics, link: Link, tables: Tables) -> None:
 
     Weight and buoyancy of a link in the vertical plane.
     """
-    index, gravity = tables.index[link.name], tables.gravity_m_s2
+    gravity = tables.gravity_m_s2
     weight = -gravity * Polynomial.of(link.mass_kg)
-    at = (-Polynomial.of(link.com_m), Polynomial.of(link.com_offset_m))
-    tables.force.append((index, [*at, 0.0, weight, 1.0]))
+    tables.add("force", link.name, [*_point(link.com_m, link.com_offset_m), 0.0, weight, 1.0])
     lift = gravity * tables.density_kg_m3 * Polynomial.of(element.volume_m3)
     if lift.terms:
         station = link.com_m if element.buoyancy_at_m is None else element.buoyancy_at_m
-        where = (-Polynomial.of(station), Polynomial.of(element.buoyancy_offset_m))
-        tables.force.append((index, [*where, 0.0, lift, 1.0]))
+        where = _point(station, element.buoyancy_offset_m)
+        tables.add("force", link.name, [*where, 0.0, lift, 1.0])
 
 
 def _slender_body(element: SlenderBody, link: Link, tables: Tables) -> None:
@@ -203,14 +190,9 @@ def _slender_body(element: SlenderBody, link: Link, tables: Tables) -> None:
         zero = Polynomial.of(0.0)
         tables.add_inertia(link.name, Polynomial.of(-float(station)), zero, forward, mass, zero)
         half = 0.5 * tables.density_kg_m3 * float(width)
-        row: Row = [
-            -float(station),
-            0.0,
-            half * girth * Polynomial.of(element.friction_coefficient),
-            half * height * Polynomial.of(element.drag_coefficient),
-            *[0.0] * 4,
-        ]
-        tables.drag.append((tables.index[link.name], row))
+        friction = half * girth * Polynomial.of(element.friction_coefficient)
+        drag = half * height * Polynomial.of(element.drag_coefficient)
+        tables.add("drag", link.name, [-float(station), 0.0, friction, drag, *[0.0] * 4])
 
 
 def _trailing_edge(element: TrailingEdge, link: Link, tables: Tables) -> None:
@@ -229,12 +211,8 @@ def _trailing_edge(element: TrailingEdge, link: Link, tables: Tables) -> None:
     the theory: the force across is then zero, and what is left resists the motion.
     """
     station = link.length_m if element.at_m is None else element.at_m
-    row: Row = [
-        -Polynomial.of(station),
-        Polynomial.of(element.offset_m),
-        0.5 * Polynomial.of(element.added_mass_kg_m),
-    ]
-    tables.wake.append((tables.index[link.name], row))
+    half = 0.5 * Polynomial.of(element.added_mass_kg_m)
+    tables.add("wake", link.name, [*_point(station, element.offset_m), half])
 
 
 #: Function that adds the rows of an element to the tables, by its kind.
@@ -287,9 +265,7 @@ class Assembly(Tree):
     def __init__(self, body: Multilink, fluid: Fluid) -> None:
         super().__init__(body)
         self._sizes = self._sized()
-        empty: list[Row] = [[0.0] * len(engine.INERTIA) for _ in self.links]
-        rows = Tables(fluid.density_kg_m3, fluid.gravity_m_s2, self.index, empty)
-        self.fill(rows, ADDERS, engine)
+        rows = self.fill(fluid, Tables, ADDERS, engine)
         self.world_forces = any(row[4] == 1.0 for _, row in rows.force)
 
     def _sized(self) -> tuple[list[str], NDArray[np.intp], NDArray[np.bool_], Table]:
@@ -358,7 +334,7 @@ class Assembly(Tree):
 
     def _add_rigid(self, link: Link, rows: Tables) -> None:
         mass = Polynomial.of(link.mass_kg)
-        x, y = -Polynomial.of(link.com_m), Polynomial.of(link.com_offset_m)
+        x, y = _point(link.com_m, link.com_offset_m)
         inertia = Polynomial.of(link.inertia_kg_m2)
         if link.inertia_about == "front":
             inertia = inertia - mass * (x * x + y * y)
@@ -369,7 +345,7 @@ class Assembly(Tree):
             return [0.0, 0.0, 1.0, 0.0]
         station = self.links[self.index[joint.parent]].length_m if joint.at_m is None else joint.at_m
         mount = math.radians(joint.mount_deg)
-        return [-Polynomial.of(station), Polynomial.of(joint.offset_m), math.cos(mount), math.sin(mount)]
+        return [*_point(station, joint.offset_m), math.cos(mount), math.sin(mount)]
 
 
 def _check_link(link: Link, own: Array, span: float) -> None:

@@ -33,10 +33,7 @@ from swimid.robots.spatial import (
 )
 from swimid.swimmer.planar import assembly as planar
 from swimid.swimmer.spatial import engine
-from swimid.swimmer.tree import Polynomial, Tree
-
-Quantity = Polynomial | float
-Row = list[Quantity]
+from swimid.swimmer.tree import Entry, Polynomial, Row, Tree
 
 
 @dataclass
@@ -51,17 +48,16 @@ class Tables(planar.Tables):
     def add_mass(
         self,
         link: str,
-        mass: Sequence[Sequence[Quantity]],
-        at: Sequence[Quantity],
-        turning: Sequence[Sequence[Quantity]] | None = None,
+        mass: Sequence[Sequence[Entry]],
+        at: Sequence[Entry],
+        turning: Sequence[Sequence[Entry]] | None = None,
     ) -> None:
         """Add a mass (which may differ by direction) at a place, and a moment of inertia about it."""
         self.add_to(link, block(mass, at, turning or diagonal((0.0, 0.0, 0.0))))
 
 
-def place(vector: Sequence[Any]) -> list[Polynomial]:
-    """A vector of a robot file as polynomials."""
-    return [Polynomial.of(v) for v in vector]
+def _polynomials(vector: Sequence[Entry]) -> list[Polynomial]:
+    return [Polynomial.of(entry) for entry in vector]
 
 
 #: Rows and columns of the entries a symmetric block is stored by.
@@ -69,10 +65,10 @@ UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 def block(
-    mass: Sequence[Sequence[Quantity]],
-    at: Sequence[Quantity],
-    turning: Sequence[Sequence[Quantity]],
-) -> list[Quantity]:
+    mass: Sequence[Sequence[Entry]],
+    at: Sequence[Entry],
+    turning: Sequence[Sequence[Entry]],
+) -> Row:
     """The stored entries (:data:`swimid.swimmer.spatial.engine.INERTIA`) of a mass at a place.
 
     A, ``B = -M S`` and ``D = J - S M S`` with ``S`` the lever's cross product: the velocity of the place (m)
@@ -80,7 +76,7 @@ def block(
     inertia about that place, kg m2.
     """
     m = np.array([[Polynomial.of(e) for e in row] for row in mass])
-    x, y, z = (Polynomial.of(a) for a in at)
+    x, y, z = _polynomials(at)
     none = Polynomial.of(0.0)
     lever = np.array([[none, -z, y], [z, none, -x], [-y, x, none]])
     ms = m @ lever
@@ -90,12 +86,12 @@ def block(
     return [*a, *(-ms).ravel(), *d]
 
 
-def diagonal(values: Sequence[Quantity]) -> list[list[Quantity]]:
+def diagonal(values: Sequence[Entry]) -> list[list[Entry]]:
     """A matrix of these values on its diagonal."""
     return [[values[r] if r == c else 0.0 for c in range(3)] for r in range(3)]
 
 
-def along(direction: Sequence[float], size: Quantity) -> list[list[Quantity]]:
+def along(direction: Sequence[float], size: Entry) -> list[list[Entry]]:
     """A mass that only motion along a unit direction feels."""
     unit = np.asarray(direction, dtype=float) / np.linalg.norm(direction)
     return [[Polynomial.of(size) * float(unit[r] * unit[c]) for c in range(3)] for r in range(3)]
@@ -113,12 +109,7 @@ def full(row: Array) -> Array:
 
 def _added_mass(element: AddedMass, body: Body, tables: Tables) -> None:
     """Added mass along the axes of a link, and added inertia about them. Add the masses at their place."""
-    tables.add_mass(
-        body.name,
-        diagonal(place(element.mass_kg)),
-        place(element.at_m),
-        diagonal(place(element.inertia_kg_m2)),
-    )
+    tables.add_mass(body.name, diagonal(element.mass_kg), element.at_m, diagonal(element.inertia_kg_m2))
 
 
 def spheroid_coefficients(semi_major: float, semi_minor: float) -> tuple[float, float, float]:
@@ -153,12 +144,12 @@ def _spheroid(element: Spheroid, body: Body, tables: Tables) -> None:
     a, b = element.semi_major_m, element.semi_minor_m
     displaced = 4.0 / 3.0 * math.pi * tables.density_kg_m3 * a * b * b
     k1, k2, turning = spheroid_coefficients(a, b)
-    masses = [f * (k * displaced) for f, k in zip(place(element.factors), (k1, k2, k2), strict=True)]
+    factors = _polynomials(element.factors)
+    masses = [f * (k * displaced) for f, k in zip(factors, (k1, k2, k2), strict=True)]
     inertia = turning * displaced * (a * a + b * b) / 5.0 if element.turning else 0.0
     # turning about z moves water sideways, about y up and down: the factors go with it
-    _, sideways, upwards = place(element.factors)
-    about = (0.0, upwards * inertia, sideways * inertia)
-    tables.add_mass(body.name, diagonal(masses), place(element.at_m), diagonal(about))
+    about = (0.0, factors[2] * inertia, factors[1] * inertia)
+    tables.add_mass(body.name, diagonal(masses), element.at_m, diagonal(about))
 
 
 def _plate(element: Plate, body: Body, tables: Tables) -> None:
@@ -167,7 +158,7 @@ def _plate(element: Plate, body: Body, tables: Tables) -> None:
     Add ``pi rho k b c^2 / 4`` across the plate, at its place.
     """
     mass = 0.25 * math.pi * tables.density_kg_m3 * element.span_m * element.chord_m**2
-    tables.add_mass(body.name, along(element.normal, Polynomial.of(element.k) * mass), place(element.at_m))
+    tables.add_mass(body.name, along(element.normal, Polynomial.of(element.k) * mass), element.at_m)
 
 
 def _drag(element: Drag, body: Body, tables: Tables) -> None:
@@ -176,22 +167,19 @@ def _drag(element: Drag, body: Body, tables: Tables) -> None:
     Drag along each axis of a link, at points (sea lion, Eq 2).
     """
     half = 0.5 * tables.density_kg_m3
-    quadratic = [
-        half * a * c for a, c in zip(place(element.area_m2), place(element.coefficient), strict=True)
-    ]
-    linear = place(element.linear_N_s_m)
-    near = place(element.at_m)
-    far = near if element.to_m is None else place(element.to_m)
+    areas, coefficients = _polynomials(element.area_m2), _polynomials(element.coefficient)
+    quadratic = [half * a * c for a, c in zip(areas, coefficients, strict=True)]
+    linear = _polynomials(element.linear_N_s_m)
+    near = _polynomials(element.at_m)
+    far = near if element.to_m is None else _polynomials(element.to_m)
     for point, weight in zip(*np.polynomial.legendre.leggauss(element.strips), strict=True):
         along, share = 0.5 * (1.0 + float(point)), 0.5 * float(weight)
         at = [
             a if element.to_m is None else (1.0 - along) * a + along * b
             for a, b in zip(near, far, strict=True)
         ]
-        row: Row = [
-            *at, *(share * q for q in quadratic), *(share * g for g in linear), element.half_height_m or 0.0
-        ]  # fmt: skip
-        tables.drag.append((tables.index[body.name], row))
+        gains = [share * gain for gain in (*quadratic, *linear)]
+        tables.add("drag", body.name, [*at, *gains, element.half_height_m or 0.0])
 
 
 def _damping(element: Damping, body: Body, tables: Tables) -> None:
@@ -199,8 +187,7 @@ def _damping(element: Damping, body: Body, tables: Tables) -> None:
 
     Moments against rotation.
     """
-    row: Row = [*place(element.quadratic_N_m_s2_rad2), *place(element.linear_N_m_s_rad)]
-    tables.damping.append((tables.index[body.name], row))
+    tables.add("damping", body.name, [*element.quadratic_N_m_s2_rad2, *element.linear_N_m_s_rad])
 
 
 def _foil(element: Foil, body: Body, tables: Tables) -> None:
@@ -211,17 +198,10 @@ def _foil(element: Foil, body: Body, tables: Tables) -> None:
     chord, normal = (
         [float(c) for c in np.asarray(d) / np.linalg.norm(d)] for d in (element.chord, element.normal)
     )
-    row: Row = [
-        *place(element.at_m),
-        0.5 * tables.density_kg_m3 * Polynomial.of(element.area_m2),
-        Polynomial.of(element.lift_coefficient),
-        Polynomial.of(element.drag_coefficient_0),
-        Polynomial.of(element.drag_coefficient_1),
-        *chord,
-        *normal,
-        element.half_height_m or 0.0,
-    ]
-    tables.foil.append((tables.index[body.name], row))
+    gain = 0.5 * tables.density_kg_m3 * Polynomial.of(element.area_m2)
+    polar = element.lift_coefficient, element.drag_coefficient_0, element.drag_coefficient_1
+    row = [*element.at_m, gain, *polar, *chord, *normal, element.half_height_m or 0.0]
+    tables.add("foil", body.name, row)
 
 
 def _hydrostatics(element: Hydrostatics, body: Body, tables: Tables) -> None:
@@ -229,13 +209,13 @@ def _hydrostatics(element: Hydrostatics, body: Body, tables: Tables) -> None:
 
     Weight and buoyancy of a link.
     """
-    index, gravity = tables.index[body.name], tables.gravity_m_s2
+    gravity = tables.gravity_m_s2
     weight = -gravity * Polynomial.of(body.mass_kg)
-    tables.force.append((index, [*place(body.com_m), 0.0, 0.0, weight, 1.0, 0.0]))
+    tables.add("force", body.name, [*body.com_m, 0.0, 0.0, weight, 1.0, 0.0])
     lift = gravity * tables.density_kg_m3 * Polynomial.of(element.volume_m3)
     if lift.terms:
-        at = place(body.com_m if element.buoyancy_at_m is None else element.buoyancy_at_m)
-        tables.force.append((index, [*at, 0.0, 0.0, lift, 1.0, element.half_height_m or 0.0]))
+        at = body.com_m if element.buoyancy_at_m is None else element.buoyancy_at_m
+        tables.add("force", body.name, [*at, 0.0, 0.0, lift, 1.0, element.half_height_m or 0.0])
 
 
 def _water(element: Water, body: Body, tables: Tables) -> None:
@@ -245,10 +225,10 @@ def _water(element: Water, body: Body, tables: Tables) -> None:
     """
     mass = tables.density_kg_m3 * Polynomial.of(element.volume_m3)
     about = [mass * float(k) ** 2 for k in element.gyration_m]
-    tables.add_mass(body.name, diagonal((mass, mass, mass)), place(element.at_m), diagonal(about))
+    tables.add_mass(body.name, diagonal((mass, mass, mass)), element.at_m, diagonal(about))
     if element.weighs:
-        row: Row = [*place(element.at_m), 0.0, 0.0, -tables.gravity_m_s2 * mass, 1.0, 0.0]
-        tables.force.append((tables.index[body.name], row))
+        weight = -tables.gravity_m_s2 * mass
+        tables.add("force", body.name, [*element.at_m, 0.0, 0.0, weight, 1.0, 0.0])
 
 
 def _force(element: Force, body: Body, tables: Tables) -> None:
@@ -257,8 +237,7 @@ def _force(element: Force, body: Body, tables: Tables) -> None:
     A constant force.
     """
     world = 1.0 if element.frame == "world" else 0.0
-    row: Row = [*place(element.at_m), *place(element.force_N), world, 0.0]
-    tables.force.append((tables.index[body.name], row))
+    tables.add("force", body.name, [*element.at_m, *element.force_N, world, 0.0])
 
 
 #: Function that adds the rows of an element to the tables, by its kind.
@@ -303,9 +282,7 @@ class Assembly(Tree):
         self.reference = np.array(body.reference.at_m)
         surface = NOWHERE if body.surface_z_m is None else body.surface_z_m
         self.constants = {"surface": surface, **self.constants}
-        empty: list[Row] = [[0.0] * len(engine.INERTIA) for _ in self.links]
-        rows = Tables(fluid.density_kg_m3, fluid.gravity_m_s2, self.index, empty)
-        self.fill(rows, ADDERS, engine)
+        rows = self.fill(fluid, Tables, ADDERS, engine)
         massless = [[all(not Polynomial.of(e).terms for e in row)] for row in rows.inertia]
         self.topology = np.ascontiguousarray(np.hstack([self.topology, massless]), dtype=np.int64)
 
@@ -342,15 +319,15 @@ class Assembly(Tree):
     def _add_rigid(self, link: Body, rows: Tables) -> None:
         mass = Polynomial.of(link.mass_kg)
         moments = [*link.inertia_kg_m2, *[0.0] * (6 - len(link.inertia_kg_m2))]
-        xx, yy, zz, xy, xz, yz = place(moments)
+        xx, yy, zz, xy, xz, yz = moments
         turning = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
-        rows.add_mass(link.name, diagonal((mass, mass, mass)), place(link.com_m), turning)
+        rows.add_mass(link.name, diagonal((mass, mass, mass)), link.com_m, turning)
 
     def _place(self, joint: Hinge | None) -> Row:
         if joint is None:
             return [0.0] * len(engine.JOINT)
         mount = Rotation.from_euler("xyz", joint.mount_deg, degrees=True)
-        return hinge_row(place(joint.at_m), np.array(joint.axis), mount)
+        return hinge_row(joint.at_m, np.array(joint.axis), mount)
 
 
 def _check_moments(row: Array, mass: float, where: str) -> None:
@@ -367,7 +344,7 @@ def _check_moments(row: Array, mass: float, where: str) -> None:
         )
 
 
-def hinge_row(at: Sequence[Polynomial | float], axis: Array, mount: Rotation) -> Row:
+def hinge_row(at: Sequence[Entry], axis: Array, mount: Rotation) -> Row:
     """A row of the engine's ``JOINT`` table.
 
     The place on the parent (m), the axis in the child's axes, of any length, and the turn from child to
