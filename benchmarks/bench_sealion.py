@@ -30,7 +30,7 @@ from swimid.fitting.drives import Cycle, SwimInput
 from swimid.fitting.hooks import NONE
 from swimid.fitting.model import Trial
 from swimid.robots import file as robot
-from swimid.swimmer.profiles import Profiles
+from swimid.swimmer.front import Profiles
 from swimid.swimmer.spatial import engine
 from swimid.swimmer.spatial.model import MultibodyModel
 

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from swimid.swimmer.lanes import source, symbols
+from swimid.swimmer.lanes import tracing
 from swimid.swimmer.lanes.kernel import Kernel
-from swimid.swimmer.lanes.symbols import Symbol
+from swimid.swimmer.lanes.tracing import Symbol
 
 
 def bits(number: float) -> int:
@@ -27,7 +27,7 @@ def double(number: int) -> float:
 
 
 ACTS = {
-    "two to": lambda x: 2.0 ** (x - symbols.ROUNDER),
+    "two to": lambda x: 2.0 ** (x - tracing.ROUNDER),
     "exponent": lambda x: math.frexp(x)[1] - 1.0,
     "mantissa": lambda x: 2.0 * math.frexp(x)[0],
     "+": operator.add,
@@ -67,7 +67,7 @@ def rate(kernel: Kernel, state: np.ndarray, row: np.ndarray, tables: dict[str, A
 def arithmetic(kernel: Kernel) -> tuple[int, int]:
     """How many instructions of a compiled kernel act on packed doubles, and on single ones; x86-64 only."""
     names: dict[str, Any] = {}
-    exec(source.text(kernel.traced()).replace("cache=True", "cache=False"), names)
+    exec(tracing.text(kernel.traced()).replace("cache=True", "cache=False"), names)
     names["integrate"].compile(names["SIGNATURE"])
     assembly = next(iter(names["integrate"].inspect_asm().values()))
     packed, single = (
@@ -79,8 +79,8 @@ def arithmetic(kernel: Kernel) -> tuple[int, int]:
 
 def uncompiled(kernel: Kernel) -> Any:
     """The generated module with a compiler that leaves it as it is."""
-    text = source.text(kernel.traced()).replace("import numba", "")
-    text = text.replace("from swimid.swimmer.lanes.bits import bits, double", "")
+    text = tracing.text(kernel.traced()).replace("import numba", "")
+    text = text.replace("from swimid.swimmer.lanes.tracing import bits, double", "")
     names: dict[str, Any] = {
         "numba": SimpleNamespace(njit=lambda **_: lambda function: function),
         "bits": bits,

@@ -22,7 +22,7 @@ TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 BLOCK = re.compile(r"^`([\w./]+)`:\n\n```(\w+)\n(.*?)^```$", re.M | re.S)
 #: What each worked list adds, its tests aside.
 TOUCHED = {
-    "Add an effect": ["swimid/effects/sensing/encoder_ripple.py"],
+    "Add an effect": ["swimid/effects/encoder_ripple.py"],
     "Add a model": ["swimid/rig/glide.py"],
     "Add a robot": ["swimid/robots/koi.yaml"],
     "Add a command": ["swimid/rig/fit_glide.py", "swimid/rig/options.py"],

@@ -12,10 +12,7 @@ from scipy.optimize import brentq
 
 from swimid.blackbox.difference import Orders
 from swimid.blackbox.model import ArxModel
-from swimid.effects.actuation import amplitude_loss, amplitude_offset, servo_backlash, servo_delay
-from swimid.effects.actuation import rate_limit as limit
-from swimid.effects.actuation import servo_lag as lag
-from swimid.effects.actuation import slip as slipping
+from swimid.effects import actuation
 from swimid.effects.affected import Affected
 from swimid.fitting import drives
 from swimid.fitting.drives import CruiseInput, SurgeInput, SwimInput
@@ -26,12 +23,12 @@ from swimid.robots import file as robot_format
 from swimid.swimmer.planar.model import MultilinkModel
 
 EFFECTS = [
-    lag.ServoLag(),
-    servo_delay.ServoDelay(),
-    servo_backlash.ServoBacklash(),
-    amplitude_loss.AmplitudeLoss(),
-    limit.RateLimit(),
-    amplitude_offset.AmplitudeOffset(),
+    actuation.ServoLag(),
+    actuation.ServoDelay(),
+    actuation.ServoBacklash(),
+    actuation.AmplitudeLoss(),
+    actuation.RateLimit(),
+    actuation.AmplitudeOffset(),
 ]
 TIME = np.arange(0.0, 8.0, 0.0025)
 OMEGA = 2 * np.pi * 1.5
@@ -93,7 +90,7 @@ class TestOperators:
     @pytest.mark.parametrize("tau", [0.004, 0.05, 0.3])
     def test_lag_of_a_sine(self, tau):
         """1 / (1 + i w tau) once the start has died away."""
-        found = lag.lagged(TIME, np.sin(OMEGA * TIME), tau)
+        found = actuation.lagged(TIME, np.sin(OMEGA * TIME), tau)
         answer = np.exp(1j * OMEGA * TIME) / (1 + 1j * OMEGA * tau)
         late = 20 * tau < TIME
         np.testing.assert_allclose(found[late], answer.imag[late], atol=1e-4)
@@ -102,10 +99,10 @@ class TestOperators:
         time = np.sort(rng.uniform(0, 5, 60))
         since = time - time[0]
         expected = 2.0 * (since - 0.4 * -np.expm1(-since / 0.4)) + 1.0
-        np.testing.assert_allclose(lag.lagged(time, 1.0 + 2.0 * since, 0.4), expected, atol=1e-12)
+        np.testing.assert_allclose(actuation.lagged(time, 1.0 + 2.0 * since, 0.4), expected, atol=1e-12)
 
     def test_delay(self):
-        found = servo_delay.delayed(TIME, np.sin(OMEGA * TIME), 0.0333)
+        found = actuation.delayed(TIME, np.sin(OMEGA * TIME), 0.0333)
         expected = np.where(TIME < 0.0333, 0.0, np.sin(OMEGA * (TIME - 0.0333)))
         inside = np.abs(TIME - 0.0333) > 0.01
         np.testing.assert_allclose(found[inside], expected[inside], atol=3e-5)
@@ -114,7 +111,7 @@ class TestOperators:
         """Past the first crossing: flat while the servo crosses the play, else half of it behind."""
         width, size = 0.08, 0.3
         signal = size * np.sin(OMEGA * TIME)
-        found = servo_backlash.play(signal, width)
+        found = actuation.play(signal, width)
         assert found[0] == 0
         assert np.all(np.abs(found - signal) <= 0.5 * width + 1e-15)
         steady = TIME > 1 / 1.5
@@ -128,30 +125,30 @@ class TestOperators:
 
     def test_far_limited_sine_is_a_triangle(self):
         rate = 0.3 * OMEGA
-        found = limit.limited(TIME, np.sin(OMEGA * TIME), rate)[TIME > 6]
+        found = actuation.limited(TIME, np.sin(OMEGA * TIME), rate)[TIME > 6]
         assert np.abs(np.diff(found)).max() <= rate * 0.0025 * (1 + 1e-9)
         assert 0.5 * np.ptp(found) == pytest.approx(rate / (4 * 1.5), rel=5e-3)
 
     def test_a_limit_above_every_rate_does_nothing(self):
         signal = np.sin(OMEGA * TIME)
-        np.testing.assert_array_equal(limit.limited(TIME, signal, OMEGA), signal)
+        np.testing.assert_array_equal(actuation.limited(TIME, signal, OMEGA), signal)
 
     @pytest.mark.parametrize("ratio", [0.2, 0.5, 0.55, 0.7, 0.85, 0.97])
     def test_describing_function_is_the_fundamental(self, ratio):
         time = np.arange(80_000) / 10_000
-        found = limit.limited(time, np.sin(2 * np.pi * time), 2 * np.pi * ratio)[40_000:]
+        found = actuation.limited(time, np.sin(2 * np.pi * time), 2 * np.pi * ratio)[40_000:]
         fundamental = 2 * abs(np.mean(found * np.exp(-2j * np.pi * time[40_000:])))
-        assert float(limit.describing(ratio)) == pytest.approx(fundamental, abs=5e-4)
+        assert float(actuation.describing(ratio)) == pytest.approx(fundamental, abs=5e-4)
 
     def test_describing_function_begins_smoothly(self):
         ratio = np.linspace(0.5, 1.0, 2001)
-        gain = limit.describing(ratio)
+        gain = actuation.describing(ratio)
         assert np.all(np.diff(gain) > 0)
         assert np.abs(np.diff(gain)).max() < 2 * 4 / np.pi * (ratio[1] - ratio[0])
 
 
 class TestNull:
-    @pytest.mark.parametrize("effect", [*EFFECTS, slipping.Slip()], ids=repr)
+    @pytest.mark.parametrize("effect", [*EFFECTS, actuation.Slip()], ids=repr)
     @pytest.mark.parametrize("kind", ["recoil", "surge", "black box", "fish"])
     def test_vanishes_at_its_start_and_nowhere_else(self, effect, kind, fish):
         model, trial = {"recoil": recoil, "surge": surge, "black box": black_box, "fish": lambda: fish}[
@@ -211,8 +208,8 @@ class TestFish:
 
     def test_slip_of_every_joint_begins_at_its_moment(self, fish):
         time = fish[1].time_s
-        told, found = self.told(fish, time), self.angles(fish, slipping.Slip(), [0.3, 1.6])
-        ramp = slipping.RAMP / 1.5
+        told, found = self.told(fish, time), self.angles(fish, actuation.Slip(), [0.3, 1.6])
+        ramp = actuation.RAMP / 1.5
         before, after = time < 1.6 - 0.5 * ramp - 0.03, time > 1.6 + 0.5 * ramp + 0.03
         np.testing.assert_allclose(found[:, before], told[:, before], atol=1e-9)
         np.testing.assert_allclose(found[:, after], 0.7 * told[:, after], atol=2e-4)
@@ -220,7 +217,7 @@ class TestFish:
     def test_the_moment_of_a_slip_has_a_derivative(self, fish):
         """The change to first order is half that to both sides, also from a quarter of the trial away."""
         at = [
-            self.angles(fish, slipping.Slip(), [0.3, 1.6 + step]) for step in (-2e-3, -1e-3, 0.0, 1e-3, 2e-3)
+            self.angles(fish, actuation.Slip(), [0.3, 1.6 + step]) for step in (-2e-3, -1e-3, 0.0, 1e-3, 2e-3)
         ]
         one, two = (at[3] - at[1]) / 2e-3, (at[4] - at[0]) / 4e-3
         assert np.abs(one).max() > 0.05

@@ -9,13 +9,21 @@ import numpy as np
 import pytest
 
 from swimid.effects.base import Effect
-from swimid.effects.environment.buoyancy import Buoyancy, rise
-from swimid.effects.environment.current import Current
-from swimid.effects.environment.surface_breach import SurfaceBreach, sink
-from swimid.effects.environment.tether import Tether, pull_back
-from swimid.effects.environment.wall import Wall, push_off
-from swimid.effects.environment.waves import Waves, _Travelling, lines
-from swimid.effects.rig.initial_speed import InitialSpeed
+from swimid.effects.environment import (
+    Buoyancy,
+    Current,
+    SurfaceBreach,
+    Tether,
+    Wall,
+    Waves,
+    _Travelling,
+    lines,
+    pull_back,
+    push_off,
+    rise,
+    sink,
+)
+from swimid.effects.rig import InitialSpeed
 from swimid.fitting.drives import Beat, CruiseInput, RigInput, SwimInput
 from swimid.fitting.model import Trial
 from swimid.propulsion.model import RecoilModel

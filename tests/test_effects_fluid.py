@@ -9,14 +9,9 @@ import numpy as np
 import pytest
 
 from swimid.effects.base import Effect
-from swimid.effects.environment.tether import Tether
-from swimid.effects.fluid.added_mass import AddedMass
-from swimid.effects.fluid.drag_reynolds import DragReynolds
-from swimid.effects.fluid.lift_damping import LiftDamping
-from swimid.effects.fluid.linear_drag import LinearDrag
-from swimid.effects.fluid.quadratic_drag import QuadraticDrag
-from swimid.effects.fluid.wake_lift import WakeLift
-from swimid.effects.rig.initial_speed import InitialSpeed
+from swimid.effects.environment import Tether
+from swimid.effects.fluid import AddedMass, DragReynolds, LiftDamping, LinearDrag, QuadraticDrag, WakeLift
+from swimid.effects.rig import InitialSpeed
 from swimid.fitting.drives import CruiseInput, RigInput, SurgeInput
 from swimid.fitting.model import Trial
 from swimid.propulsion.model import RecoilModel, SurgeModel

@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 from swimid.effects.base import Effect
-from swimid.effects.rig.initial_speed import InitialSpeed
-from swimid.effects.rig.pulley_friction import PulleyFriction
-from swimid.effects.rig.pulley_inertia import PulleyInertia
-from swimid.effects.rig.pulley_viscous import PulleyViscous
-from swimid.effects.rig.start_offset import StartOffset
-from swimid.effects.rig.string_stretch import StringStretch, oscillation
+from swimid.effects.rig import (
+    InitialSpeed,
+    PulleyFriction,
+    PulleyInertia,
+    PulleyViscous,
+    StartOffset,
+    StringStretch,
+    oscillation,
+)
 from swimid.fitting.drives import RigInput
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Trial

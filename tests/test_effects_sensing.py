@@ -11,17 +11,8 @@ from scipy.optimize import fsolve
 
 from swimid.blackbox.difference import Orders
 from swimid.blackbox.model import ArxModel
+from swimid.effects import sensing
 from swimid.effects.affected import Affected
-from swimid.effects.sensing import (
-    camera_rotation,
-    camera_scale,
-    clock_rate,
-    imu_bias,
-    imu_tilt,
-    marker_dropout,
-    marker_offset,
-    time_offset,
-)
 from swimid.fitting import drives
 from swimid.fitting.drives import CruiseInput, RigInput, SurgeInput, SwimInput
 from swimid.fitting.model import Trial
@@ -31,10 +22,10 @@ from swimid.robots import file as robot_format
 from swimid.swimmer.planar.model import MultilinkModel
 from tests import effect_cases
 
-SCALE, TURN, LATE = camera_scale.CameraScale(), camera_rotation.CameraRotation(), time_offset.TimeOffset()
-LOST, OFF = marker_dropout.MarkerDropout(), marker_offset.MarkerOffset()
-TILT, BIAS = imu_tilt.ImuTilt(), imu_bias.ImuBias()
-RATE = clock_rate.ClockRate()
+SCALE, TURN, LATE = sensing.CameraScale(), sensing.CameraRotation(), sensing.TimeOffset()
+LOST, OFF = sensing.MarkerDropout(), sensing.MarkerOffset()
+TILT, BIAS = sensing.ImuTilt(), sensing.ImuBias()
+RATE = sensing.ClockRate()
 EFFECTS = [SCALE, TURN, LATE, RATE, LOST, OFF, TILT, BIAS]
 POSE = (0.3, -0.2, 0.5)
 
@@ -287,7 +278,7 @@ def test_the_cameras_clock_alone() -> None:
     """Poses late, the gyroscope not; before the first sample the robot rests."""
     model = effect_cases.swimmer("tfish")
     trial = effect_cases.swim(model)
-    variants = time_offset.TimeOffset().variants(model, [trial])
+    variants = sensing.TimeOffset().variants(model, [trial])
     assert [v.camera for v in variants] == [False, True]  # type: ignore[attr-defined]
     seen = effect_cases.acted(model, trial, [(variants[1], 0.1)])
     plain, late = (

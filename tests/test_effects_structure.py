@@ -11,17 +11,20 @@ import pytest
 from scipy.integrate import quad
 
 from swimid.effects.base import Effect
-from swimid.effects.environment.current import Current
-from swimid.effects.rig.initial_speed import InitialSpeed
-from swimid.effects.structure.com_offset import ComOffset
-from swimid.effects.structure.fin_flexibility import FinFlexibility, bent_fin
-from swimid.effects.structure.hardening import Hardening
-from swimid.effects.structure.joint_damping import JointDamping
-from swimid.effects.structure.joint_locked import JointLocked
-from swimid.effects.structure.joint_stiffness import JointStiffness
-from swimid.effects.structure.load_friction import LoadFriction
-from swimid.effects.structure.stribeck import Stribeck
-from swimid.effects.structure.water_ingress import WaterIngress
+from swimid.effects.environment import Current
+from swimid.effects.rig import InitialSpeed
+from swimid.effects.structure import (
+    ComOffset,
+    FinFlexibility,
+    Hardening,
+    JointDamping,
+    JointLocked,
+    JointStiffness,
+    LoadFriction,
+    Stribeck,
+    WaterIngress,
+    bent_fin,
+)
 from swimid.fitting.drives import CruiseInput, RigInput
 from swimid.fitting.hooks import Stroke
 from swimid.fitting.model import Trial

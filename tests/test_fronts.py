@@ -17,8 +17,8 @@ from swimid.fitting import genetic
 from swimid.results import evidence
 from swimid.results import parameters as parameters_format
 from swimid.swimmer import front as front_format
-from swimid.swimmer import profiles as warping
-from swimid.swimmer.profiles import Profiles
+from swimid.swimmer import front as warping
+from swimid.swimmer.front import Profiles
 from tests.conftest import SAMPLES, Ran
 from tests.generators import swimmer
 

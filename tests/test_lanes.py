@@ -26,7 +26,7 @@ from swimid.robots.file import Fluid
 from swimid.robots.planar import Multilink
 from swimid.robots.spatial import Multibody
 from swimid.swimmer.lanes import kernel as kernels
-from swimid.swimmer.lanes import symbols
+from swimid.swimmer.lanes import tracing
 from swimid.swimmer.lanes.kernel import Kernel
 from swimid.swimmer.model import Swimmer
 from swimid.swimmer.planar import engine as planar_engine
@@ -364,8 +364,8 @@ def test_threads_share_whole_batches(fish: MultilinkModel) -> None:
 
 def test_sine_and_cosine_of_symbols() -> None:
     """To the last digit or one beside it, up to a thousand turns."""
-    tracer = symbols.Tracer()
-    results = symbols._sine_and_cosine(tracer.symbol("state", 0))
+    tracer = tracing.Tracer()
+    results = tracing._sine_and_cosine(tracer.symbol("state", 0))
     rng = np.random.default_rng(1)
     for angle in [
         0.0,
@@ -377,7 +377,7 @@ def test_sine_and_cosine_of_symbols() -> None:
     ]:
         known: dict[int, float] = {}
         for x in tracer.operations:
-            of = [known[a.number] if isinstance(a, symbols.Symbol) else a for a in x.of]
+            of = [known[a.number] if isinstance(a, tracing.Symbol) else a for a in x.of]
             known[x.number] = float(angle) if x.kind == "state" else lanes_forms.ACTS[x.kind](*of)
         sine, cosine = (known[r.number] for r in results)
         assert sine == pytest.approx(math.sin(angle), abs=3e-16)
@@ -385,7 +385,7 @@ def test_sine_and_cosine_of_symbols() -> None:
 
 
 def test_a_question_of_a_value_cannot_be_traced() -> None:
-    state = symbols.Tracer().symbol("state", 0)
+    state = tracing.Tracer().symbol("state", 0)
     with pytest.raises(TypeError, match="positive"):
         _ = 1.0 if state > 0.0 else 2.0
     with pytest.raises(TypeError, match="positive"):

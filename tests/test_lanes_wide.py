@@ -23,7 +23,7 @@ from swimid.fitting.drives import SwimInput
 from swimid.fitting.hooks import TRACEABLE
 from swimid.fitting.model import Trial
 from swimid.robots import file as robot_format
-from swimid.swimmer.lanes import source, symbols
+from swimid.swimmer.lanes import tracing
 from swimid.swimmer.lanes.kernel import Kernel
 from swimid.swimmer.planar.model import MultilinkModel
 from tests import lanes_forms
@@ -192,7 +192,7 @@ def test_forces_in_a_vertical_plane_as_plain_python() -> None:
 
 def test_effects_change_no_text_of_the_lanes_without() -> None:
     """Neither bits nor time cost a run that asks for none."""
-    text = source.text(opened("tfish").kernel.traced())
+    text = tracing.text(opened("tfish").kernel.traced())
     assert "bits" not in text
     assert "0.5 * n *" not in text
 
@@ -200,19 +200,19 @@ def test_effects_change_no_text_of_the_lanes_without() -> None:
 @pytest.mark.parametrize(
     ("function", "exact", "numbers"),
     [
-        (symbols.MATH.exp, math.exp, np.linspace(-700.0, 700.0, 1001)),
-        (symbols.MATH.exp, math.exp, np.linspace(-1.0, 1.0, 1001)),
-        (symbols.MATH.log, math.log, np.geomspace(1e-300, 1e300, 1001)),
-        (symbols.MATH.log, math.log, np.linspace(0.4, 2.5, 1001)),
+        (tracing.MATH.exp, math.exp, np.linspace(-700.0, 700.0, 1001)),
+        (tracing.MATH.exp, math.exp, np.linspace(-1.0, 1.0, 1001)),
+        (tracing.MATH.log, math.log, np.geomspace(1e-300, 1e300, 1001)),
+        (tracing.MATH.log, math.log, np.linspace(0.4, 2.5, 1001)),
     ],
 )
 def test_exponential_and_logarithm(function: Any, exact: Any, numbers: np.ndarray) -> None:
-    tracer = symbols.Tracer()
+    tracer = tracing.Tracer()
     result = function(tracer.symbol("state", 0))
     for number in numbers:
         known: dict[int, float] = {}
         for x in tracer.operations:
-            of = [known[a.number] if isinstance(a, symbols.Symbol) else a for a in x.of]
+            of = [known[a.number] if isinstance(a, tracing.Symbol) else a for a in x.of]
             known[x.number] = float(number) if x.kind == "state" else lanes_forms.ACTS[x.kind](*of)
         assert known[result.number] == pytest.approx(
             exact(number), rel=4e-16, abs=3e-16 * (exact is math.log)
@@ -222,20 +222,20 @@ def test_exponential_and_logarithm(function: Any, exact: Any, numbers: np.ndarra
 def test_every_traceable_force_can_be_traced() -> None:
     """Those of all modules, with constants of which nothing is known."""
     for known in TRACEABLE.values():
-        tracer = symbols.Tracer()
+        tracer = tracing.Tracer()
         time = tracer.symbol("elapsed", 0)
         own, velocity = (
-            symbols.array(tracer, "number", (known.constants,)),
-            symbols.array(tracer, "state", (3,)),
+            tracing.array(tracer, "number", (known.constants,)),
+            tracing.array(tracer, "state", (3,)),
         )
-        pose = np.array([*velocity[:2], symbols.Angle(velocity[0], velocity[1])], dtype=object)
+        pose = np.array([*velocity[:2], tracing.Angle(velocity[0], velocity[1])], dtype=object)
         wrench = np.zeros(3, dtype=object)
-        symbols.on_symbols(known.function)(time, pose, velocity, own, wrench)
-        assert any(isinstance(part, symbols.Symbol) for part in wrench)
+        tracing.on_symbols(known.function)(time, pose, velocity, own, wrench)
+        assert any(isinstance(part, tracing.Symbol) for part in wrench)
 
 
 def test_a_number_of_a_run_answers_no_question() -> None:
-    number = symbols.Tracer().symbol("number", 0)
+    number = tracing.Tracer().symbol("number", 0)
     for ask in (lambda: number > 0.0, lambda: number == 0.0, lambda: number != 0.0, lambda: number < 0.0):
         with pytest.raises(TypeError):
             ask()

@@ -20,8 +20,7 @@ from swimid.swimmer.planar import drive
 from swimid.swimmer.planar import engine as planar_engine
 from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.spatial import engine
-from swimid.swimmer.spatial.assembly import Assembly, Lifted
-from swimid.swimmer.spatial.elements import full, spheroid_coefficients
+from swimid.swimmer.spatial.assembly import Assembly, Lifted, full, spheroid_coefficients
 from swimid.swimmer.spatial.model import MultibodyModel
 from tests import lanes_forms
 

@@ -48,7 +48,7 @@ from swimid.diagnosis.refutation import Misfit, compared
 from swimid.diagnosis.search import State
 from swimid.diagnosis.shrinkage import Piece
 from swimid.effects.base import STAGES
-from swimid.effects.sensing.marker_dropout import MarkerDropout
+from swimid.effects.sensing import MarkerDropout
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting.model import Array, Parameter, Trial
 from swimid.fitting.sandwich import sandwich

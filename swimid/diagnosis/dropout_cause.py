@@ -12,7 +12,7 @@ from swimid.diagnosis import shrinkage
 from swimid.diagnosis.floor import by_channel, rms
 from swimid.diagnosis.gap_file import Cause, Shrinkage, Value
 from swimid.diagnosis.search import State
-from swimid.effects.sensing.marker_dropout import MarkerDropout
+from swimid.effects.sensing import MarkerDropout
 from swimid.fitting.model import Trial
 
 #: Failed samples count as a cause from this many on, and from this squared misfit.

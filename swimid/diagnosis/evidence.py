@@ -375,7 +375,7 @@ def _residuals(worst: Sequence[Piece], caused: bool) -> list[ev.Figure]:
     for p in [p for p in worst if len(p.time_s) > 2][:MAX_PANELS]:
         name, unit = numbers.split_unit(p.channel)
         factor, unit = numbers.in_degrees(unit)
-        traces = []
+        traces: list[ev.Trace] = []
         for label, simulated in {"without the causes": p.before, "with the causes": p.after}.items():
             x, y = ev.thinned(p.time_s, factor * (p.measured - simulated), MAX_POINTS)
             traces.append(ev.Trace(x=x, y=y, label=label, group=len(traces)))

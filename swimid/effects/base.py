@@ -38,7 +38,7 @@ class Effect(ABC):
     name : str
         In the gap file, with hyphens.
     stage : str
-        Where in the chain it acts; of an effect that lies in the folder of a stage, that.
+        Where in the chain it acts; of an effect in the module of a stage, that.
     meaning : str
         One sentence for the report.
     sources : tuple of str
@@ -69,9 +69,9 @@ class Effect(ABC):
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
-        *package, folder, _ = f"..{cls.__module__}".split(".")
-        if package[-2:] == ["swimid", "effects"] and folder in STAGES:
-            cls.stage = folder
+        package, _, module = cls.__module__.rpartition(".")
+        if package == "swimid.effects" and module in STAGES:
+            cls.stage = module
 
     @abstractmethod
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:

@@ -1,4 +1,4 @@
-"""The effects there are: those of the stage folders, and those of a user's own file."""
+"""The effects there are: those of the modules of this package, and those of a user's own file."""
 
 from __future__ import annotations
 
@@ -37,15 +37,13 @@ def catalogue() -> list[Effect]:
 @functools.cache
 def _catalogue() -> tuple[Effect, ...]:
     effects: dict[str, Effect] = {}
-    for stage in STAGES:
-        package = importlib.import_module(f"swimid.effects.{stage}")
-        for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
-            for kind in _kinds(importlib.import_module(module.name)):
-                if inspect.isabstract(kind):
-                    continue
-                if kind.name in effects:
-                    raise ValueError(f"two effects are called '{kind.name}'")
-                effects[kind.name] = kind()
+    for module in pkgutil.iter_modules([str(Path(__file__).parent)], "swimid.effects."):
+        for kind in _kinds(importlib.import_module(module.name)):
+            if inspect.isabstract(kind):
+                continue
+            if kind.name in effects:
+                raise ValueError(f"two effects are called '{kind.name}'")
+            effects[kind.name] = kind()
     return tuple(sorted(effects.values(), key=lambda e: (STAGES.index(e.stage), e.name)))
 
 

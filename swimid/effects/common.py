@@ -17,7 +17,7 @@ from swimid.fitting.hooks import Command, Force, Stroke
 from swimid.fitting.model import MEAN_SPEED, POSITIONS
 
 if TYPE_CHECKING:
-    from swimid.swimmer.planar.body import Body
+    from swimid.swimmer.planar.model import Body
 
 #: Where no command says how large: an angle a servo turns, rad.
 USUAL_ANGLE = 0.3

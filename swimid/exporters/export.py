@@ -8,9 +8,8 @@ from pathlib import Path
 import swimid
 from swimid.errors import InputError, UsageError
 from swimid.exporters import gazebo, mjcf, plain
-from swimid.exporters.common import Exported
 from swimid.exporters.options import ExportOptions
-from swimid.exporters.source import Source
+from swimid.exporters.source import Exported, Source
 from swimid.files import atomic
 from swimid.files.provenance import digest_of
 from swimid.notices import warn

@@ -18,10 +18,21 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.exporters import common
-from swimid.exporters.common import Exported
 from swimid.exporters.options import ExportOptions
-from swimid.exporters.source import Element, Link, Source, about, central, surge
+from swimid.exporters.source import (
+    NO_ERRORS,
+    Element,
+    Exported,
+    Link,
+    Source,
+    about,
+    added_mass_limits,
+    bodies,
+    central,
+    document,
+    joint_limits,
+    surge,
+)
 from swimid.fitting.model import Array
 from swimid.swimmer.planar import engine
 
@@ -34,15 +45,15 @@ DART_ONLY = "fluid_added_mass acts with the DART engine only (Gazebo's default);
 
 def export(source: Source, options: ExportOptions) -> Exported:
     """SDF of a multi-link robot, or of one rigid body; see :class:`swimid.exporters.export.Target`."""
-    inertias = common.bodies(source, fold=options.added_mass == "fold") if source.multilink else []
+    inertias = bodies(source, fold=options.added_mass == "fold") if source.multilink else []
     heading = source.heading_rad if source.multilink else None
     if source.multilink:
         links = _tree(source, options, inertias)
         limits = _limits(source, options)
     else:
         links, limits = _rigid(source, options)
-    limits.append(common.NO_ERRORS)
-    text = common.document(
+    limits.append(NO_ERRORS)
+    text = document(
         "gazebo.sdf",
         source,
         limits,
@@ -144,7 +155,7 @@ def _joint(source: Source, link: Link, inertias: list[Array]) -> dict[str, Any]:
 
 
 def _limits(source: Source, options: ExportOptions) -> list[str]:
-    limits = common.added_mass_limits(source, options.added_mass)
+    limits = added_mass_limits(source, options.added_mass)
     wet = [link for link in source.links if np.any(link.added)]
     if wet and options.added_mass == "native":
         limits.append(DART_ONLY)
@@ -168,7 +179,7 @@ def _limits(source: Source, options: ExportOptions) -> list[str]:
     out = "roll, yaw and sway" if source.vertical else "roll, pitch and heave"
     return [
         *limits,
-        *common.joint_limits(source, options.servo_hz),
+        *joint_limits(source, options.servo_hz),
         f"{out} were not identified: no drag and no added mass there, the moments of inertia are assumed",
     ]
 

@@ -13,10 +13,20 @@ from typing import Any
 
 import numpy as np
 
-from swimid.exporters import common
-from swimid.exporters.common import Exported
 from swimid.exporters.options import ExportOptions
-from swimid.exporters.source import Element, Law, Link, Source, central
+from swimid.exporters.source import (
+    NO_ERRORS,
+    Element,
+    Exported,
+    Law,
+    Link,
+    Source,
+    added_mass_limits,
+    bodies,
+    central,
+    document,
+    joint_limits,
+)
 from swimid.swimmer.planar import engine
 
 #: Numbers a site holds: its kind, then the row of its table without the point.
@@ -28,8 +38,8 @@ PREFIX = "water:"
 def export(source: Source, options: ExportOptions) -> Exported:
     """MJCF of a multi-link robot; see :class:`swimid.exporters.export.Target`."""
     limits = _limits(source, options)
-    inertias = common.bodies(source, fold=options.added_mass == "fold")
-    text = common.document(
+    inertias = bodies(source, fold=options.added_mass == "fold")
+    text = document(
         "mjcf.xml",
         source,
         limits,
@@ -77,7 +87,7 @@ def _wire(link: Link, i: int, law: Law) -> dict[str, Any]:
 
 
 def _limits(source: Source, options: ExportOptions) -> list[str]:
-    limits = common.added_mass_limits(source, options.added_mass)
+    limits = added_mass_limits(source, options.added_mass)
     wet = [link.name for link in source.links if np.any(link.added)]
     if options.added_mass == "native" and wet:
         limits.append(
@@ -97,7 +107,7 @@ def _limits(source: Source, options: ExportOptions) -> list[str]:
             f"{what}: MuJoCo's fluid models have no such law; the numbers stand at sites and act once "
             "swimid.exporters.mjcf.water is installed as passive callback"
         )
-    return [*limits, *common.joint_limits(source, options.servo_hz), common.NO_ERRORS]
+    return [*limits, *joint_limits(source, options.servo_hz), NO_ERRORS]
 
 
 def water(model: Any) -> Callable[[Any, Any], None]:

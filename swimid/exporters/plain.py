@@ -5,9 +5,8 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from swimid.exporters.common import Exported
 from swimid.exporters.options import ExportOptions
-from swimid.exporters.source import Link, Source, central, surge
+from swimid.exporters.source import Exported, Link, Source, central, surge
 from swimid.fitting.model import Array
 
 FORMAT = "swimid-export/1"

@@ -250,7 +250,7 @@ class Model(ABC):
 
     @property
     def body(self) -> Any:
-        """The links of a planar robot (:class:`swimid.swimmer.planar.body.Body`); None elsewhere."""
+        """The links of a planar robot (:class:`swimid.swimmer.planar.model.Body`); None elsewhere."""
         return None
 
     @property

@@ -148,7 +148,7 @@ def measured_and_simulated(
     There is a panel for the fitted trial with the largest root-mean-square weighted residual, one for the one
     with the smallest, and one for the worst held-out trial. ``factor`` converts values to the unit drawn.
     """
-    drawn = []
+    drawn: list[Panel] = []
     for name, s in _extremes(shown).items():
         stride = max(len(s.time_s) // MAX_MARKS, 1)
         known = np.flatnonzero(np.isfinite(s.measured))[::stride]

@@ -38,7 +38,7 @@ from swimid.sensitivity_analysis.options import SensitivityOptions
 from swimid.simulation import catalogue, compare_series
 from swimid.simulation.catalogue import Applied, Quantity, is_possible
 from swimid.simulation.swim_quantities import Steady
-from swimid.swimmer import stroke_cycles
+from swimid.swimmer import run_quantities
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.model import Swimmer
 
@@ -119,7 +119,7 @@ class Run:
 def _looked_at(model: Swimmer, steady: Steady) -> dict[str, str]:
     """The quantities of a swim that are outputs, with their units."""
     if model.in_space:
-        return dict(stroke_cycles.QUANTITIES)
+        return dict(run_quantities.QUANTITIES)
     found = {f"amplitude_{axis.name}_rad": "rad" for axis in model.passive}
     if model.free_base:
         turn = model.pose[2].removesuffix("_rad")

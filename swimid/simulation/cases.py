@@ -33,7 +33,7 @@ from swimid.simulation import catalogue
 from swimid.simulation.catalogue import Applied, Quantity
 from swimid.simulation.options import SimulateOptions
 from swimid.simulation.swim_quantities import Steady
-from swimid.swimmer import stroke_cycles
+from swimid.swimmer import run_quantities
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.model import Swimmer
 from swimid.swimmer.planar import drive
@@ -356,14 +356,14 @@ def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Quantities 
     if frequency is None:
         return None
     if model.body is None:
-        windows = stroke_cycles.windows(trial.time_s, frequency)
+        windows = run_quantities.windows(trial.time_s, frequency)
 
         def by_stroke(values: Array) -> dict[str, Quantity]:
             columns = model.attempt(values, trial)
             return {
-                f"cycle_{k}_{name}": Quantity(value, stroke_cycles.QUANTITIES[name])
+                f"cycle_{k}_{name}": Quantity(value, run_quantities.QUANTITIES[name])
                 for k, window in enumerate(windows, 1)
-                for name, value in stroke_cycles.quantities(trial.time_s, columns, window).items()
+                for name, value in run_quantities.quantities(trial.time_s, columns, window).items()
             }
 
         return by_stroke if windows else None

@@ -33,7 +33,7 @@ from swimid.simulation.compare_series import (
 )
 from swimid.simulation.compare_strokes import SIDES, Mean, Profile
 from swimid.simulation.options import CompareOptions
-from swimid.swimmer.stroke_cycles import QUANTITIES
+from swimid.swimmer.run_quantities import QUANTITIES
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -21,7 +21,7 @@ from swimid.logs.derivative import slope
 from swimid.notices import warn
 from swimid.simulation import cases, swim_quantities
 from swimid.simulation.catalogue import Applied
-from swimid.swimmer.planar.body import Body
+from swimid.swimmer.planar.model import Body
 
 
 class ChannelScore(yamlio.Document):

@@ -13,7 +13,7 @@ from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array, Channel
 from swimid.logs.derivative import slope
 from swimid.simulation.compare_series import Compared, CycleComparison, ProfileComparison
-from swimid.swimmer import stroke_cycles
+from swimid.swimmer import run_quantities
 
 #: Half width of the window speeds are derived in, as a share of a stroke, and s where there is none.
 WINDOW_STROKE, WINDOW_S = 0.1, 0.15
@@ -115,7 +115,7 @@ def _with_speeds(columns: Mapping[str, Array], done: Compared) -> dict[str, Arra
         extended["pitch_rate_rad_s"] = slope(time, columns["pitch_rad"], half)
     if "x_m" in columns and "z_m" in columns:
         own = {"u_m_s", "w_m_s", "pitch_rad"} <= columns.keys()
-        moving = stroke_cycles.velocity(time, columns) if own else None
+        moving = run_quantities.velocity(time, columns) if own else None
         if moving is None:
             moving = np.array([slope(time, columns[name], half) for name in ("x_m", "z_m")])
         extended["vx_m_s"], extended["vz_m_s"] = moving
@@ -185,7 +185,7 @@ def _cycles(members: Sequence[_Sides]) -> list[CycleComparison]:
     comparisons = []
     for k, repeats in enumerate(zip(*each, strict=False), 1):
         comparison = CycleComparison(cycle=k, measured={}, simulated={})
-        for name in stroke_cycles.QUANTITIES:
+        for name in run_quantities.QUANTITIES:
             values = [[stroke[side].get(name) for side in SIDES] for stroke in repeats]
             if any(None in pair for pair in values):
                 continue
@@ -205,6 +205,6 @@ def _quantities(sides: _Sides) -> list[dict[str, dict[str, float]]]:
     if stroke is None:
         return []
     return [
-        {side: stroke_cycles.quantities(trial.time_s, sides.columns[side], window) for side in SIDES}
-        for window in stroke_cycles.windows(trial.time_s, stroke.frequency_hz)
+        {side: run_quantities.quantities(trial.time_s, sides.columns[side], window) for side in SIDES}
+        for window in run_quantities.windows(trial.time_s, stroke.frequency_hz)
     ]

@@ -30,7 +30,7 @@ from swimid.simulation.cases import Case
 from swimid.simulation.catalogue import Quantity
 from swimid.simulation.options import RUN, SimulateOptions
 from swimid.simulation.swim_quantities import UNSTEADY
-from swimid.swimmer import stroke_cycles
+from swimid.swimmer import run_quantities
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -431,7 +431,7 @@ def _evidence(done: Sequence[Simulated], options: SimulateOptions, notes: list[s
         table = ev.Table(id="quantities", title="Quantities", columns=["quantity", "value"], rows=rows)
     else:
         of_cycles = [name for name in first.quantities if name.startswith("cycle_")]
-        kept = [*BRIEF, *of_cycles[-len(stroke_cycles.QUANTITIES) :]]
+        kept = [*BRIEF, *of_cycles[-len(run_quantities.QUANTITIES) :]]
         shown = {d.case.id: _shown(d, kept) for d in done}
         columns = list(dict.fromkeys(name for row in shown.values() for name in row))
         rows = [[name, *(row.get(column, "") for column in columns)] for name, row in shown.items()]

@@ -15,10 +15,10 @@ import numpy as np
 from swimid.fitting.drives import SwimInput
 from swimid.fitting.model import Array, Trial
 from swimid.simulation.catalogue import Quantity
-from swimid.swimmer import stroke_cycles
-from swimid.swimmer.energetics import Energetics
+from swimid.swimmer import run_quantities
 from swimid.swimmer.model import Swimmer
-from swimid.swimmer.planar.body import Body
+from swimid.swimmer.planar.model import Body
+from swimid.swimmer.run_quantities import Energetics
 
 #: Whole beats at the end of a run over which it is judged, and samples of each.
 BEATS, PER_BEAT = 4, 64
@@ -96,7 +96,7 @@ class Steady:
         begin, end = float(trial.time_s[0]), float(trial.time_s[-1])
         beat = trial.swim.beat
         if model.in_space:
-            cycles = stroke_cycles.windows(trial.time_s, frequency_hz)
+            cycles = run_quantities.windows(trial.time_s, frequency_hz)
             if not cycles:
                 return None
             window = Window(cycles[-1].begin_s, cycles[-1].end_s, 1, frequency_hz)
@@ -157,11 +157,11 @@ class Steady:
         """
         body, time = model.body, self.trial.time_s
         if body is None:
-            last = stroke_cycles.Window(self.window.begin_s, self.window.end_s)
-            units = stroke_cycles.QUANTITIES
+            last = run_quantities.Window(self.window.begin_s, self.window.end_s)
+            units = run_quantities.QUANTITIES
             found = {
                 name: Quantity(value, units[name])
-                for name, value in stroke_cycles.quantities(time, columns, last).items()
+                for name, value in run_quantities.quantities(time, columns, last).items()
             }
         else:
             count = self.window.beats * PER_BEAT + 1
@@ -184,7 +184,7 @@ def known(model: Swimmer) -> dict[str, str]:
     """Every quantity a run of this robot may come to, with its unit."""
     units: dict[str, str] = {}
     if model.in_space:
-        units |= stroke_cycles.QUANTITIES
+        units |= run_quantities.QUANTITIES
     elif model.free_base:
         turn = model.pose[2].removesuffix("_rad")
         units |= {

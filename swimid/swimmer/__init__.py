@@ -1,7 +1,8 @@
 """Robots with links, in their plane and in space: ``swimid fit-graybox``.
 
-``planar`` and ``spatial`` each hold a compiled engine, its model and its elements; both are a ``model`` on a
-``tree`` of links whose numbers are ``polynomial`` in the coefficients, with the ``energetics`` of a run.
-``trials`` turns logs into trials, ``fit_graybox`` is the command, with ``options`` and
-``fit_graybox_evidence``; ``front`` searches several objectives (``profiles``, ``stroke_cycles``).
+``trials`` turns logs into trials, ``fit_graybox`` is the command with its evidence, ``options`` its options;
+``front`` is its search of several objectives. ``model`` simulates a robot whose links are a ``tree`` with
+numbers that are polynomials in the coefficients. ``planar`` and ``spatial`` each hold a compiled engine, the
+assembly of its tables from a robot file, and the model. ``lanes`` compiles an engine for several runs
+side by side. ``limit_cycle`` finds steady swimming, ``run_quantities`` the powers and stroke cycles of a run.
 """

@@ -4,19 +4,118 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from types import ModuleType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swimid.errors import InputError, suggestion
 from swimid.fitting.model import Array, Parameter
-from swimid.robots.planar import Coefficient, Driven, Joint
+from swimid.robots.file import Fluid
+from swimid.robots.planar import Coefficient, Driven, Joint, factors
 from swimid.robots.spatial import Hinge
 from swimid.swimmer.planar.engine import PASSIVE
-from swimid.swimmer.polynomial import Polynomial, Table
+
+
+class Polynomial:
+    """A polynomial with numbers for factors and coefficient names for unknowns.
+
+    Attributes
+    ----------
+    terms : dict of tuple of str to float
+        Sorted names of a monomial's factors, and what it is multiplied by.
+
+    >>> mass = Polynomial.of("2 * c_m")
+    >>> (mass * mass + 1.0).at({"c_m": 3.0})
+    37.0
+    """
+
+    __slots__ = ("terms",)
+
+    def __init__(self, terms: dict[tuple[str, ...], float]) -> None:
+        self.terms = {names: number for names, number in terms.items() if number != 0.0}
+
+    @classmethod
+    def of(cls, quantity: float | str | Polynomial | None) -> Polynomial:
+        """A number, a quantity of a robot file (None counts as zero), or a polynomial."""
+        if isinstance(quantity, Polynomial):
+            return quantity
+        number, names = factors(0.0 if quantity is None else quantity)
+        return cls({names: number})
+
+    def __add__(self, other: Polynomial | float) -> Polynomial:
+        terms = dict(self.terms)
+        for names, number in Polynomial.of(other).terms.items():
+            terms[names] = terms.get(names, 0.0) + number
+        return Polynomial(terms)
+
+    def __mul__(self, other: Polynomial | float) -> Polynomial:
+        terms: dict[tuple[str, ...], float] = {}
+        for names, number in self.terms.items():
+            for more, factor in Polynomial.of(other).terms.items():
+                key = tuple(sorted((*names, *more)))
+                terms[key] = terms.get(key, 0.0) + number * factor
+        return Polynomial(terms)
+
+    def __neg__(self) -> Polynomial:
+        return self * -1.0
+
+    def __sub__(self, other: Polynomial | float) -> Polynomial:
+        return self + -Polynomial.of(other)
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def __rsub__(self, other: float) -> Polynomial:
+        return Polynomial.of(other) - self
+
+    def at(self, values: dict[str, float]) -> float:
+        """Its value."""
+        return float(sum(n * np.prod([values[name] for name in names]) for names, n in self.terms.items()))
+
+
+#: An entry of a table before it is evaluated; words are quantities of a robot file. A row of a table.
+Entry = Polynomial | float | str
+Row = list[Entry]
+
+
+class Table:
+    """A table of polynomials, evaluated together.
+
+    The width is that of a table without rows; coefficients are named in the order their values come in.
+    """
+
+    def __init__(
+        self, rows: Sequence[Sequence[Polynomial | float]], columns: int, names: Sequence[str]
+    ) -> None:
+        self.shape = (len(rows), columns)
+        entries = [Polynomial.of(entry) for row in rows for entry in row]
+        monomials = sorted({m for entry in entries for m in entry.terms if m})
+        self.constant = np.array([entry.terms.get((), 0.0) for entry in entries])
+        # monomials of fewer factors are padded by a one behind the coefficients
+        longest = max((len(m) for m in monomials), default=0)
+        padded = [[names.index(name) for name in m] + [len(names)] * (longest - len(m)) for m in monomials]
+        self.factors = np.array(padded, dtype=int).reshape(len(monomials), longest)
+        self.gains = np.array([[entry.terms.get(m, 0.0) for m in monomials] for entry in entries]).reshape(
+            len(entries), len(monomials)
+        )
+
+    @property
+    def occupied(self) -> NDArray[np.bool_]:
+        """Entries that are not zero whatever the coefficients, shape (rows, columns)."""
+        return np.asarray(((self.constant != 0.0) | (self.gains != 0.0).any(axis=1)).reshape(self.shape))
+
+    def __call__(self, values: Array) -> Array:
+        """The table at the coefficients' values, shape (rows, columns); it may be the object's own."""
+        if not len(self.factors):
+            return self.constant.reshape(self.shape)
+        padded = np.append(values, 1.0)
+        products = padded[self.factors[:, 0]]
+        for column in self.factors.T[1:]:
+            products = products * padded[column]
+        return np.asarray((self.constant + self.gains @ products).reshape(self.shape))
+
 
 #: Keys that hold words, not quantities.
 WORDS = {
@@ -229,11 +328,13 @@ class Tree(ABC):
         self.constants = {"free_base": self.free_base}
         self._known: dict[bytes, dict[str, Any]] = {}
 
-    def fill(self, rows: Any, adders: Mapping[str, Callable[..., None]], engine: ModuleType) -> None:
-        """Collect the rows of links and elements, and check them at the file's coefficients.
+    def fill(self, fluid: Fluid, rows_of: Any, adders: Mapping[str, Callable[..., None]], engine: Any) -> Any:
+        """Collect and return the rows of links and elements, checked at the file's coefficients.
 
-        ``rows`` has an empty row of inertia for each link; the engine names the columns of its tables.
+        ``rows_of`` makes them (``Tables``); the engine names the columns of its tables.
         """
+        empty = [[0.0] * len(engine.INERTIA) for _ in self.links]
+        rows = rows_of(fluid.density_kg_m3, fluid.gravity_m_s2, self.index, empty)
         for link in self.links:
             self._add_rigid(link, rows)
         rigid = [list(row) for row in rows.inertia]
@@ -252,6 +353,7 @@ class Tree(ABC):
             entries = [row for _, row in getattr(rows, name)]
             self._elements.append((name, owners, table(entries, getattr(engine, name.upper()))))
         self.check(np.array([c.value for c in self.body.coefficients.values()]))
+        return rows
 
     def tables(self, values: Array) -> dict[str, Any]:
         """The arguments of the engine's ``integrate`` from ``topology`` on, by their names.
@@ -300,7 +402,7 @@ class Tree(ABC):
         """Add a link's own mass and inertia."""
 
     @abstractmethod
-    def _place(self, joint: Any) -> list[Polynomial | float]:
+    def _place(self, joint: Any) -> Row:
         """A joint's row of the engine's table; of the base with None."""
 
 
@@ -310,16 +412,14 @@ def law_of(joint: Joint | Hinge) -> list[Polynomial]:
     assert law is not None
     tendon = getattr(law, "tendon", None)
     wire = (tendon.spring_N_m, tendon.pretension_m, tendon.arm_m, tendon.crank_m) if tendon else (0.0,) * 4
-    return [
-        Polynomial.of(q)
-        for q in (
-            law.stiffness_N_m_rad,
-            law.cubic_N_m_rad3,
-            law.damping_N_m_s_rad,
-            law.quadratic_damping_N_m_s2_rad2,
-            math.radians(law.rest_deg),
-            *wire,
-            law.friction_N_m,
-            law.friction_below_rad_s,
-        )
-    ]
+    row = (
+        law.stiffness_N_m_rad,
+        law.cubic_N_m_rad3,
+        law.damping_N_m_s_rad,
+        law.quadratic_damping_N_m_s2_rad2,
+        math.radians(law.rest_deg),
+        *wire,
+        law.friction_N_m,
+        law.friction_below_rad_s,
+    )
+    return [Polynomial.of(entry) for entry in row]

@@ -1,4 +1,7 @@
-"""Compiled lanes of a robot: traced once, kept on disk, run in batches."""
+"""Compiled lanes of a robot: traced once, kept on disk, run in batches.
+
+:class:`WideKernel` has room for what effects bring.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
@@ -25,9 +28,10 @@ from numba.misc.appdirs import user_cache_dir
 from numpy.typing import NDArray
 
 from swimid.files import atomic
+from swimid.fitting.hooks import Force, Traceable
 from swimid.progress import Progress, silent
-from swimid.swimmer.lanes import source, symbols
-from swimid.swimmer.lanes.source import LANES, Traced
+from swimid.swimmer.lanes import tracing
+from swimid.swimmer.lanes.tracing import LANES, Traced
 
 Array = NDArray[np.float64]
 
@@ -108,7 +112,7 @@ class Kernel:
         return self._traced
 
     def _trace(self) -> Traced:
-        tracer = symbols.Tracer()
+        tracer = tracing.Tracer()
         arguments: dict[str, Any] = {}
         count = 0
         for name, example in self._example.items():
@@ -125,24 +129,24 @@ class Kernel:
                     flat[j] = float(value)
             arguments[name] = entries if entries.ndim else entries.item()
         driven = int(self._example["topology"][:, 1].max()) + 1
-        state = symbols.array(tracer, "state", (self.size,))
-        row = symbols.array(tracer, "row", (driven, 5))
+        state = tracing.array(tracer, "state", (self.size,))
+        row = tracing.array(tracer, "row", (driven, 5))
         scratch = [np.full(shape, 0.0, dtype=object) for shape in self._scratch]
         rate = np.zeros(self.size, dtype=object)
         given = self._arguments(tracer, arguments)
-        symbols.on_symbols(self.engine.derivative)(state, row, *given, *scratch, rate)
-        after = symbols.Tracer()
-        settled = symbols.array(after, "state", (self.size if self.engine.settled else 0,))
+        tracing.on_symbols(self.engine.derivative)(state, row, *given, *scratch, rate)
+        after = tracing.Tracer()
+        settled = tracing.array(after, "state", (self.size if self.engine.settled else 0,))
         if self.engine.settled:
-            symbols.on_symbols(self.engine.settled)(settled)
+            tracing.on_symbols(self.engine.settled)(settled)
         used = _used(tracer.operations, rate)
         return Traced(used, list(rate), (_used(after.operations, settled), list(settled)), count, 5 * driven)
 
     def kind(self, table: str) -> str:
-        """What the entries of a table are as inputs (:class:`swimid.swimmer.lanes.symbols.Symbol`)."""
+        """What the entries of a table are as inputs (:class:`swimid.swimmer.lanes.tracing.Symbol`)."""
         return "table"
 
-    def _arguments(self, tracer: symbols.Tracer, tables: dict[str, Any]) -> list[Any]:
+    def _arguments(self, tracer: tracing.Tracer, tables: dict[str, Any]) -> list[Any]:
         """Of the derivative: tables and what follows them."""
         return [*tables.values(), *self.engine.extra]
 
@@ -161,7 +165,7 @@ class Kernel:
         scalar_s = derivatives * OPERATION_S * operations
         if wanted == "auto" and scalar_s < 0.5:
             return False
-        text = source.text(self.traced())
+        text = tracing.text(self.traced())
         if on_disk(text):
             self.compiled()
             return True
@@ -177,7 +181,7 @@ class Kernel:
         """The module, compiled where this machine does not have it yet."""
         with self._lock:
             if self._module is None:
-                self._module = _compiled(imported(source.text(self.traced())))
+                self._module = _compiled(imported(tracing.text(self.traced())))
             return self._module
 
     def run(
@@ -232,7 +236,7 @@ class Kernel:
             parameters.reshape(-1),
             states,
             rates,
-            np.empty(source.length(traced)),
+            np.empty(tracing.length(traced)),
         )
         return [(states[j, : n + 1], rates[j, : n + 1]) for j, n in enumerate(steps)]
 
@@ -280,14 +284,14 @@ def _fixed(tables: Callable[[Array], dict[str, Any]], coefficients: int) -> dict
     return fixed
 
 
-def _used(operations: Sequence[symbols.Symbol], results: Any) -> list[symbols.Symbol]:
+def _used(operations: Sequence[tracing.Symbol], results: Any) -> list[tracing.Symbol]:
     """The operations that a result needs, in their order."""
-    needed, open_ = set(), [x for x in results if isinstance(x, symbols.Symbol)]
+    needed, open_ = set(), [x for x in results if isinstance(x, tracing.Symbol)]
     while open_:
         x = open_.pop()
         if x.number not in needed:
             needed.add(x.number)
-            open_ += [a for a in x.of if isinstance(a, symbols.Symbol)]
+            open_ += [a for a in x.of if isinstance(a, tracing.Symbol)]
     return [x for x in operations if x.number in needed]
 
 
@@ -368,3 +372,153 @@ def compile_file(path: str) -> None:
         _compiled(imported(Path(path).read_text(encoding="utf-8")))
     finally:
         mark.unlink(missing_ok=True)
+
+
+#: The table of what a run brings beside the robot's: begin (s), place (:func:`placed` of the engine), and of
+#: each force whether it acts, its point and its constants.
+ACTING = "acting"
+FRAME = 7
+
+
+@dataclass(frozen=True)
+class Room:
+    """What effects may bring to a robot.
+
+    Attributes
+    ----------
+    rows : mapping of table to links
+        Elements beyond the robot's own, in the order in which effects append them; the links of table ``t``
+        are table ``t_link``.
+    filled : mapping of table to index
+        Entries that effects change, whatever the robot has there.
+    forces : sequence of (Traceable, link)
+        Each at most once.
+    """
+
+    rows: Mapping[str, Sequence[int]]
+    filled: Mapping[str, Any]
+    forces: Sequence[tuple[Traceable, int]]
+
+
+class WideKernel(Kernel):
+    """Up to :data:`LANES` runs of one robot at once, each with its own effects or none.
+
+    One for all effects, since compiling takes seconds; what a run pays for the forces of others is little
+    beside what it would take alone.
+
+    Parameters
+    ----------
+    engine, tables, coefficients
+        As of :class:`Kernel`.
+    room : Room
+    """
+
+    def __init__(
+        self, engine: Engine, tables: Callable[[Array], dict[str, Any]], coefficients: int, room: Room
+    ) -> None:
+        self.room = room
+        self._slots: dict[tuple[int, int], slice] = {}
+        at = 1 + FRAME
+        for known, link in room.forces:
+            self._slots[id(known.function), link] = slice(at, at + 3 + known.constants)
+            at += 3 + known.constants
+        # a force that does not act takes ones, by which it may divide
+        self._idle = np.ones(at)
+        self._idle[[place.start for place in self._slots.values()]] = 0.0
+        super().__init__(engine, lambda values: self._roomy(tables(values)), coefficients)
+
+    def _roomy(self, tables: dict[str, Any]) -> dict[str, Any]:
+        """Tables with NaN where a run has numbers of its own."""
+        found = dict(tables)
+        for name, links in self.room.rows.items():
+            own = tables[name]
+            found[f"{name}_link"] = np.append(tables[f"{name}_link"], np.array(links, dtype=np.int64))
+            found[name] = np.vstack([own, np.full((len(links), own.shape[1]), np.nan)])
+        for name, places in self.room.filled.items():
+            found[name] = found[name].copy()
+            found[name][places] = np.nan
+        return {**found, ACTING: np.full(len(self._idle), np.nan)}
+
+    def widened(
+        self, tables: Mapping[str, Any], forces: Sequence[Force], frame: Array, begin_s: float
+    ) -> dict[str, Any] | None:
+        """A run's tables as this kernel takes them; None where it has no room for them.
+
+        Parameters
+        ----------
+        tables : mapping
+            As the engine takes them.
+        forces : sequence of Force
+        frame : ndarray, shape (7,)
+            Where the forces find the run, as the engine has it.
+        begin_s : float
+            Time of the first state.
+        """
+        found = dict(tables)
+        for name in self.room.rows:
+            links = self._example[f"{name}_link"]
+            rows = _in_places(tables[name], tables[f"{name}_link"], links)
+            if rows is None:
+                return None
+            found[name], found[f"{name}_link"] = rows, links
+        acting = self._idle.copy()
+        acting[0], acting[1 : 1 + FRAME] = begin_s, frame
+        count = len(found["topology"])
+        for force in forces:
+            place = self._slots.get((id(force.function), force.link % count))
+            if place is None or acting[place.start] != 0.0:
+                return None
+            acting[place] = 1.0, force.x, force.y, *force.constants
+        found[ACTING] = acting
+        return found if self.fits(found) else None
+
+    def kind(self, table: str) -> str:
+        """Numbers of which nothing is known, also not whether they are there (see :meth:`Kernel.kind`)."""
+        return "number" if table == ACTING else super().kind(table)
+
+    def _arguments(self, tracer: tracing.Tracer, tables: dict[str, Any]) -> list[Any]:
+        acting = tables.pop(ACTING)
+        slots = [acting[place] for place in self._slots.values()]
+        constants = [np.append(slot[:1], slot[3:]) for slot in slots]
+        calls = self._calls()
+
+        def call(*arguments: Any) -> None:
+            next(calls)(*arguments)
+
+        forced = (
+            [link for _, link in self.room.forces],
+            np.array([slot[1:3] for slot in slots], dtype=object).reshape(-1, 2),
+            np.concatenate([np.empty(0, dtype=object), *constants]),
+            np.concatenate(([0], np.cumsum([len(own) for own in constants]))).astype(int),
+            acting[1 : 1 + FRAME],
+            *(np.zeros(3, dtype=object) for _ in range(3)),
+            *(call,) * 4,
+        )
+        time = acting[0] + tracer.symbol("elapsed", 0)
+        return [*tables.values(), forced, time]
+
+    def _calls(self) -> Iterator[Callable[..., None]]:
+        """The forces on symbols, each nothing where it does not act."""
+        for known, _ in self.room.forces:
+            plain = tracing.on_symbols(known.function)
+
+            def call(time: Any, pose: Any, velocity: Any, own: Any, wrench: Any, plain: Any = plain) -> None:
+                plain(time, pose, velocity, own[1:], wrench)
+                wrench[:] = [tracing.positive(own[0], part, 0.0) for part in wrench]
+
+            yield call
+
+
+def _in_places(rows: Array, links: NDArray[np.int64], places: NDArray[np.int64]) -> Array | None:
+    """Rows of elements each at the next place of its link, zeros between; None where there is no place."""
+    if np.array_equal(links, places):
+        return rows
+    found, at = np.zeros((len(places), rows.shape[1])), 0
+    for link, row in zip(links, rows, strict=True):
+        while at < len(places) and places[at] != link:
+            at += 1
+        if at == len(places):
+            return None
+        found[at] = row
+        at += 1
+    return found

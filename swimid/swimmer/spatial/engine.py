@@ -29,8 +29,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from swimid.swimmer.choice import BROKEN, positive
-from swimid.swimmer.planar.engine import passive_torque, solve
+from swimid.swimmer.planar.engine import BROKEN, passive_torque, positive, solve
 
 #: Columns of the tables the kernels read.
 TOPOLOGY = ("parent", "driven", "passive", "massless")

@@ -1,4 +1,7 @@
-"""What a robot does in each cycle of a stroke, as the sea lion paper tells it (Tables I and II)."""
+"""Quantities of a run: torques, powers and balance of energy, and speeds and way of each stroke cycle.
+
+The quantities of a stroke cycle are those of the sea lion paper (Tables I and II).
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,94 @@ import numpy as np
 
 from swimid.fitting.model import Array
 from swimid.logs.rotation import from_angles
+from swimid.swimmer.planar.engine import PASSIVE
+
+
+@dataclass(frozen=True)
+class Energetics:
+    """What the joints of a run do, over its integration grid.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (m,)
+        Even.
+    torque_N_m, rate_rad_s : ndarray, shape (m, driven joints)
+        Generalised force of each driven joint, on the link behind it, and its rate.
+    passive_torque_N_m, passive_rate_rad_s : ndarray, shape (m, passive joints)
+        The same of joints that yield: what spring, wire and damper do.
+    kinetic_J : ndarray, shape (m,)
+        Kinetic energy of the robot and of the water it carries along.
+    stored_J : ndarray, shape (m,)
+        In the springs of passive joints.
+    water_W : ndarray, shape (m,)
+        Power given to the water by drag, foils and trailing edges.
+    weight_W : ndarray, shape (m,)
+        Power given to constant forces: weight and buoyancy.
+    dissipated_W : ndarray, shape (m,)
+        Power lost in the dampers of passive joints.
+    """
+
+    time_s: Array
+    torque_N_m: Array
+    rate_rad_s: Array
+    passive_torque_N_m: Array
+    passive_rate_rad_s: Array
+    kinetic_J: Array
+    stored_J: Array
+    water_W: Array
+    weight_W: Array
+    dissipated_W: Array
+
+    @property
+    def power_W(self) -> Array:
+        """Mechanical power of each driven joint, shape (m, driven joints)."""
+        return self.torque_N_m * self.rate_rad_s
+
+    def mean(self, power_W: Array) -> float:
+        """Mean of a power over the whole time, W; of even samples, by the trapezoidal rule."""
+        return float(np.trapezoid(power_W, self.time_s) / (self.time_s[-1] - self.time_s[0]))
+
+    def mean_power_W(self) -> float:
+        """Mean mechanical power of all driven joints, W: what they give less what they take back."""
+        return self.mean(self.power_W.sum(axis=1))
+
+    def mean_positive_power_W(self) -> float:
+        """The same for motors that give nothing back: each joint's negative power counts as none, W."""
+        return self.mean(np.maximum(self.power_W, 0.0).sum(axis=1))
+
+    def balance_J(self) -> tuple[float, float]:
+        """Energy the driven joints gave, and what went into water, weight, dampers, springs and motion, J."""
+        duration = self.time_s[-1] - self.time_s[0]
+        gone = duration * self.mean(self.water_W + self.weight_W + self.dissipated_W)
+        kept = self.kinetic_J + self.stored_J
+        return duration * self.mean_power_W(), gone + float(kept[-1] - kept[0])
+
+
+def elastic(passive: Array, angle: Array, rate: Array) -> tuple[Array, Array]:
+    """Power lost in the dampers (W) and energy in the springs (J) of passive joints, shape (m,) each.
+
+    Parameters
+    ----------
+    passive : ndarray, shape (joints, 11)
+        Columns of :data:`swimid.swimmer.planar.engine.PASSIVE`.
+    angle, rate : ndarray, shape (m, joints), rad and rad/s
+
+    Notes
+    -----
+    Of a wire and spring the energy of the tendon fish's Eq 4, ``K_t d_p d_t + K_t d_t^2 / 2`` with Eq 3.
+    """
+    law = dict(zip(PASSIVE, passive.T, strict=True))
+    speed = np.abs(rate)
+    lost = (law["damping"] + law["quadratic_damping"] * speed) * rate**2
+    smooth = np.sqrt(rate**2 + law["friction_below"] ** 2)
+    lost += law["friction"] * rate**2 / np.where(smooth > 0, smooth, 1.0)
+    off = angle - law["rest"]
+    arm, crank = law["arm"], law["crank"]
+    stretch = np.sqrt(arm**2 + crank**2 - 2.0 * arm * crank * np.cos(angle)) - arm + crank
+    stored = 0.5 * law["stiffness"] * off**2 + 0.25 * law["cubic"] * off**4
+    stored += law["spring"] * (law["pretension"] * stretch + 0.5 * stretch**2)
+    return lost.sum(axis=1), stored.sum(axis=1)
+
 
 #: Fewest samples of a cycle.
 MIN_SAMPLES = 6

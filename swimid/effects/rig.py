@@ -1,4 +1,6 @@
-"""A string that yields between the body and the pulley whose turns are counted."""
+"""Effects of the test rig: pulley, string and how the run was started."""
+
+from __future__ import annotations
 
 import math
 
@@ -7,6 +9,105 @@ import numpy as np
 
 from swimid.effects import common
 from swimid.effects.base import SIZES, Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
+from swimid.effects.common import parameter
+
+
+class InitialSpeed(common.RigCoefficient):
+    """The same speed at release in every trial."""
+
+    name = "initial-speed"
+    meaning = "speed at release"
+    coefficient = "v0"
+    own = ("initial_speed",)
+    scatters = True
+
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
+        """The speed, m/s or rad/s."""
+        assert model.rig is not None
+        name = "speed_rad_s" if common.rotates(model) else "speed_m_s"
+        return (parameter(name, model.rig.speed.unit, 0.1 * model.scales(trials).speed, self.meaning),)
+
+
+class PulleyFriction(common.RigCoefficient):
+    """``F - f_c sgn(v)`` of a rig, on top of the model's own (boxfish, Eq 7).
+
+    On a falling-weight rig it is the pulley's, and acts in the trials that have one; where none has, it is
+    that of the slide the body moves on.
+    """
+
+    name = "pulley-friction"
+    meaning = "dry friction of the pulley, bearing or slide"
+    sources = ("boxfish paper, Eq 7 and section 4.1",)
+    coefficient = "dry"
+    own = ("pulley_friction", "dry_friction")
+
+    def __init__(self, *, everywhere: bool = False) -> None:
+        self.pulley = not everywhere
+
+    def variants(self, model: Model, trials: Trials) -> Effects:
+        """Rigs whose model does not estimate it."""
+        form = PulleyFriction(everywhere=not common.with_pulley(trials))
+        return common.RigCoefficient.variants(form, model, trials)
+
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
+        """Friction beyond the model's, N (N m for an angle)."""
+        name, unit = ("friction_N_m", "N m") if common.rotates(model) else ("friction_N", "N")
+        words = "dry friction beyond the model's"
+        size = model.scales(trials).brake
+        return (parameter(name, unit, size, words, lower=-model.start(*self.own)),)
+
+
+class PulleyInertia(common.RigCoefficient):
+    """The pulley's moment of inertia over its radius squared, added to M of the boxfish paper's Eq 8.
+
+    In one body of water it cannot be told from added mass; trials with and without a pulley tell.
+    """
+
+    name = "pulley-inertia"
+    meaning = "inertia of the pulley that was not counted"
+    sources = ("boxfish paper, Eq 8",)
+    coefficient = "inertia"
+    pulley = True
+
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
+        """Equivalent mass, kg."""
+        size = 0.05 * model.scales(trials).inertia
+        words = "inertia of the pulley over its radius squared"
+        return (parameter("inertia_kg", "kg", size, words, lower=0.0),)
+
+
+class PulleyViscous(common.RigCoefficient):
+    """Friction that grows with the pulley's speed, ``-b v``: a lubricated bearing."""
+
+    name = "pulley-viscous"
+    meaning = "friction of the pulley that grows with its speed"
+    sources = ("boxfish paper, section 3.3",)
+    coefficient = "linear"
+    own = ("linear_drag", "linear_damping")
+    pulley = True
+
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
+        """Force per speed, N s/m."""
+        scales, least = model.scales(trials), -model.start(*self.own)
+        size = 0.1 * scales.force / scales.speed
+        return (parameter("viscous_N_s_m", "N s/m", size, "friction of the pulley per speed", lower=least),)
+
+
+class StartOffset(common.RigCoefficient):
+    """The same displacement at release in every trial."""
+
+    name = "start-offset"
+    meaning = "displacement at release"
+    coefficient = "x0"
+    own = ("start_offset",)
+    scatters = True
+
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
+        """The displacement, m or rad."""
+        assert model.rig is not None
+        unit = model.rig.displacement.unit
+        return (parameter(f"offset_{unit}", unit, 0.01 * model.scales(trials).span, self.meaning),)
+
 
 #: Gravity that turns a pulling force into the mass of the weight, m/s2.
 GRAVITY = 9.81
@@ -76,9 +177,9 @@ class StringStretch(Effect):
         words = "share of the weight that the string did not carry at release"
         string, ratio = "compliance of the string", "damping ratio of the weight on it"
         return (
-            common.parameter("compliance_m_N", "m/N", scale, string, lower=0.0, upper=100 * scale),
-            common.parameter("unloaded", "1", 0.5, words, lower=0.0, upper=1.0, start=1.0),
-            common.parameter("damping", "1", 0.2, ratio, lower=0.02, upper=0.95, start=0.2),
+            parameter("compliance_m_N", "m/N", scale, string, lower=0.0, upper=100 * scale),
+            parameter("unloaded", "1", 0.5, words, lower=0.0, upper=1.0, start=1.0),
+            parameter("damping", "1", 0.2, ratio, lower=0.02, upper=0.95, start=0.2),
         )
 
     def tries(self, parameters: Parameters) -> list[Array]:

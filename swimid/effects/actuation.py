@@ -1,0 +1,371 @@
+"""Effects between the command and what the actuator does."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import replace
+
+import numba
+import numpy as np
+from scipy.interpolate import Akima1DInterpolator
+from scipy.optimize import brentq
+
+from swimid.effects import common
+from swimid.effects.base import Array, Effects, Hooks, Model, Parameter, Parameters, Trial, Trials
+from swimid.effects.common import parameter
+from swimid.fitting.drives import eased
+from swimid.fitting.hooks import Stroke
+
+
+class AmplitudeLoss(common.Actuation):
+    """A gain below one: ``(1 - loss)`` times the command."""
+
+    name = "amplitude-loss"
+    meaning = "The joints turn by less than their command, by the same share always."
+    sources = ("boxfish, section 5.3 (the body's oscillation reduces the effective amplitude)",)
+    smooth = True
+    scatters = True
+
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
+        """The share that is lost."""
+        return (parameter("loss", "1", 0.05, "share of the amplitude lost", lower=-0.5, upper=0.95),)
+
+    def followed(self, value: float, time_s: Array, angle: Array) -> Array:
+        """Less of the command."""
+        return (1.0 - value) * angle
+
+    def amplitude(self, value: float, stroke: Stroke) -> Array:
+        """Less of the amplitude."""
+        return stroke.amplitude_rad * (1.0 - value)
+
+
+#: A trim comes on over this time, s: a joint that jumped at the start would throw the body.
+EASE_S = 0.5
+
+
+class AmplitudeOffset(common.Actuation):
+    """A trim added to the angle of each driven joint; for a steady beat, the amplitude less a constant.
+
+    The latter is ``theta_off`` of the recoil law, and applies where that is not estimated.
+    """
+
+    name = "amplitude-offset"
+    meaning = "The stroke is off by a constant angle: a trim of the joints, or amplitude lost in each stroke."
+    sources = ("boxfish, section 4.3 and Eq 27",)
+    smooth = True
+    scatters = True
+
+    def variants(self, model: Model, trials: Trials) -> Effects:
+        """Nothing where the model estimates its own offset."""
+        return [] if model.estimates("amplitude_offset_deg") else super().variants(model, trials)
+
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
+        """The angle, of each driven joint, in the unit of its command."""
+        size = common.amplitude(model, trials)
+        most, words = 0.9 * size, "constant angle off"
+        return (parameter("offset_rad", "rad", 0.05 * size, words, lower=-most, upper=most),)
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """The command with the trim; less amplitude of a steady beat."""
+        offset = float(values[0])
+        driven = model.body.driven if model.body is not None else []
+        moved = [axis.driven is not None and axis.driven.gain != 0 for axis in driven]
+        begin = model.onset(trial)
+
+        trimmed = common.every_joint(lambda time, angle: angle + offset * eased(time - begin, EASE_S))
+
+        def command(time_s: Array, angle: Array, joint: int) -> Array:
+            return angle if moved and not moved[joint] else trimmed(time_s, angle, joint)
+
+        def beaten(stroke: Stroke) -> Stroke:
+            return replace(stroke, amplitude_rad=np.maximum(stroke.amplitude_rad - offset, 0.0))
+
+        return Hooks(command=(command,) if model.commanded(trial) else (), stroke=(beaten,))
+
+
+#: Ratio of limit to largest commanded rate below which a limited sine is a triangle,
+#: ``1 / sqrt(1 + pi^2 / 4)``.
+TRIANGLE = 1.0 / math.hypot(1.0, 0.5 * math.pi)
+
+
+class RateLimit(common.Actuation):
+    """The joint follows its command no faster than a limit; the fastest command is where it begins to act.
+
+    A steady beat of the average models keeps the fundamental of the limited sine (its describing
+    function: :func:`describing`).
+    """
+
+    name = "rate-limit"
+    meaning = "The servos cannot turn as fast as the command asks."
+    sources = ("tendon fish, section IV.A (the speed of the servomotor is limited)",)
+
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
+        """The limit, rad/s; it vanishes at the trials' largest commanded rate."""
+        largest = common.fastest(model, trials)
+        bounds, words = (0.02 * largest, largest), "largest rate of the servos"
+        return (Parameter("rate_limit_rad_s", "rad/s", *bounds, largest, 0.2 * largest, meaning=words),)
+
+    def followed(self, value: float, time_s: Array, angle: Array) -> Array:
+        """The limited command."""
+        return np.asarray(limited(time_s, angle, value))
+
+    def amplitude(self, value: float, stroke: Stroke) -> Array:
+        """The fundamental of the limited sine."""
+        rate = 2.0 * math.pi * np.asarray(stroke.frequency_hz) * stroke.amplitude_rad
+        return stroke.amplitude_rad * describing(value / np.maximum(rate, 1e-12))
+
+
+@numba.njit(cache=True, nogil=True)
+def limited(time, signal, limit):  # type: ignore[no-untyped-def]
+    """A signal followed no faster than a limit.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,), s
+        Increasing.
+    signal : ndarray, shape (n,)
+    limit : float
+        Of its rate, per second.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    output = signal.copy()
+    for i in range(1, len(signal)):
+        ahead = signal[i] - output[i - 1]
+        most = limit * (time[i] - time[i - 1])
+        if abs(ahead) > most:
+            output[i] = output[i - 1] + math.copysign(most, ahead)
+    return output
+
+
+def describing(ratio: Array | float) -> Array:
+    """Size of the fundamental of a rate-limited sine, over that of the sine.
+
+    Parameters
+    ----------
+    ratio : ndarray or float
+        Limit over the sine's largest rate; from one on nothing is lost.
+
+    >>> [round(float(v), 6) for v in describing(np.array([0.0, 0.5, 1.0, 2.0]))]
+    [0.0, 0.63662, 1.0, 1.0]
+    """
+    nodes, gains = _middle()
+    ratio = np.asarray(ratio, dtype=float)
+    return np.where(ratio < TRIANGLE, 4.0 / math.pi * ratio, np.interp(ratio, nodes, gains))
+
+
+@functools.cache
+def _middle() -> tuple[Array, Array]:
+    """The gain between triangle and sine, on nodes of the ratio.
+
+    Notes
+    -----
+    Half a period from where ``-cos(theta)`` reaches the limit (``sin(theta) = ratio``): a straight
+    line until it meets the sine again, then the sine.
+    """
+    ratios = 1.0 - (1.0 - TRIANGLE) * np.linspace(1.0, 0.0, 200)
+    gains = np.ones_like(ratios)
+    gains[0] = 4.0 / math.pi * TRIANGLE
+    for k, ratio in enumerate(ratios[1:-1], start=1):
+        leave = math.asin(ratio)
+
+        def ahead(theta: float, ratio: float = ratio, leave: float = leave) -> float:
+            return math.cos(leave) - math.cos(theta) - ratio * (theta - leave)
+
+        meet = brentq(ahead, max(math.pi - leave, leave + 1e-9), math.pi + leave)
+        theta = np.linspace(leave, leave + math.pi, 4001)
+        line = -math.cos(leave) + ratio * (theta - leave)
+        angle = np.where(theta < meet, line, -np.cos(theta))
+        parts = np.trapezoid(angle * np.exp(1j * theta), theta)
+        gains[k] = 2.0 / math.pi * abs(parts)
+    return ratios, gains
+
+
+class ServoBacklash(common.Actuation):
+    """The play operator: the joint rests until the servo has crossed the play, then is carried along.
+
+    A steady beat of the average models loses half the play.
+    """
+
+    name = "servo-backlash"
+    meaning = "The joints do not follow their servos across the play of gears, linkages or tendons."
+    sources = ("boxfish, section 5.3 (about 2 deg of the amplitude offset)",)
+
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
+        """The whole width of the play, of each joint, in the unit of its command."""
+        size = common.amplitude(model, trials)
+        words = "whole width of the play"
+        return (parameter("backlash_rad", "rad", 0.1 * size, words, lower=0.0, upper=1.9 * size),)
+
+    def followed(self, value: float, time_s: Array, angle: Array) -> Array:
+        """Play in the command."""
+        return play(angle, value)
+
+    def amplitude(self, value: float, stroke: Stroke) -> Array:
+        """Half the play less."""
+        return np.maximum(stroke.amplitude_rad - 0.5 * value, 0.0)
+
+
+def play(signal: Array, width: float) -> Array:
+    """Output of a play of the given whole width that starts in its middle.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (n,)
+    width : float
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    return common.held_back(signal, np.full(len(signal), 0.5 * width))
+
+
+class ServoDelay(common.Actuation):
+    """A pure delay of the command; it changes nothing in a steady beat's average."""
+
+    name = "servo-delay"
+    meaning = "The joints move a constant time after their command."
+    sources = ("sea lion, section II (motion profiles taken as the motion of the joints)",)
+    needs = frozenset({"command"})
+    smooth = True
+
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
+        """The delay, s."""
+        beat = common.period(model, trials)
+        words = "delay of the joints' commands"
+        return (parameter("delay_s", "s", 0.04 * beat, words, lower=0.0, upper=beat),)
+
+    def followed(self, value: float, time_s: Array, angle: Array) -> Array:
+        """The command as it was a delay ago."""
+        return delayed(time_s, angle, value)
+
+
+def delayed(time_s: Array, signal: Array, delay_s: float) -> Array:
+    """A signal a constant time later; before its first sample it rests there.
+
+    Parameters
+    ----------
+    time_s, signal : ndarray, shape (n,)
+        Without missing samples; Akima's curve lies between them.
+    delay_s : float
+    """
+    if delay_s == 0.0 or len(time_s) < 3:
+        return signal
+    curve = Akima1DInterpolator(time_s, signal, method="makima")
+    return np.asarray(curve(np.clip(time_s - delay_s, time_s[0], time_s[-1])))
+
+
+class ServoLag(common.Actuation):
+    """``tau a' = command - a``; a steady beat of frequency f keeps ``1 / sqrt(1 + (2 pi f tau)^2)``."""
+
+    name = "servo-lag"
+    meaning = "The servos follow their command late and with a smaller amplitude, the more so the faster."
+    sources = (
+        "robotic dolphin, section 4.2.1 (the water slows the actual beat)",
+        "sea lion, section II (motion profiles taken as the motion of the joints)",
+    )
+    smooth = True
+
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
+        """The time constant, s."""
+        beat = common.period(model, trials)
+        words = "time constant of the servos"
+        return (parameter("time_constant_s", "s", 0.04 * beat, words, lower=0.0, upper=beat),)
+
+    def followed(self, value: float, time_s: Array, angle: Array) -> Array:
+        """The command with a lag."""
+        return np.asarray(lagged(time_s, angle, value))
+
+    def amplitude(self, value: float, stroke: Stroke) -> Array:
+        """The gain of the lag at the beat's frequency."""
+        gain = 1.0 / np.sqrt(1.0 + (2.0 * math.pi * stroke.frequency_hz * value) ** 2)
+        return np.asarray(stroke.amplitude_rad * gain)
+
+
+@numba.njit(cache=True, nogil=True)
+def lagged(time, signal, tau):  # type: ignore[no-untyped-def]
+    """First-order lag of a signal, exact where the signal is straight between its samples.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,), s
+        Increasing.
+    signal : ndarray, shape (n,)
+        The lag starts at rest at its first value.
+    tau : float, s
+        Zero leaves the signal as it is.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    output = signal.copy()
+    if tau <= 0.0:
+        return output
+    for i in range(1, len(signal)):
+        ratio = (time[i] - time[i - 1]) / tau
+        kept = math.exp(-ratio)
+        mean = -math.expm1(-ratio) / ratio
+        output[i] = kept * output[i - 1] + (mean - kept) * signal[i - 1] + (1.0 - mean) * signal[i]
+    return output
+
+
+#: The loss comes on over this share of a beat, and over so many samples at least. A beat does not tell to
+#: better than a quarter when its amplitude has changed; a jump between two samples would have no derivative.
+RAMP, SAMPLES = 0.25, 4.0
+#: Shares of a trial at which the loss is tried: from a quarter of the trial away a refit finds the moment.
+MOMENTS = (0.125, 0.375, 0.625, 0.875)
+
+
+class Slip(common.Actuation):
+    """``1 - loss s(t)`` times the command, ``s`` a quintic step from 0 to 1 about the moment it sets in.
+
+    A tendon that slips on its pulley, a horn on its shaft: the joints move by less of their command from that
+    moment on, counted from the first sample, in every trial. An average over beats does not show when
+    its amplitude was lost: models of steady beats have ``amplitude-loss`` only.
+    """
+
+    name = "slip"
+    meaning = "From some moment of a trial on the joints turn by less than their command."
+    sources = (
+        "Zhong, Li and Du 2017, IEEE/ASME Trans. Mechatronics 22:1633 (a fish driven by wires)",
+        "Firbank 1970, Int. J. Mech. Sci. 12:1053 (belts that creep and slip)",
+    )
+    needs = frozenset({"command"})
+
+    def parameters(self, model: Model, trials: Trials) -> Parameters:
+        """The share lost, and when half of that is lost, s after the first sample.
+
+        A tenth is twice what one begins to see when it is lost throughout (``amplitude-loss``), since it is
+        lost for a part of each trial.
+        """
+        lasting = model.scales(trials).duration
+        longest = max(float(t.time_s[-1] - t.time_s[0]) for t in trials) or lasting
+        when = "time after the first sample at which half of it is lost"
+        return (
+            parameter("loss", "1", 0.1, "share of the command lost", lower=0.0, upper=0.95),
+            parameter("begin_s", "s", 0.1 * lasting, when, lower=0.0, upper=longest, start=0.5 * lasting),
+        )
+
+    def tries(self, parameters: Parameters) -> list[Array]:
+        """A loss, to which the change is nearly proportional, from several moments on."""
+        loss, begin = parameters
+        return [np.array([2.0 * loss.scale, 2.0 * share * begin.start]) for share in MOMENTS]
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """The commands less what is lost by then."""
+        loss, begin = (float(v) for v in values)
+        samples = np.diff(trial.time_s)
+        ramp = RAMP * common.period(model, [trial])
+        if len(samples):
+            ramp = max(ramp, SAMPLES * float(np.median(samples)))
+        first = float(trial.time_s[0]) + begin - 0.5 * ramp
+
+        def command(time_s: Array, angle: Array) -> Array:
+            return angle * (1.0 - loss * eased(time_s - first, ramp))
+
+        return Hooks(command=(common.every_joint(command),) if model.commanded(trial) else ())

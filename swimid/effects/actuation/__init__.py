@@ -1,1 +1,0 @@
-"""Effects between the command and what the actuator does."""

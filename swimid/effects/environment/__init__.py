@@ -1,1 +1,0 @@
-"""Effects of the place the robot swims in."""

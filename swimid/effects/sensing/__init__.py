@@ -1,1 +1,0 @@
-"""Effects between what the robot does and what the log shows of it."""

@@ -1,1 +1,0 @@
-"""Effects of the robot's own mechanics: fins, passive joints, masses."""
