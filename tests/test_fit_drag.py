@@ -14,11 +14,13 @@ from scipy.signal import lfilter
 
 from swimid.fitting import output_error
 from swimid.fitting.drives import RigInput
-from swimid.fitting.levenberg import BRIEF, CREEPING, PATIENCE, Solution, Unnoticed, minimise
 from swimid.fitting.model import Trial
+from swimid.fitting.problem import BRIEF, CREEPING, PATIENCE, Solution, Unnoticed, minimise
 from swimid.fitting.restarts import profile_interval
 from swimid.results import evidence, parameters
-from swimid.rig import derived, equation, two_point
+from swimid.rig import derived
+from swimid.rig import fit_drag as drag_module
+from swimid.rig import model as equation
 from swimid.rig import model as rig_model
 from swimid.rig import trials as rig_trials
 from tests.conftest import Ran
@@ -401,8 +403,8 @@ class TestTwoPoint:
             drops = []
             for w, exact in clicks.items():
                 t = np.sort(exact + np.r_[0, rng.normal(0, 2e-3, len(exact) - 1)])
-                drops.append(two_point.Drop(w / 1000, t, np.arange(len(exact)) * STEP))
-            found = two_point.two_point(
+                drops.append(drag_module.Drop(w / 1000, t, np.arange(len(exact)) * STEP))
+            found = drag_module.two_point(
                 drops,
                 mass_kg=1.196 + 0.02,
                 frontal_area_m2=0.00698,
@@ -416,8 +418,8 @@ class TestTwoPoint:
 
     def test_twice_the_displacement_has_a_closed_form(self) -> None:
         ratio = np.expm1(-2 * 1.3 * 0.3) / np.expm1(-2 * 1.3 * 0.6)
-        assert two_point._a1(ratio, (0.3, 0.6)) == pytest.approx(1.3)
-        assert two_point._a1(ratio, (0.3, 0.6 + 1e-7)) == pytest.approx(1.3, rel=1e-5)
+        assert drag_module._a1(ratio, (0.3, 0.6)) == pytest.approx(1.3)
+        assert drag_module._a1(ratio, (0.3, 0.6 + 1e-7)) == pytest.approx(1.3, rel=1e-5)
 
 
 def test_theory_estimates() -> None:

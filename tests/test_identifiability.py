@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swimid.fitting import identifiability as idn
+from swimid.fitting import covariance as idn
 from swimid.fitting import output_error
-from swimid.fitting.fit_result import FitResult
+from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Tied
 from tests.toy_models import FRICTION, FRICTION_TRUTH, WEIGHTS, Toy, friction, parameter, trials
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from swimid.blackbox import difference, prediction
 from swimid.blackbox.identified import WORSE, Identified
-from swimid.fitting import residual_tests as rt
+from swimid.fitting import noise as rt
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results.evidence import Check, Evidence, Figure, NoticeRecord, Panel, Span, Table, Trace

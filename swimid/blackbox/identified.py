@@ -17,7 +17,7 @@ from swimid.blackbox.prediction import Scores, about_own_level
 from swimid.blackbox.trials import Data
 from swimid.blackbox.working_point import WorkingPoint
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting import residual_tests as rt
+from swimid.fitting import noise as rt
 from swimid.fitting.metrics import score
 from swimid.notices import warn
 from swimid.progress import Progress, silent

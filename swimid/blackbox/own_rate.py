@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from swimid.fitting import residual_tests as rt
+from swimid.fitting import noise as rt
 from swimid.logs.held import Held, find_held
 from swimid.logs.log import TIME, Log
 from swimid.logs.sampling import SAME_RATE, quantum, step_of, usual_step

@@ -14,7 +14,7 @@ import numpy as np
 
 from swimid.blackbox.arx import EXACT, Regression, covariance, directions, regression
 from swimid.blackbox.difference import INTEGRATING, Orders, Record, poles, simulate_all
-from swimid.fitting import residual_tests as rt
+from swimid.fitting import noise as rt
 
 #: |t| of a constant term from which on the working point is removed.
 CLEAR_T = 5.0

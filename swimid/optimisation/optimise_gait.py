@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic
 from swimid.files.checkpoint import Checkpoint
-from swimid.fitting import genetic
+from swimid.fitting import global_search
 from swimid.fitting.model import Array
 from swimid.notices import recorded
 from swimid.optimisation import gait_evidence
@@ -254,7 +254,7 @@ def _front(problem: Problem, options: OptimiseGaitOptions, study: Study, progres
     points, values = front[:, :-2], front[:, -2:]
     gaits = np.array([list(problem.at(x).values()) for x in points])
     rows = np.hstack([gaits, values * problem.signs])
-    return _file(problem, study, points[genetic.knee(values)], front=rows)
+    return _file(problem, study, points[global_search.knee(values)], front=rows)
 
 
 def _gait(problem: Problem, x: Array) -> Gait:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.files.checkpoint import Checkpoint
-from swimid.fitting import genetic
+from swimid.fitting import global_search
 from swimid.fitting.model import Array
 from swimid.optimisation.descent import Descended, descend, merit
 from swimid.optimisation.gait_file import Limit
@@ -157,11 +157,11 @@ class Problem:
             return self.wanted(table) + PENALTY * self.scale * violation[:, None]
 
         width = len(self.vary)
-        found = genetic.nsga2(
+        found = global_search.nsga2(
             cost, np.zeros(width), np.ones(width), objectives=2, population=population,
             generations=generations, seed=seed, **how,
         )  # fmt: skip
-        sound = (found.objectives < genetic.BROKEN_OBJECTIVE).all(axis=1)
+        sound = (found.objectives < global_search.BROKEN_OBJECTIVE).all(axis=1)
         points = found.points[sound]
         if not self.limits or not len(points):
             return np.hstack([points, found.objectives[sound]])

@@ -12,10 +12,10 @@ from functools import partial
 
 import numpy as np
 
+from swimid.fitting.covariance import UNIDENTIFIABLE
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.fit_result import FitResult
+from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Trial
-from swimid.fitting.output_error import UNIDENTIFIABLE
 from swimid.notices import warn
 from swimid.results import evidence as ev
 from swimid.results import numbers

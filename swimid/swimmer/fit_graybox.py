@@ -13,9 +13,9 @@ import numpy as np
 
 from swimid.errors import InputError, Interrupted, NoTrustworthyResult
 from swimid.files import atomic, provenance
-from swimid.fitting import fit_common, identifiability, mistakes, multistart, output_error
+from swimid.fitting import fit_common, global_search, mistakes, output_error
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.fit_result import FitResult
+from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Model, Parameter, Tied, Trial, groups_by_prefix
 from swimid.logs import trials as trials_format
 from swimid.logs.trials import TrialSet
@@ -138,7 +138,7 @@ def fit_graybox(
         files = [parameters_format.origin(p) for p in (begin, options.front) if p is not None]
         origin = provenance.collect([*experiment.inputs, *files], settings=options.settings())
         found: Found | None = None
-        ends: list[multistart.Start] = []
+        ends: list[global_search.Start] = []
         starts = 1
         if options.method == "least-squares":
             model.prepare(progress, simulated_s=ahead_s)
@@ -157,7 +157,7 @@ def fit_graybox(
         left_out: list[str] = []
         if options.subset and result.converged:
             result = _starting_here(result, experiment)
-            result, left_out = identifiability.select_subset(result, jobs=options.jobs, progress=progress)
+            result, left_out = global_search.select_subset(result, jobs=options.jobs, progress=progress)
         result = output_error.with_held_out(result)
         file = _file(experiment, result, origin, left_out, output, trials, options)
         checks = [
@@ -201,7 +201,7 @@ def fit_graybox(
 def _insist(
     result: FitResult,
     file: ParameterFile,
-    ends: Sequence[multistart.Start],
+    ends: Sequence[global_search.Start],
     starts: int,
     source: str | Path | TrialSet,
     output: Path | None,
@@ -327,7 +327,7 @@ def _least_squares(
     begins: Sequence[Array] | None,
     options: FitGrayboxOptions,
     progress: Progress,
-) -> tuple[FitResult, list[multistart.Start], int]:
+) -> tuple[FitResult, list[global_search.Start], int]:
     """Return the output-error fit, its starts where there were several, and their planned number."""
     starts, jobs, loss = max(options.starts or 1, len(begins or [])), options.jobs, options.loss
     first: FitResult | None = None
@@ -340,7 +340,7 @@ def _least_squares(
         if options.starts is not None or first.interrupted or not _deserves_starts(first):
             return first, [], starts
         starts = 4
-    result, ends = multistart.multistart(
+    result, ends = global_search.multistart(
         model, trials, parameters, starts=starts, seed=options.seed, begins=begins,
         jobs=jobs, loss=loss, first=first, progress=progress,
     )  # fmt: skip

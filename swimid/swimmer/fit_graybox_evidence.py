@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from swimid.fitting import fit_common, identifiability, metrics, multistart
+from swimid.fitting import covariance, fit_common, global_search, metrics
 from swimid.fitting.drives import Beat
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.fit_result import FitResult, Series
+from swimid.fitting.metrics import FitResult, Series
 from swimid.logs.beat import find_beat
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -72,9 +72,9 @@ def _path(result: FitResult, across: str, along: str, view: str) -> ev.Panel:
     )
 
 
-def starts_check(ends: Sequence[multistart.Start], *, asked: bool) -> ev.Check:
+def starts_check(ends: Sequence[global_search.Start], *, asked: bool) -> ev.Check:
     """Count the starts that end in the reported minimum; for information unless the user asked for them."""
-    agree = multistart.agreeing(ends)
+    agree = global_search.agreeing(ends)
     value = f"{agree} of {len(ends)} starts end in it"
     text = "the other starts end higher; the lowest is reported" if agree < len(ends) else ""
     passed = agree == len(ends) if asked else None
@@ -82,9 +82,9 @@ def starts_check(ends: Sequence[multistart.Start], *, asked: bool) -> ev.Check:
     return ev.check("one minimum", value, passed, "every start", text, reason=reason)
 
 
-def tables(experiment: Experiment, result: FitResult, ends: Sequence[multistart.Start]) -> list[ev.Table]:
+def tables(experiment: Experiment, result: FitResult, ends: Sequence[global_search.Start]) -> list[ev.Table]:
     """List errors of trials, parameters by identifiability, starts, and readings of the source."""
-    ranking = [[label, share, result.status[label]] for label, share in identifiability.ranked(result)]
+    ranking = [[label, share, result.status[label]] for label, share in covariance.ranked(result)]
     starts = [[k, end.converged, float(end.cost)] for k, end in enumerate(ends, start=1)]
     readings = experiment.robot.readings.items()
     found = [
@@ -168,7 +168,7 @@ def _phase(s: Series, drive: Beat | None) -> str:
 def methods(
     experiment: Experiment,
     result: FitResult,
-    ends: Sequence[multistart.Start],
+    ends: Sequence[global_search.Start],
     left_out: list[str],
     method: str,
 ) -> list[str]:
@@ -189,7 +189,7 @@ def methods(
         said.append("Huber's loss was used.")
     if ends:
         drawn = "on the front" if method == "hybrid" else "drawn evenly within the bounds"
-        agree = multistart.agreeing(ends)
+        agree = global_search.agreeing(ends)
         said.append(f"{agree} of {len(ends)} starts, {drawn}, end in the reported minimum.")
     if left_out:
         said.append(f"{', '.join(left_out)} could not be identified and were held at the whole fit's values.")

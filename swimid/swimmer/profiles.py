@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from swimid.fitting.fit_result import Series
-from swimid.fitting.metrics import dtw_distance
+from swimid.fitting.metrics import Series, dtw_distance
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.problem import Problem
 
