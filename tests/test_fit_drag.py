@@ -64,7 +64,13 @@ class TestModel:
     ) -> None:
         time = np.linspace(0, 5, 101)
         x, v = equation.integrate(
-            time, 0.0, 0.005, np.array([0.2]), 1.9, quadratic, linear, dry, stiffness, 0.0, 0.1, 0.3
+            time,
+            0.0,
+            0.005,
+            np.array([0.2]),
+            0.1,
+            0.3,
+            (1.9, quadratic, linear, dry, stiffness, 0.0, 0.0, 0.0),
         )
 
         def rate(_: float, s: np.ndarray) -> list[float]:
@@ -82,7 +88,8 @@ class TestModel:
     def test_dry_friction_lets_an_oscillator_lose_equal_steps_and_stick(self) -> None:
         """Analytic: each half swing loses 2 dry / stiffness, until the spring cannot pull loose."""
         time = np.linspace(0, 30, 3001)
-        x, v = equation.integrate(time, 0.0, 0.01, np.array([0.0]), 1.0, 0.0, 0.0, 0.1, 4.0, 0.0, 0.52, 0.0)
+        coefficients = (1.0, 0.0, 0.0, 0.1, 4.0, 0.0, 0.0, 0.0)
+        x, v = equation.integrate(time, 0.0, 0.01, np.array([0.0]), 0.52, 0.0, coefficients)
         swing = np.pi / 2.0
         for k in range(1, 10):
             expected = (0.52 - 0.05 * k) * (-1) ** k
@@ -93,9 +100,8 @@ class TestModel:
     def test_closed_form_is_the_integral(self) -> None:
         time = np.linspace(0, 12, 200)
         x, v = equation.falling_weight_closed_form(time, 0.0, 1.921, AREA_FACTOR * 0.705, 0.165)
-        xi, vi = equation.integrate(
-            time, 0.0, 0.005, np.array([0.165]), 1.921, AREA_FACTOR * 0.705, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        )
+        coefficients = (1.921, AREA_FACTOR * 0.705, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        xi, vi = equation.integrate(time, 0.0, 0.005, np.array([0.165]), 0.0, 0.0, coefficients)
         assert np.max(np.abs(x - xi)) < 1e-10
         assert np.max(np.abs(v - vi)) < 1e-10
 

@@ -166,7 +166,7 @@ def test_the_answer_does_not_depend_on_where_the_friction_starts(tmp_path: Path)
 def test_a_body_gets_loose_between_two_steps() -> None:
     """A force that grows by 1 N/s on 1 kg held by 0.505 N: it moves as (t - 0.505)^3 / 6 from then on."""
     time = np.linspace(0.0, 1.0, 11)
-    x, _ = model.integrate(time, 0.0, 0.01, time, 1.0, 0.0, 0.0, 0.505, 0.0, 0.0, 0.0, 0.0)
+    x, _ = model.integrate(time, 0.0, 0.01, time, 0.0, 0.0, (1.0, 0.0, 0.0, 0.505, 0.0, 0.0, 0.0, 0.0))
     assert x == pytest.approx(np.maximum(time - 0.505, 0.0) ** 3 / 6, abs=1e-12)
 
 

@@ -13,7 +13,7 @@ from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files import provenance
 from swimid.fitting import fit_common, output_error
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.model import Parameter, chosen
+from swimid.fitting.model import Parameter
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded, warn
 from swimid.options import takes
@@ -149,7 +149,9 @@ def _fit_surge(
     shared = [label for label in result.labels if "[" not in label]
     if all(result.status[label] != "estimated" for label in shared):
         raise NoTrustworthyResult("neither thrust nor drag can be identified from these trials")
-    derived = _free_amplitude(experiment, choices)
+    amplitudes = {round(t.surge.amplitude_rad, 6) for t in experiment.trials if t.role == "fit"}
+    laws = {"amplitude_exponent": 2.0} if len(amplitudes) > 1 else {}
+    derived = propulsion_cruise.free_exponents(model, experiment.trials, choices, laws, "thrust")
     reference = model.reference_amplitude_rad  # type: ignore[attr-defined]
     thrust, exponent = result.value("thrust_acceleration"), result.value("amplitude_exponent")
     at_one = thrust / reference**exponent
@@ -210,21 +212,3 @@ def _fit_surge(
         provenance=origin,
     )
     return file, evidence
-
-
-def _free_amplitude(experiment: Experiment, choices: tuple[Parameter, ...]) -> dict[str, Estimate]:
-    """The amplitude exponent of thrust set free, where several amplitudes were driven."""
-    amplitudes = {round(t.surge.amplitude_rad, 6) for t in experiment.trials if t.role == "fit"}
-    if len(amplitudes) < 2:
-        return {}
-    name = "amplitude_exponent"
-    result = output_error.fit(experiment.model, experiment.trials, parameters=chosen(choices, freed=(name,)))
-    fit_common.refuse_interrupted(result)
-    value, stderr = result.value(name), result.stderr(name)
-    if stderr and abs(value - 2.0) > 3 * stderr:
-        warn(
-            "SWM031",
-            f"set free, the amplitude exponent of thrust is {numbers.measured(value, stderr)}, fitted with 2",
-        )
-    free = Estimate(value=value, stderr=stderr, unit="1", bounds=(0, 6), status=result.status[name])  # type: ignore[arg-type]
-    return {f"free_{name}": free}

@@ -366,8 +366,7 @@ def _methods(
     sentences = [
         f"{', '.join(result.shared)} were estimated from {count} {experiment.name} trials ({result.samples} "
         "samples) by output-error maximum likelihood with a single-degree-of-freedom rig model.",
-        "Standard errors follow from the Jacobian at the optimum with the residuals' autocorrelation "
-        "accounted for.",
+        fit_common.COVARIANCE,
     ]
     if set(experiment.facts.get("encoder", {}).values()) - {"continuous"}:
         step = experiment.facts.get("resolution_m")

@@ -1,5 +1,4 @@
-"""The single-degree-of-freedom rig: falling weight, towing and free decay, and the kernels that integrate
-it.
+"""The single-degree-of-freedom rig: falling weight, towing and free decay, with its compiled kernels.
 
 One equation serves all three::
 
@@ -214,8 +213,7 @@ class RigModel(Model):
         equation = tuple(c[name] for name in EQUATION)
         step = self._step(trial.time_s)
         if not forced:
-            place = (c["x0"], c["v0"])
-            x, v = integrate(trial.time_s, release, step, force, *equation[:6], *place, *equation[6:])
+            x, v = integrate(trial.time_s, release, step, force, c["x0"], c["v0"], equation)
             return {self.coordinate: x, self.speed: v}
         ends = step_ends(trial.time_s, release, step)
         water = np.zeros(len(ends))
@@ -566,22 +564,7 @@ def _run(time, start, max_step, force, c, x0, v0, water, extra):  # type: ignore
 
 
 @numba.njit(cache=True, nogil=True)
-def integrate(  # type: ignore[no-untyped-def]
-    time,
-    start,
-    max_step,
-    force,
-    inertia,
-    quadratic,
-    linear,
-    dry,
-    stiffness,
-    rest,
-    x0,
-    v0,
-    gravity=0.0,
-    cubic=0.0,
-):
+def integrate(time, start, max_step, force, x0, v0, c):  # type: ignore[no-untyped-def]
     """Return positions and speeds at given times, by fixed-step fourth-order Runge-Kutta.
 
     Parameters
@@ -595,10 +578,10 @@ def integrate(  # type: ignore[no-untyped-def]
         the steps do not depend on the parameters and finite differences stay smooth.
     force : ndarray, shape (n,) or (1,)
         Applied force at the samples (linear in between), or one constant value.
-    inertia, quadratic, linear, dry, stiffness, rest, gravity, cubic : float
-        Coefficients of the equation of motion.
     x0, v0 : float
         Initial position and speed.
+    c : tuple of float
+        Coefficients of the equation of motion, in the order of :data:`EQUATION`.
 
     Returns
     -------
@@ -611,7 +594,6 @@ def integrate(  # type: ignore[no-untyped-def]
     it moves again. Both instants move with the parameters: kept to the grid of steps, the
     motion would be a staircase of the friction, and its derivative wrong.
     """
-    c = (inertia, quadratic, linear, dry, stiffness, rest, gravity, cubic)
     return _run(time, start, max_step, force, c, x0, v0, None, None)
 
 
@@ -625,9 +607,6 @@ def integrate_forced(  # type: ignore[no-untyped-def]
     ----------
     water : ndarray, shape (steps + 1,), m/s
         Velocity of the water at :func:`step_ends`, linear in between.
-    c : tuple of float
-        Inertia, quadratic drag, linear drag, dry friction, stiffness, rest position, gravity stiffness and
-        cubic stiffness.
     acting : int
         How many of the forces act.
     f1, c1, f2, c2, f3, c3, f4, c4
@@ -703,5 +682,5 @@ def falling_weight_closed_form(time, start, inertia, quadratic, force):  # type:
 def warm_up() -> None:
     """Compile the kernels of this module."""
     time = np.array([0.0, 0.1])
-    integrate(time, 0.0, 0.1, np.array([1.0]), 1.0, 1.0, 1.0, 0.1, 1.0, 0.0, 0.0, 0.0)
+    integrate(time, 0.0, 0.1, np.array([1.0]), 0.0, 0.0, (1.0, 1.0, 1.0, 0.1, 1.0, 0.0, 0.0, 0.0))
     falling_weight_closed_form(time, 0.0, 1.0, 1.0, 1.0)
