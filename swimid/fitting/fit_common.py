@@ -269,7 +269,7 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
     if sum(t.role == "fit" for t in result.trials) > 2:
         p = blocks.p_text(result.scatter_p)
         found.append(
-            _warned(
+            warned_check(
                 "SWM014",
                 "trials agree",
                 p,
@@ -283,7 +283,7 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
     if result.step_error:
         size = f"{result.step_error:.2g} sd"
         found.append(
-            _warned(
+            warned_check(
                 "SWM016",
                 "integration step",
                 size,
@@ -297,7 +297,7 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
     return found + [_validation(result, c) for c in held_out if c.name in result.noise]
 
 
-def _warned(
+def warned_check(
     code: str,
     name: str,
     value: str,
@@ -328,7 +328,7 @@ def _outliers(result: FitResult, channel: str) -> ev.Check | None:
     if limit <= 0 or not count:
         return None
     named = ", ".join(f"{t}: {n}" for t, n in owners.items() if n)
-    return _warned(
+    return warned_check(
         "SWM025",
         f"no outliers, {channel}",
         f"{count} of {len(values)} samples",
@@ -342,7 +342,7 @@ def _outliers(result: FitResult, channel: str) -> ev.Check | None:
 def _whiteness(result: FitResult, channel: str) -> ev.Check:
     test = ljung_box(_weighted(result, channel), fitted=0)
     p = blocks.p_text(test.p_value)
-    return _warned(
+    return warned_check(
         "SWM013",
         f"white residuals, {channel}",
         p,
@@ -361,7 +361,7 @@ def _validation(result: FitResult, channel: Channel) -> ev.Check:
     constant = _rms([s.measured - np.nanmean(s.measured) for s in held_out])
     ratio = error / fitted if fitted else math.inf
     worst = max(held_out, key=lambda s: _rms([s.residual]))
-    return _warned(
+    return warned_check(
         "SWM015",
         f"validation, {channel.name}",
         numbers.number(error, 3, channel.unit),

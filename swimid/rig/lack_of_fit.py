@@ -25,7 +25,7 @@ import numpy as np
 from scipy import special
 
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting import between_trials, output_error, restarts
+from swimid.fitting import between_trials, fit_common, output_error, restarts
 from swimid.fitting.between_trials import ODD, TIMES, Odd, odd_trial
 from swimid.fitting.covariance import HETEROGENEITY
 from swimid.fitting.metrics import FitResult
@@ -340,22 +340,16 @@ def odd_check(result: FitResult, odd: Odd) -> ev.Check:
         f"{label} {numbers.measured(odd.others.value(label), odd.others.stderr(label), units[label])}"
         for label in odd.others.shared
     )
-    times = numbers.number(odd.times, 2)
-    warn(
+    return fit_common.warned_check(
         "SWM071",
-        f"{odd.trial} contradicts the other trials: they predict it {times} times worse than one another. "
-        f"Without it: {without}. Check its entry in the trials file (pulling mass, force, unit), or leave it "
-        "out of the fit with role: validate",
-    )
-    other = moved(result, odd.others)
-    return ev.check(
         "no trial contradicts the others",
-        f"{odd.trial}: {times} times the others' error",
+        f"{odd.trial}: {numbers.number(odd.times, 2)} times the others' error",
         False,
         f"below {TIMES:g} times, or p ≥ {ODD:g}",
-        f"without it {', '.join(other)} would lie outside the stated interval" if other else "",
-        otherwise="fail" if other else "warn",
-        reason=f"{odd.trial} contradicts the other trials",
+        f"without it: {without}. Check its entry in the trials file (pulling mass, force, unit), or leave it "
+        "out of the fit with role: validate",
+        f"{odd.trial} contradicts the other trials",
+        failed=bool(moved(result, odd.others)),
     )
 
 
@@ -496,15 +490,13 @@ def _sign(result: FitResult) -> ev.Check:
     )
     unit = next(c.unit for c in result.model.channels if c.name == _channel(result))
     change = f"from {numbers.number(before, 2, unit)} to {numbers.number(after, 2, unit)}"
-    warn(
-        "SWM110",
-        f"with force_N times -1 in {where} the error of {_channel(result)} falls {change}: force_N must be "
-        "the force on the body, positive along x_m. Turn its sign in the log, or with factor: -1 in the "
-        "mapping of an import",
+    reason = f"with force_N times -1 in {where} the error of {_channel(result)} falls {change}"
+    text = (
+        "force_N must be the force on the body, positive along x_m: turn its sign in the log, or with "
+        "factor: -1 in the mapping of an import"
     )
-    reason = f"force_N has the wrong sign in {where}"
-    text = f"the error falls {change}"
-    return ev.check(name, f"wrong in {where}", False, limit, text, otherwise="fail", reason=reason)
+    check = ("SWM110", name, f"wrong in {where}", False, limit, text, reason)
+    return fit_common.warned_check(*check, failed=True)
 
 
 def _turned(trial: Trial) -> Trial:
@@ -537,14 +529,14 @@ def _at_rest(result: FitResult) -> list[ev.Check]:
         return [ev.check(name, "zero within its noise", True, allowed)]
     worst = min(beyond, key=lambda trial: beyond[trial][2])
     size = numbers.measured(*beyond[worst][:2], "N")
-    warn(
-        "SWM111",
-        f"force_N is {size} in {worst} while the body stands still, and is not zero in {len(beyond)} of "
-        f"{len(loads)} trials that begin at rest: a sensor that was not tared (--free force_offset), one "
-        "that drifts (--free force_drift), or dry friction that holds the body (--free dry_friction)",
+    text = (
+        f"it is not zero in {len(beyond)} of {len(loads)} trials that begin at rest: a sensor that was not "
+        "tared (--free force_offset), one that drifts (--free force_drift), or dry friction that holds the "
+        "body (--free dry_friction)"
     )
     reason = f"force_N is {size} in {worst} while the body stands still"
-    return [ev.check(name, f"{size} in {worst}", False, allowed, reason=reason)]
+    check = ("SWM111", name, f"{size} in {worst}", False, allowed, text, reason)
+    return [fit_common.warned_check(*check)]
 
 
 def _still(trial: Trial) -> int:
