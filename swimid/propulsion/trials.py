@@ -34,10 +34,6 @@ from swimid.robots.file import Robot
 if TYPE_CHECKING:
     import pandas as pd
 
-#: The paper's stop-watch error (section 3.4), s, and the scatter of speeds between runs taken
-#: beside it: they set how runs weigh against each other, the overall size is estimated.
-STOP_WATCH_SD_S = 0.1
-SPEED_SCATTER = 0.01
 #: The keys of a trials file that are used, by experiment. The phase of the drive does not touch
 #: averages over beats; a stroke is refused by name.
 USES = {
@@ -146,7 +142,9 @@ def _cruise(path: Path, entries: Cruise, robot: Robot, source: parameters_format
     for fin, inertia in model.fins.items():
         rows = np.array([f == fin for f in table.fin])
         speed, distance = table.mean_speed_m_s[rows], table.distance_m[rows]
-        spread = np.hypot(speed**2 / distance * STOP_WATCH_SD_S, SPEED_SCATTER * speed)
+        # the paper's stop-watch error of 0.1 s (section 3.4) and a scatter of speeds between runs set how
+        # runs weigh against each other; the overall size is estimated
+        spread = np.hypot(speed**2 / distance * 0.1, 0.01 * speed)
         inputs = {
             "frequency_hz": table.frequency_hz[rows],
             "amplitude_rad": np.deg2rad(table.amplitude_deg[rows]),

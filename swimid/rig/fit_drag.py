@@ -41,8 +41,6 @@ from swimid.rig.lack_of_fit import force_checks
 from swimid.rig.model import falling_weight_closed_form
 from swimid.rig.options import FitDragOptions
 
-#: Number of searches, the first from the parameters' own start values.
-N_SEARCHES = 4
 #: Why the two-point method has no answer.
 NO_ANSWER = "its speeds do not rise with the pulling mass as Eq 13 says"
 
@@ -211,7 +209,7 @@ def _from_starts(first: FitResult, progress: Progress) -> tuple[FitResult, list[
         first.model,
         first.trials,
         first.parameters,
-        starts=N_SEARCHES,
+        starts=4,
         begins=[first.estimate],
         progress=progress,
     )

@@ -34,8 +34,6 @@ COORDINATES: dict[str, tuple[str, str, bool]] = {
     "pitch_rad": ("rad", "rad/s", True),
     "yaw_rad": ("rad", "rad/s", True),
 }
-#: Coordinates in which gravity restores.
-TILTS = ("roll_rad", "pitch_rad")
 #: Parameters that act alike: of each group one may stand in the place of the others.
 ALIKE = (
     (
@@ -393,7 +391,7 @@ def free_decay(
             free=not known,
         ),
         _signed("cubic_stiffness", f"{restoring}^3", cubic, "cubic restoring stiffness", free=False),
-        *([pendulum] if coordinate in TILTS else []),
+        *([pendulum] if coordinate in ("roll_rad", "pitch_rad") else []),
         _parameter(
             "dry_friction", force, 0.0, 0.01 * guess * amplitude, "dry friction", free=False, kinked=True
         ),
