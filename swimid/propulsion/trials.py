@@ -375,11 +375,7 @@ def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
     typical = np.nanmedian(speeds)
     doubts = [
         (speed, typical > 20, f"speeds of {typical:.3g} m/s; is it mm/s (a factor of 1000)?"),
-        (
-            "distance_m",
-            np.max(distance) > 50,
-            "looks like centimetres or millimetres",
-        ),
+        ("distance_m", np.max(distance) > 50, "looks like centimetres or millimetres"),
         ("amplitude_deg", np.max(columns["amplitude_deg"]) < 1.6, "looks like radians (a factor of 57.3)"),
     ]
     for column, doubtful, words in doubts:
