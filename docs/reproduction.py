@@ -28,7 +28,7 @@ from swimid.fitting.model import Trial
 from swimid.optimisation.optimise_stiffness import StiffnessRule, optimise_stiffness
 from swimid.optimisation.performance_map import performance_map
 from swimid.optimisation.rule import RuleFile
-from swimid.results import blocks, sheet
+from swimid.results import blocks, drawing
 from swimid.results.evidence import Figure, Panel, Trace
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
@@ -893,7 +893,7 @@ def pictures(folder: Path) -> None:
         ("steering", "Tendon fish: turning (Table V)", [table_v()]),
         ("speed-map", "Dolphin: speed (Fig 11a)", speed_map()),
     ):
-        sheet.write(folder / f"{name}.svg", figures_of, title=title)
+        drawing.write(folder / f"{name}.svg", figures_of, title=title)
 
 
 if __name__ == "__main__":

@@ -80,7 +80,7 @@ def test_the_page_prints_what_the_fit_prints(walked: tuple[Path, dict[str, Ran]]
 def test_the_wrong_reading_is_told(walked: tuple[Path, dict[str, Ran]]) -> None:
     out = _said(walked[1], "fit-graybox", "isotropic").out
     assert "BAD:" in out
-    assert "not identifiable from these trials" in out
+    assert "not identifiable" in out
 
 
 def test_speeds_in_the_text(walked: tuple[Path, dict[str, Ran]]) -> None:

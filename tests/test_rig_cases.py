@@ -61,7 +61,7 @@ def test_a_body_that_stops_at_the_wall(swimid: Run, tmp_path: Path, clicks: dict
         t = np.arange(0.3, exact[-1] + 1.5, 0.03)
         x = np.interp(t, exact, STEP * np.arange(len(exact)))
         logs[w] = (t, x + rng.normal(0, 1e-3, len(t)))
-    ran = swimid("fit-drag", _write(tmp_path, logs), "--json")
+    ran = swimid("fit-drag", _write(tmp_path, logs), "--json", "-v")
     assert ran.err.count("stands still") == len(clicks)
     p = ran.json["result"]["parameters"]
     # a chord instead of the arc between clicks is off by less than a tenth of a step

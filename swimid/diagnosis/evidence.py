@@ -74,7 +74,7 @@ def evidence(
         notes=words.notes(file),
         checks=tests,
         tables=[table for table in tables if table.rows],
-        figures=[_bars(errors), *_ranked(file), *_residuals(worst, bool(file.causes))],
+        figures=[_levels(errors), *_ranked(file), *_residuals(worst, bool(file.causes))],
         notices=list(notices),
         methods=words.methods(file),
         references=list(dict.fromkeys([*cited, *(source for c in file.causes for source in c.sources)])),
@@ -89,7 +89,7 @@ def _facts(file: GapFile) -> dict[str, str]:
         "Model": file.model,
         "Effects tried": str(len({s.effect for s in file.scores}) or ""),
         "Probability": words.otherwise_text(file) if file.no_gap is not None else "",
-        "Errors of the parameters as given": given,
+        "Errors of the parameters as given": "" if file.closing else given,
     }
     return {name: value for name, value in facts.items() if value}
 
@@ -319,18 +319,23 @@ def _parts(file: GapFile) -> ev.Table:
 # ---------------------------------------------------------------- figures
 
 
-def _bars(table: ev.Table) -> ev.Figure:
-    """Draw the columns of a table of errors up to the noise floor."""
+def _levels(table: ev.Table) -> ev.Figure:
+    """Draw the columns of a table of errors up to the noise floor, side by side for each channel."""
     names, *columns = zip(*table.rows, strict=True) if table.rows else ((),)
+    titles = table.columns[1 : table.columns.index(FLOOR) + 1]
+    shown = [(t, v) for t, v in zip(titles, columns, strict=False) if any(one is not None for one in v)]
     traces = []
-    for title, values in zip(table.columns[1:], columns, strict=False):
-        if any(v is not None for v in values):
-            label = title.removesuffix(" (%)")
-            traces.append(ev.Trace(x=list(range(len(names))), y=values, style="bars", label=label))
-        if title == FLOOR:
-            break
-    y_label = "error over the measured range (%)"
-    panel = ev.Panel(x_label="", y_label=y_label, traces=traces, x_categories=[str(name) for name in names])
+    for k, (title, values) in enumerate(shown):
+        x = [n + 0.12 * (k - (len(shown) - 1) / 2) for n in range(len(names))]
+        label = "noise alone" if title == FLOOR else title.removesuffix(" (%)")
+        traces.append(ev.Trace(x=x, y=values, style="points", label=label, group=k))
+    panel = ev.Panel(
+        x_label="",
+        y_label="error over the measured range (%)",
+        y_scale="log",
+        traces=traces,
+        x_categories=[numbers.split_unit(str(name))[0].replace("_", " ") for name in names],
+    )
     return ev.Figure(id="errors", title=table.title, caption="Root-mean-square errors.", panels=[panel])
 
 
@@ -343,17 +348,24 @@ def _ranked(file: GapFile) -> list[ev.Figure]:
         return []
     named = {name for c in file.causes for name in (c.effect, *c.equivalent)}
     traces = []
-    for label, among in (("cause, or not told from it", True), ("other effects", False)):
-        places = [k for k, name in enumerate(shown) if (name in named) == among]
-        values = [gains[shown[k]] for k in places]
-        y, error = [gain for gain, _ in values], [stderr for _, stderr in values]
-        traces.append(ev.Trace(x=places, y=y, y_error=error, style="points", label=label))
+    for group, label in enumerate(("cause, or not told from it", "other effects")):
+        places = [k for k, name in enumerate(shown) if (name in named) == (group == 0)]
+        if not places:
+            continue
+        ends: list[float | None] = []
+        for k in places:
+            gain, error = gains[shown[k]]
+            ends += [gain - (error or 0.0), gain + (error or 0.0), None]
+        heights = [float(k) if n < 2 else None for k in places for n in range(3)]
+        x = [gains[shown[k]][0] for k in places]
+        traces.append(ev.Trace(x=x, y=places, style="points", label=label, group=group))
+        traces.append(ev.Trace(x=ends, y=heights, group=group))
     panel = ev.Panel(
-        x_label="", y_label="held-out gain", x_categories=shown, traces=[trace for trace in traces if trace.x]
+        x_label="gain in cross-validation", y_label="", y_categories=shown, invert_y=True, traces=traces
     )
     caption = (
-        "Drop of the squared residuals in approximate cross-validation, in units of the noise, with one "
-        "standard error; each effect alone."
+        "Drop of the squared residuals, in units of the noise, with one standard error; each effect alone. "
+        "Effects that overlap here are told apart by their probabilities, which compare them on equal data."
     )
     return [ev.Figure(id="effects", title="Gain of each effect", caption=caption, panels=[panel])]
 
@@ -366,7 +378,7 @@ def _residuals(worst: Sequence[Piece], caused: bool) -> list[ev.Figure]:
         traces = []
         for label, simulated in {"without the causes": p.before, "with the causes": p.after}.items():
             x, y = ev.thinned(p.time_s, factor * (p.measured - simulated), MAX_POINTS)
-            traces.append(ev.Trace(x=x, y=y, label=label))
+            traces.append(ev.Trace(x=x, y=y, label=label, group=len(traces)))
         y_label = f"residual of {name.replace('_', ' ')} ({numbers.unit_text(unit) or '1'})"
         traces = traces if caused else traces[:1]
         panels.append(ev.Panel(x_label="time (s)", y_label=y_label, traces=traces, marks=[ev.Mark(at=0.0)]))

@@ -31,10 +31,13 @@ def _autocorrelation(coefficients: Array, lags: int) -> Array:
     """Autocorrelation of an autoregression at lags 0 .. lags, shape (lags + 1,)."""
     if len(coefficients) == 0:
         return np.eye(1, lags + 1)[0]
-    # the spectrum is 1 / |A|^2, in steps so fine that the correlation has died out at the longest lag
+    from scipy.signal import lfilter
+
+    # impulse response of 1 / A, long enough to have died out, correlated with itself
     length = lags + 1 + min(20000, max(2000, 10 * lags))
-    spectrum = np.fft.rfft(np.concatenate(([1.0], coefficients)), 2 * length)
-    covariance = np.fft.irfft(1.0 / np.abs(spectrum) ** 2)[: lags + 1]
+    response = lfilter([1.0], np.concatenate(([1.0], coefficients)), np.eye(1, length)[0])
+    spectrum = np.fft.rfft(response, 2 * length)
+    covariance = np.fft.irfft(np.abs(spectrum) ** 2)[: lags + 1]
     return np.asarray(covariance / covariance[0])
 
 

@@ -135,24 +135,31 @@ def points(runs: Sequence[Any], x: Callable[[Any], Any], y: Callable[[Any], Any]
 
 
 def measured_and_simulated(
-    id: str, title: str, caption: str, x_label: str, y_label: str, shown: Sequence[Series]
+    id: str,
+    title: str,
+    caption: str,
+    x_label: str,
+    y_label: str,
+    shown: Sequence[Series],
+    factor: float = 1.0,
 ) -> Figure:
     """Return measurements as points over their simulation as lines, of the worst and the best trial.
 
-    The trial of the fit with the largest and the one with the smallest root-mean-square weighted residual are
-    drawn, and the worst held-out trial with a dashed line.
+    There is a panel for the fitted trial with the largest root-mean-square weighted residual, one for the one
+    with the smallest, and one for the worst held-out trial. ``factor`` converts values to the unit drawn.
     """
-    traces = []
-    for group, (name, s) in enumerate(_extremes(shown).items()):
+    drawn = []
+    for name, s in _extremes(shown).items():
         stride = max(len(s.time_s) // MAX_MARKS, 1)
         known = np.flatnonzero(np.isfinite(s.measured))[::stride]
-        x, y = thinned(s.time_s, s.simulated, POINTS)
-        style: Literal["line", "dashed"] = "line" if s.role == "fit" else "dashed"
-        traces += [
-            Trace(x=s.time_s[known], y=s.measured[known], style="points", label=name, group=group),
-            Trace(x=x, y=y, style=style, group=group),
+        x, y = thinned(s.time_s, factor * s.simulated, POINTS)
+        labels = ("", "") if drawn else ("measured", "simulated")
+        traces = [
+            Trace(x=s.time_s[known], y=factor * s.measured[known], style="points", label=labels[0], group=0),
+            Trace(x=x, y=y, label=labels[1], group=0),
         ]
-    return figure(id, title, caption, x_label, y_label, traces)
+        drawn.append(panel(x_label, y_label, traces, title=name))
+    return panels(id, title, caption, drawn)
 
 
 def _extremes(shown: Sequence[Series]) -> dict[str, Series]:
@@ -189,7 +196,7 @@ def residuals(
         traces.append(Trace(x=x, y=k - y / (2.2 * ROW_SD), style="points", label=label, group=group))
     over_time = Panel(
         x_label=x_label,
-        y_label=f"residual, rows of ±{ROW_SD:g} sd",
+        y_label=f"residual / sd, ±{ROW_SD:g} in a row",
         y_categories=[s.trial for s in rows],
         invert_y=True,
         traces=traces,

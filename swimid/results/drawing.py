@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from functools import cache, partial
 from html import escape
 from importlib import resources
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +23,9 @@ import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
+from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
-from matplotlib.ticker import FuncFormatter, LogFormatter
+from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
@@ -44,6 +46,8 @@ LETTER = 0.58
 DPI = 300
 #: From this many points on a trace is drawn as one path of dots, which takes a tenth of the space.
 MIN_CLOUD = 60
+#: Minimum height over width of a path whose axes end where its data end.
+MIN_SHAPE = 0.2
 #: Opacity of the darkest cell of a heat map, on which its number can still be read.
 DARKEST = 0.55
 
@@ -147,11 +151,13 @@ def paint(axes: Axes, panel: Panel, slots: dict[Any, int], *, compact: bool = Fa
 
 
 def slots_of(figure: Figure) -> dict[Any, int]:
-    """Return the number of each group of traces; a group looks the same in every panel."""
-    slots: dict[Any, int] = {}
-    for panel in figure.panels:
-        for index, trace in enumerate(panel.traces):
-            slots.setdefault(_key(trace, index), len(slots))
+    """Return the number of each group of traces, so that a group looks alike in every panel."""
+    keys = [_key(trace, k) for panel in figure.panels for k, trace in enumerate(panel.traces)]
+    slots: dict[Any, int] = {key: key for key in keys if isinstance(key, int)}
+    free = (k for k in count() if k not in slots.values())
+    for key in keys:
+        if key not in slots:
+            slots[key] = next(free)
     return slots
 
 
@@ -176,10 +182,11 @@ def _trace(axes: Axes, trace: Trace, slot: int, repeat: int, *, paired: bool, co
     x, y, colour = _array(trace.x), _array(trace.y), _colour(slot)
     marker = MARKERS[slot % len(MARKERS)]
     label = trace.label or None
-    plain = slot == 0 or paired or trace.style == "arrows"
     if trace.lower is not None and trace.upper is not None:
-        axes.fill_between(x, _array(trace.lower), _array(trace.upper), color=colour, alpha=0.2, lw=0)
-        plain = True
+        band = axes.fill_between(x, _array(trace.lower), _array(trace.upper), color=colour, alpha=0.2, lw=0)
+        if not np.any(y):  # a band about zero
+            band.set_label(trace.label)
+            return
     elif len(x) > MAX_POINTS:
         x, y = thinned(x, y)
     if trace.y_error is not None:
@@ -197,8 +204,8 @@ def _trace(axes: Axes, trace: Trace, slot: int, repeat: int, *, paired: bool, co
         line.set_drawstyle("steps-post")
     if trace.style == "dashed" or repeat:
         line.set_dashes(DASHES[repeat % len(DASHES)])
-    if not plain:
-        line.set(marker=marker, ms=3, markevery=max(len(x) // 6, 1))
+    elif slot and not paired and trace.style != "arrows":
+        line.set_dashes(DASHES[(slot - 1) % len(DASHES)])
 
 
 def _points(
@@ -248,8 +255,8 @@ def _scales(axes: Axes, panel: Panel) -> None:
         values = [v for trace in panel.traces for v in getattr(trace, name) if v is not None]
         if getattr(panel, f"{name}_scale") == "log" and any(v > 0 for v in values):
             getattr(axes, f"set_{name}scale")("log", nonpositive="mask")
-            axis.set_major_formatter(LogFormatter())
-            axis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.5)))
+            axis.set_major_formatter(FuncFormatter(partial(_scaled, 1.0)))
+            axis.set_minor_formatter(NullFormatter())
             continue
         largest = max((abs(v) for v in values if v is not None and math.isfinite(v)), default=0.0)
         power = math.floor(math.log10(largest)) if largest else 0
@@ -264,7 +271,7 @@ def _scales(axes: Axes, panel: Panel) -> None:
         _slant(axes, panel.x_categories)
         axes.set_xlim(-0.6, len(panel.x_categories) - 0.4)
     if panel.equal_aspect:
-        axes.set_aspect("equal", adjustable="box")
+        axes.set_aspect("equal", adjustable="box" if _shape(panel) > MIN_SHAPE else "datalim")
     if panel.invert_y:
         axes.invert_yaxis()
 
@@ -299,7 +306,7 @@ def _legend(axes: Axes) -> int:
     """Set the legend above the axes; return its number of rows."""
     handles, labels = axes.get_legend_handles_labels()
     found = dict(zip(labels, handles, strict=True))
-    if not found or (len(found) == 1 and len(axes.lines) + len(axes.patches) == 1):
+    if not found or (len(found) == 1 and isinstance(next(iter(found.values())), Line2D)):
         return 0
     longest = max(len(label) for label in found)
     columns = max(int(60 * WIDTH / (longest * LETTER * (FONT - 1) + 28)), 1)
@@ -351,11 +358,16 @@ def _height(panel: Panel) -> float:
         return max(1.0 + 0.16 * len(panel.y_categories), 1.6)
     if not panel.equal_aspect:
         return HEIGHT
+    return min(max(WIDTH * _shape(panel), 0.8), 4.0) + 0.6
+
+
+def _shape(panel: Panel) -> float:
+    """Return the height of the data of a panel over their width."""
     spans = []
     for name in ("x", "y"):
         values = [v for trace in panel.traces for v in getattr(trace, name) if v is not None]
         spans.append(max(values) - min(values) if values else 0.0)
-    return min(max(WIDTH * spans[1] / spans[0], 0.8), 4.0) + 0.6 if spans[0] else HEIGHT
+    return spans[1] / spans[0] if spans[0] else HEIGHT / WIDTH
 
 
 def canvas(
@@ -388,9 +400,10 @@ def canvas(
         grid = drawn.add_gridspec(len(rows), across, height_ratios=heights)
         for k, (figure, row) in enumerate(rows):
             for n, panel in enumerate(row):
-                cell = grid[k, n] if len(row) > 1 else grid[k, :]
-                titled = panel.model_copy(update={"title": panel.title or figure.title})
-                paint(drawn.add_subplot(cell), titled, slots_of(figure))
+                cell = grid[k, n] if figure.columns > 1 else grid[k, :]
+                if len(figures) > 1 and panel is figure.panels[0] and not panel.title:
+                    panel = panel.model_copy(update={"title": figure.title})
+                paint(drawn.add_subplot(cell), panel, slots_of(figure))
                 step(1)
     return drawn
 

@@ -104,7 +104,9 @@ class Fitted(FileResult[ParameterFile]):
             _correlation(file.correlation),
         ]
         if file.fit is not None:
-            details = {"trials": file.fit.trials, "noise": file.fit.noise, **(file.fit.model_extra or {})}
+            more = file.fit.model_extra or {}
+            single = {name: value for name, value in more.items() if not _is_records(value)}
+            details = {"trials": file.fit.trials, "noise": file.fit.noise, **single}
             tables.append(leaf_table("fit", "Fit details", details))
         return [table for table in tables if table.rows]
 
@@ -120,6 +122,10 @@ class Fitted(FileResult[ParameterFile]):
             verdict = Verdict(level=level, text=f"Not identifiable: {', '.join(weak)}. No evidence file.")
         title = f"Parameters of {self.file.model}"
         return Evidence(verb=self.verb, title=title, verdict=verdict, provenance=self.file.provenance)
+
+
+def _is_records(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and isinstance(value[0], dict)
 
 
 def _estimates(id: str, title: str, estimates: dict[str, Estimate], *, folded: bool = False) -> Table:
