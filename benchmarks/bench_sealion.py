@@ -25,8 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from swimid.fitting import genetic
 from swimid.fitting.drives import Cycle, SwimInput
+from swimid.fitting.global_search import BROKEN_OBJECTIVE, GENERATIONS, POPULATION, nsga2
 from swimid.fitting.hooks import NONE
 from swimid.fitting.model import Trial
 from swimid.robots import file as robot
@@ -162,7 +162,7 @@ def bench_search(model: MultibodyModel, generations: int) -> None:
     def search(count: int) -> float:
         begin = time.perf_counter()
         for name in profiles.names:
-            genetic.nsga2(
+            nsga2(
                 lambda points, name=name: profiles.evaluate(points, name),  # type: ignore[misc]
                 profiles.lower,
                 profiles.upper,
@@ -177,18 +177,18 @@ def bench_search(model: MultibodyModel, generations: int) -> None:
             self.name = name
 
         def _evaluate(self, x: np.ndarray, out: dict[str, Any], *_: Any, **__: Any) -> None:
-            out["F"] = np.nan_to_num(profiles.evaluate(x[None], self.name)[0], nan=genetic.BROKEN_OBJECTIVE)
+            out["F"] = np.nan_to_num(profiles.evaluate(x[None], self.name)[0], nan=BROKEN_OBJECTIVE)
 
     def peer(count: int) -> float:
         begin = time.perf_counter()
         for name in profiles.names:
-            minimize(OneByOne(name), NSGA2(pop_size=genetic.POPULATION), ("n_gen", count), seed=0)
+            minimize(OneByOne(name), NSGA2(pop_size=POPULATION), ("n_gen", count), seed=0)
         return time.perf_counter() - begin
 
     search(1)
     few, theirs = search(FEW), peer(FEW)
     whole = search(generations)
-    print(f"search, {genetic.POPULATION} x {generations} x {len(profiles.names)} profiles, {jobs} threads")
+    print(f"search, {POPULATION} x {generations} x {len(profiles.names)} profiles, {jobs} threads")
     print(f"  wall                       {whole:8.1f} s")
     print(f"  pymoo.minimize, {FEW} gen.    {theirs:8.1f} s, here {few:.1f} s   ratio {few / theirs:.2f}")
     profiles.close()
@@ -197,7 +197,7 @@ def bench_search(model: MultibodyModel, generations: int) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--only", nargs="+", choices=["engine", "search"], default=["engine", "search"])
-    parser.add_argument("--generations", type=int, default=genetic.GENERATIONS)
+    parser.add_argument("--generations", type=int, default=GENERATIONS)
     options = parser.parse_args()
     model = MultibodyModel(robot.read("sealion"))
     if "engine" in options.only:

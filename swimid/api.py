@@ -37,7 +37,7 @@ NAMES = {
     "fit_propulsion": "swimid.propulsion.fit_propulsion",
     "fit_graybox": "swimid.swimmer.fit_graybox",
     "rwls": "swimid.blackbox.rwls",
-    "fit_model": "swimid.fitting.fit_model",
+    "fit_model": "swimid.fitting.fit_common",
     # what follows from it
     "simulate": "swimid.simulation.simulate",
     "compare": "swimid.simulation.compare",

@@ -13,7 +13,7 @@ from swimid.errors import InputError, SwimidError, UsageError
 from swimid.files import atomic, yamlio
 from swimid.logs import log, trials
 from swimid.notices import SwimidWarning, recorded
-from swimid.propulsion import cruise_table as cruise
+from swimid.propulsion import trials as cruise
 from swimid.results import evidence, parameters
 from swimid.robots import file as robot
 
@@ -286,13 +286,13 @@ class TestCruiseTable:
     )
     def test_each_fault_names_its_place(self, tmp_path: Path, text: str, words: list[str]) -> None:
         with pytest.raises(InputError) as caught:
-            cruise.read(_file(tmp_path, text))
+            cruise.read_table(_file(tmp_path, text))
         for word in ["x.csv", *words]:
             assert word in str(caught.value)
 
     def test_mean_speed_or_time(self, tmp_path: Path) -> None:
-        by_time = cruise.read(_file(tmp_path, self.HEADER + "A,2,16,1.15,11.5\n"))
-        by_speed = cruise.read(
+        by_time = cruise.read_table(_file(tmp_path, self.HEADER + "A,2,16,1.15,11.5\n"))
+        by_speed = cruise.read_table(
             _file(tmp_path, self.HEADER.replace("time_s", "mean_speed_m_s") + "A,2,16,1.15,0.1\n")
         )
         assert by_time.mean_speed_m_s == pytest.approx(by_speed.mean_speed_m_s)

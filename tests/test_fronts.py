@@ -13,7 +13,7 @@ import pytest
 
 from swimid.errors import InputError
 from swimid.files.checkpoint import Checkpoint
-from swimid.fitting import genetic
+from swimid.fitting import global_search
 from swimid.results import evidence
 from swimid.results import parameters as parameters_format
 from swimid.swimmer import front as front_format
@@ -36,26 +36,26 @@ BOX = (np.array([-3.0, -3.0]), np.array([3.0, 3.0]))
 
 
 def test_the_front_of_two_bowls() -> None:
-    found = genetic.nsga2(_two_bowls, *BOX, objectives=2, population=40, generations=40, seed=3)
+    found = global_search.nsga2(_two_bowls, *BOX, objectives=2, population=40, generations=40, seed=3)
     # on the front sqrt(f1) + sqrt(f2) = 2; forty points stand 2 / 40 apart on it and hide no more than that
     assert np.abs(np.sqrt(found.objectives).sum(axis=1) - 2.0).max() < 0.05
     assert np.ptp(found.points[:, 0]) > 1.5
     assert found.evaluations == 1600
     assert (np.diff(found.history, axis=0) <= 0).all()
     assert (np.diff(found.objectives[:, 0]) >= 0).all()
-    assert abs(found.points[genetic.knee(found.objectives), 0]) < 0.2
+    assert abs(found.points[global_search.knee(found.objectives), 0]) < 0.2
 
 
 def test_the_same_seed_gives_the_same_front() -> None:
     settings = {"objectives": 2, "population": 12, "generations": 5}
-    first, again, other = (genetic.nsga2(_two_bowls, *BOX, seed=s, **settings) for s in (1, 1, 2))
+    first, again, other = (global_search.nsga2(_two_bowls, *BOX, seed=s, **settings) for s in (1, 1, 2))
     np.testing.assert_array_equal(first.points, again.points)
     assert not np.array_equal(first.points, other.points)
 
 
 def test_a_search_that_was_stopped_goes_on_as_if_nothing_had_happened(tmp_path: Path) -> None:
     settings = {"objectives": 2, "population": 12, "generations": 8, "seed": 5}
-    whole = genetic.nsga2(_two_bowls, *BOX, **settings)
+    whole = global_search.nsga2(_two_bowls, *BOX, **settings)
     calls = 0
 
     def stopped(points: np.ndarray) -> np.ndarray:
@@ -67,11 +67,11 @@ def test_a_search_that_was_stopped_goes_on_as_if_nothing_had_happened(tmp_path: 
 
     path = tmp_path / "front.partial"
     with pytest.raises(KeyboardInterrupt):
-        genetic.nsga2(stopped, *BOX, checkpoint=Checkpoint(path, "a"), **settings)
+        global_search.nsga2(stopped, *BOX, checkpoint=Checkpoint(path, "a"), **settings)
     # a line that was being written when the run was killed is no harm
     path.write_text(path.read_text() + '["front: generation 3", [0.1, 0.')
     calls = 100
-    rest = genetic.nsga2(stopped, *BOX, checkpoint=Checkpoint(path, "a"), **settings)
+    rest = global_search.nsga2(stopped, *BOX, checkpoint=Checkpoint(path, "a"), **settings)
     assert calls == 105
     for name in ("points", "objectives", "history"):
         np.testing.assert_array_equal(getattr(rest, name), getattr(whole, name))
@@ -83,16 +83,16 @@ def test_what_breaks_down_is_left_behind() -> None:
         found[points[:, 0] > 0] = math.nan
         return found
 
-    found = genetic.nsga2(broken, *BOX, objectives=2, population=16, generations=6)
+    found = global_search.nsga2(broken, *BOX, objectives=2, population=16, generations=6)
     assert (found.points[:, 0] <= 0).all()
-    assert (found.objectives < genetic.BROKEN_OBJECTIVE).all()
+    assert (found.objectives < global_search.BROKEN_OBJECTIVE).all()
 
 
 def test_rules_of_choice() -> None:
     front = np.array([[1.0, 10.0], [2.0, 3.0], [6.0, 1.0]])
-    assert genetic.knee(front) == 1
-    assert genetic.least_worst(front) == 1
-    assert genetic.least_worst(np.array([[1.0, 1.0]])) == 0
+    assert global_search.knee(front) == 1
+    assert global_search.least_worst(front) == 1
+    assert global_search.least_worst(np.array([[1.0, 1.0]])) == 0
 
 
 def test_a_distance_forgives_a_late_clock_within_its_band() -> None:
@@ -137,7 +137,7 @@ def test_the_command_writes_a_front_and_a_point_of_it(swimid: Run, tmp_path: Pat
     assert list(table.columns) == ["index", "profile", "water_volume", "z_added_mass", *scored]
     assert set(table["profile"]) <= {"characteristic", "characteristic-pelvis"}
     values = table[scored].to_numpy()
-    chosen = table.iloc[genetic.least_worst(values)]
+    chosen = table.iloc[global_search.least_worst(values)]
     file = parameters_format.read(out)
     for name in ("water_volume", "z_added_mass"):
         assert file.parameters[name].value == chosen[name]

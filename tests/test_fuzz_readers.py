@@ -25,7 +25,7 @@ from ruamel.yaml import YAML
 from swimid.errors import SwimidError
 from swimid.logs import log, trials
 from swimid.notices import SwimidWarning
-from swimid.propulsion import cruise_table as cruise
+from swimid.propulsion import trials as cruise
 from swimid.results import evidence, parameters
 from swimid.robots import file as robot
 from swimid.tracking import setup
@@ -159,8 +159,8 @@ FORMATS: dict[str, tuple[str, Reader, bytes]] = {
     "log, chosen columns": (".csv", lambda p: log.read(p, required=("x_m",), optional=("y_m",)), LOG),
     "log, sample": (".csv", log.read, (SAMPLES / "rig" / "w10.csv").read_bytes()),
     "log, Parquet": (".parquet", lambda p: log.read(p, required=("x_m",)), _parquet()),
-    "cruise table": (".csv", cruise.read, CRUISE),
-    "cruise table, sample": (".csv", cruise.read, (SAMPLES / "cruise" / "speeds.csv").read_bytes()),
+    "cruise table": (".csv", cruise.read_table, CRUISE),
+    "cruise table, sample": (".csv", cruise.read_table, (SAMPLES / "cruise" / "speeds.csv").read_bytes()),
     "trials": (".yaml", trials.read, TRIALS),
     "trials, free swimming": (".yaml", trials.read, FREE_SWIM),
     "trials, sample": (".yaml", trials.read, (SAMPLES / "rig" / "trials.yaml").read_bytes()),

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swimid.fitting import identifiability as idn
+from swimid.fitting import covariance as idn
 from swimid.fitting import output_error
-from swimid.fitting.fit_result import FitResult
+from swimid.fitting.global_search import select_subset
+from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Tied
 from tests.toy_models import FRICTION, FRICTION_TRUTH, WEIGHTS, Toy, friction, parameter, trials
 
@@ -71,7 +72,7 @@ class TestThreeFrictions:
         assert all(share < 1e-4 for _, share in ranked[2:])
 
     def test_subset(self, result: FitResult) -> None:
-        subset, fixed = idn.select_subset(result)
+        subset, fixed = select_subset(result)
         assert len(fixed) == 2
         assert set(fixed) < set(FRICTIONS)
         assert idn.unidentifiable(subset) == []
@@ -148,7 +149,7 @@ class TestGroups:
         result = output_error.fit(model, trials(model, (1.0, 2.0), {"y": 0.1}, rng))
         assert idn.sentences(result) == []
         assert idn.combinations(result) == []
-        subset, fixed = idn.select_subset(result)
+        subset, fixed = select_subset(result)
         assert subset is result
         assert fixed == []
 
@@ -174,7 +175,7 @@ class TestGroups:
         assert [label for label, _ in idn.ranked(result)] == ["slope", "offset"]
         assert dict(idn.ranked(result))["offset"] < 1e-4
         assert idn.confounded(result) == [("offset", "own[t0]", "own[t1]", "own[t2]")]
-        subset, fixed = idn.select_subset(result)
+        subset, fixed = select_subset(result)
         assert fixed == ["offset"]
         assert idn.unidentifiable(subset) == []
 

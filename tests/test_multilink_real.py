@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from swimid.fitting import metrics, output_error
 from swimid.fitting.drives import Beat, SwimInput
-from swimid.fitting.fit_result import FitResult
+from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Trial, chosen
 from swimid.swimmer import trials as swimmer
 from tests.conftest import ROOT, Ran

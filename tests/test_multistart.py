@@ -9,7 +9,7 @@ import pytest
 
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error
-from swimid.fitting.multistart import agreeing, multistart
+from swimid.fitting.global_search import agreeing, multistart
 from tests.toy_models import FRICTION, FRICTION_TRUTH, Toy, friction, parameter, trials
 
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swimid.fitting import multistart, output_error, restarts
+from swimid.fitting import global_search, output_error, restarts
 from swimid.fitting.model import Array, Channel, Model, Parameter, Trial, chosen
 from swimid.notices import SwimidWarning
-from swimid.rig import equation
+from swimid.rig import model
 from swimid.rig import model as rig_model
 from swimid.rig import trials as rig_experiment
 from tests.conftest import Ran
@@ -94,7 +94,7 @@ def test_all_that_a_fit_simulates_is_counted(rng: np.random.Generator) -> None:
     assert found.restarts
     assert found.evaluations == counted[0]
     counted[0] = 0
-    several, _ = multistart.multistart(Counting(0.05), _line(rng), starts=3)
+    several, _ = global_search.multistart(Counting(0.05), _line(rng), starts=3)
     assert several.evaluations == counted[0]
 
 
@@ -166,7 +166,7 @@ def test_the_answer_does_not_depend_on_where_the_friction_starts(tmp_path: Path)
 def test_a_body_gets_loose_between_two_steps() -> None:
     """A force that grows by 1 N/s on 1 kg held by 0.505 N: it moves as (t - 0.505)^3 / 6 from then on."""
     time = np.linspace(0.0, 1.0, 11)
-    x, _ = equation.integrate(time, 0.0, 0.01, time, 1.0, 0.0, 0.0, 0.505, 0.0, 0.0, 0.0, 0.0)
+    x, _ = model.integrate(time, 0.0, 0.01, time, 0.0, 0.0, (1.0, 0.0, 0.0, 0.505, 0.0, 0.0, 0.0, 0.0))
     assert x == pytest.approx(np.maximum(time - 0.505, 0.0) ** 3 / 6, abs=1e-12)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from swimid.fitting.random_effect import Own, spread, trend
+from swimid.fitting.between_trials import Own, spread, trend
 from tests.conftest import Ran
 from tests.generators import rig as generator
 

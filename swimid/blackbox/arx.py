@@ -22,7 +22,7 @@ from numba import njit
 from swimid.blackbox import recursive
 from swimid.blackbox.difference import Orders, Record, lagged
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting import residual_tests as rt
+from swimid.fitting import noise as rt
 from swimid.logs.sampling import rounding
 
 #: Zeros of C are kept this far inside the unit circle, where its inverse is stable.
@@ -429,7 +429,7 @@ def estimate(
     Standard errors: with weights w_k = forgetting^(n-1-k), J the derivative of the one-step
     prediction and S = J'WJ + prior, the covariance is ``sigma^2 S^-1 (J'W^2 J) S^-1``; where the
     residuals are not white, ``S^-1 M S^-1`` with M of
-    :func:`swimid.fitting.residual_tests.long_run_covariance`.
+    :func:`swimid.fitting.noise.long_run_covariance`.
     """
     data = regression(records, orders)
     check_enough(data, orders)

@@ -41,7 +41,7 @@ from swimid.blackbox.difference import (
 from swimid.blackbox.options import RwlsOptions
 from swimid.blackbox.trials import Data
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting import residual_tests as rt
+from swimid.fitting import noise as rt
 from swimid.fitting.metrics import Score, score
 from swimid.notices import warn
 from swimid.progress import Progress, silent

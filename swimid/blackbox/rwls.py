@@ -17,7 +17,7 @@ from swimid.blackbox.options import RwlsOptions
 from swimid.blackbox.trials import read
 from swimid.errors import UsageError
 from swimid.files import atomic, provenance
-from swimid.fitting import residual_tests as rt
+from swimid.fitting import noise as rt
 from swimid.notices import recorded, warn
 from swimid.options import takes
 from swimid.progress import Progress, silent

@@ -15,7 +15,7 @@ from swimid.blackbox.difference import Record
 from swimid.blackbox.model import ArxModel, sine_input
 from swimid.errors import InputError, UsageError
 from swimid.files.provenance import Input
-from swimid.fitting import residual_tests as rt
+from swimid.fitting import noise as rt
 from swimid.fitting.experiment import Experiment, read_log
 from swimid.fitting.model import Trial
 from swimid.logs import log as log_format

@@ -32,7 +32,7 @@ OPTIONAL = {
 }
 #: Modules with compiled kernels; each has a ``warm_up()`` that compiles all of them.
 KERNELS = (
-    "swimid.rig.equation",
+    "swimid.rig.model",
     "swimid.blackbox.difference",
     "swimid.swimmer.planar.model",
     "swimid.blackbox.recursive",

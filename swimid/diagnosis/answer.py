@@ -50,8 +50,8 @@ from swimid.diagnosis.shrinkage import Piece
 from swimid.effects.base import STAGES
 from swimid.effects.sensing import MarkerDropout
 from swimid.errors import NoTrustworthyResult
+from swimid.fitting.covariance import sandwich
 from swimid.fitting.model import Array, Parameter, Trial
-from swimid.fitting.sandwich import sandwich
 from swimid.progress import Progress, silent
 from swimid.results.parameters import Estimate
 

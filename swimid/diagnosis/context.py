@@ -16,10 +16,9 @@ from swimid.diagnosis.nominal import OWN_PRIOR
 from swimid.diagnosis.random_effects import RandomEffect
 from swimid.effects.affected import Affected
 from swimid.effects.base import Effect
-from swimid.fitting import levenberg
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.parallel import mapped
-from swimid.fitting.problem import Problem
+from swimid.fitting.problem import Problem, Solution, minimise
 
 #: Prior standard deviation of an effect's parameters, in their typical sizes.
 EFFECT_PRIOR = 5.0
@@ -465,17 +464,17 @@ class FitContext:
         problem = self.problem(effects, noise_model.random_effects, jobs=jobs)
         noise_model.install(problem)
 
-        def one(start: Array, tolerance: float, steps: int) -> levenberg.Solution:
+        def one(start: Array, tolerance: float, steps: int) -> Solution:
             return self.search(problem, noise_model, [start], tolerance, steps)
 
-        def cost(found: levenberg.Solution) -> float:
+        def cost(found: Solution) -> float:
             return found.cost if math.isfinite(found.cost) else math.inf
 
         # of coefficients, which any step sets anew, nothing is asked
         own = np.where(["/" in label for label in problem.labels], problem.scale, np.inf)
 
-        def ranked(starts: Sequence[Array], tolerance: float, steps: int) -> list[levenberg.Solution]:
-            found: list[levenberg.Solution] = []
+        def ranked(starts: Sequence[Array], tolerance: float, steps: int) -> list[Solution]:
+            found: list[Solution] = []
             for ended in sorted((one(s, tolerance, steps) for s in starts), key=cost):
                 # what has come to the same point goes on once
                 if not any(_same(ended, other, own) for other in found):
@@ -506,7 +505,7 @@ class FitContext:
         iterations: int,
         prior: tuple[Array, Array] | None = None,
         kept: Sequence[NDArray[np.bool_]] | None = None,
-    ) -> levenberg.Solution:
+    ) -> Solution:
         """The best optimum of a problem from several starts.
 
         Parameters
@@ -548,8 +547,8 @@ class FitContext:
                     rows[part, columns] += np.outer(off[part], along / length)
             return rows
 
-        def one(start: Array) -> levenberg.Solution:
-            return levenberg.minimise(
+        def one(start: Array) -> Solution:
+            return minimise(
                 residuals,
                 jacobian,
                 np.clip(start, problem.lower, problem.upper),
@@ -675,7 +674,7 @@ class FitContext:
         ]
 
 
-def _same(one: levenberg.Solution, other: levenberg.Solution, scale: Array) -> bool:
+def _same(one: Solution, other: Solution, scale: Array) -> bool:
     """Whether two searches are on their way to one point: in what effects have, and in cost."""
     near = np.all(np.abs(one.x - other.x) <= ALIKE * scale)
     return bool(near and abs(one.cost - other.cost) <= ALIKE * other.cost)

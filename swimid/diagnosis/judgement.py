@@ -19,8 +19,8 @@ from swimid.diagnosis.search import Round, State
 from swimid.diagnosis.shrinkage import Piece
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error
+from swimid.fitting.between_trials import MIN_TRIALS, Odd, odd_trial
 from swimid.fitting.model import Array, Trial
-from swimid.fitting.odd_trial import MIN_TRIALS, Odd, odd_trial
 
 #: Causes explain a gap where they are likelier than something from outside the catalogue by four to one.
 SURE = 0.8

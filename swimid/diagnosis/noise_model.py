@@ -16,8 +16,8 @@ from scipy.sparse import block_diag, coo_array, csr_array
 
 from swimid.diagnosis.random_effects import RandomEffect
 from swimid.fitting.model import Array
+from swimid.fitting.noise import fit_autoregression, joined
 from swimid.fitting.problem import Problem
-from swimid.fitting.residual_tests import fit_autoregression, joined
 
 #: Largest order of the autoregression, and samples each coefficient needs.
 ORDER, PER_ORDER = 6, 25

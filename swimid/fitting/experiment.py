@@ -107,7 +107,6 @@ def warn_mass(name: str, value: float, against: float, file: Path) -> None:
     if against > 0 and value >= against:
         warn(
             "SWM002",
-            f"{file.name}: {name} {value:g} kg is not small against the body's {against:g} kg; is it "
-            "in grams "
-            "(a factor of 1000)?",
+            f"{file.name}: {name} {value:g} kg is not small against the body's {against:g} kg; is it in "
+            "grams (a factor of 1000)?",
         )

@@ -1,4 +1,4 @@
-"""What every output-error fit writes and shows: parameter file, checks, figures, summary."""
+"""Parameter file, checks and figures of every fit, and :func:`fit_model` for a model of one's own."""
 
 from __future__ import annotations
 
@@ -11,20 +11,22 @@ from typing import Any, Literal
 
 import numpy as np
 
-from swimid.errors import Interrupted
-from swimid.files import atomic
-from swimid.fitting import metrics
+from swimid.errors import Interrupted, NoTrustworthyResult, UsageError
+from swimid.files import atomic, provenance
+from swimid.files.provenance import Held
+from swimid.fitting import metrics, output_error
+from swimid.fitting.covariance import HETEROGENEITY, combinations, sentences
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.fit_result import FitResult
-from swimid.fitting.identifiability import combinations, sentences
-from swimid.fitting.model import Array, Channel, Parameter, chosen
+from swimid.fitting.metrics import FitResult
+from swimid.fitting.model import Array, Channel, Model, Parameter, Trial, chosen
+from swimid.fitting.noise import autocorrelation, joined, ljung_box
 from swimid.fitting.output_error import STEP_ERROR
-from swimid.fitting.residual_tests import autocorrelation, joined, ljung_box
-from swimid.fitting.sandwich import HETEROGENEITY
 from swimid.logs.beat import TOLERANCE
-from swimid.notices import warn
+from swimid.notices import recorded, warn
+from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
+from swimid.results.fitted import Fitted
 from swimid.results.parameters import Correlation, Estimate, Fit, ParameterFile
 
 #: Correlations above this are named.
@@ -267,7 +269,7 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
     if sum(t.role == "fit" for t in result.trials) > 2:
         p = blocks.p_text(result.scatter_p)
         found.append(
-            _warned(
+            warned_check(
                 "SWM014",
                 "trials agree",
                 p,
@@ -281,7 +283,7 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
     if result.step_error:
         size = f"{result.step_error:.2g} sd"
         found.append(
-            _warned(
+            warned_check(
                 "SWM016",
                 "integration step",
                 size,
@@ -295,7 +297,7 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
     return found + [_validation(result, c) for c in held_out if c.name in result.noise]
 
 
-def _warned(
+def warned_check(
     code: str,
     name: str,
     value: str,
@@ -326,7 +328,7 @@ def _outliers(result: FitResult, channel: str) -> ev.Check | None:
     if limit <= 0 or not count:
         return None
     named = ", ".join(f"{t}: {n}" for t, n in owners.items() if n)
-    return _warned(
+    return warned_check(
         "SWM025",
         f"no outliers, {channel}",
         f"{count} of {len(values)} samples",
@@ -340,7 +342,7 @@ def _outliers(result: FitResult, channel: str) -> ev.Check | None:
 def _whiteness(result: FitResult, channel: str) -> ev.Check:
     test = ljung_box(_weighted(result, channel), fitted=0)
     p = blocks.p_text(test.p_value)
-    return _warned(
+    return warned_check(
         "SWM013",
         f"white residuals, {channel}",
         p,
@@ -359,7 +361,7 @@ def _validation(result: FitResult, channel: Channel) -> ev.Check:
     constant = _rms([s.measured - np.nanmean(s.measured) for s in held_out])
     ratio = error / fitted if fitted else math.inf
     worst = max(held_out, key=lambda s: _rms([s.residual]))
-    return _warned(
+    return warned_check(
         "SWM015",
         f"validation, {channel.name}",
         numbers.number(error, 3, channel.unit),
@@ -448,3 +450,129 @@ def answer(file: ParameterFile) -> str:
         return "Nothing was estimated."
     more = f"; and {len(parts) - 3} more" if len(parts) > 3 else ""
     return f"{'; '.join(parts[:3])}{more}."
+
+
+# ---------------------------------------------------------------- a model of one's own
+
+
+def fit_model(
+    model: Model,
+    trials: Sequence[Trial],
+    *,
+    fixed: Mapping[str, float] | None = None,
+    freed: Sequence[str] = (),
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    robot: str = "",
+    inputs: Sequence[Path | Held] = (),
+    output: str | Path | None = None,
+    verb: str = "fit",
+    progress: Progress = silent,
+) -> Fitted:
+    """Estimate the parameters of any model from trials in memory, with all the evidence of a fit.
+
+    A search that converged says nothing of the model: see ``.verdict``, and ``.checks()`` for its residuals.
+
+    Parameters
+    ----------
+    model : Model
+        Simulates a trial from parameter values.
+    trials : sequence of Trial
+        Those of role ``validate`` are held out: simulated and scored, not fitted.
+    fixed : mapping of name to float, optional
+        Parameters held at a value, in their units.
+    freed : sequence of str
+        Parameters estimated that are fixed by default.
+    bounds : mapping of name to (lower, upper), optional
+        In the place of the model's own, in the parameters' units.
+    robot : str
+        Whose parameters they are, for the parameter file.
+    inputs : sequence of Path or Held
+        What the trials were made of, for the provenance: ``log.source`` of each log.
+    output : path, optional
+        Parameter file to write, its evidence beside it; nothing is written without.
+    verb : str
+        The command this is the fit of, for the evidence.
+    progress : Progress
+        Shows the search.
+
+    Returns
+    -------
+    Fitted
+        ``.parameters`` has value, standard error and 95 % interval of each, in its unit; ``.correlation``,
+        ``.converged`` and ``.verdict`` say how far to trust them.
+
+    Raises
+    ------
+    UsageError
+        For a parameter that the model does not have, or no trial to fit.
+    InputError
+        When the output cannot be written.
+    NoTrustworthyResult
+        When the search does not converge, or nothing can be identified.
+
+    See Also
+    --------
+    swimid.fitting.output_error.fit : the estimator, with its method.
+
+    References
+    ----------
+    .. [1] V. Klein, E. A. Morelli, *Aircraft System Identification: Theory and Practice*, AIAA, 2006.
+       Output error, coloured residuals.
+
+    Examples
+    --------
+    A body that coasts from 1 m/s against a quadratic drag:
+
+    >>> import numpy as np
+    >>> from swimid import Channel, Model, Parameter, Trial
+    >>> class Coasting(Model):
+    ...     name = "coasting"
+    ...     parameters = (Parameter("drag_per_m", "1/m", lower=0.0, upper=10.0, start=1.0, scale=1.0),)
+    ...     channels = (Channel("x_m", "m", "way"),)
+    ...
+    ...     def simulate(self, values, trial):
+    ...         return {"x_m": np.log1p(values[0] * trial.time_s) / values[0]}
+    >>> t = np.arange(200) / 50
+    >>> way = np.log1p(0.5 * t) / 0.5 + 0.002 * np.random.default_rng(1).normal(size=200)
+    >>> fit = fit_model(Coasting(), [Trial("run 1", "fit", time_s=t, measured={"x_m": way})])
+    >>> round(fit["drag_per_m"].value, 2), fit.verdict
+    (0.5, 'good')
+    """
+    if not any(trial.role == "fit" for trial in trials):
+        raise UsageError("there is no trial to fit")
+    target = None if output is None else atomic.check_writable(Path(output), inputs=inputs)
+    with recorded(repeat=True) as notices:
+        parameters = chosen(tuple(model.parameters), fixed=fixed, freed=tuple(freed), bounds=bounds)
+        result = output_error.fit(model, trials, parameters=parameters, progress=progress)
+        result = output_error.with_held_out(result)
+        settings = {
+            "fixed": dict(fixed or {}),
+            "freed": list(freed),
+            "bounds": {name: list(pair) for name, pair in (bounds or {}).items()},
+        }
+        origin = provenance.collect(inputs, settings=settings)
+        file = parameter_file(result, robot=robot, provenance=origin)
+        tested = checks(result, file)
+    shared = result.shared
+    if shared and all(result.status[label] != "estimated" for label in shared):
+        raise NoTrustworthyResult(
+            f"none of {', '.join(shared)} can be identified from these trials",
+            hint="use more trials, and such as differ more",
+        )
+    fitted_trials = sum(trial.role == "fit" for trial in trials)
+    whose = f"{model.name} of {robot}" if robot else model.name
+    evidence = ev.Evidence(
+        verb=verb,
+        title=f"Fit of {whose}",
+        verdict=ev.judged(answer(file), tested),
+        checks=tested,
+        figures=figures(result),
+        notices=blocks.notices(notices),
+        methods=[
+            f"{', '.join(shared)} were estimated from {fitted_trials} trial(s) ({result.samples} samples) "
+            f"by output-error maximum likelihood with the model {model.name}.",
+            COVARIANCE,
+        ],
+        provenance=origin,
+    )
+    return Fitted.of(file, evidence).saved(target)

@@ -20,7 +20,7 @@ from swimid.fitting import metrics
 from swimid.fitting.drives import Beat, Motion
 from swimid.fitting.metrics import GOOD, USABLE
 from swimid.fitting.model import Array, Model, Trial
-from swimid.fitting.residual_tests import autocorrelation
+from swimid.fitting.noise import autocorrelation
 from swimid.notices import recorded
 from swimid.results import evidence as ev
 from swimid.results import numbers

@@ -1,19 +1,36 @@
-"""The noise model of an output-error fit, estimated from its own residuals.
+"""The noise of residuals: its model, estimated by a fit, and tests of whiteness and independence.
 
-A measured value is off by a constant error, by a known shape times a factor, or (where time
-stamps are free) by the speed times the stamp's error; what is left is an autoregression.
+A measured value is off by a constant error, by a known shape times a factor, or (where time stamps are free)
+by the speed times the stamp's error; what is left is an autoregression.
+
+The tests are functions of arrays. A residual series is one array at a constant rate in which NaN marks
+samples that are missing or belong to no record; several records go in as one array with a stretch of NaN
+between them (:func:`joined`). A pair of samples counts only where both are there, so that gaps neither bias
+nor break a test. Tests of statsmodels have the same formulas but count all samples of a series: with a fifth
+of the samples missing its Ljung-Box test rejects 0.8 % of white series at the 5 % level, the one here 5.4 %.
+
+References
+----------
+.. [1] G. M. Ljung, G. E. P. Box, "On a measure of lack of fit in time series models",
+   Biometrika 65 (1978), 297-303. doi:10.1093/biomet/65.2.297
+.. [2] L. Ljung, "System Identification: Theory for the User", 2nd ed. (1999), section 16.6.
+.. [3] W. K. Newey, K. D. West, "A simple, positive semi-definite, heteroskedasticity and
+   autocorrelation consistent covariance matrix", Econometrica 55 (1987), 703-708.
+   doi:10.2307/1913610
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import optimize, special
+from scipy.linalg import toeplitz
 
 from swimid.fitting.model import Array
 from swimid.fitting.problem import Problem
-from swimid.fitting.residual_tests import fit_autoregression, joined
 
 #: Huber's corner in standard deviations: 95 % efficient where the noise is normal after all.
 CORNER = 1.345
@@ -200,3 +217,344 @@ def autoregressions(problem: Problem, residuals: list[Array]) -> dict[str, Array
         longest = max(len(s) for s in series)
         found[channel] = fit_autoregression(x, max_order=max(1, min(25, longest // 5))).coefficients
     return found
+
+
+# ---------------------------------------------------------------- tests of residuals
+
+
+#: Below this p-value a residual series is called not white (or not independent of the input).
+SIGNIFICANCE = 0.01
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """A correlation function with its band under the null hypothesis; fields of shape (m,)."""
+
+    #: In samples.
+    lags: np.ndarray
+    #: Correlation coefficients, NaN where no pair of samples exists.
+    values: np.ndarray
+    #: Half-width of the 95 % band around zero.
+    bound: np.ndarray
+    #: Number of sample pairs behind each value.
+    pairs: np.ndarray
+
+
+@dataclass(frozen=True)
+class TestResult:
+    """A chi-square test."""
+
+    __test__ = False  # not a pytest class
+
+    statistic: float
+    #: Degrees of freedom.
+    degrees: int
+    #: Probability of a statistic at least this large when the hypothesis holds.
+    p_value: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether the hypothesis survives at :data:`SIGNIFICANCE`."""
+        return self.p_value >= SIGNIFICANCE
+
+
+@dataclass(frozen=True)
+class AutoregressiveFit:
+    """An autoregression ``x(k) + a1 x(k-1) + ... + ap x(k-p) = e(k)``."""
+
+    #: Shape (p,): a1 .. ap; empty for a white series.
+    coefficients: np.ndarray
+    #: Variance of e.
+    variance: float
+
+    @property
+    def long_run_variance(self) -> float:
+        """Spectral density at frequency zero: variance of a sum of n samples over n, n large."""
+        return self.variance / (1.0 + float(np.sum(self.coefficients))) ** 2
+
+
+def joined(parts: Sequence[np.ndarray], *, gap: int) -> np.ndarray:
+    """Several series as one, with ``gap`` samples of NaN between them: at least the largest lag asked for.
+
+    >>> joined([np.array([1.0]), np.array([2.0])], gap=2)
+    array([ 1., nan, nan,  2.])
+    """
+    apart = [piece for part in parts for piece in (np.full(gap, np.nan), np.asarray(part, dtype=float))]
+    return np.concatenate(apart[1:]) if apart else np.empty(0)
+
+
+def default_lags(samples: int) -> int:
+    """Number of lags to test by default: 25, less for short series (a fifth of the samples)."""
+    return max(1, min(25, samples // 5))
+
+
+def _centred(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Give x without its mean and with NaN set to zero, and where it is finite."""
+    x = np.asarray(x, dtype=float)
+    there = np.isfinite(x)
+    if not np.any(there):
+        return np.zeros_like(x), there
+    return np.where(there, x - np.mean(x[there]), 0.0), there
+
+
+def _lagged_means(
+    x: np.ndarray, x_there: np.ndarray, y: np.ndarray, y_there: np.ndarray, lags: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean of x(k) y(k - lag) over the pairs that exist, and their number."""
+    n = len(x)
+    means = np.full(len(lags), np.nan)
+    pairs = np.zeros(len(lags), dtype=int)
+    for i, lag in enumerate(lags):
+        if abs(lag) >= n:
+            continue
+        now = slice(max(lag, 0), n + min(lag, 0))
+        then = slice(max(-lag, 0), n - max(lag, 0))
+        pairs[i] = np.count_nonzero(x_there[now] & y_there[then])
+        if pairs[i]:
+            means[i] = np.dot(x[now], y[then]) / pairs[i]
+    return means, pairs
+
+
+def autocorrelation(x: np.ndarray, *, max_lag: int | None = None) -> Correlation:
+    """Autocorrelation of a series, lags 0 .. max_lag, with the band of white noise, 1.96 / sqrt(pairs).
+
+    Each lag is the mean over its own pairs, not the sum over n: with gaps the pairs differ.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n,)
+        NaN where there is no sample. The mean is removed; all NaN for a constant series.
+    max_lag : int, optional
+        Default :func:`default_lags`.
+
+    >>> autocorrelation(np.array([1.0, -1.0] * 50), max_lag=2).values.round(6)
+    array([ 1., -1.,  1.])
+    """
+    values, there = _centred(x)
+    count = int(np.count_nonzero(there))
+    lags = np.arange((default_lags(count) if max_lag is None else max_lag) + 1)
+    means, pairs = _lagged_means(values, there, values, there, lags)
+    correlations = means / means[0] if means[0] > 0 else np.full(len(lags), np.nan)
+    return Correlation(lags, correlations, 1.96 / np.sqrt(np.maximum(pairs, 1)), pairs)
+
+
+def ljung_box(x: np.ndarray, *, lags: int | None = None, fitted: int = 0) -> TestResult:
+    """Ljung-Box test of whiteness.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n,)
+        Residuals, NaN where there is none.
+    lags : int, optional
+        Number of lags tested together, default :func:`default_lags`.
+    fitted : int
+        Number of noise parameters (autoregressive and moving-average) estimated from the same
+        data; taken from the degrees of freedom.
+
+    Returns
+    -------
+    TestResult
+        p-value 1 for a series that is constant or shorter than two samples: nothing speaks
+        against whiteness.
+
+    Notes
+    -----
+    Without gaps this is ``n (n + 2) sum r_k^2 / (n - k)`` of [1]_. With gaps ``n - k`` becomes
+    the number of pairs at lag k and r_k their mean product.
+    """
+    correlation = autocorrelation(x, max_lag=lags)
+    n = int(correlation.pairs[0]) if len(correlation.pairs) else 0
+    r, pairs = correlation.values[1:], correlation.pairs[1:]
+    use = np.isfinite(r) & (pairs > 0)
+    degrees = max(int(np.count_nonzero(use)) - fitted, 1)
+    if n < 2 or not np.any(use):
+        return TestResult(0.0, degrees, 1.0)
+    statistic = (n + 2) / n * float(np.sum(pairs[use] * r[use] ** 2))
+    return TestResult(statistic, degrees, float(special.chdtrc(degrees, statistic)))
+
+
+def cross_correlation(
+    residuals: np.ndarray, source: np.ndarray, *, max_lag: int | None = None
+) -> Correlation:
+    """Correlation of residuals e(k) with a source u(k - lag), lags -max_lag .. max_lag.
+
+    Parameters
+    ----------
+    residuals, source : ndarray, shape (n,)
+        At the same rate; NaN where there is no sample.
+    max_lag : int, optional
+        Default :func:`default_lags`.
+
+    Returns
+    -------
+    Correlation
+        A value at a positive lag outside its band says that the model misses a part of what the
+        source did ``lag`` samples before; at a negative lag feedback from the output to the source shows.
+
+    Notes
+    -----
+    Band: for independent series the variance of the correlation is
+    ``sum_j r_e(j) r_u(j) / pairs`` (Bartlett; [2]_, eq. 16.68 f.), so that a narrow-band source
+    with coloured residuals does not raise a false alarm.
+    """
+    e, e_there = _centred(residuals)
+    u, u_there = _centred(source)
+    if len(e) != len(u):
+        raise ValueError(f"residuals and source differ in length: {len(e)} and {len(u)}")
+    top = default_lags(int(np.count_nonzero(e_there))) if max_lag is None else max_lag
+    lags = np.arange(-top, top + 1)
+    means, pairs = _lagged_means(e, e_there, u, u_there, lags)
+    scale = _deviation(e, e_there) * _deviation(u, u_there)
+    values = means / scale if scale > 0 else np.full(len(lags), np.nan)
+    bound = 1.96 * np.sqrt(_bartlett_factor(residuals, source) / np.maximum(pairs, 1))
+    return Correlation(lags, values, bound, pairs)
+
+
+def _deviation(values: np.ndarray, there: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values[there] ** 2))) if np.any(there) else 0.0
+
+
+def _bartlett_factor(e: np.ndarray, u: np.ndarray) -> float:
+    """Sum over j of r_e(j) r_u(j), over the lags at which the residuals correlate at all."""
+    top = default_lags(int(np.count_nonzero(np.isfinite(e))))
+    re, ru = autocorrelation(e, max_lag=top), autocorrelation(u, max_lag=top)
+    r = np.where(np.abs(re.values) > re.bound, re.values, 0.0) * np.nan_to_num(ru.values)
+    r = np.nan_to_num(r)
+    # Sampling error may make the sum small or negative; white residuals give exactly 1.
+    return max(float(r[0] + 2.0 * np.sum(r[1:])), 1.0) if len(r) else 1.0
+
+
+def independence(
+    residuals: np.ndarray, source: np.ndarray, *, lags: int | None = None, first: int = 0
+) -> TestResult:
+    """Chi-square test that residuals are independent of a source's past.
+
+    Parameters
+    ----------
+    residuals, source : ndarray, shape (n,)
+        NaN where there is no sample.
+    lags : int, optional
+        Number of lags ``first .. first + lags - 1`` tested together, default
+        :func:`default_lags`.
+
+    Returns
+    -------
+    TestResult
+        Degrees of freedom are the numerical rank of the source's covariance: a single sine
+        gives two, however many lags are asked for.
+
+    Notes
+    -----
+    ``n r' P^-1 r`` with r the vector of cross-covariances and
+    ``P = sum_j R_e(j) R_u(j)``, R_u(j) the shifted Toeplitz covariance of the source ([2]_,
+    section 16.6). Residual covariances inside the band of white noise are taken as zero.
+    """
+    e, e_there = _centred(residuals)
+    u, u_there = _centred(source)
+    top = default_lags(int(np.count_nonzero(e_there)))
+    number = top if lags is None else lags
+    means, pairs = _lagged_means(e, e_there, u, u_there, np.arange(first, first + number))
+    if not np.all(pairs) or _deviation(e, e_there) == 0 or _deviation(u, u_there) == 0:
+        return TestResult(0.0, number, 1.0)
+    re = autocorrelation(residuals, max_lag=top)
+    covariances = np.nan_to_num(_lagged_means(u, u_there, u, u_there, np.arange(number + top))[0])
+    power = _deviation(e, e_there) ** 2
+    matrix = np.zeros((number, number))
+    for j in range(-top, top + 1):
+        r = re.values[abs(j)]
+        if j and not abs(r) > re.bound[abs(j)]:
+            continue
+        index = np.abs(np.arange(-(number - 1), number) + j)
+        column, row = covariances[index[number - 1 :]], covariances[index[number - 1 :: -1]]
+        matrix += power * r * toeplitz(column, row)
+    matrix = (matrix + matrix.T) / 2
+    eigenvalues, vectors = np.linalg.eigh(matrix)
+    keep = eigenvalues > 1e-6 * eigenvalues[-1]
+    projected = vectors.T @ (means * np.sqrt(pairs))
+    degrees = int(np.count_nonzero(keep))
+    if degrees == 0:
+        return TestResult(0.0, number, 1.0)
+    statistic = float(np.sum(projected[keep] ** 2 / eigenvalues[keep]))
+    return TestResult(statistic, degrees, float(special.chdtrc(degrees, statistic)))
+
+
+def fit_autoregression(
+    x: np.ndarray, *, max_order: int | None = None, order: int | None = None
+) -> AutoregressiveFit:
+    """Autoregression of a series by Burg's method, always stable, over all its stretches.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n,)
+        NaN where there is no sample. The mean is removed.
+    max_order : int, optional
+        Largest order tried, default :func:`default_lags`; BIC chooses.
+    order : int, optional
+        Take this order instead of choosing one.
+
+    Raises
+    ------
+    ValueError
+        When fewer than three samples are finite.
+    """
+    values, there = _centred(x)
+    n = int(np.count_nonzero(there))
+    if n < 3:
+        raise ValueError(f"an autoregression needs at least three samples, here are {n}")
+    top = min(order if order is not None else (max_order or default_lags(n)), n - 2)
+    stretches = np.ma.clump_unmasked(np.ma.masked_array(values, ~there))
+    forward = [values[part].copy() for part in stretches]
+    backward = [part.copy() for part in forward]
+    variance = float(np.mean(values[there] ** 2))
+    a = np.empty(0)
+    fits = [(a, variance)]
+    criteria = [n * np.log(max(variance, np.finfo(float).tiny))]
+    for p in range(1, top + 1):
+        over = under = 0.0
+        for f, b in zip(forward, backward, strict=True):
+            over += float(np.dot(f[1:], b[:-1]))
+            under += float(np.dot(f[1:], f[1:]) + np.dot(b[:-1], b[:-1]))
+        if under <= 0:
+            break
+        reflection = -2.0 * over / under
+        a = np.concatenate((a + reflection * a[::-1], [reflection]))
+        for i, (f, b) in enumerate(zip(forward, backward, strict=True)):
+            forward[i], backward[i] = f[1:] + reflection * b[:-1], b[:-1] + reflection * f[1:]
+        variance *= max(1.0 - reflection**2, 0.0)
+        fits.append((a, variance))
+        criteria.append(n * np.log(max(variance, np.finfo(float).tiny)) + np.log(n) * p)
+    return AutoregressiveFit(*fits[-1 if order is not None else int(np.argmin(criteria))])
+
+
+def long_run_covariance(scores: np.ndarray) -> np.ndarray:
+    """Covariance of a sum of correlated vectors (Newey and West): the meat of a sandwich.
+
+    Parameters
+    ----------
+    scores : ndarray, shape (n, p)
+        Row k is regressor times residual at sample k; a row with NaN is a gap.
+
+    Returns
+    -------
+    ndarray, shape (p, p)
+        ``G_0 + sum_l (1 - l / (L + 1)) (G_l + G_l')``, ``G_l = sum_k s_k s_(k-l)'`` [3]_.
+        Positive semi-definite. With J the derivative of the model and J'J invertible, the
+        covariance of a least-squares estimate is ``(J'J)^-1 M (J'J)^-1``. The bandwidth L of the
+        Bartlett window is ``floor(4 (n / 100)^(2/9))`` but at least twice the lag at which the
+        scores still correlate.
+    """
+    scores = np.atleast_2d(np.asarray(scores, dtype=float))
+    there = np.all(np.isfinite(scores), axis=1)
+    n = int(np.count_nonzero(there))
+    memory = 0
+    for column in np.where(there[:, None], scores, np.nan).T:
+        correlation = autocorrelation(column)
+        outside = np.abs(correlation.values[1:]) > correlation.bound[1:]
+        memory = max(memory, len(outside) if np.all(outside) else int(np.argmin(outside)))
+    lags = max(int(4 * (max(n, 1) / 100) ** (2 / 9)), 2 * memory)
+    rows = np.where(there[:, None], scores, 0.0)
+    covariance = rows.T @ rows
+    for lag in range(1, min(lags, max(len(rows) - 1, 0)) + 1):
+        lagged = rows[lag:].T @ rows[:-lag]
+        covariance += (1.0 - lag / (lags + 1.0)) * (lagged + lagged.T)
+    return covariance

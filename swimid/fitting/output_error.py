@@ -21,16 +21,14 @@ from threadpoolctl import threadpool_limits
 
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import noise as noise_model
-from swimid.fitting import restarts, sandwich
-from swimid.fitting.fit_result import FitResult, Loss, Noise, Series
-from swimid.fitting.levenberg import KINKED, STRIDE, Unnoticed
+from swimid.fitting import restarts
+from swimid.fitting.covariance import UNIDENTIFIABLE, Sandwich, sandwich
+from swimid.fitting.metrics import FitResult, Loss, Noise, Series
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.fitting.problem import LITTLE, Problem
+from swimid.fitting.problem import KINKED, LITTLE, STRIDE, Problem, Unnoticed
 from swimid.notices import warn
 from swimid.progress import Progress, show, silent
 
-#: A standard error above this share of a parameter's size makes it unidentifiable.
-UNIDENTIFIABLE = 0.5
 #: Rounds of weighting by the noise model, at most, and the change of weights that ends them.
 ROUNDS = 12
 SETTLED = 0.01
@@ -380,7 +378,7 @@ class _Search:
         problem, theta = self.problem, self.theta
         _insist_unbroken(problem, theta)
         _, residuals, rows = _influences(problem, theta)
-        found = sandwich.sandwich(problem, rows, residuals, noise_model.autoregressions(problem, residuals))
+        found = sandwich(problem, rows, residuals, noise_model.autoregressions(problem, residuals))
         errors = np.sqrt(np.maximum(np.diag(found.covariance), 0.0)) * problem.scale
         shared = np.array([owner is None for _, owner in problem.slots])
         # numbers of single trials (start states) are no answer: they may go on converging slowly
@@ -516,7 +514,7 @@ def _by_noise(
     residuals: list[Array],
     autoregressions: dict[str, Array],
     outward: Array,
-) -> tuple[NDArray[np.bool_], sandwich.Sandwich | None]:
+) -> tuple[NDArray[np.bool_], Sandwich | None]:
     """The parameters to take as free, and their covariance.
 
     Those whose minimum without bounds lies well beyond the bound they are at are held by it.
@@ -525,7 +523,7 @@ def _by_noise(
     """
     free = np.ones(len(outward), dtype=bool)
     while free.any():
-        found = sandwich.sandwich(problem, [r[:, free] for r in rows], residuals, autoregressions)
+        found = sandwich(problem, [r[:, free] for r in rows], residuals, autoregressions)
         sd = np.sqrt(np.maximum(np.diag(found.covariance), 1e-300))
         beyond = np.where(np.isfinite(sd) & (outward[free] != 0), outward[free] * found.step / sd, 0.0)
         worst = int(np.argmax(beyond))

@@ -11,11 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import optimize, special
 
-from swimid.fitting.fit_result import FitResult
-from swimid.fitting.levenberg import minimise
+from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Parameter
 from swimid.fitting.noise import huber_damping
-from swimid.fitting.problem import IMMATERIAL, Problem
+from swimid.fitting.problem import IMMATERIAL, Problem, minimise
 
 #: Pairs of points tried around the answer, and their distance in standard errors under white noise.
 PAIRS, PAIR_DISTANCE = 3, 2.0

@@ -17,7 +17,7 @@ from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, yamlio
 from swimid.files.checkpoint import Checkpoint
 from swimid.files.yamlio import Number, Pair, Rows
-from swimid.fitting import genetic
+from swimid.fitting import global_search
 from swimid.fitting.model import Array
 from swimid.notices import Notice, recorded
 from swimid.optimisation import study as studies
@@ -316,7 +316,7 @@ def _front(problem: Problem, options: OptimiseGaitOptions, study: Study, progres
     points, values = front[:, :-2], front[:, -2:]
     gaits = np.array([list(problem.at(x).values()) for x in points])
     rows = np.hstack([gaits, values * problem.signs])
-    return _file(problem, study, points[genetic.knee(values)], front=rows)
+    return _file(problem, study, points[global_search.knee(values)], front=rows)
 
 
 def _gait(problem: Problem, x: Array) -> Gait:

@@ -14,7 +14,7 @@ from swimid.errors import NoTrustworthyResult
 from swimid.files import yamlio
 from swimid.files.checkpoint import Checkpoint
 from swimid.files.yamlio import Number
-from swimid.fitting import genetic
+from swimid.fitting import global_search
 from swimid.fitting.model import Array
 from swimid.optimisation.performance import Performance, Point
 from swimid.simulation.catalogue import Applied, is_possible
@@ -363,11 +363,11 @@ class Problem:
             return self.wanted(table) + PENALTY * self.scale * violation[:, None]
 
         width = len(self.vary)
-        found = genetic.nsga2(
+        found = global_search.nsga2(
             cost, np.zeros(width), np.ones(width), objectives=2, population=population,
             generations=generations, seed=seed, **how,
         )  # fmt: skip
-        sound = (found.objectives < genetic.BROKEN_OBJECTIVE).all(axis=1)
+        sound = (found.objectives < global_search.BROKEN_OBJECTIVE).all(axis=1)
         points = found.points[sound]
         if not self.limits or not len(points):
             return np.hstack([points, found.objectives[sound]])

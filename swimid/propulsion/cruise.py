@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,8 +12,8 @@ import numpy as np
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import fit_common, output_error
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.fit_result import FitResult
-from swimid.fitting.model import Array, Parameter, Trial, chosen
+from swimid.fitting.metrics import FitResult
+from swimid.fitting.model import Array, Model, Parameter, Trial, chosen
 from swimid.notices import warn
 from swimid.progress import Progress
 from swimid.propulsion import trials as cruise_trials
@@ -69,7 +70,7 @@ def fit(
         result = output_error.fit(model, kept, parameters=choices, progress=progress)
     if all(result.status[label] != "estimated" for label in result.labels):
         raise NoTrustworthyResult("neither efficiency nor offset can be identified from this table")
-    exponents = _exponents(model, kept, choices)
+    exponents = free_exponents(model, kept, choices, LAWS, "power")
     result = _with_drag_error(result, kept, choices, experiment)
     points = _operating_points(experiment, result, wake)
     file = fit_common.parameter_file(
@@ -173,28 +174,37 @@ def _departure(fitted: FitResult, trials: list[Trial], level: float) -> dict[str
     return {"frequency_hz": level, "share": share, "stderr": error, "z": share / error, "runs": len(shares)}
 
 
-def _exponents(
-    model: RecoilModel, trials: list[Trial], choices: tuple[Parameter, ...]
+def free_exponents(
+    model: Model, trials: Sequence[Trial], choices: tuple[Parameter, ...], laws: Mapping[str, float], of: str
 ) -> dict[str, Estimate]:
-    """Each exponent of the law set free in turn; the offset stays free with it."""
+    """Each exponent of a law of thrust or power set free in turn; warns of one that is not that of the law.
+
+    Parameters
+    ----------
+    laws : mapping of str to float
+        Value of each exponent under the law.
+    of : str
+        The quantity that has the exponents, for the warning.
+    """
     exponents = {}
-    for name, law in LAWS.items():
+    for name, law in laws.items():
         try:
             result = output_error.fit(model, trials, parameters=chosen(choices, freed=(name,)))
         except NoTrustworthyResult:
             continue
-        value, stderr = result.value(name), result.stderr(name)
+        fit_common.refuse_interrupted(result)
+        value, stderr, status = result.value(name), result.stderr(name), result.status[name]
         # with the offset held at a bound the exponent answers another question
-        held = result.status.get("amplitude_offset_deg", "estimated") != "estimated"
-        status = "unidentifiable" if held else result.status[name]
+        if result.status.get("amplitude_offset_deg", "estimated") != "estimated":
+            status = "unidentifiable"
         exponents[f"free_{name}"] = Estimate(
             value=value, stderr=stderr, unit="1", bounds=(0, 6), status=status
         )  # type: ignore[arg-type]
         if status == "estimated" and stderr and abs(value - law) > 3 * stderr:
             warn(
                 "SWM031",
-                f"set free, the {name.replace('_', ' ')} of power is "
-                f"{numbers.measured(value, stderr)}, the law says {law:g}",
+                f"set free, the {name.replace('_', ' ')} of {of} is {numbers.measured(value, stderr)}, the "
+                f"law says {law:g}",
             )
     return exponents
 

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import csv
+import hashlib
+import io
+import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
 from swimid.errors import InputError, nearest
+from swimid.files import delimited
+from swimid.files.provenance import Held
 from swimid.fitting.drives import CruiseInput, SurgeInput
 from swimid.fitting.experiment import Experiment, inputs_of, read_log
 from swimid.fitting.model import Trial
@@ -18,16 +26,14 @@ from swimid.logs.beat import TOLERANCE, find_beat, stated_against_found
 from swimid.logs.log import Log
 from swimid.logs.trials import Cruise, Drive, FreeSwim, StrokeDrive, TrialSet
 from swimid.notices import warn
-from swimid.propulsion import cruise_table as cruise_format
 from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, plate_inertia
 from swimid.results import parameters as parameters_format
 from swimid.results.parameters import ParameterFile
 from swimid.robots.file import Robot
 
-#: The paper's stop-watch error (section 3.4), s, and the scatter of speeds between runs taken
-#: beside it: they set how runs weigh against each other, the overall size is estimated.
-STOP_WATCH_SD_S = 0.1
-SPEED_SCATTER = 0.01
+if TYPE_CHECKING:
+    import pandas as pd
+
 #: The keys of a trials file that are used, by experiment. The phase of the drive does not touch
 #: averages over beats; a stroke is refused by name.
 USES = {
@@ -129,14 +135,16 @@ def recoil_model(
 def _cruise(path: Path, entries: Cruise, robot: Robot, source: parameters_format.Source) -> Experiment:
     drag_path = parameters_format.place(source)
     drag = parameters_format.read(source, model=("falling-weight", "towed", "free-decay"))
-    table = cruise_format.read(path.parent / entries.table if entries._held is None else entries._held)
+    table = read_table(path.parent / entries.table if entries._held is None else entries._held)
     model = recoil_model(robot, table.fin, source, path=table.path)
     middle = (float(np.median(table.frequency_hz)), float(np.deg2rad(0.7 * np.median(table.amplitude_deg))))
     trials = []
     for fin, inertia in model.fins.items():
         rows = np.array([f == fin for f in table.fin])
         speed, distance = table.mean_speed_m_s[rows], table.distance_m[rows]
-        spread = np.hypot(speed**2 / distance * STOP_WATCH_SD_S, SPEED_SCATTER * speed)
+        # the paper's stop-watch error of 0.1 s (section 3.4) and a scatter of speeds between runs set how
+        # runs weigh against each other; the overall size is estimated
+        spread = np.hypot(speed**2 / distance * 0.1, 0.01 * speed)
         inputs = {
             "frequency_hz": table.frequency_hz[rows],
             "amplitude_rad": np.deg2rad(table.amplitude_deg[rows]),
@@ -288,3 +296,134 @@ def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
     for k in np.flatnonzero(gaps > 3 * np.median(gaps)):
         speeds[(edges[1:] > time[k]) & (edges[:-1] < time[k + 1])] = np.nan
     return middles, speeds
+
+
+# ---------------------------------------------------------------- cruise table
+
+
+Array = NDArray[np.float64]
+NUMBERS = ("frequency_hz", "amplitude_deg", "distance_m")
+#: Line of the file (None in memory) and cells by column name.
+Row = tuple[int | None, dict[str, str]]
+
+
+@dataclass(frozen=True)
+class CruiseTable:
+    """Runs of a robot from rest over a distance; speed NaN where the run has none.
+
+    ``source`` is what stands for it in the provenance.
+    """
+
+    path: Path
+    source: Path | Held
+    fin: list[str]
+    frequency_hz: Array
+    amplitude_deg: Array
+    distance_m: Array
+    mean_speed_m_s: Array
+
+
+def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
+    """Read the table, or take one in memory with the same columns.
+
+    Raises
+    ------
+    InputError
+        Naming line and column: missing columns, cells that are no positive number, no rows.
+    """
+    held, line = None, None
+    try:
+        if isinstance(source, str | Path):
+            path = Path(source)
+            _, header, line = delimited.head(path)
+            names = delimited.column_names(header, path, line)
+            text = path.read_text(encoding="utf-8-sig")
+        else:
+            path, names = Path("table"), [str(name) for name in source.columns]
+            text = source.to_csv(index=False)
+            held = Held("table", hashlib.sha256(text.encode()).hexdigest())
+    except UnicodeDecodeError as error:
+        raise InputError("is not UTF-8 text", file=path) from error
+    except OSError as error:
+        hint = "check the path" if isinstance(error, FileNotFoundError) else None
+        raise InputError(f"cannot be read: {error.strerror or error}", file=path, hint=hint) from error
+    speed = "mean_speed_m_s" if "mean_speed_m_s" in names else "time_s"
+    for column in ("fin", *NUMBERS, speed):
+        if column not in names:
+            what = "this column is missing"
+            if column == "time_s":
+                what = "neither time_s nor mean_speed_m_s is there"
+            raise delimited.missing_column(column, names, path, line, what)
+    rows = _rows(text, path, line, names)
+    if not rows:
+        raise InputError("has a header and no runs", file=path, line=line)
+    columns = {name: _numbers(rows, name, path) for name in (*NUMBERS, speed)}
+    distance, given = columns["distance_m"], columns[speed]
+    if np.isnan(given).all():
+        raise InputError("every run's value is missing", file=path, column=speed)
+    with np.errstate(over="ignore", under="ignore"):
+        speeds = distance / given if speed == "time_s" else given
+    none = np.isinf(speeds) | (speeds == 0)
+    if none.any():
+        row = int(np.argmax(none))
+        raise InputError(
+            f"a speed of {speeds[row]:g} m/s is none", file=path, line=rows[row][0], column=speed
+        )
+    missing = int(np.isnan(speeds).sum())
+    if missing:
+        warn("SWM001", f"{path.name}: {missing} of {len(speeds)} runs have no {speed}; they are left out")
+    typical = np.nanmedian(speeds)
+    doubts = [
+        (speed, typical > 20, f"speeds of {typical:.3g} m/s; is it mm/s (a factor of 1000)?"),
+        ("distance_m", np.max(distance) > 50, "looks like centimetres or millimetres"),
+        ("amplitude_deg", np.max(columns["amplitude_deg"]) < 1.6, "looks like radians (a factor of 57.3)"),
+    ]
+    for column, doubtful, words in doubts:
+        if doubtful:
+            warn("SWM002", f"{path.name}, '{column}': {words}")
+    fins = [cells["fin"] for _, cells in rows]
+    frequency, amplitude, distance = (columns[name] for name in NUMBERS)
+    return CruiseTable(path, held or path, fins, frequency, amplitude, distance, speeds)
+
+
+def _rows(text: str, path: Path, header_line: int | None, names: list[str]) -> list[Row]:
+    """Return line and cells by column name of every row that is not blank or a comment."""
+    rows: list[Row] = []
+    before = header_line or 1
+    stream = io.StringIO(text, newline="")
+    for _ in range(before):
+        next(stream)
+    reader = csv.reader(stream, skipinitialspace=True, strict=True)
+    try:
+        for cells in reader:
+            line = before + reader.line_num if header_line else None
+            if not any(cell.strip() for cell in cells) or cells[0].startswith("#"):
+                continue
+            if len(cells) != len(names):
+                what = f"has {len(cells)} cells where the header names {len(names)} columns"
+                raise InputError(what, file=path, line=line)
+            rows.append((line, {n: c.strip() for n, c in zip(names, cells, strict=True)}))
+    except csv.Error as error:
+        raise InputError(f"is no table: {error}", file=path, line=before + reader.line_num) from error
+    return rows
+
+
+def _numbers(rows: list[Row], name: str, path: Path) -> Array:
+    """Return a column of positive numbers; only a measurement may be missing, then it is NaN."""
+    values = np.full(len(rows), np.nan)
+    for row, (line, cells) in enumerate(rows):
+        text = cells[name]
+        if text in delimited.MISSING and name not in NUMBERS:
+            continue
+        value = delimited.number(text)
+        what, hint = "", None
+        if text in delimited.MISSING:
+            what = "has no value"
+        elif value is None or not math.isfinite(value):
+            what, hint = f"'{text}' is not a number", delimited.number_hint(text)
+        elif value <= 0:
+            what = f"{value:g} is not positive"
+        if what:
+            raise InputError(what, file=path, line=line, column=name, hint=hint)
+        values[row] = value
+    return values

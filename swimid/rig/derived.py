@@ -12,11 +12,11 @@ from functools import partial
 
 import numpy as np
 
+from swimid.fitting import fit_common
+from swimid.fitting.covariance import UNIDENTIFIABLE
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.fit_result import FitResult
+from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Trial
-from swimid.fitting.output_error import UNIDENTIFIABLE
-from swimid.notices import warn
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.parameters import Estimate
@@ -165,20 +165,16 @@ def _estimate_possible(result: FitResult, name: str, most: float, basis: str, in
     value, error = result.value(name), result.stderr(name) or 0.0
     unit = next(p.unit for p in result.parameters if p.name == name)
     size, limit = numbers.measured(value, error or None, unit), numbers.number(most, 2, unit)
-    if value > most:
-        warn(
-            "SWM072",
-            f"{name} is {size}, but {basis} can have {limit} at most: look at {inputs} and their units, and "
-            "at what the model lacks",
-        )
-    return ev.check(
-        f"{name.replace('_', ' ')} possible",
+    words = name.replace("_", " ")
+    return fit_common.warned_check(
+        "SWM072",
+        f"{words} possible",
         size,
         not value > most,
         f"≤ {limit}",
-        f"the most {basis} can have",
-        otherwise="fail" if value - 1.96 * error > most else "warn",
-        reason=f"{name.replace('_', ' ')} {size} is more than {basis} can have ({limit})",
+        f"look at {inputs} and their units, and at what the model lacks" if value > most else "",
+        f"{words} {size} is more than {basis} can have ({limit})",
+        failed=value - 1.96 * error > most,
     )
 
 
@@ -194,19 +190,11 @@ def _force_possible(experiment: Experiment) -> list[ev.Check]:
         return []
     force, most, name = max(forces, key=lambda f: f[0] / f[1])
     size, limit = numbers.number(force, 3, "N"), numbers.number(most, 3, "N")
-    if force > most:
-        warn(
-            "SWM072",
-            f"the driving force of '{name}', {size}, is more than a body of its mass and size weighs or "
-            f"lifts, {limit}: look at its unit and the mass",
-        )
-    text = (
-        "the whole weight of the body, or the lift of the largest one of its size; only a drive of another "
-        "kind is stronger"
-    )
-    reason = f"driving force {size} is more than a body of this mass and size weighs or lifts ({limit})"
-    value = f"{size} in {name}"
-    return [ev.check("driving force possible", value, force <= most, f"≤ {limit}", text, reason=reason)]
+    text = "look at its unit and the mass; only a drive of another kind is stronger" if force > most else ""
+    reason = f"the driving force of {name}, {size}, is more than a body of its mass and size weighs or lifts"
+    value, passed = f"{size} in {name}", force <= most
+    check = ("SWM072", "driving force possible", value, passed, f"≤ {limit}", text, reason)
+    return [fit_common.warned_check(*check)]
 
 
 def _most_added(experiment: Experiment, result: FitResult) -> Limit | None:

@@ -1,10 +1,11 @@
-"""Lack-of-fit tests of a rig: a parameter left out, starts and friction of single trials, an odd trial.
+"""Lack-of-fit tests of a rig: parameters left out, differences between trials, and the measured force.
 
 Every parameter that all trials share and that is held is tried in two ways. First it is freed beside the
 others. The fit is judged by the parameter's standard error, which allows for coloured residuals and for
 trials that disagree. Then it is put in the place of those that act alike (:data:`swimid.rig.model.ALIKE`):
-dry friction in the place of a linear damping, gravity in the place of a spring. This fit has no more unknowns
-than the stated one, so that their likelihoods can be compared. One test thus serves every parameter.
+dry friction in the place of a linear damping, gravity in the place of a spring. This fit has no more
+unknowns than the stated one, so that their likelihoods can be compared. One test thus serves every
+parameter. The measured force of a tow is tested for its sign, and for its value while the body stands still.
 
 References
 ----------
@@ -24,12 +25,12 @@ import numpy as np
 from scipy import special
 
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting import output_error, random_effect, restarts
-from swimid.fitting.fit_result import FitResult
-from swimid.fitting.model import Parameter, chosen
-from swimid.fitting.odd_trial import ODD, TIMES, Odd, odd_trial
-from swimid.fitting.residual_tests import SIGNIFICANCE, fit_autoregression
-from swimid.fitting.sandwich import HETEROGENEITY
+from swimid.fitting import between_trials, fit_common, output_error, restarts
+from swimid.fitting.between_trials import ODD, TIMES, Odd, odd_trial
+from swimid.fitting.covariance import HETEROGENEITY
+from swimid.fitting.metrics import FitResult
+from swimid.fitting.model import Array, Parameter, Trial, chosen
+from swimid.fitting.noise import SIGNIFICANCE, fit_autoregression, long_run_covariance
 from swimid.notices import recorded, warn
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
@@ -339,41 +340,35 @@ def odd_check(result: FitResult, odd: Odd) -> ev.Check:
         f"{label} {numbers.measured(odd.others.value(label), odd.others.stderr(label), units[label])}"
         for label in odd.others.shared
     )
-    times = numbers.number(odd.times, 2)
-    warn(
+    return fit_common.warned_check(
         "SWM071",
-        f"{odd.trial} contradicts the other trials: they predict it {times} times worse than one another. "
-        f"Without it: {without}. Check its entry in the trials file (pulling mass, force, unit), or leave it "
-        "out of the fit with role: validate",
-    )
-    other = moved(result, odd.others)
-    return ev.check(
         "no trial contradicts the others",
-        f"{odd.trial}: {times} times the others' error",
+        f"{odd.trial}: {numbers.number(odd.times, 2)} times the others' error",
         False,
         f"below {TIMES:g} times, or p ≥ {ODD:g}",
-        f"without it {', '.join(other)} would lie outside the stated interval" if other else "",
-        otherwise="fail" if other else "warn",
-        reason=f"{odd.trial} contradicts the other trials",
+        f"without it: {without}. Check its entry in the trials file (pulling mass, force, unit), or leave it "
+        "out of the fit with role: validate",
+        f"{odd.trial} contradicts the other trials",
+        failed=bool(moved(result, odd.others)),
     )
 
 
 # ------------------------------------------------------------ friction by chance
 
 
-def _friction(plain: FitResult, odd: Odd | None) -> tuple[FitResult, random_effect.Spread]:
+def _friction(plain: FitResult, odd: Odd | None) -> tuple[FitResult, between_trials.Spread]:
     """The fit with a friction that differs by chance; raises where these trials do not tell it."""
     pulled = [t for t in plain.trials if t.role == "fit" and t.rig.pulley]
     reason = ""
-    if not any(p.name == FRICTION for p in plain.parameters) or len(pulled) < random_effect.FEWEST:
-        reason = f"it takes at least {random_effect.FEWEST} trials with a pulley"
+    if not any(p.name == FRICTION for p in plain.parameters) or len(pulled) < between_trials.FEWEST:
+        reason = f"it takes at least {between_trials.FEWEST} trials with a pulley"
     elif COMMON not in plain.labels:
         reason = f"{COMMON} is held"
     if reason:
         raise NoTrustworthyResult(f"{FRICTION} cannot be estimated: {reason}")
     # where the others agree the model is nearly linear; pulled off by an odd one it is not
     near = odd.others if odd is not None and COMMON in odd.others.labels else None
-    return random_effect.fit(plain, FRICTION, COMMON, near=near)
+    return between_trials.fit(plain, FRICTION, COMMON, near=near)
 
 
 def _by_chance(
@@ -381,7 +376,7 @@ def _by_chance(
     pulling_kg: Mapping[str, float | None],
     odd: Odd | None,
     chance: FitResult,
-    spread: random_effect.Spread,
+    spread: between_trials.Spread,
 ) -> Explained:
     facts: dict[str, Any] = {"start_state": "rest"}
     if spread.sd == 0.0:
@@ -389,8 +384,8 @@ def _by_chance(
     checks = omission_checks(chance, omitted_parameters(chance))
     # an odd trial has a reason of its own: it neither makes a trend nor hides one
     others = chance if odd is None else odd.others
-    own = random_effect.own_numbers(others, FRICTION, COMMON)
-    trend = random_effect.trend(own, np.array([pulling_kg.get(name) or math.nan for name in own.trials]))
+    own = between_trials.own_numbers(others, FRICTION, COMMON)
+    trend = between_trials.trend(own, np.array([pulling_kg.get(name) or math.nan for name in own.trials]))
     refused = ""
     if trend.p_value < TREND:
         slope = numbers.measured(trend.slope, trend.stderr, "N/kg")
@@ -455,3 +450,122 @@ def _own(result: FitResult, name: str) -> str:
     return ", ".join(
         f"{label[len(name) + 1 : -1]} {result.estimate[result.labels.index(label)]:+.3g}" for label in labels
     )
+
+
+# ------------------------------------------------------------ measured force
+
+
+#: Minimum number of samples of a stretch in which a body stands still.
+MIN_SAMPLES = 10
+#: Excursion beyond which a body has moved, in standard deviations of its noise.
+MOVED = 5.0
+
+
+def force_checks(result: FitResult) -> list[ev.Check]:
+    """Return the checks of the measured force of a fit of towed trials; warn of those that fail."""
+    return [_sign(result), *_at_rest(result)]
+
+
+def _sign(result: FitResult) -> ev.Check:
+    """Check that trials are not described better with the force turned round."""
+    name, limit = "sign of force_N", "no trial agrees better with -force_N"
+    fitted = [t for t in result.trials if t.role == "fit"]
+    # at the start values, because a fit to the wrong sign makes the body so heavy that no force moves it
+    start = np.array([p.start for p in result.model.parameters])
+    suspects = {t.id for t in fitted if _error(result, _turned(t), start) < _error(result, t, start)}
+    turned = [_turned(t) if t.id in suspects else t for t in result.trials]
+    found = None
+    if suspects:
+        try:
+            with recorded():
+                found = output_error.fit(result.model, turned, parameters=result.parameters, tested=False)
+        except NoTrustworthyResult:
+            found = None
+    if found is None or compute_evidence(result, found) <= STRONG:
+        return ev.check(name, "as stated", True, limit)
+    where = "all trials" if len(suspects) == len(fitted) else ", ".join(sorted(suspects))
+    before, after = (
+        math.sqrt(float(np.mean([_error(r, t, r.values(t.id)) for t in trials if t.role == "fit"])))
+        for r, trials in ((result, result.trials), (found, turned))
+    )
+    unit = next(c.unit for c in result.model.channels if c.name == _channel(result))
+    change = f"from {numbers.number(before, 2, unit)} to {numbers.number(after, 2, unit)}"
+    reason = f"with force_N times -1 in {where} the error of {_channel(result)} falls {change}"
+    text = (
+        "force_N must be the force on the body, positive along x_m: turn its sign in the log, or with "
+        "factor: -1 in the mapping of an import"
+    )
+    check = ("SWM110", name, f"wrong in {where}", False, limit, text, reason)
+    return fit_common.warned_check(*check, failed=True)
+
+
+def _turned(trial: Trial) -> Trial:
+    return replace(trial, inputs={**trial.inputs, "force_N": -trial.inputs["force_N"]})
+
+
+def _channel(result: FitResult) -> str:
+    return next(s.channel for s in result.series if s.role == "fit")
+
+
+def _error(result: FitResult, trial: Trial, values: Array) -> float:
+    """Return the mean squared error of one trial, of the first measured channel."""
+    channel = _channel(result)
+    if channel not in trial.measured:
+        return math.nan
+    seen = result.model.simulate(values, trial)[channel]
+    return float(np.nanmean((trial.measured[channel] - seen) ** 2))
+
+
+def _at_rest(result: FitResult) -> list[ev.Check]:
+    """Check that the force is zero while the body stands still, as far as offset and friction allow."""
+    stretches = {t.id: n for t in result.trials if t.role == "fit" and (n := _still(t)) >= MIN_SAMPLES}
+    if not stretches:
+        return []
+    loads = {t.id: _load(result, t, stretches[t.id]) for t in result.trials if t.id in stretches}
+    limit = SIGNIFICANCE / len(loads)
+    beyond = {name: load for name, load in loads.items() if load[2] < limit}
+    name, allowed = "force at rest", f"zero (p ≥ {SIGNIFICANCE:g})"
+    if not beyond:
+        return [ev.check(name, "zero within its noise", True, allowed)]
+    worst = min(beyond, key=lambda trial: beyond[trial][2])
+    size = numbers.measured(*beyond[worst][:2], "N")
+    text = (
+        f"it is not zero in {len(beyond)} of {len(loads)} trials that begin at rest: a sensor that was not "
+        "tared (--free force_offset), one that drifts (--free force_drift), or dry friction that holds the "
+        "body (--free dry_friction)"
+    )
+    reason = f"force_N is {size} in {worst} while the body stands still"
+    check = ("SWM111", name, f"{size} in {worst}", False, allowed, text, reason)
+    return [fit_common.warned_check(*check)]
+
+
+def _still(trial: Trial) -> int:
+    """Return the number of samples at the start of a trial in which the body stands still.
+
+    It is half of those before a motion shows, because the force that makes it begins earlier.
+    """
+    counts = []
+    for values in trial.measured.values():
+        there = np.flatnonzero(np.isfinite(values))
+        x = values[there]
+        if len(x) < 2 * MIN_SAMPLES:
+            return 0
+        noise = third_difference_sd(x)
+        first = float(np.median(x[:MIN_SAMPLES]))
+        away = np.flatnonzero(np.abs(x - first) > MOVED * noise)
+        counts.append(int(there[away[0]]) if len(away) else 0)
+    return min(counts, default=0) // 2
+
+
+def _load(result: FitResult, trial: Trial, count: int) -> tuple[float, float, float]:
+    """Return the mean force that the fit does not explain at rest, its standard error, and its p-value."""
+    values: Mapping[str, float] = {p.name: result.value(p.name) for p in result.parameters if not p.per_trial}
+    drift = values["force_drift"] * (trial.time_s - trial.rig.begin_s)
+    force: Array = (trial.inputs["force_N"] + values["force_offset"] + drift)[:count]
+    mean = float(force.mean())
+    error = math.sqrt(float(long_run_covariance((force - mean)[:, None])[0, 0])) / count
+    over = max(abs(mean) - values["dry_friction"], 0.0)
+    z = over / math.hypot(
+        error, result.stderr("force_offset") or 0.0, result.stderr("dry_friction") or 0.0, 1e-300
+    )
+    return mean, error, 2.0 * float(special.ndtr(-z))

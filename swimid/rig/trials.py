@@ -27,8 +27,6 @@ NEAR = 0.95
 #: Share of a period after which a body near one place is held there. A free swing is within 5 % of its
 #: extreme for ``2 arccos(0.95) / (2 pi)`` of a period.
 STILL = 0.1
-#: Rounds in which the level of the crossings is found.
-LEVEL_ROUNDS = 3
 _INERTIA = "trials.inertial_mass_kg"
 _DRAG = ("trials.frontal_area_m2", "trials.fluid_density_kg_m3")
 #: The keys of a trials file that are used, by experiment.
@@ -398,7 +396,7 @@ def _swings(values: Array, log: Log, name: str) -> _Swings:
     found = None
     # the end of a record has mostly come to rest; where it has not, or was held for long, the middle serves
     for level in (float(np.median(values[len(values) * 3 // 4 :])), 0.5 * float(values.max() + values.min())):
-        for _ in range(LEVEL_ROUNDS):
+        for _ in range(3):
             crossings, extremes = _half_swings(values, level, noise)
             if len(extremes) < 3:
                 break

@@ -13,10 +13,10 @@ import numpy as np
 
 from swimid.errors import InputError, Interrupted, NoTrustworthyResult
 from swimid.files import atomic, provenance
-from swimid.fitting import fit_common, identifiability, metrics, mistakes, multistart, output_error
+from swimid.fitting import covariance, fit_common, global_search, metrics, mistakes, output_error
 from swimid.fitting.drives import Beat
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.fit_result import FitResult, Series
+from swimid.fitting.metrics import FitResult, Series
 from swimid.fitting.model import Array, Model, Parameter, Tied, Trial, groups_by_prefix
 from swimid.logs import trials as trials_format
 from swimid.logs.beat import find_beat
@@ -141,7 +141,7 @@ def fit_graybox(
         files = [parameters_format.origin(p) for p in (begin, options.front) if p is not None]
         origin = provenance.collect([*experiment.inputs, *files], settings=options.settings())
         found: Found | None = None
-        ends: list[multistart.Start] = []
+        ends: list[global_search.Start] = []
         starts = 1
         if options.method == "least-squares":
             model.prepare(progress, simulated_s=ahead_s)
@@ -160,7 +160,7 @@ def fit_graybox(
         left_out: list[str] = []
         if options.subset and result.converged:
             result = _starting_here(result, experiment)
-            result, left_out = identifiability.select_subset(result, jobs=options.jobs, progress=progress)
+            result, left_out = global_search.select_subset(result, jobs=options.jobs, progress=progress)
         result = output_error.with_held_out(result)
         file = _file(experiment, result, origin, left_out, output, trials, options)
         checks = [
@@ -204,7 +204,7 @@ def fit_graybox(
 def _insist(
     result: FitResult,
     file: ParameterFile,
-    ends: Sequence[multistart.Start],
+    ends: Sequence[global_search.Start],
     starts: int,
     source: str | Path | TrialSet,
     output: Path | None,
@@ -330,7 +330,7 @@ def _least_squares(
     begins: Sequence[Array] | None,
     options: FitGrayboxOptions,
     progress: Progress,
-) -> tuple[FitResult, list[multistart.Start], int]:
+) -> tuple[FitResult, list[global_search.Start], int]:
     """Return the output-error fit, its starts where there were several, and their planned number."""
     starts, jobs, loss = max(options.starts or 1, len(begins or [])), options.jobs, options.loss
     first: FitResult | None = None
@@ -343,7 +343,7 @@ def _least_squares(
         if options.starts is not None or first.interrupted or not _deserves_starts(first):
             return first, [], starts
         starts = 4
-    result, ends = multistart.multistart(
+    result, ends = global_search.multistart(
         model, trials, parameters, starts=starts, seed=options.seed, begins=begins,
         jobs=jobs, loss=loss, first=first, progress=progress,
     )  # fmt: skip
@@ -501,9 +501,9 @@ def _path(result: FitResult, across: str, along: str, view: str) -> ev.Panel:
     )
 
 
-def starts_check(ends: Sequence[multistart.Start], *, asked: bool) -> ev.Check:
+def starts_check(ends: Sequence[global_search.Start], *, asked: bool) -> ev.Check:
     """Count the starts that end in the reported minimum; for information unless the user asked for them."""
-    agree = multistart.agreeing(ends)
+    agree = global_search.agreeing(ends)
     value = f"{agree} of {len(ends)} starts end in it"
     text = "the other starts end higher; the lowest is reported" if agree < len(ends) else ""
     passed = agree == len(ends) if asked else None
@@ -511,9 +511,9 @@ def starts_check(ends: Sequence[multistart.Start], *, asked: bool) -> ev.Check:
     return ev.check("one minimum", value, passed, "every start", text, reason=reason)
 
 
-def tables(experiment: Experiment, result: FitResult, ends: Sequence[multistart.Start]) -> list[ev.Table]:
+def tables(experiment: Experiment, result: FitResult, ends: Sequence[global_search.Start]) -> list[ev.Table]:
     """List errors of trials, parameters by identifiability, starts, and readings of the source."""
-    ranking = [[label, share, result.status[label]] for label, share in identifiability.ranked(result)]
+    ranking = [[label, share, result.status[label]] for label, share in covariance.ranked(result)]
     starts = [[k, end.converged, float(end.cost)] for k, end in enumerate(ends, start=1)]
     readings = experiment.robot.readings.items()
     found: list[tuple[str, str, list[str], list[list[Any]], str]] = [
@@ -597,7 +597,7 @@ def _phase(s: Series, drive: Beat | None) -> str:
 def methods(
     experiment: Experiment,
     result: FitResult,
-    ends: Sequence[multistart.Start],
+    ends: Sequence[global_search.Start],
     left_out: list[str],
     method: str,
 ) -> list[str]:
@@ -618,7 +618,7 @@ def methods(
         said.append("Huber's loss was used.")
     if ends:
         drawn = "on the front" if method == "hybrid" else "drawn evenly within the bounds"
-        agree = multistart.agreeing(ends)
+        agree = global_search.agreeing(ends)
         said.append(f"{agree} of {len(ends)} starts, {drawn}, end in the reported minimum.")
     if left_out:
         said.append(f"{', '.join(left_out)} could not be identified and were held at the whole fit's values.")

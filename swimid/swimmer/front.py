@@ -21,11 +21,10 @@ from swimid.errors import InputError, Interrupted, NoTrustworthyResult, UsageErr
 from swimid.files import atomic
 from swimid.files import checkpoint as checkpoint_format
 from swimid.files.checkpoint import Checkpoint
-from swimid.fitting import fit_common, genetic, output_error
+from swimid.fitting import fit_common, global_search, output_error
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.fit_result import FitResult, Series
-from swimid.fitting.genetic import Front
-from swimid.fitting.metrics import dtw_distance
+from swimid.fitting.global_search import Front
+from swimid.fitting.metrics import FitResult, Series, dtw_distance
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.problem import Problem
 from swimid.notices import warn
@@ -230,7 +229,7 @@ class Profiles:
 
 
 #: How a point of the front is chosen, and what the rule is called.
-RULES = {"least-worst": genetic.least_worst, "knee": genetic.knee}
+RULES = {"least-worst": global_search.least_worst, "knee": global_search.knee}
 #: Titles of the stages.
 UNTUNED, CHOSEN, AFTER = "untuned", "chosen on the front", "least squares"
 
@@ -345,7 +344,7 @@ def search(
     rules = {name: rule(found.values) for name, rule in RULES.items()}
     if len(profiles.names) > 1:
         for name in profiles.names:
-            rules[f"knee of {name}"] = genetic.knee(found.values[:, profiles.of(name)])
+            rules[f"knee of {name}"] = global_search.knee(found.values[:, profiles.of(name)])
     return replace(found, chosen=_chosen(options.pick, rules, len(table)), rules=rules)
 
 
@@ -365,7 +364,7 @@ def _searched(
                     step()
                     show(step, name)
 
-                searches[name] = genetic.nsga2(
+                searches[name] = global_search.nsga2(
                     lambda points, name=name: profiles.evaluate(points, name),  # type: ignore[misc]
                     profiles.lower,
                     profiles.upper,
@@ -392,8 +391,8 @@ def _joined(profiles: Profiles, searches: Mapping[str, Front]) -> pd.DataFrame:
     """The points of all fronts with their objectives in every profile; those that break down left out."""
     points = np.concatenate([f.points for f in searches.values()])
     owners = [name for name, f in searches.items() for _ in f.points]
-    values = np.nan_to_num(profiles.evaluate(points), nan=genetic.BROKEN_OBJECTIVE)
-    sound = np.asarray((values < genetic.BROKEN_OBJECTIVE).all(axis=1))
+    values = np.nan_to_num(profiles.evaluate(points), nan=global_search.BROKEN_OBJECTIVE)
+    sound = np.asarray((values < global_search.BROKEN_OBJECTIVE).all(axis=1))
     if not sound.any():
         raise NoTrustworthyResult(
             "the simulation breaks down at every point of the front",

@@ -1,8 +1,10 @@
-"""A number that differs from trial to trial by chance, as a random effect with an estimated spread.
+"""Differences between trials: random effects with an estimated spread, and the trial that contradicts the
+rest.
 
-A free number for each trial would take up whatever the model leaves out: a force that grows with the
-setting of the trials looks like a friction that does. A random effect may only be as large as the trials'
-scatter about a common value allows (Pinheiro and Bates, "Mixed-Effects Models in S and S-PLUS", 2000).
+A free number for each trial would take up whatever the model leaves out: a force that grows with the setting
+of the trials looks like a friction that does. A random effect may only be as large as the trials' scatter
+about a common value allows (Pinheiro and Bates, "Mixed-Effects Models in S and S-PLUS", 2000). The odd trial
+is found by prediction of each trial by a fit of all the rest.
 """
 
 from __future__ import annotations
@@ -13,11 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import optimize, special
 
+from swimid.errors import NoTrustworthyResult
 from swimid.fitting import noise as noise_model
-from swimid.fitting import output_error, sandwich
-from swimid.fitting.fit_result import FitResult
+from swimid.fitting import output_error
+from swimid.fitting.covariance import UNIDENTIFIABLE, orthogonal_part, sandwich
+from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array
-from swimid.fitting.output_error import UNIDENTIFIABLE
 from swimid.fitting.restarts import weighted
 
 #: Fewest trials from which a spread is estimated.
@@ -82,12 +85,12 @@ def own_numbers(result: FitResult, name: str, common: str) -> Own:
     step = np.linalg.lstsq(np.concatenate(rows), -np.concatenate(residuals), rcond=1e-12)[0]
     # the noise is what is left once every trial has its own number: before, it holds what is sought
     left = [r + j @ step for r, j in zip(residuals, rows, strict=True)]
-    found = sandwich.sandwich(problem, rows, left, noise_model.autoregressions(problem, left))
+    found = sandwich(problem, rows, left, noise_model.autoregressions(problem, left))
     labels = [label for label, s in zip(problem.labels, seen, strict=True) if s]
     mine = [i for i, label in enumerate(labels) if label.startswith(f"{name}[")]
     root = found.root * found.scatter
     others = [i for i in range(len(labels)) if i not in mine]
-    part = sandwich.orthogonal_part(root[:, others], root[:, mine], math.sqrt(LEAST))
+    part = orthogonal_part(root[:, others], root[:, mine], math.sqrt(LEAST))
     values, vectors = np.linalg.eigh(part.T @ part)
     values = np.maximum(values, LEAST * values.max(initial=1e-300))
     size = problem.scale[seen][mine]
@@ -233,3 +236,73 @@ def _for_few(result: FitResult, name: str) -> FitResult:
     place = np.ix_(others, others)
     covariance[place] += (widen - 1.0) * (covariance[place] - alone)
     return replace(result, covariance=covariance)
+
+
+# ---------------------------------------------------------------- the odd trial
+
+
+#: Fewest trials among which one can be odd: of fewer the others do not show how far off is far.
+MIN_TRIALS = 4
+#: A trial is odd when chance would put one of them as far off less often than this.
+ODD = 1e-2
+#: ... and its error of prediction is at least so many times that of the others: less is no mistake in a
+#: trial, however regular the others are.
+TIMES = 2.0
+
+
+@dataclass(frozen=True)
+class Odd:
+    """A trial that the others do not predict."""
+
+    trial: str
+    #: Its error of prediction over the others' typical one.
+    times: float
+    #: Of the most distant of so many trials by Student's t of the logarithms of their errors.
+    p_value: float
+    #: Of all other trials; this one has the role ``validate``.
+    others: FitResult
+
+
+def odd_trial(result: FitResult) -> Odd | None:
+    """The trial that does not agree with the others; None where there is none, or a fit of the others fails.
+
+    The suspect is the one whose absence lowers the misfit of the rest most. Its error, predicted from
+    them, is then held against the errors with which each of them is predicted by the rest: what the model
+    lacks for all trials is in those errors too, and makes none of them odd.
+    """
+    names = [t.id for t in result.trials if t.role == "fit"]
+    if len(names) < MIN_TRIALS:
+        return None
+    here = result.at_estimates()
+
+    def without(*left_out: str) -> FitResult:
+        trials = [replace(t, role="validate") if t.id in left_out else t for t in result.trials]
+        fit = output_error.fit(result.model, trials, parameters=here, tested=False)
+        return output_error.with_held_out(fit)
+
+    try:
+        fits = {name: without(name) for name in names}
+        suspect = min(names, key=lambda name: fits[name].cost)
+        # so that channels of other units count alike
+        scale = {name: max(noise.value_sd, 1e-300) for name, noise in fits[suspect].noise.items()}
+        rest = [name for name in names if name != suspect]
+        logs = np.log([_error(without(suspect, name), name, scale) for name in rest])
+        far = float(np.log(_error(fits[suspect], suspect, scale)))
+    except NoTrustworthyResult:
+        return None
+    n = len(rest)
+    sd = float(np.std(logs, ddof=1))
+    if not sd > 0 or not np.isfinite(sd):
+        return None
+    t = (far - float(np.mean(logs))) / (sd * np.sqrt(1.0 + 1.0 / n))
+    # the most distant of n + 1 trials was picked (Bonferroni)
+    p_value = min(1.0, (n + 1) * float(special.stdtr(n - 1, -t)))
+    times = float(np.exp(far - np.median(logs)))
+    return Odd(suspect, times, p_value, fits[suspect]) if p_value < ODD and times >= TIMES else None
+
+
+def _error(result: FitResult, trial: str, scale: dict[str, float]) -> float:
+    """Root-mean-square error of a trial over the noise."""
+    own = [s for s in result.series if s.trial == trial and s.channel in scale]
+    values = np.concatenate([s.residual / scale[s.channel] for s in own])
+    return float(np.sqrt(np.nanmean(values**2)))

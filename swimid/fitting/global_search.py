@@ -1,0 +1,299 @@
+"""Searches beyond one start: many starts, subsets of the parameters, and Pareto fronts by NSGA-II."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from swimid.errors import NoTrustworthyResult, extra_needed
+from swimid.files.checkpoint import Checkpoint
+from swimid.fitting import output_error
+from swimid.fitting.covariance import ranked
+from swimid.fitting.metrics import FitResult, Loss
+from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.fitting.problem import Problem
+from swimid.progress import Progress, show, silent
+
+#: Two ends whose costs differ by less than this, relatively, are the same minimum.
+SAME = 1e-3
+
+
+class Start(NamedTuple):
+    """One start and where it led, shape (p,) each: to NaN, at infinite cost, where the search failed."""
+
+    start: Array
+    end: Array
+    cost: float
+    converged: bool
+
+
+def multistart(
+    model: Model,
+    trials: Sequence[Trial],
+    parameters: Sequence[Parameter] | None = None,
+    *,
+    starts: int = 8,
+    seed: int = 0,
+    begins: Sequence[Array] | None = None,
+    jobs: int | None = None,
+    loss: Loss = "linear",
+    first: FitResult | None = None,
+    progress: Progress = silent,
+) -> tuple[FitResult, list[Start]]:
+    """Fit from several starts and keep the best.
+
+    Parameters
+    ----------
+    model, trials, parameters, jobs, loss
+        As :func:`swimid.fitting.output_error.fit` takes them.
+    starts : int
+        The first are ``begins``; the others are uniform within the bounds, or within one scale of
+        the start on a side without a bound.
+    begins : sequence of ndarray, each shape (p,), optional
+        Default the parameters' own start alone.
+    first : FitResult, optional
+        Fit from the first start, where it is known.
+
+    Returns
+    -------
+    best : FitResult
+        Of the fit with the least cost; a converged one where both are the same minimum (:data:`SAME`). A
+        converged one is tested as :func:`swimid.fitting.output_error.held_to_restarts` does.
+    ends : list of Start
+        In the order they were run. After Ctrl-C those still to come are left out.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        When no start leads anywhere: the first start's error.
+    """
+    parameters = tuple(parameters or model.parameters)
+    problem = Problem(model, parameters, [t for t in trials if t.role == "fit"])
+    rng = np.random.default_rng(seed)
+    low, high = problem.box()
+    given = [problem.start] if begins is None else list(begins)
+    best: FitResult | None = None
+    ends: list[Start] = []
+    failure: NoTrustworthyResult | None = None
+    results: list[FitResult] = []
+    with progress("starts", total=starts) as step:
+        for k in range(starts):
+            begin = given[k] if k < len(given) else rng.uniform(low, high)
+            try:
+                if first is not None and k == 0:
+                    found = first
+                else:
+                    found = output_error.fit(
+                        model, trials, parameters=parameters,
+                        jobs=jobs, loss=loss, begin=begin, tested=False, unfinished=True,
+                    )  # fmt: skip
+            except KeyboardInterrupt:
+                if best is None:
+                    raise
+                break
+            except NoTrustworthyResult as error:
+                failure = failure or error
+                ends.append(Start(begin, np.full(len(begin), np.nan), math.inf, False))
+            else:
+                ends.append(Start(begin, found.estimate, found.cost, found.converged))
+                results.append(found)
+                if best is None or _is_better(found, best):
+                    best = found
+                if found.interrupted:
+                    break
+            step()
+            if best is not None:
+                show(step, f"least cost {best.cost:.5g}, reached {agreeing(ends)} times")
+    if best is None:
+        assert failure is not None
+        raise failure
+    threads = jobs or os.cpu_count() or 1
+    found = output_error.held_to_restarts(best, jobs=threads) if best.converged else best
+    others = [r for r in results if r is not best]
+    evaluations = found.evaluations + sum(r.evaluations for r in others)
+    return replace(
+        found, evaluations=evaluations, jacobians=found.jacobians + sum(r.jacobians for r in others)
+    ), ends
+
+
+def agreeing(ends: Sequence[Start]) -> int:
+    """Number of starts that reached the lowest cost.
+
+    Directions the data do not see may differ between equal minima, so parameters are not compared.
+
+    >>> where = np.zeros(1)
+    >>> agreeing([Start(where, where, cost, True) for cost in (1.0, 1.0005, 2.0)])
+    2
+    """
+    least = min((e.cost for e in ends), default=math.inf)
+    return sum(e.cost <= least * (1 + SAME) for e in ends)
+
+
+def _is_better(found: FitResult, best: FitResult) -> bool:
+    """Whether a fit takes the place of the best one so far: lower, or as low and converged."""
+    if max(found.cost, best.cost) <= min(found.cost, best.cost) * (1 + SAME):
+        return (not found.converged, found.cost) < (not best.converged, best.cost)
+    return found.cost < best.cost
+
+
+def select_subset(
+    result: FitResult, *, jobs: int | None = None, progress: Progress = silent
+) -> tuple[FitResult, list[str]]:
+    """Fix the least identifiable parameters until the trials determine all the others; with their names.
+
+    One at a time the lowest ranked of those not identifiable is fixed at its start value and
+    the others are fitted again.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        When a fit does not converge.
+    """
+    fixed: list[str] = []
+    while not result.interrupted:
+        weak = [label for label, _ in ranked(result) if result.status[label] == "unidentifiable"]
+        if not weak:
+            break
+        fixed.append(weak[-1])
+        begin = np.array([v for v, k in zip(result.estimate, result.labels, strict=True) if k != weak[-1]])
+        result = output_error.fit(
+            result.model,
+            result.trials,
+            parameters=[replace(p, free=p.free and p.name != weak[-1]) for p in result.parameters],
+            progress=progress,
+            jobs=jobs,
+            loss=result.loss,
+            begin=begin,
+        )
+    return result, fixed
+
+
+# ---------------------------------------------------------------- several objectives
+
+
+#: The sea lion paper's settings (section II).
+POPULATION, GENERATIONS, CROSSOVER = 80, 50, 0.8
+#: An objective of a simulation that broke down.
+BROKEN_OBJECTIVE = 1e9
+
+
+@dataclass(frozen=True)
+class Front:
+    """The points of which none is better than another in every objective."""
+
+    #: Shape (n, d): in the order of the first objective.
+    points: Array
+    #: Shape (n, m).
+    objectives: Array
+    #: Shape (generations, m): smallest value of each objective in the population of each generation.
+    history: Array
+    evaluations: int
+
+
+def knee(objectives: Array) -> int:
+    """The point nearest to the best of every objective, shape (n, m), each over its range on the front.
+
+    The ideal-point rule (Miettinen 1999, Nonlinear Multiobjective Optimization, section 2.2).
+
+    >>> knee(np.array([[0.0, 1.0], [0.2, 0.2], [1.0, 0.0]]))
+    1
+    """
+    low, span = objectives.min(axis=0), np.ptp(objectives, axis=0)
+    scaled = (objectives - low) / np.where(span > 0, span, 1.0)
+    return int(np.argmin(np.linalg.norm(scaled, axis=1)))
+
+
+def least_worst(objectives: Array) -> int:
+    """The point whose worst objective, over the least of that objective on the front, is smallest.
+
+    >>> least_worst(np.array([[1.0, 9.0], [2.0, 4.0], [8.0, 2.0]]))
+    1
+    """
+    best = np.maximum(objectives.min(axis=0), 1e-12)
+    return int(np.argmin(np.max(objectives / best, axis=1)))
+
+
+def nsga2(
+    evaluate: Callable[[Array], Array],
+    lower: Array,
+    upper: Array,
+    *,
+    objectives: int,
+    population: int = POPULATION,
+    generations: int = GENERATIONS,
+    crossover: float = CROSSOVER,
+    seed: int = 0,
+    first: Array | None = None,
+    checkpoint: Checkpoint | None = None,
+    name: str = "front",
+    advance: Callable[[], Any] = lambda: None,
+) -> Front:
+    """The front by NSGA-II (Deb et al. 2002, doi:10.1109/4235.996017).
+
+    Parameters
+    ----------
+    evaluate : callable
+        Objectives, shape (n, m), of points, shape (n, d), within finite bounds, shape (d,).
+    objectives : int
+        m.
+    population, generations, crossover, seed
+        Size, number of generations, probability of crossover; the same seed gives the same front.
+    first : ndarray, shape (d,), optional
+        A point that takes part from the beginning.
+    checkpoint : Checkpoint, optional
+        Keeps the objectives of every generation under ``name``: a search that was stopped is repeated with
+        them up to there and goes on as if nothing had happened.
+    advance : callable
+        Called after each generation.
+    """
+    with extra_needed("a genetic search", "search"):
+        from pymoo.algorithms.moo.nsga2 import NSGA2
+        from pymoo.core.evaluator import Evaluator
+        from pymoo.core.problem import Problem
+        from pymoo.operators.crossover.sbx import SBX
+        from pymoo.operators.mutation.pm import PM
+        from pymoo.problems.static import StaticProblem
+
+    keep = checkpoint or Checkpoint()
+    problem = Problem(n_var=len(lower), n_obj=objectives, xl=lower, xu=upper)
+    begin = np.random.default_rng(seed).uniform(lower, upper, (population, len(lower)))
+    if first is not None:
+        begin[0] = np.clip(first, lower, upper)
+    algorithm = NSGA2(
+        pop_size=population, sampling=begin, crossover=SBX(prob=crossover, eta=15), mutation=PM(eta=20)
+    )
+    algorithm.setup(problem, termination=("n_gen", generations), seed=seed, verbose=False)
+    history: list[Array] = []
+    evaluations = 0
+    while algorithm.has_next():
+        asked = algorithm.ask()
+        points = np.asarray(asked.get("X"), dtype=float)
+        label = f"{name}: generation {len(history)}"
+        found = _kept(keep, label, points, objectives)
+        if found is None:
+            found = np.nan_to_num(evaluate(points), nan=BROKEN_OBJECTIVE, posinf=BROKEN_OBJECTIVE)
+            keep.put(label, np.concatenate([points.ravel(), found.ravel()]))
+        Evaluator().eval(StaticProblem(problem, F=found), asked)
+        algorithm.tell(infills=asked)
+        history.append(np.asarray(algorithm.pop.get("F")).min(axis=0))
+        evaluations += len(points)
+        advance()
+    best = algorithm.opt
+    points, values = np.asarray(best.get("X"), dtype=float), np.asarray(best.get("F"), dtype=float)
+    order = np.lexsort(values.T[::-1])
+    return Front(points[order], values[order], np.array(history), evaluations)
+
+
+def _kept(checkpoint: Checkpoint, label: str, points: Array, objectives: int) -> Array | None:
+    """Objectives an earlier search found for just these points."""
+    known = checkpoint.get(label)
+    if known is None or len(known) != points.size + len(points) * objectives:
+        return None
+    if not np.array_equal(known[: points.size], points.ravel()):
+        return None
+    return known[points.size :].reshape(len(points), objectives)
