@@ -9,16 +9,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from swimid.errors import InputError, NoTrustworthyResult
-from swimid.inertial import aiding, alignment, clock, plausible, smoother
+from swimid.inertial import aiding, alignment, alone, smoother
 from swimid.inertial.aiding import Fixes
-from swimid.inertial.alignment import Fit, Poses
+from swimid.inertial.alignment import Fit, Offset
 from swimid.inertial.alone import Estimate, likeliest_class, shown_class
-from swimid.inertial.clock import Offset
-from swimid.inertial.errorstate import FUSED, PARTS, Observation
-from swimid.inertial.record import Array, Finding
-from swimid.inertial.sensor import BAND, DEG, Sensor
-from swimid.inertial.setup import Setup
-from swimid.inertial.smoother import Nominal, Prior, Smoothed, State
+from swimid.inertial.record import Array, Finding, Poses
+from swimid.inertial.setup import BAND, DEG, Sensor, Setup
+from swimid.inertial.smoother import FUSED, PARTS, Nominal, Observation, Prior, Smoothed, State
 from swimid.logs.sampling import white_noise_sd
 
 #: Deviations before anything is seen: lever, m; mounting, rad; tilt of the other log's world, rad;
@@ -30,8 +27,6 @@ GIVEN_LEVER_SD, GIVEN_MOUNT_SD, HELD_CLOCK_SD = 1e-3, 0.5 * DEG, 1e-9
 PLANE_SD = 0.05
 #: Least noise of a fix, m and rad, and turns of estimating it.
 LEAST_M, LEAST_RAD, NOISE_TURNS = 1e-4, 1e-3, 3
-#: Noise estimates that change by less than this share are settled.
-SETTLED = 0.1
 #: More fixes than this share beyond the gate: not they are wrong, but the path they are held against.
 FEW = 0.05
 #: Errors of fixes that last widen a band by this much before they are warned of: four tell no more than one.
@@ -40,8 +35,6 @@ LASTING = 2.0
 FORETOLD = 1.5
 #: Fixes are left out together for so long, s; fewer than this tell nothing.
 HOLD_S, FEWEST_HELD_OUT = 0.5, 20
-#: Mounting within this of what was given or told by gravity counts as the same, rad.
-SAME_MOUNT = 15 * DEG
 
 
 @dataclass(frozen=True)
@@ -121,12 +114,9 @@ def estimate(setup: Setup, poses: Poses) -> Fused:
     """
     poses, clocks, findings, refusal = _clocks(setup, poses)
     if clocks[0].handed < 0:
-        raise InputError(
-            "its turns are the mirror image of those in the other log: an axis is flipped in one of them",
-            file=setup.record.name,
-            column="wx_rad_s ... wz_rad_s",
-            hint="put the axes right in a mapping (--map), with factor -1 for a flipped one",
-        )
+        text = "its turns are the mirror image of those in the other log: an axis is flipped in one of them"
+        hint = "put the axes right in a mapping (--map), with factor -1 for a flipped one"
+        raise InputError(text, file=setup.record.name, column="wx_rad_s ... wz_rad_s", hint=hint)
     rotation, mount_sd, turned = _mount(setup, clocks[0])
     problem = _Problem(
         **vars(setup),
@@ -205,7 +195,8 @@ def _mount(setup: Setup, fit: Fit) -> tuple[Rotation, float, list[Finding]]:
     text = (
         f"the sensor is turned by {off / DEG:.0f} deg against the body of the other log; its turns tell how"
     )
-    findings = [Finding("swapped or flipped axes", "handled", text)] if off > SAME_MOUNT else []
+    # Mounting within this of what was given or told by gravity counts as the same, rad.
+    findings = [Finding("swapped or flipped axes", "handled", text)] if off > (15 * DEG) else []
     return fit.mount, FITTED_MOUNT_SD, findings
 
 
@@ -349,7 +340,8 @@ def _settled(begun: _Trial, *, held: bool, noise_known: bool = False) -> _Trial:
     smoothed = begun.smoothed
     for turn in range(NOISE_TURNS):
         better = fixes if noise_known and not turn else _noise_seen(smoothed, fixes, setup.options.fix_sd_m)
-        if turn > 1 and np.nanmax(np.abs(np.log(better.noise / fixes.noise))) < SETTLED:
+        # Noise estimates that change by less than this share are settled.
+        if turn > 1 and np.nanmax(np.abs(np.log(better.noise / fixes.noise))) < 0.1:
             break
         fixes = better
         smoothed = _fuse(setup, prior, shown, fixes, held=held, after=smoothed)
@@ -433,7 +425,7 @@ def _offset(smoothed: Smoothed, clocks: Fit) -> Offset:
 
 
 def _contradictions(trial: _Trial) -> list[str]:
-    contradictions = plausible.contradictions(trial.setup, trial.smoothed)
+    contradictions = alone.contradictions(trial.setup, trial.smoothed)
     stray = trial.fixes.stray[np.isfinite(trial.fixes.position).any(axis=1), 0]
     if len(stray) and np.mean(stray) > 0.5:
         contradictions.append(
@@ -474,7 +466,7 @@ def _foretold(held_out: HeldOut | None, poses: Poses) -> bool:
         return False
     place = poses.position[:, np.isfinite(poses.position).any(axis=0)]
     rows = np.isfinite(place).all(axis=1)
-    fast = clock.without_slow(poses.time_s[rows], place[rows], alignment.SLOW_WAY_S)
+    fast = alignment.without_slow(poses.time_s[rows], place[rows], alignment.SLOW_WAY_S)
     return held_out.rms_m**2 < (1 - alignment.LEAST_EXPLAINED) * float(np.mean(fast**2))
 
 

@@ -1,22 +1,31 @@
-"""The motion of the body's reference point, its standard deviations, and its part within a stroke.
+"""The motion of the body's reference point: its standard deviations, and its part within a stroke.
 
-:func:`by_paper` computes it as Shang, Wang, Tan and Cheng (2012, doi:10.1017/S0263574711001159) do.
+:func:`estimate` takes the method of the options: :func:`by_paper` is that of Shang, Wang, Tan and Cheng
+(2012, doi:10.1017/S0263574711001159). A :class:`Run` is what it gives, for the log and its evidence.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from swimid.inertial import strapdown
-from swimid.inertial.aiding import turn_to_angles
-from swimid.inertial.errorstate import cross_matrix, jacobian
-from swimid.inertial.record import Array, Record, resampled
-from swimid.inertial.smoother import Nominal, Smoothed
+from swimid.inertial import alone, fusion
+from swimid.inertial.aiding import GATE, turn_to_angles
+from swimid.inertial.fusion import Fused
+from swimid.inertial.record import ACCELERATION, RATE, Array, Finding, Poses, Record, integral, resampled
+from swimid.inertial.setup import BAND, Setup
+from swimid.inertial.smoother import Nominal, Smoothed, cross_matrix, gravity, jacobian
+from swimid.logs import rhythm
+from swimid.logs.rhythm import Rhythm
+from swimid.logs.rotation import angles
 
+#: A position is trusted while its 95 % band is narrower than this, m, or than this share of the distance
+#: travelled, whichever is more.
+TRUSTED_WIDTH_M, TRUSTED_SHARE = 0.1, 0.1
 #: Slower than this is no motion within a stroke where no stroke is found, Hz; with one: this share of its
 #: frequency.
 LOWEST_HZ, STROKE_SHARE = 0.3, 0.5
@@ -105,9 +114,9 @@ def by_paper(
     readings = record.channels - constant
     readings[np.abs(readings) < np.repeat([threshold_m_s2, threshold_rad_s], 3)] = 0.0
     acceleration = rotation.apply(readings[:, :3])
-    velocity = strapdown.integral(record.time_s, acceleration)
+    velocity = integral(record.time_s, acceleration)
     moved = of_attitude(record.time_s, rotation, readings[:, 3:], acceleration, np.nan)
-    position, in_body = strapdown.integral(record.time_s, velocity), rotation.inv().apply(velocity)
+    position, in_body = integral(record.time_s, velocity), rotation.inv().apply(velocity)
     return replace(moved, position=position, velocity=velocity, body_velocity=in_body), constant
 
 
@@ -219,3 +228,215 @@ def _high_passed(time_s: Array, values: Array, cutoff_hz: float) -> Array:
     length = min(len(even) - 1, int(3 / (cutoff_hz * step)))
     fast = signal.sosfiltfilt(sos, resampled(even, time_s, values), axis=0, padlen=length)
     return resampled(time_s, even, fast)
+
+
+# ---------------------------------------------------------------- how far it can be believed
+
+
+def too_fast(velocity: Array, velocity_sd: Array, top_m_s: float) -> np.ndarray:
+    """Samples faster than the robot can be, shape (n,).
+
+    Above its top speed by more than the 95 % band, or by so much that what is taken of speed (0 with half the
+    top speed as deviation of each component) excludes it, however wide the band.
+    """
+    speed = np.linalg.norm(velocity, axis=1)
+    along = np.sqrt(np.sum((velocity * velocity_sd) ** 2, axis=1)) / np.maximum(speed, 1e-9)
+    return (speed - BAND * along > top_m_s) | (speed > GATE * 0.5 * top_m_s)
+
+
+@dataclass(frozen=True)
+class Trust:
+    """When the band of a position leaves the limit."""
+
+    #: Time on the log's clock; None where it never does.
+    until_s: float | None
+    #: The same, counted from the end of the rest the log starts with (or from its start).
+    seconds: float | None
+    #: Largest half-width of the 95 % band of the horizontal position.
+    widest_m: float
+
+
+def reach(time_s: Array, position: Array, position_sd: Array, moving_from_s: float) -> Trust:
+    """When the horizontal 95 % band first exceeds 0.1 m and 10 % of the distance travelled.
+
+    Parameters
+    ----------
+    position, position_sd : ndarray, shape (n, 3)
+        Missing (NaN) counts as not to be trusted.
+    moving_from_s : float
+        End of the rest at the start.
+    """
+    half = BAND * np.max(position_sd[:, :2], axis=1)
+    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(position[:, :2], axis=0).T))])
+    beyond = np.flatnonzero(~(half <= np.maximum(TRUSTED_WIDTH_M, TRUSTED_SHARE * travelled)))
+    widest = float(np.nanmax(half)) if np.isfinite(half).any() else np.inf
+    if not len(beyond):
+        return Trust(None, None, widest)
+    until = float(time_s[beyond[0]])
+    return Trust(until, max(until - moving_from_s, 0.0), widest)
+
+
+# ---------------------------------------------------------------- a run
+
+
+#: Metadata that disagrees with the stroke by more than this share, and by more than its interval, is wrong.
+FREQUENCY_SHARE = 0.03
+ANGLES = ("roll", "pitch", "yaw")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run(Setup):
+    """Everything a run found, for its log and its evidence.
+
+    ``impossible`` says why positions and velocities of the motion are empty where they are.
+    """
+
+    findings: list[Finding]
+    stroke: Rhythm | None
+    cutoff_hz: float
+    poses: Poses | None = None
+    motion: Motion
+    fused: Fused | None = None
+    trust: Trust | None = None
+    #: Surge within a stroke, m/s, and its standard deviation; NaN where there is none.
+    surge_osc: Array
+    surge_osc_sd: Array
+    #: Shape (6,). Of the accelerometer (m/s^2) and the gyroscope (rad/s) at the end.
+    bias: Array | None = None
+    #: Root-mean-square innovation at rests, in standard deviations.
+    rest_score: float | None = None
+    impossible: tuple[str, ...] = ()
+
+    @property
+    def by_paper(self) -> bool:
+        """Whether the motion is that of the paper's steps, without standard deviations."""
+        return self.options.method == "paper"
+
+    @property
+    def body_to_sensor(self) -> Rotation:
+        """The mounting: as fused with the other log, else as the rests or the user tell it."""
+        return self.mount.rotation if self.fused is None else self.fused.smoothed.path.mount
+
+    @property
+    def tilt(self) -> tuple[float, float]:
+        """Roll and pitch of the body at rest, rad."""
+        up = self.body_to_sensor.inv().apply(self.mount.up)
+        return float(np.arctan2(up[1], up[2])), float(np.arctan2(up[0], np.hypot(up[1], up[2])))
+
+    @property
+    def stated_hz(self) -> float | None:
+        """The stroke frequency the metadata states, Hz."""
+        value = self.record.metadata.get("frequency_hz")
+        return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+
+    @property
+    def doubt(self) -> str:
+        """What speaks against the stroke, where the metadata states none; empty where nothing does."""
+        return self.stroke.doubt if self.stroke is not None and self.stated_hz is None else ""
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether the stated frequency lies outside the stroke's interval, and off by more than 3 %."""
+        stroke, stated = self.stroke, self.stated_hz
+        if stroke is None or stated is None:
+            return False
+        low, high = stroke.beat.interval_hz
+        off = abs(stated / stroke.beat.frequency_hz - 1)
+        if stroke.maybe_double and abs(2 * stated / stroke.beat.frequency_hz - 1) < FREQUENCY_SHARE:
+            return False
+        return off > FREQUENCY_SHARE and not low <= stated <= high
+
+    def columns(self) -> dict[str, Any]:
+        """The columns of the log, in order."""
+        m = self.motion
+        known = {
+            "t_s": m.time_s,
+            **_named("{}_m", m.position),
+            **_named("{}_rad", np.column_stack(angles(m.rotation)), ANGLES),
+            **_named("{}_m_s", m.body_velocity, "uvw"),
+            **_named("v{}_m_s", m.velocity),
+            **_named("{}_rate_rad_s", m.rate * [1.0, -1.0, 1.0], ANGLES),
+            **_named("a{}_world_m_s2", m.acceleration),
+            **_named("q{}", m.rotation.as_quat(), "xyzw"),
+        }
+        if self.by_paper:
+            return known
+        return {
+            **known,
+            "u_osc_m_s": self.surge_osc,
+            **_named("{}_sd_m", m.position_sd),
+            **_named("{}_sd_rad", m.angle_sd, ANGLES),
+            **_named("{}_sd_m_s", m.body_velocity_sd, "uvw"),
+            **_named("v{}_sd_m_s", m.velocity_sd),
+            "u_osc_sd_m_s": self.surge_osc_sd,
+            "bridged": (self.record.filled_acceleration | self.record.filled_rate).astype(int),
+        }
+
+
+def _named(name: str, values: Array, parts: Sequence[str] = "xyz") -> dict[str, Array]:
+    return {name.format(part): column for part, column in zip(parts, values.T, strict=True)}
+
+
+def estimate(setup: Setup, findings: list[Finding], poses: Poses | None) -> Run:
+    """Estimate the motion of a recording by the method of the options.
+
+    Parameters
+    ----------
+    findings : list of Finding
+        Faults found so far.
+    poses : Poses or None
+        Another log of the trial to fuse with.
+    """
+    body, o = setup.body, setup.options
+    readings = dict(zip((*RATE, *ACCELERATION), np.hstack([body.rate, body.acceleration]).T, strict=True))
+    stroke = rhythm.find(body.time_s, readings)
+    cutoff = LOWEST_HZ if stroke is None else STROKE_SHARE * stroke.beat.frequency_hz
+    empty = np.full(len(body), np.nan)
+    known: dict[str, Any] = {"poses": poses, "stroke": stroke, "cutoff_hz": cutoff}
+    known |= {"surge_osc": empty, "surge_osc_sd": empty}
+    if o.method == "paper":
+        limits = (o.threshold_m_s2, o.threshold_rad_s)
+        moved, constant = by_paper(body, setup.attitude, o.motion_mode, *limits)
+        return Run(**vars(setup), **known, findings=findings, motion=moved, bias=constant)
+    found = alone.estimate(setup) if poses is None else fusion.estimate(setup, poses)
+    setup = replace(setup, sensor=found.sensor, still=found.still)
+    known["findings"] = [*findings, *found.findings]
+    if isinstance(found, Fused):
+        known["fused"] = found
+    impossible = found.impossible
+    if impossible:
+        record, source = setup.record, setup.source
+        turning = setup.mount.rotation.inv().apply(record.rate - setup.still_rate)
+        acceleration = source.rotation.apply(record.acceleration) + gravity(np.zeros(2))
+        moved = of_attitude(record.time_s, setup.attitude, turning, acceleration, setup.attitude_sd)
+    else:
+        smoothed = found.smoothed
+        moved, path = at_reference(smoothed), smoothed.path
+        surge, surge_sd = surge_within_stroke(moved, smoothed, cutoff)
+        known |= {"surge_osc": surge, "surge_osc_sd": surge_sd, "rest_score": smoothed.score("rest")}
+        known["bias"] = np.concatenate([path.acceleration_bias[-1], path.rate_bias[-1]])
+        if poses is None:
+            moved, impossible = _without_too_fast(moved, o.top_speed_m_s)
+    if poses is None:
+        known["trust"] = _trust(setup, moved)
+    return Run(**vars(setup), **known, motion=moved, impossible=tuple(impossible))
+
+
+def _without_too_fast(moved: Motion, top_m_s: float) -> tuple[Motion, list[str]]:
+    """Empty velocity and position of the samples that are faster than the robot ever is."""
+    fast = too_fast(moved.velocity, moved.velocity_sd, top_m_s)
+    if not fast.any():
+        return moved, []
+    fastest = float(np.max(np.linalg.norm(moved.velocity, axis=1)))
+    text = (
+        f"{100 * fast.mean():.0f} % of the samples come out faster than the robot can be, {top_m_s:g} m/s "
+        f"(up to {fastest:.1f} m/s)"
+    )
+    return without(moved, fast), [text]
+
+
+def _trust(setup: Setup, moved: Motion) -> Trust:
+    """Return how far the path of a unit alone can be trusted."""
+    rests, t = setup.still.rests, setup.record.time_s
+    start = t[rests[0].last - 1] if rests and rests[0].first == 0 else t[0]
+    return reach(moved.time_s, moved.position, moved.position_sd, float(start))

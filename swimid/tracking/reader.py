@@ -26,6 +26,8 @@ Frame = NDArray[np.uint8]
 
 #: Endings of pictures.
 ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm")
+#: Colour of what was measured, drawn into a frame, BGR (Okabe and Ito's).
+SEEN = (0, 159, 230)
 #: A place holder of C's printf for a whole number.
 _HOLDER = re.compile(r"%0?\d*d")
 #: A step of the stamps this far from the median step is irregular.
@@ -162,11 +164,8 @@ class Video:
     def demand_clock(self) -> None:
         """Raise where nothing tells the time of the frames: pictures without a frame rate."""
         if self._rate is None and np.isnan(self.first_stamp_s):
-            raise InputError(
-                "is a series of pictures, which carry no time stamps",
-                file=self.path,
-                hint="give their rate with --fps, or frame_rate_hz in the setup",
-            )
+            hint = "give their rate with --fps, or frame_rate_hz in the setup"
+            raise InputError("is a series of pictures, which carry no time stamps", file=self.path, hint=hint)
 
     def frames(self) -> Iterator[tuple[float, Frame]]:
         """Every frame as (time in s, picture in BGR). The picture is overwritten by the next.
@@ -227,6 +226,12 @@ def largest_channel(picture: Frame) -> Frame:
     return np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
 
 
+def write_text(image: Frame, text: str, where: tuple[int, int], size: float, line: int = 1) -> None:
+    """Write into a picture, outlined: legible on light and dark water."""
+    for shade, width in (((0, 0, 0), 3 * line), ((255, 255, 255), line)):
+        cv2.putText(image, text, where, cv2.FONT_HERSHEY_SIMPLEX, size, shade, width, cv2.LINE_AA)
+
+
 class FrameKeeper:
     """Keeps some frames spread evenly over a video of unknown length, at most ``width`` px wide.
 
@@ -259,9 +264,8 @@ def irregular(times: NDArray[np.float64]) -> tuple[float, float]:
 def check_output(path: Path, output: Path) -> None:
     """Refuse an output among the pictures of a folder: its plot would be one of them in the next run."""
     if path.is_dir() and output.resolve().parent == path.resolve():
-        raise UsageError(
-            f"the output {output} would lie among the pictures of {path}", hint="name another folder"
-        )
+        text = f"the output {output} would lie among the pictures of {path}"
+        raise UsageError(text, hint="name another folder")
 
 
 def _listed(path: Path) -> list[Path]:
@@ -275,11 +279,8 @@ def _listed(path: Path) -> list[Path]:
         series = Counter(re.sub(r"\d+", "#", f.name) for f in files)
         if len(series) > 1:
             found = ", ".join(f"{count} like {name}" for name, count in series.most_common(4))
-            raise InputError(
-                f"holds several series of pictures: {found}",
-                file=path,
-                hint="name the one that is the film by a pattern, as in 'folder/frame_%05d.png'",
-            )
+            hint = "name the one that is the film by a pattern, as in 'folder/frame_%05d.png'"
+            raise InputError(f"holds several series of pictures: {found}", file=path, hint=hint)
         return sorted(files, key=lambda f: _numbers(f.name))
     holders = _HOLDER.findall(path.name)
     if len(holders) != 1:
@@ -294,9 +295,8 @@ def _listed(path: Path) -> list[Path]:
     matches = [(name.fullmatch(f.name), f) for f in path.parent.iterdir()]
     numbered = [(int(match.group(1)), file) for match, file in matches if match]
     if not numbered:
-        raise InputError(
-            "no picture has a name like this", file=path, hint="check the pattern, and the folder"
-        )
+        hint = "check the pattern, and the folder"
+        raise InputError("no picture has a name like this", file=path, hint=hint)
     return [file for _, file in sorted(numbered)]
 
 
