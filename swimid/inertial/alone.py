@@ -16,16 +16,7 @@ from swimid.inertial import aiding, smoother
 from swimid.inertial.aiding import GATE, REST_RATE_SD, REST_SPEED_SD, rest_nodes
 from swimid.inertial.record import Array, Finding, Record
 from swimid.inertial.setup import DEG, QUATERNION_SD, Rest, Sensor, Setup, Stillness
-from swimid.inertial.smoother import (
-    PARTS,
-    Nominal,
-    Observation,
-    Prior,
-    Smoothed,
-    State,
-    cross_matrix,
-    jacobian,
-)
+from swimid.inertial.smoother import PARTS, Nominal, Observation, Smoothed, cross_matrix, jacobian
 
 #: At the first sample, deviations: place, m, and the zero of yaw, rad; roll and pitch of a filter, rad.
 ZERO_SD, START_TILT_SD = 1e-6, 0.05
@@ -121,7 +112,7 @@ def smooth(
     at_rest = bool(still.rests) and still.rests[0].first == 0
     yaw_sd = (sensor.attitude_sd or QUATERNION_SD) if source.heading else ZERO_SD
     mount = setup.mount.rotation
-    state = State(
+    state = smoother.State(
         rotation=source.rotation[0], rate_bias=setup.still_rate, lever=setup.lever(mount), mount=mount
     )
     sd = {
@@ -133,7 +124,7 @@ def smooth(
     def observe(path: Nominal) -> list[Observation]:
         return [*aiding.known(setup, path), *aiding.speed_limit(top_m_s, path)]
 
-    prior = Prior(source.rotation, state, sd)
+    prior = smoother.Prior(source.rotation, state, sd)
     smoothed = smoother.smooth(setup.record, prior, sensor, still.noise, observe, after=after, passes=passes)
     setup.advance()
     return smoothed

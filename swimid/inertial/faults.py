@@ -254,13 +254,9 @@ def dropped(record: Record) -> Mended:
         return record, []
     longest = float(steps.max())
     if longest > MAX_HOLE_S:
-        raise InputError(
-            f"no samples for {longest:.2f} s after t = {record.time_s[int(np.argmax(steps))]:.3f} s: "
-            "motion in between is unknown",
-            file=record.name,
-            column="t_s",
-            hint="cut the log there, one file for each piece",
-        )
+        text = f"no samples for {longest:.2f} s after t = {record.time_s[int(np.argmax(steps))]:.3f} s"
+        hint = "motion in between is unknown: cut the log there, one file for each piece"
+        raise InputError(text, file=record.name, column="t_s", hint=hint)
     count = int(np.sum(np.round(steps[wide] / record.step_s) - 1))
     text = f"{count} samples dropped in {int(wide.sum())} places, the longest {longest:.3f} s; spanned"
     return record, [Finding("dropped samples", "handled", text, count)]
@@ -275,9 +271,7 @@ def jitter(record: Record) -> Mended:
     # Jitter worth a warning, in sample times.
     if uneven < 0.05:
         return record, []
-    text = (
-        f"time steps vary by {100 * uneven:.0f} % (rms) of {1e3 * record.step_s:.3g} ms; the stamps are used"
-    )
+    text = f"time steps vary by {100 * uneven:.0f} % (rms) of {1e3 * record.step_s:.3g} ms; stamps are used"
     return record, [Finding("clock jitter", "handled", text)]
 
 
@@ -449,13 +443,9 @@ def axes(record: Record) -> Mended:
         if o != i or s < 0
     )
     if best > DECIDED * runner_up:
-        raise InputError(
-            "the gyroscope's axes do not fit the accelerometer's (some are swapped or flipped), and the "
-            f"tilting in this log does not tell which; {arrangement} fits best",
-            file=record.name,
-            column="wx_rad_s ... wz_rad_s",
-            hint="put the axes right in a mapping (--map), with factor -1 for a flipped one",
-        )
+        text = f"axes are swapped or flipped; the tilting does not tell which ({arrangement} fits best)"
+        hint = "put the axes right in a mapping (--map), with factor -1 for a flipped one"
+        raise InputError(text, file=record.name, column="wx_rad_s ... wz_rad_s", hint=hint)
     text = (
         f"the gyroscope's axes do not fit the accelerometer's: {arrangement} leaves {100 * best:.0f} % of "
         f"gravity's turning unexplained, as logged {100 * as_is:.0f} %; rearranged so"

@@ -138,9 +138,10 @@ def estimate(setup: Setup, poses: Poses) -> Fused:
     if refusal is not None and not _foretold(held_out, poses):
         raise refusal
     lasting = _lasting(trial)
+    errors = trial.smoothed.errors
     factor = lasting * (1.0 if held_out is None else max(held_out.deviations, 1.0))
     return Fused(
-        smoothed=trial.smoothed.widened(factor),
+        smoothed=replace(trial.smoothed, errors=replace(errors, covariance=errors.covariance * factor**2)),
         still=problem.still,
         sensor=trial.sensor,
         findings=[*findings, *shown_class(setup.sensor, trial.sensor), *turned],
@@ -192,9 +193,7 @@ def _mount(setup: Setup, fit: Fit) -> tuple[Rotation, float, list[Finding]]:
     if fit.mount is None:
         return by_gravity, MOUNT_SD, []
     off = float((fit.mount * by_gravity.inv()).magnitude())
-    text = (
-        f"the sensor is turned by {off / DEG:.0f} deg against the body of the other log; its turns tell how"
-    )
+    text = f"the sensor is turned by {off / DEG:.0f} deg against the body of the other log, as turns tell"
     # Mounting within this of what was given or told by gravity counts as the same, rad.
     findings = [Finding("swapped or flipped axes", "handled", text)] if off > (15 * DEG) else []
     return fit.mount, FITTED_MOUNT_SD, findings
@@ -235,10 +234,8 @@ def _set_clocks(problem: _Problem, clocks: list[Fit]) -> tuple[_Trial, Offset, b
     for one in (fit.offset for fit in clocks):
         if all(abs(one.value_s - s.value_s) / np.hypot(one.stderr_s, s.stderr_s) > BAND for s in starts):
             starts.append(one)
-    free = max(
-        (_smooth(problem, start.value_s, sensor, held=False) for start in starts),
-        key=lambda trial: trial.likelihood,
-    )
+    trials = [_smooth(problem, start.value_s, sensor, held=False) for start in starts]
+    free = max(trials, key=lambda trial: trial.likelihood)
     counted = problem.fixes.counted.sum()
     if not counted:
         return free, _offset(free.smoothed, clocks[0]), False
@@ -263,7 +260,8 @@ def _smooth(
     """Smooth both logs, the clock held or free; noise, weights and the sensor's class from what is left."""
     setup, prior = _begin(problem, offset_s)
     if after is not None:
-        smoothed = after.smoothed.with_clock(offset_s)
+        path, origin = replace(after.smoothed.path, clock_s=offset_s), after.smoothed.origin
+        smoothed = replace(after.smoothed, path=path, origin=replace(origin, clock_s=offset_s))
         begun = _Trial(setup, prior, after.fixes.unweighted(), sensor, smoothed)
         return _settled(begun, held=held, noise_known=True)
 

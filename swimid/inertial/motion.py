@@ -56,13 +56,6 @@ class Motion:
     angle_sd: Array
 
 
-def without(motion: Motion, rows: np.ndarray) -> Motion:
-    """The same with position and velocity, and their deviations, missing in these rows, shape (n,)."""
-    empty = np.where(rows[:, None], np.nan, 0.0)
-    names = ("position", "velocity", "body_velocity", "position_sd", "velocity_sd", "body_velocity_sd")
-    return replace(motion, **{name: getattr(motion, name) + empty for name in names})
-
-
 def of_attitude(
     time_s: Array, rotation: Rotation, rate: Array, acceleration: Array, attitude_sd: float
 ) -> Motion:
@@ -120,22 +113,12 @@ def by_paper(
     return replace(moved, position=position, velocity=velocity, body_velocity=in_body), constant
 
 
-@dataclass(frozen=True)
-class Carried:
-    """Velocity of the reference point, and how it and the turn of the body depend on the states at the nodes.
+def _carried(path: Nominal) -> tuple[Array, Array, Array, Array]:
+    """Carry velocity and sensitivities from the sensor to the reference point.
 
-    ``velocity`` has shape (n, 3), in world axes; ``by_place``, ``by_speed`` and ``by_turn`` have shape
-    (nodes, 3, states).
+    The velocity, shape (n, 3), is in world axes. Derivatives of place, velocity and turn of the body with
+    respect to the states at the nodes have shape (nodes, 3, states).
     """
-
-    velocity: Array
-    by_place: Array
-    by_speed: Array
-    by_turn: Array
-
-
-def _carried(path: Nominal) -> Carried:
-    """Carry velocity and sensitivities from the sensor to the reference point."""
     rows = path.nodes
     rate, rotation = path.rate[rows], path.rotation[rows]
     matrix = rotation.as_matrix()
@@ -151,15 +134,15 @@ def _carried(path: Nominal) -> Carried:
     )
     by_turn = jacobian(*shape, rotation=np.eye(3), mount=matrix)
     velocity = path.velocity + path.rotation.apply(np.cross(path.rate, path.lever))
-    return Carried(velocity, by_place, by_speed, by_turn)
+    return velocity, by_place, by_speed, by_turn
 
 
 def at_reference(smoothed: Smoothed) -> Motion:
     """Carry path and covariance from the sensor to the reference point."""
     path, covariance = smoothed.path, smoothed.errors.covariance
-    body, carried, rows = path.rotation * path.mount, _carried(path), path.nodes
-    position, velocity = path.position + path.rotation.apply(path.lever), carried.velocity
-    by_body_speed = _in_body(body[rows], velocity[rows], carried.by_speed, carried.by_turn)
+    body, rows = path.rotation * path.mount, path.nodes
+    velocity, by_place, by_speed, by_turn = _carried(path)
+    by_body_speed = _in_body(body[rows], velocity[rows], by_speed, by_turn)
 
     def sd(jacobian: Array) -> Array:
         variance = np.einsum("nij,njk,nik->ni", jacobian, covariance, jacobian)
@@ -168,15 +151,15 @@ def at_reference(smoothed: Smoothed) -> Motion:
     return Motion(
         path.time_s,
         body,
-        position,
+        path.position + path.rotation.apply(path.lever),
         velocity,
         body.inv().apply(velocity),
         path.mount.inv().apply(path.rate),
         path.acceleration,
-        sd(carried.by_place),
-        sd(carried.by_speed),
+        sd(by_place),
+        sd(by_speed),
         sd(by_body_speed),
-        sd(turn_to_angles(body[rows]) @ carried.by_turn),
+        sd(turn_to_angles(body[rows]) @ by_turn),
     )
 
 
@@ -204,8 +187,8 @@ def surge_within_stroke(motion: Motion, smoothed: Smoothed, cutoff_hz: float) ->
     fast = _high_passed(motion.time_s, motion.velocity, cutoff_hz)
     surge = motion.rotation.inv().apply(fast)[:, 0]
     path = smoothed.path
-    carried, nodes = _carried(path), len(path.nodes)
-    drawn = smoothed.errors.draw(np.concatenate([carried.by_speed, carried.by_turn], axis=1), DRAWS)
+    nodes = len(path.nodes)
+    drawn = smoothed.errors.draw(np.concatenate(_carried(path)[2:], axis=1), DRAWS)
     speed = _high_passed(path.node_s, drawn[:, :3].reshape(nodes, -1), cutoff_hz).reshape(nodes, 3, DRAWS)
     error = _in_body(motion.rotation[path.nodes], fast[path.nodes], speed, drawn[:, 3:])[:, 0]
     sd = np.interp(motion.time_s, path.node_s, np.sqrt(np.mean(error**2, axis=1)))
@@ -418,7 +401,10 @@ def estimate(setup: Setup, findings: list[Finding], poses: Poses | None) -> Run:
         if poses is None:
             moved, impossible = _without_too_fast(moved, o.top_speed_m_s)
     if poses is None:
-        known["trust"] = _trust(setup, moved)
+        rests, start = setup.still.rests, float(body.time_s[0])
+        if rests and rests[0].first == 0:
+            start = float(body.time_s[rests[0].last - 1])
+        known["trust"] = reach(moved.time_s, moved.position, moved.position_sd, start)
     return Run(**vars(setup), **known, motion=moved, impossible=tuple(impossible))
 
 
@@ -432,11 +418,6 @@ def _without_too_fast(moved: Motion, top_m_s: float) -> tuple[Motion, list[str]]
         f"{100 * fast.mean():.0f} % of the samples come out faster than the robot can be, {top_m_s:g} m/s "
         f"(up to {fastest:.1f} m/s)"
     )
-    return without(moved, fast), [text]
-
-
-def _trust(setup: Setup, moved: Motion) -> Trust:
-    """Return how far the path of a unit alone can be trusted."""
-    rests, t = setup.still.rests, setup.record.time_s
-    start = t[rests[0].last - 1] if rests and rests[0].first == 0 else t[0]
-    return reach(moved.time_s, moved.position, moved.position_sd, float(start))
+    empty = np.where(fast[:, None], np.nan, 0.0)
+    names = ("position", "velocity", "body_velocity", "position_sd", "velocity_sd", "body_velocity_sd")
+    return replace(moved, **{name: getattr(moved, name) + empty for name in names}), [text]

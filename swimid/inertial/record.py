@@ -235,12 +235,8 @@ def read_poses(read: Log) -> Poses:
         if there.any():
             turn[there] = np.column_stack(angles(rotations(q[there])))
     if not np.isfinite(position).any() and not np.isfinite(turn).any():
-        raise InputError(
-            "holds neither a position (x_m, y_m, z_m) nor an angle (roll_rad, "
-            "pitch_rad, yaw_rad) to fuse with",
-            file=read.path,
-            hint="tracks in pixels need a scale in their setup",
-        )
+        text = "holds neither a position (x_m, y_m, z_m) nor an angle (roll_rad, pitch_rad, yaw_rad)"
+        raise InputError(text, file=read.path, hint="tracks in pixels need a scale in their setup")
     _take_out(read, position, turn)
     measured = np.isfinite(turn)
     turn[measured[:, 2], 2] = np.unwrap(turn[measured[:, 2], 2])
@@ -264,11 +260,8 @@ def _take_out(read: Log, position: Array, turn: Array) -> None:
     out = repeated | jumped
     if out.any():
         position[out] = turn[out] = np.nan
-        warn(
-            "SWM058",
-            f"{read.path.name}: {int(repeated.sum())} repeated and {int(jumped.sum())} stray samples left "
-            "out of the track",
-        )
+        text = f"{int(repeated.sum())} repeated and {int(jumped.sum())} stray samples left out of the track"
+        warn("SWM058", f"{read.path.name}: {text}")
 
 
 # ---------------------------------------------------------------- dead reckoning

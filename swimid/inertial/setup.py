@@ -63,7 +63,11 @@ class Sensor:
         def of(errors: dict[str, float]) -> Sensor:
             return replace(self, **{k: v for k, v in errors.items() if getattr(self, k) == getattr(usual, k)})
 
-        return {CHIP_NAME: of(CHIP), WARMING_NAME: of(CHIP | WARMING)}
+        warming = "biases of 30 mg that change by 1.7 mg and 0.5 deg/s in 100 s"
+        return {
+            "a consumer's chip (biases of 30 mg, scales off by 1.5 %)": of(CHIP),
+            f"a consumer's chip that warms up ({warming})": of(CHIP | WARMING),
+        }
 
 
 #: Errors of chips as they are soldered: limits of their data sheets over sqrt(3), as of what is even within.
@@ -74,10 +78,6 @@ CHIP: dict[str, float] = {"acceleration_bias_sd": 30 * MILLI_G, "rate_bias_sd": 
 #: What their biases change by in 100 s while they warm: ten degrees in five minutes, at 0.5 mg and 0.16 deg/s
 #: for each (MPU-6050: +-35 mg over 70 degrees, +-20 deg/s over 125).
 WARMING: dict[str, float] = {"acceleration_drift": 1.7 * MILLI_G, "rate_drift": 0.5 * DEG}
-CHIP_NAME = "a consumer's chip (biases of 30 mg, scales off by 1.5 %)"
-WARMING_NAME = (
-    "a consumer's chip that warms up (biases of 30 mg that change by 1.7 mg and 0.5 deg/s in 100 s)"
-)
 #: Deviation of an attitude: the sensor's own, the filter's (rad).
 QUATERNION_SD, FILTER_SD = 2.0 * DEG, 1.0 * DEG
 #: How long an error of such an attitude lasts at least, s: so many seconds count as one measurement.

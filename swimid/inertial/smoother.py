@@ -322,20 +322,10 @@ class Smoothed:
     #: What a next pass would start from; the path it would be about is ``path``.
     origin: State
 
-    def with_clock(self, clock_s: float) -> Smoothed:
-        """The same path to go on from, with another offset between the clocks."""
-        path, origin = replace(self.path, clock_s=clock_s), replace(self.origin, clock_s=clock_s)
-        return replace(self, path=path, origin=origin)
-
     def score(self, kind: str) -> float | None:
         """Innovations of a kind of observation, in their deviations, rms; None where there are none."""
         seen = self.errors.scores.get(kind)
         return None if seen is None else float(np.sqrt(np.mean(np.concatenate(seen) ** 2)))
-
-    def widened(self, factor: float) -> Smoothed:
-        """The same with all deviations times ``factor``."""
-        errors = replace(self.errors, covariance=self.errors.covariance * factor**2)
-        return replace(self, errors=errors)
 
 
 def gravity(tilt: Array) -> Array:

@@ -388,9 +388,7 @@ def _fusion_tests(run: Run) -> Iterator[Test]:
 
 def _answer(run: Run) -> str:
     if run.by_paper:
-        return (
-            f"Velocity and position follow the steps of Shang et al. (2012), {run.options.motion_mode} mode."
-        )
+        return f"Velocity and position follow Shang et al. (2012), {run.options.motion_mode} mode."
     if not np.isfinite(run.motion.position).any():
         return "Only the attitude is given: positions and velocities are empty."
     half = BAND * np.max(run.motion.position_sd[:, :2], axis=1)

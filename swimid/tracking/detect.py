@@ -29,17 +29,9 @@ SLACK = 20.0
 _HALF, _TURN = 90.0, 180.0
 #: A pixel with less chroma (largest minus smallest channel, grey levels) has no colour to go by.
 LEAST_CHROMA = 24
-_NAMES = (
-    (15, "red"),
-    (45, "orange"),
-    (70, "yellow"),
-    (165, "green"),
-    (200, "cyan"),
-    (260, "blue"),
-    (290, "violet"),
-    (345, "magenta"),
-    (361, "red"),
-)
+#: Names of hues, and the degrees that they reach up to.
+_NAMES = ("red", "orange", "yellow", "green", "cyan", "blue", "violet", "magenta", "red")
+_LIMITS = (15, 45, 70, 165, 200, 260, 290, 345, 361)
 _TOUCH = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
 
 _Bounds = list[tuple[NDArray[np.uint8], NDArray[np.uint8]]]
@@ -200,7 +192,7 @@ def chroma(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 def hue_name(hue_deg: float) -> str:
     """Everyday name of a hue."""
-    return next(name for limit, name in _NAMES if hue_deg % 360 < limit)
+    return next(name for name, limit in zip(_NAMES, _LIMITS, strict=True) if hue_deg % 360 < limit)
 
 
 def describe_colours(frames: list[NDArray[np.uint8]]) -> str:
@@ -210,8 +202,8 @@ def describe_colours(frames: list[NDArray[np.uint8]]) -> str:
         small = np.ascontiguousarray(frame[::2, ::2])
         colourful = chroma(small) >= LEAST_CHROMA
         hue = cv2.cvtColor(small, cv2.COLOR_BGR2HSV)[..., 0][colourful].astype(float) * 2
-        counts, _ = np.histogram(hue, [0, *(limit for limit, _ in _NAMES)])
-        for (_, name), count in zip(_NAMES, counts, strict=True):
+        counts, _ = np.histogram(hue, [0, *_LIMITS])
+        for name, count in zip(_NAMES, counts, strict=True):
             shares[name] += count / colourful.size / len(frames)
     listed = ", ".join(f"{name} {100 * share:.2g} %" for name, share in shares.most_common() if share >= 1e-4)
     if not listed:

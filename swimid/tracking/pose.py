@@ -178,11 +178,8 @@ def plane_of(setup: Setup, width: int, height: int, *, file: str | None = None) 
     variants: tuple[Array, ...] = ()
     points = np.zeros((0, 2))
     if scale is None:
-        warn(
-            "SWM041",
-            "the setup has no scale: positions are in pixels (columns end in _px) and speeds in pixels per "
-            "second; give scale in the setup for metres",
-        )
+        text = "positions are in pixels (columns end in _px) and speeds in pixels per second"
+        warn("SWM041", f"the setup has no scale: {text}; give scale in the setup for metres")
     else:
         if scale.points_px is not None:
             points = _undistorted(np.array(scale.points_px), lens)
@@ -193,10 +190,8 @@ def plane_of(setup: Setup, width: int, height: int, *, file: str | None = None) 
         if scale.heights is not None:
             shrink = 1 - scale.heights.marker_m / scale.heights.camera_m
     # Images are left-handed (y down): flipped, so that yaw is counter-clockwise.
-    matrix, far_x = (
-        np.array([[factor, 0, 0], [0, -factor, factor * (height - 1)], [0, 0, 1.0]]),
-        factor * (width - 1),
-    )
+    matrix = np.array([[factor, 0, 0], [0, -factor, factor * (height - 1)], [0, 0, 1.0]])
+    far_x = factor * (width - 1)
     if scale is not None and scale.points_m is not None:
         world = np.array(scale.points_m, dtype=float)
         matrix, residuals = _homography(points, world, file)
@@ -209,9 +204,8 @@ def plane_of(setup: Setup, width: int, height: int, *, file: str | None = None) 
                 "yaw is counter-clockwise from x to y there, clockwise in the picture",
             )
     foot = _mapped(camera_centre[None], matrix)[0]
-    plane = Plane(
-        "px" if scale is None else "m", matrix, lens, shrink, foot, middle, far_x, *residuals, variants
-    )
+    unit = "px" if scale is None else "m"
+    plane = Plane(unit, matrix, lens, shrink, foot, middle, far_x, *residuals, variants)
     if setup.plane == "vertical" and plane.upside_down:
         warn(
             "SWM048",

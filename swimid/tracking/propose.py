@@ -134,10 +134,9 @@ def candidates(samples: Samples) -> tuple[list[Candidate], list[Candidate]]:
         raise NoTrustworthyResult(
             f"no coloured marker moves in {samples.video.path.name}. "
             f"{detect.describe_colours(samples.frames[::6])}",
-            hint="put a saturated sticker (red, yellow, green) on the robot and keep the film in colour; a "
-            "marker that hardly moves, or is white, grey or black, is picked by hand: --marker name@x,y; "
-            "a whole body "
-            "in front of its empty scene is followed with --background",
+            hint="put a saturated sticker on the robot and keep the film in colour; pick a marker that "
+            "hardly moves, or is white, grey or black, by hand (--marker name@x,y); follow a whole body with "
+            "--background",
         )
     judged = [_judge(samples, hsv, peak) for peak in _peaks(hsv, len(samples.frames))]
     passed = [c for c in judged if c is not None and c.reason]
@@ -427,13 +426,9 @@ def _marker(hsv: Mask, name: str, masks: list[Mask], place: dict[str, Any]) -> M
         raise InputError(text, hint=BACKGROUND, **place)
     areas = [np.count_nonzero(mask) for mask in masks]
     if max(areas) > LARGE * masks[0].size:
-        warn(
-            "SWM101",
-            f"the patch of '{name}' has {max(areas)} pixels, {100 * max(areas) / masks[0].size:.0f} % of "
-            f"the picture, more "
-            f"than the {100 * LARGE:g} % of a usual marker: it is followed as a whole, with area_px up to "
-            f"{math.ceil(3 * max(areas))}; its centre moves with its outline",
-        )
+        share = f"{100 * max(areas) / masks[0].size:.0f} % of the picture"
+        text = f"the patch of '{name}' has {max(areas)} pixels, {share}: it is followed as a whole"
+        warn("SWM101", f"{text}, with area_px up to {math.ceil(3 * max(areas))}")
     area = (max(math.floor(0.3 * min(areas)), 1.0), math.ceil(3 * max(areas)))
     middles = [np.argwhere(mask).mean(axis=0).round(1) for mask in masks]
     starts = tuple((float(x), float(y)) for y, x in middles)

@@ -405,9 +405,7 @@ def _direction(pose: Pose, setup: Setup, track: RawTrack) -> Iterator[Check]:
 
 def _timing(pose: Pose) -> Iterator[Check]:
     share, largest = irregular(pose.times)
-    reason = (
-        f"{100 * share:.1f} % of the frames come at uneven steps (the longest: {largest:.1f} times the usual)"
-    )
+    reason = f"{100 * share:.1f} % of the frames come at uneven steps (up to {largest:.1f} times the usual)"
     value = f"{100 * share:.1f} % uneven"
     yield _judged("SWM043", "Frame timing", value, "<= 1 % uneven", share <= 0.01, reason)
     count, total = int(pose.held.repeated.sum()), len(pose.times)
@@ -426,9 +424,8 @@ def _sight(track: RawTrack, pose: Pose) -> Iterator[Check]:
     reason = f"in {count} frames the edge of the picture cuts a marker; these frames count as not found"
     if count:
         warn("SWM045", reason)
-    yield _judged(
-        "", "At the edge of the picture", f"{count} frames", "<= 1 %", share <= HIDDEN_SHARE, reason
-    )
+    value = f"{count} frames"
+    yield _judged("", "At the edge of the picture", value, "<= 1 %", share <= HIDDEN_SHARE, reason)
     off, measured = pose.hidden[pose.rows].max(axis=0), max(int(pose.measured.sum()), 1)
     count = int(np.sum(off > 0))
     reason = (

@@ -55,19 +55,13 @@ def _pictures(path: Path, files: list[Path], apply_rotation: bool) -> Iterator[_
         first = frame.shape if first is None else first
         if frame.shape != first:
             here, before = (f"{size[1]} x {size[0]}" for size in (frame.shape, first))
-            raise InputError(
-                f"is {here} pixels, those before it are {before}",
-                file=file,
-                hint="all pictures of a film have one size; name them by a pattern (%05d.png) where "
-                "others lie beside them",
-            )
+            text = f"is {here} pixels, those before it are {before}"
+            hint = "all pictures of a film have one size; name them by a pattern (%05d.png)"
+            raise InputError(text, file=file, hint=hint)
         yield position, math.nan, np.asarray(frame, np.uint8)
     if bad:
-        warn(
-            "SWM044",
-            f"{path.name}: {len(bad)} of {len(files)} pictures could not be decoded ({_some(bad)}); their "
-            "time is left out",
-        )
+        text = f"{len(bad)} of {len(files)} pictures could not be decoded ({_some(bad)})"
+        warn("SWM044", f"{path.name}: {text}; their time is left out")
 
 
 def _opened(path: Path, apply_rotation: bool) -> cv2.VideoCapture:
@@ -80,12 +74,9 @@ def _opened(path: Path, apply_rotation: bool) -> cv2.VideoCapture:
     threads = min(os.cpu_count() or 1, 16) + 1
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, threads])
     if not capture.isOpened():
-        raise InputError(
-            "is not a video that can be decoded, or its index is missing (a recording cut short)",
-            file=path,
-            hint="check that a player plays it; a cut recording can be repaired with "
-            "'ffmpeg -i in.mp4 -c copy out.mkv' or untrunc",
-        )
+        text = "is not a video that can be decoded, or its index is missing (a recording cut short)"
+        hint = "check that a player plays it; 'ffmpeg -i in.mp4 -c copy out.mkv' may repair a cut recording"
+        raise InputError(text, file=path, hint=hint)
     capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, float(apply_rotation))
     return capture
 
@@ -180,11 +171,8 @@ class Video:
         count, claimed = len(self._stamps), self.claimed
         # Some containers count one or two frames more than they hold.
         if len(self.files) == 1 and claimed and count < claimed - max(2, 0.01 * claimed):
-            warn(
-                "SWM044",
-                f"{self.path.name}: {count} of {claimed} frames could be decoded; the video is damaged or "
-                f"cut after frame {count - 1}",
-            )
+            text = f"{count} of {claimed} frames could be decoded"
+            warn("SWM044", f"{self.path.name}: {text}; the video is damaged or cut after frame {count - 1}")
 
     def times(self) -> NDArray[np.float64]:
         """Times of the frames read so far, s, strictly increasing, from 0 at the first.
@@ -203,11 +191,8 @@ class Video:
         if not rate:
             hint = "give the true frame rate with --fps"
             raise InputError("its frames carry no usable time stamps", file=self.path, frame=bad, hint=hint)
-        warn(
-            "SWM043",
-            f"{self.path.name}: the stamp of frame {bad} does not follow the one before; even steps of "
-            f"1/{rate:g} s are used instead. Give --fps if that is not the camera's rate",
-        )
+        text = f"the stamp of frame {bad} does not follow the one before; even steps of 1/{rate:g} s are used"
+        warn("SWM043", f"{self.path.name}: {text}. Give --fps if that is not the camera's rate")
         return np.arange(len(stamps)) / rate
 
 
@@ -315,20 +300,14 @@ def _positions(path: Path, files: list[Path]) -> list[int]:
     steps = [b - a for a, b in itertools.pairwise(numbers)]
     usual = max(Counter(steps).most_common(1)[0][0], 1)
     if any(step < 1 or step % usual for step in steps):
-        warn(
-            "SWM043",
-            f"{path.name}: the numbers in the names of the pictures step unevenly (by {min(steps)} to "
-            f"{max(steps)}); the pictures are taken at even steps, in their order",
-        )
+        text = f"the numbers of the pictures step unevenly (by {min(steps)} to {max(steps)})"
+        warn("SWM043", f"{path.name}: {text}; they are taken at even steps, in their order")
         return order
     missing = [f"after {files[k].name}" for k, step in enumerate(steps) if step != usual]
     if missing:
         count = sum(step // usual - 1 for step in steps)
-        warn(
-            "SWM044",
-            f"{path.name}: {count} pictures are missing by their numbers ({_some(missing)}); their time is "
-            "left out",
-        )
+        text = f"{count} pictures are missing by their numbers ({_some(missing)})"
+        warn("SWM044", f"{path.name}: {text}; their time is left out")
     return [(number - numbers[0]) // usual for number in numbers]
 
 

@@ -338,10 +338,7 @@ def _robot_places(setup: Setup, name: str, path: Path) -> dict[str, tuple[float,
 
     robot = robot_format.read(name, path.parent)
     if robot.multilink is not None and robot.multilink.plane != setup.plane:
-        raise refuse(
-            f"the robot '{name}' moves in the {robot.multilink.plane} plane, the film shows the "
-            f"{setup.plane} one"
-        )
+        raise refuse(f"the robot '{name}' moves in the {robot.multilink.plane} plane, the film shows another")
     if setup.tail is None:
         raise refuse("robot gives the places of head and tail; there is no tail")
     places = robot.marker_places(setup.plane)

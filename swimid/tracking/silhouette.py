@@ -78,9 +78,8 @@ class Silhouette:
         noise = float(np.median(difference))
         # Smallest difference from the empty scene, grey levels, and its ratio to the median difference of a
         # frame.
-        mask = cv2.bitwise_and(
-            np.where(difference > max(16.0, 4.0 * noise), 255, 0).astype(np.uint8), self._allowed
-        )
+        changed = np.where(difference > max(16.0, 4.0 * noise), 255, 0).astype(np.uint8)
+        mask = cv2.bitwise_and(changed, self._allowed)
         _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
         sizes = np.where((stats[:, 4] >= self._area[0]) & (stats[:, 4] <= self._area[1]), stats[:, 4], 0)
         sizes[0] = 0

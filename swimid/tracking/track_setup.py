@@ -332,11 +332,8 @@ def _doubts(setup: Setup, run: Run, shares: dict[str, float]) -> float | None:
         )
     separation = quality.distance_change(run.track, setup.head, setup.tail)
     if separation is not None and separation > quality.DISTANCE_SPREAD[0]:
-        warn(
-            "SWM042",
-            f"the distance of '{setup.head}' and '{setup.tail}' changes by {100 * separation:.1f} % "
-            "beyond what a camera askew explains: on one rigid part it would not",
-        )
+        text = f"the distance of '{setup.head}' and '{setup.tail}' changes by {100 * separation:.1f} %"
+        warn("SWM042", f"{text} beyond what a camera askew explains: on one rigid part it would not")
     return ahead
 
 

@@ -24,20 +24,7 @@ from swimid.notices import Notice, recorded, warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import blocks, drawing, numbers
-from swimid.results.evidence import (
-    Check,
-    Evidence,
-    Figure,
-    Image,
-    Mark,
-    Panel,
-    Span,
-    Table,
-    Trace,
-    check,
-    judged,
-    thinned,
-)
+from swimid.results import evidence as ev
 from swimid.tracking import pose, quality, reader
 from swimid.tracking import setup as setup_format
 from swimid.tracking.detect import CUT, LOST, STATUS, RawTrack, describe_colours
@@ -178,8 +165,8 @@ def _judged(
     }
     log.warn_units(Log(video.path, head, shown))
     painter = Painter(run, made)
-    verdict = judged(_answer(made, swum), found)
-    proof = Evidence(
+    verdict = ev.judged(_answer(made, swum), found)
+    proof = ev.Evidence(
         verb="track video",
         title=f"Track of {video.path.name}",
         verdict=verdict,
@@ -296,14 +283,14 @@ def _swum(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimming:
     return swimming.figures(track, window_s)
 
 
-def _stroke_check(found: Swimming) -> list[Check]:
+def _stroke_check(found: Swimming) -> list[ev.Check]:
     """Return whether the channels of the track agree on one stroke; warn where they do not."""
     if found.stroke is None:
         return []
     if found.doubt:
         warn("SWM033", found.doubt)
     value, limit = f"{found.stroke.frequency_hz:.4g} Hz", "heading and path agree"
-    return [check("One stroke", value, not found.doubt, limit, reason=found.doubt)]
+    return [ev.check("One stroke", value, not found.doubt, limit, reason=found.doubt)]
 
 
 # ---------------------------------------------------------------- numbers for machines
@@ -402,7 +389,7 @@ def _facts(pose: Pose, setup: Setup, found: Swimming) -> dict[str, str]:
     return told
 
 
-def _table(found: Swimming, setup: Setup, unit: str) -> Table:
+def _table(found: Swimming, setup: Setup, unit: str) -> ev.Table:
     """Return the speeds, accelerations and amplitudes with their intervals; angles in degrees."""
     rows: list[list[str | float | int | bool | None]] = []
     for key, name, value, kind in _rows(found, setup, unit):
@@ -410,7 +397,7 @@ def _table(found: Swimming, setup: Setup, unit: str) -> Table:
             continue
         factor, shown = numbers.in_degrees(kind)
         rows.append([name, *(factor * one for one in astuple(value)), numbers.unit_text(shown)])
-    return Table(
+    return ev.Table(
         id="swimming",
         title="Speed and stroke",
         columns=["quantity", "value", "95 % from", "to", "unit"],
@@ -420,7 +407,7 @@ def _table(found: Swimming, setup: Setup, unit: str) -> Table:
     )
 
 
-def _segment_table(pose: Pose) -> Table:
+def _segment_table(pose: Pose) -> ev.Table:
     """Return start, end, frames and path length of each segment."""
     rows: list[list[str | float | int | bool | None]] = []
     for number in range(1, int(pose.segment.max()) + 1):
@@ -429,7 +416,7 @@ def _segment_table(pose: Pose) -> Table:
         measured = int((part & pose.measured).sum())
         rows.append([number, float(t[0]), float(t[-1]), int(part.sum()), measured, length])
     columns = ["segment", "from (s)", "to (s)", "frames", "measured", f"path length ({pose.plane.unit})"]
-    return Table(id="segments", title="Segments", columns=columns, rows=rows, folded=True)
+    return ev.Table(id="segments", title="Segments", columns=columns, rows=rows, folded=True)
 
 
 def _answer(pose: Pose, found: Swimming) -> str:
@@ -464,22 +451,22 @@ def _methods(setup: Setup, pose: Pose) -> list[str]:
     ]
 
 
-def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[Figure]:
+def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
     """Return path, coordinates with their bands, and speeds with the window of the table."""
     unit, t = pose.plane.unit, pose.times
     up, turn, side = setup.axes
-    spans = [Span(start=a, end=b, label="gap") for a, b in pose.gaps][:60]
+    spans = [ev.Span(start=a, end=b, label="gap") for a, b in pose.gaps][:60]
     # a parametric curve has no envelope in x: every k-th point is taken instead
     every = slice(None, None, max(len(t) // 1500, 1))
     (x, y), (raw_x, raw_y) = pose.path.position[:, every], pose.raw[:, every]
 
-    def over_time(label: str, traces: Sequence[Trace], marks: Sequence[Mark] = ()) -> Panel:
-        return Panel(x_label="time (s)", y_label=label, traces=list(traces), spans=spans, marks=list(marks))
+    def over_time(label: str, traces: Sequence[ev.Trace], marks: Sequence[ev.Mark] = ()) -> ev.Panel:
+        return ev.Panel(x_label="time (s)", y_label=label, traces=[*traces], spans=spans, marks=[*marks])
 
-    def banded(values: Smoothed, row: int, raw: Array) -> list[Trace]:
+    def banded(values: Smoothed, row: int, raw: Array) -> list[ev.Trace]:
         smooth, sd = values.position[row, every], values.position_sd[row, every]
         return [
-            Trace(x=t[every], y=raw, label="measured", style="points", group=0),
+            ev.Trace(x=t[every], y=raw, label="measured", style="points", group=0),
             blocks.band(t[every], smooth, 1.96 * sd, label="smoothed", group=1),
         ]
 
@@ -492,23 +479,21 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[Figure]:
         coordinates.append(over_time(f"{turn} (rad)", banded(pose.angle, 0, pose.raw_angle[every])))
         speeds = dict(zip((f"u ({unit}/s)", f"{side} ({unit}/s)"), pose.body_velocity, strict=True))
         speeds[f"{turn} rate (rad/s)"] = pose.angle.velocity[0]
-    window = [Mark(at=found.begin_s, axis="x", label="window"), Mark(at=found.end_s, axis="x")]
+    window = [ev.Mark(at=found.begin_s, axis="x", label="window"), ev.Mark(at=found.end_s, axis="x")]
     path = [
-        Trace(x=raw_x, y=raw_y, label="measured", style="points", group=0),
-        Trace(x=x, y=y, label="smoothed", group=0),
+        ev.Trace(x=raw_x, y=raw_y, label="measured", style="points", group=0),
+        ev.Trace(x=x, y=y, label="smoothed", group=0),
     ]
-    curves = {
-        label: Trace(**dict(zip("xy", thinned(t, values), strict=True))) for label, values in speeds.items()
-    }
+    curves = {k: ev.Trace(**dict(zip("xy", ev.thinned(t, v), strict=True))) for k, v in speeds.items()}
     return [
         blocks.figure("path", "Path", "", f"x ({unit})", f"{up} ({unit})", path, equal_aspect=True),
-        Figure(
+        ev.Figure(
             id="pose",
             title="Pose over time",
             caption="Measured and smoothed, with the 95 % band; gaps are shaded.",
             panels=coordinates,
         ),
-        Figure(
+        ev.Figure(
             id="speed",
             title="Speeds",
             caption="From the smoother; dashed lines bound the window of the table.",
@@ -583,7 +568,7 @@ class Painter:
         word = CUT if self.track.at_edge[:, i].any() else STATUS[LOST]
         return f"{word}, interpolated" if self.pose.interpolated[i] else word
 
-    def images(self) -> list[Image]:
+    def images(self) -> list[ev.Image]:
         """The kept frames, drawn into and compressed, for the report."""
         out = []
         for index, frame in self.run.kept.items():
@@ -591,7 +576,7 @@ class Painter:
             drawn = reduced(self.draw(index, frame.copy()), 640)
             _, data = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, 80])
             out.append(
-                Image(
+                ev.Image(
                     id=f"frame-{index}",
                     title=f"Frame {index}, t = {self.track.times[index]:.2f} s",
                     caption=CAPTION,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from itertools import combinations
 from pathlib import Path
@@ -281,11 +281,8 @@ class Search:
             min(math.ceil(bottom) + 1, height),
         )
         if self._view[0] >= self._view[2] or self._view[1] >= self._view[3]:
-            raise InputError(
-                f"region_px {list(self._region)} of the setup lies outside the picture of "
-                f"{width} x {height} pixels",
-                hint="it is [left, top, right, bottom] in pixels of the picture",
-            )
+            text = f"region_px {list(self._region)} lies outside the picture of {width} x {height} pixels"
+            raise InputError(text, hint="it is [left, top, right, bottom] in pixels of the picture")
 
     def window(
         self, kind: Group, frame: Frame, cx: float, cy: float, half: float, step: int = 1
@@ -459,11 +456,6 @@ class Follower:
         self._mistaken: dict[str, tuple[int, float]] = {}
         self._times: list[float] = []
         self._frame = 0
-
-    def run(self, frames: Iterable[tuple[float, Frame]]) -> None:
-        """Follow through all frames."""
-        for time, frame in frames:
-            self.step(time, frame)
 
     def step(self, time: float, frame: Frame) -> None:
         """Find every marker in the next frame."""
@@ -817,11 +809,8 @@ def follow(path: Path, setup: Setup, *, step: Step, file: str | None = None) -> 
     if any(quality.reach(second.track, name).radii < 3.0 for name in still):
         return first
     listed = "; ".join(f"[{', '.join(f'{v:.0f}' for v in box)}]" for box in boxes)
-    warn(
-        "SWM049",
-        f"{path.name}: a thing of the marker's colour never moves and was left out (box {listed}); "
-        "write it into ignore_px of the setup to save the second reading",
-    )
+    text = f"a thing of the marker's colour never moves and was left out (box {listed})"
+    warn("SWM049", f"{path.name}: {text}; write it into ignore_px to save the second reading")
     return second
 
 
