@@ -157,12 +157,8 @@ def _judged(
     columns = pose.columns(made, track, rules)
     head = _metadata(run, ground, made.times) | metadata
     # a scale that is wrong by a factor shows as speeds no swimmer reaches
-    # Columns a wrong scale shows in.
-    shown = {
-        name: columns[name]
-        for name in ("t_s", "x_m", "y_m", "z_m", "u_m_s", "v_m_s", "w_m_s")
-        if name in columns
-    }
+    units: tuple[str, ...] = ("t_s", "x_m", "y_m", "z_m", "u_m_s", "v_m_s", "w_m_s")
+    shown = {name: columns[name] for name in units if name in columns}
     log.warn_units(Log(video.path, head, shown))
     painter = Painter(run, made)
     verdict = ev.judged(_answer(made, swum), found)
