@@ -26,7 +26,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from swimid.tracking import plane, smooth
+from swimid.tracking import pose, smooth
 from swimid.tracking import setup as setup_format
 from swimid.tracking.reader import Video
 from swimid.tracking.tracker import Follower
@@ -101,7 +101,7 @@ def accuracy(follower: Follower, scene: Scene) -> tuple[int, float]:
     """Misses, and RMS error per axis of the nose marker in px."""
     raw = follower.track()
     truth = pool_video.motion(scene.swims[0], scene.times())
-    ground = plane.build(follower.setup, scene.width, scene.height)
+    ground = pose.plane_of(follower.setup, scene.width, scene.height)
     x, y = ground.to_image(truth.x_m, truth.y_m)
     head = raw.names.index(follower.setup.head_name)
     n = min(len(x), raw.x.shape[1])

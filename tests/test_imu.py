@@ -12,8 +12,9 @@ import pytest
 from scipy import io, signal
 from scipy.spatial.transform import Rotation
 
-from swimid.inertial import motion, rest, strapdown
-from swimid.inertial.record import Record
+from swimid.inertial import motion
+from swimid.inertial.record import Record, integrated_attitude
+from swimid.inertial.setup import find_rests, noise_of
 from swimid.logs.rotation import angles, from_angles
 from tests.conftest import Ran
 from tests.generators import imu
@@ -60,7 +61,7 @@ def test_attitude_of_a_cone_drifts_by_the_trapezoid_only() -> None:
     )
     steps = (dense[:-1].inv() * dense[1:]).as_rotvec() / 1e-4
     rate = np.column_stack([np.interp(t, fine[:-1] + 5e-5, c) for c in steps.T])
-    found = strapdown.attitude(t, rate, true[0])
+    found = integrated_attitude(t, rate, true[0])
     # the trapezoid takes (spin dt)^2 / 12 off the amplitude of a sine: the cone's own turning,
     # half^2 spin / 2
     # a second, is off by twice that; without the coning term it would be twice as much again
@@ -71,10 +72,10 @@ def test_attitude_of_a_cone_drifts_by_the_trapezoid_only() -> None:
 def test_noise_and_rests_of_a_known_sensor(rng: np.random.Generator) -> None:
     run = imu.marching(rng)
     record = Record(run.time_s, run.acceleration, run.rate)
-    rests = rest.find(record)
+    rests = find_rests(record)
     assert [r.at for r in rests] == ["start", "end"]
     assert record.time_s[rests[0].last] == pytest.approx(4.0, abs=0.6)
-    noise = rest.noise(record, rests)
+    noise = noise_of(record, rests)
     assert noise is not None
     # 3 x 800 differences: the deviation of a deviation is 1/sqrt(2 n), doubled for their correlation
     assert noise.acceleration == pytest.approx(imu.Errors().acceleration_noise, rel=0.1)

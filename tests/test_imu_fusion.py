@@ -12,7 +12,7 @@ from scipy import signal
 from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation, Slerp
 
-from swimid.inertial import clock
+from swimid.inertial.alignment import clock_offset
 from tests.conftest import Ran
 from tests.generators import imu
 from tests.test_imu import BAND, rms, save, table
@@ -30,7 +30,7 @@ def test_an_offset_is_found_within_its_interval(true: float, rng: np.random.Gene
     wave = np.sin(6.1 * t) * (1 + 0.3 * np.sin(0.4 * t)) + 0.4 * np.cos(13 * t + 0.3 * np.sin(t))
     seen_t = np.arange(5.0, 35.0, 1 / 30)
     seen = np.interp(seen_t + true, t, wave) + rng.normal(0, 0.1, len(seen_t)) + 0.05 * seen_t
-    found = clock.offset(t, wave[:, None], seen_t, seen[:, None])
+    found = clock_offset(t, wave[:, None], seen_t, seen[:, None])
     assert found is not None
     # Cramer-Rao: noise over the root sum of squared slopes
     bound = 0.1 / np.sqrt(np.sum(np.gradient(np.interp(seen_t + true, t, wave), seen_t) ** 2))
@@ -49,7 +49,7 @@ def test_the_interval_covers_as_often_as_it_says() -> None:
         true = rng.uniform(-0.1, 0.1)
         seen_t = np.arange(1.0, 15.0, 0.04)
         seen = np.interp(seen_t + true, t, wave) + rng.normal(0, 0.2, len(seen_t))
-        found = clock.offset(t, wave[:, None], seen_t, seen[:, None])
+        found = clock_offset(t, wave[:, None], seen_t, seen[:, None])
         assert found is not None
         covered.append(found.low_s <= true <= found.high_s)
     # 57 of 60 expected; fewer than 51 has a chance of 1 in 100
@@ -59,9 +59,9 @@ def test_the_interval_covers_as_often_as_it_says() -> None:
 def test_nothing_is_found_where_nothing_moves_together(rng: np.random.Generator) -> None:
     t = np.arange(0.0, 20.0, 0.01)
     noise = rng.normal(size=(500, 1))
-    found = clock.offset(t, np.sin(5 * t)[:, None], np.arange(500) / 30, noise)
+    found = clock_offset(t, np.sin(5 * t)[:, None], np.arange(500) / 30, noise)
     assert found is None or found.explained < 0.2
-    assert clock.offset(t, np.sin(5 * t)[:, None], np.arange(5) / 30, noise[:5]) is None
+    assert clock_offset(t, np.sin(5 * t)[:, None], np.arange(5) / 30, noise[:5]) is None
 
 
 @pytest.mark.parametrize(("with_yaw", "off"), [(True, 0.002), (False, 0.010)], ids=["yaw", "path alone"])

@@ -145,9 +145,9 @@ def test_what_cannot_be_is_left_empty(swimid: Callable[..., Ran], tmp_path: Path
 def test_where_no_motion_can_be_only_the_attitude_is_written(
     fused: bool, swimid: Callable[..., Ran], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from swimid.inertial import plausible
+    from swimid.inertial import alone
 
-    monkeypatch.setattr(plausible, "contradictions", lambda *_: ["it hovers upside down"])
+    monkeypatch.setattr(alone, "contradictions", lambda *_: ["it hovers upside down"])
     rng = np.random.default_rng(2)
     run = rigid.swim(rng, unit=rigid.Unit(), swim_s=6.0, rest_s=2.5, rate_hz=50.0)
     camera = rigid.camera(run, rng, rate_hz=10.0) if fused else None

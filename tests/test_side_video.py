@@ -19,7 +19,7 @@ from swimid.results.parameters import Estimate, ParameterFile
 from swimid.robots import file as robot
 from swimid.simulation.compare_series import ComparisonFile
 from swimid.swimmer import run_quantities
-from swimid.tracking import plane, pose, quality
+from swimid.tracking import pose, quality
 from swimid.tracking import setup as setup_format
 from swimid.tracking.detect import WINDOW, RawTrack
 from tests.generators import side_video
@@ -224,7 +224,7 @@ def posed(view, changes, *, places=True):
     )
     track, truth = seen(view)
     with recorded() as notices:
-        ground = pose.facing(track, rules, plane.build(rules, view.width, view.height))
+        ground = pose.facing(track, rules, pose.plane_of(rules, view.width, view.height))
         result = pose.build(track, rules, ground)
         found = {c.name: c for c in quality.checks(track, result, rules)}
     return result, truth, found, [n.code for n in notices]

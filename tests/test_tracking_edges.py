@@ -17,7 +17,8 @@ from tests.generators.disc_film import ONE_RED, RED_AND_YELLOW, WATER, YELLOW, D
 def followed(film, setup=ONE_RED):
     """The raw track of a film's pictures, without a codec between."""
     follower = Follower(Setup.model_validate(yaml.safe_load(setup)), film.width, film.height)
-    follower.run(zip(film.times(), film.frames(), strict=True))
+    for time, frame in zip(film.times(), film.frames(), strict=True):
+        follower.step(time, frame)
     return follower.track()
 
 

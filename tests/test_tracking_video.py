@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from swimid.cli.main import track
 from swimid.results import evidence
-from swimid.tracking import plane
+from swimid.tracking import pose
 from swimid.tracking import setup as setup_format
 from tests.generators import pool_video
 from tests.generators.pool_video import SEPARATION_M, Scene
@@ -51,7 +51,7 @@ def by_hand(tmp_path):
 
 
 def pixels_per_metre(scene, setup):
-    ground = plane.build(setup_format.read(setup), scene.width, scene.height)
+    ground = pose.plane_of(setup_format.read(setup), scene.width, scene.height)
     return 1 / ground.size_of_pixel(scene.width / 2, scene.height / 2)
 
 
@@ -216,7 +216,7 @@ def test_scales_agree(tmp_path, kind):
     rules = setup_format.Setup.model_validate(
         {"format": "swimid-setup/1", "markers": [{"name": "a", "colour": "#ff0000"}], "scale": scale}
     )
-    ground = plane.build(rules, 640, 480)
+    ground = pose.plane_of(rules, 640, 480)
     x, y = ground.to_world(np.array([0.0, 320.0, np.nan]), np.array([479.0, 100.0, 3.0]))
     np.testing.assert_allclose(x[:2], [0, 0.64], atol=1e-9)
     np.testing.assert_allclose(y[:2], [0, 0.758], atol=1e-9)
@@ -241,7 +241,7 @@ def test_lens_and_height():
             "scale": {"metres_per_pixel": 2.0 / 600, "heights": {"camera_m": 2.0, "marker_m": 0.05}},
         }
     )
-    ground = plane.build(rules, 640, 480)
+    ground = pose.plane_of(rules, 640, 480)
     x, y = ground.to_world(*seen.T)
     # Camera 2 m up: a marker 5 cm above the plane is 1.95 m away, so rays meet it at 1.95 m.
     np.testing.assert_allclose(x - x[2], 1.95 * rays[:, 0], atol=2e-4)

@@ -1,12 +1,10 @@
 """From accelerations and turn rates to motion: ``swimid track imu``.
 
-``record`` and ``sensor`` hold what is known. ``faults`` and ``conventions`` find what may be wrong with a
-recording, ``rest`` finds rests, and ``setup`` holds all that is known before the motion. ``strapdown``
-integrates, ``errorstate`` and ``smoother`` follow the errors with the observations of ``aiding``. The path is
-that of a unit by itself (``alone``) or beside another log (``fusion``, with ``clock`` and ``alignment``);
-``plausible`` judges it. ``motion`` is that path at the body's reference point, or by the long-fin paper's
-steps. The verb is ``track_imu``: its ``options`` and ``inputs``, the ``run`` with all it estimates, and its
-``evidence``.
+A ``record`` is read, ``faults`` finds what may be wrong with it, and ``setup`` holds all that is known before
+the motion: sensor, rests, mounting, a first attitude. ``smoother`` integrates and follows the errors with the
+observations of ``aiding``, for a unit by itself (``alone``) or beside another log (``fusion``, with their
+``alignment``). ``motion`` is that path at the body's reference point, or by the long-fin paper's steps, and
+all else that is estimated. The verb is ``track_imu``, with its evidence and its ``options``.
 
 Frames
 ------

@@ -9,17 +9,11 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from swimid.inertial.alignment import Poses
-from swimid.inertial.errorstate import Observation, cross_matrix, jacobian
-from swimid.inertial.record import Array, resampled
-from swimid.inertial.rest import Rest
-from swimid.inertial.sensor import FILTER_MEMORY_S, QUATERNION_MEMORY_S
-from swimid.inertial.setup import QUATERNIONS, Setup
-from swimid.inertial.smoother import Nominal
+from swimid.inertial.record import Array, Poses, resampled
+from swimid.inertial.setup import FILTER_MEMORY_S, QUATERNION_MEMORY_S, QUATERNIONS, Rest, Setup
+from swimid.inertial.smoother import Nominal, Observation, cross_matrix, jacobian
 from swimid.logs.rotation import angles
 
-#: Time between repeated observations of one thing, s.
-EVERY_S = 0.5
 #: A robot at rest in water still drifts: m/s, and rad/s.
 REST_SPEED_SD, REST_RATE_SD = 0.01, 5e-4
 #: Outliers lie beyond this many deviations.
@@ -44,7 +38,8 @@ def _stillness(setup: Setup, path: Nominal) -> list[Observation]:
     by_bias = jacobian(path.states, 3, rate_bias=np.eye(3))
     for rest in still.stretches:
         nodes = rest_nodes(rest, path)
-        for node in _spaced(path, nodes, EVERY_S) if rest in still.rests else ():
+        # Time between repeated observations of one thing, s.
+        for node in _spaced(path, nodes, 0.5) if rest in still.rests else ():
             observations.append(
                 Observation(int(node), "rest", -path.velocity[path.nodes[node]], by_velocity, wide)
             )

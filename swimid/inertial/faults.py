@@ -1,42 +1,44 @@
-"""Faults of recording: each is searched for, and repaired or refused, in the order of :data:`FAULTS`."""
+"""Faults of a recording: each is searched for, and repaired or refused, in the order of :data:`FAULTS`.
+
+First those of the samples; then units and axes that are not as stated, for which gravity, gyroscope and
+quaternions are compared with each other.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import permutations, product
 
 import numpy as np
 from scipy.ndimage import median_filter
-from scipy.spatial.transform import Slerp
+from scipy.spatial.transform import Rotation, Slerp
 
 from swimid.errors import InputError
-from swimid.inertial import conventions
-from swimid.inertial.record import CHANNELS, Array, Finding, Flags, Record, resampled, rotations
+from swimid.inertial.record import (
+    CHANNELS,
+    GRAVITY_M_S2,
+    Array,
+    Finding,
+    Flags,
+    Record,
+    integrated_attitude,
+    resampled,
+    rotations,
+)
+from swimid.inertial.setup import DEG, MOST_ACCELERATION
 from swimid.logs import sampling
 from swimid.logs.log import runs
+from swimid.logs.rotation import rearranged
 from swimid.logs.time_order import in_order
 
 #: Maximum share of rows without a usable time, and of missing cells in a channel.
 MAX_MISSING = 0.5
-#: No sensor shows more, in any unit its readings come in.
-LARGEST = 1e5
 #: Readings this many spans of all others away are wrong; single ones among `WINDOW` samples, or marks.
 SPANS, WINDOW = 30.0, 7
 #: A channel that keeps one value for longer than this while others move is stuck, s and samples.
 STUCK_S, STUCK_SAMPLES = 0.5, 25
-#: Maximum share of a channel that is stuck.
-MAX_STUCK = 0.3
-#: Below this share samples repeat by chance, at rest and with few digits.
-MIN_REPEATED = 0.005
-#: A value is the end of the range when it is an extreme held in this many runs of two or more samples.
-RUNS, RUN_LENGTH = 3, 2
-#: And when it is this many times as frequent as its neighbours, within this share of the range.
-PILED, BESIDE = 2.0, 0.01
-#: Maximum share of clipped samples in a channel.
-MAX_CLIPPED = 0.1
 #: A step longer than this many sample times has lost samples; a hole longer than this, s, is refused.
 LONG_STEP, MAX_HOLE_S = 1.6, 2.0
-#: Jitter worth a warning, in sample times.
-NOTABLE_JITTER = 0.05
 
 Mended = tuple[Record, list[Finding]]
 
@@ -80,20 +82,14 @@ def stamps(record: Record) -> Mended:
     order = in_order(record.time_s, dict(zip(CHANNELS, record.channels.T, strict=True)))
     if order.reset_row is not None:
         row = order.reset_row
-        raise InputError(
-            f"time goes back at t = {record.time_s[row]:g} s (sample {row + 1}) and counts on from there",
-            file=record.name,
-            column="t_s",
-            hint="was the clock reset or wrapped? cut the log there, one file for each piece",
-        )
+        text = f"time goes back at t = {record.time_s[row]:g} s (sample {row + 1}) and counts on from there"
+        hint = "was the clock reset or wrapped? cut the log there, one file for each piece"
+        raise InputError(text, file=record.name, column="t_s", hint=hint)
     gone = order.untimed + order.repeated + order.clashing
     if gone > MAX_MISSING * len(record):
-        raise InputError(
-            f"{gone} of {len(record)} samples have no time of their own",
-            file=record.name,
-            column="t_s",
-            hint="the stamps are too coarse: give the time with more decimals, or by 'rate_hz' in a mapping",
-        )
+        text = f"{gone} of {len(record)} samples have no time of their own"
+        hint = "the stamps are too coarse: give the time with more decimals, or by 'rate_hz' in a mapping"
+        raise InputError(text, file=record.name, column="t_s", hint=hint)
     if not order.changed:
         return record, []
     text = f"{gone} samples without a time of their own left out, {order.late} out of order put in place"
@@ -113,7 +109,8 @@ def wild(record: Record) -> Mended:
 
 
 def _wild(values: Array) -> Flags:
-    flags = np.abs(np.nan_to_num(values)) > LARGEST
+    # No sensor shows more, in any unit its readings come in.
+    flags = np.abs(np.nan_to_num(values)) > 1e5
     there = np.flatnonzero(np.isfinite(values) & ~flags)
     if len(there) < 2 * WINDOW:
         return flags
@@ -154,13 +151,11 @@ def dead(record: Record) -> Mended:
     stuck = np.column_stack([_stuck(record, column) for column in values.T])
     for name, column, share in zip(CHANNELS, values.T, stuck.mean(axis=0), strict=True):
         constant = np.ptp(column) == 0
-        if constant or share > MAX_STUCK:
-            raise InputError(
-                f"the channel is dead: one value for {100 * max(share, constant):.0f} % of the time",
-                file=record.name,
-                column=name,
-                hint="three accelerations and three turn rates are needed; mend the sensor or its wiring",
-            )
+        # Maximum share of a channel that is stuck.
+        if constant or share > 0.3:
+            text = f"the channel is dead: one value for {100 * max(share, constant):.0f} % of the time"
+            hint = "three accelerations and three turn rates are needed; mend the sensor or its wiring"
+            raise InputError(text, file=record.name, column=name, hint=hint)
     texts, count = [], int(stuck.any(axis=1).sum())
     if count:
         texts.append(f"{count} samples stuck at one value in {_channels(stuck)}, bridged")
@@ -211,7 +206,8 @@ def held(record: Record) -> Mended:
     """Bridge samples that repeat the one before: the logger asks faster than the sensor answers."""
     same = np.concatenate(([False], np.all(np.diff(record.channels, axis=0) == 0, axis=1)))
     count = int(same.sum())
-    if count < MIN_REPEATED * len(same) or count > 0.9 * len(same):
+    # Below this share samples repeat by chance, at rest and with few digits.
+    if count < 0.005 * len(same) or count > 0.9 * len(same):
         return record, []
     text = f"{count} samples repeat the one before in every channel; bridged from the true ones"
     bad = np.repeat(same[:, None], 6, axis=1)
@@ -226,14 +222,12 @@ def saturated(record: Record) -> Mended:
     if not share.any():
         return record, []
     worst = int(np.argmax(share))
-    if share[worst] > MAX_CLIPPED:
+    # Maximum share of clipped samples in a channel.
+    if share[worst] > 0.1:
         limit = float(np.max(np.abs(values[:, worst])))
-        raise InputError(
-            f"{100 * share[worst]:.1f} % of the samples are clipped at {limit:.4g}",
-            file=record.name,
-            column=CHANNELS[worst],
-            hint="use a sensor, or a setting, with a larger range",
-        )
+        text = f"{100 * share[worst]:.1f} % of the samples are clipped at {limit:.4g}"
+        hint = "use a sensor, or a setting, with a larger range"
+        raise InputError(text, file=record.name, column=CHANNELS[worst], hint=hint)
     count = int(clipped.any(axis=1).sum())
     text = f"{count} samples clipped at the end of the range in {_channels(clipped)}, bridged"
     return bridged(record, clipped), [Finding("saturated channel", "handled", text, count)]
@@ -243,11 +237,11 @@ def _clipped(values: Array) -> Flags:
     flags = np.zeros(len(values), dtype=bool)
     for extreme in (float(np.max(values)), float(np.min(values))):
         at = values == extreme
-        held_runs = [(a, b) for a, b in runs(at) if b - a >= RUN_LENGTH]
-        # the tail of an open range thins out; a closed one piles up at its end, also against coarse levels
+        held_runs = [(a, b) for a, b in runs(at) if b - a >= 2]
+        # the tail of an open range thins out; a closed one is held and piles up over the last 1 %
         below = np.abs(values[~at] - extreme)
-        near = below <= max(BESIDE * np.ptp(values), float(np.min(below)))
-        if len(held_runs) >= RUNS and at.sum() > PILED * near.sum():
+        near = below <= max(0.01 * np.ptp(values), float(np.min(below)))
+        if len(held_runs) >= 3 and at.sum() > 2.0 * near.sum():
             flags |= at
     return flags
 
@@ -260,13 +254,9 @@ def dropped(record: Record) -> Mended:
         return record, []
     longest = float(steps.max())
     if longest > MAX_HOLE_S:
-        raise InputError(
-            f"no samples for {longest:.2f} s after t = {record.time_s[int(np.argmax(steps))]:.3f} s: "
-            "motion in between is unknown",
-            file=record.name,
-            column="t_s",
-            hint="cut the log there, one file for each piece",
-        )
+        text = f"no samples for {longest:.2f} s after t = {record.time_s[int(np.argmax(steps))]:.3f} s"
+        hint = "motion in between is unknown: cut the log there, one file for each piece"
+        raise InputError(text, file=record.name, column="t_s", hint=hint)
     count = int(np.sum(np.round(steps[wide] / record.step_s) - 1))
     text = f"{count} samples dropped in {int(wide.sum())} places, the longest {longest:.3f} s; spanned"
     return record, [Finding("dropped samples", "handled", text, count)]
@@ -278,12 +268,257 @@ def jitter(record: Record) -> Mended:
     single = np.diff(record.time_s)
     single = single[single < LONG_STEP * record.step_s]
     uneven = max(uneven, float(np.std(single)) / record.step_s) if uneven else 0.0
-    if uneven < NOTABLE_JITTER:
+    # Jitter worth a warning, in sample times.
+    if uneven < 0.05:
         return record, []
-    text = (
-        f"time steps vary by {100 * uneven:.0f} % (rms) of {1e3 * record.step_s:.3g} ms; the stamps are used"
-    )
+    text = f"time steps vary by {100 * uneven:.0f} % (rms) of {1e3 * record.step_s:.3g} ms; stamps are used"
     return record, [Finding("clock jitter", "handled", text)]
+
+
+# ---------------------------------------------------------------- units and axes
+
+
+#: Relative deviation from 1 g at rest: sensors are off by a few percent, a swimmer that glides adds some.
+NEAR = 0.12
+UNITS = {"g": GRAVITY_M_S2, "mg": 1e-3 * GRAVITY_M_S2, "ft/s2": 0.3048, "cm/s2": 0.01}
+#: Windows in which specific force is judged, s, and their maximum number for turn rates.
+WINDOW_S, MAX_WINDOWS = 0.5, 200
+#: Turns of gravity are seen between means over this long, s, so many of them apart: about a second, long
+#: enough that accelerations weigh less than turns.
+BLOCK_S, BLOCKS = 0.3, 3
+#: Minimum number of windows that tell.
+MIN_BLOCKS = 16
+#: A turn of gravity over a second that can be seen, rad.
+VISIBLE = 0.02
+#: A unit or convention that leaves this share of what the other leaves is the right one.
+CLEARLY = 0.5
+#: Another arrangement of axes must leave this much less of gravity's turning than the one in the log, and
+#: less than the runner-up among those that do the same to the axes that turn. An arrangement that explains
+#: more than half of the turning stays: what it leaves is acceleration (a yawing swimmer's ``u r`` looks like
+#: roll).
+BETTER, DECIDED, EXPLAINED = 0.5, 0.8, 0.5
+
+
+def acceleration_unit(record: Record) -> Mended:
+    """Compare the specific force of quiet samples with gravity.
+
+    The stated unit is believed unless quiet samples show gravity in another one. A sensor that is shaken all
+    the time has no quiet samples: its unit is not doubted, because its readings can have any size.
+    """
+    size = _at_rest(record)
+    if size is None:
+        # without quiet samples gravity shows in the mean, or of a tumbling sensor in the typical size
+        sizes = np.linalg.norm([record.acceleration.mean(axis=0), *record.acceleration], axis=1)
+        size = float(max(sizes[0], np.median(sizes)))
+        if size >= 0.5 * GRAVITY_M_S2:
+            return record, []
+    elif abs(size / GRAVITY_M_S2 - 1) <= NEAR:
+        return record, []
+    else:
+        # mg and cm/s2 differ by 2 %: the nearer is taken, an error of scale at worst
+        off = {name: abs(np.log(size * factor / GRAVITY_M_S2)) for name, factor in UNITS.items()}
+        name = min(off, key=lambda unit: off[unit])
+        if off[name] <= NEAR:
+            text = f"accelerations are in {name} ({size:.4g} at rest), converted by {UNITS[name]:.6g}"
+            finding = Finding("acceleration unit", "handled", text)
+            return replace(record, acceleration=record.acceleration * UNITS[name]), [finding]
+    hint = "say the unit in a mapping (--map)"
+    if size < 0.5 * GRAVITY_M_S2:
+        hint = "gravity seems to be taken out already: give the accelerometer's own readings"
+    text = f"the typical size of the acceleration is {size:.4g} m/s2, where gravity alone makes 9.81"
+    raise InputError(text, file=record.name, column="ax_m_s2 ... az_m_s2", hint=hint)
+
+
+def _at_rest(record: Record) -> float | None:
+    """Return the median size of the specific force in windows in which it hardly changes; None without any.
+
+    A window is quiet where the specific force deviates from its mean by less, relative to it, than that of a
+    sensor at rest may deviate from gravity.
+    """
+    size = max(round(WINDOW_S / record.step_s), 4)
+    count = len(record) // size
+    windows = record.acceleration[: count * size].reshape(count, size, 3)
+    sizes = np.linalg.norm(windows.mean(axis=1), axis=1)
+    quiet = np.sqrt(windows.var(axis=1).sum(axis=1)) <= MOST_ACCELERATION / GRAVITY_M_S2 * sizes
+    return float(np.median(sizes[quiet])) if quiet.any() else None
+
+
+def rate_unit(record: Record) -> Mended:
+    """Convert turn rates that are in degrees, as judged by how gravity or the quaternions turn.
+
+    Where neither tells, the stated unit is believed.
+    """
+    scale = _against_quaternion(record)
+    by = "the quaternions"
+    if scale is None:
+        scale, by = _where_gravity_stays(record), "gravity in the accelerometer"
+    if scale is None:
+        scale = _against_gravity(record)
+    if scale is None:
+        fast = float(np.quantile(np.linalg.norm(record.rate, axis=1), 0.99))
+        text = (
+            f"turn rates reach {fast:.0f} rad/s as stated, and nothing else in the log tells their unit; for "
+            "another one, say it in a mapping (--map)"
+        )
+        # Where nothing else tells the unit, faster turns (99th percentile) are doubted, rad/s.
+        return record, [Finding("turn-rate unit", "handled", text)] if fast > 12.0 else []
+    if abs(np.log(scale / DEG)) < abs(np.log(scale)):
+        text = f"turn rates are in deg/s (judged by {by}), converted"
+        return replace(record, rate=record.rate * DEG), [Finding("turn-rate unit", "handled", text)]
+    return record, []
+
+
+def _where_gravity_stays(record: Record) -> float | None:
+    """1 or a degree: the unit that makes specific force, turned back by the turn rates, stand still.
+
+    Holds for turns of any size and speed. None where neither is clearly better than the other and than no
+    turn at all: small turns, turns about the vertical, and axes that are not what they say.
+    """
+    size = max(round(WINDOW_S / record.step_s), 4)
+    starts = np.arange(0, len(record) - size, size)
+    starts = starts[:: max(len(starts) // MAX_WINDOWS, 1)]
+    left = {1.0: 0.0, DEG: 0.0, 0.0: 0.0}
+    for first in starts.tolist():
+        rows = slice(first, first + size)
+        for factor in left:
+            turned = integrated_attitude(
+                record.time_s[rows], factor * record.rate[rows], Rotation.identity()
+            ).apply(record.acceleration[rows])
+            left[factor] += float(np.sum((turned - turned.mean(axis=0)) ** 2))
+    best = min(left, key=lambda factor: left[factor])
+    others = min(value for factor, value in left.items() if factor != best)
+    return best if best and left[best] < CLEARLY * others else None
+
+
+def _against_gravity(record: Record) -> float | None:
+    """Factor from logged rates to rates that turn gravity as seen; None where it hardly turns."""
+    seen, up, turned = _up_turning(record)
+    if len(seen) < MIN_BLOCKS:
+        return None
+    expected = -np.cross(turned - np.median(turned, axis=0), up)
+    seen = seen - np.median(seen, axis=0)
+    power = float(np.sum(expected**2))
+    if power == 0 or np.sqrt(np.mean(np.sum(seen**2, axis=1))) < VISIBLE:
+        return None
+    agreement = float(np.sum(expected * seen)) / np.sqrt(power * float(np.sum(seen**2)))
+    if abs(agreement) < 0.5:
+        return None
+    return abs(float(np.sum(expected * seen)) / power)
+
+
+def _against_quaternion(record: Record) -> float | None:
+    if record.quaternion is None:
+        return None
+    stride = max(round(0.1 / record.step_s), 1)
+    rotation = rotations(record.quaternion[::stride])
+    steps = (rotation[:-1].inv() * rotation[1:]).as_rotvec()
+    if np.sqrt(np.mean(np.sum(steps**2, axis=1))) < 1e-3:
+        return None
+    total = np.concatenate([[np.zeros(3)], np.cumsum(record.rate, axis=0)]) * record.step_s
+    turned = np.diff(total[: len(record) : stride], axis=0)[: len(steps)]
+    return float(np.sqrt(np.sum(steps**2) / max(np.sum((turned - turned.mean(axis=0)) ** 2), 1e-30)))
+
+
+def axes(record: Record) -> Mended:
+    """Try all 48 arrangements of the gyroscope's axes on how gravity turns in the accelerometer.
+
+    A turn about the vertical, and one that is too small to see against accelerations, tells nothing;
+    then this says that it cannot.
+    """
+    seen, up, turned = _up_turning(record)
+    if len(seen) < MIN_BLOCKS or np.sqrt(np.mean(np.sum(seen**2, axis=1))) < VISIBLE:
+        text = "the body hardly tilts: gyroscope axes cannot be held against the accelerometer's"
+        return record, [Finding("swapped or flipped axes", "noted", text)]
+    scores = []
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        left = seen + np.cross(turned[:, order] * signs, up)
+        scores.append((_spread(left) / _spread(seen), order, signs))
+    as_is = scores[0][0]
+    (best, order, signs), (runner_up, _, _) = sorted(scores, key=lambda entry: entry[0])[:2]
+    if best > BETTER * as_is or best > EXPLAINED or as_is < EXPLAINED:
+        return record, []
+    arrangement = ", ".join(
+        f"w{'xyz'[i]} from {'-' if s < 0 else ''}w{'xyz'[o]}"
+        for i, (o, s) in enumerate(zip(order, signs, strict=True))
+        if o != i or s < 0
+    )
+    if best > DECIDED * runner_up:
+        text = f"axes are swapped or flipped; the tilting does not tell which ({arrangement} fits best)"
+        hint = "put the axes right in a mapping (--map), with factor -1 for a flipped one"
+        raise InputError(text, file=record.name, column="wx_rad_s ... wz_rad_s", hint=hint)
+    text = (
+        f"the gyroscope's axes do not fit the accelerometer's: {arrangement} leaves {100 * best:.0f} % of "
+        f"gravity's turning unexplained, as logged {100 * as_is:.0f} %; rearranged so"
+    )
+    return replace(record, rate=record.rate[:, order] * np.asarray(signs)), [
+        Finding("swapped or flipped axes", "handled", text)
+    ]
+
+
+def _spread(values: Array) -> float:
+    return float(np.sum((values - values.mean(axis=0)) ** 2))
+
+
+def quaternions(record: Record) -> Mended:
+    """Compare the turns of the quaternions with those of the gyroscope; leave them aside if they contradict.
+
+    Each order of the elements, with each direction, is tried. A convention that leaves less than half of the
+    difference that the one in the log leaves is named.
+    """
+    if record.quaternion is None:
+        return record, []
+    size = max(round(BLOCK_S / record.step_s), 1)
+    sensed = _turns(integrated_attitude(record.time_s, record.rate, Rotation.identity())[::size])
+    if len(sensed) < MIN_BLOCKS:
+        return record, []
+    every = record.quaternion[::size]
+    left = {}
+    for order, direction in product(("wxyz", "xyzw"), ("body-to-world", "world-to-body")):
+        told = _turns(rotations(rearranged(every, order, direction)))
+        left[order, direction] = float(np.sum((told - sensed) ** 2))
+    as_is = left["wxyz", "body-to-world"]
+    order, direction = min(left, key=lambda name: left[name])
+    if left[order, direction] >= CLEARLY * as_is:
+        return record, []
+    power = float(np.sum(sensed**2))
+    stated = [f"order: {order}"] * (order != "wxyz") + [f"direction: {direction}"] * (
+        direction != "body-to-world"
+    )
+    text = (
+        f"the quaternions turn otherwise than the gyroscope: as wxyz from body to world they differ by "
+        f"{100 * as_is / power:.0f} % of its turning, as {order} from {direction.replace('-', ' ')} by "
+        f"{100 * left[order, direction] / power:.0f} %; they are not used. State their convention in a "
+        f"mapping (--map) with the line 'quaternion: {{{', '.join(stated)}}}'"
+    )
+    return replace(record, quaternion=None), [Finding("quaternions", "refuted", text)]
+
+
+def _turns(rotation: Rotation) -> Array:
+    """Return the turns from each attitude to the next about body axes, rad, shape (n - 1, 3)."""
+    return np.asarray((rotation[:-1].inv() * rotation[1:]).as_rotvec())
+
+
+def _up_turning(record: Record) -> tuple[Array, Array, Array]:
+    """Return how the direction of gravity turns in the sensor, by accelerometer and by gyroscope.
+
+    Returns
+    -------
+    seen : ndarray, shape (m, 3)
+        Change of the unit vector of specific force over each window, slowly varying parts only.
+    up, turned : ndarray, shape (m, 3)
+        That vector, and the integral of the turn rate over each window: the change should be
+        ``-turned x up``.
+    """
+    size = max(round(BLOCK_S / record.step_s), 1)
+    m = len(record) // size
+    if m < 8:
+        return (np.zeros((0, 3)),) * 3
+    block = record.acceleration[: m * size].reshape(m, size, 3).mean(axis=1)
+    up = block / np.maximum(np.linalg.norm(block, axis=1, keepdims=True), 1e-9)
+    turn = np.concatenate([[np.zeros(3)], np.cumsum(record.rate[: m * size], axis=0)]) * record.step_s
+    centres = turn[size // 2 : m * size : size][:m]
+    before, after = slice(-BLOCKS), slice(BLOCKS, None)
+    return up[after] - up[before], 0.5 * (up[after] + up[before]), centres[after] - centres[before]
 
 
 #: A new fault is a function here that returns the record, repaired where it can be, and findings, or raises
@@ -295,10 +530,10 @@ FAULTS = (
     dead,
     held,
     saturated,
-    conventions.acceleration_unit,
+    acceleration_unit,
     dropped,
     jitter,
-    conventions.rate_unit,
-    conventions.axes,
-    conventions.quaternions,
+    rate_unit,
+    axes,
+    quaternions,
 )

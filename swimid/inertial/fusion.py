@@ -9,16 +9,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from swimid.errors import InputError, NoTrustworthyResult
-from swimid.inertial import aiding, alignment, clock, plausible, smoother
+from swimid.inertial import aiding, alignment, alone, smoother
 from swimid.inertial.aiding import Fixes
-from swimid.inertial.alignment import Fit, Poses
+from swimid.inertial.alignment import Fit, Offset
 from swimid.inertial.alone import Estimate, likeliest_class, shown_class
-from swimid.inertial.clock import Offset
-from swimid.inertial.errorstate import FUSED, PARTS, Observation
-from swimid.inertial.record import Array, Finding
-from swimid.inertial.sensor import BAND, DEG, Sensor
-from swimid.inertial.setup import Setup
-from swimid.inertial.smoother import Nominal, Prior, Smoothed, State
+from swimid.inertial.record import Array, Finding, Poses
+from swimid.inertial.setup import BAND, DEG, Sensor, Setup
+from swimid.inertial.smoother import FUSED, PARTS, Nominal, Observation, Prior, Smoothed, State
 from swimid.logs.sampling import white_noise_sd
 
 #: Deviations before anything is seen: lever, m; mounting, rad; tilt of the other log's world, rad;
@@ -30,8 +27,6 @@ GIVEN_LEVER_SD, GIVEN_MOUNT_SD, HELD_CLOCK_SD = 1e-3, 0.5 * DEG, 1e-9
 PLANE_SD = 0.05
 #: Least noise of a fix, m and rad, and turns of estimating it.
 LEAST_M, LEAST_RAD, NOISE_TURNS = 1e-4, 1e-3, 3
-#: Noise estimates that change by less than this share are settled.
-SETTLED = 0.1
 #: More fixes than this share beyond the gate: not they are wrong, but the path they are held against.
 FEW = 0.05
 #: Errors of fixes that last widen a band by this much before they are warned of: four tell no more than one.
@@ -40,8 +35,6 @@ LASTING = 2.0
 FORETOLD = 1.5
 #: Fixes are left out together for so long, s; fewer than this tell nothing.
 HOLD_S, FEWEST_HELD_OUT = 0.5, 20
-#: Mounting within this of what was given or told by gravity counts as the same, rad.
-SAME_MOUNT = 15 * DEG
 
 
 @dataclass(frozen=True)
@@ -121,12 +114,9 @@ def estimate(setup: Setup, poses: Poses) -> Fused:
     """
     poses, clocks, findings, refusal = _clocks(setup, poses)
     if clocks[0].handed < 0:
-        raise InputError(
-            "its turns are the mirror image of those in the other log: an axis is flipped in one of them",
-            file=setup.record.name,
-            column="wx_rad_s ... wz_rad_s",
-            hint="put the axes right in a mapping (--map), with factor -1 for a flipped one",
-        )
+        text = "its turns are the mirror image of those in the other log: an axis is flipped in one of them"
+        hint = "put the axes right in a mapping (--map), with factor -1 for a flipped one"
+        raise InputError(text, file=setup.record.name, column="wx_rad_s ... wz_rad_s", hint=hint)
     rotation, mount_sd, turned = _mount(setup, clocks[0])
     problem = _Problem(
         **vars(setup),
@@ -148,9 +138,10 @@ def estimate(setup: Setup, poses: Poses) -> Fused:
     if refusal is not None and not _foretold(held_out, poses):
         raise refusal
     lasting = _lasting(trial)
+    errors = trial.smoothed.errors
     factor = lasting * (1.0 if held_out is None else max(held_out.deviations, 1.0))
     return Fused(
-        smoothed=trial.smoothed.widened(factor),
+        smoothed=replace(trial.smoothed, errors=replace(errors, covariance=errors.covariance * factor**2)),
         still=problem.still,
         sensor=trial.sensor,
         findings=[*findings, *shown_class(setup.sensor, trial.sensor), *turned],
@@ -202,10 +193,9 @@ def _mount(setup: Setup, fit: Fit) -> tuple[Rotation, float, list[Finding]]:
     if fit.mount is None:
         return by_gravity, MOUNT_SD, []
     off = float((fit.mount * by_gravity.inv()).magnitude())
-    text = (
-        f"the sensor is turned by {off / DEG:.0f} deg against the body of the other log; its turns tell how"
-    )
-    findings = [Finding("swapped or flipped axes", "handled", text)] if off > SAME_MOUNT else []
+    text = f"the sensor is turned by {off / DEG:.0f} deg against the body of the other log, as turns tell"
+    # Mounting within this of what was given or told by gravity counts as the same, rad.
+    findings = [Finding("swapped or flipped axes", "handled", text)] if off > (15 * DEG) else []
     return fit.mount, FITTED_MOUNT_SD, findings
 
 
@@ -244,10 +234,8 @@ def _set_clocks(problem: _Problem, clocks: list[Fit]) -> tuple[_Trial, Offset, b
     for one in (fit.offset for fit in clocks):
         if all(abs(one.value_s - s.value_s) / np.hypot(one.stderr_s, s.stderr_s) > BAND for s in starts):
             starts.append(one)
-    free = max(
-        (_smooth(problem, start.value_s, sensor, held=False) for start in starts),
-        key=lambda trial: trial.likelihood,
-    )
+    trials = [_smooth(problem, start.value_s, sensor, held=False) for start in starts]
+    free = max(trials, key=lambda trial: trial.likelihood)
     counted = problem.fixes.counted.sum()
     if not counted:
         return free, _offset(free.smoothed, clocks[0]), False
@@ -272,7 +260,8 @@ def _smooth(
     """Smooth both logs, the clock held or free; noise, weights and the sensor's class from what is left."""
     setup, prior = _begin(problem, offset_s)
     if after is not None:
-        smoothed = after.smoothed.with_clock(offset_s)
+        path, origin = replace(after.smoothed.path, clock_s=offset_s), after.smoothed.origin
+        smoothed = replace(after.smoothed, path=path, origin=replace(origin, clock_s=offset_s))
         begun = _Trial(setup, prior, after.fixes.unweighted(), sensor, smoothed)
         return _settled(begun, held=held, noise_known=True)
 
@@ -349,7 +338,8 @@ def _settled(begun: _Trial, *, held: bool, noise_known: bool = False) -> _Trial:
     smoothed = begun.smoothed
     for turn in range(NOISE_TURNS):
         better = fixes if noise_known and not turn else _noise_seen(smoothed, fixes, setup.options.fix_sd_m)
-        if turn > 1 and np.nanmax(np.abs(np.log(better.noise / fixes.noise))) < SETTLED:
+        # Noise estimates that change by less than this share are settled.
+        if turn > 1 and np.nanmax(np.abs(np.log(better.noise / fixes.noise))) < 0.1:
             break
         fixes = better
         smoothed = _fuse(setup, prior, shown, fixes, held=held, after=smoothed)
@@ -433,7 +423,7 @@ def _offset(smoothed: Smoothed, clocks: Fit) -> Offset:
 
 
 def _contradictions(trial: _Trial) -> list[str]:
-    contradictions = plausible.contradictions(trial.setup, trial.smoothed)
+    contradictions = alone.contradictions(trial.setup, trial.smoothed)
     stray = trial.fixes.stray[np.isfinite(trial.fixes.position).any(axis=1), 0]
     if len(stray) and np.mean(stray) > 0.5:
         contradictions.append(
@@ -474,7 +464,7 @@ def _foretold(held_out: HeldOut | None, poses: Poses) -> bool:
         return False
     place = poses.position[:, np.isfinite(poses.position).any(axis=0)]
     rows = np.isfinite(place).all(axis=1)
-    fast = clock.without_slow(poses.time_s[rows], place[rows], alignment.SLOW_WAY_S)
+    fast = alignment.without_slow(poses.time_s[rows], place[rows], alignment.SLOW_WAY_S)
     return held_out.rms_m**2 < (1 - alignment.LEAST_EXPLAINED) * float(np.mean(fast**2))
 
 

@@ -82,9 +82,7 @@ class TrackImuOptions(
     accel_bias_mg: float = option(10.0, gt=0, help="Accelerometer bias before any calibration, mg.")
     gyro_bias_deg_s: float = option(1.0, gt=0, help="Gyroscope bias before any calibration, deg/s.")
     attitude_sd_deg: float | None = option(
-        None,
-        gt=0,
-        help="Error of quaternions in the log, or of the attitude filter, deg  [default: 2, 1].",
+        None, gt=0, help="Error of quaternions in the log, or of the attitude filter, deg  [default: 2, 1]."
     )
 
     @model_validator(mode="after")

@@ -1,11 +1,11 @@
 """Video to pose: from coloured markers in a film to a log with its uncertainty.
 
 ``reader`` gives frames and their own time stamps. ``detect`` measures one marker in a small window by its
-``colour``, and ``tracker`` keeps every marker from the first frame to the last (``silhouette``: a whole
-body). ``plane`` turns pixels into metres, ``smooth`` filters with process noise estimated from the data,
-and ``pose`` puts them together; ``quality`` judges. The verb ``track_video`` writes log and ``evidence``,
-with frames drawn by ``pictures``. The verb ``track_setup`` drafts a ``setup`` (``propose``, ``pick``).
-``options`` are those of both.
+colour, and ``tracker`` keeps every marker from the first frame to the last (``silhouette``: a whole body).
+``pose`` turns pixels into metres and puts the log together; its Kalman smoother, ``smooth``, has process
+noise estimated from the data. ``quality`` judges. The verb ``track_video`` writes log, evidence and frames
+with the track drawn in; the verb ``track_setup`` drafts a ``setup`` from what ``propose`` finds. ``options``
+are those of both.
 
 Frames of reference
 -------------------

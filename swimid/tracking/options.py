@@ -143,9 +143,8 @@ class TrackSetupOptions(
         if self.background and self.picks:
             raise UsageError("--background and --marker contradict each other: give one of them")
         if self.metres_per_pixel is not None and (points is not None or distance is not None):
-            raise UsageError(
-                "contradicting scales: give --metres-per-pixel, or --scale-points with --scale-distance-m"
-            )
+            text = "contradicting scales: give --metres-per-pixel, or --scale-points with --scale-distance-m"
+            raise UsageError(text)
         if (points is None) != (distance is None):
             raise UsageError("--scale-points and --scale-distance-m go together")
         if points is not None and points[:2] == points[2:]:

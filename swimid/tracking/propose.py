@@ -1,33 +1,33 @@
-"""A setup drafted from the video itself: compact patches of a rare colour that move."""
+"""Markers for a draft of a setup: proposed from the film itself, or picked by hand.
+
+:func:`candidates` are compact patches of a rare colour that move; :func:`picked` takes the patch about a
+pixel and the colours that are its own.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.errors import NoTrustworthyResult
+from swimid.errors import InputError, NoTrustworthyResult
+from swimid.notices import warn
 from swimid.progress import Step
-from swimid.tracking import colour
-from swimid.tracking.colour import ColourModel
-from swimid.tracking.detect import marker_mask
+from swimid.tracking import detect
+from swimid.tracking.detect import SLACK, ColourModel, marker_mask
 from swimid.tracking.reader import Frame, FrameKeeper, Video, largest_channel
-from swimid.tracking.setup import Box, HsvRange
+from swimid.tracking.setup import Box, HsvRange, Marker
 
 Array = NDArray[np.float64]
 
 #: Frames looked at, and the width they are reduced to.
 SAMPLES, SAMPLE_WIDTH = 48, 960
-#: A pixel this far (grey levels) from the still background moves.
-LEAST_CHANGE = 16
-#: Hue clusters looked at.
-MOST_CLUSTERS = 8
-#: Below this score nothing is proposed.
-LEAST_SCORE = 0.02
 #: A patch moves where this share of its pixels differs from the empty scene, in colour too.
 MOVING = 0.3
 #: A second marker scores at least this share of the first, and is about as far from it in all samples (a
@@ -111,9 +111,8 @@ def sample(path: Path, *, apply_rotation: bool = True, step: Step) -> Samples:
     moving = []
     for frame in frames:
         change = largest_channel(cv2.absdiff(cv2.blur(frame, (3, 3)), still))
-        moving.append(
-            np.where(change > max(LEAST_CHANGE, 4 * float(np.median(change))), 255, 0).astype(np.uint8)
-        )
+        # A pixel this far (grey levels) from the still background moves.
+        moving.append(np.where(change > max(16, 4 * float(np.median(change))), 255, 0).astype(np.uint8))
     factor = max(video.width / SAMPLE_WIDTH, 1.0)
     return Samples(video, np.array(list(keeper.kept)), frames, factor, background, moving)
 
@@ -128,17 +127,16 @@ def candidates(samples: Samples) -> tuple[list[Candidate], list[Candidate]]:
     """
     moving = []
     for frame, mask in zip(samples.frames, samples.moving, strict=True):
-        chosen = (mask > 0) & (colour.chroma(frame) >= colour.LEAST_CHROMA)
+        chosen = (mask > 0) & (detect.chroma(frame) >= detect.LEAST_CHROMA)
         moving.append(cv2.cvtColor(cv2.blur(frame, (3, 3)), cv2.COLOR_BGR2HSV)[chosen])
     hsv = np.concatenate(moving)
     if len(hsv) < 4 * len(samples.frames):
         raise NoTrustworthyResult(
             f"no coloured marker moves in {samples.video.path.name}. "
-            f"{colour.describe_colours(samples.frames[::6])}",
-            hint="put a saturated sticker (red, yellow, green) on the robot and keep the film in colour; a "
-            "marker that hardly moves, or is white, grey or black, is picked by hand: --marker name@x,y; "
-            "a whole body "
-            "in front of its empty scene is followed with --background",
+            f"{detect.describe_colours(samples.frames[::6])}",
+            hint="put a saturated sticker on the robot and keep the film in colour; pick a marker that "
+            "hardly moves, or is white, grey or black, by hand (--marker name@x,y); follow a whole body with "
+            "--background",
         )
     judged = [_judge(samples, hsv, peak) for peak in _peaks(hsv, len(samples.frames))]
     passed = [c for c in judged if c is not None and c.reason]
@@ -146,7 +144,7 @@ def candidates(samples: Samples) -> tuple[list[Candidate], list[Candidate]]:
     if not good:
         raise NoTrustworthyResult(
             f"nothing in {samples.video.path.name} looks like a marker: a compact patch of one colour that "
-            f"moves. {listed(passed)}{colour.describe_colours(samples.frames[::6])}",
+            f"moves. {listed(passed)}{detect.describe_colours(samples.frames[::6])}",
             hint="pick it by hand: --marker name@x,y with --frame",
         )
     return good, passed
@@ -167,7 +165,8 @@ def _peaks(hsv: NDArray[np.uint8], frames: int) -> list[int]:
         for h in range(180)
         if smooth[h] >= smooth[h - 1] and smooth[h] > smooth[(h + 1) % 180] and 10 * smooth[h] > 4 * frames
     ]
-    return sorted(top, key=lambda h: -smooth[h])[:MOST_CLUSTERS]
+    # Hue clusters looked at.
+    return sorted(top, key=lambda h: -smooth[h])[:8]
 
 
 def colour_range(hsv: NDArray[np.uint8], peak: int) -> HsvRange | None:
@@ -223,9 +222,9 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | N
         areas.append(area)
         compact.append(fill)
         like.append(sum(1 for other in patches if other[0] > 0.4 * area))
-        chroma = colour.chroma(frame)
+        chroma = detect.chroma(frame)
         purity.append(float(np.mean(chroma[int(y) - 1 : int(y) + 2, int(x) - 1 : int(x) + 2])))
-    name, hue = colour.hue_name(_degrees(peak)), _degrees(peak)
+    name, hue = detect.hue_name(_degrees(peak)), _degrees(peak)
     if len(areas) < max(3, 0.05 * len(samples.frames)):
         where = "; ".join("[" + ", ".join(f"{v:g}" for v in box) + "]" for box in still[:3])
         reason = f"a compact patch of it moves in {len(areas)} of {len(samples.frames)} samples only"
@@ -248,7 +247,8 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | N
         * math.sqrt(alone)
         * moved
     )
-    if score < LEAST_SCORE:
+    # Below this score nothing is proposed.
+    if score < 0.02:
         reason = f"hardly like a marker (score {score:.3f}: scattered, uneven or hardly moving)"
         return Candidate(name, hue, colours, reason=reason)
     low, high = np.percentile(sizes, [5, 95])
@@ -312,3 +312,186 @@ def partners(first: Candidate, others: list[Candidate]) -> list[Candidate]:
         if middle > 3 and spread < SECOND_SPREAD * middle and 0.1 < sizes < 10:
             found.append((spread / middle, other))
     return [other for _, other in sorted(found, key=lambda item: item[0])]
+
+
+#: The patch about a pixel is sought with colours within these shares of the widest range: that at which the
+#: patch grows least with it. Matas, J. et al. (2002), Robust wide baseline stereo from maximally stable
+#: extremal regions, BMVC. doi:10.5244/C.16.36
+SHARES = (0.25, 0.35, 0.5, 0.7, 1.0)
+#: Share of the picture above which a patch is no usual marker, which is said, and above which it is none.
+LARGE, LARGEST = 0.05, 0.5
+BACKGROUND = "a marker wants a background of another colour or brightness all round"
+Mask = NDArray[np.uint8]
+_CROSS = np.ones((3, 3), np.uint8)
+
+
+def picked(
+    frame: Frame, kinds: dict[str, list[tuple[float, float]]], *, path: Path, index: int
+) -> list[Marker]:
+    """Markers from their pixels.
+
+    Parameters
+    ----------
+    frame : frame
+        The full picture.
+    kinds : dict of str to list of (x, y)
+        Name of each kind of marker, and a pixel of every marker of it.
+    path, index
+        Video and frame number, for messages.
+
+    Raises
+    ------
+    InputError
+        A place is outside the picture; no patch about it stands out from its surroundings; two
+        places are on one patch, or two kinds have one colour.
+    """
+    place: dict[str, Any] = {"file": path, "frame": index}
+    hsv = cv2.cvtColor(cv2.blur(frame, (3, 3)), cv2.COLOR_BGR2HSV)
+    patches: list[tuple[str, Mask]] = []
+    for name, pixels in kinds.items():
+        for x, y in pixels:
+            option = f"--marker {name}@{x:g},{y:g}"
+            patch = _patch(frame, hsv, option, (x, y), place)
+            for other, taken in patches:
+                if taken[int(y), int(x)]:
+                    message = f"{option} is on the same patch as another pixel of '{other}'"
+                    raise InputError(message, **place)
+            patches.append((name, patch))
+    found = [_marker(hsv, name, [mask for kind, mask in patches if kind == name], place) for name in kinds]
+    for marker in found:
+        mine = ColourModel(marker.colour_range()).mask(hsv)
+        for other, mask in patches:
+            if other != marker.name and np.mean(mine[mask > 0] > 0) > 0.5:
+                raise InputError(
+                    f"markers '{marker.name}' and '{other}' have one colour, and would be exchanged",
+                    hint=f"name them alike (--marker {marker.name}@x,y for both); they become "
+                    f"{marker.name}1, {marker.name}2 and are told apart by their places",
+                    **place,
+                )
+    return found
+
+
+def _patch(frame: Frame, hsv: Mask, option: str, pixel: tuple[float, float], place: dict[str, Any]) -> Mask:
+    """The patch of one colour about a pixel: 255 inside, shape (rows, columns)."""
+    rows, columns = hsv.shape[:2]
+    x, y = pixel
+    if not (0 <= x < columns and 0 <= y < rows):
+        raise InputError(f"{option} is outside the picture of {columns} x {rows} pixels", **place)
+    i, j = int(y), int(x)
+    grey = int(detect.chroma(frame)[i, j]) < detect.LEAST_CHROMA
+    patches: list[Mask] = []
+    for share in SHARES:
+        mask = ColourModel(_about(hsv[i, j], share, grey)).mask(hsv)
+        _, labels = cv2.connectedComponents(mask, connectivity=8)
+        patch = np.where((labels == labels[i, j]) & (mask > 0), 255, 0).astype(np.uint8)
+        # A patch of fewer pixels is none.
+        if 5 <= np.count_nonzero(patch) <= LARGEST * patch.size:
+            patches.append(patch)
+    standing = [patch for patch in patches if _range_of(hsv, patch) is not None]
+    if not standing:
+        blue, green, red = (int(v) for v in frame[i, j])
+        raise InputError(
+            f"no patch about {x:g},{y:g} (#{red:02x}{green:02x}{blue:02x}) stands out from its surroundings",
+            hint=f"pick a pixel inside the marker, away from glints; {BACKGROUND}",
+            **place,
+        )
+    if len(standing) == 1:
+        return standing[0]
+    growth = [np.count_nonzero(after) / np.count_nonzero(before) for before, after in pairwise(standing)]
+    return standing[growth.index(min(growth)) + 1]
+
+
+def _about(pixel: Mask, share: float, grey: bool) -> HsvRange:
+    """The colours about a pixel's; of a grey one every hue."""
+    hue, saturation, value = 2.0 * pixel[0], pixel[1] / 255, pixel[2] / 255
+    # At the most this far from the pixel's: hue (deg), saturation, value.
+    wide_hue, wide_saturation, wide_value = (share * width for width in (20.0, 0.3, 0.3))
+    value_span = (max(value - wide_value, 0.0), min(value + wide_value, 1.0))
+    if grey:
+        # Saturation is chroma over value: on dark pixels noise alone makes it large.
+        most = max(saturation + wide_saturation, detect.LEAST_CHROMA / (255 * max(value, 0.02)))
+        return HsvRange(saturation=(0.0, min(most, 1.0)), value=value_span)
+    return HsvRange(
+        hue_deg=((hue - wide_hue) % 360, (hue + wide_hue) % 360),
+        saturation=(max(saturation - wide_saturation, 0.08), min(saturation + 2 * wide_saturation, 1.0)),
+        value=value_span,
+    )
+
+
+def _marker(hsv: Mask, name: str, masks: list[Mask], place: dict[str, Any]) -> Marker:
+    """One kind of marker from its patches."""
+    colours = _range_of(hsv, np.bitwise_or.reduce(masks))
+    if colours is None:
+        text = f"marker '{name}' has the colour of its surroundings; nothing tells it from them"
+        raise InputError(text, hint=BACKGROUND, **place)
+    areas = [np.count_nonzero(mask) for mask in masks]
+    if max(areas) > LARGE * masks[0].size:
+        share = f"{100 * max(areas) / masks[0].size:.0f} % of the picture"
+        text = f"the patch of '{name}' has {max(areas)} pixels, {share}: it is followed as a whole"
+        warn("SWM101", f"{text}, with area_px up to {math.ceil(3 * max(areas))}")
+    area = (max(math.floor(0.3 * min(areas)), 1.0), math.ceil(3 * max(areas)))
+    middles = [np.argwhere(mask).mean(axis=0).round(1) for mask in masks]
+    starts = tuple((float(x), float(y)) for y, x in middles)
+    named = place["frame"] == 0 and len(masks) > 1
+    return Marker(name=name, hsv=colours, number=len(masks), area_px=area, start_px=starts if named else None)
+
+
+def _range_of(hsv: Mask, patch: Mask) -> HsvRange | None:
+    """The colours of a patch that are not its surroundings'; None where nothing tells them apart."""
+    core = cv2.erode(patch, _CROSS)
+    # Width of the ring about a patch that shows its surroundings, px, beyond the blurred rim.
+    near = cv2.dilate(patch, _CROSS, iterations=3)
+    ring = cv2.subtract(cv2.dilate(near, _CROSS, iterations=10), near)
+    inside, around = hsv[(core if core.any() else patch) > 0], hsv[ring > 0]
+    return _standing_out(_colours(inside), inside.astype(float), around.astype(float))
+
+
+def _colours(inside: Mask) -> HsvRange:
+    """The range of a patch's colours, with room for changing light; every hue of a grey one."""
+    saturation, value = inside[:, 1].astype(float), inside[:, 2].astype(float)
+    chroma = float(np.median(saturation * value)) / 255
+    if chroma >= detect.LEAST_CHROMA:
+        turn = np.exp(1j * np.pi * inside[:, 0] / 90)
+        middle = round(float(np.angle(turn.mean()) * 90 / np.pi)) % 180
+        found = colour_range(inside, middle)
+        if found is not None:
+            return found
+    low, high = np.percentile(value, [3, 97]) / 255
+    most = max(1.35 * np.percentile(saturation, 97) / 255, detect.LEAST_CHROMA / (255 * max(low, 0.02)))
+    return HsvRange(
+        saturation=(0.0, two_digits(min(most, 1.0))),
+        value=(two_digits(0.65 * low), two_digits(min(1.35 * high, 1.0))),
+    )
+
+
+def _standing_out(
+    colours: HsvRange, inside: NDArray[np.float64], around: NDArray[np.float64]
+) -> HsvRange | None:
+    """The range drawn in where it holds the surroundings; None where nothing tells them apart.
+
+    A bound goes half way between the patch and its surroundings (as far as pixels may be outside of it, if
+    that is more), in saturation or in value, where they are farthest apart.
+    """
+    for _ in range(3):
+        held = ColourModel(colours).holds(around)
+        # Share of the surroundings that must not have the marker's colours.
+        if np.mean(held) <= 1 - 0.9:
+            return colours
+        rest, bounds = around[held], {"saturation": colours.saturation, "value": colours.value}
+        gaps = []
+        for channel, key in ((1, "saturation"), (2, "value")):
+            low, high = np.percentile(inside[:, channel], [5, 95])
+            below, above = np.percentile(rest[:, channel], [5, 95])
+            gaps += [
+                (low - above, key, 0, min(low, max((low + above) / 2, above + SLACK))),
+                (below - high, key, 1, max(high, min((below + high) / 2, below - SLACK))),
+            ]
+        gap, key, side, at = max(gaps)
+        if gap <= 0:
+            return None
+        span = list(bounds[key])
+        span[side] = two_digits(at / 255)
+        if span[0] >= span[1]:
+            return None
+        colours = colours.model_copy(update={key: (span[0], span[1])})
+    return None

@@ -21,43 +21,16 @@ from swimid.tracking.setup import Setup
 
 Array = NDArray[np.float64]
 
-#: Sights whose area is this far from the usual one, as a share, show a part of the marker only: the
-#: centre of what is left moves though nothing does. Of a bar twenty times as long as broad that a passer-by
-#: covers, what remains whole by this measure moves by 0.6 of the radius of a disc of its area.
-WHOLE_AREA = 0.15
 #: Fewer whole sights than this tell nothing; all are taken.
 LEAST_SIGHTS = 10
 #: What stays within its own radius looks like a still thing that ripples or is half covered at times.
 LEAST_RADII = 1.0
 #: Seen in a smaller share of the frames a marker has no usual place.
 LEAST_SHARE = 0.05
-#: A still point's noise exceeds this many standard deviations per axis in 0.3 % of the frames
-#: (Rayleigh's distribution).
-NOISE_SIGMA = math.sqrt(-2 * math.log(0.003))
 #: Spread of the distance of two markers of a rigid part, as a share: good up to here, bearable up to here.
 DISTANCE_SPREAD = (0.02, 0.06)
-#: Number of steps of a film over which the direction of motion is compared with that of the markers ...
-VOTES = 100
-#: ... and how far the distance of the markers may be from its median there, as a share: otherwise another
-#: thing stood in for one of them. A camera askew changes it by less.
-PAIR_SPREAD = 0.3
-#: A robot that turns by less may owe a change of the distance to a bend of its body, rad.
-BEND_RAD = math.radians(60.0)
 #: Width frames are reduced to before they are compared.
 SCENE_WIDTH = 480
-#: Corners sought, and the fewest that tell of a scene.
-CORNERS, LEAST_CORNERS = 300, 12
-#: A corner found in the other frame is found back from there within so many px of the reduced picture.
-BACK_PX = 0.5
-#: Corners whose shift is this near to the median (px of the reduced picture) go together.
-TOGETHER_PX = 1.0
-#: Share of the corners sought that must do so: most of the scene, whatever swims in it ...
-SCENE_SHARE = 0.5
-#: ... and cells of a grid over the picture they must be in, of how many a side: a robot near the camera may
-#: wear most of the corners.
-CELLS, SIDE = 8, 4
-#: A scene that shifts farther than this (px of the reduced picture) has a camera that moves.
-STILL_PX = 2.0
 #: Normalised innovation from which on a measurement counts as a jump.
 JUMP_SIGMA = 6.0
 #: Maximum share of frames with a marker hidden in part, or cut by the edge of the picture: chance exceeds
@@ -100,7 +73,10 @@ def reach(track: RawTrack, name: str, scene: Array | None = None) -> Range:
         return Range(0.0, 1.0, math.nan)
     area = track.area[i]
     usual = float(np.median(area[seen]))
-    whole = seen & (np.abs(area - usual) <= WHOLE_AREA * usual)
+    # Sights whose area is farther from the usual one show a part of the marker only: the centre of what is
+    # left moves though nothing does. Of a bar twenty times as long as broad that a passer-by covers, what
+    # remains whole by this measure moves by 0.6 of the radius of a disc of its area.
+    whole = seen & (np.abs(area - usual) <= 0.15 * usual)
     part = whole if whole.sum() >= LEAST_SIGHTS else seen
     x, y = np.stack([track.x[i], track.y[i]]) - (0.0 if scene is None else scene)
     away = np.hypot(x - np.median(x[part]), y - np.median(y[part]))[part]
@@ -123,11 +99,14 @@ def scatter(values: Array) -> float:
 def head_first(track: RawTrack, head: str, tail: str) -> float | None:
     """Return the share of steps in which two markers move towards the head; None below four steps."""
     i, j = track.row(head), track.row(tail)
-    every = slice(None, None, max(len(track.times) // VOTES, 1))
+    # Over a hundred steps of the film, however many frames it has.
+    every = slice(None, None, max(len(track.times) // 100, 1))
     front, rear = (np.stack(track.centre(row))[:, every] for row in (i, j))
     line = front - rear
     length = np.hypot(*line)
-    sound = np.abs(length / np.nanmedian(length) - 1) <= PAIR_SPREAD
+    # Where their distance is farther from its median another thing stood in for one of them; a camera askew
+    # changes it by less.
+    sound = np.abs(length / np.nanmedian(length) - 1) <= 0.3
     ahead = np.sum(np.diff(front + rear, axis=1) * line[:, :-1], axis=0)[sound[1:] & sound[:-1]]
     return float(np.mean(ahead > 0)) if len(ahead) >= 4 else None
 
@@ -156,7 +135,8 @@ def distance_change(track: RawTrack, one: str, other: str) -> float | None:
     middle = points.mean(axis=(1, 2), keepdims=True)
     points = (points - middle) / max(float(np.abs(points - middle).max()), 1.0)
     heading = np.unwrap(np.arctan2(*(points[:, 0] - points[:, 1])[::-1]))
-    turns = float(np.ptp(heading)) > BEND_RAD
+    # A robot that turns by less may owe a change of the distance to a bend of its body, rad.
+    turns = float(np.ptp(heading)) > math.radians(60.0)
 
     def scatter_of(view: Array) -> Array:
         apart = np.log(np.maximum(np.hypot(*np.diff(_laid_back(points, view), axis=1)[:, 0]), 1e-9))
@@ -208,21 +188,26 @@ def shifts(frames: Sequence[Frame]) -> Array:
     factor = max(frames[0].shape[1] / SCENE_WIDTH, 1.0)
     greys = (np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), np.uint8) for frame in frames)
     small = [reduced(grey, SCENE_WIDTH) for grey in greys]
-    corners = cv2.goodFeaturesToTrack(small[0], CORNERS, 0.02, 7)
-    if corners is None or len(corners) < LEAST_CORNERS:
+    # 300 corners are sought; fewer than 12 tell nothing of a scene.
+    corners = cv2.goodFeaturesToTrack(small[0], 300, 0.02, 7)
+    if corners is None or len(corners) < 12:
         return out
     for k, picture in enumerate(small):
         there, found, _ = cv2.calcOpticalFlowPyrLK(small[0], picture, corners, None)
         back, again, _ = cv2.calcOpticalFlowPyrLK(picture, small[0], there, None)
         sound = (found[:, 0] > 0) & (again[:, 0] > 0)
-        sound &= np.linalg.norm((back - corners)[:, 0], axis=1) < BACK_PX
+        # A corner found in the other frame is found back from there within half a px of the reduced picture.
+        sound &= np.linalg.norm((back - corners)[:, 0], axis=1) < 0.5
         if not sound.any():
             continue
         flow = (there - corners)[sound, 0]
         middle = np.median(flow, axis=0)
-        alike = np.linalg.norm(flow - middle, axis=1) < TOGETHER_PX
-        cells = (corners[sound, 0][alike] * SIDE / np.array(picture.shape[::-1])).astype(int)
-        if alike.sum() >= SCENE_SHARE * len(corners) and len(np.unique(cells, axis=0)) >= CELLS:
+        # Corners whose shift is within a px of the median (of the reduced picture) go together.
+        alike = np.linalg.norm(flow - middle, axis=1) < 1.0
+        # Half of the corners must do so, in 8 of the 4 x 4 cells of a grid over the picture: a robot near the
+        # camera may wear most of the corners.
+        cells = (corners[sound, 0][alike] * 4 / np.array(picture.shape[::-1])).astype(int)
+        if alike.sum() >= 0.5 * len(corners) and len(np.unique(cells, axis=0)) >= 8:
             out[k] = factor * middle
     return out
 
@@ -239,7 +224,8 @@ def between(shift: Array, indices: NDArray[np.int64], count: int) -> Array | Non
 def moving_camera(shift: Array, width: int, consequence: str) -> tuple[float, float]:
     """Return the largest shift of the scene and its limit in a picture of ``width`` px; warn beyond that."""
     largest = float(np.nanmax(np.hypot(*shift.T), initial=0.0))
-    limit = STILL_PX * max(width / SCENE_WIDTH, 1.0)
+    # A scene that shifts by more than 2 px of the reduced picture has a camera that moves.
+    limit = 2.0 * max(width / SCENE_WIDTH, 1.0)
     if largest > limit:
         text = f"the whole scene shifts by {largest:.1f} px in the film: the camera moves"
         warn("SWM068", f"{text}{consequence}")
@@ -323,7 +309,8 @@ def _motion(track: RawTrack, setup: Setup) -> Check:
     """Whether what was followed moves: a still thing is found in every frame and passes all else."""
     reaches = {name: reach(track, name) for name in setup.roles}
     name, farthest = max(reaches.items(), key=lambda item: item[1].radii)
-    noise = NOISE_SIGMA * math.hypot(farthest.noise_px, SYSTEMATIC_PX)
+    # What a still point's noise exceeds in 0.3 % of the frames (Rayleigh's distribution).
+    noise = math.sqrt(-2 * math.log(0.003)) * math.hypot(farthest.noise_px, SYSTEMATIC_PX)
     still = farthest.away_px <= noise
     reason = (
         f"marker '{name}' stays within {farthest.away_px:.2g} px of one place, {farthest.radii:.2g} of its "
@@ -418,9 +405,7 @@ def _direction(pose: Pose, setup: Setup, track: RawTrack) -> Iterator[Check]:
 
 def _timing(pose: Pose) -> Iterator[Check]:
     share, largest = irregular(pose.times)
-    reason = (
-        f"{100 * share:.1f} % of the frames come at uneven steps (the longest: {largest:.1f} times the usual)"
-    )
+    reason = f"{100 * share:.1f} % of the frames come at uneven steps (up to {largest:.1f} times the usual)"
     value = f"{100 * share:.1f} % uneven"
     yield _judged("SWM043", "Frame timing", value, "<= 1 % uneven", share <= 0.01, reason)
     count, total = int(pose.held.repeated.sum()), len(pose.times)
@@ -439,9 +424,8 @@ def _sight(track: RawTrack, pose: Pose) -> Iterator[Check]:
     reason = f"in {count} frames the edge of the picture cuts a marker; these frames count as not found"
     if count:
         warn("SWM045", reason)
-    yield _judged(
-        "", "At the edge of the picture", f"{count} frames", "<= 1 %", share <= HIDDEN_SHARE, reason
-    )
+    value = f"{count} frames"
+    yield _judged("", "At the edge of the picture", value, "<= 1 %", share <= HIDDEN_SHARE, reason)
     off, measured = pose.hidden[pose.rows].max(axis=0), max(int(pose.measured.sum()), 1)
     count = int(np.sum(off > 0))
     reason = (

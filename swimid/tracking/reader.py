@@ -26,6 +26,8 @@ Frame = NDArray[np.uint8]
 
 #: Endings of pictures.
 ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm")
+#: Colour of what was measured, drawn into a frame, BGR (Okabe and Ito's).
+SEEN = (0, 159, 230)
 #: A place holder of C's printf for a whole number.
 _HOLDER = re.compile(r"%0?\d*d")
 #: A step of the stamps this far from the median step is irregular.
@@ -53,19 +55,13 @@ def _pictures(path: Path, files: list[Path], apply_rotation: bool) -> Iterator[_
         first = frame.shape if first is None else first
         if frame.shape != first:
             here, before = (f"{size[1]} x {size[0]}" for size in (frame.shape, first))
-            raise InputError(
-                f"is {here} pixels, those before it are {before}",
-                file=file,
-                hint="all pictures of a film have one size; name them by a pattern (%05d.png) where "
-                "others lie beside them",
-            )
+            text = f"is {here} pixels, those before it are {before}"
+            hint = "all pictures of a film have one size; name them by a pattern (%05d.png)"
+            raise InputError(text, file=file, hint=hint)
         yield position, math.nan, np.asarray(frame, np.uint8)
     if bad:
-        warn(
-            "SWM044",
-            f"{path.name}: {len(bad)} of {len(files)} pictures could not be decoded ({_some(bad)}); their "
-            "time is left out",
-        )
+        text = f"{len(bad)} of {len(files)} pictures could not be decoded ({_some(bad)})"
+        warn("SWM044", f"{path.name}: {text}; their time is left out")
 
 
 def _opened(path: Path, apply_rotation: bool) -> cv2.VideoCapture:
@@ -78,12 +74,9 @@ def _opened(path: Path, apply_rotation: bool) -> cv2.VideoCapture:
     threads = min(os.cpu_count() or 1, 16) + 1
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, threads])
     if not capture.isOpened():
-        raise InputError(
-            "is not a video that can be decoded, or its index is missing (a recording cut short)",
-            file=path,
-            hint="check that a player plays it; a cut recording can be repaired with "
-            "'ffmpeg -i in.mp4 -c copy out.mkv' or untrunc",
-        )
+        text = "is not a video that can be decoded, or its index is missing (a recording cut short)"
+        hint = "check that a player plays it; 'ffmpeg -i in.mp4 -c copy out.mkv' may repair a cut recording"
+        raise InputError(text, file=path, hint=hint)
     capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, float(apply_rotation))
     return capture
 
@@ -162,11 +155,8 @@ class Video:
     def demand_clock(self) -> None:
         """Raise where nothing tells the time of the frames: pictures without a frame rate."""
         if self._rate is None and np.isnan(self.first_stamp_s):
-            raise InputError(
-                "is a series of pictures, which carry no time stamps",
-                file=self.path,
-                hint="give their rate with --fps, or frame_rate_hz in the setup",
-            )
+            hint = "give their rate with --fps, or frame_rate_hz in the setup"
+            raise InputError("is a series of pictures, which carry no time stamps", file=self.path, hint=hint)
 
     def frames(self) -> Iterator[tuple[float, Frame]]:
         """Every frame as (time in s, picture in BGR). The picture is overwritten by the next.
@@ -181,11 +171,8 @@ class Video:
         count, claimed = len(self._stamps), self.claimed
         # Some containers count one or two frames more than they hold.
         if len(self.files) == 1 and claimed and count < claimed - max(2, 0.01 * claimed):
-            warn(
-                "SWM044",
-                f"{self.path.name}: {count} of {claimed} frames could be decoded; the video is damaged or "
-                f"cut after frame {count - 1}",
-            )
+            text = f"{count} of {claimed} frames could be decoded"
+            warn("SWM044", f"{self.path.name}: {text}; the video is damaged or cut after frame {count - 1}")
 
     def times(self) -> NDArray[np.float64]:
         """Times of the frames read so far, s, strictly increasing, from 0 at the first.
@@ -204,11 +191,8 @@ class Video:
         if not rate:
             hint = "give the true frame rate with --fps"
             raise InputError("its frames carry no usable time stamps", file=self.path, frame=bad, hint=hint)
-        warn(
-            "SWM043",
-            f"{self.path.name}: the stamp of frame {bad} does not follow the one before; even steps of "
-            f"1/{rate:g} s are used instead. Give --fps if that is not the camera's rate",
-        )
+        text = f"the stamp of frame {bad} does not follow the one before; even steps of 1/{rate:g} s are used"
+        warn("SWM043", f"{self.path.name}: {text}. Give --fps if that is not the camera's rate")
         return np.arange(len(stamps)) / rate
 
 
@@ -225,6 +209,12 @@ def largest_channel(picture: Frame) -> Frame:
     """Return the largest of the three channels of every pixel, shape (rows, columns)."""
     blue, green, red = cv2.split(picture)
     return np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
+
+
+def write_text(image: Frame, text: str, where: tuple[int, int], size: float, line: int = 1) -> None:
+    """Write into a picture, outlined: legible on light and dark water."""
+    for shade, width in (((0, 0, 0), 3 * line), ((255, 255, 255), line)):
+        cv2.putText(image, text, where, cv2.FONT_HERSHEY_SIMPLEX, size, shade, width, cv2.LINE_AA)
 
 
 class FrameKeeper:
@@ -259,9 +249,8 @@ def irregular(times: NDArray[np.float64]) -> tuple[float, float]:
 def check_output(path: Path, output: Path) -> None:
     """Refuse an output among the pictures of a folder: its plot would be one of them in the next run."""
     if path.is_dir() and output.resolve().parent == path.resolve():
-        raise UsageError(
-            f"the output {output} would lie among the pictures of {path}", hint="name another folder"
-        )
+        text = f"the output {output} would lie among the pictures of {path}"
+        raise UsageError(text, hint="name another folder")
 
 
 def _listed(path: Path) -> list[Path]:
@@ -275,11 +264,8 @@ def _listed(path: Path) -> list[Path]:
         series = Counter(re.sub(r"\d+", "#", f.name) for f in files)
         if len(series) > 1:
             found = ", ".join(f"{count} like {name}" for name, count in series.most_common(4))
-            raise InputError(
-                f"holds several series of pictures: {found}",
-                file=path,
-                hint="name the one that is the film by a pattern, as in 'folder/frame_%05d.png'",
-            )
+            hint = "name the one that is the film by a pattern, as in 'folder/frame_%05d.png'"
+            raise InputError(f"holds several series of pictures: {found}", file=path, hint=hint)
         return sorted(files, key=lambda f: _numbers(f.name))
     holders = _HOLDER.findall(path.name)
     if len(holders) != 1:
@@ -294,9 +280,8 @@ def _listed(path: Path) -> list[Path]:
     matches = [(name.fullmatch(f.name), f) for f in path.parent.iterdir()]
     numbered = [(int(match.group(1)), file) for match, file in matches if match]
     if not numbered:
-        raise InputError(
-            "no picture has a name like this", file=path, hint="check the pattern, and the folder"
-        )
+        hint = "check the pattern, and the folder"
+        raise InputError("no picture has a name like this", file=path, hint=hint)
     return [file for _, file in sorted(numbered)]
 
 
@@ -315,20 +300,14 @@ def _positions(path: Path, files: list[Path]) -> list[int]:
     steps = [b - a for a, b in itertools.pairwise(numbers)]
     usual = max(Counter(steps).most_common(1)[0][0], 1)
     if any(step < 1 or step % usual for step in steps):
-        warn(
-            "SWM043",
-            f"{path.name}: the numbers in the names of the pictures step unevenly (by {min(steps)} to "
-            f"{max(steps)}); the pictures are taken at even steps, in their order",
-        )
+        text = f"the numbers of the pictures step unevenly (by {min(steps)} to {max(steps)})"
+        warn("SWM043", f"{path.name}: {text}; they are taken at even steps, in their order")
         return order
     missing = [f"after {files[k].name}" for k, step in enumerate(steps) if step != usual]
     if missing:
         count = sum(step // usual - 1 for step in steps)
-        warn(
-            "SWM044",
-            f"{path.name}: {count} pictures are missing by their numbers ({_some(missing)}); their time is "
-            "left out",
-        )
+        text = f"{count} pictures are missing by their numbers ({_some(missing)})"
+        warn("SWM044", f"{path.name}: {text}; their time is left out")
     return [(number - numbers[0]) // usual for number in numbers]
 
 

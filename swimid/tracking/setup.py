@@ -78,9 +78,8 @@ class Marker(Document):
             raise ValueError(f"marker name '{self.name}' must be letters, digits, - and _, a letter first")
         if self.method == "background":
             if self.hsv is not None or self.colour is not None or self.number > 1:
-                raise ValueError(
-                    f"marker '{self.name}' has method: background; it takes no colour, and number 1"
-                )
+                text = f"marker '{self.name}' has method: background; it takes no colour, and number 1"
+                raise ValueError(text)
         elif (self.hsv is None) == (self.colour is None):
             raise ValueError(f"marker '{self.name}' needs either hsv or colour")
         if self.tolerance is not None and self.colour is None:
@@ -88,9 +87,8 @@ class Marker(Document):
         if self.colour is not None and not re.fullmatch(r"#[0-9A-Fa-f]{6}", self.colour):
             raise ValueError(f"colour '{self.colour}' of marker '{self.name}' must look like \"#d01c1c\"")
         if self.start_px is not None and len(self.start_px) != self.number:
-            raise ValueError(
-                f"marker '{self.name}' has number {self.number} and {len(self.start_px)} start points"
-            )
+            text = f"marker '{self.name}' has number {self.number} and {len(self.start_px)} start points"
+            raise ValueError(text)
         return self
 
     @property
@@ -144,9 +142,8 @@ class Scale(Document):
         if len(ways) > 1:
             raise ValueError(f"contradicting scales: {' and '.join(ways)} are both given; keep one")
         if not ways:
-            raise ValueError(
-                "give metres_per_pixel, or points_px with distance_m, or points_px with points_m"
-            )
+            text = "give metres_per_pixel, or points_px with distance_m, or points_px with points_m"
+            raise ValueError(text)
         if self.metres_per_pixel is None and self.points_px is None:
             raise ValueError(f"{ways[0]} needs points_px")
         if self.metres_per_pixel is not None and self.points_px is not None:
@@ -158,9 +155,8 @@ class Scale(Document):
         if self.distance_m is not None and points[0] == points[1]:
             raise ValueError("the two points_px are the same")
         if self.points_m is not None and (count < 4 or count != len(self.points_m)):
-            raise ValueError(
-                f"{count} points_px and {len(self.points_m)} points_m; four or more of each are needed"
-            )
+            text = f"{count} points_px and {len(self.points_m)} points_m; four or more of each are needed"
+            raise ValueError(text)
         return self
 
 
@@ -251,9 +247,8 @@ class Setup(Document):
         head, tail = (self.marker(name) for name in self.roles)
         for marker in (head, tail):
             if marker.at_m is None and self.robot is None:
-                raise ValueError(
-                    f"marker '{marker.name}' needs at_m, too: head and tail both have it or none"
-                )
+                text = f"marker '{marker.name}' needs at_m, too: head and tail both have it or none"
+                raise ValueError(text)
         if head.at_m is not None and head.at_m == tail.at_m:
             raise ValueError(f"markers '{self.head}' and '{self.tail}' have the same at_m")
         return self
@@ -322,9 +317,8 @@ def read(path: str | Path) -> Setup:
 def _complete(data: Mapping[str, Any], path: Path) -> Setup:
     setup = yamlio.validate(data, Setup, path)
     if setup.plane == "vertical" and setup.tail is None and len(setup.markers) > 1:
-        raise InputError(
-            "plane: vertical with several markers needs a tail for the pitch", file=path, column="tail"
-        )
+        text = "plane: vertical with several markers needs a tail for the pitch"
+        raise InputError(text, file=path, column="tail")
     if setup.robot is None:
         return setup
     filled = yamlio.plain(data)
@@ -344,18 +338,13 @@ def _robot_places(setup: Setup, name: str, path: Path) -> dict[str, tuple[float,
 
     robot = robot_format.read(name, path.parent)
     if robot.multilink is not None and robot.multilink.plane != setup.plane:
-        raise refuse(
-            f"the robot '{name}' moves in the {robot.multilink.plane} plane, the film shows the "
-            f"{setup.plane} one"
-        )
+        raise refuse(f"the robot '{name}' moves in the {robot.multilink.plane} plane, the film shows another")
     if setup.tail is None:
         raise refuse("robot gives the places of head and tail; there is no tail")
     places = robot.marker_places(setup.plane)
     for marker in (setup.marker(role) for role in setup.roles):
         if marker.at_m is None and marker.name not in places:
             listed = ", ".join(places) or "none"
-            raise refuse(
-                f"the robot '{name}' names no marker '{marker.name}'; it names: {listed}",
-                "name the markers of the film as the robot file does, or give their at_m",
-            )
+            text = f"the robot '{name}' names no marker '{marker.name}'; it names: {listed}"
+            raise refuse(text, "name the markers of the film as the robot file does, or give their at_m")
     return places

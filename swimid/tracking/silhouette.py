@@ -16,10 +16,6 @@ from swimid.tracking.setup import Setup
 
 #: Frames from which the empty scene is taken, and the width that all frames are reduced to, px.
 SCENE_FRAMES, WIDTH = 41, 960
-#: Smallest difference from the empty scene, grey levels, and its ratio to the median difference of a frame.
-MIN_CHANGE, NOISE_RATIO = 16.0, 4.0
-#: Smallest and largest area of a body without one in the setup, as shares of the picture.
-AREA_SHARES = (5e-4, 0.5)
 _KERNEL = np.ones((5, 5), np.uint8)
 
 
@@ -52,7 +48,8 @@ class Silhouette:
     def __init__(self, setup: Setup, scene: Frame, width: int, height: int) -> None:
         self.setup, self._scene = setup, cv2.blur(scene, (3, 3))
         self._factor = width / scene.shape[1]
-        shares = tuple(share * width * height for share in AREA_SHARES)
+        # Smallest and largest area of a body without one in the setup, as shares of the picture.
+        shares = tuple(share * width * height for share in (5e-4, 0.5))
         low, high = setup.markers[0].area_px or shares
         self._area = (low / self._factor**2, high / self._factor**2)
         self._axis = np.array([1.0, 0.0])
@@ -79,10 +76,10 @@ class Silhouette:
         self._last = None
         difference = largest_channel(cv2.absdiff(small, self._scene))
         noise = float(np.median(difference))
-        mask = cv2.bitwise_and(
-            np.where(difference > max(MIN_CHANGE, NOISE_RATIO * noise), 255, 0).astype(np.uint8),
-            self._allowed,
-        )
+        # Smallest difference from the empty scene, grey levels, and its ratio to the median difference of a
+        # frame.
+        changed = np.where(difference > max(16.0, 4.0 * noise), 255, 0).astype(np.uint8)
+        mask = cv2.bitwise_and(changed, self._allowed)
         _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
         sizes = np.where((stats[:, 4] >= self._area[0]) & (stats[:, 4] <= self._area[1]), stats[:, 4], 0)
         sizes[0] = 0

@@ -22,10 +22,6 @@ from swimid.logs.log import runs
 
 Array = NDArray[np.float64]
 
-#: Variance of the unknown start, over the measurement variance (and per step for its rates).
-_DIFFUSE = 1e7
-#: Range searched for the driving noise over the measurement noise in one step, log10.
-_LOWEST, _HIGHEST = -9.0, 4.0
 #: Hidden stretches tried to calibrate the deviation in a gap, and known samples about each.
 _TRIALS, _MARGIN = 40, 20
 
@@ -229,7 +225,8 @@ def rts(  # pragma: no cover - compiled
 
 
 def _start(order: int, variance: float, step: float) -> Array:
-    return np.diag([_DIFFUSE * variance / step ** (2 * i) for i in range(order)])
+    # Variance of the unknown start, over the measurement variance (and per step for its rates).
+    return np.diag([1e7 * variance / step ** (2 * i) for i in range(order)])
 
 
 def _likelihood(
@@ -261,7 +258,8 @@ def _best(pieces: list[tuple[Array, Array, Array]], order: int, step: float) -> 
     def score(exponent: float) -> float:
         return _likelihood(pieces, 10.0**exponent, order, step)[0]
 
-    grid = np.arange(_LOWEST, _HIGHEST + 0.5, 1.0)
+    # Range searched for the driving noise over the measurement noise in one step, log10.
+    grid = np.arange(-9.0, 4.0 + 0.5, 1.0)
     middle = int(np.argmax([score(g) for g in grid]))
     bounds = (grid[max(middle - 1, 0)], grid[min(middle + 1, len(grid) - 1)])
     found = minimize_scalar(lambda g: -score(g), bounds=bounds, method="bounded", options={"xatol": 0.02})

@@ -16,19 +16,16 @@ from swimid.notices import warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results.result import Result
-from swimid.tracking import colour, pick, propose, quality
+from swimid.tracking import detect, propose, quality
 from swimid.tracking import setup as setup_format
 from swimid.tracking.options import TrackSetupOptions
-from swimid.tracking.pictures import SEEN, write_text
 from swimid.tracking.propose import Candidate
-from swimid.tracking.reader import Frame, Video
+from swimid.tracking.reader import SEEN, Frame, Video, write_text
 from swimid.tracking.setup import FORMAT, Marker, Setup
 from swimid.tracking.tracker import Run, follow
 
 #: Candidates that are tried as first marker, and trials of each: every trial reads the film once.
 _TRIES = 3
-#: Number of pictures on the contact sheet, and their width, px.
-_SHEET, _SHEET_WIDTH = 4, 640
 _FACING = """\
 # Which way in the picture the robot faces and x runs: right, left, or auto (tail to head).
 facing: auto
@@ -215,7 +212,7 @@ def _unattended(
     passed = [replace(c, reason=reasons[id(c)]) for c in found if id(c) in reasons] + passed
     raise NoTrustworthyResult(
         f"no marker of {video.name} can be followed and moves. {propose.listed(passed)}"
-        f"{colour.describe_colours(samples.frames[::6])}",
+        f"{detect.describe_colours(samples.frames[::6])}",
         hint="pick the markers by hand: --marker name@x,y with --frame",
     )
 
@@ -277,7 +274,7 @@ def _by_hand(
     kinds: dict[str, list[tuple[float, float]]] = {}
     for one in options.picks:
         kinds.setdefault(one.name, []).append((one.x, one.y))
-    markers = pick.markers(_frame(video, options.frame), kinds, path=video, index=options.frame)
+    markers = propose.picked(_frame(video, options.frame), kinds, path=video, index=options.frame)
     setup = _setup(markers, common)
     with progress(f"trying {', '.join(kinds)}") as step:
         run = follow(video, setup, step=step)
@@ -304,10 +301,8 @@ def _by_background(video: Path, common: dict[str, Any], progress: Progress) -> t
     with progress(f"trying {setup.head}") as step:
         run = follow(video, setup, step=step)
     if run.track.found[0].mean() < quality.LEAST_SHARE:
-        raise NoTrustworthyResult(
-            f"nothing in {video.name} differs from the empty scene",
-            hint="the scene is the film's median: the body must leave its place for more than half of it",
-        )
+        hint = "the scene is the film's median: the body must leave its place for more than half of it"
+        raise NoTrustworthyResult(f"nothing in {video.name} differs from the empty scene", hint=hint)
     return run, ["the whole body, by its difference from the empty scene"]
 
 
@@ -337,11 +332,8 @@ def _doubts(setup: Setup, run: Run, shares: dict[str, float]) -> float | None:
         )
     separation = quality.distance_change(run.track, setup.head, setup.tail)
     if separation is not None and separation > quality.DISTANCE_SPREAD[0]:
-        warn(
-            "SWM042",
-            f"the distance of '{setup.head}' and '{setup.tail}' changes by {100 * separation:.1f} % "
-            "beyond what a camera askew explains: on one rigid part it would not",
-        )
+        text = f"the distance of '{setup.head}' and '{setup.tail}' changes by {100 * separation:.1f} %"
+        warn("SWM042", f"{text} beyond what a camera askew explains: on one rigid part it would not")
     return ahead
 
 
@@ -423,9 +415,10 @@ def _sheet(run: Run) -> NDArray[np.uint8]:
     """Return a contact sheet: frames with the markers circled and named, ignored boxes framed."""
     tiles, track = [], run.track
     ranked = sorted(run.kept, key=lambda k: (not track.found[:, k].all(), k))
-    for index in sorted(ranked[:_SHEET]):
+    # Number of pictures on the contact sheet, and their width, px.
+    for index in sorted(ranked[:4]):
         frame = run.kept[index]
-        factor = _SHEET_WIDTH / frame.shape[1]
+        factor = 640 / frame.shape[1]
         tile = cv2.resize(frame, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
         for box in run.setup.ignore_px:
             corners = [round(factor * v) for v in box]

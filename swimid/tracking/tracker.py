@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from itertools import combinations
 from pathlib import Path
@@ -24,9 +24,8 @@ from swimid.errors import InputError
 from swimid.logs.log import runs
 from swimid.notices import warn
 from swimid.progress import Step
-from swimid.tracking import detect, plane, quality
-from swimid.tracking.colour import ColourModel, colour_difference, same_hue_and_saturation
-from swimid.tracking.detect import GROWN, LOST, WINDOW, Blob, Patch, RawTrack
+from swimid.tracking import detect, pose, quality
+from swimid.tracking.detect import GROWN, LOST, WINDOW, Blob, ColourModel, Patch, RawTrack
 from swimid.tracking.reader import Frame, FrameKeeper, Video
 from swimid.tracking.setup import Box, Marker, Setup
 
@@ -35,35 +34,19 @@ if TYPE_CHECKING:
 
 #: Frames kept for the report.
 REPORT_FRAMES = 6
-#: Least way, in marker radii, for a second look to be preferred.
-_LEAST_WAY = 3.0
 #: A sighting this short, alone between losses, is not believed.
 SHORTEST_RUN = 3
 #: A lost marker that comes back has its usual colour: hue (steps of 2 deg) and relative saturation.
 RETURN_HUE, RETURN_SATURATION = 12.0, 0.5
 #: Only a run shorter than this share of all sightings is doubted for its look.
 FALSE_SHARE = 0.2
-#: Two markers whose distance spreads by less than this share over so many frames are rigid.
-RIGID_FRAMES, RIGID_SPREAD = 20, 0.06
-#: The whole picture is searched on every n-th pixel only, as far as the marker's size allows.
-DECIMATION = 4
 #: In a window the mask is made of every n-th pixel at most.
 MASK_STEP = 4
-#: Patches of the whole picture that are measured: a bound on the cost of a frame full of the colour.
-MOST_PATCHES = 24
 #: Share of the smallest area a patch seen on every n-th pixel only must have.
 _ROUGH = 0.4
 #: Black bars: grey levels below which a pixel is black (video black is 16 where its range is misread),
 #: the share of a row or column that is, and the least width, px.
 _BLACK, _BLACK_SHARE, _LEAST_BAR = 24, 0.98, 4
-#: How far codecs smear a marker's colour over a bar, px: half a block of halved colour resolution, blurred.
-_SMEAR = 3
-#: Area without one in the setup: px, and share of the picture.
-SMALLEST_AREA_PX, LARGEST_AREA_SHARE = 12.0, 0.05
-#: Frames between steps of the colour model.
-ADAPT_EVERY = 5
-#: Frames between looks for other things of the marker's colour.
-LOOK_AROUND_FRAMES = 180
 #: Earlier frames kept, and how often, to see whether a thing was there before the marker was lost.
 MEMORIES, MEMORY_FRAMES = 2, 120
 #: Of equal markers, one this far (as a share) from its partner's distance is another's.
@@ -141,7 +124,7 @@ class Target:
         slow = max(0.01, 1 / (self.whole + 1))
         self.usual_area += slow * (blob.area - self.usual_area)
         old = blob.hsv if self.colour is None else self.colour
-        self.colour = old + slow * colour_difference(blob.hsv, old)
+        self.colour = old + slow * detect.colour_difference(blob.hsv, old)
         self.whole += 1
 
 
@@ -194,7 +177,7 @@ class PairDistance:
     def rigid(self) -> bool:
         """Whether it hardly varied over many frames."""
         spread = math.sqrt(self.squares / max(self.count - 1, 1))
-        return self.count >= RIGID_FRAMES and spread < RIGID_SPREAD * self.mean
+        return self.count >= 20 and spread < 0.06 * self.mean
 
 
 _KNOWN = {field.name for field in fields(Target)}
@@ -216,6 +199,7 @@ class Group:
     seen_from: list[tuple[float, float]] = field(default_factory=list)
     most_rivals: int = 0
     next_look: int = 0
+    #: Frames between looks around.
     pause: int = 12
 
     def alike(self, target: Target, blob: Blob, gone: float = 0.0) -> bool:
@@ -232,7 +216,7 @@ class Group:
             return False
         if not gone or target.colour is None:
             return True
-        return bool(same_hue_and_saturation(blob.hsv, target.colour, RETURN_HUE, RETURN_SATURATION))
+        return bool(detect.same_hue_and_saturation(blob.hsv, target.colour, RETURN_HUE, RETURN_SATURATION))
 
     def merit(self, blob: Blob) -> float:
         """How much of a marker a blob looks, of which nothing but its colour is known."""
@@ -264,7 +248,7 @@ class Group:
             self.rivals, self.seen_from = rivals, here
         self.most_rivals = max(self.most_rivals, len(rivals))
         self.next_look = frame + self.pause
-        self.pause = min(2 * self.pause, LOOK_AROUND_FRAMES)
+        self.pause = min(2 * self.pause, 180)
 
 
 class Search:
@@ -297,11 +281,8 @@ class Search:
             min(math.ceil(bottom) + 1, height),
         )
         if self._view[0] >= self._view[2] or self._view[1] >= self._view[3]:
-            raise InputError(
-                f"region_px {list(self._region)} of the setup lies outside the picture of "
-                f"{width} x {height} pixels",
-                hint="it is [left, top, right, bottom] in pixels of the picture",
-            )
+            text = f"region_px {list(self._region)} lies outside the picture of {width} x {height} pixels"
+            raise InputError(text, hint="it is [left, top, right, bottom] in pixels of the picture")
 
     def window(
         self, kind: Group, frame: Frame, cx: float, cy: float, half: float, step: int = 1
@@ -340,7 +321,8 @@ class Search:
 
         ``area`` is the one expected, px; 0 where none is known yet.
         """
-        step = max(min(int(math.sqrt(area or 4 * kind.area_px[0]) / 3.5), DECIMATION), 1)
+        # On every 4th pixel only, as far as the marker's size allows.
+        step = max(min(int(math.sqrt(area or 4 * kind.area_px[0]) / 3.5), 4), 1)
         blobs = self._picture_at(kind, frame, area, step)
         if not blobs and not area and step > 1:
             blobs = self._picture_at(kind, frame, area, 1)
@@ -361,7 +343,8 @@ class Search:
 
         boxes = [patch.box((x0, y0), step) for patch in sorted(rough, key=order)]
         blobs: list[Blob] = []
-        for box in [box for box in boxes if not self._hidden(box)][:MOST_PATCHES]:
+        # No more than 24: a bound on the cost of a frame full of the colour.
+        for box in [box for box in boxes if not self._hidden(box)][:24]:
             blobs += [b for b in self._measured(kind, frame, box, step) if is_new(b, blobs)]
         return blobs
 
@@ -390,8 +373,9 @@ class Search:
         if self._bars is None:
             self._bars = bars(frame)
         ends = (0, 0, *self.size)
+        # Codecs smear a marker's colour over a bar: half a block of halved colour resolution, blurred.
         return any(
-            bar != end and abs(side - bar) <= _SMEAR
+            bar != end and abs(side - bar) <= 3
             for side, bar, end in zip(blob.box, self._bars, ends, strict=True)
         )
 
@@ -446,11 +430,12 @@ class Follower:
     def __init__(self, setup: Setup, width: int, height: int) -> None:
         self.setup = setup
         self._search = Search(setup, width, height)
+        # Area without one in the setup: px, and share of the picture.
         self.groups = [
             Group(
                 marker=marker,
                 model=ColourModel(marker.colour_range()),
-                area_px=marker.area_px or (SMALLEST_AREA_PX, LARGEST_AREA_SHARE * width * height),
+                area_px=marker.area_px or (12.0, 0.05 * width * height),
                 targets=[Target(name) for name in marker.names],
             )
             for marker in setup.markers
@@ -472,11 +457,6 @@ class Follower:
         self._times: list[float] = []
         self._frame = 0
 
-    def run(self, frames: Iterable[tuple[float, Frame]]) -> None:
-        """Follow through all frames."""
-        for time, frame in frames:
-            self.step(time, frame)
-
     def step(self, time: float, frame: Frame) -> None:
         """Find every marker in the next frame."""
         row: list[tuple[float, ...]] = []
@@ -496,7 +476,7 @@ class Follower:
                 here = (slice(max(top - 2, 0), bottom + 2), slice(max(left - 2, 0), right + 2))
                 self._last[target.name] = (here, frame[here].copy())
                 target.see(blob, time)
-                if self._frame % ADAPT_EVERY == 0 and blob.confidence > 0.3 and not blob.at_edge:
+                if self._frame % 5 == 0 and blob.confidence > 0.3 and not blob.at_edge:
                     group.model.adapt(blob.hsv)
             if not sights:
                 group.model.forget()
@@ -771,7 +751,7 @@ def drop_false_detections(track: RawTrack, marker: int, looks: NDArray[np.float6
     usual = np.median(looks[whole], axis=0)
     turn = 2 * np.pi * looks[whole, 0] / 180
     usual[0] = 90 / np.pi * np.arctan2(np.sin(turn).mean(), np.cos(turn).mean())
-    alike = same_hue_and_saturation(looks.T, usual, RETURN_HUE, RETURN_SATURATION)
+    alike = detect.same_hue_and_saturation(looks.T, usual, RETURN_HUE, RETURN_SATURATION)
     area, confidence = track.area[marker], track.confidence[marker]
     usual_area = float(np.median(area[whole]))
     usual_confidence = float(np.median(confidence[whole]))
@@ -826,14 +806,11 @@ def follow(path: Path, setup: Setup, *, step: Step, file: str | None = None) -> 
         return first
     boxes = list(still.values())
     second = _once(path, setup.model_copy(update={"ignore_px": [*setup.ignore_px, *boxes]}), step, file)
-    if any(quality.reach(second.track, name).radii < _LEAST_WAY for name in still):
+    if any(quality.reach(second.track, name).radii < 3.0 for name in still):
         return first
     listed = "; ".join(f"[{', '.join(f'{v:.0f}' for v in box)}]" for box in boxes)
-    warn(
-        "SWM049",
-        f"{path.name}: a thing of the marker's colour never moves and was left out (box {listed}); "
-        "write it into ignore_px of the setup to save the second reading",
-    )
+    text = f"a thing of the marker's colour never moves and was left out (box {listed})"
+    warn("SWM049", f"{path.name}: {text}; write it into ignore_px to save the second reading")
     return second
 
 
@@ -841,7 +818,7 @@ def _once(path: Path, setup: Setup, step: Step, file: str | None) -> Run:
     video = Video(path, frame_rate_hz=setup.frame_rate_hz, apply_rotation=setup.apply_rotation)
     video.demand_clock()
     if setup.camera is not None:
-        plane.camera_matrix(setup.camera, video.width, video.height, file)
+        pose.camera_matrix(setup.camera, video.width, video.height, file)
     follower: Follower | Silhouette
     if setup.markers[0].method == "background":
         from swimid.tracking import silhouette
