@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from swimid.fitting import residual_tests as rt
-from swimid.logs.held import Held, find_held
 from swimid.logs.log import TIME, Log
-from swimid.logs.sampling import SAME_RATE, quantum, step_of, usual_step
+from swimid.logs.sampling import SAME_RATE, Held, find_held, quantum, step_of, usual_step
 from swimid.notices import warn
 
 Array = np.ndarray

@@ -12,8 +12,8 @@ from swimid.errors import InputError
 from swimid.inertial import conventions
 from swimid.inertial.record import CHANNELS, Array, Finding, Flags, Record, resampled, rotations
 from swimid.logs import sampling
+from swimid.logs.clock import in_order
 from swimid.logs.log import runs
-from swimid.logs.time_order import in_order
 
 #: Maximum share of rows without a usable time, and of missing cells in a channel.
 MAX_MISSING = 0.5

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.files.delimited import missing_column
 from swimid.files.provenance import path_of
+from swimid.files.tabular import missing_column
 from swimid.inertial.alignment import Poses
 from swimid.inertial.record import (
     ACCELERATION,
@@ -20,7 +20,7 @@ from swimid.inertial.record import (
     Record,
     rotations,
 )
-from swimid.logs import log, mapping, track_cleaning
+from swimid.logs import log, mapping, tracks
 from swimid.logs.log import Log
 from swimid.logs.mapping import Mapping
 from swimid.logs.rotation import angles
@@ -124,7 +124,7 @@ def _take_out(read: Log, position: Array, turn: Array) -> None:
     repeated, jumped = np.zeros_like(far), far
     seen = np.flatnonzero(np.isfinite(position).any(axis=0))
     if len(read) >= FEWEST_FOR_JUMPS and usual_step(read.time_s) <= SPARSE_S and len(seen) > 1:
-        cleaning = track_cleaning.clean(read.time_s, [position[:, k] for k in seen], list(turn.T))
+        cleaning = tracks.clean(read.time_s, [position[:, k] for k in seen], list(turn.T))
         repeated, jumped = cleaning.repeated, far | cleaning.jumped
     out = repeated | jumped
     if out.any():

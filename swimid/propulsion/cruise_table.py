@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
-from swimid.files import delimited
+from swimid.files import tabular
 from swimid.files.provenance import Held
 from swimid.notices import warn
 
@@ -55,8 +55,8 @@ def read(source: str | Path | pd.DataFrame) -> CruiseTable:
     try:
         if isinstance(source, str | Path):
             path = Path(source)
-            _, header, line = delimited.head(path)
-            names = delimited.column_names(header, path, line)
+            _, header, line = tabular.head(path)
+            names = tabular.column_names(header, path, line)
             text = path.read_text(encoding="utf-8-sig")
         else:
             path, names = Path("table"), [str(name) for name in source.columns]
@@ -73,7 +73,7 @@ def read(source: str | Path | pd.DataFrame) -> CruiseTable:
             what = "this column is missing"
             if column == "time_s":
                 what = "neither time_s nor mean_speed_m_s is there"
-            raise delimited.missing_column(column, names, path, line, what)
+            raise tabular.missing_column(column, names, path, line, what)
     rows = _rows(text, path, line, names)
     if not rows:
         raise InputError("has a header and no runs", file=path, line=line)
@@ -137,14 +137,14 @@ def _numbers(rows: list[Row], name: str, path: Path) -> Array:
     values = np.full(len(rows), np.nan)
     for row, (line, cells) in enumerate(rows):
         text = cells[name]
-        if text in delimited.MISSING and name not in NUMBERS:
+        if text in tabular.MISSING and name not in NUMBERS:
             continue
-        value = delimited.number(text)
+        value = tabular.number(text)
         what, hint = "", None
-        if text in delimited.MISSING:
+        if text in tabular.MISSING:
             what = "has no value"
         elif value is None or not math.isfinite(value):
-            what, hint = f"'{text}' is not a number", delimited.number_hint(text)
+            what, hint = f"'{text}' is not a number", tabular.number_hint(text)
         elif value <= 0:
             what = f"{value:g} is not positive"
         if what:

@@ -14,8 +14,8 @@ from swimid.fitting.drives import CruiseInput, SurgeInput
 from swimid.fitting.experiment import Experiment, inputs_of, read_log
 from swimid.fitting.model import Trial
 from swimid.logs import trials as trials_format
-from swimid.logs.beat import TOLERANCE, find_beat, stated_against_found
-from swimid.logs.log import Log
+from swimid.logs.beat import find_beat, stated_against_found
+from swimid.logs.log import FREQUENCY_RTOL, Log
 from swimid.logs.trials import Cruise, Drive, FreeSwim, StrokeDrive, TrialSet
 from swimid.notices import warn
 from swimid.propulsion import cruise_table as cruise_format
@@ -242,7 +242,7 @@ def _said(waveform: tuple[str, float]) -> str:
 def _pooled_frequencies(trials: list[Trial]) -> list[Trial]:
     """Frequencies within the tolerance of each other are one setting: their median."""
     values = np.array([t.surge.frequency_hz for t in trials])
-    pooled = [float(np.median(values[np.abs(values / v - 1) < TOLERANCE])) for v in values]
+    pooled = [float(np.median(values[np.abs(values / v - 1) < FREQUENCY_RTOL])) for v in values]
     return [replace(t, surge=replace(t.surge, frequency_hz=f)) for t, f in zip(trials, pooled, strict=True)]
 
 

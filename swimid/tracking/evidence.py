@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from swimid.errors import UsageError
 from swimid.logs import swimming
 from swimid.logs.swimming import Swimming, Track
-from swimid.logs.track_speed import Estimate
+from swimid.logs.tracks import Estimate
 from swimid.notices import warn
 from swimid.results import blocks, numbers
 from swimid.results.evidence import Check, Figure, Mark, Panel, Span, Table, Trace, check, thinned

@@ -7,7 +7,7 @@ import numpy as np
 from swimid.effects import common
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 from swimid.fitting.hooks import Force, traceable
-from swimid.logs.beat import TOLERANCE
+from swimid.logs.log import FREQUENCY_RTOL
 
 #: Less than any speed that can be told from none, m/s or rad/s: what has none has no drag.
 TINY = 1e-30
@@ -56,7 +56,7 @@ class DragReynolds(Effect):
         forms: list[Effect] = [DragReynolds(typical)] if fits else []
         speeds = [model.scales([trial]).speed for trial in trials] if body is not None else []
         # trials of one speed, as near as those of one frequency, do not tell how drag changes with it
-        if fits and speeds and max(speeds) > (1.0 + TOLERANCE) * min(speeds):
+        if fits and speeds and max(speeds) > (1.0 + FREQUENCY_RTOL) * min(speeds):
             forms.append(DragReynolds(typical, whole=True))
         return forms
 
