@@ -186,6 +186,9 @@ def _protect_beside(output: Path, spec: CommandSpec, shared: Shared) -> None:
         evidence.check_beside(output)
 
 
+# ---------------------------------------------------------------- values of options
+
+
 def word_of(entry: Declared) -> dict[str, Any]:
     """Return the arguments of a click option of this type: ``type``, and ``multiple`` or ``nargs``."""
     kind, args = entry.kind, get_args(entry.kind)

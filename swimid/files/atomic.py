@@ -258,6 +258,9 @@ def _mode(path: Path) -> int:
     return 0o666 & ~mask
 
 
+# ---------------------------------------------------------------- one run at a time
+
+
 @dataclass(eq=False)
 class Lock:
     """A held lock: the file ``<output>.lock`` with the process that holds it.
@@ -330,6 +333,8 @@ def locked(output: Path | None) -> Iterator[None]:
     finally:
         taken.release()
 
+
+# ---------------------------------------------------------------- file names
 
 #: Names that Windows reserves for devices.
 DEVICES = {"CON", "PRN", "AUX", "NUL", *(f"{port}{k}" for port in ("COM", "LPT") for k in range(1, 10))}

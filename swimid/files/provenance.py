@@ -144,6 +144,8 @@ def _versions() -> dict[str, str]:
     }
 
 
+# ---------------------------------------------------------------- marks of files that swimid wrote
+
 #: Value of a picture's ``Software`` or ``dc:creator``.
 SOFTWARE = "swimid"
 #: Comment in a GIF, and content of the last box of a video.

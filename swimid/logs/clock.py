@@ -213,6 +213,8 @@ def _parsed(
     return stamps.dt.tz_localize(None).to_numpy(dtype="datetime64[ns]")
 
 
+# ---------------------------------------------------------------- rows in order
+
 #: Of more samples than this share that come late, or of more in a row, the clock was reset.
 LATE_SHARE, LATE_RUN = 0.01, 20
 #: What is done to rows that are not in order.

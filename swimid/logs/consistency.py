@@ -195,6 +195,8 @@ def _named(gain: float, *, angle: bool) -> str:
     return " and ".join(words)
 
 
+# ---------------------------------------------------------------- course and heading
+
 #: Log of the Bayes factor from which evidence is "very strong" (Kass and Raftery 1995, JASA 90).
 VERY_STRONG = math.log(150.0)
 #: Drift angles of hulls in the tightest turns stay below this, rad: a course that differs from the heading by

@@ -209,6 +209,8 @@ def destinations(paths: Sequence[Path], output: Path) -> list[Path]:
     return [atomic.check_writable(output / f"{name}.csv", inputs=tuple(paths)) for name in names]
 
 
+# ---------------------------------------------------------------- evidence
+
 #: Minimum number of samples a stroke for the path between them to be known.
 MIN_SAMPLES_PER_STROKE = 6.0
 #: A track farther from a line than this share of its extent along the line does not keep to it.

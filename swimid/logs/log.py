@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic_core import to_json
 
-from swimid.errors import InputError, first_line
+from swimid.errors import InputError, file_errors, first_line
 from swimid.files import atomic, tabular, yamlio
 from swimid.files.tabular import column_names, head, missing_column, number, number_hint
 from swimid.notices import warn
@@ -26,6 +26,7 @@ from swimid.notices import warn
 if TYPE_CHECKING:
     import pandas as pd
 
+Array = NDArray[np.float64]
 TIME = "t_s"
 #: A stroke frequency that differs from the stated one by more than this share contradicts it.
 FREQUENCY_RTOL = 0.05
@@ -270,11 +271,8 @@ def read(
     """
     path = Path(path)
     reader = _read_parquet if path.suffix.lower() in tabular.PARQUET else _read_csv
-    try:
+    with file_errors(path):
         log = reader(path, required, optional)
-    except OSError as error:
-        hint = "check the path" if isinstance(error, FileNotFoundError) else None
-        raise InputError(f"cannot be read: {error.strerror or error}", file=path, hint=hint) from error
     _check(log, required)
     return log
 
@@ -585,7 +583,10 @@ def _metadata_lines(metadata: Mapping[str, Any]) -> list[str]:
     return [line for line in yamlio.dumps_flat(metadata).splitlines() if line.strip()]
 
 
-Array = NDArray[np.float64]
+# ---------------------------------------------------------------- values that are unusual in the stated unit
+
+# The unit is believed all the same: magnitudes check what is stated, and infer nothing.
+
 #: The fastest swimming: cavitation and muscle power end it at 10 to 15 m/s. Iosilevskii, G., Weihs, D.
 #: (2008). Speed limits on swimming of fishes and cetaceans. J. R. Soc. Interface 5, 329-338.
 FASTEST_M_S = 15.0

@@ -35,6 +35,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+Array = NDArray[np.float64]
+
+
 @dataclass(frozen=True, eq=False)
 class Logged(Result):
     """A log and how it was made, as ``track_video``, ``track_imu`` and ``import_log`` give it.
@@ -98,7 +101,7 @@ class Logged(Result):
             if name == log.TIME:
                 continue
             known = values[np.isfinite(values)]
-            gaps = missing(self.log.time_s, values, after)
+            gaps = _missing(self.log.time_s, values, after)
             ends = (float(known.min()), float(known.max())) if len(known) else (None, None)
             lost = numbers.percent(1 - len(known) / len(values))
             longest = max((end - start for start, end in gaps), default=0.0)
@@ -121,7 +124,8 @@ class Logged(Result):
         )
 
 
-Array = NDArray[np.float64]
+# ---------------------------------------------------------------- figures
+
 #: More channels than this are listed in the table and not drawn.
 MAX_PANELS = 12
 #: Columns two sensors have different names for.
@@ -138,7 +142,7 @@ def figures_of(logs: Sequence[Log], *, found: Rhythm | None = None) -> list[Figu
     found : Rhythm, optional
         The stroke of a single log, where the caller knows it already.
     """
-    drawn = [channels(logs), track(logs)]
+    drawn = [_channels(logs), _track(logs)]
     for record in logs:
         drawn.append(_spectra(record, found or rhythm.find(record.time_s, _signals(record))))
     return [figure for figure in drawn if figure is not None and figure.panels]
@@ -148,7 +152,7 @@ def _signals(record: Log) -> dict[str, Array]:
     return {name: values for name, values in record.columns.items() if name != TIME}
 
 
-def missing(time: Array, values: Array, after: NDArray[np.intp]) -> list[tuple[float, float]]:
+def _missing(time: Array, values: Array, after: NDArray[np.intp]) -> list[tuple[float, float]]:
     """Stretches between two samples that lack what lies between them, s; pauses are ``after`` samples."""
     empty = np.isnan(values)
     blank = np.add(runs(empty if empty.any() else empty[:0]), [-1, 0])
@@ -164,7 +168,7 @@ def _broken(time: Array, values: Array, after: NDArray[np.intp]) -> tuple[Array,
     return np.insert(time, after + 1, middle), np.insert(values, after + 1, np.nan)
 
 
-def channels(logs: Sequence[Log]) -> Figure:
+def _channels(logs: Sequence[Log]) -> Figure:
     """The channels over time, those of several logs over each other, gaps shaded."""
     names, several = _names(logs), len(logs) > 1
     after = [pauses(record.time_s) for record in logs]
@@ -184,7 +188,7 @@ def channels(logs: Sequence[Log]) -> Figure:
             if several:
                 label, group, lacking = names[number], number, f"missing in {names[number]}"
             traces.append(Trace(x=x, y=y, label=label, group=group))
-            ends = missing(record.time_s, values, after[number])
+            ends = _missing(record.time_s, values, after[number])
             gaps += [Span(start=start, end=end, label=lacking) for start, end in ends]
         longest = sorted(gaps, key=lambda gap: gap.start - gap.end)[:60]
         title, spans = numbers.column_title(channel), sorted(longest, key=lambda gap: gap.start)
@@ -212,7 +216,7 @@ def _names(logs: Sequence[Log]) -> list[str]:
     return [n if names.count(n) == 1 else f"{f}/{n}" for n, f in zip(names, folders, strict=True)]
 
 
-def track(logs: Sequence[Log]) -> Figure | None:
+def _track(logs: Sequence[Log]) -> Figure | None:
     """The path from above (or from the side), to scale, with arrows along the heading."""
     traces: list[Trace] = []
     across, several = "", len(logs) > 1

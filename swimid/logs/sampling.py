@@ -12,6 +12,8 @@ from scipy import special
 
 from swimid.logs.log import runs
 
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 #: A pause longer than this many sample times is a gap.
 PAUSE = 6.0
 #: A step within this share of a whole number of sample times lies on the grid.
@@ -420,8 +422,7 @@ def white_noise_sd(values: np.ndarray, least: float) -> float:
     return max(float(np.median(np.abs(third))) / 0.6745 / np.sqrt(20), least)
 
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+# ---------------------------------------------------------------- repeated samples
 
 #: Ratios of a step to the next one below which it may be a repeat with jitter; 0 stands for exact repeats.
 RATIOS = (0.0, 0.003, 0.01, 0.03, 0.1)
@@ -644,6 +645,8 @@ def _timed(time_s: Array, rows: NDArray[np.intp], repeated: Flags) -> Held:
     # the last measurement moves evenly over the slack; each end has its half of the variance
     return Held(repeated, period, step, measured[shown], slack / np.sqrt(24.0), even=True)
 
+
+# ---------------------------------------------------------------- rate of change
 
 #: Minimum number of samples in the window of a cubic.
 SLOPE_SAMPLES = 6

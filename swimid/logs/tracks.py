@@ -175,6 +175,8 @@ def _chain(sizes: NDArray[np.int64], goes_on: Callable[[int, int], bool], cost: 
     return chain[::-1]
 
 
+# ---------------------------------------------------------------- mean speed
+
 #: Samples of a stretch without a gap that a speed needs.
 MIN_SAMPLES = 12
 #: Samples smoothed at once; a longer stretch is cut.

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from swimid.errors import InputError, extra_needed, first_line, suggestion
+from swimid.errors import InputError, extra_needed, file_errors, first_line, suggestion
 from swimid.files import yamlio
 from swimid.logs import log
 from swimid.logs.log import Log
@@ -162,12 +162,8 @@ def first_bytes(path: Path, count: int) -> bytes:
     InputError
         It cannot be read.
     """
-    try:
-        with path.open("rb") as stream:
-            return stream.read(count)
-    except OSError as error:
-        hint = "check the path" if isinstance(error, FileNotFoundError) else None
-        raise InputError(f"cannot be read: {error.strerror or error}", file=path, hint=hint) from error
+    with file_errors(path), path.open("rb") as stream:
+        return stream.read(count)
 
 
 @contextmanager
