@@ -142,7 +142,7 @@ def figures_of(logs: Sequence[Log], *, found: Rhythm | None = None) -> list[Figu
     found : Rhythm, optional
         The stroke of a single log, where the caller knows it already.
     """
-    drawn = [_channels(logs), _track(logs)]
+    drawn = [channels(logs), track(logs)]
     for record in logs:
         drawn.append(_spectra(record, found or rhythm.find(record.time_s, _signals(record))))
     return [figure for figure in drawn if figure is not None and figure.panels]
@@ -168,7 +168,7 @@ def _broken(time: Array, values: Array, after: NDArray[np.intp]) -> tuple[Array,
     return np.insert(time, after + 1, middle), np.insert(values, after + 1, np.nan)
 
 
-def _channels(logs: Sequence[Log]) -> Figure:
+def channels(logs: Sequence[Log]) -> Figure:
     """The channels over time, those of several logs over each other, gaps shaded."""
     names, several = _names(logs), len(logs) > 1
     after = [pauses(record.time_s) for record in logs]
@@ -216,7 +216,7 @@ def _names(logs: Sequence[Log]) -> list[str]:
     return [n if names.count(n) == 1 else f"{f}/{n}" for n, f in zip(names, folders, strict=True)]
 
 
-def _track(logs: Sequence[Log]) -> Figure | None:
+def track(logs: Sequence[Log]) -> Figure | None:
     """The path from above (or from the side), to scale, with arrows along the heading."""
     traces: list[Trace] = []
     across, several = "", len(logs) > 1
