@@ -13,7 +13,7 @@ import pytest
 from swimid.fitting import metrics
 from swimid.fitting.model import Channel
 from swimid.logs import log as log_format
-from swimid.logs.derivative import slope
+from swimid.logs.sampling import slope
 from swimid.results import evidence
 from swimid.results import parameters as parameters_format
 from swimid.results.parameters import Estimate, ParameterFile

@@ -10,8 +10,7 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 
-from swimid.logs.held import find_frozen, find_held
-from swimid.logs.sampling import find_uneven
+from swimid.logs.sampling import find_frozen, find_held, find_uneven
 from tests.conftest import SAMPLES, Ran
 
 Array = NDArray[np.float64]

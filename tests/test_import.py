@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from swimid.logs import log, mapping, units
-from swimid.logs.foreign import open_table, readers
-from swimid.logs.foreign.base import Options
+from swimid.logs.foreign import Options, open_table, readers
 from tests.conftest import ROOT, Ran
 
 Run = Callable[..., Ran]

@@ -22,9 +22,9 @@ from PIL import Image
 
 import swimid as package
 from swimid.errors import InputError, UsageError
-from swimid.files import atomic, lock, mark
+from swimid.files import atomic, provenance
+from swimid.files.atomic import file_names
 from swimid.files.checkpoint import Checkpoint, place
-from swimid.files.names import file_names
 from swimid.files.video import open_writer
 from swimid.notices import SwimidWarning, recorded
 from tests.conftest import SAMPLES, Ran
@@ -195,8 +195,8 @@ class TestCheckpoints:
 HOLDER = """
 import sys, time
 from pathlib import Path
-from swimid.files import lock
-lock.take(Path(sys.argv[1]))
+from swimid.files import atomic
+atomic.lock(Path(sys.argv[1]))
 print("held", flush=True)
 time.sleep(60)
 """
@@ -246,7 +246,7 @@ class TestFilesOfOthers:
     def test_the_word_alone_is_no_mark(self, tmp_path: Path, name: str) -> None:
         path = tmp_path / name
         path.write_text(self.OTHERS[name])
-        assert not mark.is_own(path)
+        assert not provenance.is_own(path)
 
     def test_pictures_and_tables_of_others(self, tmp_path: Path) -> None:
         Image.new("RGB", (8, 8)).save(tmp_path / "swimid.png")
@@ -255,7 +255,7 @@ class TestFilesOfOthers:
         pq.write_table(table.replace_schema_metadata({b"swimid": b"robot: boxfish"}), tmp_path / "a.parquet")
         (tmp_path / "b.parquet").write_bytes(b"PAR1 swimid")
         (tmp_path / "a.mp4").write_bytes(b"\x00\x00\x00\x18ftypisom made by swimid, and more")
-        assert [p.name for p in tmp_path.iterdir() if mark.is_own(p)] == []
+        assert [p.name for p in tmp_path.iterdir() if provenance.is_own(p)] == []
 
     def test_what_swimid_writes_has_the_mark(self, swimid: Run, tmp_path: Path, samples: Path) -> None:
         trials, params = drops(tmp_path / "rig", "a"), tmp_path / "rig" / "params.yaml"
@@ -285,7 +285,7 @@ class TestFilesOfOthers:
             for k in range(5):
                 writer.write(0.04 * k, np.full((64, 64, 3), 20 * k, dtype=np.uint8))
             writer.close()
-        assert [p.name for p in sorted(out.iterdir()) if not mark.is_own(p)] == []
+        assert [p.name for p in sorted(out.iterdir()) if not provenance.is_own(p)] == []
         assert len(list(out.iterdir())) == 19
 
     def test_an_edited_draft_is_not_replaced(self, swimid: Run, tmp_path: Path, samples: Path) -> None:
@@ -616,4 +616,4 @@ def test_outputs_that_cannot_be_are_refused_before_the_work(
     assert swimid(*words, "-o", f"nowhere/out.{ending}").status == 3
     assert contents(tmp_path) == before
     assert pd.read_csv(tmp_path / "a.csv", comment="#").shape[1] == 2
-    assert lock.take(tmp_path / "out.csv").release() is None
+    assert atomic.lock(tmp_path / "out.csv").release() is None

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swimid.logs import figures as log_figures
-from swimid.logs import log
+from swimid.logs import log, logged
 from tests.conftest import Ran
 from tests.generators.polled_camera import polled
 
@@ -53,7 +52,7 @@ def test_no_colour_stands_for_a_role_in_a_picture(camera: Path, swimid: Run, tmp
 
 
 def test_gaps_are_shaded_and_not_drawn_across(camera: Path) -> None:
-    figure = log_figures.channels([log.read(camera)])
+    figure = logged.channels([log.read(camera)])
     panel = figure.panels[0]
     assert [span.end - span.start for span in panel.spans] == pytest.approx([2.0], abs=0.1)
     gap = panel.spans[0]
@@ -63,7 +62,7 @@ def test_gaps_are_shaded_and_not_drawn_across(camera: Path) -> None:
 
 def test_arrows_point_along_the_heading(camera: Path) -> None:
     record = log.read(camera)
-    figure = log_figures.track([record])
+    figure = logged.track([record])
     assert figure is not None
     arrows = next(trace for trace in figure.panels[0].traces if trace.style == "arrows")
     assert arrows.x[0] == record["x_m"][0]
@@ -73,7 +72,7 @@ def test_arrows_point_along_the_heading(camera: Path) -> None:
 
 
 def test_the_stroke_is_marked(camera: Path) -> None:
-    figures = log_figures.figures([log.read(camera)])
+    figures = logged.figures_of([log.read(camera)])
     spectra = next(figure for figure in figures if figure.id.startswith("spectra"))
     marks = spectra.panels[0].marks
     assert marks[0].label == "stroke"
@@ -83,7 +82,7 @@ def test_the_stroke_is_marked(camera: Path) -> None:
 def test_two_sensors_of_one_trial(camera: Path, imu: Path, swimid: Run, tmp_path: Path) -> None:
     ran = swimid("plot", imu, camera, "-o", tmp_path / "both.html")
     assert ran.status == 0, ran.err
-    figure = log_figures.channels([log.read(imu), log.read(camera)])
+    figure = logged.channels([log.read(imu), log.read(camera)])
     assert figure.panels[0].y_label == "yaw (rad)"
     assert [trace.label for trace in figure.panels[0].traces] == ["imu.csv", "camera.csv"]
     assert [span.label for span in figure.panels[0].spans] == ["missing in camera.csv"]

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swimid.logs import log, rhythm, track_cleaning, track_speed
-from swimid.logs.held import find_held
+from swimid.logs import log, rhythm, tracks
+from swimid.logs.sampling import find_held
 from tests.conftest import Ran
 from tests.generators.polled_camera import Polled, polled
 
@@ -67,8 +67,8 @@ def test_speed_within_two_percent_where_the_naive_mean_is_ten_off(
 def test_other_tracks(changes: dict[str, float]) -> None:
     made = polled(11, **changes)  # type: ignore[arg-type]
     time, x, y, _ = np.array(made.rows).T
-    cleaning = track_cleaning.clean(time, [x, y])
-    speed = track_speed.speed(time, [x, y], cleaning)
+    cleaning = tracks.clean(time, [x, y])
+    speed = tracks.speed(time, [x, y], cleaning)
     assert cleaning.jumps == made.jumps
     assert speed is not None
     assert abs(speed.path.value / made.path_m_s - 1) < 0.02
@@ -78,7 +78,7 @@ def test_other_tracks(changes: dict[str, float]) -> None:
 def test_a_clean_track_stays_whole(seed: int) -> None:
     made = polled(seed, jumps=0, repeat_share=0.0, gap_s=0.0)
     time, x, y, _ = np.array(made.rows).T
-    cleaning = track_cleaning.clean(time, [x, y])
+    cleaning = tracks.clean(time, [x, y])
     assert cleaning.good.all()
     assert not cleaning.gaps
 
@@ -89,7 +89,7 @@ def test_the_interval_covers() -> None:
     for seed in range(8):
         made = polled(100 + seed, duration_s=20.0)
         time, x, y, _ = np.array(made.rows).T
-        speed = track_speed.speed(time, [x, y], track_cleaning.clean(time, [x, y]))
+        speed = tracks.speed(time, [x, y], tracks.clean(time, [x, y]))
         assert speed is not None
         misses += not speed.line.low <= made.line_m_s <= speed.line.high
     assert misses <= 2
@@ -109,11 +109,11 @@ def test_a_rest_is_no_repeat_and_a_frozen_picture_is(rng: np.random.Generator) -
     """The same pose for a second: kept where the robot goes on from there, else left out."""
     time = np.arange(300) / 30
     x = np.maximum(time - 2.0, 0.0) * 0.2  # at rest for 2 s, without noise
-    still = track_cleaning.clean(time, [x, 0 * x])
+    still = tracks.clean(time, [x, 0 * x])
     assert not still.repeated.any()
     moving = 0.2 * time + 0.0005 * rng.normal(size=300)
     moving[100:130] = moving[100]
-    frozen = track_cleaning.clean(time, [moving, 0 * moving])
+    frozen = tracks.clean(time, [moving, 0 * moving])
     assert frozen.repeated.sum() == 29
     assert len(frozen.gaps) == 1
 

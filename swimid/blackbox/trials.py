@@ -21,9 +21,8 @@ from swimid.fitting.model import Trial
 from swimid.logs import log as log_format
 from swimid.logs import sampling
 from swimid.logs import trials as trials_format
-from swimid.logs.held import Held, find_held
 from swimid.logs.log import TIME, Log
-from swimid.logs.sampling import SAME_RATE, quantum, step_of, usual_step
+from swimid.logs.sampling import SAME_RATE, Held, find_held, quantum, step_of, usual_step
 from swimid.logs.trials import Arma as ArmaTrials
 from swimid.logs.trials import Trial as TrialEntry
 from swimid.logs.trials import TrialSet

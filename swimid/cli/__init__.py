@@ -1,7 +1,8 @@
 """The command line: parses, calls one function, prints. Nothing is computed here.
 
-- ``builder`` finds the commands in the ``options.py`` of every package; ``main`` lists them by purpose.
-- ``common`` holds shared options, output streams and exit statuses, ``parsing`` values of more than one word.
+- ``builder`` finds the commands in the ``options.py`` of every package and reads the values of their options;
+  ``main`` lists them by purpose.
+- ``common`` holds shared options, output streams and exit statuses.
 - ``table`` writes the options as the docs show them.
 - ``import_log``, ``schema`` and ``doctor`` (with ``options``) do what no package below is about.
 

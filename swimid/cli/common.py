@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from swimid.errors import InputError, Interrupted, SwimidError, UsageError, naming
-from swimid.files import atomic, lock, mark
+from swimid.files import atomic, provenance
 from swimid.notices import Notice, recorded
 from swimid.progress import Progress, Step, silent
 
@@ -109,7 +109,7 @@ def running(command: str, shared: Shared) -> Iterator[Run]:
             naming(None),
             recorded() as notices,
             atomic.noted() as written,
-            lock.held(shared.output),
+            atomic.locked(shared.output),
         ):
             yield run
         assert run.outcome is not None
@@ -229,7 +229,7 @@ def protect(output: Path | None, shared: Shared, *, inputs: Iterable[str | Path]
     if str(output) == "-":
         raise UsageError("this result is files, not a stream: name one", hint="--json prints it on stdout")
     atomic.check_writable(output, inputs=inputs)
-    if not shared.force and not mark.is_own(output):
+    if not shared.force and not provenance.is_own(output):
         raise UsageError(
             f"{output} exists and was not written by swimid", hint="name another output, or give --force"
         )

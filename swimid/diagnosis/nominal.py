@@ -13,7 +13,7 @@ import numpy as np
 from swimid.blackbox import model as arx
 from swimid.diagnosis.random_effects import FEWEST, OWN
 from swimid.effects.base import Effect
-from swimid.files import parquet
+from swimid.files import tabular
 from swimid.files.provenance import digests_of
 from swimid.fitting.hooks import NONE, Hooks
 from swimid.fitting.model import Array, Channel, Model, Parameter, Trial
@@ -21,7 +21,7 @@ from swimid.results.parameters import Estimate
 from swimid.simulation.catalogue import Loaded
 
 #: Endings of logs among the inputs.
-LOGS = (".csv", *parquet.ENDINGS)
+LOGS = (".csv", *tabular.PARQUET)
 
 #: Prior standard deviation of a coefficient of which no other trials tell anything, as a share of its size.
 OWN_PRIOR = 0.6

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from swimid.fitting.model import Trial
-from swimid.logs.beat import TOLERANCE, find_beat
+from swimid.logs.beat import find_beat
+from swimid.logs.log import FREQUENCY_RTOL
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class Quantity:
     def same(self, other: Quantity) -> bool:
         """Whether they differ by less than a stated beat may from that of the log."""
         size = max(abs(self.value), abs(other.value), self.against, other.against)
-        return abs(self.value - other.value) <= TOLERANCE * size
+        return abs(self.value - other.value) <= FREQUENCY_RTOL * size
 
 
 def quantities(trial: Trial) -> dict[str, Quantity | str]:

@@ -11,7 +11,7 @@ from swimid.effects import common
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 from swimid.effects.common import parameter
 from swimid.fitting.hooks import Force, traceable
-from swimid.logs.beat import TOLERANCE
+from swimid.logs.log import FREQUENCY_RTOL
 
 #: The least of the inertia that may be left, as a share of the rigid body's.
 LEAST = 0.5
@@ -119,7 +119,7 @@ class DragReynolds(Effect):
         forms: list[Effect] = [DragReynolds(typical)] if fits else []
         speeds = [model.scales([trial]).speed for trial in trials] if body is not None else []
         # trials of one speed, as near as those of one frequency, do not tell how drag changes with it
-        if fits and speeds and max(speeds) > (1.0 + TOLERANCE) * min(speeds):
+        if fits and speeds and max(speeds) > (1.0 + FREQUENCY_RTOL) * min(speeds):
             forms.append(DragReynolds(typical, whole=True))
         return forms
 

@@ -1,21 +1,27 @@
-"""Writing of complete files or none, and of groups of files together or none."""
+"""Writing of complete files or none, of groups of files together, and of an output by one run at a time."""
 
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import tempfile
 import threading
-from collections.abc import Callable, Iterable, Iterator
+import unicodedata
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from swimid.errors import InputError, UsageError, file_errors
-from swimid.files import parquet
+from swimid.files import tabular
+
+if TYPE_CHECKING:
+    from filelock import BaseFileLock
 
 
 def check_writable(path: str | Path, *, inputs: Iterable[object] = ()) -> Path:
@@ -35,8 +41,8 @@ def check_writable(path: str | Path, *, inputs: Iterable[object] = ()) -> Path:
         When it is one of ``inputs`` or a folder, or a Parquet file, and pyarrow is not installed.
     """
     path = Path(path)
-    if path.suffix.lower() in parquet.ENDINGS:
-        parquet.library()
+    if path.suffix.lower() in tabular.PARQUET:
+        tabular.pyarrow()
     folder = path.parent
     if not folder.is_dir():
         raise InputError(
@@ -250,3 +256,121 @@ def _mode(path: Path) -> int:
     mask = os.umask(0)
     os.umask(mask)
     return 0o666 & ~mask
+
+
+# ---------------------------------------------------------------- one run at a time
+
+
+@dataclass(eq=False)
+class Lock:
+    """A held lock: the file ``<output>.lock`` with the process that holds it.
+
+    A lock of a process that no longer runs is replaced. A thread that asks for a lock which it holds already,
+    directly or through a run that failed, shares it.
+    """
+
+    file: BaseFileLock
+    thread: threading.Thread = field(default_factory=threading.current_thread)
+    holders: int = 1
+
+    def release(self) -> None:
+        """Remove the lock after as many calls as there were of :func:`lock`."""
+        self.holders -= 1
+        path = Path(self.file.lock_file)
+        if self.holders == 0 and _HELD.get(path) is self:
+            del _HELD[path]
+            self.file.release()
+
+
+#: The locks of this process.
+_HELD: dict[Path, Lock] = {}
+
+
+def lock(output: Path) -> Lock:
+    """Lock an output.
+
+    Raises
+    ------
+    UsageError
+        When another run holds the lock.
+    InputError
+        When the lock cannot be written.
+    """
+    from filelock import SoftFileLock, Timeout  # 60 ms
+
+    path = output.resolve().with_name(f"{output.name}.lock")
+    own, thread = _HELD.get(path), threading.current_thread()
+    if own is not None and (own.thread is thread or not own.thread.is_alive()):
+        own.thread = thread
+        own.holders += 1
+        return own
+    file = SoftFileLock(path, timeout=0, thread_local=False)
+    with file_errors(output, "locked"):
+        try:
+            file.acquire()
+        except Timeout:
+            who = "another run of swimid"
+            if file.pid is not None:
+                who = f"{who} (process {file.pid})"
+            raise UsageError(
+                f"{output} is being written by {who}",
+                hint=f"wait for it, or name another output; if no such run exists, delete {path}",
+            ) from None
+    _HELD[path] = Lock(file)
+    return _HELD[path]
+
+
+@contextmanager
+def locked(output: Path | None) -> Iterator[None]:
+    """Hold the lock of an output while the block runs; a device or a stream needs none."""
+    stored = output is not None and (output.is_file() or output.is_dir() or not output.exists())
+    if output is None or not stored or str(output) == "-" or not os.access(output.parent, os.W_OK):
+        yield
+        return
+    taken = lock(output)
+    try:
+        yield
+    finally:
+        taken.release()
+
+
+# ---------------------------------------------------------------- file names
+
+#: Names that Windows reserves for devices.
+DEVICES = {"CON", "PRN", "AUX", "NUL", *(f"{port}{k}" for port in ("COM", "LPT") for k in range(1, 10))}
+
+
+def file_names(ids: Sequence[str], endings: Sequence[str]) -> list[str]:
+    """Return one file name for each id; no two of them are the same file on any system.
+
+    Characters other than letters, digits, ``_``, ``-`` and ``.`` become ``_``.
+
+    Parameters
+    ----------
+    ids : sequence of str
+        Distinct ids.
+    endings : sequence of str
+        Endings with their dot. The names get the first one; an id may end in any of them.
+
+    Raises
+    ------
+    UsageError
+        When two ids have the same name; capitals do not count, because many file systems ignore them.
+
+    Examples
+    --------
+    >>> file_names(["run 1.csv", "day2/run 1"], [".csv", ".parquet"])
+    ['run_1.csv', 'day2_run_1.csv']
+    """
+    names: dict[str, tuple[str, str]] = {}
+    for one in ids:
+        bare = next((one.removesuffix(e) for e in endings if one.endswith(e)), one)
+        stem = re.sub(r"[^\w.-]", "_", unicodedata.normalize("NFC", bare))
+        stem += "_" if stem.partition(".")[0].upper() in DEVICES else ""
+        other, name = names.setdefault(stem.casefold(), (one, stem + endings[0]))
+        if other != one:
+            raise UsageError(
+                f"'{other}' and '{one}' would both be written to the file {name}",
+                hint="give them ids that differ in letters, digits, '_', '-' or '.'; capitals do not count",
+            )
+    return [name for _, name in names.values()]

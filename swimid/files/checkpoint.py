@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 import swimid
 from swimid.errors import file_errors
-from swimid.files import atomic, lock
+from swimid.files import atomic
 from swimid.notices import warn
 
 #: Number of hexadecimal digits of a key and of a checksum.
@@ -83,7 +83,7 @@ class Checkpoint:
             return
         atomic.check_writable(path)
         # also where a run fails: when nobody refers to the checkpoint any more
-        self._release = weakref.finalize(self, lock.take(path.with_suffix("")).release)
+        self._release = weakref.finalize(self, atomic.lock(path.with_suffix("")).release)
         with file_errors(path):
             self._read(path, anew)
 

@@ -1,19 +1,29 @@
-"""Provenance of a result: command, version, inputs and their SHA-256."""
+"""Provenance of a result, and the marks by which swimid recognises the files that it wrote.
+
+Every format keeps its mark in one place, and only that place is read: a file of somebody else may contain the
+word "swimid" anywhere. ``docs/formats.md`` lists the marks.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import json
 import os
+import re
 import shlex
 import sys
+import zlib
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, Protocol
 
 import swimid
 from swimid.errors import file_errors
+from swimid.files import tabular
 
 
 def sha256(path: str | Path) -> str:
@@ -132,3 +142,128 @@ def _versions() -> dict[str, str]:
         for label, module in loaded.items()
         if module is not None
     }
+
+
+# ---------------------------------------------------------------- marks of files that swimid wrote
+
+#: Value of a picture's ``Software`` or ``dc:creator``.
+SOFTWARE = "swimid"
+#: Comment in a GIF, and content of the last box of a video.
+MADE_BY = "made by swimid"
+#: ISO base media file format (ISO/IEC 14496-12), section 8.1.2: a ``free`` box, which players skip.
+VIDEO_BOX = (8 + len(MADE_BY)).to_bytes(4, "big") + b"free" + MADE_BY.encode()
+#: Formats that people write, too; a file of one is recognised by the first line of an unedited draft.
+AUTHORED = ("trials", "robot", "setup", "mapping")
+#: Number of bytes in which the mark of a text file must lie, from its start or its end.
+NEAR = 65536
+
+_LOG = re.compile(r"(?:made_by|imported_by): *['\"]?swimid [a-z]")
+_FORMAT = re.compile(r"swimid-([a-z-]+)/\d+")
+_DRAFT = re.compile(r"# Drafted by swimid \S+, sha256 ([0-9a-f]{16})\b[^\n]*\n")
+#: Marks at the very beginning of a text, by what comes before them.
+_BEGINNINGS = (
+    re.compile(r"<\?xml [^>]*>\s*<!--\s*Written by swimid \d"),
+    re.compile(r"<!DOCTYPE html>\s*<html\b[^>]*>\s*<head>\s*(?:<meta [^>]*>\s*)*?"
+               r"<meta name=\"generator\" content=\"swimid "),
+    re.compile(r"/\*(?:(?!\*/).)*\*/\s*#ifndef SWIMID_STIFFNESS_RULE_H\b", re.DOTALL),
+    re.compile(r"index,profile,(?:[^,\n]+,)+[^,\n]+\[[^\n]*\]\n"),
+)  # fmt: skip
+_SVG = re.compile(
+    r"<\?xml [^>]*>\s*(?:<!DOCTYPE [^>]*>\s*)?<svg [^>]*>\s*<metadata>(?:(?!</metadata>).)*"
+    r"<dc:creator>\s*<cc:Agent>\s*<dc:title>swimid</dc:title>",
+    re.DOTALL,
+)
+_MARKDOWN = re.compile(r"\nMade by swimid \S+ on \d{4}-\d\d-\d\d [\d:]+ UTC\. [^\n]*\n?\Z")
+
+
+def is_own(path: Path) -> bool:
+    """Return whether swimid wrote this file, so that a rerun may replace it; true of empty files and devices.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read.
+    """
+    if not path.is_file():
+        return True
+    with file_errors(path), suppress(ValueError):  # neither JSON nor Parquet
+        with path.open("rb") as stream:
+            head = stream.read(NEAR)
+            stream.seek(max(path.stat().st_size - NEAR, 0))
+            tail = stream.read()
+        if head[:4] == b"PAR1":
+            return _own_parquet(path)
+        if head[:4] in (b"\x89PNG", b"GIF8"):
+            return _own_picture(path)
+        return not head or tail.endswith(VIDEO_BOX) or _own_text(path, head, tail)
+    return False
+
+
+def mark_draft(text: str) -> str:
+    """Mark a draft that is made to be edited: while nobody has edited it, a rerun may replace it."""
+    return (
+        f"# Drafted by swimid {swimid.__version__}, sha256 {_short_digest(text)}. "
+        f"Once the lines below are edited, swimid does not overwrite this file.\n{text}"
+    )
+
+
+def mark_png(data: bytes) -> bytes:
+    """Mark a PNG that was encoded without metadata; ``data`` is the whole file."""
+    content = b"tEXtSoftware\0" + SOFTWARE.encode()
+    chunk = (len(content) - 4).to_bytes(4, "big") + content + zlib.crc32(content).to_bytes(4, "big")
+    after_header = 8 + 25  # signature and IHDR chunk
+    return data[:after_header] + chunk + data[after_header:]
+
+
+def _short_digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _own_parquet(path: Path) -> bool:
+    pyarrow = tabular.pyarrow()
+    try:
+        stored = (pyarrow.parquet.read_schema(path).metadata or {}).get(b"swimid", b"")
+    except pyarrow.ArrowInvalid:
+        return False
+    return any(_LOG.match(line) for line in stored.decode("utf-8", "replace").splitlines())
+
+
+def _own_picture(path: Path) -> bool:
+    from PIL import Image, UnidentifiedImageError
+
+    with suppress(UnidentifiedImageError), Image.open(path) as picture:
+        return picture.info.get("Software") == SOFTWARE or picture.info.get("comment") == MADE_BY.encode()
+    return False
+
+
+def _own_text(path: Path, head: bytes, tail: bytes) -> bool:
+    start = head.decode("utf-8-sig", "replace").replace("\r\n", "\n")
+    end = tail.decode("utf-8", "replace").replace("\r\n", "\n")
+    if any(mark.match(start) for mark in (*_BEGINNINGS, _SVG)) or _MARKDOWN.search(end):
+        return True
+    if drafted := _DRAFT.match(start):
+        return drafted[1] == _short_digest(
+            path.read_text(encoding="utf-8", errors="replace")[drafted.end() :]
+        )
+    if start.startswith("#"):
+        comments = takewhile(lambda line: line.startswith("#") or not line, start.split("\n"))
+        return any(_LOG.match(line[1:].strip()) for line in comments)
+    if start.startswith("{"):
+        return _own_json(path)
+    if named := re.match(r"format: *['\"]?([^\s'\"]+)", start):
+        text = path.read_text(encoding="utf-8", errors="replace")
+        stated = re.search(r"^provenance:\n(?: .*\n)*?  version: ", text, re.MULTILINE)
+        return _written_format(named[1]) and stated is not None
+    return False
+
+
+def _own_json(path: Path) -> bool:
+    data = json.loads(path.read_text(encoding="utf-8"))
+    comment = str(data.get("$comment", ""))
+    by_verb = comment.startswith("written by swimid ") or {"swimid", "packages", "healthy"} <= set(data)
+    return by_verb or _written_format(str(data.get("format")))
+
+
+def _written_format(name: str) -> bool:
+    form = _FORMAT.fullmatch(name)
+    return form is not None and form[1] not in AUTHORED

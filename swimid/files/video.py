@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
-from swimid.files.mark import MADE_BY, VIDEO_BOX
+from swimid.files.provenance import MADE_BY, VIDEO_BOX
 
 Frame = NDArray[np.uint8]
 #: Ticks a second of the time stamps.

@@ -13,8 +13,8 @@ from swimid.errors import InputError
 from swimid.files.provenance import Input
 from swimid.fitting.model import POSITIONS, Array, Model, Trial
 from swimid.logs import log as log_format
-from swimid.logs.held import LONG_HOLD, find_frozen, find_held
 from swimid.logs.log import Log
+from swimid.logs.sampling import LONG_HOLD, find_frozen, find_held
 from swimid.logs.trials import Trial as TrialEntry
 from swimid.logs.trials import Trials
 from swimid.notices import warn

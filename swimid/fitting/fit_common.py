@@ -21,7 +21,7 @@ from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Channel, Model, Parameter, Trial, chosen
 from swimid.fitting.noise import autocorrelation, joined, ljung_box
 from swimid.fitting.output_error import STEP_ERROR
-from swimid.logs.beat import TOLERANCE
+from swimid.logs.log import FREQUENCY_RTOL
 from swimid.notices import recorded, warn
 from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers
@@ -400,13 +400,13 @@ def beat_check(found: Mapping[str, Mapping[str, Any] | None]) -> ev.Check:
     wrong = [
         name
         for name, b in known.items()
-        if abs(b["found_hz"] - b["stated_hz"]) > max(TOLERANCE * b["stated_hz"], 3 * b["stderr_hz"])
+        if abs(b["found_hz"] - b["stated_hz"]) > max(FREQUENCY_RTOL * b["stated_hz"], 3 * b["stderr_hz"])
     ]
     return ev.check(
         "beat frequency as stated",
         f"not in {len(wrong)} of {len(known)} trials" if wrong else "yes",
         not wrong,
-        f"within {100 * TOLERANCE:g} %",
+        f"within {100 * FREQUENCY_RTOL:g} %",
         "found in the heading of each log",
         reason=f"the beat found in {', '.join(wrong)} is not the stated one",
     )

@@ -27,9 +27,9 @@ from swimid.inertial.record import (
 )
 from swimid.inertial.setup import DEG, MOST_ACCELERATION
 from swimid.logs import sampling
+from swimid.logs.clock import in_order
 from swimid.logs.log import runs
 from swimid.logs.rotation import rearranged
-from swimid.logs.time_order import in_order
 
 #: Maximum share of rows without a usable time, and of missing cells in a channel.
 MAX_MISSING = 0.5

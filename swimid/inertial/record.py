@@ -14,9 +14,9 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
 from swimid.errors import InputError
-from swimid.files.delimited import missing_column
 from swimid.files.provenance import path_of
-from swimid.logs import log, mapping, track_cleaning
+from swimid.files.tabular import missing_column
+from swimid.logs import log, mapping, tracks
 from swimid.logs.log import Log
 from swimid.logs.rotation import angles, from_angles
 from swimid.logs.sampling import usual_step
@@ -255,7 +255,7 @@ def _take_out(read: Log, position: Array, turn: Array) -> None:
     seen = np.flatnonzero(np.isfinite(position).any(axis=0))
     # A track of fewer samples, or of samples farther apart, s, is too sparse to tell jumps from motion.
     if len(read) >= 40 and usual_step(read.time_s) <= 0.25 and len(seen) > 1:
-        cleaning = track_cleaning.clean(read.time_s, [position[:, k] for k in seen], list(turn.T))
+        cleaning = tracks.clean(read.time_s, [position[:, k] for k in seen], list(turn.T))
         repeated, jumped = cleaning.repeated, far | cleaning.jumped
     out = repeated | jumped
     if out.any():

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from swimid.logs.log import FREQUENCY_RTOL
 from swimid.logs.sampling import has_levels
 from swimid.notices import warn
 
@@ -82,17 +83,13 @@ class Beat:
         return frequency_hz < (HARMONICS + 0.5) * self.frequency_hz
 
 
-#: A beat frequency this far from the stated one, as a share of it, contradicts it.
-TOLERANCE = 0.05
-
-
 def contradiction(found: Beat, stated_hz: float) -> str | None:
     """In words, how a beat contradicts a stated frequency; None where it does not.
 
     >>> contradiction(Beat(2.0, 0.01, 1.0, 0.9), 1.0)
     'beats at 2.000 ± 0.010 Hz, 2.00 times as fast'
     """
-    if abs(found.frequency_hz - stated_hz) <= max(TOLERANCE * stated_hz, 3 * found.stderr_hz):
+    if abs(found.frequency_hz - stated_hz) <= max(FREQUENCY_RTOL * stated_hz, 3 * found.stderr_hz):
         return None
     ratio = found.frequency_hz / stated_hz
     whole = f", {ratio:.2f} times as fast" if abs(ratio - round(ratio)) < 0.05 and ratio > 1.5 else ""

@@ -11,25 +11,21 @@ from numpy.typing import NDArray
 
 from swimid.errors import InputError, NoTrustworthyResult
 from swimid.logs import (
+    clock,
     consistency,
     log,
-    plausible,
     rhythm,
-    time_order,
-    track_cleaning,
-    track_speed,
+    tracks,
 )
 from swimid.logs.beat import contradiction
+from swimid.logs.clock import Order
 from swimid.logs.consistency import Contradiction
-from swimid.logs.held import find_frozen
+from swimid.logs.log import Doubt
 from swimid.logs.mapping import MappedLog
 from swimid.logs.options import ImportOptions, direction
-from swimid.logs.plausible import Doubt
 from swimid.logs.rhythm import Rhythm
-from swimid.logs.sampling import find_uneven
-from swimid.logs.time_order import Order
-from swimid.logs.track_cleaning import Cleaning
-from swimid.logs.track_speed import TrackSpeed
+from swimid.logs.sampling import find_frozen, find_uneven
+from swimid.logs.tracks import Cleaning, TrackSpeed
 from swimid.notices import warn
 
 Array = NDArray[np.float64]
@@ -93,7 +89,7 @@ class Examined:
     contradictions : list of Contradiction
         Columns that contradict each other.
     frozen : dict of str to (float, float)
-        Longest stretch of each channel that is frozen, s (:func:`swimid.logs.held.find_frozen`).
+        Longest stretch of each channel that is frozen, s (:func:`swimid.logs.sampling.find_frozen`).
     uneven : str
         How the sampling departs from an even one, in words; empty where it does not.
     bursts : bool
@@ -139,7 +135,7 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
     InputError
         No sample has a time, or the clock starts again within the log.
     NoTrustworthyResult
-        Fewer samples of a cleaned track than :data:`swimid.logs.track_speed.MIN_SAMPLES` stay of many.
+        Fewer samples of a cleaned track than :data:`swimid.logs.tracks.MIN_SAMPLES` stay of many.
     """
     name, columns = source.path.name, source.columns
     order = _in_order(source)
@@ -162,7 +158,7 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
         track = [known[column] for column in coordinates]
         angles = [known[column] for column in ANGLES if column in columns]
         stamps = columns[log.TIME]
-        cleaning = track_cleaning.clean(stamps, track, angles)
+        cleaning = tracks.clean(stamps, track, angles)
         if cleaned:
             _take_out(columns, cleaning, name, metadata)
     telling = {column: v for column, v in _measured(columns).items() if column != log.TIME}
@@ -182,8 +178,8 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
         periodic_hz, period_s = stroke.beat.frequency_hz, stroke.period_s[0]
         against = _against(stroke, stated, name)
     if cleaning is not None:
-        speed = track_speed.speed(stamps, track, cleaning, periodic_hz)
-    doubts = [*plausible.doubts(columns[log.TIME], columns), *_bent(stroke)]
+        speed = tracks.speed(stamps, track, cleaning, periodic_hz)
+    doubts = [*log.doubts(columns[log.TIME], columns), *_bent(stroke)]
     for doubt in doubts:
         warn("SWM002", f"{name}, '{doubt.column}': {doubt.text}")
     contradictions = consistency.contradictions(columns, period_s)
@@ -217,7 +213,7 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
 def _in_order(source: MappedLog) -> Order:
     """How the rows get strictly increasing times; an error where they cannot."""
     channels = {name: values for name, values in source.columns.items() if name != log.TIME}
-    order = time_order.in_order(source.time_s, channels)
+    order = clock.in_order(source.time_s, channels)
     if len(order.index) < 2:
         text = f"{len(order.index)} of {len(source)} rows have a time of their own; at least 2 are needed"
         raise InputError(text, file=source.path, column=log.TIME, hint="is the time complete?")
@@ -263,7 +259,7 @@ def _take_out(columns: dict[str, Array], cleaning: Cleaning, name: str, metadata
     out, good = cleaning.repeated | cleaning.jumped, int(cleaning.good.sum())
     if not out.any():
         return
-    if len(out) >= 2 * track_speed.MIN_SAMPLES and good < track_speed.MIN_SAMPLES:
+    if len(out) >= 2 * tracks.MIN_SAMPLES and good < tracks.MIN_SAMPLES:
         text = f"{name}: of {len(out)} samples {good} are no repeats or jumps: no track"
         raise NoTrustworthyResult(text, hint="--raw keeps them all; is this a track of positions in metres?")
     lost = f"{done['samples_jumped']} samples of {done['jumps']} jumps"

@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.files import atomic, mark, yamlio
+from swimid.files import atomic, provenance, yamlio
 from swimid.files.provenance import path_of
 from swimid.logs import clock, log, mapping, profiles, units
 from swimid.logs.clock import ASK
-from swimid.logs.foreign import open_table
-from swimid.logs.foreign.base import Table, is_text
+from swimid.logs.foreign import Table, is_text, open_table
 from swimid.logs.log import TIME, LogLike
 from swimid.logs.mapping import Mapping
 from swimid.results.result import Result
@@ -73,7 +72,7 @@ class Draft(Result):
         return mapping.of(yamlio.parse_scalar(self.document))
 
     def _write(self, path: Path) -> list[Path]:
-        atomic.write_text(path, mark.draft(self.document))
+        atomic.write_text(path, provenance.mark_draft(self.document))
         return [path]
 
 

@@ -18,16 +18,18 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic_core import to_json
 
-from swimid.errors import InputError, first_line
-from swimid.files import atomic, delimited, parquet, yamlio
-from swimid.files.delimited import column_names, head, missing_column, number, number_hint
-from swimid.logs import plausible
+from swimid.errors import InputError, file_errors, first_line
+from swimid.files import atomic, tabular, yamlio
+from swimid.files.tabular import column_names, head, missing_column, number, number_hint
 from swimid.notices import warn
 
 if TYPE_CHECKING:
     import pandas as pd
 
+Array = NDArray[np.float64]
 TIME = "t_s"
+#: A stroke frequency that differs from the stated one by more than this share contradicts it.
+FREQUENCY_RTOL = 0.05
 #: Samples written at once, and bytes read at once.
 ROWS, BLOCK = 100_000, 1 << 20
 #: What a function that reads a log takes: its path, or the log itself.
@@ -268,12 +270,9 @@ def read(
         column without a single sample.
     """
     path = Path(path)
-    reader = _read_parquet if path.suffix.lower() in parquet.ENDINGS else _read_csv
-    try:
+    reader = _read_parquet if path.suffix.lower() in tabular.PARQUET else _read_csv
+    with file_errors(path):
         log = reader(path, required, optional)
-    except OSError as error:
-        hint = "check the path" if isinstance(error, FileNotFoundError) else None
-        raise InputError(f"cannot be read: {error.strerror or error}", file=path, hint=hint) from error
     _check(log, required)
     return log
 
@@ -305,7 +304,7 @@ def _read_csv(path: Path, required: Sequence[str], optional: Sequence[str] | Non
     if any('"' in line for line in comments):
         # pandas skips lines up to the next quotation mark
         source, skip = path.read_bytes().split(b"\n", header_line)[-1], 0
-    read = partial(delimited.parse, source, names, skip_lines=skip)
+    read = partial(tabular.parse, source, names, skip_lines=skip)
     try:
         table = read(dict.fromkeys(wanted, float))
     except ValueError:
@@ -392,7 +391,7 @@ def _is_regular(path: Path, header_line: int, rows: int, width: int) -> bool:
 
 def _refuse_ragged(path: Path, header_line: int, width: int) -> None:
     for at, line in _samples(path, header_line):
-        cells = delimited.count_cells(line.rstrip("\n"))
+        cells = tabular.count_cells(line.rstrip("\n"))
         if cells != width:
             text = f"has {cells or 'unreadable'} cells where the header names {width} columns"
             raise InputError(text, file=path, line=at)
@@ -408,7 +407,7 @@ def _line_of(path: Path, header_line: int, row: int) -> int:
 
 
 def _read_parquet(path: Path, required: Sequence[str], optional: Sequence[str] | None) -> Log:
-    pyarrow = parquet.library()
+    pyarrow = tabular.pyarrow()
     path.stat()  # what is not there is not damaged
     try:
         file = pyarrow.parquet.ParquetFile(path)
@@ -495,7 +494,7 @@ def longest_run(flags: NDArray[np.bool_]) -> int:
 
 def warn_units(log: Log) -> None:
     """Warn of values no swimmer reaches in the unit the column claims."""
-    for doubt in plausible.doubts(log.time_s, log.columns):
+    for doubt in doubts(log.time_s, log.columns):
         warn("SWM002", f"{log.path.name}, '{doubt.column}': {doubt.text}")
 
 
@@ -517,8 +516,8 @@ def write(path: str | Path, columns: Mapping[str, Any], metadata: Mapping[str, A
     path, lines = Path(path), _metadata_lines(metadata or {})
     frame = pd.DataFrame(dict(columns))
     with atomic.replacing(path) as temporary:
-        if path.suffix.lower() in parquet.ENDINGS:
-            pyarrow = parquet.library()
+        if path.suffix.lower() in tabular.PARQUET:
+            pyarrow = tabular.pyarrow()
             table = pyarrow.Table.from_pandas(frame, preserve_index=False)
             stored = {**(table.schema.metadata or {}), b"swimid": "\n".join(lines).encode()}
             pyarrow.parquet.write_table(table.replace_schema_metadata(stored), temporary)
@@ -550,8 +549,8 @@ def write_numbers(
         for start in range(0, len(columns[TIME]), ROWS)
     )
     with atomic.replacing(path) as temporary, temporary.open("wb") as stream:
-        if path.suffix.lower() in parquet.ENDINGS:
-            pyarrow = parquet.library()
+        if path.suffix.lower() in tabular.PARQUET:
+            pyarrow = tabular.pyarrow()
             schema = pyarrow.schema([(name, pyarrow.float64()) for name in columns])
             schema = schema.with_metadata({b"swimid": "\n".join(lines).encode()})
             # Measured numbers hardly ever repeat: a dictionary of them only costs time.
@@ -582,3 +581,94 @@ def _printed(samples: NDArray[np.float64]) -> bytes:
 
 def _metadata_lines(metadata: Mapping[str, Any]) -> list[str]:
     return [line for line in yamlio.dumps_flat(metadata).splitlines() if line.strip()]
+
+
+# ---------------------------------------------------------------- values that are unusual in the stated unit
+
+# The unit is believed all the same: magnitudes check what is stated, and infer nothing.
+
+#: The fastest swimming: cavitation and muscle power end it at 10 to 15 m/s. Iosilevskii, G., Weihs, D.
+#: (2008). Speed limits on swimming of fishes and cetaceans. J. R. Soc. Interface 5, 329-338.
+FASTEST_M_S = 15.0
+#: Turn rate, rad/s: ten turns a second, more than the fastest escape of a fish or a fin that beats
+#: through ±50 degrees at 10 Hz.
+FASTEST_RAD_S = 60.0
+#: Extent of a track that a tank, a pool and a field of view do not have, m.
+WIDEST_M = 100.0
+#: Share of the record below which they may lie above the limit: jumps of a tracker.
+OUTLIER_SHARE = 0.05
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """A column with unusual values, and the unit that would explain them."""
+
+    column: str
+    text: str
+
+
+def doubts(time_s: Array, columns: Mapping[str, Array]) -> list[Doubt]:
+    """Return the columns of a log with values that are unusual for a swimmer.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+    columns : mapping of str to ndarray, each shape (n,)
+        With or without ``t_s``; NaN where missing.
+    """
+    texts: dict[str, str | None] = {}
+    if len(time_s) > 2 and np.nanmedian(np.diff(time_s)) >= 5 and np.ptp(time_s) >= 2000:
+        texts["t_s"] = (
+            "a step of 5 s or more is unusual: state the unit if it is milliseconds (a factor of 1000)"
+        )
+    texts |= {name: _doubt(name, time_s, values) for name, values in columns.items() if name != "t_s"}
+    return [Doubt(name, text) for name, text in texts.items() if text is not None]
+
+
+def _doubt(name: str, time_s: Array, values: Array) -> str | None:
+    low, high = _ends(values)
+    largest = max(-low, high)
+    if name.endswith("_rad"):
+        tilted = name in ("roll_rad", "pitch_rad") and largest > 1.5 * np.pi
+        wrapped = max(_ends(np.diff(values))) > 2.2 * np.pi
+        bent = name[:3] in ("joi", "cmd") and largest > 2 * np.pi
+        if tilted or wrapped or bent:
+            return "unusual for radians: state the unit if it is degrees (a factor of 57.3)"
+        rate = _usual_rate(time_s, values)
+        if rate > FASTEST_RAD_S:
+            return f"turns at {rate:.3g} rad/s: state the unit if it is degrees (a factor of 57.3)"
+    elif name.endswith("_rad_s") and largest > FASTEST_RAD_S:
+        return "unusual for rad/s: state the unit if it is degrees per second (a factor of 57.3)"
+    elif name in ("x_m", "y_m", "z_m"):
+        speed = _usual_rate(time_s, values)
+        if speed > FASTEST_M_S:
+            return f"moves at {speed:.3g} m/s: state the unit if it is millimetres (a factor of 1000)"
+        if high - low > WIDEST_M:
+            return f"extends over {high - low:.3g} m: state the unit if it is millimetres (a factor of 1000)"
+    elif name.endswith("_m_s") and largest > FASTEST_M_S:
+        return "unusual for m/s: state the unit if it is millimetres per second (a factor of 1000)"
+    return None
+
+
+def _usual_rate(time_s: Array, values: Array) -> float:
+    """Rate of change that all but :data:`OUTLIER_SHARE` of a record stays below; 0 of too short a one."""
+    known = np.isfinite(values) & np.isfinite(time_s)
+    t, x = time_s[known], values[known]
+    if len(t) < 3 or not np.median(np.diff(t)) > 0:
+        return 0.0
+    # over at least 0.1 s, so that noise and a jump do not make a rate
+    lag = max(1, round(0.1 / float(np.median(np.diff(t)))))
+    if len(t) <= 2 * lag:
+        return 0.0
+    steps = t[lag:] - t[:-lag]
+    forward = steps > 0
+    rates = np.abs(x[lag:] - x[:-lag])[forward] / steps[forward]
+    return float(np.quantile(rates, 1.0 - OUTLIER_SHARE)) if len(rates) else 0.0
+
+
+def _ends(values: Array) -> tuple[float, float]:
+    """Smallest and largest value, zeros where there is none."""
+    if len(values) == 0:
+        return 0.0, 0.0
+    low, high = float(np.fmin.reduce(values)), float(np.fmax.reduce(values))
+    return (0.0, 0.0) if np.isnan(low) else (low, high)

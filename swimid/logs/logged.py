@@ -1,23 +1,41 @@
-"""The result of what makes a log: tracking, import, simulation."""
+"""The result of what makes a log (tracking, import, simulation), and the figures of logs."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from swimid.logs import figures, log
-from swimid.logs.log import Log
-from swimid.logs.sampling import pauses
-from swimid.results import numbers
-from swimid.results.evidence import Evidence, Table, Verdict, leaf_table
+from swimid.logs import log, rhythm
+from swimid.logs.log import TIME, Log, runs
+from swimid.logs.rhythm import Rhythm
+from swimid.logs.sampling import longest_even, pauses
+from swimid.notices import warn
+from swimid.results import blocks, numbers
+from swimid.results.evidence import (
+    MAX_POINTS,
+    Evidence,
+    Figure,
+    Mark,
+    Panel,
+    Span,
+    Table,
+    Trace,
+    Verdict,
+    leaf_table,
+    thinned,
+)
 from swimid.results.result import Result
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,11 +101,11 @@ class Logged(Result):
             if name == log.TIME:
                 continue
             known = values[np.isfinite(values)]
-            gaps = figures.missing(self.log.time_s, values, after)
+            gaps = _missing(self.log.time_s, values, after)
             ends = (float(known.min()), float(known.max())) if len(known) else (None, None)
-            missing = numbers.percent(1 - len(known) / len(values))
+            lost = numbers.percent(1 - len(known) / len(values))
             longest = max((end - start for start, end in gaps), default=0.0)
-            rows.append([name, *ends, missing, numbers.number(longest, 3, "s")])
+            rows.append([name, *ends, lost, numbers.number(longest, 3, "s")])
         columns = ["channel", "smallest", "largest", "missing", "longest gap"]
         folded = self.evidence is not None
         return [Table(id="channels", title="Channels", columns=columns, rows=rows, folded=folded)]
@@ -101,6 +119,194 @@ class Logged(Result):
             verb=self.verb,
             title=f"Log {self.path.name}",
             verdict=verdict,
-            figures=figures.figures([self.log]),
+            figures=figures_of([self.log]),
             tables=[leaf_table("metadata", "Metadata of the log", self.log.metadata)],
         )
+
+
+# ---------------------------------------------------------------- figures
+
+#: More channels than this are listed in the table and not drawn.
+MAX_PANELS = 12
+#: Columns two sensors have different names for.
+SAME = {"wz_rad_s": "yaw_rate_rad_s"}
+
+
+def figures_of(logs: Sequence[Log], *, found: Rhythm | None = None) -> list[Figure]:
+    """Every figure the columns of one or several logs allow.
+
+    Parameters
+    ----------
+    logs : sequence of Log
+        Several are drawn over each other, each on its own clock.
+    found : Rhythm, optional
+        The stroke of a single log, where the caller knows it already.
+    """
+    drawn = [channels(logs), track(logs)]
+    for record in logs:
+        drawn.append(_spectra(record, found or rhythm.find(record.time_s, _signals(record))))
+    return [figure for figure in drawn if figure is not None and figure.panels]
+
+
+def _signals(record: Log) -> dict[str, Array]:
+    return {name: values for name, values in record.columns.items() if name != TIME}
+
+
+def _missing(time: Array, values: Array, after: NDArray[np.intp]) -> list[tuple[float, float]]:
+    """Stretches between two samples that lack what lies between them, s; pauses are ``after`` samples."""
+    empty = np.isnan(values)
+    blank = np.add(runs(empty if empty.any() else empty[:0]), [-1, 0])
+    ends = np.vstack([blank, np.add.outer(after, [0, 1])]).clip(0, len(time) - 1)
+    return sorted({(float(time[first]), float(time[last])) for first, last in ends})
+
+
+def _broken(time: Array, values: Array, after: NDArray[np.intp]) -> tuple[Array, Array]:
+    """The samples with an empty one in every pause, so that no line is drawn across it."""
+    if not len(after):
+        return time, values
+    middle = 0.5 * (time[after] + time[after + 1])
+    return np.insert(time, after + 1, middle), np.insert(values, after + 1, np.nan)
+
+
+def channels(logs: Sequence[Log]) -> Figure:
+    """The channels over time, those of several logs over each other, gaps shaded."""
+    names, several = _names(logs), len(logs) > 1
+    after = [pauses(record.time_s) for record in logs]
+    by_channel: dict[str, list[tuple[int, Log, Array]]] = {}
+    for number, record in enumerate(logs):
+        for column, values in _signals(record).items():
+            channel = SAME.get(column, column) if several else column
+            by_channel.setdefault(channel, []).append((number, record, values))
+    # those that several have first
+    order = sorted(by_channel, key=lambda channel: -len(by_channel[channel]))
+    panels = []
+    for channel in order[:MAX_PANELS]:
+        traces, gaps = [], []
+        for number, record, values in by_channel[channel]:
+            x, y = thinned(*_broken(record.time_s, values, after[number]))
+            label, group, lacking = ("", None, "missing")
+            if several:
+                label, group, lacking = names[number], number, f"missing in {names[number]}"
+            traces.append(Trace(x=x, y=y, label=label, group=group))
+            ends = _missing(record.time_s, values, after[number])
+            gaps += [Span(start=start, end=end, label=lacking) for start, end in ends]
+        longest = sorted(gaps, key=lambda gap: gap.start - gap.end)[:60]
+        title, spans = numbers.column_title(channel), sorted(longest, key=lambda gap: gap.start)
+        panels.append(Panel(x_label="time (s)", y_label=title, traces=traces, spans=spans))
+    title, caption = "Channels over time", "Samples are missing where it is shaded."
+    if several:
+        title = "Channels of several logs"
+        caption += (
+            " Each log is on its own clock: a constant shift along the axis is an offset of the clocks."
+        )
+    for record in logs:
+        if len(record) > MAX_POINTS:
+            text = f"{len(record)} samples drawn as their envelope of {MAX_POINTS} points"
+            warn("SWM051", f"{record.path.name}: {text}")
+            caption += f" The {text.replace('drawn', 'are drawn')}."
+    if len(order) > MAX_PANELS:
+        caption += f" {len(order) - MAX_PANELS} further channels are not drawn."
+    return Figure(id="channels", title=title, caption=caption, panels=panels)
+
+
+def _names(logs: Sequence[Log]) -> list[str]:
+    """A short name for every log, its folder put before it where two are called the same."""
+    names = [record.path.name for record in logs]
+    folders = [record.path.parent.name for record in logs]
+    return [n if names.count(n) == 1 else f"{f}/{n}" for n, f in zip(names, folders, strict=True)]
+
+
+def track(logs: Sequence[Log]) -> Figure | None:
+    """The path from above (or from the side), to scale, with arrows along the heading."""
+    traces: list[Trace] = []
+    across, several = "", len(logs) > 1
+    for name, record in zip(_names(logs), logs, strict=True):
+        up = next((column for column in ("y_m", "z_m") if column in record and "x_m" in record), None)
+        if up is None or (across and up != across):
+            continue
+        across = up
+        x, y = record["x_m"], record[up]
+        step, after = len(x) // MAX_POINTS + 1, pauses(record.time_s)
+        line = (_broken(record.time_s, values, after)[1][::step] for values in (x, y))
+        traces.append(Trace(**dict(zip("xy", line, strict=True)), label=name if several else "path"))
+        there = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+        if len(there) and not several:
+            traces.append(Trace(x=x[there[:1]], y=y[there[:1]], label="start", style="points"))
+        heading = {"y_m": "yaw_rad", "z_m": "pitch_rad"}[up]
+        if heading in record and len(there) > 1:
+            traces.append(_arrows(x, y, record[heading], f"heading, {name}" if several else "heading"))
+    if not traces:
+        return None
+    title = "Path from above" if across == "y_m" else "Path from the side"
+    caption, y_label = "The path to scale, with arrows along the heading.", numbers.column_title(across)
+    return blocks.figure("path", title, caption, "x (m)", y_label, traces, equal_aspect=True)
+
+
+def _arrows(x: Array, y: Array, angle: Array, label: str) -> Trace:
+    """Arrows as one broken line: shaft and two barbs each."""
+    good = np.flatnonzero(np.isfinite(x) & np.isfinite(y) & np.isfinite(angle))
+    rows = good[np.linspace(0, len(good) - 1, min(24, len(good))).astype(int)]
+    size = 0.06 * max(float(np.ptp(x[good])), float(np.ptp(y[good])), 1e-9) if len(good) else 0.0
+    sides = []
+    for values, way in ((x, np.cos), (y, np.sin)):
+        start, turn = values[rows], angle[rows]
+        tip = start + size * way(turn)
+        left, right = (tip + 0.4 * size * way(barb + turn) for barb in (np.pi - 0.45, np.pi + 0.45))
+        sides.append(np.column_stack([start, tip, left, tip, right, np.full(len(rows), np.nan)]).ravel())
+    return Trace(x=sides[0], y=sides[1], label=label, style="arrows")
+
+
+def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
+    """Return amplitude spectra of the channels that tell of the stroke, with marks at its harmonics."""
+    told = (rhythm.SIDEWAYS, rhythm.PUSHED)
+    signals = {n: v for n, v in _signals(record).items() if any(names.fullmatch(n) for names in told)}
+    caption = "No stroke was found."
+    beats: list[tuple[str, float]] = []
+    if stroke is not None:
+        signals = dict(sorted(signals.items(), key=lambda item: item[0] not in stroke.channels))
+        track = rhythm.swing(record.columns)
+        if stroke.channel in track:
+            signals = {f"{stroke.channel}_m": track[stroke.channel], **signals}
+        frequency = numbers.measured(stroke.beat.frequency_hz, stroke.beat.stderr_hz, "Hz")
+        caption = f"The stroke in {stroke.channel} is {frequency}."
+        labels = ("stroke", "2 ×, 3 ×", "2 ×, 3 ×")
+        beats = [(label, k * stroke.beat.frequency_hz) for k, label in enumerate(labels, start=1)]
+    panels = []
+    for name in list(signals)[:6]:
+        drawn = _spectrum(record.time_s, signals[name], stroke)
+        if drawn is None:
+            continue
+        marks = []
+        for label, beat_hz in beats:
+            if label == "stroke" or beat_hz <= drawn[0][-1]:
+                marks.append(Mark(at=beat_hz, axis="x", label=label))
+        trace, y_label = Trace(x=drawn[0], y=drawn[1]), f"amplitude of {numbers.column_title(name)}"
+        panels.append(
+            Panel(x_label="frequency (Hz)", y_label=y_label, traces=[trace], y_scale="log", marks=marks)
+        )
+    return Figure(
+        id=f"spectra-{record.path.stem}",
+        title=f"Spectra of {record.path.name}",
+        caption=f"{caption} Amplitudes (Hann window) of the longest stretch without a gap.",
+        panels=panels,
+        columns=2 if len(panels) > 1 else 1,
+    )
+
+
+def _spectrum(time: Array, values: Array, stroke: Rhythm | None) -> tuple[Array, Array] | None:
+    even_s, even = longest_even(time, values, rhythm.FASTEST_HZ)
+    if len(even) < 32 or np.ptp(even) == 0:
+        return None
+    rate = (len(even_s) - 1) / (even_s[-1] - even_s[0])
+    length = 1 << int(np.ceil(np.log2(2 * len(even))))
+    sample = np.arange(len(even))
+    level = even - np.polyval(np.polyfit(sample, even, 1), sample)
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * sample / len(even))
+    frequency = np.fft.rfftfreq(length, 1 / rate)
+    amplitude = 2 * np.abs(np.fft.rfft(window * level, length)) / window.sum()
+    highest = frequency[-1] if stroke is None else min(6.5 * stroke.beat.frequency_hz, frequency[-1])
+    shown = (frequency > 0) & (frequency <= highest)
+    if not np.any(amplitude[shown] > 0):
+        return None
+    floor = 1e-5 * float(amplitude[shown].max())
+    return thinned(frequency[shown], np.maximum(amplitude[shown], floor))

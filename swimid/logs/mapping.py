@@ -19,12 +19,11 @@ from pydantic import Field, field_validator, model_validator
 
 from swimid.errors import InputError
 from swimid.files import yamlio
-from swimid.files.delimited import number_hint
 from swimid.files.provenance import path_of
+from swimid.files.tabular import number_hint
 from swimid.logs import clock, profiles, units
 from swimid.logs.clock import ColumnKey, Stated, Time
-from swimid.logs.foreign import open_table
-from swimid.logs.foreign.base import Options, Table, is_text
+from swimid.logs.foreign import Options, Table, is_text, open_table
 from swimid.logs.log import TIME, Log, metadata_of, written_by
 from swimid.logs.rotation import AXES, rearranged
 from swimid.notices import warn

@@ -10,9 +10,9 @@ from typing import Self
 
 from swimid.errors import UsageError
 from swimid.files import atomic, provenance
-from swimid.logs import figures as log_figures
 from swimid.logs import log
 from swimid.logs.log import LogLike
+from swimid.logs.logged import figures_of
 from swimid.logs.options import PlotOptions
 from swimid.notices import recorded
 from swimid.options import takes
@@ -129,7 +129,7 @@ def plot(
     with recorded(repeat=True) as notices:
         names = [f"log {number}" if len(given) > 1 else "log" for number in range(1, len(given) + 1)]
         records = [log.of(one, name=name) for one, name in zip(given, names, strict=True)]
-        figures = log_figures.figures(records)
+        figures = figures_of(records)
     inputs = [one if isinstance(one, Path) else record for one, record in zip(given, records, strict=True)]
     proof = Evidence(
         verb="plot",

@@ -13,7 +13,6 @@ from swimid.logs.beat import (
     FEWEST_CYCLES,
     HARMONICS,
     MIN_SHARE,
-    TOLERANCE,
     Beat,
     demodulate,
     find_beats,
@@ -21,6 +20,7 @@ from swimid.logs.beat import (
     multiple,
     waves,
 )
+from swimid.logs.log import FREQUENCY_RTOL
 from swimid.logs.sampling import longest_even, quantum
 
 Array = NDArray[np.float64]
@@ -228,7 +228,7 @@ def find(
     """
     ranges = [range_hz]
     if stated_hz is not None and range_hz is None:
-        ranges.append(((1 - TOLERANCE) * stated_hz, (1 + TOLERANCE) * stated_hz))
+        ranges.append(((1 - FREQUENCY_RTOL) * stated_hz, (1 + FREQUENCY_RTOL) * stated_hz))
     for within in ranges:
         channels, seen = _motions(time_s, columns, within)
         pushed = {n: b for n, b in seen.items() if PUSHED.fullmatch(n) or n in ALONG}
@@ -239,7 +239,7 @@ def find(
         slow = None if within else slowest(time_s, columns)
         if slow is not None and slow[1].may_cause(chosen.frequency_hz):
             return None
-        told = stated_hz is not None and abs(chosen.frequency_hz - stated_hz) <= TOLERANCE * stated_hz
+        told = stated_hz is not None and abs(chosen.frequency_hz - stated_hz) <= FREQUENCY_RTOL * stated_hz
         # the channel at the stroke that tells it best
         at_it = {name: [b for b in found if multiple(b, chosen) == 1] for name, found in beats.items()}
         best = {name: min(found, key=lambda b: b.stderr_hz) for name, found in at_it.items() if found}

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from swimid.logs import rhythm, track_speed
+from swimid.logs import rhythm, tracks
 from swimid.logs.beat import Beat, waves
 from swimid.logs.log import runs
-from swimid.logs.track_cleaning import Cleaning, gaps
-from swimid.logs.track_speed import Estimate, mean_of_blocks
+from swimid.logs.tracks import Cleaning, Estimate, gaps, mean_of_blocks
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -261,7 +260,7 @@ def _net_speed(track: Track, begin: float, end: float, frequency_hz: float | Non
     """Return the displacement over time of what was measured in a window."""
     rows = (track.time_s >= begin) & (track.time_s <= end) & track.measured
     rows &= np.isfinite(track.raw).all(axis=0)
-    found = track_speed.net_speed(track.time_s[rows], track.raw[:, rows].T, frequency_hz)
+    found = tracks.net_speed(track.time_s[rows], track.raw[:, rows].T, frequency_hz)
     return None if found is None else _positive(found)
 
 
@@ -366,7 +365,7 @@ def _path_speed(track: Track, begin: float, end: float) -> Estimate | None:
     rows = (track.time_s >= begin) & (track.time_s <= end)
     time, good = track.time_s[rows], track.measured[rows]
     cleaning = Cleaning(good, ~good & False, ~good & False, 0, [], gaps(time, good))
-    found = track_speed.speed(time, list(track.raw[:, rows]), cleaning)
+    found = tracks.speed(time, list(track.raw[:, rows]), cleaning)
     return None if found is None else _positive(found.path)
 
 

@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
 from swimid.errors import InputError, nearest
-from swimid.files import delimited
+from swimid.files import tabular
 from swimid.files.provenance import Held
 from swimid.fitting.drives import CruiseInput, SurgeInput
 from swimid.fitting.experiment import Experiment, inputs_of, read_log
 from swimid.fitting.model import Trial
 from swimid.logs import trials as trials_format
-from swimid.logs.beat import TOLERANCE, find_beat, stated_against_found
-from swimid.logs.log import Log
+from swimid.logs.beat import find_beat, stated_against_found
+from swimid.logs.log import FREQUENCY_RTOL, Log
 from swimid.logs.trials import Cruise, Drive, FreeSwim, StrokeDrive, TrialSet
 from swimid.notices import warn
 from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, plate_inertia
@@ -250,7 +250,7 @@ def _said(waveform: tuple[str, float]) -> str:
 def _pooled_frequencies(trials: list[Trial]) -> list[Trial]:
     """Frequencies within the tolerance of each other are one setting: their median."""
     values = np.array([t.surge.frequency_hz for t in trials])
-    pooled = [float(np.median(values[np.abs(values / v - 1) < TOLERANCE])) for v in values]
+    pooled = [float(np.median(values[np.abs(values / v - 1) < FREQUENCY_RTOL])) for v in values]
     return [replace(t, surge=replace(t.surge, frequency_hz=f)) for t, f in zip(trials, pooled, strict=True)]
 
 
@@ -335,8 +335,8 @@ def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
     try:
         if isinstance(source, str | Path):
             path = Path(source)
-            _, header, line = delimited.head(path)
-            names = delimited.column_names(header, path, line)
+            _, header, line = tabular.head(path)
+            names = tabular.column_names(header, path, line)
             text = path.read_text(encoding="utf-8-sig")
         else:
             path, names = Path("table"), [str(name) for name in source.columns]
@@ -353,7 +353,7 @@ def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
             what = "this column is missing"
             if column == "time_s":
                 what = "neither time_s nor mean_speed_m_s is there"
-            raise delimited.missing_column(column, names, path, line, what)
+            raise tabular.missing_column(column, names, path, line, what)
     rows = _rows(text, path, line, names)
     if not rows:
         raise InputError("has a header and no runs", file=path, line=line)
@@ -413,14 +413,14 @@ def _numbers(rows: list[Row], name: str, path: Path) -> Array:
     values = np.full(len(rows), np.nan)
     for row, (line, cells) in enumerate(rows):
         text = cells[name]
-        if text in delimited.MISSING and name not in NUMBERS:
+        if text in tabular.MISSING and name not in NUMBERS:
             continue
-        value = delimited.number(text)
+        value = tabular.number(text)
         what, hint = "", None
-        if text in delimited.MISSING:
+        if text in tabular.MISSING:
             what = "has no value"
         elif value is None or not math.isfinite(value):
-            what, hint = f"'{text}' is not a number", delimited.number_hint(text)
+            what, hint = f"'{text}' is not a number", tabular.number_hint(text)
         elif value <= 0:
             what = f"{value:g} is not positive"
         if what:

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from swimid.errors import InputError
 from swimid.files import atomic
-from swimid.files.mark import SOFTWARE
+from swimid.files.provenance import SOFTWARE
 from swimid.results import numbers
 from swimid.results.evidence import MAX_POINTS, Figure, Heat, Panel, Trace, thinned
 

@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 
 from swimid.errors import InputError, nearest
-from swimid.files import parquet, yamlio
+from swimid.files import tabular, yamlio
 from swimid.results.result import Result
 
 #: Class of each ``format:`` of YAML results.
@@ -20,7 +20,7 @@ FORMATS = {
     "swimid-rule/2": "swimid.optimisation.optimise_stiffness:StiffnessRule",
     "swimid-gait/2": "swimid.optimisation.optimise_gait:BestGait",
 }
-LOG_ENDINGS = (".csv", *parquet.ENDINGS)
+LOG_ENDINGS = (".csv", *tabular.PARQUET)
 LOG = "swimid.logs.logged:Logged"
 
 

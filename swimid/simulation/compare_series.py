@@ -17,7 +17,7 @@ from swimid.files.yamlio import Number, Numbers
 from swimid.fitting import metrics, mistakes, output_error
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array, Channel, Model, Trial
-from swimid.logs.derivative import slope
+from swimid.logs.sampling import slope
 from swimid.notices import warn
 from swimid.simulation import cases, swim_quantities
 from swimid.simulation.catalogue import Applied

@@ -11,7 +11,7 @@ import numpy as np
 
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array, Channel
-from swimid.logs.derivative import slope
+from swimid.logs.sampling import slope
 from swimid.simulation.compare_series import Compared, CycleComparison, ProfileComparison
 from swimid.swimmer import run_quantities
 

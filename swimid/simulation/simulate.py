@@ -13,8 +13,8 @@ import numpy as np
 
 import swimid
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
-from swimid.files import atomic, parquet
-from swimid.files.names import file_names
+from swimid.files import atomic, tabular
+from swimid.files.atomic import file_names
 from swimid.files.provenance import Input
 from swimid.fitting.model import Array
 from swimid.logs import log as log_format
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 #: Endings of the logs that are written.
-LOG_ENDINGS = (".csv", *parquet.ENDINGS)
+LOG_ENDINGS = (".csv", *tabular.PARQUET)
 #: Halving the step may change a channel by this share of its range at most.
 STEP_LIMIT = 1e-3
 

@@ -16,7 +16,7 @@ from swimid.fitting import drives, metrics
 from swimid.fitting.drives import Cycle, SwimInput
 from swimid.fitting.experiment import Experiment, inputs_of, read_log
 from swimid.fitting.model import Array, Trial
-from swimid.logs import course
+from swimid.logs import consistency
 from swimid.logs import trials as trials_format
 from swimid.logs.beat import find_beat, stated_against_found
 from swimid.logs.log import Log
@@ -232,12 +232,12 @@ def _check_course(
     ]
     slowest = min((f for f in frequencies_hz if f), default=1.0)
     window_s = max(1.0, 1.0 / slowest)
-    if course.in_degrees(tracks, window_s):
+    if consistency.is_in_degrees(tracks, window_s):
         warn(
             "SWM034", f"{path.name}, 'yaw_rad': the courses follow it if it is in degrees (a factor of 57.3)"
         )
         return
-    seen = course.of_tracks(tracks, window_s)
+    seen = consistency.compare_course(tracks, window_s)
     if seen is None:
         return
     if seen.mirrored:
@@ -246,7 +246,7 @@ def _check_course(
             f"{path.name}: the courses follow the headings mirrored: the y axis or the heading of these "
             "logs has the wrong sign (a picture's y axis points down); turn it with factor: -1 in a mapping",
         )
-    elif abs(seen.slip_rad) > math.pi / 4 and seen.spread_rad < course.LARGEST_SLIP:
+    elif abs(seen.slip_rad) > math.pi / 4 and seen.spread_rad < consistency.LARGEST_SLIP:
         warn(
             "SWM063",
             f"{path.name}: the courses differ from the headings by {math.degrees(seen.slip_rad):.0f} "

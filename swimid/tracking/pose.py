@@ -19,9 +19,8 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import maximum_filter1d
 
 from swimid.errors import InputError, NoTrustworthyResult
-from swimid.logs.held import Held, find_held
 from swimid.logs.log import runs
-from swimid.logs.sampling import usual_step
+from swimid.logs.sampling import Held, find_held, usual_step
 from swimid.notices import warn
 from swimid.tracking.detect import CUT, LOST, STATUS, RawTrack
 from swimid.tracking.setup import Camera, Setup

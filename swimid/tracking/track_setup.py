@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
-from swimid.files import atomic, mark, yamlio
+from swimid.files import atomic, provenance, yamlio
 from swimid.notices import warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -86,7 +86,7 @@ class SetupDraft(Result):
         picture = path.with_suffix(".markers.png")
         _, data = cv2.imencode(".png", cv2.cvtColor(self.sheet, cv2.COLOR_RGB2BGR))
         with atomic.replacing(picture) as temporary:
-            temporary.write_bytes(mark.in_png(data.tobytes()))
+            temporary.write_bytes(provenance.mark_png(data.tobytes()))
         return [path, picture]
 
 

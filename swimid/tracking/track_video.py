@@ -19,7 +19,7 @@ from swimid.logs import log, swimming
 from swimid.logs.log import Log, runs
 from swimid.logs.logged import Logged
 from swimid.logs.swimming import Swimming
-from swimid.logs.track_speed import Estimate
+from swimid.logs.tracks import Estimate
 from swimid.notices import Notice, recorded, warn
 from swimid.options import takes
 from swimid.progress import Progress, silent

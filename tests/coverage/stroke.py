@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.logs import rhythm, track_cleaning, track_speed
+from swimid.logs import rhythm, tracks
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ def one(seed: int) -> dict[str, float]:
     for kind, held in (("every sample", None), ("held samples", rng.uniform(0.4, 0.95))):
         for length, strokes in (("short", rng.uniform(1.5, 3.8)), ("long", rng.uniform(5.0, 30.0))):
             stamps, place, truth = recording(rng, strokes, held)
-            cleaning = track_cleaning.clean(stamps, list(place.T))
+            cleaning = tracks.clean(stamps, list(place.T))
             good = cleaning.good
             columns = dict(zip(("x_m", "y_m"), place[good].T, strict=True))
             assert cleaning.held is not None
@@ -56,7 +56,7 @@ def one(seed: int) -> dict[str, float]:
             elif length == "long":
                 hits[f"{length}, {kind}: frequency"] = 0.0
             periodic = stroke.beat if stroke is not None else slow[1] if slow is not None else None
-            speed = track_speed.net_speed(
+            speed = tracks.net_speed(
                 times,
                 place[good],
                 None if periodic is None else periodic.frequency_hz,

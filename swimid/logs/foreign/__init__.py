@@ -1,17 +1,277 @@
-"""File formats: a :class:`~swimid.logs.foreign.base.Reader` makes a table of a file.
+"""File formats: a :class:`Reader` makes a :class:`Table` of a file.
 
 Every reader in a module here is found by itself: the next format is one new file.
 """
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from functools import cache
+from itertools import chain
 from pathlib import Path
+from typing import Annotated, Any, Literal
 
-from swimid.errors import InputError, suggestion
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from swimid.errors import InputError, extra_needed, file_errors, first_line, suggestion
 from swimid.files import yamlio
-from swimid.logs.foreign.base import Options, Reader, Table, discover, first_bytes, reading
+from swimid.logs import log
 from swimid.logs.log import Log
+
+#: Where a user names the topic, and the struct or group, in the words before its name.
+TOPIC = "--select NAME, or reader: {topic: NAME} in a mapping, with"
+DATASET = "reader: {dataset: NAME} in a mapping, with"
+#: Maximum number of elements of a list that become columns.
+MAX_ELEMENTS = 100
+
+
+class Options(yamlio.Document):
+    """How to read the file, where the file itself does not say it (``reader:`` of a mapping)."""
+
+    #: The format, where neither ending nor content says it.
+    kind: str | None = None
+    #: Delimiter of a text file: one character, ``tab`` or ``whitespace``.
+    delimiter: Annotated[str, Field(pattern=r"^([ !#-~\t]|tab|whitespace)$")] | None = None
+    #: Whether a line of names stands above the samples.
+    header: bool | None = None
+    #: Number of lines before the header, or before the samples.
+    skip_rows: Annotated[int, Field(ge=0)] | None = None
+    #: Cells that mean "no sample", besides the empty cell and ``nan``.
+    missing: list[float | str] = []
+    #: Lines that begin with this are comments.
+    comment: Annotated[str, Field(min_length=1, max_length=4)] = "#"
+    decimal: Literal[".", ","] | None = None
+    encoding: str | None = None
+    #: Topic of a recording that holds several.
+    topic: str | None = None
+    #: Group or struct of a file that holds several.
+    dataset: str | None = None
+
+
+@dataclass(eq=False)
+class Table:
+    """The samples of one file (one topic of it, if it holds several).
+
+    Attributes
+    ----------
+    columns : dict of str to ndarray, each shape (n,)
+        In the order of the file: numbers, dates (``datetime64[ns]``, UTC) or text (``object``). The columns
+        of a matrix ``acc`` are ``acc[1]``, ``acc[2]``, ...
+    units : dict of str to str
+        Units that the file states, by column.
+    metadata : dict
+        What the file says about itself: plain values.
+    scalars : dict of str to float
+        Single numbers beside the columns, a sampling rate for instance.
+    notes : list of str
+        Problems of the reading that a user must know.
+    comments : list of str
+        Comment lines, without their mark.
+    lines : ndarray of int, shape (n,), or None
+        Line of the file of each row, from 1; None for a file without lines.
+    """
+
+    columns: dict[str, NDArray[Any]]
+    units: dict[str, str] = field(default_factory=dict)
+    metadata: dict[str, Any] = field(default_factory=dict)
+    scalars: dict[str, float] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    comments: list[str] = field(default_factory=list)
+    lines: NDArray[np.int64] | None = None
+
+    def column(self, key: str | int, path: Path) -> str:
+        """Return the name of a column given by its name, or by its number from 1.
+
+        Raises
+        ------
+        InputError
+            There is no such column; names the nearest.
+        """
+        names = list(self.columns)
+        if isinstance(key, str) and key in names:
+            return key
+        if isinstance(key, int) or key.isdecimal():
+            if not 1 <= int(key) <= len(names):
+                raise InputError(f"has {len(names)} columns, no column {key}", file=path)
+            return names[int(key) - 1]
+        loose = [name for name in names if name.strip().lower() == key.strip().lower()]
+        if len(loose) == 1:
+            return loose[0]
+        hint = suggestion(key, names, "the file has")
+        raise InputError("there is no such column", file=path, column=key, hint=hint)
+
+    def place(self, row: int) -> dict[str, int]:
+        """Return where a row stands, for an :class:`InputError`: its line, or its row from 1."""
+        return {"row": row + 1} if self.lines is None else {"line": int(self.lines[row])}
+
+
+@dataclass(frozen=True)
+class Reader:
+    """One file format.
+
+    Attributes
+    ----------
+    name : str
+        For ``reader: {kind: name}``.
+    title : str
+        In words.
+    endings : tuple of str
+        File endings of this format, with their dot.
+    open : callable
+        ``open(path, options) -> Table``. What a library raises in it, :func:`reading` turns into an
+        :class:`InputError`.
+    magic : tuple of bytes
+        First bytes of such a file; they decide before the ending does.
+    extra : str
+        The optional dependency to install, ``"mcap"`` for ``pip install swimid[mcap]``.
+    """
+
+    name: str
+    title: str
+    endings: tuple[str, ...]
+    open: Callable[[Path, Options], Table]
+    magic: tuple[bytes, ...] = ()
+    extra: str = ""
+
+
+def discover(package: str, kind: Any) -> dict[str, Any]:
+    """Return every object of a class in the modules of a package, by its ``name``."""
+    entries = pkgutil.iter_modules(importlib.import_module(package).__path__)
+    modules = [importlib.import_module(f"{package}.{entry.name}") for entry in entries]
+    objects: list[Any] = [value for module in modules for value in vars(module).values()]
+    return {one.name: one for one in objects if isinstance(one, kind)}
+
+
+def is_text(values: NDArray[Any]) -> bool:
+    """Return whether a column holds text."""
+    return values.dtype.kind in "USO"
+
+
+def first_bytes(path: Path, count: int) -> bytes:
+    """Return the beginning of a file.
+
+    Raises
+    ------
+    InputError
+        It cannot be read.
+    """
+    with file_errors(path), path.open("rb") as stream:
+        return stream.read(count)
+
+
+@contextmanager
+def reading(path: Path, title: str, extra: str = "") -> Iterator[None]:
+    """Turn every exception of a library into an :class:`InputError`: the file is no readable ``title``."""
+    try:
+        with extra_needed(f"reading this {title}", extra, file=path):
+            yield
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"is no readable {title}: {first_line(error)}", file=path) from error
+
+
+def flat(
+    value: Any, parts: Callable[[Any], Any] = lambda value: value, brackets: str = "[]", name: str = ""
+) -> Iterator[tuple[str, Any]]:
+    """Yield the plain values of a nested record by their dotted names.
+
+    Elements of lists are ``name[1]``, ``name[2]``, ... Lists longer than :data:`MAX_ELEMENTS` are left out.
+    ``parts`` turns a value that has parts into a dict or a list and returns any other as it is.
+
+    >>> dict(flat({"a": {"b": [1, 2]}, "c": 3}))
+    {'a.b[1]': 1, 'a.b[2]': 2, 'c': 3}
+    """
+    value = parts(value)
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from flat(inner, parts, brackets, f"{name}.{key}" if name else str(key))
+    elif not isinstance(value, list | tuple):
+        yield name, value
+    elif len(value) <= MAX_ELEMENTS:
+        for at, inner in enumerate(value, start=1):
+            yield from flat(inner, parts, brackets, f"{name}{brackets[0]}{at}{brackets[1]}")
+
+
+def of_records(records: Sequence[dict[str, Any]]) -> dict[str, NDArray[Any]]:
+    """Return the columns of flat records: numbers (NaN where a record lacks one), dates or text."""
+    import pandas as pd
+
+    frame = pd.DataFrame.from_records(records)
+    for name, values in frame.items():
+        # whole numbers of more than 64 bits, or values that some records lack
+        if values.dtype == object and not values.map(lambda value: isinstance(value, str)).any():
+            frame[name] = pd.to_numeric(values, errors="coerce").astype(float)
+    return log.arrays(frame, "records")
+
+
+def one_of(wanted: str | None, known: Sequence[str], *, file: Path, what: str, key: str = TOPIC) -> str:
+    """Return the topic or group that was asked for, or the only one there is.
+
+    ``key`` says to the user where to name it.
+
+    Raises
+    ------
+    InputError
+        It is not there, or none was named and there are several.
+    """
+    if not known:
+        raise InputError(f"holds no {what} with samples", file=file)
+    if wanted is None and len(known) > 1:
+        hint = f"{key} one of: {', '.join(known[:20])}"
+        raise InputError(f"holds {len(known)} {what}s; name one", file=file, hint=hint)
+    if wanted is not None and wanted not in known:
+        hint = suggestion(wanted, list(known), "it holds")
+        raise InputError(f"holds no {what} '{wanted}'", file=file, hint=hint)
+    return wanted or known[0]
+
+
+def of_tree(content: Any, options: Options, path: Path, parts: Callable[[Any], Any]) -> Table:
+    """Return the table of the nested arrays of a file, or of the group that ``options.dataset`` names.
+
+    The columns of a matrix are ``name[1]``, ``name[2]``, ... A row vector is one column. A matrix that is
+    wider than long is transposed if the other arrays have its width as their length. Single numbers become
+    scalars, text becomes metadata. ``parts`` is that of :func:`flat`.
+
+    Raises
+    ------
+    InputError
+        There is no such group.
+    """
+    content = parts(content)
+    for part in filter(None, (options.dataset or "").replace("/", ".").split(".")):
+        names = list(content) if isinstance(content, dict) else []
+        chosen = one_of(part, names, file=path, what="struct or group", key=DATASET)
+        content = parts(content[chosen])
+        content = content if isinstance(content, dict) else {chosen: content}
+    table, arrays = Table({}), {}
+    for name, value in flat(content, parts, "{}"):
+        array = np.atleast_1d(np.asarray(value))
+        if isinstance(value, str) and value.strip():
+            table.metadata[name] = value.strip()
+        elif array.dtype.kind in "iufb" and array.ndim <= 2 and array.size:
+            arrays[name] = array
+    lengths = Counter(chain.from_iterable(set(values.shape) for values in arrays.values()))
+    lengths[1] = 0
+    longest = max(lengths, key=lambda n: (lengths[n], n))
+    for name, values in arrays.items():
+        matrix = values.reshape(len(values), -1)
+        if len(matrix) == 1 or len(matrix) != longest == matrix.shape[1]:
+            matrix = matrix.T
+        if values.size == 1 and longest > 1:
+            table.scalars[name] = float(values.item())
+        elif matrix.shape[1] == 1:
+            table.columns[name] = matrix[:, 0]
+        else:
+            table.columns |= {f"{name}[{k}]": part for k, part in enumerate(matrix.T, start=1)}
+    return table
 
 
 @cache

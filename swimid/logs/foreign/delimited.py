@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
-from swimid.files.delimited import MISSING, count_cells, number, parse
+from swimid.files.tabular import MISSING, count_cells, number, parse
 from swimid.logs import units
-from swimid.logs.foreign.base import Options, Reader, Table
+from swimid.logs.foreign import Options, Reader, Table
 
 if TYPE_CHECKING:
     import pandas as pd

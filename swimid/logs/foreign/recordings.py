@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from swimid.logs.foreign.base import Options, Reader, Table, first_bytes, flat, of_records, one_of, reading
+from swimid.logs.foreign import Options, Reader, Table, first_bytes, flat, of_records, one_of, reading
 
 ULOG_MAGIC, MCAP_MAGIC = b"ULog\x01\x12\x35", b"\x89MCAP0\r\n"
 

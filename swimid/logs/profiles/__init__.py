@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError, in_words_of_the_caller, suggestion
-from swimid.logs.foreign import open_table
-from swimid.logs.foreign.base import Table, discover, first_bytes, is_text, one_of, reading
+from swimid.logs.foreign import Table, discover, first_bytes, is_text, one_of, open_table, reading
 from swimid.logs.log import TIME
 from swimid.logs.units import UNITS, canonical
 

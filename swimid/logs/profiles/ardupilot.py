@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs.foreign import open_table
-from swimid.logs.foreign.base import Table, is_text
+from swimid.logs.foreign import Table, is_text, open_table
 from swimid.logs.log import TIME
 from swimid.logs.profiles import Peek, Profile, axes, choose, renamed, rows
 from swimid.logs.rotation import from_frd, with_angles

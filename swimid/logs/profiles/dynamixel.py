@@ -15,8 +15,7 @@ import numpy as np
 
 from swimid.errors import InputError
 from swimid.logs import clock, units
-from swimid.logs.foreign import open_table
-from swimid.logs.foreign.base import Table, is_text
+from swimid.logs.foreign import Table, is_text, open_table
 from swimid.logs.log import TIME
 from swimid.logs.profiles import Peek, Profile
 

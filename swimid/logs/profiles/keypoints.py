@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs.foreign import open_table
-from swimid.logs.foreign.base import Table, is_text
+from swimid.logs.foreign import Table, is_text, open_table
 from swimid.logs.profiles import Array, Peek, Profile, choose, rows, safe
 
 _LEVELS = ("scorer", "individuals", "bodyparts", "coords")

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs.foreign.base import Table
+from swimid.logs.foreign import Table
 from swimid.logs.log import TIME
 from swimid.logs.profiles import Array, Peek, Profile, length, numbers, safe
 from swimid.notices import warn

@@ -13,8 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from swimid.logs.foreign import open_table, recordings
-from swimid.logs.foreign.base import Options, Table
+from swimid.logs.foreign import Options, Table, open_table, recordings
 from swimid.logs.log import TIME
 from swimid.logs.profiles import Peek, Profile, axes, choose, renamed, safe
 from swimid.logs.rotation import from_frd, with_angles

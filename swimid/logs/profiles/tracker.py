@@ -10,7 +10,7 @@ import re
 from pathlib import Path
 
 from swimid.errors import InputError
-from swimid.logs.foreign.base import Table
+from swimid.logs.foreign import Table
 from swimid.logs.log import TIME
 from swimid.logs.profiles import Peek, Profile, choose, length, numbers, safe
 

@@ -1,4 +1,4 @@
-"""Comment lines, header and cells of CSV files, and the messages about errors in them."""
+"""Comment lines, header and cells of CSV files, the messages about errors in them; the library of Parquet."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import io
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from swimid.errors import InputError, nearest
+from swimid.errors import InputError, extra_needed, nearest
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -169,3 +169,19 @@ def number_hint(text: str) -> str:
     if number(text.replace(",", ".")) is not None:
         return "write the decimal point as a dot"
     return "leave the cell empty where the sample is missing"
+
+
+PARQUET = (".parquet", ".pq")
+
+
+def pyarrow() -> Any:
+    """Return the module ``pyarrow``, with ``pyarrow.parquet`` imported.
+
+    Raises
+    ------
+    UsageError
+        When pyarrow is not installed.
+    """
+    with extra_needed("a Parquet file", "parquet"):
+        import pyarrow.parquet
+    return pyarrow

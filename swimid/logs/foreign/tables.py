@@ -1,0 +1,94 @@
+"""HDF5 (by h5py), MATLAB of any version (by pymatreader), Parquet, and JSON lines."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swimid.errors import InputError
+from swimid.files import tabular
+from swimid.logs import log
+from swimid.logs.foreign import Options, Reader, Table, flat, of_records, of_tree
+
+
+def _open_hdf5(path: Path, options: Options) -> Table:
+    import h5py
+
+    def parts(item: Any) -> Any:
+        if isinstance(item, h5py.Group):
+            return dict(item.items())
+        # a film is no column
+        return {} if isinstance(item, h5py.Dataset) and item.ndim > 2 else item
+
+    with h5py.File(path, "r") as file:
+        # MATLAB writes a text block before the HDF5 content
+        return _open_matlab(path, options) if file.userblock_size else of_tree(file, options, path, parts)
+
+
+def _open_matlab(path: Path, options: Options) -> Table:
+    from h5py import is_hdf5
+    from pymatreader import read_mat
+
+    # it warns about objects, which only MATLAB reads
+    with warnings.catch_warnings(action="ignore"):
+        content = read_mat(path, ignore_fields=["#subsystem#"])
+    # pymatreader returns the fields of version 7.3 in any order
+    arranged = sorted if is_hdf5(path) else list
+
+    def parts(value: Any) -> Any:
+        if not isinstance(value, dict):
+            return value
+        return {name: value[name] for name in arranged(value) if not name.startswith("__")}
+
+    table = of_tree(content, options, path, parts)
+    if not table.columns:
+        hint = "only MATLAB reads a MATLAB table: save its columns, or use writetable"
+        raise InputError("holds no columns of numbers", file=path, hint=hint)
+    return table
+
+
+HDF5 = Reader("hdf5", "HDF5 file", (".h5", ".hdf5"), _open_hdf5, magic=(b"\x89HDF",), extra="hdf5")
+MATLAB = Reader(
+    "mat", "MATLAB file", (".mat",), _open_matlab, magic=(b"MATLAB 5.0", b"MATLAB 7.3"), extra="hdf5"
+)
+
+
+def _open_parquet(path: Path, options: Options) -> Table:
+    import pyarrow.parquet
+
+    table, types = pyarrow.parquet.read_table(path), pyarrow.types
+    nested = [f.name for f in table.schema if types.is_nested(f.type) or types.is_binary(f.type)]
+    notes = [f"columns that hold no plain values left out: {', '.join(nested)}"] if nested else []
+    stored = (table.schema.metadata or {}).get(b"swimid", b"")
+    frame = table.drop_columns(nested).to_pandas(ignore_metadata=True)
+    return Table(
+        log.arrays(frame, str(path)), notes=notes, comments=stored.decode("utf-8", "replace").splitlines()
+    )
+
+
+PARQUET = Reader("parquet", "Parquet file", tabular.PARQUET, _open_parquet, magic=(b"PAR1",), extra="parquet")
+
+
+def _open_json_lines(path: Path, options: Options) -> Table:
+    numbered = enumerate(path.read_bytes().split(b"\n"), start=1)
+    lines = {at: line for at, line in numbered if line.strip()}
+    records = []
+    for at, line in lines.items():
+        try:
+            record = json.loads(line)
+        except (ValueError, RecursionError) as error:
+            raise InputError(f"is not JSON: {error}", file=path, line=at) from error
+        if not isinstance(record, dict):
+            hint = "a file of one JSON document must become one object a line"
+            raise InputError("is no JSON object", file=path, line=at, hint=hint)
+        records.append(dict(flat(record)))
+    return Table(of_records(records), lines=np.array([*lines], dtype=np.int64))
+
+
+JSON_LINES = Reader(
+    "jsonl", "file of JSON lines", (".jsonl", ".ndjson", ".json"), _open_json_lines, magic=(b'{"',)
+)
