@@ -417,18 +417,21 @@ def figures(result: FitResult) -> list[ev.Figure]:
     found = []
     for channel in (c for c in result.model.channels if c.name in result.noise):
         series = result.series_of(channel.name)
+        name = channel.meaning or channel.name
+        factor, unit = numbers.in_degrees(channel.unit)
         found += [
             blocks.measured_and_simulated(
                 f"overlay-{channel.name}",
-                f"Measured and simulated: {channel.name}",
+                f"{name[:1].upper()}{name[1:]}, measured and simulated",
                 "Points are measured, lines simulated with the estimated parameters.",
                 result.model.abscissa,
-                f"{channel.meaning or channel.name} ({numbers.unit_text(channel.unit) or '1'})",
+                f"{name} ({numbers.unit_text(unit) or '1'})",
                 series,
+                factor,
             ),
             blocks.residuals(
                 f"residuals-{channel.name}",
-                f"Residuals: {channel.name}",
+                f"Residuals of {name}",
                 "Measured minus simulated over the standard deviation of the noise, and the autocorrelation "
                 "over all fitted trials with the 95 % band of white noise.",
                 result.model.abscissa,
