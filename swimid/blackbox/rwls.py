@@ -440,8 +440,8 @@ def _free_run(m: Identified) -> Figure:
                 label = label if len(traces) < len(curves) else ""
                 traces.append(Trace(x=x, y=shown, label=label, group=group))
         y_label = numbers.column_title(m.data.columns.output)
-        panels.append(Panel(x_label="t (s)", y_label=y_label, traces=traces, title=name))
-    caption = "The free run sees only the input after its first samples."
+        panels.append(Panel(x_label="time (s)", y_label=y_label, traces=traces, title=name))
+    caption = "The free run has only the input after its first samples, and the mean level of the record."
     if len(sets) > 2:
         caption += f" Shown are the worst and the best of {len(sets)} records."
     return Figure(id="free-run", title="Measured and simulated output", caption=caption, panels=panels)
@@ -466,7 +466,7 @@ def _frequency_response(m: Identified) -> Figure:
         )
         for label, trace, scale in (
             (f"gain ({numbers.unit_text(m.data.columns.gain_unit) or 1})", gains, "log"),
-            ("phase (deg)", phases, "linear"),
+            ("phase (°)", phases, "linear"),
         )
     ]
     caption = "Gain and phase with 95 % bands. Outside of the shaded band the input has little power."

@@ -85,7 +85,7 @@ class Fitted(FileResult[ParameterFile]):
         if file.sample_time_s is not None:
             facts["Sample time"] = numbers.number(file.sample_time_s, unit="s")
         if file.delay is not None:
-            facts["Delay"] = f"{file.delay} samples"
+            facts["Delay"] = f"{file.delay} sample{'s' if file.delay != 1 else ''}"
         return {name: value for name, value in facts.items() if value}
 
     def _own_notes(self) -> list[str]:
