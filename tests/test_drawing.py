@@ -146,3 +146,9 @@ def test_a_notebook_shows_pictures() -> None:
     assert any("text/html" in kinds for kinds in shown[1])
     for outputs in shown[2:]:
         assert any("image/png" in kinds for kinds in outputs)
+
+
+@pytest.mark.parametrize(("height", "aspect"), [(1.0, 1.0), (0.05, "auto")])
+def test_a_path_is_drawn_to_scale_unless_it_is_flat(height: float, aspect: float | str) -> None:
+    axes = drawn(Trace(x=[0.0, 1.0], y=[0.0, height]), equal_aspect=True)
+    assert axes.get_aspect() == aspect

@@ -46,7 +46,7 @@ LETTER = 0.58
 DPI = 300
 #: From this many points on a trace is drawn as one path of dots, which takes a tenth of the space.
 MIN_CLOUD = 60
-#: Minimum height over width of a path whose axes end where its data end.
+#: Minimum height over width of a path that is drawn to scale; a flatter one would be a line.
 MIN_SHAPE = 0.2
 #: Opacity of the darkest cell of a heat map, on which its number can still be read.
 DARKEST = 0.55
@@ -270,8 +270,8 @@ def _scales(axes: Axes, panel: Panel) -> None:
     if panel.x_categories is not None:
         _slant(axes, panel.x_categories)
         axes.set_xlim(-0.6, len(panel.x_categories) - 0.4)
-    if panel.equal_aspect:
-        axes.set_aspect("equal", adjustable="box" if _shape(panel) > MIN_SHAPE else "datalim")
+    if panel.equal_aspect and _shape(panel) > MIN_SHAPE:
+        axes.set_aspect("equal", adjustable="box")
     if panel.invert_y:
         axes.invert_yaxis()
 
@@ -356,7 +356,7 @@ def _height(panel: Panel) -> float:
         return 1.0 + 0.2 * len(panel.heat.rows)
     if panel.y_categories is not None:
         return max(1.0 + 0.16 * len(panel.y_categories), 1.6)
-    if not panel.equal_aspect:
+    if not panel.equal_aspect or _shape(panel) <= MIN_SHAPE:
         return HEIGHT
     return min(max(WIDTH * _shape(panel), 0.8), 4.0) + 0.6
 

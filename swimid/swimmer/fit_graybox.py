@@ -458,9 +458,9 @@ def track(experiment: Experiment, result: FitResult) -> list[ev.Figure]:
     """Draw the paths where the pose was fitted; in space from above and from the side."""
     body = body_of(experiment.robot)
     if isinstance(body, Multibody):
-        views = [_path(result, "x_m", "z_m", "from the side"), _path(result, "x_m", "y_m", "from above")]
+        views = [_path(result, "x_m", "z_m", "From the side"), _path(result, "x_m", "y_m", "From above")]
     else:
-        view = "from above" if body.plane == "horizontal" else "from the side"
+        view = "From above" if body.plane == "horizontal" else "From the side"
         across, along, *_ = result.model.swimmer.pose
         views = [_path(result, across, along, view)]
     panels = [panel for panel in views if panel.traces]
