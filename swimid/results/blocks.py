@@ -1,21 +1,15 @@
-"""Report blocks that recur in every room: checks, tables and figures, from plain numbers.
-
-A room brings its numbers and its captions; how a check is decided, a table laid out and a residual drawn is
-said here once. Nothing here knows a model or a fit.
-"""
+"""Tables and figures that several packages need, from plain numbers. Nothing here knows a model or a fit."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from swimid.notices import Notice
 from swimid.results import numbers
 from swimid.results.evidence import (
-    Check,
-    Evidence,
     Figure,
     Mark,
     NoticeRecord,
@@ -45,19 +39,6 @@ Correlogram = Any
 # ---------------------------------------------------------------- words
 
 
-def check(
-    name: str,
-    value: str,
-    limit: str,
-    passed: bool,
-    *,
-    otherwise: Literal["warn", "fail"] = "warn",
-    text: str = "",
-) -> Check:
-    """A test of the result against a limit."""
-    return Check(name=name, value=value, limit=limit, verdict="pass" if passed else otherwise, text=text)
-
-
 def p_text(p: float) -> str:
     """A p-value as a check shows it.
 
@@ -65,12 +46,6 @@ def p_text(p: float) -> str:
     ('p = 0.032', 'p < 10⁻¹⁶')
     """
     return f"p = {numbers.number(p, 2)}" if p >= 1e-16 else "p < 10⁻¹⁶"
-
-
-def judgement(evidence: Evidence) -> str:
-    """The checks in one line for the terminal."""
-    failed = [c.name for c in evidence.checks if c.verdict in ("warn", "fail")]
-    return f"look at {', '.join(failed)}" if failed else "every check passes"
 
 
 def notices(recorded: Sequence[Notice]) -> list[NoticeRecord]:
