@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from swimid.diagnosis import evidence, gap_file
+from swimid.diagnosis import evidence
 from swimid.diagnosis.gap_file import GapFile, Value
 from swimid.results.evidence import Evidence
 from swimid.results.result import FileResult
@@ -37,7 +37,6 @@ class Diagnosis(FileResult[GapFile]):
         What :meth:`save` writes; it also has rivals, what remains, advice and the scores of all effects.
     """
 
-    format = gap_file.FORMAT
     file_type = GapFile
 
     @property

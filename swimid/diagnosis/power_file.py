@@ -113,7 +113,6 @@ class DetectionPower(FileResult[PowerFile]):
         What :meth:`save` writes.
     """
 
-    format = FORMAT
     file_type = PowerFile
 
     @property

@@ -58,8 +58,6 @@ _ENDING = re.compile(r"(?P<bare>.+?)[ _](?P<unit>[A-Za-z°µ/]+(?:_s2?)?)")
 class Draft(Result):
     """A drafted mapping, as ``guess_mapping`` returns it; ``document`` is its commented YAML."""
 
-    format = mapping.FORMAT
-
     @property
     def mapping(self) -> Mapping:
         """The mapping, for ``import_log`` and ``track_imu``.

@@ -112,7 +112,6 @@ class BestGait(FileResult[GaitFile]):
         What :meth:`save` writes; it also has intervals, the robust gait and the searches.
     """
 
-    format = "swimid-gait/2"
     file_type = GaitFile
 
     @property

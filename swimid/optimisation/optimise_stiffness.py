@@ -47,7 +47,6 @@ class StiffnessRule(FileResult[RuleFile]):
         in C.
     """
 
-    format = "swimid-rule/2"
     file_type = RuleFile
 
     @property

@@ -268,7 +268,6 @@ class PerformanceMap(FileResult[MapFile]):
         What :meth:`save` writes; it also has standard deviations, measured trials and their region.
     """
 
-    format = "swimid-map/1"
     file_type = MapFile
 
     @property

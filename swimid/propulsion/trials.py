@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
-from swimid.errors import InputError, nearest
+from swimid.errors import InputError, file_errors, nearest
 from swimid.files import tabular
 from swimid.files.provenance import Held
 from swimid.fitting.drives import CruiseInput, SurgeInput
@@ -335,18 +335,16 @@ def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
     try:
         if isinstance(source, str | Path):
             path = Path(source)
-            _, header, line = tabular.head(path)
+            with file_errors(path):
+                _, header, line = tabular.head(path)
+                text = path.read_text(encoding="utf-8-sig")
             names = tabular.column_names(header, path, line)
-            text = path.read_text(encoding="utf-8-sig")
         else:
             path, names = Path("table"), [str(name) for name in source.columns]
             text = source.to_csv(index=False)
             held = Held("table", hashlib.sha256(text.encode()).hexdigest())
     except UnicodeDecodeError as error:
         raise InputError("is not UTF-8 text", file=path) from error
-    except OSError as error:
-        hint = "check the path" if isinstance(error, FileNotFoundError) else None
-        raise InputError(f"cannot be read: {error.strerror or error}", file=path, hint=hint) from error
     speed = "mean_speed_m_s" if "mean_speed_m_s" in names else "time_s"
     for column in ("fin", *NUMBERS, speed):
         if column not in names:

@@ -40,7 +40,7 @@ Correlogram = Any
 
 
 def p_text(p: float) -> str:
-    """A p-value as a check shows it.
+    """Return a p-value as text.
 
     >>> p_text(0.0321), p_text(1e-20)
     ('p = 0.032', 'p < 10⁻¹⁶')
@@ -49,7 +49,7 @@ def p_text(p: float) -> str:
 
 
 def notices(recorded: Sequence[Notice]) -> list[NoticeRecord]:
-    """Recorded warnings as evidence."""
+    """Return recorded warnings as entries of the evidence."""
     return [NoticeRecord(code=n.code, text=n.text) for n in recorded]
 
 
@@ -59,7 +59,7 @@ def notices(recorded: Sequence[Notice]) -> list[NoticeRecord]:
 def table(
     id: str, title: str, rows: Sequence[Mapping[str, Cell]], caption: str = "", columns: Sequence[str] = ()
 ) -> Table:
-    """A table of rows that name their columns.
+    """Return a table of rows that name their columns.
 
     Parameters
     ----------
@@ -84,28 +84,28 @@ def figure(
     traces: Sequence[Trace],
     **panel: Any,
 ) -> Figure:
-    """A figure of one panel; what else a :class:`Panel` takes by keyword."""
+    """Return a figure of one panel; further fields of :class:`Panel` are keywords."""
     one = Panel(x_label=x_label, y_label=y_label, traces=list(traces), **panel)
     return Figure(id=id, title=title, caption=caption, panels=[one])
 
 
 def panels(id: str, title: str, caption: str, panels: Sequence[Panel], columns: int = 2) -> Figure:
-    """A figure of several panels, so many side by side."""
+    """Return a figure of panels, ``columns`` of them side by side."""
     return Figure(id=id, title=title, caption=caption, panels=list(panels), columns=columns)
 
 
 def panel(x_label: str, y_label: str, traces: Sequence[Trace], **more: Any) -> Panel:
-    """One panel; what else a :class:`Panel` takes by keyword."""
+    """Return a panel; further fields of :class:`Panel` are keywords."""
     return Panel(x_label=x_label, y_label=y_label, traces=list(traces), **more)
 
 
 def band(x: Any, y: Any, half: Any, **trace: Any) -> Trace:
-    """A curve with a band of this half-width about it."""
+    """Return a curve with a band of the given half-width."""
     return Trace(x=x, y=y, lower=y - half, upper=y + half, **trace)
 
 
 def points(runs: Sequence[Any], x: Callable[[Any], Any], y: Callable[[Any], Any], **trace: Any) -> Trace:
-    """A point for each run."""
+    """Return a trace with a point for each run."""
     return Trace(x=[x(run) for run in runs], y=[y(run) for run in runs], style="points", **trace)
 
 

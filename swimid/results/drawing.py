@@ -258,7 +258,7 @@ def _scales(axes: Axes, panel: Panel) -> None:
             axis.set_major_formatter(FuncFormatter(partial(_scaled, 1.0)))
             axis.set_minor_formatter(NullFormatter())
             continue
-        largest = max((abs(v) for v in values if v is not None and math.isfinite(v)), default=0.0)
+        largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
         power = math.floor(math.log10(largest)) if largest else 0
         if not -3 <= power < 5:
             axis.set_major_formatter(FuncFormatter(partial(_scaled, 10.0**power)))
@@ -399,11 +399,12 @@ def canvas(
             drawn.suptitle(title, x=0.02, ha="left", weight="bold")
         grid = drawn.add_gridspec(len(rows), across, height_ratios=heights)
         for k, (figure, row) in enumerate(rows):
+            slots = slots_of(figure)
             for n, panel in enumerate(row):
                 cell = grid[k, n] if figure.columns > 1 else grid[k, :]
                 if len(figures) > 1 and panel is figure.panels[0] and not panel.title:
                     panel = panel.model_copy(update={"title": figure.title})
-                paint(drawn.add_subplot(cell), panel, slots_of(figure))
+                paint(drawn.add_subplot(cell), panel, slots)
                 step(1)
     return drawn
 
@@ -440,11 +441,12 @@ def for_page(figure: Figure, prefix: str, step: Callable[[int], None] = lambda a
         Called once.
     """
     drawings = []
+    slots = slots_of(figure)
     with mpl.rc_context({**style(), "svg.fonttype": "none", "figure.facecolor": "none"}):
         for index, panel in enumerate(figure.panels):
             drawn = Canvas(figsize=(WIDTH, _height(panel)))
             try:
-                paint(drawn.add_subplot(), panel, slots_of(figure), compact=True)
+                paint(drawn.add_subplot(), panel, slots, compact=True)
             except InputError as error:
                 raise InputError(error.reason, column=f"figures.{figure.id}.panels.{index}") from error
             file = io.StringIO()

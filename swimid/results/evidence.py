@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from swimid.errors import InputError, UsageError
+from swimid.errors import InputError, UsageError, file_errors
 from swimid.files import atomic
 
 FORMAT: Literal["swimid-evidence/1"] = "swimid-evidence/1"
@@ -349,9 +349,8 @@ def read(path: str | Path) -> Evidence:
     """
     path = Path(path)
     try:
-        return Evidence.model_validate_json(path.read_bytes()).model_copy(update={"result": ""})
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror or error}", file=path) from error
+        with file_errors(path):
+            return Evidence.model_validate_json(path.read_bytes()).model_copy(update={"result": ""})
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])

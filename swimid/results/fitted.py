@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-from swimid.results import numbers, parameters
+from swimid.results import numbers
 from swimid.results.evidence import Evidence, Table, Verdict, leaf_table
 from swimid.results.parameters import Correlation, Estimate, Fit, ParameterFile
 from swimid.results.result import FileResult
@@ -44,7 +44,6 @@ class Fitted(FileResult[ParameterFile]):
     ('estimated', 0.066, 'm')
     """
 
-    format = parameters.FORMAT
     file_type = ParameterFile
 
     @property

@@ -1,4 +1,4 @@
-"""What every function of swimid returns: an answer with the evidence it rests on."""
+"""Results: the return value of every public function, an answer with the evidence it rests on."""
 
 from __future__ import annotations
 
@@ -82,8 +82,7 @@ class Result:
 
     #: Kind of result, as a report names it.
     kind: ClassVar[str] = "Result"
-    #: The ``format:`` of the file it is written to, and that file's usual ending.
-    format: ClassVar[str] = ""
+    #: Usual ending of the file it is written to.
     ending: ClassVar[str] = ".yaml"
 
     def summary(self) -> str:
@@ -139,7 +138,9 @@ class Result:
 
     def figures(self) -> dict[str, Canvas]:
         """Every figure of the report, drawn by matplotlib, by its id."""
-        return {name: self._canvas(name) for name in self.figure_names}
+        from swimid.results import drawing
+
+        return {figure.id: drawing.canvas([figure]) for figure in self._shown("figures")}
 
     def plot(self, name: str, axes: Axes | Sequence[Axes] | None = None) -> Axes | list[Axes]:
         """Draw one figure of the report; a notebook shows it, and ``pyplot.savefig`` saves it.
@@ -172,8 +173,9 @@ class Result:
             given = list(np.atleast_1d(np.asarray(axes, dtype=object)).ravel())
             if len(given) != len(figure.panels):
                 raise UsageError(f"'{name}' has {len(figure.panels)} panels: give as many axes")
+            slots = drawing.slots_of(figure)
             for panel, place in zip(figure.panels, given, strict=True):
-                drawing.paint(place, panel, drawing.slots_of(figure))
+                drawing.paint(place, panel, slots)
             drawn = given
         return drawn[0] if len(drawn) == 1 else drawn
 
@@ -262,11 +264,6 @@ class Result:
         known = ", ".join(self.figure_names) or "none"
         raise UsageError(f"there is no figure '{name}'", hint=f"there are: {known}")
 
-    def _canvas(self, name: str) -> Canvas:
-        from swimid.results import drawing
-
-        return drawing.canvas([self._figure(name)])
-
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         # a dataclass writes all its fields, arrays among them, unless its class has a __repr__ of its own
@@ -280,7 +277,7 @@ class Result:
         return self.summary()
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the summary, and the checks folded below it."""
+        """Return the view of a notebook: the summary, and the checks folded below it."""
         shown = f"<pre>{html.escape(self.summary())}</pre>"
         if self.evidence is not None and self.evidence.checks:
             table = self.checks().to_html(index=False, border=0)

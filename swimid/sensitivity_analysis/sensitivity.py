@@ -62,7 +62,6 @@ class Sensitivity(FileResult[SensitivityFile]):
         What :meth:`save` writes; it also has the ranges.
     """
 
-    format = "swimid-sensitivity/2"
     file_type = SensitivityFile
 
     @property

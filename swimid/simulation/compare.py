@@ -53,7 +53,6 @@ class Comparison(FileResult[ComparisonFile]):
         What :meth:`save` writes; its ``channels`` hold the scores of all trials together.
     """
 
-    format = "swimid-comparison/1"
     file_type = ComparisonFile
 
     @property

@@ -72,8 +72,6 @@ class SetupDraft(Result):
 
     sheet: NDArray[np.uint8] | None = None
 
-    format = FORMAT
-
     @property
     def setup(self) -> Setup:
         """The setup itself, for ``track_video``."""
