@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from swimid.results import numbers
 from swimid.results.evidence import Evidence, Figure, Panel, Table, Trace, Verdict
-from swimid.results.fitted import Fitted, interval95
+from swimid.results.fitted import Fitted, interval95, value_text
 from swimid.results.parameters import Estimate
 from swimid.results.result import Result
 
@@ -16,11 +16,15 @@ MAX_PANELS = 6
 
 
 def compared(results: Sequence[Result]) -> list[tuple[list[Fitted], Evidence]]:
-    """Return each group of two or more fits of one model, with a table and a figure of their parameters."""
-    groups: dict[str, list[Fitted]] = {}
+    """Return each group of two or more fits of one model, with a table and a figure of their parameters.
+
+    Fits are compared only where they have the same parameters in the same units.
+    """
+    groups: dict[Any, list[Fitted]] = {}
     for result in results:
         if isinstance(result, Fitted):
-            groups.setdefault(result.file.model, []).append(result)
+            shared = frozenset((n, e.unit) for n, e in result.file.parameters.items() if "[" not in n)
+            groups.setdefault((result.file.model, shared), []).append(result)
     return [(fits, _side_by_side(fits)) for fits in groups.values() if len(fits) > 1]
 
 
@@ -29,10 +33,12 @@ def _side_by_side(fits: Sequence[Fitted]) -> Evidence:
     rows: list[list[Any]] = []
     panels = []
     for name, first in fits[0].file.parameters.items():
-        held = [fit.file.parameters.get(name) for fit in fits]
-        if "[" in name or not any(e is not None and e.status == "estimated" for e in held):
+        if "[" in name:
             continue
-        rows.append([name, *(numbers.measured(e.value, e.stderr, e.unit) if e else "" for e in held)])
+        held = [fit.file.parameters[name] for fit in fits]
+        if not any(e.status == "estimated" for e in held):
+            continue
+        rows.append([name, *map(value_text, held)])
         panels.append(_panel(name, numbers.unit_text(first.unit), held, names))
     levels = [fit.verdict for fit in fits]
     level: Literal["good", "caution", "bad"] = "good" if set(levels) == {"good"} else "caution"
@@ -52,9 +58,9 @@ def _side_by_side(fits: Sequence[Fitted]) -> Evidence:
     )
 
 
-def _panel(name: str, unit: str, held: Sequence[Estimate | None], names: list[str]) -> Panel:
+def _panel(name: str, unit: str, held: Sequence[Estimate], names: list[str]) -> Panel:
     """Return the estimates of one parameter with their intervals."""
-    known = [(k, e) for k, e in enumerate(held) if e is not None and e.status == "estimated"]
+    known = [(k, e) for k, e in enumerate(held) if e.status == "estimated"]
     ends = [interval95(e) for _, e in known]
     points = Trace(
         x=[k for k, _ in known],

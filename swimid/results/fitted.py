@@ -131,18 +131,25 @@ def _estimates(id: str, title: str, estimates: dict[str, Estimate], *, folded: b
     """Return a table of estimates, rounded to two digits of their standard errors."""
     rows: list[list[Any]] = []
     for name, e in estimates.items():
-        value, band = numbers.measured(e.value, e.stderr, e.unit), ""
-        if e.status == "unidentifiable":
-            value = numbers.NOTHING
-        elif e.status == "estimated":
+        band = ""
+        if e.status == "estimated":
             ends = interval95(e)
             band = numbers.bounds_text(e.ci95) if e.ci95 else ""
             band = numbers.interval(*ends, e.stderr) if ends else band
-        elif e.status == "fixed":
-            value = numbers.number(e.value, 6, e.unit)
-        rows.append([name, value, band, numbers.bounds_text(e.bounds), STATUS.get(e.status, e.status)])
+        rows.append(
+            [name, value_text(e), band, numbers.bounds_text(e.bounds), STATUS.get(e.status, e.status)]
+        )
     columns = ["parameter", "value ± sd", "95 % interval", "allowed", "status"]
     return Table(id=id, title=title, columns=columns, rows=rows, folded=folded)
+
+
+def value_text(estimate: Estimate) -> str:
+    """Return value and standard error of a parameter; a dash where the trials do not determine it."""
+    if estimate.status == "unidentifiable":
+        return numbers.NOTHING
+    if estimate.status == "fixed":
+        return numbers.number(estimate.value, 6, estimate.unit)
+    return numbers.measured(estimate.value, estimate.stderr, estimate.unit)
 
 
 def _correlation(correlation: Correlation | None) -> Table:
