@@ -463,7 +463,7 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
         smooth, sd = values.position[row, every], values.position_sd[row, every]
         return [
             ev.Trace(x=t[every], y=raw, label="measured", style="points", group=0),
-            blocks.band(t[every], smooth, 1.96 * sd, label="smoothed", group=1),
+            blocks.band(t[every], smooth, 1.96 * sd, label="smoothed", group=0),
         ]
 
     coordinates = [
