@@ -29,7 +29,7 @@ from swimid.simulation import compare_series
 from swimid.simulation.catalogue import Loaded
 from swimid.simulation.compare_series import ChannelScore
 
-#: Why no change of a parameter is looked for without a parameter file.
+#: Reason why no changed parameter is a hypothesis without a parameter file.
 NOT_GIVEN = (
     "no parameter file was given: the refit began at the values of the robot file, of which nothing is taken "
     "as known, and no change of a parameter can be named"
@@ -37,14 +37,16 @@ NOT_GIVEN = (
 
 
 def _as_given(loaded: Loaded) -> dict[str, ChannelScore]:
-    """Return the errors of the model with the parameters as given, by channel, as ``compare`` has them."""
+    """Return the errors of the model with the parameters as given, by channel, as ``compare`` computes
+    them.
+    """
     experiment, applied = loaded
     try:
         done = [
             compare_series.compared(experiment, applied, trial, refit=True) for trial in experiment.trials
         ]
     except NoTrustworthyResult:
-        # a simulation with them breaks down: there are no errors, and the refit may do better
+        # The simulation diverges with these parameters. There are no errors, and the refit may do better.
         return {}
     return compare_series.pooled(done, experiment.model)
 
@@ -122,7 +124,7 @@ def diagnose(
         experiment = loaded.experiment
         model = experiment.model
         own = [e for path in options.own_effects for e in effect_catalogue.from_file(path)]
-        # the noise is what the best of all leaves, whichever are asked for
+        # The noise is estimated with the whole catalogue, whichever effects are asked for.
         known = [*effect_catalogue.catalogue(), *own]
         as_given = _as_given(loaded)
         begun = nominal.begun(loaded)
