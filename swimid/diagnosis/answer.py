@@ -539,8 +539,7 @@ def parameter_errors(state: State, fit: Fit) -> Mapping[str, float]:
     """Return the standard errors of a fit's parameters by label.
 
     The standard error of a changed parameter has the name of its effect. The residuals of a few trials are
-    correlated,
-    by noise or by the gap: the errors are enlarged accordingly.
+    correlated, by noise or by the gap: the errors are enlarged accordingly.
     """
     # Rows that select the parameters, and the sum of each changed parameter and its change.
     names, rows = list(fit.labels), list(np.eye(len(fit.labels)))

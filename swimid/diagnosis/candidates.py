@@ -300,8 +300,7 @@ def own_gains(
     """Return the decrease of squared residuals by changes with a size for each trial, shape (folds,).
 
     The size is estimated from three quarters of a trial and evaluated on the other quarter, in turn. A change
-    that only
-    fits a start or a drift gains nothing then.
+    that only fits a start or a drift gains nothing then.
 
     Parameters
     ----------

@@ -1,12 +1,9 @@
 """Approximate leave-group-out cross-validation by linear algebra.
 
 Near an optimum, refits without a fold, the squared residuals of that fold, and what noise alone would give
-follow from
-the inner products of a few columns in each fold: derivatives with respect to shared parameters, changes by
-effects,
-residuals. A fold is left out by one Gauss-Newton step from the fit to all (Rad and Maleki 2020, J. R. Stat.
-Soc. B
-82(4)). The noise model stays that of all trials.
+follow from the inner products of a few columns in each fold: derivatives with respect to shared parameters,
+changes by effects, residuals. A fold is left out by one Gauss-Newton step from the fit to all (Rad and Maleki
+2020, J. R. Stat. Soc. B 82(4)). The noise model stays that of all trials.
 """
 
 from __future__ import annotations
@@ -92,8 +89,7 @@ def project_out(
     -------
     ndarray, shape (n_k + m, c)
         The trial's samples, then the prior of its own parameters. All inner products are those in the noise
-        that includes
-        the unknown own parameters.
+        that includes the unknown own parameters.
     """
     problem = fit.problem
     mine = fit.free_of_trial(k) if to is None else to

@@ -24,17 +24,15 @@ class Diagnosis(FileResult[GapFile]):
         ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``.
     causes : DataFrame
         One row for each parameter of each cause, the most probable cause first: ``effect``, ``probability``
-        (that this
-        effect or an equivalent one is among the causes), ``parameter``, ``value`` and ``stderr`` (in
-        ``unit``), ``status``.
+        (that this effect or an equivalent one is among the causes), ``parameter``, ``value`` and ``stderr``
+        (in ``unit``), ``status``.
     shrinkage : DataFrame
         By cause and channel: the error on held-out data ``before`` and ``after``, the noise ``floor`` (all
-        over the
-        measured range), and the share ``closed`` with its ``ci95``.
+        over the measured range), and the share ``closed`` with its ``ci95``.
     where : DataFrame
         By channel: ``nrmse`` of the refitted model, its ``floor``, the error ``within`` trials without
-        between-trial
-        variation (all over the measured range), ``share`` of the whole gap, ``rmse`` (in ``unit``).
+        between-trial variation (all over the measured range), ``share`` of the whole gap, ``rmse`` (in
+        ``unit``).
     file : GapFile
         The file that :meth:`save` writes. It also has rivals, remaining residuals, advice and the scores of
         all effects.

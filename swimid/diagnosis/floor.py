@@ -97,12 +97,10 @@ class Floor:
     ----------
     levels : dict of channel to float
         In its unit. The difference between repeats of one setting, if there are repeats and it is smaller
-        than the residuals
-        of the model. Otherwise the noise within trials that the model leaves, without the share that has
-        structure, and the
-        random effects. Never more than the residuals of the model without random effects. Except for repeats,
-        it includes
-        the part that fitted parameters absorb (:func:`taken_up`).
+        than the residuals of the model. Otherwise the noise within trials that the model leaves, without the
+        share that has structure, and the random effects. Never more than the residuals of the model without
+        random effects. Except for repeats, it includes the part that fitted parameters absorb
+        (:func:`taken_up`).
     inside : dict of channel to float
         The levels without the part that fitted parameters absorb, for comparison with residuals of the fit.
     within : dict of channel to float
@@ -147,8 +145,7 @@ def taken_up(context: FitContext, fit: Fit, noise_model: NoiseModel) -> dict[str
     """Return the factor of the squared errors of each channel for the part that fitted parameters absorb.
 
     With leverage h of a fold, a fit's squared residuals are 1 - h of the noise, and 1 / (1 - h) if the fold
-    is held out (the
-    deletion residual). The noise is the geometric mean.
+    is held out (the deletion residual). The noise is the geometric mean.
 
     References
     ----------

@@ -26,8 +26,7 @@ class Folds:
     ----------
     whole : bool
         Whether whole trials are held out (their own start states are then estimated from themselves), or
-        stretches of
-        trials.
+        stretches of trials.
     owner : list of ndarray of int
         For each trial the fold of each of its rows, shape (n_k,).
     labels : list of str

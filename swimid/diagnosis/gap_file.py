@@ -96,8 +96,7 @@ class Distance(yamlio.Document):
     """Distance of held-out data from the prediction without and with the causes.
 
     It is a root mean square, over what noise, uncertain coefficients and between-trial variation allow: 1 for
-    a correct
-    model.
+    a correct model.
     """
 
     before: Number

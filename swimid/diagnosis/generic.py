@@ -1,8 +1,7 @@
 """Describe the remaining residuals without physics: smooth forces, strokes and sensor terms.
 
 They show whether structure is left and where it acts. They are never a cause. After Kennedy and O'Hagan
-(2001): a model
-discrepancy with a prior of its own.
+(2001): a model discrepancy with a prior of its own.
 """
 
 from __future__ import annotations

@@ -47,8 +47,7 @@ class Named:
         Probability that it, or one of its equivalents, is missing in the model.
     closing : float
         Probability that it, or one of these, closes most of the closed gap, even if it only imitates a cause
-        outside the
-        catalogue.
+        outside the catalogue.
     alone : float
         Probability of it, and of those that change the trials in the same way, against its rivals, given the
         other causes.
@@ -110,8 +109,7 @@ class Judgement:
         The trial that contradicts the others.
     unpredicted : mapping of trial to float
         Validation trials that the model with the causes does not predict, and the ratio of the error to the
-        expected one. It
-        is not evaluated if the fitted trials show something unexplained.
+        expected one. It is not evaluated if the fitted trials show something unexplained.
     unreproduced : mapping of channel to float
         Share of a black-box model's output that it reproduces, if it is less than half.
     """
@@ -191,8 +189,7 @@ def _unreproduced(state: State, fit: Fit) -> dict[str, float]:
     """Return the share of each output that a black-box model reproduces, for outputs with less than half.
 
     The share is that of ``rwls`` and ``compare``: one minus the root-mean-square error over the standard
-    deviation of the
-    output.
+    deviation of the output.
     """
     if state.context.model.name != arx.NAME:
         return {}
@@ -278,8 +275,7 @@ def by_coefficients(state: State) -> bool:
     """Return whether mainly the prior of the coefficients identifies the causes.
 
     If refitted coefficients imitate the causes, held-out errors are as small without them. The causes are
-    then compared with
-    the errors of the parameters as given.
+    then compared with the errors of the parameters as given.
     """
     if not state.base.effects:
         return False

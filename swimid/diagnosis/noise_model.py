@@ -1,10 +1,8 @@
 """Whiten residuals: coloured measurement noise and between-trial random effects.
 
 White-noise likelihoods give far too small uncertainties. Residuals are first weighted by the noise of each
-sample, then
-whitened by an autoregression of each channel. Random effects are parameters of each trial that every fit
-estimates, with
-the between-trial standard deviation as prior.
+sample, then whitened by an autoregression of each channel. Random effects are parameters of each trial that
+every fit estimates, with the between-trial standard deviation as prior.
 """
 
 from __future__ import annotations
@@ -137,10 +135,8 @@ def brief(
     """Return the noise model with noise of short memory in some channels: slower motion there is not noise.
 
     Its size is that of the second differences, to which slow motion adds little. A share of its variance,
-    `COLOURED`, is
-    correlated over a few samples (`POLE`), as in a tracker. Residuals of a rounded record that are no larger
-    than the rounding
-    error are rounding, however slowly they move.
+    `COLOURED`, is correlated over a few samples (`POLE`), as in a tracker. Residuals of a rounded record that
+    are no larger than the rounding error are rounding, however slowly they move.
     """
     colour, size, whole = dict(noise_model.colour), dict(noise_model.size), dict(noise_model.whole)
     lags = COLOURED * POLE ** np.arange(ORDER + 1.0)

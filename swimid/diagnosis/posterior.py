@@ -1,26 +1,19 @@
 """Compute the posterior probability of each set of causes, of no gap, and of a cause outside the catalogue.
 
 Even a true effect has not exactly the form that it has in the catalogue. The excess of a hypothesis (its
-squared residuals
-beyond the noise) is therefore treated as a discrepancy of unknown variance in some directions of each part of
-the data. At
-the most likely variance the log-evidence decreases by half of the number of directions times the logarithm of
-the excess
-(a Student likelihood in place of a Gaussian one). A rival must leave several times as much, not only a few
-samples more.
+squared residuals beyond the noise) is therefore treated as a discrepancy of unknown variance in some
+directions of each part of the data. At the most likely variance the log-evidence decreases by half of the
+number of directions times the logarithm of the excess (a Student likelihood in place of a Gaussian one). A
+rival must leave several times as much, not only a few samples more.
 
 A further cause is weighed against the error of form of the causes before it. Where its change is like theirs
-it gains
-nothing. Elsewhere it must close nearly all of the remaining excess, because an error of form hardly ever
-looks like one
-effect. The folds are weighted at random (Bayesian bootstrap), so that an effect that helps in one fold only
-is uncertain.
+it gains nothing. Elsewhere it must close nearly all of the remaining excess, because an error of form hardly
+ever looks like one effect. The folds are weighted at random (Bayesian bootstrap), so that an effect that
+helps in one fold only is uncertain.
 
 A few trials do not separate slow noise from a gap. Whether there is a gap, and how much of it is closed, is
-then judged
-with noise of short memory. The cause must also be probable with noise of long memory. The two are pooled by
-their
-logarithms.
+then judged with noise of short memory. The cause must also be probable with noise of long memory. The two are
+pooled by their logarithms.
 """
 
 from __future__ import annotations
@@ -63,8 +56,7 @@ class Calibration:
         the excess.
     acts : float
         Probability that an effect that closes most beside a cause outside the catalogue acts itself, and does
-        not only imitate
-        that cause.
+        not only imitate that cause.
     """
 
     directions: float
@@ -97,8 +89,7 @@ class Candidate:
         Number of kinds of parameters of its effects; the per-trial values of one parameter are one kind.
     alike : mapping of str to float
         For each effect of a set, the largest squared cosine between its change and that of another one, with
-        the model's
-        parameters projected out.
+        the model's parameters projected out.
     slow : float, optional
         The score with noise of long memory, if the trials are too few to decide.
     """
@@ -238,8 +229,7 @@ def unit(record: Record, gap: float, known: Calibration = CALIBRATED) -> float:
     """Return the excess that is no evidence.
 
     It has three terms: a discrepancy as large as the noise in all its directions, a tenth of the noise, and
-    the error of form
-    of a true effect.
+    the error of form of a true effect.
     """
     return known.directions * record.parts + TENTH**2 * record.samples + known.form * max(gap, 0.0)
 

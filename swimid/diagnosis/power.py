@@ -2,8 +2,7 @@
 effects.
 
 No cause is sought. The changes by effects in these trials, with the model's parameters projected out, are
-compared with
-the noise of these trials by the decision rule of a diagnosis.
+compared with the noise of these trials by the decision rule of a diagnosis.
 """
 
 from __future__ import annotations

@@ -107,10 +107,8 @@ class DetectionPower(FileResult[PowerFile]):
     ----------
     effects : DataFrame
         One row for each effect: ``effect``, ``stage``, ``parameter``, the smallest ``size`` detected with 90
-        % power (in
-        ``unit``; NaN if none within its bounds is), the share ``absorbed`` by the model's parameters, and the
-        effects from
-        which it is never distinguished (``alike``).
+        % power (in ``unit``; NaN if none within its bounds is), the share ``absorbed`` by the model's
+        parameters, and the effects from which it is never distinguished (``alike``).
     file : PowerFile
         The file that :meth:`save` writes.
     """
