@@ -144,10 +144,8 @@ def test_the_users_own_effect_is_found(tmp_path: Path) -> None:
     weak = swim_actuation.battery_droop(rng(), 3.0, "tfish")
     gap_trials.write(tmp_path, "tfish", [weak])
     (tmp_path / "params.yaml").rename(tmp_path / "tfish.yaml")
-    text = (ROOT / "docs" / "diagnose.md").read_text(encoding="utf-8")
-    *_, line = re.findall(
-        r"^swimid (diagnose .*my_effect\.py -o gap\.yaml)$", text.split("## Limits")[0], re.M
-    )
+    text = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
+    (line,) = re.findall(r"^swimid (diagnose .*my_effect\.py -o gap\.yaml)$", text, re.M)
     place = tmp_path / "docs" / "examples" / "effect"
     place.mkdir(parents=True)
     shutil.copy(DROOP, place)

@@ -399,7 +399,7 @@ def test_the_help_has_an_example(swimid: Run) -> None:
 
 
 def test_the_manual_lists_the_catalogue() -> None:
-    manual = (ROOT / "docs" / "diagnose.md").read_text()
+    manual = (ROOT / "docs" / "effects.md").read_text()
     table = manual.split("## The catalogue")[1].split("## ")[0]
     stage, listed = "", {}
     for row in re.findall(r"^\| *(\w*) *\| `([a-z-]+)` \|", table, flags=re.M):
