@@ -47,13 +47,18 @@ def _texts(path: Path) -> Iterator[tuple[int, str, bool]]:
             yield number, line.strip(), False
 
 
-@pytest.mark.parametrize("package", sorted(p.name for p in (ROOT / "swimid").iterdir() if p.is_dir() and (p / "__init__.py").exists()))
+@pytest.mark.parametrize(
+    "package",
+    sorted(p.name for p in (ROOT / "swimid").iterdir() if p.is_dir() and (p / "__init__.py").exists()),
+)
 def test_docstrings_and_comments_use_the_terms_of_the_field(package: str) -> None:
     found = []
     for path in sorted((ROOT / "swimid" / package).rglob("*.py")):
         for line, text, is_docstring in _texts(path):
             where = f"{path.relative_to(ROOT)}:{line}"
-            found += [f"{where}: {term!r}, say {better}" for term, better in TERMS.items() if re.search(term, text)]
+            found += [
+                f"{where}: {term!r}, say {better}" for term, better in TERMS.items() if re.search(term, text)
+            ]
             if is_docstring and OPENINGS.match(text):
                 found.append(f"{where}: begins with {text.split()[0]!r}")
     assert not found, "\n".join(found)
