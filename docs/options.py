@@ -17,7 +17,10 @@ def table(spec: CommandSpec) -> str:
 
 def page() -> str:
     """Return the whole page."""
-    parts = ["# Options of all commands", "This page is printed by `python docs/options.py`. All commands also take the options of `swimid --help`."]
+    parts = [
+        "# Options of all commands",
+        "This page is printed by `python docs/options.py`. All commands also take the options of `swimid --help`.",
+    ]
     for name, spec in sorted(found().items()):
         parts.append(f"## `swimid {name}`\n\n{table(spec)}")
     return "\n\n".join(parts) + "\n"

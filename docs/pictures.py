@@ -40,9 +40,21 @@ def main() -> None:
     plt.rcParams["svg.hashsalt"] = "swimid"
     for name, (file, figure) in FROM_THE_DEMO.items():
         draw(name, swimid.load_result(DEMO / file), figure)
-    draw("import", swimid.import_log(SAMPLES / "camera" / "polled.csv", map_path=ROOT / "docs/examples/camera.yaml"), "spectra")
-    draw("simulate", swimid.simulate(robot="dolphin", frequency_hz=2.5, amplitude_deg=27, duration_s=10), "track")
-    draw("sensitivity", swimid.sensitivity(SAMPLES / "tfish" / "trials.yaml", ranges=["20%"], samples=64), "total")
+    draw(
+        "import",
+        swimid.import_log(SAMPLES / "camera" / "polled.csv", map_path=ROOT / "docs/examples/camera.yaml"),
+        "spectra",
+    )
+    draw(
+        "simulate",
+        swimid.simulate(robot="dolphin", frequency_hz=2.5, amplitude_deg=27, duration_s=10),
+        "track",
+    )
+    draw(
+        "sensitivity",
+        swimid.sensitivity(SAMPLES / "tfish" / "trials.yaml", ranges=["20%"], samples=64),
+        "total",
+    )
 
 
 if __name__ == "__main__":
