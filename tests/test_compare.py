@@ -254,7 +254,7 @@ def _pair(time: np.ndarray, measured: np.ndarray, simulated: np.ndarray) -> comp
 def test_strokes_have_their_means_and_peaks() -> None:
     time = np.arange(0.0, 3.0, 0.01) + 0.005
     measured = np.floor(time) + np.sin(2 * np.pi * time)
-    found = compare_series.cycles(_pair(time, measured, 2.0 * measured), 1.0)
+    found = compare_series.stroke_table(_pair(time, measured, 2.0 * measured), 1.0)
     assert np.allclose(found.time_s, [0.5, 1.5, 2.5])
     assert np.allclose(found.mean_measured, [0.0, 1.0, 2.0], atol=1e-9)
     assert np.allclose(found.peak_simulated, [2.0, 4.0, 6.0], atol=1e-3)
@@ -262,7 +262,7 @@ def test_strokes_have_their_means_and_peaks() -> None:
 
 def test_a_stroke_the_record_cuts_is_none() -> None:
     time = np.arange(0.4, 2.7, 0.01)
-    found = compare_series.cycles(_pair(time, time, time), 1.0)
+    found = compare_series.stroke_table(_pair(time, time, time), 1.0)
     assert np.allclose(found.time_s, [1.5])
 
 

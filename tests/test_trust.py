@@ -10,6 +10,7 @@ import pytest
 
 import swimid as package
 from swimid.errors import UsageError
+from swimid.logs.kinematics import Window
 from swimid.optimisation import optimise_gait, study
 from swimid.optimisation.options import OptimiseStiffnessOptions
 from swimid.optimisation.performance import Performance
@@ -17,7 +18,6 @@ from swimid.optimisation.performance_map import electrical_power
 from swimid.optimisation.problem import drawn
 from swimid.results.parameters import ParameterFile
 from swimid.simulation.catalogue import Applied, Quantity
-from swimid.simulation.swim_quantities import Window
 
 VALUES = {
     "c_m0": 0.27, "c_m1": 0.18, "c_m2": 0.26, "c_f0": 0.039, "c_f1": 0.034, "c_f2": 0.015,
