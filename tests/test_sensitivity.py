@@ -134,12 +134,12 @@ class TestSobol:
             indices.sobol(each(stopping), -SIDE, SIDE, samples=64, checkpoint=Checkpoint(path, "key"))
         kept = len(path.read_text().splitlines())
         # what was evaluated together is kept together
-        assert 49 - indices.TOGETHER <= kept < 64 * 4
+        assert 49 - indices.BATCH <= kept < 64 * 4
         before = count
         again = indices.sobol(each(stopping), -SIDE, SIDE, samples=64, checkpoint=Checkpoint(path, "key"))
         whole = indices.sobol(each(ishigami), -SIDE, SIDE, samples=64)
         assert count == before + whole.evaluations - kept
-        assert kept % indices.TOGETHER == 0
+        assert kept % indices.BATCH == 0
         for name, value in vars(whole).items():
             assert np.array_equal(getattr(again, name), value), name
 

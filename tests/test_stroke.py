@@ -144,8 +144,8 @@ def test_one_marker_without_a_stroke() -> None:
     time = np.arange(600) / 30
     columns = _track("no stroke", np.random.default_rng(0))
     assert rhythm.find(time, columns) is None
-    assert "4 cycles" in rhythm.unknown(time, columns)[0]
-    assert "4 cycles" in rhythm.unknown(time, {"depth_m": time})[0]
+    assert "4 cycles" in rhythm.explain_missing(time, columns)[0]
+    assert "4 cycles" in rhythm.explain_missing(time, {"depth_m": time})[0]
 
 
 def test_the_frequency_of_the_drive_helps_where_the_stroke_is_faint() -> None:

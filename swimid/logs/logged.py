@@ -294,7 +294,7 @@ def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
 
 
 def _spectrum(time: Array, values: Array, stroke: Rhythm | None) -> tuple[Array, Array] | None:
-    even_s, even = longest_even(time, values, rhythm.FASTEST_HZ)
+    even_s, even = longest_even(time, values, rhythm.MAX_RATE_HZ)
     if len(even) < 32 or np.ptp(even) == 0:
         return None
     rate = (len(even_s) - 1) / (even_s[-1] - even_s[0])

@@ -232,7 +232,7 @@ def _stroke(track: Track, begin: float, end: float) -> _Stroke:
     columns = {name: np.where(unknown, np.nan, values) for name, values in columns.items()}
     found = rhythm.find(track.time_s[rows], columns)
     if found is None:
-        why, frequency_hz = rhythm.unknown(track.time_s[rows], columns)
+        why, frequency_hz = rhythm.explain_missing(track.time_s[rows], columns)
         why = why if track.angle is not None else why.replace("yaw_rad", "the course")
         return _Stroke(unknown=why, slow=frequency_hz)
     if found.maybe_double:
