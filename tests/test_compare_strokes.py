@@ -61,7 +61,7 @@ def test_profiles_are_the_means_of_their_repeats(swimid: Run, tmp_path: Path) ->
     assert profiles["pitch"].cycles == []
     assert profiles["pitch"].position_rmse_m is not None
     shown = evidence.read(evidence.sidecar(out))
-    assert {"profiles", "cycle-velocity", "cycle-angles", "cycle-way"} <= {t.id for t in shown.tables}
+    assert {"profiles", "strokes"} <= {t.id for t in shown.tables}
     drawn = {f.id: f for f in shown.figures}
     assert set(drawn) == {f"profile-{name}" for name in profiles}
     for panel in drawn["profile-characteristic"].panels:

@@ -16,11 +16,11 @@ from swimid.logs.trials import StrokeDrive
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid
 from swimid.robots.planar import Multilink
+from swimid.swimmer.energetics import Energetics
 from swimid.swimmer.model import Swimmer
 from swimid.swimmer.planar import engine
 from swimid.swimmer.planar.assembly import Assembly
 from swimid.swimmer.planar.model import MultilinkModel
-from swimid.swimmer.run_quantities import Energetics
 from swimid.swimmer.spatial.model import MultibodyModel
 from swimid.swimmer.trials import cycle_of
 from tests.conftest import Ran

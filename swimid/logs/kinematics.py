@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,55 +20,57 @@ from swimid.logs.sampling import slope
 
 Array = NDArray[np.float64]
 
-#: Unit and meaning of each quantity of a swim. Quantities of a turn exist for yaw (horizontal plane) and
-#: pitch (vertical plane). Those of a passive joint are called ``amplitude_<joint>_rad``.
+
+class Kind(NamedTuple):
+    """Kind of a quantity: unit, meaning, and the runs that have it.
+
+    ``of`` names ``plane`` (a free swim in a plane), ``cycle`` (one cycle in the vertical plane), ``power``
+    (driven joints), or several of them.
+    """
+
+    unit: str
+    meaning: str
+    of: str
+
+
+#: Quantities of a swim. Those of a turn exist for yaw (horizontal plane) and pitch (vertical plane). Those of
+#: a passive joint are called ``amplitude_<joint>_rad``.
 QUANTITIES = {
-    "mean_speed_m_s": (
-        "m/s",
-        "length of the path through the mean positions of cycles, over time",
+    "mean_speed_m_s": Kind(
+        "m/s", "length of the path through the mean positions of cycles, over time", "plane cycle"
     ),
-    "mean_speed_BL_s": ("BL/s", "mean speed in body lengths"),
-    "stride_BL": ("BL", "mean speed over frequency, in body lengths"),
-    "strouhal": ("1", "frequency times tail excursion over mean speed"),
-    "tail_excursion_m": ("m", "peak-to-peak excursion of the tail across the path"),
-    "turning_radius_m": ("m", "mean speed over the magnitude of the mean turning rate"),
-    "mean_yaw_rate_rad_s": ("rad/s", "change of the yaw over whole cycles, over time"),
-    "mean_pitch_rate_rad_s": ("rad/s", "change of the pitch over whole cycles, over time"),
-    "max_yaw_rate_rad_s": ("rad/s", "maximum magnitude of the yaw rate"),
-    "max_pitch_rate_rad_s": ("rad/s", "maximum magnitude of the pitch rate"),
-    "yaw_rate_range_rad_s": ("rad/s", "peak-to-peak range of the yaw rate (tendon fish, F2 of Eq 12)"),
-    "pitch_rate_range_rad_s": ("rad/s", "peak-to-peak range of the pitch rate"),
-    "yaw_range_in_beat_rad": ("rad", "range of the yaw in the last beat (xi of the tendon fish, Table V)"),
-    "pitch_range_in_beat_rad": ("rad", "range of the pitch in the last beat"),
-    "mean_surge_m_s": ("m/s", "mean forward speed"),
-    "max_surge_m_s": ("m/s", "maximum forward speed"),
-    "mean_surge_from_start_m_s": ("m/s", "mean forward speed of the whole run (tendon fish, F1 of Eq 12)"),
-    "speed_change_per_beat_m_s": ("m/s", "mean change of the speed from one cycle to the next"),
-    "settling_time_s": ("s", "time from which on the mean surge of a beat is within 5 % of its last value"),
-    "path_extent_m": ("m", "larger side of the box around the path"),
-    "max_speed_m_s": ("m/s", "maximum speed in the vertical plane (sea lion, Table I)"),
-    "path_speed_m_s": ("m/s", "mean of the speed in the vertical plane (sea lion, Table I)"),
-    "final_pitch_rad": ("rad", "pitch at the end of the cycle (sea lion, Table II)"),
-    "surge_m": ("m", "displacement along x in the cycle"),
-    "heave_m": ("m", "displacement along z in the cycle"),
-    "cost_of_transport_J_m": ("J/m", "mean positive power over mean speed (dolphin, Eq 11)"),
-    "mean_positive_power_W": ("W", "mean power of the joints, negative power of each counted as zero"),
-    "mean_power_W": ("W", "mean power of the joints"),
-    "peak_torque_N_m": ("N m", "maximum magnitude of a joint torque"),
-    "peak_joint_rate_rad_s": ("rad/s", "maximum magnitude of a joint rate"),
+    "mean_speed_BL_s": Kind("BL/s", "mean speed in body lengths", "plane"),
+    "stride_BL": Kind("BL", "mean speed over frequency, in body lengths", "plane"),
+    "strouhal": Kind("1", "frequency times tail excursion over mean speed", "plane"),
+    "tail_excursion_m": Kind("m", "peak-to-peak excursion of the tail across the path", "plane"),
+    "turning_radius_m": Kind("m", "mean speed over the magnitude of the mean turning rate", "plane"),
+    "mean_yaw_rate_rad_s": Kind("rad/s", "change of the yaw over whole cycles, over time", "plane"),
+    "mean_pitch_rate_rad_s": Kind("rad/s", "change of the pitch over whole cycles, over time", "plane cycle"),
+    "max_yaw_rate_rad_s": Kind("rad/s", "maximum magnitude of the yaw rate", "plane"),
+    "max_pitch_rate_rad_s": Kind("rad/s", "maximum magnitude of the pitch rate", "plane cycle"),
+    "yaw_rate_range_rad_s": Kind("rad/s", "range of the yaw rate (tendon fish, F2 of Eq 12)", "plane"),
+    "pitch_rate_range_rad_s": Kind("rad/s", "range of the pitch rate", "plane"),
+    "yaw_range_in_beat_rad": Kind("rad", "range of yaw in the last beat (tendon fish, Table V)", "plane"),
+    "pitch_range_in_beat_rad": Kind("rad", "range of the pitch in the last beat", "plane"),
+    "mean_surge_m_s": Kind("m/s", "mean forward speed", "plane"),
+    "max_surge_m_s": Kind("m/s", "maximum forward speed", "plane"),
+    "mean_surge_from_start_m_s": Kind("m/s", "mean surge of the whole run (tendon fish, F1)", "plane"),
+    "speed_change_per_beat_m_s": Kind("m/s", "mean change of the speed from beat to beat", "plane"),
+    "settling_time_s": Kind("s", "time after which the mean surge stays within 5 % of its last", "plane"),
+    "path_extent_m": Kind("m", "longer side of the box around the path", "plane"),
+    "max_speed_m_s": Kind("m/s", "maximum speed in the plane (sea lion, Table I)", "cycle"),
+    "path_speed_m_s": Kind("m/s", "mean of the speed in the plane (sea lion, Table I)", "cycle"),
+    "final_pitch_rad": Kind("rad", "pitch at the end of the cycle (sea lion, Table II)", "cycle"),
+    "surge_m": Kind("m", "displacement along x in the cycle", "cycle"),
+    "heave_m": Kind("m", "displacement along z in the cycle", "cycle"),
+    "cost_of_transport_J_m": Kind("J/m", "mean positive power over mean speed (dolphin, Eq 11)", "power"),
+    "mean_positive_power_W": Kind("W", "mean power of the joints, negative power as zero", "power"),
+    "mean_power_W": Kind("W", "mean power of the joints", "power"),
+    "peak_torque_N_m": Kind("N m", "maximum magnitude of a joint torque", "power"),
+    "peak_joint_rate_rad_s": Kind("rad/s", "maximum magnitude of a joint rate", "power"),
 }
-#: Quantities of one cycle of a stroke in the vertical plane (sea lion, Tables I and II), in the order of
-#: tables.
-CYCLE_QUANTITIES = (
-    "max_speed_m_s",
-    "path_speed_m_s",
-    "mean_speed_m_s",
-    "final_pitch_rad",
-    "max_pitch_rate_rad_s",
-    "mean_pitch_rate_rad_s",
-    "surge_m",
-    "heave_m",
-)
+#: Quantities of one cycle of a stroke in the vertical plane (sea lion, Tables I and II).
+CYCLE_QUANTITIES = tuple(name for name, kind in QUANTITIES.items() if "cycle" in kind.of)
 
 #: Maximum number of cycles at the end of a run from which its quantities are computed.
 N_CYCLES = 4

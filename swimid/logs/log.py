@@ -459,7 +459,8 @@ def _check(log: Log, required: Sequence[str]) -> None:
     backwards = np.append(False, np.diff(time) <= 0)
     if backwards.any():
         before, after = map(float, time[np.argmax(backwards) - 1 :][:2])
-        text = f"time {'repeats' if after == before else 'goes back'}: {after!r} after {before!r}"
+        what = "repeats" if after == before else "goes back"
+        text = f"time {what}: {after!r} after {before!r}"
         _refuse(backwards, text, log, TIME, "sort the rows and drop repeated ones")
     for name in required:
         if np.isnan(log[name]).all():
@@ -692,5 +693,5 @@ def _ends(values: Array) -> tuple[float, float]:
     """Return the minimum and the maximum; zeros without a value."""
     if len(values) == 0:
         return 0.0, 0.0
-    low, high = float(np.fmin.reduce(values)), float(np.fmax.reduce(values))
-    return (0.0, 0.0) if np.isnan(low) else (low, high)
+    low, high = np.nan_to_num([np.fmin.reduce(values), np.fmax.reduce(values)])
+    return float(low), float(high)

@@ -102,7 +102,9 @@ class Logged(Result):
                 continue
             known = values[np.isfinite(values)]
             gaps = _missing(self.log.time_s, values, after)
-            ends = (float(known.min()), float(known.max())) if len(known) else (None, None)
+            ends: list[float | None] = [None, None]
+            if len(known):
+                ends = [float(known.min()), float(known.max())]
             lost = numbers.percent(1 - len(known) / len(values))
             longest = max((end - start for start, end in gaps), default=0.0)
             rows.append([name, *ends, lost, numbers.number(longest, 3, "s")])
@@ -178,7 +180,9 @@ def channels(logs: Sequence[Log]) -> Figure:
     by_channel: dict[str, list[tuple[int, Log, Array]]] = {}
     for number, record in enumerate(logs):
         for column, values in _signals(record).items():
-            channel = SAME_CHANNEL.get(column, column) if several else column
+            channel = column
+            if several:
+                channel = SAME_CHANNEL.get(column, column)
             by_channel.setdefault(channel, []).append((number, record, values))
     # channels of several logs come first
     order = sorted(by_channel, key=lambda channel: -len(by_channel[channel]))
@@ -227,20 +231,22 @@ def track(logs: Sequence[Log]) -> Figure | None:
         up = next((column for column in ("y_m", "z_m") if column in record and "x_m" in record), None)
         if up is None or (across and up != across):
             continue
-        across = up
+        across, path, arrows = up, "path", "heading"
+        if several:
+            path, arrows = name, f"heading, {name}"
         x, y = record["x_m"], record[up]
         step, after = len(x) // MAX_POINTS + 1, pauses(record.time_s)
         line = (_broken(record.time_s, values, after)[1][::step] for values in (x, y))
-        traces.append(Trace(**dict(zip("xy", line, strict=True)), label=name if several else "path"))
+        traces.append(Trace(**dict(zip("xy", line, strict=True)), label=path))
         there = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
         if len(there) and not several:
             traces.append(Trace(x=x[there[:1]], y=y[there[:1]], label="start", style="points"))
         heading = {"y_m": "yaw_rad", "z_m": "pitch_rad"}[up]
         if heading in record and len(there) > 1:
-            traces.append(_arrows(x, y, record[heading], f"heading, {name}" if several else "heading"))
+            traces.append(_arrows(x, y, record[heading], arrows))
     if not traces:
         return None
-    title = "Path from above" if across == "y_m" else "Path from the side"
+    title = {"y_m": "Path from above", "z_m": "Path from the side"}[across]
     caption, y_label = "The path to scale, with arrows along the heading.", numbers.column_title(across)
     return blocks.figure("path", title, caption, "x (m)", y_label, traces, equal_aspect=True)
 
@@ -292,7 +298,7 @@ def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
         title=f"Spectra of {record.path.name}",
         caption=f"{caption} Amplitudes (Hann window) of the longest stretch without a gap.",
         panels=panels,
-        columns=2 if len(panels) > 1 else 1,
+        columns=min(max(len(panels), 1), 2),
     )
 
 

@@ -198,7 +198,9 @@ def _place(columns: Mapping[str, Array]) -> Array | None:
     """Return the first two coordinates of a track, shape (n, 2), or the lone one, shape (n, 1)."""
     units = [[n for n in (f"x_{u}", f"y_{u}", f"z_{u}") if n in columns] for u in ("m", "px")]
     names = next((found for found in units if found), [])[:2]
-    return np.column_stack([columns[name] for name in names]) if names else None
+    if not names:
+        return None
+    return np.column_stack([columns[name] for name in names])
 
 
 def find(
@@ -243,21 +245,27 @@ def find(
         if not beats:
             continue
         chosen = _chosen(beats, beats | pushed)
-        slow = None if within else find_slowest(time_s, columns)
-        if slow is not None and slow[1].may_cause(chosen.frequency_hz):
-            return None
-        told = stated_hz is not None and abs(chosen.frequency_hz - stated_hz) <= FREQUENCY_RTOL * stated_hz
+        if not within:
+            slow = find_slowest(time_s, columns)
+            if slow is not None and slow[1].may_cause(chosen.frequency_hz):
+                return None
+        is_stated = (
+            stated_hz is not None and abs(chosen.frequency_hz - stated_hz) <= FREQUENCY_RTOL * stated_hz
+        )
         # of the channels that beat with the stroke, the one with the smallest standard error
         at_it = {name: [b for b in found if multiple(b, chosen) == 1] for name, found in beats.items()}
         best = {name: min(found, key=lambda b: b.stderr_hz) for name, found in at_it.items() if found}
         channel = min(best, key=lambda name: best[name].stderr_hz)
+        rivals = {}
+        if not is_stated:
+            rivals = _rivals(chosen, beats | pushed)
         return Rhythm(
             best[channel],
             channel,
             _harmonics(*_as_logged(time_s, channels[channel]), best[channel].frequency_hz),
             {name: found[0] for name, found in beats.items()},
             maybe_double=channel in pushed,
-            rivals={} if told else _rivals(chosen, beats | pushed),
+            rivals=rivals,
         )
     return None
 
@@ -298,9 +306,12 @@ def _motions(
 
 def _last_place(columns: Mapping[str, Array], name: str) -> float:
     """Return the step of the last decimal of a channel, or of the positions that it follows from."""
+    if name in columns:
+        return quantum(columns[name])
     place = _place(columns)
-    made_of = [columns[name]] if name in columns else [] if place is None else list(place.T)
-    return sum(quantum(values) for values in made_of)
+    if place is None:
+        return 0.0
+    return sum(quantum(values) for values in place.T)
 
 
 def _is_rounding(beat: Beat, last_place: float) -> bool:
@@ -413,10 +424,11 @@ def explain_missing(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, f
     """Return the reason why :func:`find` finds no stroke, and the frequency of a slow motion, Hz, or None."""
     duration = float(np.ptp(time_s)) if len(time_s) else 0.0
     slow = find_slowest(time_s, columns)
-    slow_hz = None if slow is None else slow[1].frequency_hz
-    laps = [] if slow_hz is None else [slow_hz]
-    place = _place(columns)
-    if slow is None and place is not None and place.shape[1] > 1:
+    slow_hz, laps, place = None, [], _place(columns)
+    if slow is not None:
+        slow_hz = slow[1].frequency_hz
+        laps = [slow_hz]
+    elif place is not None and place.shape[1] > 1:
         laps = [beat.frequency_hz for v in place.T for beat in find_beats(*_prepared(time_s, v))]
     for frequency_hz in laps:
         if _is_lap(time_s, columns, frequency_hz):
@@ -476,7 +488,9 @@ def _as_logged(time_s: Array, values: Array) -> tuple[Array, Array]:
     time, even = _prepared(time_s, values)
     first, last = np.searchsorted(time_s, (time[0], time[-1]))
     there = np.flatnonzero(np.isfinite(values[first : last + 1])) + first
-    return (time, even) if len(there) > 2 * len(time) else (time_s[there], values[there])
+    if len(there) > 2 * len(time):
+        return time, even
+    return time_s[there], values[there]
 
 
 def _harmonics(time: Array, values: Array, frequency: float) -> list[Harmonic]:

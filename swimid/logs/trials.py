@@ -336,19 +336,23 @@ def read(
         or rows of a log are both fitted and held out.
     """
     path = place(source)
-    held = source.entries if isinstance(source, TrialSet) and source.entries._in_memory else None
-    data: Any = (
-        yamlio.of_format(path, FORMAT, "trials file") if held is None else {"experiment": held.experiment}
-    )
+    held: Any = None
+    if isinstance(source, TrialSet) and source.entries._in_memory:
+        held = source.entries
+        data: Any = {"experiment": held.experiment}
+    else:
+        data = yamlio.of_format(path, FORMAT, "trials file")
     names = [name for name, kind in EXPERIMENTS.items() if not experiments or kind in experiments]
     experiment = data.get("experiment")
     if experiment not in names:
-        close = nearest(str(experiment), names)
-        what = f"'{experiment}' is not allowed" if "experiment" in data else "is missing"
+        close, hint, what = nearest(str(experiment), names), None, "is missing"
+        if "experiment" in data:
+            what = f"'{experiment}' is not allowed"
+        if close:
+            hint = f"did you mean '{close}'?"
         text, line = f"{what}; here: {', '.join(names)}", _key_line(data, "experiment")
-        hint = f"did you mean '{close}'?" if close else None
         raise InputError(text, file=path, line=line, column="experiment", hint=hint)
-    trials: T = yamlio.validate(data, EXPERIMENTS[experiment], path) if held is None else held  # type: ignore[assignment]
+    trials: T = held or yamlio.validate(data, EXPERIMENTS[experiment], path)
     if uses is not None:
         _refuse_unused(trials, path, uses[experiment], data)
     listed: list[Trial] = getattr(trials, "trials", [])
@@ -392,7 +396,8 @@ def given(document: yamlio.Document, prefix: str = "") -> Iterator[tuple[str, An
         if name not in document.model_fields_set or value == type(document).model_fields[name].default:
             continue
         yield prefix + name, value
-        for part in value if isinstance(value, list) else [value]:
+        parts = value if isinstance(value, list) else [value]
+        for part in parts:
             if isinstance(part, yamlio.Document):
                 yield from given(part, f"{prefix}{name}.")
 

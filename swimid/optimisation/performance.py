@@ -204,14 +204,16 @@ class Performance:
             Parameter vector for each point. Coefficients of the point replace its entries.
         """
         runs = [self.run(point) for point in points]
-        given = values or [self.values] * len(points)
+        given = [self.values] * len(points) if values is None else values
         vectors = [self.at(point, vector) for point, vector in zip(points, given, strict=True)]
         pairs = [(vector, run.trial) for vector, run in zip(vectors, runs, strict=True)]
         simulated = self.model.with_energetics(pairs, [run.window.duration_s for run in runs])
-        found: list[dict[str, Quantity]] = [
-            {} if energetics is None else run.quantities(self.model, vector, columns, energetics)
-            for run, vector, (columns, energetics) in zip(runs, vectors, simulated, strict=True)
-        ]
+        found: list[dict[str, Quantity]] = []
+        for run, vector, (columns, energetics) in zip(runs, vectors, simulated, strict=True):
+            quantities = {}
+            if energetics is not None:
+                quantities = run.quantities(self.model, vector, columns, energetics)
+            found.append(quantities)
         self.model.forget([run.trial for run in runs])
         return found
 
@@ -225,8 +227,10 @@ class Performance:
         """Return the same as :meth:`table`, computed by several threads."""
         parts = [slice(k, k + BATCH) for k in range(0, len(points), BATCH)]
 
+        given = [self.values] * len(points) if values is None else values
+
         def one(part: slice) -> Array:
-            return self.table(points[part], None if values is None else values[part])
+            return self.table(points[part], given[part])
 
         with in_threads(one, parts, jobs) as results:
             return np.concatenate(list(results))

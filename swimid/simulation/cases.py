@@ -93,13 +93,14 @@ def place(options: SimulateOptions) -> Path | None:
 def _metadata(options: SimulateOptions, robot: str, **more: Any) -> dict[str, Any]:
     """Return the metadata of a log: the entries that every log has, and more."""
     path = place(options)
-    lines = {
-        "robot": robot,
-        "params": "" if path is None else path.name,
-        "set": dict(options.chosen),
-        "readings": dict(options.readings),
-    }
-    return {**{name: value for name, value in lines.items() if value}, **more}
+    lines: dict[str, Any] = {"robot": robot}
+    if path is not None:
+        lines["params"] = path.name
+    if options.chosen:
+        lines["set"] = dict(options.chosen)
+    if options.readings:
+        lines["readings"] = dict(options.readings)
+    return lines | more
 
 
 def _times(options: SimulateOptions, stroke: Cycle | None = None) -> Array:
@@ -192,9 +193,11 @@ def cases_of_trials(
         if swims is not None:
             cases.append(_swimming(applied, applied.values(trial.id), swims, trial, metadata))
             continue
-        extra: dict[str, Any] = dict(trial.inputs) if experiment.name in ("towed", "arma") else {}
+        extra: dict[str, Any] = {}
         if experiment.model.timed_runs:
             extra = _table(trial.id, trial.inputs)
+        elif experiment.name in ("towed", "arma"):
+            extra = dict(trial.inputs)
         cases.append(Case(applied, applied.values(trial.id), trial, metadata, extra))
     return cases, experiment.inputs
 
@@ -433,7 +436,9 @@ def _falling_weight(options: SimulateOptions, file: ParameterFile, path: Path, r
             "distance_m": Quantity(float(simulated["x_m"][-1]), "m"),
         }
         top = rig.terminal_speed(model.coefficients(values, on_rig), force)
-        return ends if math.isnan(top) else {"terminal_speed_m_s": Quantity(top, "m/s"), **ends}
+        if not math.isnan(top):
+            ends = {"terminal_speed_m_s": Quantity(top, "m/s"), **ends}
+        return ends
 
     metadata = {"experiment": "falling-weight", "pulling_mass_kg": pulling}
     return model, trial, metadata, {"quantities": compute}
@@ -456,7 +461,9 @@ def _arma(options: SimulateOptions, file: ParameterFile, path: Path) -> Case:
     model = arma.model_of(file, path)
     metadata = _metadata(options, options.robot or file.robot or "unknown", experiment="arma")
     if options.input is not None:
-        wanted = () if model.sine else (model.source,)
+        wanted: tuple[str, ...] = ()
+        if not model.sine:
+            wanted = (model.source,)
         log = log_format.read(options.input, required=wanted, optional=(model.output,))
         measured = {model.output: log[model.output]} if model.output in log else {}
         trial = Trial("run", "fit", log.time_s, measured, inputs={name: log[name] for name in wanted})
@@ -476,8 +483,10 @@ def _cruise(options: SimulateOptions, file: ParameterFile, path: Path, robot: Ro
     drag, place = catalogue.drag_file(file, path), robot_format.locate(robot.name)
     model = propulsion.recoil_model(robot, [fin, *unknown], drag, unknown=unknown, path=place)
     for name, law in (("frequency_exponent", 3.0), ("amplitude_exponent", 2.0)):
-        known = file.parameters.get(name)
-        if options.chosen.get(name, law if known is None else known.value) != law:
+        value = options.chosen.get(name, law)
+        if name in file.parameters and name not in options.chosen:
+            value = file.parameters[name].value
+        if value != law:
             raise UsageError(
                 f"{name} is not that of the law; its reference is in the fitted table: give it with --trials"
             )

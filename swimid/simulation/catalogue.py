@@ -184,11 +184,9 @@ class Applied:
         doubtful = ("unidentifiable", "at-bound")
         lost = [n for n, e in self._estimates().items() if e.status in doubtful and not e.stderr]
         if lost:
-            warn(
-                "SWM055",
-                f"{', '.join(lost)} {'has' if len(lost) == 1 else 'have'} no standard error in the parameter "
-                f"file: what is not known of them is not in {where}",
-            )
+            names = ", ".join(lost)
+            text = f"the parameter file has no standard error of {names}: their uncertainty is not in {where}"
+            warn("SWM055", text)
 
     def with_errors(
         self, values: Array, compute: Callable[[Array], Mapping[str, Quantity]]

@@ -167,7 +167,7 @@ def compare(
         tables=_tables(file),
         figures=_figures(experiment, done, profiles, file),
         notices=blocks.notices(notices),
-        methods=_methods(file, profiles, buoyancy),
+        methods=_methods(file),
         references=list(experiment.robot.sources),
         provenance=file.provenance,
     )
@@ -302,7 +302,7 @@ def _facts(file: ComparisonFile) -> dict[str, str]:
     return facts
 
 
-def _methods(file: ComparisonFile, profiles: Sequence[Profile], buoyancy: float) -> list[str]:
+def _methods(file: ComparisonFile) -> list[str]:
     """Return sentences for a paper."""
     sentences = [
         f"{len(file.trials)} {file.experiment} trials were compared with simulations under the parameters of "
@@ -319,7 +319,7 @@ def _methods(file: ComparisonFile, profiles: Sequence[Profile], buoyancy: float)
             "If the parameter file had no start state of a trial, it was estimated from the whole trial with "
             "all shared parameters held."
         )
-    return sentences + compare_strokes.methods(profiles, buoyancy)
+    return sentences
 
 
 # ------------------------------------------------------------ tables

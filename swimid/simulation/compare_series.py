@@ -245,14 +245,16 @@ def compare_trial(
         {n: p.measured for n, p in pairs.items()}, {n: p.simulated for n, p in pairs.items()}
     )
     own = {n: replace(p, measured=measured[n], simulated=simulated[n]) for n, p in pairs.items()}
-    placed = metrics.pose_channels(model)
+    placed, drive = metrics.pose_channels(model), {}
+    if trial.swim.beat is not None:
+        drive = cases.drive_block(trial.swim)
     record = TrialComparison(
         id=trial.id,
         role=trial.role,  # type: ignore[arg-type]
         start=start,
         start_values=start_values,
         frequency_hz=frequency,
-        drive=cases.drive_block(trial.swim) if trial.swim.beat is not None else {},
+        drive=drive,
         channels={name: _score([p], frequency, own_motion=name in placed) for name, p in own.items()},
         cycles=by_stroke,
         mean_speed=speed,
@@ -378,9 +380,10 @@ def _noise(applied: Applied, trial: Trial) -> dict[str, float]:
             noise |= {name: mean for name in ("x_m", "y_m") if name in noise}
         return noise
     for name, values in trial.measured.items():
-        known_values = values[np.isfinite(values)]
-        span = float(np.ptp(known_values)) if len(known_values) else 0.0
-        noise[name] = NOISE_SHARE * span or 1.0
+        finite = values[np.isfinite(values)]
+        noise[name] = 1.0
+        if len(finite) and np.ptp(finite) > 0:
+            noise[name] = NOISE_SHARE * float(np.ptp(finite))
     return noise
 
 

@@ -352,12 +352,13 @@ def simulate(
         for case in asked:
             done.append(simulate_case(case))
             step()
-    notes = []
+    notes: list[str] = []
     with atomic.together():
         outputs = write(output, done)
         if options.animate is not None:
             remark = animation.write(options.animate, _film(done[0]), view=options.view, progress=progress)
-            notes = [remark] if remark else []
+            if remark:
+                notes.append(remark)
             outputs.append(options.animate)
     if done[0].quantities:
         done[0].case.applied.warn_without_error("the uncertainties given here")

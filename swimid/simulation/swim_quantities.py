@@ -15,59 +15,32 @@ import numpy as np
 from swimid.fitting.drives import SwimInput
 from swimid.fitting.model import Array, Trial
 from swimid.logs import kinematics
-from swimid.logs.kinematics import CYCLE_QUANTITIES, PER_CYCLE, QUANTITIES, Window
+from swimid.logs.kinematics import PER_CYCLE, QUANTITIES, Window
 from swimid.simulation.catalogue import Quantity
+from swimid.swimmer.energetics import Energetics
 from swimid.swimmer.model import Swimmer
 from swimid.swimmer.planar.model import Body
-from swimid.swimmer.run_quantities import Energetics
-
-#: Quantities of a free swim in a plane; ``{turn}`` is ``yaw`` or ``pitch``.
-PLANE_QUANTITIES = (
-    "mean_speed_m_s",
-    "mean_speed_BL_s",
-    "stride_BL",
-    "strouhal",
-    "tail_excursion_m",
-    "turning_radius_m",
-    "mean_{turn}_rate_rad_s",
-    "max_{turn}_rate_rad_s",
-    "{turn}_rate_range_rad_s",
-    "{turn}_range_in_beat_rad",
-    "mean_surge_m_s",
-    "max_surge_m_s",
-    "mean_surge_from_start_m_s",
-    "speed_change_per_beat_m_s",
-    "settling_time_s",
-    "path_extent_m",
-)
-#: Quantities of a run whose joints are driven.
-POWER_QUANTITIES = (
-    "cost_of_transport_J_m",
-    "mean_positive_power_W",
-    "mean_power_W",
-    "peak_torque_N_m",
-    "peak_joint_rate_rad_s",
-)
 
 
 def quantity(name: str, value: float) -> Quantity:
     """Return a value of :data:`swimid.logs.kinematics.QUANTITIES` with its unit."""
-    return Quantity(value, QUANTITIES[name][0])
+    return Quantity(value, QUANTITIES[name].unit)
 
 
 def units_of(model: Swimmer) -> dict[str, str]:
     """Return the unit of each quantity that a run of a robot may have, by name."""
-    names: list[str] = []
+    scope, skipped = "none", "none"
     if model.in_space:
-        names += CYCLE_QUANTITIES
+        scope = "cycle"
     elif model.free_base:
-        turn = model.pose[2].removesuffix("_rad")
-        names += [name.format(turn=turn) for name in PLANE_QUANTITIES]
-    units = {name: QUANTITIES[name][0] for name in names}
+        scope = "plane"
+        skipped = {"yaw_rad": "pitch", "pitch_rad": "yaw"}[model.pose[2]]
+    named = {n: kind for n, kind in QUANTITIES.items() if skipped not in n.split("_")}
+    units = {name: kind.unit for name, kind in named.items() if scope in kind.of}
     if not model.in_space:
         units |= {f"amplitude_{axis.name}_rad": "rad" for axis in model.passive}
     if model.driven:
-        units |= {name: QUANTITIES[name][0] for name in POWER_QUANTITIES}
+        units |= {name: kind.unit for name, kind in QUANTITIES.items() if kind.of == "power"}
     return units
 
 
