@@ -196,7 +196,7 @@ def test_a_slope_that_is_not_known_is_not_zero(tmp_path: Path) -> None:
     applied: Applied = Performance.of_options(options).applied
     assert isinstance(applied.file, ParameterFile)
     centre, other = {"v": Quantity(1.0, "1")}, {"v": Quantity(1.1, "1")}
-    whole = applied.carried(applied.values(), centre, [(centre, other), (centre, other)])
-    parted = applied.carried(applied.values(), centre, [(centre, other), (centre, {})])
+    whole = applied.with_errors(applied.values(), lambda vectors: [centre, centre, other, centre, other])
+    parted = applied.with_errors(applied.values(), lambda vectors: [centre, centre, other, centre, {}])
     assert whole["v"].stderr is not None
     assert parted["v"].stderr is None

@@ -518,73 +518,51 @@ def warn_units(log: Log) -> None:
 # ---------------------------------------------------------------- writing
 
 
-def write(path: str | Path, columns: Mapping[str, Any], metadata: Mapping[str, Any] | None = None) -> None:
-    """Write a log, complete or not at all.
+def write(
+    path: str | Path,
+    columns: Mapping[str, Any],
+    metadata: Mapping[str, Any] | None = None,
+    *,
+    step: Callable[[int], object] = lambda amount: None,
+) -> None:
+    """Write a log piece by piece, complete or not at all.
 
     Parameters
     ----------
     columns : mapping of name to array_like, each shape (n,)
-        ``t_s`` first. NaN becomes an empty cell. Columns of text are allowed.
+        ``t_s`` first. NaN becomes an empty cell; every other number is written exactly. Columns of text are
+        allowed.
     metadata : mapping, optional
         Entries of the ``# key: value`` lines.
-    """
-    import pandas as pd
-
-    path, lines = Path(path), _metadata_lines(metadata or {})
-    frame = pd.DataFrame(dict(columns))
-    with atomic.replacing(path) as temporary:
-        if path.suffix.lower() in tabular.PARQUET:
-            pyarrow = tabular.pyarrow()
-            table = pyarrow.Table.from_pandas(frame, preserve_index=False)
-            stored = {**(table.schema.metadata or {}), b"swimid": "\n".join(lines).encode()}
-            pyarrow.parquet.write_table(table.replace_schema_metadata(stored), temporary)
-        else:
-            with open(temporary, "w", encoding="utf-8", newline="\n") as stream:
-                stream.writelines(f"# {line}\n" for line in lines)
-                frame.to_csv(stream, index=False, lineterminator="\n")
-
-
-def write_numbers(
-    path: str | Path,
-    columns: Mapping[str, NDArray[np.float64]],
-    metadata: Mapping[str, Any],
-    *,
-    step: Callable[[int], None] = lambda amount: None,
-) -> None:
-    """Write a log of numbers piece by piece, complete or not at all. For many samples it is faster than
-    :func:`write`.
-
-    Parameters
-    ----------
-    columns : mapping of str to ndarray, each shape (n,)
-        ``t_s`` first. NaN becomes an empty cell. Every other number is written exactly.
     step : callable
         Function that is called with the number of samples of each piece.
     """
-    path, lines = Path(path), _metadata_lines(metadata)
-    pieces = (
-        [values[start : start + ROWS] for values in columns.values()]
-        for start in range(0, len(columns[TIME]), ROWS)
-    )
+    import pandas as pd
+
+    path, frame = Path(path), pd.DataFrame(dict(columns))
+    lines = [line for line in yamlio.dumps_flat(metadata or {}).splitlines() if line.strip()]
+    pieces = [frame.iloc[start : start + ROWS] for start in range(0, len(frame), ROWS)]
     with atomic.replacing(path) as temporary, temporary.open("wb") as stream:
         if path.suffix.lower() in tabular.PARQUET:
             pyarrow = tabular.pyarrow()
-            schema = pyarrow.schema([(name, pyarrow.float64()) for name in columns])
-            schema = schema.with_metadata({b"swimid": "\n".join(lines).encode()})
+            schema = pyarrow.Schema.from_pandas(frame, preserve_index=False)
+            schema = schema.with_metadata({**(schema.metadata or {}), b"swimid": "\n".join(lines).encode()})
             # measured numbers hardly ever repeat, so that a dictionary only costs time
-            with pyarrow.parquet.ParquetWriter(
-                stream, schema, use_dictionary=False, write_statistics=False
-            ) as writer:
+            options = {"use_dictionary": False, "write_statistics": False}
+            with pyarrow.parquet.ParquetWriter(stream, schema, **options) as writer:
                 for piece in pieces:
-                    cells = [pyarrow.array(values, from_pandas=True) for values in piece]
-                    writer.write_table(pyarrow.Table.from_arrays(cells, schema=schema))
-                    step(len(piece[0]))
+                    writer.write_table(pyarrow.Table.from_pandas(piece, schema, preserve_index=False))
+                    step(len(piece))
             return
         stream.writelines(f"# {line}\n".encode() for line in lines)
-        stream.write((",".join(columns) + "\n").encode())
+        stream.write(frame.iloc[:0].to_csv(index=False, lineterminator="\n").encode())
+        numeric = bool((frame.dtypes == float).all())
         for piece in pieces:
-            stream.write(_printed(np.column_stack(piece)))
-            step(len(piece[0]))
+            if numeric:
+                stream.write(_printed(piece.to_numpy()))
+            else:
+                stream.write(piece.to_csv(index=False, header=False, lineterminator="\n").encode())
+            step(len(piece))
 
 
 def _printed(samples: NDArray[np.float64]) -> bytes:
@@ -595,10 +573,6 @@ def _printed(samples: NDArray[np.float64]) -> bytes:
     width = samples.shape[1]
     text[np.flatnonzero(text == ord(","))[width - 1 :: width]] = ord("\n")
     return text[1:].tobytes().replace(b"NaN", b"")
-
-
-def _metadata_lines(metadata: Mapping[str, Any]) -> list[str]:
-    return [line for line in yamlio.dumps_flat(metadata).splitlines() if line.strip()]
 
 
 # ---------------------------------------------------------------- values that are unusual in the stated unit

@@ -237,12 +237,9 @@ class Performance:
 
     def with_errors(self, point: Point) -> Array:
         """Return the quantities of a point and their standard errors, shape (quantities, 2)."""
-        values = self.at(point)
-        ends = self.applied.neighbours(values)
-        vectors = [values, *(vector for pair in ends for vector in pair)]
-        centre, *sides = self.quantities([point] * len(vectors), vectors)
-        pairs = list(zip(sides[::2], sides[1::2], strict=True))
-        carried = self.applied.carried(values, centre, pairs)
+        carried = self.applied.with_errors(
+            self.at(point), lambda vectors: self.quantities([point] * len(vectors), vectors)
+        )
         lost = Quantity(math.nan, "")
         told = [carried.get(name, lost) for name in self.units]
         return np.array([[quantity.value, quantity.stderr] for quantity in told], dtype=float)

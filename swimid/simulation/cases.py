@@ -31,7 +31,7 @@ from swimid.rig import model as rig
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
 from swimid.simulation import catalogue
-from swimid.simulation.catalogue import Applied, Quantity
+from swimid.simulation.catalogue import Applied, Compute, Quantity
 from swimid.simulation.options import SimulateOptions
 from swimid.simulation.swim_quantities import SwimRun, quantity
 from swimid.swimmer import trials as swimmer
@@ -46,8 +46,6 @@ MAX_SAMPLES = 20_000_000
 FAR_M = 1e9
 #: Bend of a joint from which on a warning is given, degrees.
 MAX_BEND_DEG = 90.0
-#: Function from a parameter vector to the quantities of a run.
-Quantities = Callable[[Array], dict[str, Quantity]]
 
 
 @dataclass(frozen=True)
@@ -64,7 +62,7 @@ class Case:
     extra : dict of str to ndarray, each shape (n,)
         Columns of the log besides the simulated ones: commands, forces, measured inputs.
     quantities : callable or None
-        Function from a parameter vector to the quantities of the run.
+        Function from parameter vectors to the quantities of the run.
     """
 
     applied: Applied
@@ -72,7 +70,7 @@ class Case:
     trial: Trial
     metadata: Mapping[str, Any]
     extra: Mapping[str, Any] = field(default_factory=dict)
-    quantities: Quantities | None = None
+    quantities: Compute | None = None
 
     @property
     def id(self) -> str:
@@ -375,7 +373,12 @@ def beat_frequency(
     return None
 
 
-def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Quantities | None:
+def _each(compute: Callable[[Array], dict[str, Quantity]]) -> Compute:
+    """Return a function of several parameter vectors from one of a single vector."""
+    return lambda vectors: [compute(values) for values in vectors]
+
+
+def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Compute | None:
     """Return the function for the quantities of the last beats, or of each stroke; None without a beat."""
     frequency = beat_frequency(model, trial, values)
     if frequency is None:
@@ -391,14 +394,18 @@ def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Quantities 
                 found |= {f"cycle_{k}_{name}": quantity(name, value) for name, value in of_cycle.items()}
             return found
 
-        return by_stroke if windows else None
+        return _each(by_stroke) if windows else None
     run = SwimRun.of(model, trial, frequency)
     if run is None:
         return None
 
-    def of_last_beats(values: Array) -> dict[str, Quantity]:
-        columns, energetics = model.with_energetics([(values, run.trial)], [run.window.duration_s])[0]
-        return run.quantities(model, values, columns, energetics)
+    def of_last_beats(vectors: Sequence[Array]) -> list[dict[str, Quantity]]:
+        pairs = [(values, run.trial) for values in vectors]
+        simulated = model.with_energetics(pairs, [run.window.duration_s] * len(pairs))
+        return [
+            run.quantities(model, values, columns, energetics)
+            for values, (columns, energetics) in zip(vectors, simulated, strict=True)
+        ]
 
     return of_last_beats
 
@@ -441,7 +448,7 @@ def _falling_weight(options: SimulateOptions, file: ParameterFile, path: Path, r
         return ends
 
     metadata = {"experiment": "falling-weight", "pulling_mass_kg": pulling}
-    return model, trial, metadata, {"quantities": compute}
+    return model, trial, metadata, {"quantities": _each(compute)}
 
 
 def _towed(options: SimulateOptions, file: ParameterFile, path: Path, robot: Robot) -> _Made:
@@ -507,7 +514,7 @@ def _cruise(options: SimulateOptions, file: ParameterFile, path: Path, robot: Ro
 
     extra = _table(fin, {**inputs, "distance_m": np.array([options.distance_m or math.nan])})
     extra["amplitude_deg"] = np.array([amplitude])
-    return model, trial, {"experiment": "cruise"}, {"extra": extra, "quantities": compute}
+    return model, trial, {"experiment": "cruise"}, {"extra": extra, "quantities": _each(compute)}
 
 
 def _table(fin: str, inputs: Mapping[str, Array]) -> dict[str, Any]:
@@ -530,4 +537,4 @@ def _surge(options: SimulateOptions, file: ParameterFile, path: Path, robot: Rob
         return {"last_speed_m_s": Quantity(float(model.simulate(values, trial)["u_m_s"][-1]), "m/s")}
 
     drive = {"frequency_hz": frequency, "amplitude_deg": amplitude}
-    return model, trial, {"experiment": "free-swim", "drive": drive}, {"quantities": compute}
+    return model, trial, {"experiment": "free-swim", "drive": drive}, {"quantities": _each(compute)}

@@ -46,6 +46,10 @@ class Quantity:
     stderr: float | None = None
 
 
+#: Function from parameter vectors to the quantities of each.
+Compute = Callable[[Sequence[Array]], Sequence[Mapping[str, Quantity]]]
+
+
 @dataclass
 class Applied:
     """Parameters for a model, with their uncertainty.
@@ -188,61 +192,43 @@ class Applied:
             text = f"the parameter file has no standard error of {names}: their uncertainty is not in {where}"
             warn("SWM055", text)
 
-    def with_errors(
-        self, values: Array, compute: Callable[[Array], Mapping[str, Quantity]]
-    ) -> dict[str, Quantity]:
+    def with_errors(self, values: Array, compute: Compute) -> dict[str, Quantity]:
         """Return quantities with standard errors, by the delta method from the covariance of the parameters.
 
         Parameters
         ----------
         values : ndarray, shape (len(model.parameters),)
         compute : callable
-            Function from a parameter vector to quantities by name.
-        """
-        sides = [tuple(compute(end) for end in ends) for ends in self.neighbours(values)]
-        return self.carried(values, compute(values), sides)
+            Function from parameter vectors to quantities by name, one mapping for each vector.
 
-    def neighbours(self, values: Array) -> list[tuple[Array, Array]]:
-        """Return a parameter vector on either side of each uncertain parameter, for central differences."""
+        Notes
+        -----
+        Derivatives are central differences. A quantity that a vector beside ``values`` lacks has no standard
+        error: its run breaks down, or never settles.
+        """
         names, covariance = self.uncertain()
-        found = []
+        vectors, widths = [values], []
         for name, sd in zip(names, np.sqrt(np.diag(covariance)), strict=True):
             index = self.model.index(name)
             p = self.model.parameters[index]
             step = min(STEP_SHARE * sd, MAX_STEP_SHARE * max(abs(values[index]), p.scale))
-            ends = []
-            for end in (values[index] - step, values[index] + step):
+            ends = np.clip([values[index] - step, values[index] + step], p.lower, p.upper)
+            for end in ends:
                 moved = values.copy()
-                moved[index] = np.clip(end, p.lower, p.upper)
-                ends.append(moved)
-            found.append((ends[0], ends[1]))
-        return found
-
-    def carried(
-        self,
-        values: Array,
-        centre: Mapping[str, Quantity],
-        sides: Sequence[tuple[Mapping[str, Quantity], ...]],
-    ) -> dict[str, Quantity]:
-        """Return quantities with standard errors, from those at the :meth:`neighbours`.
-
-        A quantity that a neighbour lacks has none: the run of the neighbour breaks down, or never settles.
-        """
-        names, covariance = self.uncertain()
+                moved[index] = end
+                vectors.append(moved)
+            widths.append(float(ends[1] - ends[0]))
+        centre, *sides = compute(vectors)
         if not names:
             return dict(centre)
-        slopes = np.zeros((len(centre), len(names)))
-        ends = self.neighbours(values)
-        for k, ((before, after), (low, high)) in enumerate(zip(sides, ends, strict=True)):
-            width = float(np.sum(high - low))
-            for row, key in enumerate(centre):
-                if key not in before or key not in after:
-                    slopes[row, k] = math.nan
-                elif width > 0:
-                    slopes[row, k] = (after[key].value - before[key].value) / width
-        result = {}
-        for (key, quantity), slope in zip(centre.items(), slopes, strict=True):
-            variance = float(slope @ covariance @ slope)
+        result, width = {}, np.array(widths)
+        lost = Quantity(math.nan, "")
+        for key, quantity in centre.items():
+            found = np.array([side.get(key, lost).value for side in sides])
+            slopes = np.divide(
+                found[1::2] - found[::2], widths, out=np.zeros(len(names)), where=np.greater(widths, 0)
+            )
+            variance = float(slopes @ covariance @ slopes)
             stderr = math.sqrt(max(variance, 0.0)) if math.isfinite(variance) else None
             result[key] = replace(quantity, stderr=stderr)
         return result
