@@ -556,7 +556,7 @@ def write(
             return
         stream.writelines(f"# {line}\n".encode() for line in lines)
         stream.write(frame.iloc[:0].to_csv(index=False, lineterminator="\n").encode())
-        numeric = bool((frame.dtypes == float).all())
+        numeric = {kind.name for kind in frame.dtypes} == {"float64"}
         for piece in pieces:
             if numeric:
                 stream.write(_printed(piece.to_numpy()))

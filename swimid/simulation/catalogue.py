@@ -225,9 +225,7 @@ class Applied:
         lost = Quantity(math.nan, "")
         for key, quantity in centre.items():
             found = np.array([side.get(key, lost).value for side in sides])
-            slopes = np.divide(
-                found[1::2] - found[::2], widths, out=np.zeros(len(names)), where=np.greater(widths, 0)
-            )
+            slopes = np.where(width > 0, (found[1::2] - found[::2]) / np.maximum(width, 1e-300), 0.0)
             variance = float(slopes @ covariance @ slopes)
             stderr = math.sqrt(max(variance, 0.0)) if math.isfinite(variance) else None
             result[key] = replace(quantity, stderr=stderr)
