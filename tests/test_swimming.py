@@ -67,7 +67,7 @@ def test_a_start_is_left_out_and_the_cruise_measured(unit):
 
 
 @pytest.mark.slow
-def test_intervals_hold_the_truth():
+def test_intervals_contain_the_true_values():
     """Of twenty tracks of a steady swimmer nearly all intervals hold what they are of."""
     hits = dict.fromkeys(("advance", "frequency", "sway", "turn", "acceleration"), 0)
     for seed in range(20):
@@ -81,7 +81,7 @@ def test_intervals_hold_the_truth():
     assert min(hits.values()) >= 17, hits  # of 20 at 95 %, fewer come by chance in 2 % of such sets
 
 
-def test_a_given_window_says_that_the_speed_changes():
+def test_a_given_window_with_a_changing_speed_is_not_steady():
     """Over the start alone the speed is no steady one."""
     path, heading = swimmer()
     found = swimming.measure(made(path, heading), (0.5, 5.0))
@@ -91,7 +91,7 @@ def test_a_given_window_says_that_the_speed_changes():
 
 
 @pytest.mark.parametrize("acceleration", [(30.0, -340.0), (0.0, 5.0)])
-def test_constant_acceleration(acceleration):
+def test_constant_acceleration_is_measured(acceleration):
     """A block on a ramp, px: nothing is steady, and both accelerations are told."""
     ax, ay = acceleration
     track = made(lambda t: [20 * t + ax * t**2 / 2, 3 * t + ay * t**2 / 2], noise=0.1, seconds=3.0)
@@ -115,7 +115,7 @@ def test_rest_is_no_steady_swimming():
     assert found.advance.value == pytest.approx(0.25, rel=0.02)
 
 
-def test_a_gap_and_a_speed_that_drifts():
+def test_gaps_are_left_out_and_a_drifting_speed_is_not_steady():
     """A dropout is bridged; a speed that grows all the time has no steady part."""
     path, heading = swimmer(start=0.2)
     found = swimming.measure(made(path, heading, hidden=(7.0, 7.6)))
@@ -125,7 +125,7 @@ def test_a_gap_and_a_speed_that_drifts():
     assert swimming.measure(made(path, heading)).window == "whole track"
 
 
-def test_a_single_marker_tells_its_stroke_by_its_course():
+def test_a_single_marker_shows_the_stroke_by_its_course():
     path, _ = swimmer(start=1e-6, bend=0.5)
     found = swimming.measure(made(path))
     assert found.frequency_hz.value == pytest.approx(BEAT, rel=0.01)
