@@ -87,9 +87,7 @@ def test_torques_of_random_trees_equal_those_of_lagranges_equations(base: str) -
         pytest.param(MultibodyModel, "tfish", 1.0, 20.0, marks=pytest.mark.slow),
     ],
 )
-def test_work_of_the_joints_equals_the_energy_received(
-    form: type[Swimmer], name: str, hz: float, deg: float
-) -> None:
+def test_joint_work_equals_the_energy_received(form: type[Swimmer], name: str, hz: float, deg: float) -> None:
     """Over four beats to 1e-6, with steps of 2.5 ms; what is left falls with their fourth power."""
     left = []
     for step in (0.0025, 0.00125):

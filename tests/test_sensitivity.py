@@ -336,7 +336,7 @@ class TestCommand:
             (("--coefficients", "c_d4"), "two or more"),
         ],
     )  # fmt: skip
-    def test_wrong_options_are_refused(
+    def test_bad_options_are_refused(
         self, swimid: Swimid, tfish: Path, options: tuple[str, ...], text: str
     ) -> None:
         ran = swimid("sensitivity", tfish, *options)
@@ -348,7 +348,7 @@ class TestCommand:
         assert ran.status == 3
         assert "free-swim" in ran.err
 
-    def test_the_error_names_the_coefficient_of_the_breakdown(
+    def test_the_error_names_the_coefficient_at_fault(
         self, swimid: Swimid, tfish: Path, tmp_path: Path
     ) -> None:
         out = tmp_path / "sens.yaml"

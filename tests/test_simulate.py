@@ -211,9 +211,7 @@ def test_every_kind_of_parameter_file_simulates_its_trials(
     assert found["mean_speed_m_s"]["stderr"] > 0
 
 
-def test_a_black_box_model_is_simulated_without_measured_outputs(
-    swimid: Run, samples: Path, tmp_path: Path
-) -> None:
+def test_a_black_box_runs_without_measured_outputs(swimid: Run, samples: Path, tmp_path: Path) -> None:
     arma, log, out = (
         tmp_path / "arma.yaml",
         samples / "longfin" / "longfin_marching.csv",

@@ -18,7 +18,7 @@ from swimid.files.atomic import file_names
 from swimid.files.provenance import Input
 from swimid.fitting.model import Array
 from swimid.logs import log as log_format
-from swimid.logs.kinematics import CYCLE_QUANTITIES, UNSTEADY
+from swimid.logs.kinematics import CYCLE_QUANTITIES, QUANTITIES, UNSTEADY
 from swimid.notices import warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -449,6 +449,7 @@ def _evidence(done: Sequence[Simulated], options: SimulateOptions, notes: list[s
         columns = ["run", *names]
         rows = [[run, *(row.get(name, "") for name in names)] for run, row in shown.items()]
         answer = f"{robot} was simulated in {len(done)} runs."
+    quantities = ev.Table(id="quantities", title="Quantities", columns=columns, rows=rows)
     checks = [*_step_check(done), *_steady_check(done)]
     if first.quantities and not first.case.applied.uncertain()[0]:
         notes = [*notes, "No uncertainty known: the parameters have no standard errors."]
@@ -458,9 +459,21 @@ def _evidence(done: Sequence[Simulated], options: SimulateOptions, notes: list[s
         verdict=ev.judged(answer, checks),
         facts=facts,
         checks=checks,
-        tables=[ev.Table(id="quantities", title="Quantities", columns=columns, rows=rows)],
+        tables=[table for table in (quantities, _meanings(first)) if table.rows],
         notes=notes,
     )
+
+
+def _meanings(done: Simulated) -> ev.Table:
+    """Return the definitions of the quantities of a run."""
+    names = {re.sub(r"cycle_\d+_", "", name) for name in done.quantities}
+    rows: list[list[Any]] = [
+        [numbers.split_unit(name)[0].replace("_", " "), kind.meaning]
+        for name, kind in QUANTITIES.items()
+        if name in names
+    ]
+    title, columns = "Meaning of the quantities", ["quantity", "meaning"]
+    return ev.Table(id="meanings", title=title, columns=columns, rows=rows, folded=True)
 
 
 def _step_check(done: Sequence[Simulated]) -> list[ev.Check]:
