@@ -25,7 +25,7 @@ from swimid.results.result import FileResult
 from swimid.simulation import cases, catalogue, compare_series, compare_strokes
 from swimid.simulation.catalogue import Applied
 from swimid.simulation.compare_series import HALF_WIDTH_BEATS, ChannelScore, Compared, ComparisonFile
-from swimid.simulation.compare_strokes import Profile
+from swimid.simulation.compare_strokes import Profile, value_text
 from swimid.simulation.options import CompareOptions
 
 if TYPE_CHECKING:
@@ -148,8 +148,10 @@ def compare(
         if file.mean_speeds:
             errors = [measured - simulated for _, measured, simulated in file.mean_speeds]
             file.mean_speed_rmse_m_s = float(np.sqrt(np.mean(np.square(errors))))
-        known = applied.file.fit if applied.file is not None else None
-        checks = _checks(file, file.channels if known is None else known.channels)
+        fitted: Iterable[str] = file.channels
+        if applied.file is not None and applied.file.fit is not None:
+            fitted = applied.file.fit.channels
+        checks = _checks(file, fitted)
         before = {d.trial.id: d.errors for d in done}
         if options.refit_start and mistakes.is_suspect(checks, before):
             usual = mistakes.catalogue(experiment.model, experiment.trials)
@@ -338,12 +340,6 @@ def _tables(file: ComparisonFile) -> list[ev.Table]:
     return [table for table in tables if table.rows]
 
 
-def _text(value: float | None, unit: str, digits: int = 3) -> str:
-    """Return a number with its unit; angles in degrees."""
-    factor, shown = numbers.in_degrees(unit)
-    return numbers.number(None if value is None else factor * value, digits, shown)
-
-
 def _errors(name: str, s: ChannelScore) -> list[Any]:
     """Return the cells of the columns :data:`ERROR_COLUMNS`."""
     bias = s.bias
@@ -351,7 +347,7 @@ def _errors(name: str, s: ChannelScore) -> list[Any]:
         bias = 0.0
     channel = name + " (from pose)" * (s.source == "pose")
     shares = [numbers.percent(share) for share in (s.nrmse, s.vaf)]
-    return [channel, _text(s.rmse, s.unit), *shares, _text(bias, s.unit)]
+    return [channel, value_text(s.rmse, s.unit), *shares, value_text(bias, s.unit)]
 
 
 def _scores(file: ComparisonFile) -> ev.Table:
@@ -361,7 +357,7 @@ def _scores(file: ComparisonFile) -> ev.Table:
         for name, s in t.channels.items():
             fit, peak = numbers.number(s.fit_percent, 3, "percent"), numbers.percent(s.peak_error_normalised)
             sizes = ((s.peak_error, s.unit), (s.phase_error_rad, "rad"), (s.dtw_distance, s.unit))
-            texts = [_text(*size) for size in sizes]
+            texts = [value_text(*size) for size in sizes]
             rows.append([t.id, roles[t.role], *_errors(name, s), fit, peak, *texts])
     return ev.Table(
         id="scores",
@@ -386,7 +382,12 @@ def _speeds(file: ComparisonFile) -> ev.Table:
                 settles = numbers.number(t.cruise.settled, 3, "m/s")
         if measured:
             share = (simulated - measured) / measured
-        texts = [_text(measured, "m/s"), _text(simulated, "m/s"), numbers.percent(share, 2), settles]
+        texts = [
+            value_text(measured, "m/s"),
+            value_text(simulated, "m/s"),
+            numbers.percent(share, 2),
+            settles,
+        ]
         rows.append([t.id, *texts, *(numbers.number(t.drive.get(key), 4) for key in DRIVE_SETTINGS)])
     columns = ["trial", "measured", "simulated", "difference", "model settles at"]
     return ev.Table(
@@ -406,7 +407,7 @@ def _cycles(file: ComparisonFile) -> ev.Table:
             c, unit = t.cycles[name], t.channels[name].unit
             values = (c.mean_measured, c.mean_simulated, c.peak_measured, c.peak_simulated)
             for time, *each in zip(c.time_s, *values, strict=True):
-                rows.append([t.id, name, time, *(_text(value, unit) for value in each)])
+                rows.append([t.id, name, time, *(value_text(value, unit) for value in each)])
     kinds = ["mean, measured", "mean, simulated", "peak, measured", "peak, simulated"]
     return ev.Table(
         id="cycles",

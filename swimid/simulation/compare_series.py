@@ -412,8 +412,9 @@ def _velocity_pairs(
 def _score(parts: list[Pair], frequency_hz: float | None = None, *, own_motion: bool = False) -> ChannelScore:
     """Score a channel over one trial, or over several (see :func:`swimid.fitting.metrics.score_trials`)."""
     series = [(p.measured, p.simulated) for p in parts]
-    # peaks of a pose are about the trial's own mean
-    middle = [float(np.nanmean(y)) if own_motion else 0.0 for y, _ in series]
+    middle = [0.0] * len(series)
+    if own_motion:  # peaks of a pose are about the mean of the trial
+        middle = [float(np.nanmean(y)) for y, _ in series]
     measured, simulated = (
         np.concatenate([pair[side] - m for pair, m in zip(series, middle, strict=True)]) for side in (0, 1)
     )
@@ -514,8 +515,7 @@ def mean_speed(
     for side, rows in series.items():
         each = kinematics.cycle_means(time, rows[0][known], window.edges_s)
         if has_path:
-            heading = rows[2][known] if len(rows) > 2 else None
-            each = kinematics.cycle_speeds(time, rows[:2, known], window, heading)
+            each = kinematics.cycle_speeds(time, rows[:2, known], window, *rows[2:, known])
         speeds[side] = float(each.mean())
     return Speed(**speeds, beats=window.cycles)
 
@@ -532,10 +532,8 @@ def _cruise(applied: Applied, trial: Trial, values: Array, pairs: Mapping[str, P
         return None
     middle = 0.5 * float(trial.time_s[0] + trial.time_s[-1])
     parts = ((-math.inf, middle), (middle, math.inf))
-    halves = [mean_speed(trial, pairs, body, drive.frequency_hz, part) for part in parts]
-    early, late = (math.nan if half is None else half.measured for half in halves)
-    return Cruise(
-        settled=settled.speed_m_s,
-        settling_s=settled.settling_s,
-        steady=abs(late - early) <= metrics.GOOD_SPEED * abs(late),
-    )
+    early, late = (mean_speed(trial, pairs, body, drive.frequency_hz, part) for part in parts)
+    steady = False
+    if early is not None and late is not None:
+        steady = abs(late.measured - early.measured) <= metrics.GOOD_SPEED * abs(late.measured)
+    return Cruise(settled=settled.speed_m_s, settling_s=settled.settling_s, steady=steady)

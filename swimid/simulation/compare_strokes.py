@@ -66,8 +66,9 @@ def compare_profiles(experiment: Experiment, done: Sequence[Compared], *, buoyan
     model = experiment.model.swimmer
     if model is None or not model.in_space:
         return []
-    factors = {"less": 1.0 - buoyancy, "more": 1.0 + buoyancy} if buoyancy else {}
-    others = {side: model.with_buoyancy(factor) for side, factor in factors.items()}
+    others = {}
+    if buoyancy:
+        others = {"less": model.with_buoyancy(1.0 - buoyancy), "more": model.with_buoyancy(1.0 + buoyancy)}
     groups: dict[str, list[tuple[Compared, Columns]]] = {}
     for one in done:
         columns: Columns = {side: {n: getattr(p, side) for n, p in one.pairs.items()} for side in SIDES}
@@ -138,7 +139,9 @@ def _rmse(profile: Profile, names: Sequence[str]) -> float | None:
     known = [name for name in names if name in profile.repeats["measured"]]
     errors = [profile.mean("measured", name) - profile.mean("simulated", name) for name in known]
     squares = np.sum(np.square(errors), axis=0)
-    return math.sqrt(float(np.nanmean(squares))) if np.isfinite(squares).any() and errors else None
+    if not errors or not np.isfinite(squares).any():
+        return None
+    return math.sqrt(float(np.nanmean(squares)))
 
 
 def _displacement(profile: Profile, name: str) -> dict[str, float]:
@@ -184,12 +187,15 @@ def tables(profiles: Sequence[ProfileComparison]) -> list[ev.Table]:
     for p in profiles:
         ways = [way.get(side) for way in (p.surge_m, p.heave_m) for side in SIDES]
         texts = [numbers.number(way, 3, "m") for way in (*ways, p.position_rmse_m)]
-        rows.append([p.name, len(p.trials), *texts, _cell(p.orientation_rmse_rad, None, "rad")])
+        rows.append([p.name, len(p.trials), *texts, value_text(p.orientation_rmse_rad, "rad")])
         for cycle in p.cycles:
-            for side in SIDES:
-                known = getattr(cycle, side)
-                spread = cycle.spread if side == "measured" else {}
-                cells = [_cell(known.get(n), spread.get(n), QUANTITIES[n].unit) for n in CYCLE_QUANTITIES]
+            for side, known, spread in (
+                ("measured", cycle.measured, cycle.spread),
+                ("simulated", cycle.simulated, {}),
+            ):
+                cells = [
+                    value_text(known.get(n), QUANTITIES[n].unit, spread.get(n)) for n in CYCLE_QUANTITIES
+                ]
                 strokes.append([p.name, cycle.cycle, side, *cells])
     sides = [f"{way}, {side}" for way in ("surge", "heave") for side in SIDES]
     names = [numbers.split_unit(name)[0].replace("_", " ") for name in CYCLE_QUANTITIES]
@@ -214,12 +220,14 @@ def tables(profiles: Sequence[ProfileComparison]) -> list[ev.Table]:
     ]
 
 
-def _cell(value: float | None, stderr: float | None, unit: str) -> str:
-    """Return a value with its standard deviation, if it has one; angles in degrees."""
+def value_text(value: float | None, unit: str, sd: float | None = None) -> str:
+    """Return a value with its unit, and its standard deviation if it has one; angles in degrees."""
     factor, shown = numbers.in_degrees(unit)
-    if value is None or not stderr:
-        return numbers.number(None if value is None else factor * value, 3, shown)
-    return numbers.measured(factor * value, factor * stderr, shown)
+    if value is None:
+        return numbers.number(None)
+    if sd:
+        return numbers.measured(factor * value, factor * sd, shown)
+    return numbers.number(factor * value, 3, shown)
 
 
 def figure(profile: Profile) -> ev.Figure:

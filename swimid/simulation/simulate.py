@@ -87,11 +87,11 @@ def simulate_case(case: Case) -> Simulated:
     quantities = {}
     if case.quantities is not None:
         quantities = case.applied.with_errors(case.values, case.quantities)
-    columns: dict[str, Any] = {} if case.per_run else {log_format.TIME: case.trial.time_s}
-    columns |= {c.name: simulated[c.name] for c in model.channels if c.name in simulated}
+    columns: dict[str, Any] = {c.name: simulated[c.name] for c in model.channels if c.name in simulated}
     added = {k: v for k, v in case.extra.items() if k not in columns}
-    columns = {**added, **columns} if case.per_run else {**columns, **added}
-    return Simulated(case, columns, quantities, step)
+    if case.per_run:
+        return Simulated(case, added | columns, quantities, step)
+    return Simulated(case, {log_format.TIME: case.trial.time_s} | columns | added, quantities, step)
 
 
 def _refuse_broken(case: Case, simulated: Mapping[str, Array]) -> None:
@@ -132,9 +132,11 @@ def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, StepC
         both = np.isfinite(values) & np.isfinite(fine[name])
         if not both.any():
             continue
-        largest = float(np.max(np.abs(fine[name] - values)[both]))
+        largest, share = float(np.max(np.abs(fine[name] - values)[both])), 0.0
         span = float(np.ptp(values[both]))
-        changes[name] = StepChange(largest, largest / span if span > 1e-9 else 0.0)
+        if span > 1e-9:
+            share = largest / span
+        changes[name] = StepChange(largest, share)
     worst = max(changes, key=lambda name: changes[name].share, default=None)
     if worst is not None and changes[worst].share > STEP_LIMIT:
         warn(
