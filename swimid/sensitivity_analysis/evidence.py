@@ -166,28 +166,14 @@ def _checks(
         replaced = f"{runs.left_out} rows of the design replaced"
     if width > MAX_WIDTH:
         samples = f"{where}: take more --samples"
+    broken, wide = f"{runs.broken} of {runs.evaluated}", f"at most {numbers.number(width, 2)} wide"
+    change, steady = f"{numbers.number(step_change, 2)} sd", step_change <= MAX_STEP_CHANGE
+    halved = "maximum change of an output when the step is halved, over its deviation in the ranges"
+    none, limit = "none (refused above 1 %)", f"≤ {MAX_WIDTH:g}"
     checks = [
-        ev.check(
-            "simulations that broke down",
-            f"{runs.broken} of {runs.evaluated}",
-            not runs.broken,
-            "none (refused above 1 %)",
-            replaced,
-        ),
-        ev.check(
-            "narrow intervals",
-            f"at most {numbers.number(width, 2)} wide",
-            width <= MAX_WIDTH,
-            f"≤ {MAX_WIDTH:g}",
-            samples,
-        ),
-        ev.check(
-            "integration step",
-            f"{numbers.number(step_change, 2)} sd",
-            step_change <= MAX_STEP_CHANGE,
-            f"≤ {MAX_STEP_CHANGE:g} sd",
-            "maximum change of an output when the step is halved, over its deviation in the ranges",
-        ),
+        ev.check("simulations that broke down", broken, not runs.broken, none, replaced),
+        ev.check("narrow intervals", wide, width <= MAX_WIDTH, limit, samples),
+        ev.check("integration step", change, steady, f"≤ {MAX_STEP_CHANGE:g} sd", halved),
     ]
     if strongest is not None:
         size, one, other = strongest

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from swimid.files import atomic
 from swimid.files.video import REMARK, Frame, Mpeg4, open_writer
 from swimid.progress import Progress, silent
+from swimid.swimmer.planar.model import Body
 
 Array = NDArray[np.float64]
 #: Frames per second.
@@ -42,43 +42,42 @@ class Film:
     Attributes
     ----------
     time_s : ndarray, shape (n,)
-    x_m, y_m, heading_rad : ndarray, shape (links, n)
-        Front end and heading of every link; y points up in the frame.
-    lengths_m, begins_m : ndarray, shape (links,)
-        Length of every link, and distance of its front end from that of the robot, all joints straight.
-    passive : collection of int
-        Links on passive joints.
+    body : Body
+        Links of the robot.
+    frames : (ndarray, ndarray, ndarray), shape (links, n) each
+        Front end (x, y), m, and heading, rad, of every link; y points up in the frame.
+    begins_m : ndarray, shape (links,)
+        Distance of the front end of every link from that of the robot, all joints straight.
     length_m, width_m : float
         Length and maximum width of the robot.
     title : str
-    tapered : bool
-        Whether the links make up a body as that of a fish. If not, each is a bar.
     """
 
     time_s: Array
-    x_m: Array
-    y_m: Array
-    heading_rad: Array
-    lengths_m: Array
+    body: Body
+    frames: tuple[Array, Array, Array]
     begins_m: Array
-    passive: Collection[int]
     length_m: float
     width_m: float
     title: str
-    tapered: bool
+
+    @property
+    def lengths_m(self) -> Array:
+        """Length of every link, m, shape (links,)."""
+        return np.array(self.body.lengths_m)
 
     def outline(self, link: int) -> Array:
         """Return the outline of a link, shape (points, 2), m: x forward from the front end of the link."""
         along = np.linspace(0.0, self.lengths_m[link], 24)
         half = np.full(len(along), 0.5 * BAR_WIDTH * self.length_m)
-        if self.tapered:
+        if self.body.free:
             s = np.clip((self.begins_m[link] + along) / self.length_m, 0.0, 1.0)
             # thickness of a NACA four-digit section, scaled to a maximum of one half
             thickness = 0.2969 * np.sqrt(s) - 0.126 * s - 0.3516 * s**2 + 0.2843 * s**3 - 0.1015 * s**4
             half = np.maximum(self.width_m * thickness / 0.20, 0.5 * MIN_WIDTH * self.length_m)
         side = np.column_stack((-along, half))
         turn = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 12)[1:-1]
-        if self.tapered and self.begins_m[link] == 0:
+        if self.body.free and self.begins_m[link] == 0:
             turn = np.empty(0)
         # a round front closes the gap that a bent joint opens
         front = half[0] * np.column_stack((np.cos(turn), np.sin(turn)))
@@ -106,13 +105,9 @@ class View:
     @classmethod
     def of(cls, film: Film, view: str, size_px: int) -> View:
         """Return the view of a film: ``auto``, ``fixed`` or ``follow``."""
-        rears = [
-            rows - film.lengths_m[:, None] * turn(film.heading_rad)
-            for rows, turn in ((film.x_m, np.cos), (film.y_m, np.sin))
-        ]
-        ends = np.array([film.x_m, film.y_m]), np.array(rears)
+        ends = np.array([film.frames[:2], film.body.rear_ends(film.frames)])
         low, high = np.min(ends, axis=(0, 2, 3)), np.max(ends, axis=(0, 2, 3))
-        path = max(float(np.ptp(rows[0])) for rows in (film.x_m, film.y_m))
+        path = max(float(np.ptp(rows[0])) for rows in film.frames[:2])
         follows = view == "follow" or (view == "auto" and path > MAX_FIXED_PATH * film.length_m)
         spans, centre = high - low + MARGIN * film.length_m, 0.5 * (low + high)
         if follows:
@@ -152,10 +147,7 @@ def write(path: Path, film: Film, *, view: str = "auto", progress: Progress = si
 
 
 def _frame(film: Film, view: View, time_s: float) -> Frame:
-    x, y, heading = (
-        np.array([np.interp(time_s, film.time_s, row) for row in rows])
-        for rows in (film.x_m, film.y_m, film.heading_rad)
-    )
+    x, y, heading = (np.array([np.interp(time_s, film.time_s, row) for row in rows]) for rows in film.frames)
     width, height = view.size_px
     centre = np.array([x.mean(), y.mean()]) if view.centre_m is None else view.centre_m
     corner = centre - 0.5 * np.array(view.size_px) / view.scale
@@ -175,13 +167,16 @@ def _frame(film: Film, view: View, time_s: float) -> Frame:
         row = round(height - (at - corner[1]) * view.scale)
         cv2.line(frame, (0, row), (width, row), GRID, 1)
     past = film.time_s <= time_s
-    points = np.column_stack((np.append(film.x_m[0][past], x[0]), np.append(film.y_m[0][past], y[0])))
+    points = np.column_stack(
+        [np.append(rows[0][past], at[0]) for rows, at in zip(film.frames, (x, y), strict=False)]
+    )
     cv2.polylines(frame, [pixels(points)], False, PATH, 2, cv2.LINE_AA, SHIFT)
+    passive = {axis.link for axis in film.body.passive}
     # from the tail forward, so that each link overlaps the one behind it
     for link in reversed(range(len(film.lengths_m))):
         c, s = math.cos(heading[link]), math.sin(heading[link])
         shape = pixels(film.outline(link) @ np.array([[c, s], [-s, c]]) + (x[link], y[link]))
-        colour = PASSIVE if link in film.passive else DRIVEN
+        colour = PASSIVE if link in passive else DRIVEN
         cv2.fillPoly(frame, [shape], colour, cv2.LINE_AA, SHIFT)
         cv2.polylines(frame, [shape], True, INK, 1, cv2.LINE_AA, SHIFT)
     _scale_bar(frame, view.scale, film.length_m)

@@ -208,7 +208,7 @@ def _swimming(
 ) -> Case:
     """Return the run of a robot with links."""
     if trial.swim.drive is not None:
-        metadata["drive"] = drive_block(trial.swim)
+        metadata["drive"] = drive_block(trial)
     metadata["dt_s"] = model.max_step
     extra, quantities = commands(model, trial, values), _swim_quantities(model, trial, values)
     return Case(applied, values, trial, metadata, extra, quantities)
@@ -245,31 +245,21 @@ def _swim(options: SimulateOptions, file: ParameterFile | None) -> Case:
     return _swimming(applied, values, model, Trial("run", "fit", time, {}, swim=swim), metadata)
 
 
-def drive_block(swim: SwimInput) -> dict[str, Any]:
-    """Return a beat or a stroke as the ``drive`` of a trials file."""
-    stroke, beat = swim.stroke, swim.beat
+def drive_block(trial: Trial) -> dict[str, Any]:
+    """Return the drive of a trial as in a trials file; empty if measured joints drive it."""
+    beat, stroke = trial.swim.beat, trial.swim.stroke
+    block: dict[str, Any] = swimmer.drive_of(trial)
     if stroke is not None:
-        block: dict[str, Any] = {
-            "stroke": stroke.name,
-            "frequency_hz": stroke.frequency_hz,
-            "scale": stroke.scale,
-            "ramp_s": stroke.ramp_s,
-        }
-
+        block = {"stroke": stroke.name, **block, "ramp_s": stroke.ramp_s}
         if math.isfinite(stroke.cycles):
             block["cycles"] = stroke.cycles
-        return block
-    assert beat is not None
-    block = {
-        "waveform": beat.waveform,
-        "frequency_hz": beat.frequency_hz,
-        "amplitude_deg": float(f"{math.degrees(beat.amplitude_rad):.12g}"),
-        "bias_deg": float(f"{math.degrees(beat.bias_rad):.12g}"),
-        "asymmetry": beat.asymmetry,
-        "ramp_s": beat.ramp_s,
-    }
-    if beat.phase_rad:
-        block["phase_deg"] = math.degrees(beat.phase_rad)
+    elif beat is not None:
+        block = {"waveform": beat.waveform, **block, "ramp_s": beat.ramp_s}
+        optional = {"lag_deg": beat.lag_rad, "phase_deg": beat.phase_rad}
+        for key, angle in optional.items():
+            block.pop(key, None)
+            if angle:
+                block[key] = math.degrees(angle)
     return block
 
 

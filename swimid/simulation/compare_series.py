@@ -247,7 +247,7 @@ def compare_trial(
     own = {n: replace(p, measured=measured[n], simulated=simulated[n]) for n, p in pairs.items()}
     placed, drive = metrics.pose_channels(model), {}
     if trial.swim.beat is not None:
-        drive = cases.drive_block(trial.swim)
+        drive = cases.drive_block(trial)
     record = TrialComparison(
         id=trial.id,
         role=trial.role,  # type: ignore[arg-type]

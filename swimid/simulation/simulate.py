@@ -403,24 +403,17 @@ def _film(done: Simulated) -> animation.Film:
     model, body = case.applied.model.swimmer, case.applied.model.body
     assert model is not None
     assert body is not None
-    x, y, heading = body.frames(case.values, done.columns)
-    length = body.length(case.values)
-    drive = case.metadata.get("drive")
-    title = model.robot.name
+    length, drive, title = body.length(case.values), case.metadata.get("drive"), model.robot.name
     if isinstance(drive, dict):
         title += f"  {drive['frequency_hz']:g} Hz, {drive['amplitude_deg']:g} deg"
     return animation.Film(
         time_s=case.trial.time_s,
-        x_m=x,
-        y_m=y,
-        heading_rad=heading,
-        lengths_m=np.array(body.lengths_m),
+        body=body,
+        frames=body.frames(case.values, done.columns),
         begins_m=body.straight(case.values)[0],
-        passive={a.link for a in body.passive},
         length_m=length,
         width_m=model.robot.body.width_m or animation.MAX_WIDTH * length,
         title=title,
-        tapered=body.free,
     )
 
 
@@ -522,33 +515,30 @@ def _texts(done: Simulated, kept: Sequence[str] = ()) -> dict[str, str]:
 
 
 def _data(done: Sequence[Simulated], options: SimulateOptions) -> dict[str, Any]:
-    applied = done[0].case.applied
-    values = done[0].case.values
+    """Return the result for ``--json``."""
+    applied, values = done[0].case.applied, done[0].case.values
     place = cases.place(options)
-    return {
-        "model": applied.model.name,
-        "robot": done[0].case.metadata["robot"],
-        "params": None if place is None else str(place),
-        "parameters": {
-            p.name: float(v) for p, v in zip(applied.model.parameters, values, strict=True) if not p.per_trial
-        },
-        "uncertain": applied.uncertain()[0],
-        "step_limit": STEP_LIMIT,
-        "runs": [
+    shared = [p.name for p in applied.model.parameters if not p.per_trial]
+    runs = []
+    for d in done:
+        ends = {name: column[-1] for name, column in d.columns.items() if not isinstance(column[-1], str)}
+        steps = {n: {"largest_change": c.largest, "share_of_range": c.share} for n, c in d.step.items()}
+        runs.append(
             {
                 "id": d.case.id,
                 "metadata": dict(d.case.metadata),
                 "samples": len(d.case.trial.time_s),
-                "quantities": {n: vars(q) for n, q in d.quantities.items()},
-                "step_check": {
-                    n: {"largest_change": c.largest, "share_of_range": c.share} for n, c in d.step.items()
-                },
-                "last": {
-                    n: float(v[-1])
-                    for n, v in d.columns.items()
-                    if not isinstance(v[-1], str) and np.isfinite(v[-1])
-                },
+                "quantities": {name: vars(quantity) for name, quantity in d.quantities.items()},
+                "step_check": steps,
+                "last": {name: float(value) for name, value in ends.items() if np.isfinite(value)},
             }
-            for d in done
-        ],
+        )
+    return {
+        "model": applied.model.name,
+        "robot": done[0].case.metadata["robot"],
+        "params": str(place) if place else None,
+        "parameters": {name: float(values[applied.model.index(name)]) for name in shared},
+        "uncertain": applied.uncertain()[0],
+        "step_limit": STEP_LIMIT,
+        "runs": runs,
     }
