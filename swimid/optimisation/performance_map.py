@@ -418,7 +418,7 @@ def _unsettled(quantities: dict[str, Mapped]) -> int:
 DRAWN = (
     "mean_speed_m_s", "cost_of_transport_J_m", "strouhal", "turning_radius_m", "mean_yaw_rate_rad_s",
     "mean_pitch_rate_rad_s", "max_yaw_rate_rad_s", "max_pitch_rate_rad_s", "yaw_range_in_beat_rad",
-    "pitch_range_in_beat_rad", "max_pitch_rate_rad_s", "surge_m", "mean_positive_power_W", "peak_torque_N_m",
+    "pitch_range_in_beat_rad", "surge_m", "mean_positive_power_W", "peak_torque_N_m",
 )  # fmt: skip
 #: Number of contours of a panel.
 N_LEVELS = 6
