@@ -48,7 +48,7 @@ def _params(path: Path, **values: float) -> Path:
 
 
 @pytest.mark.kernels
-def test_the_truth_leaves_the_noise(swimid: Run, tmp_path: Path) -> None:
+def test_true_parameters_leave_residuals_of_the_size_of_the_noise(swimid: Run, tmp_path: Path) -> None:
     """With the true parameters the errors are those of the measurement, channel by channel."""
     columns = (*POSE, "u_m_s", "yaw_rate_rad_s")
     trials = swimmer.write_trials(tmp_path, "tfish", _runs(), NOISE, 5, columns=columns)
@@ -89,7 +89,7 @@ def test_velocities_come_from_the_pose_where_they_are_not_logged(swimid: Run, tm
 
 
 @pytest.mark.kernels
-def test_another_coefficient_shows_where_it_acts(swimid: Run, tmp_path: Path) -> None:
+def test_a_wrong_coefficient_raises_the_error_of_the_channel_it_acts_on(swimid: Run, tmp_path: Path) -> None:
     """A third of the fin's drag: the simulation is slow in every trial, and the verdict says so."""
     trials = swimmer.write_trials(tmp_path, "tfish", _runs(), NOISE, 5, columns=POSE)
     wrong = _params(tmp_path / "p.yaml", c_d4=2.0)
@@ -188,7 +188,7 @@ def test_rig_cruise_and_black_box_are_compared_too(swimid: Run, samples: Path, t
     assert free["trials"][1]["channels"]["u_m_s"]["vaf"] > 0.9
 
 
-def test_a_trials_own_friction_is_not_taken_for_a_start_state(
+def test_friction_of_one_trial_is_not_refitted_as_a_start_state(
     swimid: Run, samples: Path, tmp_path: Path
 ) -> None:
     """A drop the fit has not seen starts where it starts; its pulley's friction is the common one."""
@@ -214,7 +214,7 @@ def test_a_trials_own_friction_is_not_taken_for_a_start_state(
         ("tfish", (), "holds none of the robot's channels"),
     ],
 )
-def test_what_cannot_be_compared_is_said_once(
+def test_nothing_to_compare_is_reported_once(
     swimid: Run, tmp_path: Path, robot: str, columns: tuple[str, ...], text: str
 ) -> None:
     time = np.arange(100) / 50.0
@@ -251,22 +251,22 @@ def _pair(time: np.ndarray, measured: np.ndarray, simulated: np.ndarray) -> comp
     return compare_series.Pair(Channel("u_m_s", "m/s"), "logged", time, measured, simulated)
 
 
-def test_strokes_have_their_means_and_peaks() -> None:
+def test_each_whole_stroke_has_a_mean_and_a_maximum() -> None:
     time = np.arange(0.0, 3.0, 0.01) + 0.005
     measured = np.floor(time) + np.sin(2 * np.pi * time)
-    found = compare_series.cycles(_pair(time, measured, 2.0 * measured), 1.0)
+    found = compare_series.stroke_table(_pair(time, measured, 2.0 * measured), 1.0)
     assert np.allclose(found.time_s, [0.5, 1.5, 2.5])
     assert np.allclose(found.mean_measured, [0.0, 1.0, 2.0], atol=1e-9)
     assert np.allclose(found.peak_simulated, [2.0, 4.0, 6.0], atol=1e-3)
 
 
-def test_a_stroke_the_record_cuts_is_none() -> None:
+def test_a_stroke_cut_by_the_record_is_left_out() -> None:
     time = np.arange(0.4, 2.7, 0.01)
-    found = compare_series.cycles(_pair(time, time, time), 1.0)
+    found = compare_series.stroke_table(_pair(time, time, time), 1.0)
     assert np.allclose(found.time_s, [1.5])
 
 
-def test_a_derivative_keeps_the_beat() -> None:
+def test_the_derivative_passes_the_beat_with_the_documented_gain() -> None:
     """The gain the docstring states, on uneven times."""
     rng = np.random.default_rng(3)
     time = np.cumsum(rng.uniform(0.004, 0.012, 2000))

@@ -11,16 +11,16 @@ import pytest
 
 from swimid.fitting.drives import Beat, SwimInput
 from swimid.fitting.model import Trial
+from swimid.logs import kinematics
 from swimid.logs.trials import StrokeDrive
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid
 from swimid.robots.planar import Multilink
-from swimid.simulation import swim_quantities
+from swimid.swimmer.energetics import Energetics
 from swimid.swimmer.model import Swimmer
 from swimid.swimmer.planar import engine
 from swimid.swimmer.planar.assembly import Assembly
 from swimid.swimmer.planar.model import MultilinkModel
-from swimid.swimmer.run_quantities import Energetics
 from swimid.swimmer.spatial.model import MultibodyModel
 from swimid.swimmer.trials import cycle_of
 from tests.conftest import Ran
@@ -46,7 +46,7 @@ def swum(model: Swimmer, swim: SwimInput, duration_s: float, last_s: float) -> E
 
 @needs_casadi
 @pytest.mark.parametrize("base", [pytest.param("free", marks=pytest.mark.slow), "fixed"])
-def test_torques_of_random_trees(base: str) -> None:
+def test_torques_of_random_trees_equal_those_of_lagranges_equations(base: str) -> None:
     """Every element, branches, mounts and wires: the driven rows of Lagrange's equations, to 1e-10."""
     from tests.generators import lagrange
 
@@ -87,7 +87,7 @@ def test_torques_of_random_trees(base: str) -> None:
         pytest.param(MultibodyModel, "tfish", 1.0, 20.0, marks=pytest.mark.slow),
     ],
 )
-def test_balance_of_energy(form: type[Swimmer], name: str, hz: float, deg: float) -> None:
+def test_joint_work_equals_the_energy_received(form: type[Swimmer], name: str, hz: float, deg: float) -> None:
     """Over four beats to 1e-6, with steps of 2.5 ms; what is left falls with their fourth power."""
     left = []
     for step in (0.0025, 0.00125):
@@ -119,7 +119,7 @@ def test_both_engines_give_the_same_torques() -> None:
     assert space.water_W == pytest.approx(flat.water_W, abs=1e-9)
 
 
-def test_passive_torque_is_the_spring_s_law() -> None:
+def test_passive_torque_follows_the_spring_law() -> None:
     """The dolphin's caudal joint: ``tau = -K_s theta``, with the energy that it stores."""
     model = MultilinkModel(robot_format.read("dolphin"))
     swim = SwimInput(Beat("sine", 2.0, 0.4))
@@ -131,7 +131,7 @@ def test_passive_torque_is_the_spring_s_law() -> None:
     )
 
 
-def test_a_run_that_breaks_down_has_none() -> None:
+def test_a_run_that_breaks_down_has_no_energetics() -> None:
     model = MultilinkModel(robot_format.read("tfish"))
     values = values_of(model)
     values[model.index("c_d4")] = -1e6
@@ -141,7 +141,7 @@ def test_a_run_that_breaks_down_has_none() -> None:
     assert np.isnan(columns["u_m_s"]).all()
 
 
-def test_what_is_forgotten_is_simulated_again() -> None:
+def test_a_forgotten_run_is_simulated_again() -> None:
     model = MultilinkModel(robot_format.read("tfish"))
     time = np.arange(101) / 50
     slow, fast = (Trial("run", "fit", time, {}, swim=SwimInput(Beat("sine", f, 0.3))) for f in (1.0, 2.0))
@@ -154,12 +154,12 @@ def test_settling_time_of_a_first_order_rise() -> None:
     """``1 - exp(-t / tau)`` comes within 5 % at ``tau log 20``; an end that still rises has not settled."""
     time = np.arange(64 * 60 + 1) / 64.0
     rise = 1.0 - np.exp(-time / 5.0)
-    found = swim_quantities.settling_time(time, rise, 1.0)
+    found = kinematics.settling_time(time, rise, 1.0)
     assert found == pytest.approx(5.0 * math.log(20.0), abs=0.1)
-    assert math.isnan(swim_quantities.settling_time(time[:640], time[:640], 1.0))
+    assert math.isnan(kinematics.settling_time(time[:640], time[:640], 1.0))
 
 
-def test_simulate_tells_power_and_cost_of_transport(swimid: Callable[..., Ran]) -> None:
+def test_simulate_gives_power_and_cost_of_transport(swimid: Callable[..., Ran]) -> None:
     args = ("--frequency-hz", "2.5", "--amplitude-deg", "27", "--duration-s", "15", "--json")
     found = swimid("simulate", "--robot", "dolphin", *args).json["result"]["runs"][0]["quantities"]
     positive, speed = found["mean_positive_power_W"]["value"], found["mean_speed_m_s"]["value"]

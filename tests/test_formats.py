@@ -66,7 +66,7 @@ class TestLog:
         for name in ("k", "x_m"):
             here = np.isfinite(columns[name]) & (rng.random(250_000) > 0.01)
             columns[name] = np.where(here, columns[name], np.nan)
-        log.write_numbers(tmp_path / "a.csv", columns, {"robot": "boxfish"})
+        log.write(tmp_path / "a.csv", columns, {"robot": "boxfish"})
         back = log.read(tmp_path / "a.csv")
         for name, values in columns.items():
             assert np.array_equal(back[name], values, equal_nan=True)
@@ -79,7 +79,7 @@ class TestLog:
         with pytest.raises(UsageError, match=r"swimid\[parquet\]"):
             log.read(tmp_path / "a.parquet")
         with pytest.raises(UsageError, match=r"swimid\[parquet\]"):
-            log.write_numbers(tmp_path / "b.parquet", columns, {})
+            log.write(tmp_path / "b.parquet", columns, {})
         assert not (tmp_path / "b.parquet").exists()
 
     def test_blank_lines_at_the_end_are_no_samples(self, tmp_path: Path) -> None:

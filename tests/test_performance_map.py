@@ -49,7 +49,7 @@ def test_steering_over_bias_and_asymmetry() -> None:
     radius = made.frame.pivot(index="bias_deg", columns="asymmetry", values="turning_radius_m").to_numpy()
     assert np.all(np.diff(radius, axis=0) < 0)
     assert np.all(np.diff(radius, axis=1) < 0)
-    assert {"yaw_range_in_beat_rad", "peak_yaw_rate_rad_s", "mean_yaw_rate_rad_s"} <= set(made.frame)
+    assert {"yaw_range_in_beat_rad", "max_yaw_rate_rad_s", "mean_yaw_rate_rad_s"} <= set(made.frame)
 
 
 def test_interrupted_and_taken_up_it_is_the_same_file(

@@ -43,7 +43,7 @@ def linear(x: np.ndarray) -> np.ndarray:
 
 
 class TestSobol:
-    def test_ishigami(self) -> None:
+    def test_intervals_contain_the_indices_of_the_ishigami_function(self) -> None:
         found = indices.sobol(each(ishigami), -SIDE, SIDE, samples=1024)
         first = np.array(ISHIGAMI_FIRST) / ISHIGAMI_VARIANCE
         total = first + np.array([1.0, 0.0, 1.0]) * ISHIGAMI_TOGETHER / ISHIGAMI_VARIANCE
@@ -53,7 +53,7 @@ class TestSobol:
         assert found.evaluations == 1024 * 5
         assert found.sd[0] ** 2 == pytest.approx(ISHIGAMI_VARIANCE, rel=0.05)
 
-    def test_linear_shares(self) -> None:
+    def test_indices_of_a_linear_function_are_its_variance_shares(self) -> None:
         """Shares go as slope times range, squared; those of a group as the sums of these."""
         width = np.array([1.0, 1.0, 2.0])
         found = indices.sobol(each(linear), np.zeros(3), width, samples=1024, groups=[[0, 1]])
@@ -66,7 +66,7 @@ class TestSobol:
         assert found.mean == pytest.approx([1.0 * 0.5 + 2.0 * 0.5 + 3.0, 2.0], rel=1e-3)
         assert found.sd == pytest.approx(np.sqrt(parts.sum(axis=1) / 12), rel=0.02)
 
-    def test_same_seed_same_result_whatever_the_threads(self) -> None:
+    def test_the_result_depends_on_the_seed_and_not_on_the_threads(self) -> None:
         one, two, other = (
             indices.sobol(each(ishigami), -SIDE, SIDE, samples=64, seed=seed, jobs=jobs)
             for seed, jobs in ((3, 1), (3, 4), (4, 1))
@@ -75,14 +75,14 @@ class TestSobol:
         assert np.array_equal(one.total_ci, two.total_ci)
         assert not np.array_equal(one.first, other.first)
 
-    def test_an_output_that_does_not_vary(self) -> None:
+    def test_a_constant_output_has_no_indices(self) -> None:
         found = indices.sobol(
             each(lambda x: np.array([1.0, x[0]])), np.zeros(2), np.ones(2), samples=64, groups=[[0]]
         )
         assert np.all(found.total[[0, 2]] == 0)
         assert np.isfinite(found.total_ci).all()
 
-    def test_few_broken_rows_are_replaced(self) -> None:
+    def test_rows_that_break_down_are_replaced(self) -> None:
         """Half a per cent of the range breaks: the rest of it has the same shares, nearly."""
 
         def breaking(x: np.ndarray) -> np.ndarray:
@@ -94,7 +94,7 @@ class TestSobol:
         assert found.first[0] == pytest.approx(np.array([1.0, 4.0, 9.0]) / 14, abs=1 / math.sqrt(256))
         assert found.mean[0] < 3.0
 
-    def test_many_are_refused_naming_where(self) -> None:
+    def test_many_breakdowns_are_refused_with_their_range(self) -> None:
         def breaking(x: np.ndarray) -> np.ndarray:
             return linear(x) if x[1] < 0.6 else np.full(2, np.inf)
 
@@ -109,17 +109,17 @@ class TestSobol:
             )
         assert "--range" in str(caught.value)
 
-    def test_all_are_refused(self) -> None:
+    def test_breakdowns_everywhere_are_refused(self) -> None:
         with pytest.raises(NoTrustworthyResult, match="all that were tried"):
             indices.sobol(each(lambda x: np.array([np.nan])), np.zeros(2), np.ones(2), samples=8)
 
-    def test_refuses_a_number_that_is_no_power_of_two(self) -> None:
+    def test_the_number_of_samples_must_be_a_power_of_two(self) -> None:
         with pytest.raises(UsageError, match="power of two"):
             indices.sobol(each(ishigami), -SIDE, SIDE, samples=100)
         with pytest.raises(UsageError, match="two or more"):
             indices.sobol(each(ishigami), -SIDE[:1], SIDE[:1])
 
-    def test_takes_up_what_was_kept(self, tmp_path: Path) -> None:
+    def test_kept_evaluations_are_not_repeated(self, tmp_path: Path) -> None:
         count = 0
 
         def stopping(x: np.ndarray) -> np.ndarray:
@@ -134,17 +134,17 @@ class TestSobol:
             indices.sobol(each(stopping), -SIDE, SIDE, samples=64, checkpoint=Checkpoint(path, "key"))
         kept = len(path.read_text().splitlines())
         # what was evaluated together is kept together
-        assert 49 - indices.TOGETHER <= kept < 64 * 4
+        assert 49 - indices.BATCH <= kept < 64 * 4
         before = count
         again = indices.sobol(each(stopping), -SIDE, SIDE, samples=64, checkpoint=Checkpoint(path, "key"))
         whole = indices.sobol(each(ishigami), -SIDE, SIDE, samples=64)
         assert count == before + whole.evaluations - kept
-        assert kept % indices.TOGETHER == 0
+        assert kept % indices.BATCH == 0
         for name, value in vars(whole).items():
             assert np.array_equal(getattr(again, name), value), name
 
 
-def test_what_has_not_begun_at_an_interrupt_never_does() -> None:
+def test_evaluations_do_not_begin_after_an_interrupt() -> None:
     """Also while whoever waits for the results is busy: here it fills the queue until the interrupt."""
     interrupted, begun = threading.Event(), []
 
@@ -256,7 +256,7 @@ class TestCommand:
         first, second = (_run(swimid, tfish, tmp_path / f"{k}.yaml", *options) for k in range(2))
         assert _lasting(first) == _lasting(second)
 
-    def test_goes_on_after_an_interrupt(
+    def test_a_study_continues_after_an_interrupt(
         self, swimid: Swimid, tfish: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         options = ("--samples", "4", "--coefficients", "c_d4,c_ma")
@@ -284,7 +284,7 @@ class TestCommand:
         assert _lasting(again) == _lasting(whole)
         assert not (tmp_path / "again.yaml.partial").exists()
 
-    def test_standard_errors_as_ranges(self, swimid: Swimid, tfish: Path, tmp_path: Path) -> None:
+    def test_ranges_may_be_standard_errors(self, swimid: Swimid, tfish: Path, tmp_path: Path) -> None:
         params = _params(tmp_path, c_ma=0.1, c_d4=0.2)
         out = tmp_path / "sens.yaml"
         file = _run(swimid, tfish, out, "--params", params, "--range", "stderr", "--samples", "4")
@@ -297,7 +297,7 @@ class TestCommand:
         units = {o.quantity: o.unit for o in file.outputs}
         assert (units["misfit_x_m"], units["misfit_y_m"]) == ("1", "m")
 
-    def test_shares_and_single_ranges(self, swimid: Swimid, tfish: Path, tmp_path: Path) -> None:
+    def test_ranges_may_be_shares_or_given(self, swimid: Swimid, tfish: Path, tmp_path: Path) -> None:
         options = ("--range", "20%", "--range", "d_p=0.01,0.05", "--samples", "2")
         file = _run(swimid, tfish, tmp_path / "sens.yaml", *options)
         assert file.ranges["c_ma"].low == pytest.approx(0.8 * 1.15971)
@@ -305,7 +305,7 @@ class TestCommand:
         assert (file.ranges["d_p"].low, file.ranges["d_p"].source) == (0.01, "given")
 
     @pytest.mark.slow
-    def test_a_robot_in_space(self, swimid: Swimid, tmp_path: Path) -> None:
+    def test_a_robot_in_space_has_quantities_of_its_cycle(self, swimid: Swimid, tmp_path: Path) -> None:
         time = np.arange(0, 3.0, 1 / 30)
         rows = "\n".join(f"{t:.5f},{0.1 * t:.5f},{-0.01 * t:.5f},0.0" for t in time)
         (tmp_path / "stroke.csv").write_text(f"t_s,x_m,z_m,pitch_rad\n{rows}\n")
@@ -336,7 +336,9 @@ class TestCommand:
             (("--coefficients", "c_d4"), "two or more"),
         ],
     )  # fmt: skip
-    def test_wrong_usage(self, swimid: Swimid, tfish: Path, options: tuple[str, ...], text: str) -> None:
+    def test_bad_options_are_refused(
+        self, swimid: Swimid, tfish: Path, options: tuple[str, ...], text: str
+    ) -> None:
         ran = swimid("sensitivity", tfish, *options)
         assert ran.status == 2
         assert text in ran.err
@@ -346,13 +348,15 @@ class TestCommand:
         assert ran.status == 3
         assert "free-swim" in ran.err
 
-    def test_where_the_simulation_breaks_down(self, swimid: Swimid, tfish: Path, tmp_path: Path) -> None:
+    def test_the_error_names_the_coefficient_at_fault(
+        self, swimid: Swimid, tfish: Path, tmp_path: Path
+    ) -> None:
         out = tmp_path / "sens.yaml"
         ran = swimid("sensitivity", tfish, "-o", out, "--samples", "8", "--range", "c_ma=-3,3")
         assert ran.status == 4
         assert "c_ma between -" in ran.err
         assert not out.exists()
 
-    def test_reader_refuses_another_format(self, tfish: Path) -> None:
+    def test_another_file_format_is_refused(self, tfish: Path) -> None:
         with pytest.raises(InputError, match="no sensitivity file"):
             SensitivityFile.read(tfish)

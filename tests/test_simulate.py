@@ -36,7 +36,7 @@ def tfish_file(path: Path, **stderr: float) -> Path:
 BEAT = ("--frequency-hz", "1", "--amplitude-deg", "20")
 
 
-def test_a_tendon_fish_swims_as_other_code_says(swimid: Run, tmp_path: Path) -> None:
+def test_a_tendon_fish_swims_as_in_an_independent_simulation(swimid: Run, tmp_path: Path) -> None:
     """The command of the manual; the log against the generator's own equations."""
     params, out = tfish_file(tmp_path / "tfish.yaml"), tmp_path / "sim.csv"
     ran = swimid("simulate", "--params", params, *BEAT, "--duration-s", "6", "-o", out)
@@ -54,7 +54,7 @@ def test_a_tendon_fish_swims_as_other_code_says(swimid: Run, tmp_path: Path) -> 
     assert np.max(np.abs(log["cmd1_rad"])) == pytest.approx(math.radians(20.0) / 3, rel=0.02)
 
 
-def test_drag_in_strips_is_the_generators_slices(swimid: Run, tmp_path: Path) -> None:
+def test_drag_in_strips_equals_that_of_an_independent_simulation(swimid: Run, tmp_path: Path) -> None:
     params = tfish_file(tmp_path / "tfish.yaml")
     out = tmp_path / "sim.csv"
     swimid(
@@ -79,7 +79,7 @@ def test_drag_in_strips_is_the_generators_slices(swimid: Run, tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_uncertainty_is_that_of_repeated_draws(swimid: Run, tmp_path: Path) -> None:
+def test_standard_errors_equal_the_scatter_of_random_draws(swimid: Run, tmp_path: Path) -> None:
     """The delta method against runs with parameters drawn from their errors."""
     errors = {"c_d4": 0.05, "c_f0": 0.0004}
     params = tfish_file(tmp_path / "tfish.yaml", **errors)
@@ -104,7 +104,7 @@ def test_a_robot_alone_has_no_uncertainty(swimid: Run) -> None:
     assert "strouhal" in ran.out
 
 
-def test_quantities_of_a_turn(swimid: Run) -> None:
+def test_turning_radius_is_speed_over_turning_rate(swimid: Run) -> None:
     args = ("simulate", "--robot", "tfish", "--frequency-hz", "1", "--amplitude-deg", "30", "--json")
     found = swimid(*args, "--bias-deg", "20", "--duration-s", "25").json["result"]["runs"][0]["quantities"]
     speed, rate = found["mean_speed_m_s"]["value"], found["mean_yaw_rate_rad_s"]["value"]
@@ -118,7 +118,7 @@ def test_quantities_of_a_turn(swimid: Run) -> None:
     assert "turning_radius_m" not in straight
 
 
-def test_halving_the_step_is_told_and_warned_of(swimid: Run) -> None:
+def test_a_coarse_step_fails_the_check_and_warns(swimid: Run) -> None:
     fine = swimid("simulate", "--robot", "tfish", *BEAT, "--duration-s", "4", "--json").json
     coarse = swimid(
         "simulate",
@@ -150,7 +150,7 @@ def test_a_log_drives_the_joints(swimid: Run, tmp_path: Path) -> None:
         assert np.max(np.abs(a[name] - b[name])) < 0.01 * np.ptp(a[name]), name
 
 
-def test_recorded_trials_start_and_beat_as_they_did(swimid: Run, tmp_path: Path) -> None:
+def test_recorded_trials_keep_their_drives_and_start_states(swimid: Run, tmp_path: Path) -> None:
     drive = {"frequency_hz": 1.2, "amplitude_deg": 25.0}
     columns = swimmer.simulate("tfish", None, drive, 5.0)
     columns["x_m"] = columns["x_m"] + 1.5
@@ -211,7 +211,7 @@ def test_every_kind_of_parameter_file_simulates_its_trials(
     assert found["mean_speed_m_s"]["stderr"] > 0
 
 
-def test_a_black_box_runs_free(swimid: Run, samples: Path, tmp_path: Path) -> None:
+def test_a_black_box_runs_without_measured_outputs(swimid: Run, samples: Path, tmp_path: Path) -> None:
     arma, log, out = (
         tmp_path / "arma.yaml",
         samples / "longfin" / "longfin_marching.csv",
@@ -276,7 +276,7 @@ def test_a_film_shows_the_robot_swim(swimid: Run, tmp_path: Path, ending: str) -
         (("--robot", "tfish", *BEAT, "--trials", "t.yaml"), 2, "no place beside --trials"),
     ],
 )
-def test_what_cannot_be_simulated_is_said(
+def test_impossible_simulations_are_refused_with_a_reason(
     swimid: Run, words: tuple[str, ...], status: int, text: str
 ) -> None:
     ran = swimid("simulate", *words)
@@ -285,21 +285,21 @@ def test_what_cannot_be_simulated_is_said(
     assert "Traceback" not in ran.err
 
 
-def test_a_simulation_that_breaks_down_says_when(swimid: Run) -> None:
+def test_a_simulation_that_breaks_down_reports_the_time(swimid: Run) -> None:
     ran = swimid("simulate", "--robot", "tfish", *BEAT, "--dt", "0.2", "--sample-rate-hz", "5")
     assert ran.status == 4
     assert "breaks down at t = " in ran.err
     assert "--dt" in ran.err
 
 
-def test_parameters_of_another_robot(swimid: Run, tmp_path: Path) -> None:
+def test_parameters_of_another_robot_are_refused(swimid: Run, tmp_path: Path) -> None:
     params = tfish_file(tmp_path / "tfish.yaml")
     ran = swimid("simulate", "--params", params, "--robot", "dolphin", *BEAT)
     assert ran.status == 3
     assert "another robot" in ran.err
 
 
-def test_values_out_of_bounds_and_wild_beats_are_warned_of(swimid: Run) -> None:
+def test_values_out_of_bounds_and_large_beats_are_warned_of(swimid: Run) -> None:
     args = ("simulate", "--robot", "tfish", "--duration-s", "2", "--json")
     ran = swimid(*args, "--frequency-hz", "1", "--amplitude-deg", "20", "--set", "c_d4=7")
     assert "SWM053" in {w["code"] for w in ran.json["warnings"]}
@@ -307,7 +307,7 @@ def test_values_out_of_bounds_and_wild_beats_are_warned_of(swimid: Run) -> None:
     assert "SWM054" in {w["code"] for w in ran.json["warnings"]}
 
 
-def test_a_joint_that_folds_through_the_body_is_told(swimid: Run) -> None:
+def test_a_joint_that_folds_through_the_body_is_warned_of(swimid: Run) -> None:
     """500 degrees of tail bend leave every driven joint below 180, and whip the passive one round."""
     ran = swimid("simulate", "--robot", "tfish", "--frequency-hz", "1", "--amplitude-deg", "500", "--json")
     assert any("joint4 turns by" in w["text"] for w in ran.json["warnings"])
@@ -315,7 +315,7 @@ def test_a_joint_that_folds_through_the_body_is_told(swimid: Run) -> None:
     assert not any("turns by" in w["text"] for w in ran.json["warnings"])
 
 
-def test_values_their_fit_does_not_vouch_for_are_told(swimid: Run, tmp_path: Path) -> None:
+def test_values_of_a_fit_that_did_not_converge_are_warned_of(swimid: Run, tmp_path: Path) -> None:
     path = tfish_file(tmp_path / "tfish.yaml", c_d0=0.1)
     file = parameters_format.read(path)
     file.parameters["c_d0"].status = "unidentifiable"

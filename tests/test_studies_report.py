@@ -31,6 +31,6 @@ def test_studies_on_one_page(swimid: Callable[..., Ran], samples: Path, tmp_path
     text = page.read_text()
     for shown in (
         "Over the grid of gaits", "Stiffness rule", "What the robot comes to with the best gait",
-        "What each output is most sensitive to", "4 s from rest",
+        "Sensitivity of each output", "4 s from rest",
     ):  # fmt: skip
         assert shown in text, shown

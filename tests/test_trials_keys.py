@@ -361,7 +361,7 @@ class TestStretchesOfOneLog:
             arma.read([path], (), None, None, None)
         assert [n.text for n in notices if n.code == "SWM074"] == [
             "trials.yaml: the trials 'a' and 'b' are of the same log and share its rows to 8 s, which count "
-            "twice: standard errors come out too small"
+            "twice: standard errors are too small"
         ]
 
     def test_neighbours_stand_apart(self, tmp_path):

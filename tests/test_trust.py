@@ -10,6 +10,7 @@ import pytest
 
 import swimid as package
 from swimid.errors import UsageError
+from swimid.logs.kinematics import Window
 from swimid.optimisation import optimise_gait, study
 from swimid.optimisation.options import OptimiseStiffnessOptions
 from swimid.optimisation.performance import Performance
@@ -17,7 +18,6 @@ from swimid.optimisation.performance_map import electrical_power
 from swimid.optimisation.problem import drawn
 from swimid.results.parameters import ParameterFile
 from swimid.simulation.catalogue import Applied, Quantity
-from swimid.simulation.swim_quantities import Window
 
 VALUES = {
     "c_m0": 0.27, "c_m1": 0.18, "c_m2": 0.26, "c_f0": 0.039, "c_f1": 0.034, "c_f2": 0.015,
@@ -196,7 +196,7 @@ def test_a_slope_that_is_not_known_is_not_zero(tmp_path: Path) -> None:
     applied: Applied = Performance.of_options(options).applied
     assert isinstance(applied.file, ParameterFile)
     centre, other = {"v": Quantity(1.0, "1")}, {"v": Quantity(1.1, "1")}
-    whole = applied.carried(applied.values(), centre, [(centre, other), (centre, other)])
-    parted = applied.carried(applied.values(), centre, [(centre, other), (centre, {})])
+    whole = applied.with_errors(applied.values(), lambda vectors: [centre, centre, other, centre, other])
+    parted = applied.with_errors(applied.values(), lambda vectors: [centre, centre, other, centre, {}])
     assert whole["v"].stderr is not None
     assert parted["v"].stderr is None

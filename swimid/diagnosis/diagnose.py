@@ -43,12 +43,13 @@ def _as_given(loaded: Loaded) -> dict[str, ChannelScore]:
     experiment, applied = loaded
     try:
         done = [
-            compare_series.compared(experiment, applied, trial, refit=True) for trial in experiment.trials
+            compare_series.compare_trial(experiment, applied, trial, refit=True)
+            for trial in experiment.trials
         ]
     except NoTrustworthyResult:
         # The simulation diverges with these parameters. There are no errors, and the refit may do better.
         return {}
-    return compare_series.pooled(done, experiment.model)
+    return compare_series.pool(done, experiment.model)
 
 
 @takes(DiagnoseOptions)

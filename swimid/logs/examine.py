@@ -172,9 +172,9 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
     stroke = rhythm.find(times, telling, range_hz=options.stroke_hz, stated_hz=stated)
     unknown, against, periodic_hz, period_s = "", None, None, None
     if stroke is None:
-        unknown, periodic_hz = rhythm.unknown(columns[log.TIME], telling)
+        unknown, periodic_hz = rhythm.explain_missing(columns[log.TIME], telling)
     else:
-        stroke = rhythm.with_lateness(stroke, times_sd_s, times)
+        stroke = rhythm.add_time_error(stroke, times_sd_s, times)
         periodic_hz, period_s = stroke.beat.frequency_hz, stroke.period_s[0]
         against = _against(stroke, stated, name)
     if cleaning is not None:

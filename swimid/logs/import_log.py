@@ -45,7 +45,7 @@ class Imported(Logged):
 
     def _write(self, path: Path) -> list[Path]:
         with self.progress(f"writing {path.name}", total=len(self.log)) as step:
-            log.write_numbers(path, self.log.columns, self.log.metadata, step=step)
+            log.write(path, self.log.columns, self.log.metadata, step=step)
         return [path]
 
 

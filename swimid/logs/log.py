@@ -1,7 +1,7 @@
-"""The log of one trial: CSV, or Parquet by its ending (``docs/formats.md``).
+"""Log of one trial: a CSV or Parquet file (``docs/formats.md``), or a table in memory.
 
-First column ``t_s``, strictly increasing; missing samples are empty cells; ``#`` lines
-before the header hold YAML ``key: value`` metadata. Columns carry their unit as a suffix.
+The first column is ``t_s``, which increases strictly. A missing sample is an empty cell. ``#`` lines before
+the header hold metadata as YAML ``key: value``. The names of columns end in their units.
 """
 
 from __future__ import annotations
@@ -28,28 +28,28 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 TIME = "t_s"
-#: A stroke frequency that differs from the stated one by more than this share contradicts it.
+#: Relative tolerance of a stroke frequency: one that differs by more contradicts the stated one.
 FREQUENCY_RTOL = 0.05
-#: Samples written at once, and bytes read at once.
+#: Number of samples that are written at once, and number of bytes that are read at once.
 ROWS, BLOCK = 100_000, 1 << 20
-#: What a function that reads a log takes: its path, or the log itself.
+#: Log as an argument: its path, or the log itself.
 LogLike: TypeAlias = "str | Path | Log | pd.DataFrame"
 
 
 @dataclass(frozen=True)
 class Log:
-    """One trial's samples.
+    """Samples of one trial.
 
     Attributes
     ----------
     path : Path
-        Where they were read; of a log in memory its name.
+        File of the log; the name of a log in memory.
     metadata : dict
-        The ``# key: value`` lines.
+        Entries of the ``# key: value`` lines.
     columns : dict of str to ndarray, each shape (n,)
-        Numbers, NaN where missing; ``t_s`` is among them. SI units and radians, named in the columns.
+        Samples with ``t_s``, NaN where missing, in SI units and radians.
     first_line : int or None
-        Line of the file that holds the first sample (0 for Parquet, None for a log in memory).
+        Line of the file with the first sample; 0 for Parquet, None for a log in memory.
     time_s : ndarray, shape (n,)
         Sample times, s, strictly increasing.
 
@@ -75,25 +75,25 @@ class Log:
         metadata: Mapping[str, Any] | None = None,
         required: Sequence[str] = (),
     ) -> Self:
-        """A log of a table in memory, checked as a file is.
+        """Make a log from a table in memory, with the checks of a file.
 
         Parameters
         ----------
         frame : DataFrame, shape (n, k)
-            One row a sample, the columns named as in the log format: ``t_s`` in s, strictly increasing, or
-            as the index of this name; NaN where a sample is missing. Columns of words are left out.
+            One row per sample, with the column names of the log format. ``t_s`` is a column or the index, in
+            s, strictly increasing. A missing sample is NaN. Columns of text are left out.
         name : str
-            What messages and the provenance of results call it.
+            Name of the log in messages and in the provenance of results.
         metadata : mapping, optional
-            What the ``# key: value`` lines of a file say: ``frequency_hz``, ``robot``, ...
+            Entries of the ``# key: value`` lines of a file: ``frequency_hz``, ``robot``, ...
         required : sequence of str
-            Columns that must be there, besides ``t_s``.
+            Columns that the table must have besides ``t_s``.
 
         Raises
         ------
         InputError
-            Naming the column and the row (from 0): a column is missing or misnamed, a cell is no number or
-            infinite, the time does not increase, or there are fewer than two samples.
+            A column is missing or misnamed, a cell is no number or infinite, the time does not increase, or
+            there are fewer than two samples. Rows are counted from 0.
 
         Examples
         --------
@@ -118,11 +118,11 @@ class Log:
 
     @property
     def source(self) -> Path | Log:
-        """What it is to the provenance: the file it was read from, or itself."""
+        """Source of the log for the provenance: its file, or the log itself."""
         return self if self.first_line is None else self.path
 
     def chosen(self, required: Sequence[str], optional: Sequence[str] | None = None) -> Log:
-        """The same log with the columns asked for, after the checks that :func:`read` makes."""
+        """Return the log with some of its columns, after the checks of :func:`read`."""
         wanted = _wanted(list(self.columns), required, optional, self.path, None)
         log = replace(self, columns={name: self.columns[name] for name in wanted})
         _check(log, required)
@@ -130,18 +130,20 @@ class Log:
 
     @property
     def name(self) -> str:
-        """The file's name, or that of a log in memory."""
+        """Name of the file, or of a log in memory."""
         return self.path.name
 
     def digest(self) -> str:
-        """SHA-256 of the columns, their names and samples, as hexadecimal digits."""
+        """Return the SHA-256 of the names and samples of the columns, as hexadecimal digits."""
         digest = hashlib.sha256()
         for name, values in self.columns.items():
             digest.update(f"{name}\n".encode())
-            if values.dtype.kind == "f":  # one NaN is as good as another
+            if values.dtype.kind == "f":  # NaN has several bit patterns
                 values = np.where(np.isnan(values), np.nan, values)
-            plain = values.dtype.kind in "biufM"
-            digest.update(values.tobytes() if plain else "\n".join(map(str, values)).encode())
+            if values.dtype.kind in "biufM":
+                digest.update(values.tobytes())
+            else:
+                digest.update("\n".join(map(str, values)).encode())
         return digest.hexdigest()
 
     @property
@@ -150,7 +152,7 @@ class Log:
         return self.columns[TIME]
 
     def frame(self) -> pd.DataFrame:
-        """The columns as a table, one row a sample."""
+        """Return the columns as a table, one row per sample."""
         import pandas as pd
 
         return pd.DataFrame(self.columns)
@@ -171,16 +173,16 @@ class Log:
         return len(self.time_s)
 
     def line(self, row: int) -> int | None:
-        """Line of the file that holds sample ``row``; None for Parquet and in memory."""
+        """Return the line of the file with a sample; None for Parquet and in memory."""
         return _line_of(self.path, self.first_line - 1, row) if self.first_line else None
 
     def place(self, row: int) -> dict[str, Any]:
-        """Where sample ``row`` is, for an :class:`InputError`: its line, or in memory its row."""
+        """Return the line of a sample, or its row in memory, for an :class:`InputError`."""
         return {"row": row} if self.first_line is None else {"line": self.line(row)}
 
 
 def of(given: LogLike, *, name: str = "log", required: Sequence[str] = ()) -> Log:
-    """The log that was handed over: read where it is a file, checked where it is a table.
+    """Return an argument as a log: a file is read, a table is checked.
 
     Raises
     ------
@@ -196,14 +198,16 @@ def of(given: LogLike, *, name: str = "log", required: Sequence[str] = ()) -> Lo
 
 
 def unread(given: LogLike, *, name: str = "log") -> Path | Log:
-    """A path as it is; a table in memory as a log that nobody has checked."""
+    """Return a path, or a log in memory; a table becomes a log without any check."""
     if isinstance(given, str | Path):
         return Path(given)
-    return given if isinstance(given, Log) else Log(Path(name), {}, arrays(given, name), None)
+    if isinstance(given, Log):
+        return given
+    return Log(Path(name), {}, arrays(given, name), None)
 
 
 def numeric(columns: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
-    """Of columns as they are written those :func:`read` gives back: numbers, no words."""
+    """Return the columns with numbers as :func:`read` would, without those of text."""
     import pandas as pd
 
     frame = pd.DataFrame(dict(columns)).select_dtypes(["number", "bool"])
@@ -211,12 +215,12 @@ def numeric(columns: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
 
 
 def arrays(frame: pd.DataFrame, name: str) -> dict[str, NDArray[Any]]:
-    """The columns of a table as they are: numbers, dates (``datetime64[ns]``, UTC), or words.
+    """Return the columns of a table: numbers, dates (``datetime64[ns]``, UTC), or text.
 
     Raises
     ------
     InputError
-        Two columns have one name.
+        Two columns have the same name.
     """
     from pandas.api import types
 
@@ -230,8 +234,9 @@ def arrays(frame: pd.DataFrame, name: str) -> dict[str, NDArray[Any]]:
         if types.is_timedelta64_dtype(values):
             values = values.dt.total_seconds()
         if types.is_datetime64_any_dtype(values):
-            clock = values.dt.tz_convert(None) if getattr(values.dt, "tz", None) is not None else values
-            columns[str(column)] = clock.to_numpy(dtype="datetime64[ns]")
+            if getattr(values.dt, "tz", None) is not None:
+                values = values.dt.tz_convert(None)
+            columns[str(column)] = values.to_numpy(dtype="datetime64[ns]")
         elif isinstance(values.dtype, np.dtype):
             columns[str(column)] = values.to_numpy()
         elif types.is_numeric_dtype(values):
@@ -242,7 +247,7 @@ def arrays(frame: pd.DataFrame, name: str) -> dict[str, NDArray[Any]]:
 
 
 def written_by(metadata: Mapping[str, Any], program: str) -> bool:
-    """Whether ``swimid`` (or one of its verbs, ``swimid track``) wrote a log, by its metadata."""
+    """Return whether ``swimid`` (or one of its commands, ``swimid track``) wrote a log, by its metadata."""
     return str(metadata.get("made_by", "")).startswith(program)
 
 
@@ -257,17 +262,15 @@ def read(
     Parameters
     ----------
     required : sequence of str
-        Columns that must be there, besides ``t_s``.
+        Columns that the log must have besides ``t_s``.
     optional : sequence of str, optional
-        Further columns to take where they are there. Without it every column is taken
-        that holds numbers, and columns of text are left out.
+        Further columns to read. By default all columns of numbers are read, and those of text are left out.
 
     Raises
     ------
     InputError
-        Naming file, line and column: unreadable or empty file, missing or misnamed column
-        (with the nearest name), a cell that is no number, time not increasing, a required
-        column without a single sample.
+        The file is unreadable or empty, a column is missing or misnamed, a cell is no number, the time does
+        not increase, or a required column has no sample. The error names file, line and column.
     """
     path = Path(path)
     reader = _read_parquet if path.suffix.lower() in tabular.PARQUET else _read_csv
@@ -280,7 +283,13 @@ def read(
 def _wanted(
     names: list[str], required: Sequence[str], optional: Sequence[str] | None, path: Path, line: int | None
 ) -> list[str]:
-    """The columns to take of those there are; an error where one is missing."""
+    """Return the columns to read of those in a log.
+
+    Raises
+    ------
+    InputError
+        A required column is missing, or ``t_s`` is not the first.
+    """
     for column in (TIME, *required):
         if column not in names:
             raise missing_column(column, names, path, line)
@@ -302,13 +311,13 @@ def _read_csv(path: Path, required: Sequence[str], optional: Sequence[str] | Non
     source: Path | bytes = path
     skip = header_line
     if any('"' in line for line in comments):
-        # pandas skips lines up to the next quotation mark
+        # pandas would skip lines up to the next quotation mark
         source, skip = path.read_bytes().split(b"\n", header_line)[-1], 0
     read = partial(tabular.parse, source, names, skip_lines=skip)
     try:
         table = read(dict.fromkeys(wanted, float))
     except ValueError:
-        # as text, to take what is numbers and to say which cell is none
+        # read as text, to keep the columns of numbers and to name the cell that is none
         try:
             table = read(str)
         except ValueError as error:
@@ -330,7 +339,13 @@ def _read_csv(path: Path, required: Sequence[str], optional: Sequence[str] | Non
 def _numbers(
     cells: Any, strict: bool, place: Callable[[int], dict[str, Any]], path: Path, name: str
 ) -> NDArray[np.float64] | None:
-    """A column as numbers; None for one of words (a status, say), which is no mistake unless ``strict``."""
+    """Return a column as numbers; None for a column of text.
+
+    Raises
+    ------
+    InputError
+        A cell is no number. Without ``strict``, a column in which most cells are no numbers is one of text.
+    """
     import pandas as pd
 
     cells = pd.Series(cells)
@@ -347,12 +362,12 @@ def _numbers(
 
 
 def metadata_of(comments: list[str], path: Path, *, strict: bool = True) -> dict[str, Any]:
-    """``# key: value`` lines as YAML, each on its own; a remark that is none is left out.
+    """Return the entries of ``# key: value`` lines, each as YAML; other remarks are left out.
 
     Raises
     ------
     InputError
-        Where a value is no YAML; without ``strict`` such a line counts as a remark.
+        A value is not YAML. Without ``strict`` such a line is a remark.
     """
     metadata: dict[str, Any] = {}
     for line in comments:
@@ -370,7 +385,7 @@ def metadata_of(comments: list[str], path: Path, *, strict: bool = True) -> dict
 
 
 def _samples(path: Path, header_line: int) -> Iterator[tuple[int, str]]:
-    """Number and text of every line under the header that is not blank."""
+    """Yield number and text of each line below the header that is not blank."""
     with path.open("r", encoding="utf-8", errors="replace") as stream:
         lines = enumerate(stream, start=1)
         yield from ((at, line) for at, line in lines if at > header_line and line.strip())
@@ -390,6 +405,7 @@ def _is_regular(path: Path, header_line: int, rows: int, width: int) -> bool:
 
 
 def _refuse_ragged(path: Path, header_line: int, width: int) -> None:
+    """Refuse the first line with more or fewer cells than the header."""
     for at, line in _samples(path, header_line):
         cells = tabular.count_cells(line.rstrip("\n"))
         if cells != width:
@@ -398,7 +414,7 @@ def _refuse_ragged(path: Path, header_line: int, width: int) -> None:
 
 
 def _line_of(path: Path, header_line: int, row: int) -> int:
-    """Line of a sample, blank lines counted."""
+    """Return the line of a sample, with blank lines counted."""
     samples = islice(_samples(path, header_line), row, None)
     return next((at for at, _ in samples), header_line + 1 + row)
 
@@ -408,7 +424,7 @@ def _line_of(path: Path, header_line: int, row: int) -> int:
 
 def _read_parquet(path: Path, required: Sequence[str], optional: Sequence[str] | None) -> Log:
     pyarrow = tabular.pyarrow()
-    path.stat()  # what is not there is not damaged
+    path.stat()  # a missing file is no damaged one
     try:
         file = pyarrow.parquet.ParquetFile(path)
         wanted = _wanted(list(file.schema_arrow.names), required, optional, path, None)
@@ -433,7 +449,7 @@ def _read_parquet(path: Path, required: Sequence[str], optional: Sequence[str] |
 
 
 def _check(log: Log, required: Sequence[str]) -> None:
-    """What a log must be; warnings of samples that are missing, and of values no swimmer reaches."""
+    """Check a log; warn of missing samples, and of values that are unusual for a swimmer."""
     time = log.time_s
     if len(time) < 2:
         raise InputError(f"has {len(time) or 'no'} samples; at least 2 are needed", file=log.path)
@@ -443,7 +459,8 @@ def _check(log: Log, required: Sequence[str]) -> None:
     backwards = np.append(False, np.diff(time) <= 0)
     if backwards.any():
         before, after = map(float, time[np.argmax(backwards) - 1 :][:2])
-        text = f"time {'repeats' if after == before else 'goes back'}: {after!r} after {before!r}"
+        what = "repeats" if after == before else "goes back"
+        text = f"time {what}: {after!r} after {before!r}"
         _refuse(backwards, text, log, TIME, "sort the rows and drop repeated ones")
     for name in required:
         if np.isnan(log[name]).all():
@@ -453,13 +470,13 @@ def _check(log: Log, required: Sequence[str]) -> None:
 
 
 def _refuse(bad: NDArray[np.bool_], text: str, log: Log, column: str, hint: str | None = None) -> None:
-    """Raise at the first bad sample, if there is one."""
+    """Raise an error at the first bad sample."""
     if bad.any():
         raise InputError(text, file=log.path, column=column, hint=hint, **log.place(int(np.argmax(bad))))
 
 
 def _warn_missing(log: Log) -> None:
-    """One warning per log; columns with the same gaps are named together."""
+    """Warn of missing samples, once per log; columns with equal gaps are named together."""
     gaps: dict[tuple[int, int], list[str]] = {}
     for name, values in log.columns.items():
         missing = np.isnan(values)
@@ -475,7 +492,7 @@ def _warn_missing(log: Log) -> None:
 
 
 def runs(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Unbroken runs of True as rows of (first, last + 1), shape (k, 2).
+    """Return the unbroken runs of True as rows of (first, last + 1), shape (k, 2).
 
     >>> runs(np.array([True, True, False, True])).tolist()
     [[0, 2], [3, 4]]
@@ -484,7 +501,7 @@ def runs(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
 
 
 def longest_run(flags: NDArray[np.bool_]) -> int:
-    """Length of the longest unbroken run of True.
+    """Return the length of the longest unbroken run of True.
 
     >>> longest_run(np.array([True, False, True, True]))
     2
@@ -493,7 +510,7 @@ def longest_run(flags: NDArray[np.bool_]) -> int:
 
 
 def warn_units(log: Log) -> None:
-    """Warn of values no swimmer reaches in the unit the column claims."""
+    """Warn of values that are unusual in the stated unit."""
     for doubt in doubts(log.time_s, log.columns):
         warn("SWM002", f"{log.path.name}, '{doubt.column}': {doubt.text}")
 
@@ -501,77 +518,56 @@ def warn_units(log: Log) -> None:
 # ---------------------------------------------------------------- writing
 
 
-def write(path: str | Path, columns: Mapping[str, Any], metadata: Mapping[str, Any] | None = None) -> None:
-    """Write a log, whole or not at all.
+def write(
+    path: str | Path,
+    columns: Mapping[str, Any],
+    metadata: Mapping[str, Any] | None = None,
+    *,
+    step: Callable[[int], object] = lambda amount: None,
+) -> None:
+    """Write a log piece by piece, complete or not at all.
 
     Parameters
     ----------
     columns : mapping of name to array_like, each shape (n,)
-        ``t_s`` first. NaN becomes an empty cell; text columns are allowed.
+        ``t_s`` first. NaN becomes an empty cell; every other number is written exactly. Columns of text are
+        allowed.
     metadata : mapping, optional
-        Plain values, one ``# key: value`` line each.
+        Entries of the ``# key: value`` lines.
+    step : callable
+        Function that is called with the number of samples of each piece.
     """
     import pandas as pd
 
-    path, lines = Path(path), _metadata_lines(metadata or {})
-    frame = pd.DataFrame(dict(columns))
-    with atomic.replacing(path) as temporary:
-        if path.suffix.lower() in tabular.PARQUET:
-            pyarrow = tabular.pyarrow()
-            table = pyarrow.Table.from_pandas(frame, preserve_index=False)
-            stored = {**(table.schema.metadata or {}), b"swimid": "\n".join(lines).encode()}
-            pyarrow.parquet.write_table(table.replace_schema_metadata(stored), temporary)
-        else:
-            with open(temporary, "w", encoding="utf-8", newline="\n") as stream:
-                stream.writelines(f"# {line}\n" for line in lines)
-                frame.to_csv(stream, index=False, lineterminator="\n")
-
-
-def write_numbers(
-    path: str | Path,
-    columns: Mapping[str, NDArray[np.float64]],
-    metadata: Mapping[str, Any],
-    *,
-    step: Callable[[int], None] = lambda amount: None,
-) -> None:
-    """Write a log of numbers piece by piece, whole or not at all; what :func:`write` is for few samples.
-
-    Parameters
-    ----------
-    columns : mapping of str to ndarray, each shape (n,)
-        ``t_s`` first. NaN becomes an empty cell, every other number keeps its last bit.
-    step : callable
-        Called with the number of samples of each piece.
-    """
-    path, lines = Path(path), _metadata_lines(metadata)
-    pieces = (
-        [values[start : start + ROWS] for values in columns.values()]
-        for start in range(0, len(columns[TIME]), ROWS)
-    )
+    path, frame = Path(path), pd.DataFrame(dict(columns))
+    lines = [line for line in yamlio.dumps_flat(metadata or {}).splitlines() if line.strip()]
+    pieces = [frame.iloc[start : start + ROWS] for start in range(0, len(frame), ROWS)]
     with atomic.replacing(path) as temporary, temporary.open("wb") as stream:
         if path.suffix.lower() in tabular.PARQUET:
             pyarrow = tabular.pyarrow()
-            schema = pyarrow.schema([(name, pyarrow.float64()) for name in columns])
-            schema = schema.with_metadata({b"swimid": "\n".join(lines).encode()})
-            # Measured numbers hardly ever repeat: a dictionary of them only costs time.
-            with pyarrow.parquet.ParquetWriter(
-                stream, schema, use_dictionary=False, write_statistics=False
-            ) as writer:
+            schema = pyarrow.Schema.from_pandas(frame, preserve_index=False)
+            schema = schema.with_metadata({**(schema.metadata or {}), b"swimid": "\n".join(lines).encode()})
+            # measured numbers hardly ever repeat, so that a dictionary only costs time
+            options = {"use_dictionary": False, "write_statistics": False}
+            with pyarrow.parquet.ParquetWriter(stream, schema, **options) as writer:
                 for piece in pieces:
-                    cells = [pyarrow.array(values, from_pandas=True) for values in piece]
-                    writer.write_table(pyarrow.Table.from_arrays(cells, schema=schema))
-                    step(len(piece[0]))
+                    writer.write_table(pyarrow.Table.from_pandas(piece, schema, preserve_index=False))
+                    step(len(piece))
             return
         stream.writelines(f"# {line}\n".encode() for line in lines)
-        stream.write((",".join(columns) + "\n").encode())
+        stream.write(frame.iloc[:0].to_csv(index=False, lineterminator="\n").encode())
+        numeric = {kind.name for kind in frame.dtypes} == {"float64"}
         for piece in pieces:
-            stream.write(_printed(np.column_stack(piece)))
-            step(len(piece[0]))
+            if numeric:
+                stream.write(_printed(piece.to_numpy()))
+            else:
+                stream.write(piece.to_csv(index=False, header=False, lineterminator="\n").encode())
+            step(len(piece))
 
 
 def _printed(samples: NDArray[np.float64]) -> bytes:
-    """Return samples, shape (n, k), as lines of CSV; every number keeps its last bit."""
-    # as a JSON list: pydantic prints a number ten times as fast as pandas
+    """Return samples, shape (n, k), as lines of CSV, with exact numbers."""
+    # pydantic writes a JSON list of numbers ten times as fast as pandas
     text = np.frombuffer(bytearray(to_json(samples.ravel().tolist(), inf_nan_mode="constants")), np.uint8)
     text[-1] = ord(",")
     width = samples.shape[1]
@@ -579,29 +575,27 @@ def _printed(samples: NDArray[np.float64]) -> bytes:
     return text[1:].tobytes().replace(b"NaN", b"")
 
 
-def _metadata_lines(metadata: Mapping[str, Any]) -> list[str]:
-    return [line for line in yamlio.dumps_flat(metadata).splitlines() if line.strip()]
-
-
 # ---------------------------------------------------------------- values that are unusual in the stated unit
 
-# The unit is believed all the same: magnitudes check what is stated, and infer nothing.
+# A warning does not change the unit: the stated one is used.
 
-#: The fastest swimming: cavitation and muscle power end it at 10 to 15 m/s. Iosilevskii, G., Weihs, D.
-#: (2008). Speed limits on swimming of fishes and cetaceans. J. R. Soc. Interface 5, 329-338.
-FASTEST_M_S = 15.0
-#: Turn rate, rad/s: ten turns a second, more than the fastest escape of a fish or a fin that beats
-#: through ±50 degrees at 10 Hz.
-FASTEST_RAD_S = 60.0
-#: Extent of a track that a tank, a pool and a field of view do not have, m.
-WIDEST_M = 100.0
-#: Share of the record below which they may lie above the limit: jumps of a tracker.
+#: Maximum speed of a swimmer, m/s: cavitation and muscle power limit it to 10 to 15 m/s. Iosilevskii, G.,
+#: Weihs, D. (2008). Speed limits on swimming of fishes and cetaceans. J. R. Soc. Interface 5, 329-338.
+MAX_SPEED_M_S = 15.0
+#: Maximum usual turn rate, rad/s: ten turns a second, more than the fastest escape of a fish or a fin that
+#: beats through ±50 degrees at 10 Hz.
+MAX_RATE_RAD_S = 60.0
+#: Maximum usual extent of a track, m: larger than a tank, a pool or a field of view.
+MAX_EXTENT_M = 100.0
+#: Minimum usual step, s, and minimum duration, s, of a record whose time may be in milliseconds.
+MS_STEP_S, MS_DURATION_S = 5.0, 2000.0
+#: Share of a record that may lie above a limit: outliers of a tracker.
 OUTLIER_SHARE = 0.05
 
 
 @dataclass(frozen=True)
 class Doubt:
-    """A column with unusual values, and the unit that would explain them."""
+    """Column with unusual values, and the unit that would explain them."""
 
     column: str
     text: str
@@ -614,18 +608,21 @@ def doubts(time_s: Array, columns: Mapping[str, Array]) -> list[Doubt]:
     ----------
     time_s : ndarray, shape (n,)
     columns : mapping of str to ndarray, each shape (n,)
-        With or without ``t_s``; NaN where missing.
+        Columns with or without ``t_s``; NaN where missing.
     """
-    texts: dict[str, str | None] = {}
-    if len(time_s) > 2 and np.nanmedian(np.diff(time_s)) >= 5 and np.ptp(time_s) >= 2000:
-        texts["t_s"] = (
-            "a step of 5 s or more is unusual: state the unit if it is milliseconds (a factor of 1000)"
-        )
-    texts |= {name: _doubt(name, time_s, values) for name, values in columns.items() if name != "t_s"}
-    return [Doubt(name, text) for name, text in texts.items() if text is not None]
+    found = []
+    if len(time_s) > 2 and np.nanmedian(np.diff(time_s)) >= MS_STEP_S and np.ptp(time_s) >= MS_DURATION_S:
+        text = "a step of 5 s or more is unusual: state the unit if it is milliseconds (a factor of 1000)"
+        found.append(Doubt(TIME, text))
+    for name, values in columns.items():
+        doubt = None if name == TIME else _doubt(name, time_s, values)
+        if doubt is not None:
+            found.append(Doubt(name, doubt))
+    return found
 
 
 def _doubt(name: str, time_s: Array, values: Array) -> str | None:
+    """Return in words what is unusual about a column; None if nothing is."""
     low, high = _ends(values)
     largest = max(-low, high)
     if name.endswith("_rad"):
@@ -635,23 +632,23 @@ def _doubt(name: str, time_s: Array, values: Array) -> str | None:
         if tilted or wrapped or bent:
             return "unusual for radians: state the unit if it is degrees (a factor of 57.3)"
         rate = _usual_rate(time_s, values)
-        if rate > FASTEST_RAD_S:
+        if rate > MAX_RATE_RAD_S:
             return f"turns at {rate:.3g} rad/s: state the unit if it is degrees (a factor of 57.3)"
-    elif name.endswith("_rad_s") and largest > FASTEST_RAD_S:
+    elif name.endswith("_rad_s") and largest > MAX_RATE_RAD_S:
         return "unusual for rad/s: state the unit if it is degrees per second (a factor of 57.3)"
     elif name in ("x_m", "y_m", "z_m"):
         speed = _usual_rate(time_s, values)
-        if speed > FASTEST_M_S:
+        if speed > MAX_SPEED_M_S:
             return f"moves at {speed:.3g} m/s: state the unit if it is millimetres (a factor of 1000)"
-        if high - low > WIDEST_M:
+        if high - low > MAX_EXTENT_M:
             return f"extends over {high - low:.3g} m: state the unit if it is millimetres (a factor of 1000)"
-    elif name.endswith("_m_s") and largest > FASTEST_M_S:
+    elif name.endswith("_m_s") and largest > MAX_SPEED_M_S:
         return "unusual for m/s: state the unit if it is millimetres per second (a factor of 1000)"
     return None
 
 
 def _usual_rate(time_s: Array, values: Array) -> float:
-    """Rate of change that all but :data:`OUTLIER_SHARE` of a record stays below; 0 of too short a one."""
+    """Return the rate that all but :data:`OUTLIER_SHARE` of a record stays below; 0 if it is short."""
     known = np.isfinite(values) & np.isfinite(time_s)
     t, x = time_s[known], values[known]
     if len(t) < 3 or not np.median(np.diff(t)) > 0:
@@ -667,8 +664,8 @@ def _usual_rate(time_s: Array, values: Array) -> float:
 
 
 def _ends(values: Array) -> tuple[float, float]:
-    """Smallest and largest value, zeros where there is none."""
+    """Return the minimum and the maximum; zeros without a value."""
     if len(values) == 0:
         return 0.0, 0.0
-    low, high = float(np.fmin.reduce(values)), float(np.fmax.reduce(values))
-    return (0.0, 0.0) if np.isnan(low) else (low, high)
+    low, high = np.nan_to_num([np.fmin.reduce(values), np.fmax.reduce(values)])
+    return float(low), float(high)

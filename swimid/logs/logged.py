@@ -1,4 +1,4 @@
-"""The result of what makes a log (tracking, import, simulation), and the figures of logs."""
+"""Result of commands that make a log (tracking, import), and the figures of logs."""
 
 from __future__ import annotations
 
@@ -40,16 +40,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Logged(Result):
-    """A log and how it was made, as ``track_video``, ``track_imu`` and ``import_log`` give it.
+    """Result of ``track_video``, ``track_imu`` and ``import_log``: a log and its evidence.
 
     Attributes
     ----------
     table : dict of str to array_like, each shape (n,)
-        The columns as they are written, words and whole numbers as such; empty where they are the log's.
+        Columns as they are written, with text and whole numbers; empty if they are those of the log.
     log : Log
-        The log; hand it to whatever reads logs.
+        The log, an argument of any function that reads logs.
     frame : DataFrame
-        Its columns, one row a sample; SI units and radians, named in the columns.
+        Columns of the log, one row per sample, in SI units and radians.
 
     Examples
     --------
@@ -66,16 +66,16 @@ class Logged(Result):
 
     @property
     def log(self) -> Log:
-        """The log; hand it to whatever reads logs."""
+        """The log, an argument of any function that reads logs."""
         assert isinstance(self.document, Log)
         return self.document
 
     @property
     def frame(self) -> pd.DataFrame:
-        """Its columns, one row a sample; SI units, named in the columns."""
+        """Columns of the log, one row per sample, in SI units."""
         import pandas as pd
 
-        return pd.DataFrame(dict(self.table)) if self.table else self.log.frame()
+        return pd.DataFrame(dict(self.table or self.log.columns))
 
     def _write(self, path: Path) -> list[Path]:
         log.write(path, self.table or self.log.columns, self.log.metadata)
@@ -102,7 +102,9 @@ class Logged(Result):
                 continue
             known = values[np.isfinite(values)]
             gaps = _missing(self.log.time_s, values, after)
-            ends = (float(known.min()), float(known.max())) if len(known) else (None, None)
+            ends: list[float | None] = [None, None]
+            if len(known):
+                ends = [float(known.min()), float(known.max())]
             lost = numbers.percent(1 - len(known) / len(values))
             longest = max((end - start for start, end in gaps), default=0.0)
             rows.append([name, *ends, lost, numbers.number(longest, 3, "s")])
@@ -111,7 +113,7 @@ class Logged(Result):
         return [Table(id="channels", title="Channels", columns=columns, rows=rows, folded=folded)]
 
     def bare(self) -> Evidence:
-        """Return what a report shows of a log whose evidence is missing."""
+        """Return the evidence of a log whose evidence file is missing."""
         verdict = Verdict(level="caution", text="A log without evidence of how it was made.")
         if self.log.metadata.get("made_by") == "swimid simulate":
             verdict = Verdict(level="good", text="A simulated run.")
@@ -126,21 +128,23 @@ class Logged(Result):
 
 # ---------------------------------------------------------------- figures
 
-#: More channels than this are listed in the table and not drawn.
+#: Maximum number of channels in the figure; more are only listed in the table.
 MAX_PANELS = 12
-#: Columns two sensors have different names for.
-SAME = {"wz_rad_s": "yaw_rate_rad_s"}
+#: Maximum numbers of shaded gaps in a panel, of spectra in a figure, and of arrows along a path.
+MAX_GAPS, MAX_SPECTRA, MAX_ARROWS = 60, 6, 24
+#: Columns with another name for the same channel.
+SAME_CHANNEL = {"wz_rad_s": "yaw_rate_rad_s"}
 
 
 def figures_of(logs: Sequence[Log], *, found: Rhythm | None = None) -> list[Figure]:
-    """Every figure the columns of one or several logs allow.
+    """Return the figures of one or several logs: channels, path and spectra.
 
     Parameters
     ----------
     logs : sequence of Log
-        Several are drawn over each other, each on its own clock.
+        Several logs are drawn over each other, each on its own clock.
     found : Rhythm, optional
-        The stroke of a single log, where the caller knows it already.
+        Stroke of a single log, if it is known already.
     """
     drawn = [channels(logs), track(logs)]
     for record in logs:
@@ -149,11 +153,12 @@ def figures_of(logs: Sequence[Log], *, found: Rhythm | None = None) -> list[Figu
 
 
 def _signals(record: Log) -> dict[str, Array]:
+    """Return the columns without the time."""
     return {name: values for name, values in record.columns.items() if name != TIME}
 
 
 def _missing(time: Array, values: Array, after: NDArray[np.intp]) -> list[tuple[float, float]]:
-    """Stretches between two samples that lack what lies between them, s; pauses are ``after`` samples."""
+    """Return the ends of stretches without samples, s; pauses follow the samples ``after``."""
     empty = np.isnan(values)
     blank = np.add(runs(empty if empty.any() else empty[:0]), [-1, 0])
     ends = np.vstack([blank, np.add.outer(after, [0, 1])]).clip(0, len(time) - 1)
@@ -161,7 +166,7 @@ def _missing(time: Array, values: Array, after: NDArray[np.intp]) -> list[tuple[
 
 
 def _broken(time: Array, values: Array, after: NDArray[np.intp]) -> tuple[Array, Array]:
-    """The samples with an empty one in every pause, so that no line is drawn across it."""
+    """Return the samples with an empty one in every pause, so that no line is drawn across it."""
     if not len(after):
         return time, values
     middle = 0.5 * (time[after] + time[after + 1])
@@ -169,15 +174,17 @@ def _broken(time: Array, values: Array, after: NDArray[np.intp]) -> tuple[Array,
 
 
 def channels(logs: Sequence[Log]) -> Figure:
-    """The channels over time, those of several logs over each other, gaps shaded."""
+    """Return the figure of the channels over time, those of several logs over each other, gaps shaded."""
     names, several = _names(logs), len(logs) > 1
     after = [pauses(record.time_s) for record in logs]
     by_channel: dict[str, list[tuple[int, Log, Array]]] = {}
     for number, record in enumerate(logs):
         for column, values in _signals(record).items():
-            channel = SAME.get(column, column) if several else column
+            channel = column
+            if several:
+                channel = SAME_CHANNEL.get(column, column)
             by_channel.setdefault(channel, []).append((number, record, values))
-    # those that several have first
+    # channels of several logs come first
     order = sorted(by_channel, key=lambda channel: -len(by_channel[channel]))
     panels = []
     for channel in order[:MAX_PANELS]:
@@ -190,7 +197,7 @@ def channels(logs: Sequence[Log]) -> Figure:
             traces.append(Trace(x=x, y=y, label=label, group=group))
             ends = _missing(record.time_s, values, after[number])
             gaps += [Span(start=start, end=end, label=lacking) for start, end in ends]
-        longest = sorted(gaps, key=lambda gap: gap.start - gap.end)[:60]
+        longest = sorted(gaps, key=lambda gap: gap.start - gap.end)[:MAX_GAPS]
         title, spans = numbers.column_title(channel), sorted(longest, key=lambda gap: gap.start)
         panels.append(Panel(x_label="time (s)", y_label=title, traces=traces, spans=spans))
     title, caption = "Channels over time", "Samples are missing where it is shaded."
@@ -210,42 +217,44 @@ def channels(logs: Sequence[Log]) -> Figure:
 
 
 def _names(logs: Sequence[Log]) -> list[str]:
-    """A short name for every log, its folder put before it where two are called the same."""
+    """Return a short name for each log; logs of the same name have their folder before it."""
     names = [record.path.name for record in logs]
     folders = [record.path.parent.name for record in logs]
     return [n if names.count(n) == 1 else f"{f}/{n}" for n, f in zip(names, folders, strict=True)]
 
 
 def track(logs: Sequence[Log]) -> Figure | None:
-    """The path from above (or from the side), to scale, with arrows along the heading."""
+    """Return the figure of the path from above or from the side, to scale, with arrows along the heading."""
     traces: list[Trace] = []
     across, several = "", len(logs) > 1
     for name, record in zip(_names(logs), logs, strict=True):
         up = next((column for column in ("y_m", "z_m") if column in record and "x_m" in record), None)
         if up is None or (across and up != across):
             continue
-        across = up
+        across, path, arrows = up, "path", "heading"
+        if several:
+            path, arrows = name, f"heading, {name}"
         x, y = record["x_m"], record[up]
         step, after = len(x) // MAX_POINTS + 1, pauses(record.time_s)
         line = (_broken(record.time_s, values, after)[1][::step] for values in (x, y))
-        traces.append(Trace(**dict(zip("xy", line, strict=True)), label=name if several else "path"))
+        traces.append(Trace(**dict(zip("xy", line, strict=True)), label=path))
         there = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
         if len(there) and not several:
             traces.append(Trace(x=x[there[:1]], y=y[there[:1]], label="start", style="points"))
         heading = {"y_m": "yaw_rad", "z_m": "pitch_rad"}[up]
         if heading in record and len(there) > 1:
-            traces.append(_arrows(x, y, record[heading], f"heading, {name}" if several else "heading"))
+            traces.append(_arrows(x, y, record[heading], arrows))
     if not traces:
         return None
-    title = "Path from above" if across == "y_m" else "Path from the side"
+    title = {"y_m": "Path from above", "z_m": "Path from the side"}[across]
     caption, y_label = "The path to scale, with arrows along the heading.", numbers.column_title(across)
     return blocks.figure("path", title, caption, "x (m)", y_label, traces, equal_aspect=True)
 
 
 def _arrows(x: Array, y: Array, angle: Array, label: str) -> Trace:
-    """Arrows as one broken line: shaft and two barbs each."""
+    """Return arrows along the heading as one broken line."""
     good = np.flatnonzero(np.isfinite(x) & np.isfinite(y) & np.isfinite(angle))
-    rows = good[np.linspace(0, len(good) - 1, min(24, len(good))).astype(int)]
+    rows = good[np.linspace(0, len(good) - 1, min(MAX_ARROWS, len(good))).astype(int)]
     size = 0.06 * max(float(np.ptp(x[good])), float(np.ptp(y[good])), 1e-9) if len(good) else 0.0
     sides = []
     for values, way in ((x, np.cos), (y, np.sin)):
@@ -257,7 +266,7 @@ def _arrows(x: Array, y: Array, angle: Array, label: str) -> Trace:
 
 
 def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
-    """Return amplitude spectra of the channels that tell of the stroke, with marks at its harmonics."""
+    """Return the amplitude spectra of the channels that move with the stroke, with marks at its harmonics."""
     told = (rhythm.SIDEWAYS, rhythm.PUSHED)
     signals = {n: v for n, v in _signals(record).items() if any(names.fullmatch(n) for names in told)}
     caption = "No stroke was found."
@@ -272,7 +281,7 @@ def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
         labels = ("stroke", "2 ×, 3 ×", "2 ×, 3 ×")
         beats = [(label, k * stroke.beat.frequency_hz) for k, label in enumerate(labels, start=1)]
     panels = []
-    for name in list(signals)[:6]:
+    for name in list(signals)[:MAX_SPECTRA]:
         drawn = _spectrum(record.time_s, signals[name], stroke)
         if drawn is None:
             continue
@@ -289,12 +298,13 @@ def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
         title=f"Spectra of {record.path.name}",
         caption=f"{caption} Amplitudes (Hann window) of the longest stretch without a gap.",
         panels=panels,
-        columns=2 if len(panels) > 1 else 1,
+        columns=min(max(len(panels), 1), 2),
     )
 
 
 def _spectrum(time: Array, values: Array, stroke: Rhythm | None) -> tuple[Array, Array] | None:
-    even_s, even = longest_even(time, values, rhythm.FASTEST_HZ)
+    """Return frequencies, Hz, and amplitudes of the longest stretch of a channel; None if it is too short."""
+    even_s, even = longest_even(time, values, rhythm.MAX_RATE_HZ)
     if len(even) < 32 or np.ptp(even) == 0:
         return None
     rate = (len(even_s) - 1) / (even_s[-1] - even_s[0])
@@ -304,7 +314,9 @@ def _spectrum(time: Array, values: Array, stroke: Rhythm | None) -> tuple[Array,
     window = 0.5 - 0.5 * np.cos(2 * np.pi * sample / len(even))
     frequency = np.fft.rfftfreq(length, 1 / rate)
     amplitude = 2 * np.abs(np.fft.rfft(window * level, length)) / window.sum()
-    highest = frequency[-1] if stroke is None else min(6.5 * stroke.beat.frequency_hz, frequency[-1])
+    highest = frequency[-1]
+    if stroke is not None:
+        highest = min(6.5 * stroke.beat.frequency_hz, highest)
     shown = (frequency > 0) & (frequency <= highest)
     if not np.any(amplitude[shown] > 0):
         return None

@@ -1,4 +1,4 @@
-"""The stroke of a swimmer from all channels of a log: its frequency and its harmonics."""
+"""Stroke of a swimmer from all channels of a log: its frequency and its harmonics."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.logs.beat import (
-    FEWEST_CYCLES,
-    HARMONICS,
+    MAX_HARMONIC,
+    MIN_CYCLES,
     MIN_SHARE,
     Beat,
     demodulate,
@@ -24,20 +24,20 @@ from swimid.logs.log import FREQUENCY_RTOL
 from swimid.logs.sampling import longest_even, quantum
 
 Array = NDArray[np.float64]
-#: Channels that swing once a stroke, to one side and to the other.
+#: Channels that swing once per stroke, to one side and to the other.
 SIDEWAYS = re.compile(
     r"(joint|cmd|fin|tail)\w*(?<!_likelihood)(?<!_area_px)|yaw_rad|yaw_rate_rad_s|roll_rad|pitch_rad|"
     r"pitch_rate_rad_s|v_m_s|w_m_s|w[xyz]_rad_s|ay_m_s2|sway"
 )
-#: Channels that may swing twice a stroke: both half strokes push.
+#: Channels that may swing twice per stroke: both half strokes push.
 PUSHED = re.compile(r"u_m_s|a[xz]_m_s2|force_N")
-#: What beats by itself: where it is logged, its frequency is the stroke's.
+#: Channels of the drive. If one is logged, its frequency is that of the stroke.
 DRIVEN = re.compile(r"cmd\w*|(joint|fin|tail)\w*_rad(_s)?")
-#: Channels of :func:`swing` that may swing twice a stroke.
+#: Channels of :func:`swing` that may swing twice per stroke.
 ALONG = ("surge", "long_axis", "short_axis")
-#: What moves the place of the swimmer to a side.
+#: Channels of the motion to the side.
 MOVED = re.compile(r"sway|v_m_s|w_m_s|ay_m_s2|(joint|fin|tail)\w*_(m|px)")
-#: One motion is one witness, in however many channels it is seen.
+#: Channels of each motion. Several channels of one motion count once.
 MOTIONS = tuple(
     re.compile(part)
     for part in (
@@ -49,38 +49,39 @@ MOTIONS = tuple(
         rf"{PUSHED.pattern}|surge|\w+_axis",
     )
 )
-#: Columns that hold no motion: positions (their motion is :func:`swing`'s), deviations, qualities and states.
+#: Columns without a motion: positions (see :func:`swing`), standard deviations, qualities and states.
 NO_MOTION = re.compile(
     r"[xyz](_raw)?_(m|px)|sd_.*|.*_sd(_.*)?|.*likelihood|.*confidence|.*area_px|interpolated|status|frame"
 )
-#: A closed path is a lap where it turns one way round: the circle in its ellipse has more power than the
-#: rest, which is a line. The ratio of the two rotations is (a - b) / (a + b) with the half axes a and b.
-LAP = np.sqrt(2.0) - 1.0
-#: Highest harmonic of a lap: a rectangular pool has four corners. Highest harmonic of a turning compass: its
-#: deviation has one or two periods a turn (semicircular and quadrantal deviation).
-CORNERS, DEVIATION = 4, 2
-#: The fastest stroke of robots, and of fish longer than some centimetres (Bainbridge, J. Exp. Biol. 35, 1958:
-#: up to 25 Hz of dace of 5 cm; 20 Hz of those of 8 cm); what is faster shakes.
-FASTEST_STROKE_HZ = 20.0
-#: Rate above which a channel is averaged before its beat is sought, Hz.
-FASTEST_HZ = 60.0
-#: A stretch of less than this share of the samples is not taken for all of them, unless there are more.
-WHOLE, MAX_SAMPLES = 0.8, 20_000
+#: Maximum ratio of the two rotations of a lap, which goes round one way: (a - b) / (a + b) with the half axes
+#: a and b. Below it the circle in the ellipse has more power than the line.
+MAX_LAP_RATIO = np.sqrt(2.0) - 1.0
+#: Maximum harmonic of a lap: a rectangular pool has four corners. Maximum harmonic of a turning compass: its
+#: deviation has one or two periods per turn (semicircular and quadrantal deviation).
+MAX_LAP_HARMONIC, MAX_COMPASS_HARMONIC = 4, 2
+#: Maximum frequency of a stroke, Hz: faster motion is vibration. Bainbridge (J. Exp. Biol. 35, 1958) found 25
+#: Hz for dace of 5 cm and 20 Hz for dace of 8 cm.
+MAX_STROKE_HZ = 20.0
+#: Sample rate above which a channel is averaged before the search for its beat, Hz.
+MAX_RATE_HZ = 60.0
+#: Minimum share of the samples in a stretch without gaps that represents the record, and maximum number of
+#: samples that are used with their gaps instead.
+MIN_STRETCH_SHARE, MAX_SAMPLES = 0.8, 20_000
 #: Number of standard errors that the amplitude of a harmonic must exceed: noise, whose amplitude is
 #: Rayleigh's, does so in one of a hundred records.
-HARMONIC_Z = float(np.sqrt(2.0 * np.log((HARMONICS - 1) / 0.01)))
+HARMONIC_Z = float(np.sqrt(2.0 * np.log((MAX_HARMONIC - 1) / 0.01)))
 
 
 @dataclass(frozen=True)
 class Harmonic:
-    """One harmonic of the stroke in the channel it was found in.
+    """Harmonic of the stroke in one channel.
 
     Attributes
     ----------
     order : int
-        1 is the stroke itself.
+        1 for the stroke itself.
     amplitude, stderr : float
-        In the channel's unit.
+        Amplitude and its standard error, in the unit of the channel.
     """
 
     order: int
@@ -90,21 +91,22 @@ class Harmonic:
 
 @dataclass(frozen=True)
 class Rhythm:
-    """The stroke of one log.
+    """Stroke of one log.
 
     Attributes
     ----------
     beat : Beat
-        The stroke in the channel that tells it best.
+        The stroke in the channel with the smallest standard error.
     channel : str
+        Name of that channel.
     harmonics : list of Harmonic
-        Of that channel, those that stand clear of the noise.
+        Significant harmonics of that channel.
     channels : dict of str to Beat
-        What each channel that beats at all beats at.
+        First beat of each channel with a beat.
     maybe_double : bool
-        Only channels that may swing twice a stroke were there.
+        Whether only channels that may swing twice per stroke are logged.
     rivals : dict of str to Beat
-        By channel, the largest beat that is no multiple of the stroke: the one or the other is no stroke.
+        Largest beat of each channel that is no multiple of the stroke. It contradicts the stroke.
     """
 
     beat: Beat
@@ -116,16 +118,18 @@ class Rhythm:
 
     @property
     def doubt(self) -> str:
-        """In words, what speaks against this stroke; empty where nothing does."""
+        """Reason to doubt this stroke, in words; empty if there is none."""
         said = []
         if self.rivals:
             others = " and ".join(f"{n} at {b.frequency_hz:.4g} Hz" for n, b in self.rivals.items())
             said.append(
                 f"{self.channel} beats at {self.beat.frequency_hz:.4g} Hz, {others}, which is no multiple of "
-                "it: one of them is no stroke but a hum or a sway of its own"
+                "it: one of them is not the stroke but another vibration or sway"
             )
-        if self.beat.frequency_hz > FASTEST_STROKE_HZ:
-            said.append(f"{self.beat.frequency_hz:.4g} Hz is faster than robots and all but tiny fish beat")
+        if self.beat.frequency_hz > MAX_STROKE_HZ:
+            said.append(
+                f"{self.beat.frequency_hz:.4g} Hz is faster than robots and all but very small fish beat"
+            )
         return "; ".join(said)
 
     @property
@@ -135,22 +139,22 @@ class Rhythm:
         return period, period**2 * self.beat.stderr_hz
 
 
-def swing(columns: Mapping[str, Array], share: float = 1.0 / FEWEST_CYCLES) -> dict[str, Array]:
-    """How a track swings about the path it keeps to, in the track's unit.
+def swing(columns: Mapping[str, Array], share: float = 1.0 / MIN_CYCLES) -> dict[str, Array]:
+    """Return how a track swings about its averaged path, in the unit of the track.
 
     Parameters
     ----------
     columns : mapping of str to ndarray, each shape (n,)
-        Two of ``x_m``, ``y_m``, ``z_m`` (or in ``_px``); a lone one swings along itself.
+        Two of ``x_m``, ``y_m``, ``z_m`` (or in ``_px``). A single one swings along itself.
     share : float
-        Share of the record over which the path is averaged. By default it is one cycle of the slowest stroke
-        that is found.
+        Share of the record over which the path is averaged; by default one cycle of the slowest stroke that
+        is searched for.
 
     Returns
     -------
     dict of str to ndarray
-        ``sway`` across the path and ``surge`` along it, both about the averaged path. Of a body that stays in
-        its place, which has no path, ``long_axis`` and ``short_axis``. Empty without a track.
+        ``sway`` across the averaged path and ``surge`` along it. For a body that stays in place,
+        ``long_axis`` and ``short_axis``. Empty without a track.
     """
     place = _place(columns)
     if place is None:
@@ -176,7 +180,7 @@ def swing(columns: Mapping[str, Array], share: float = 1.0 / FEWEST_CYCLES) -> d
 
 
 def _averaged_path(place: Array, width: int) -> tuple[Array, Array]:
-    """Return the places and the steps per sample of lines fitted to ``width`` samples about each one.
+    """Return the places and the steps per sample of lines fitted to ``width`` samples around each sample.
 
     The first and the last samples lie on the first and the last of these lines.
     """
@@ -194,7 +198,9 @@ def _place(columns: Mapping[str, Array]) -> Array | None:
     """Return the first two coordinates of a track, shape (n, 2), or the lone one, shape (n, 1)."""
     units = [[n for n in (f"x_{u}", f"y_{u}", f"z_{u}") if n in columns] for u in ("m", "px")]
     names = next((found for found in units if found), [])[:2]
-    return np.column_stack([columns[name] for name in names]) if names else None
+    if not names:
+        return None
+    return np.column_stack([columns[name] for name in names])
 
 
 def find(
@@ -204,27 +210,30 @@ def find(
     range_hz: tuple[float, float] | None = None,
     stated_hz: float | None = None,
 ) -> Rhythm | None:
-    """The stroke a log shows, or None where it shows none.
+    """Find the stroke in the channels of a log; None if there is none.
 
     Parameters
     ----------
     time_s : ndarray, shape (n,)
     columns : mapping of str to ndarray, each shape (n,)
-        NaN where missing. Names of the log format tell which swing once a stroke.
+        Channels with names of the log format; NaN where missing.
     range_hz : (float, float), optional
-        Where the stroke is known to lie.
+        Range of the search.
     stated_hz : float, optional
-        What the robot was driven at. Where nothing is found freely, it is looked for there alone, which
-        takes less evidence.
+        Stated frequency of the drive. If the free search finds nothing, a search near this frequency follows,
+        which needs less evidence.
 
     Notes
     -----
-    The frequency is that which the drive beats at, where it is logged; else that which is seen in most
-    motions (a heading, a sway), those at twice of it counted in: surge and drag follow both half strokes. As
-    many motions told by each of two, it is the one that moves the place: a heading that swings takes with
-    it whatever is not its pivot, and what shakes one sensor only moves nothing. Of the channels at
-    it the one with the smallest standard error gives the value; they are not independent, so nothing is
-    averaged. What contradicts it is kept as :attr:`Rhythm.rivals`, but where the frequency is stated.
+    If the drive is logged, its frequency is that of the stroke. Otherwise it is the frequency seen in most
+    motions (heading, sway, ...), where motions at twice the frequency count too: surge and drag follow both
+    half strokes. If two frequencies are seen in equally many motions, it is the one that moves the body to
+    the side: a heading that swings moves every point but its pivot, and a vibration of one sensor moves
+    nothing.
+
+    The value is that of the channel with the smallest standard error. Channels are not independent, so they
+    are not averaged. Contradicting beats are kept as :attr:`Rhythm.rivals`, unless the frequency is the
+    stated one.
     """
     ranges = [range_hz]
     if stated_hz is not None and range_hz is None:
@@ -236,21 +245,27 @@ def find(
         if not beats:
             continue
         chosen = _chosen(beats, beats | pushed)
-        slow = None if within else slowest(time_s, columns)
-        if slow is not None and slow[1].may_cause(chosen.frequency_hz):
-            return None
-        told = stated_hz is not None and abs(chosen.frequency_hz - stated_hz) <= FREQUENCY_RTOL * stated_hz
-        # the channel at the stroke that tells it best
+        if not within:
+            slow = find_slowest(time_s, columns)
+            if slow is not None and slow[1].may_cause(chosen.frequency_hz):
+                return None
+        is_stated = (
+            stated_hz is not None and abs(chosen.frequency_hz - stated_hz) <= FREQUENCY_RTOL * stated_hz
+        )
+        # of the channels that beat with the stroke, the one with the smallest standard error
         at_it = {name: [b for b in found if multiple(b, chosen) == 1] for name, found in beats.items()}
         best = {name: min(found, key=lambda b: b.stderr_hz) for name, found in at_it.items() if found}
         channel = min(best, key=lambda name: best[name].stderr_hz)
+        rivals = {}
+        if not is_stated:
+            rivals = _rivals(chosen, beats | pushed)
         return Rhythm(
             best[channel],
             channel,
             _harmonics(*_as_logged(time_s, channels[channel]), best[channel].frequency_hz),
             {name: found[0] for name, found in beats.items()},
             maybe_double=channel in pushed,
-            rivals={} if told else _rivals(chosen, beats | pushed),
+            rivals=rivals,
         )
     return None
 
@@ -258,9 +273,9 @@ def find(
 def _motions(
     time_s: Array, columns: Mapping[str, Array], within: tuple[float, float] | None
 ) -> tuple[dict[str, Array], dict[str, list[Beat]]]:
-    """Return the channels of a log that may move with the stroke, and the beats of those that beat.
+    """Return the channels of a log that may move with the stroke, and the beats of those that have any.
 
-    Beats that follow from laps of the path, or from the turns of a heading, are no strokes and left out.
+    Beats of laps of the path and of turns of the heading are left out.
     """
     channels = {n: _unwrap(n, v) for n, v in columns.items() if not NO_MOTION.fullmatch(n)}
     channels |= swing(columns)
@@ -272,36 +287,44 @@ def _motions(
         rest = {n: b for n, b in seen.items() if n not in (*ALONG, "sway")}
         channels = {n: v for n, v in channels.items() if n not in (*ALONG, "sway")} | track
         seen = _beats(time_s, track, within) | rest
-        seen = {n: [b for b in beats if not 1 <= multiple(b, lap) <= CORNERS] for n, beats in seen.items()}
+        seen = {
+            n: [b for b in beats if not 1 <= multiple(b, lap) <= MAX_LAP_HARMONIC]
+            for n, beats in seen.items()
+        }
     for name in seen:
         turns = _turns(channels[name]) if name.endswith("_rad") else 0.0
         if turns >= 1.0:
             turning = Beat(turns / float(np.ptp(time_s)), 0.0, 0.0, 0.0, turns)
             resolution = 1.0 / float(np.ptp(time_s))
-            seen[name] = [b for b in seen[name] if not 1 <= multiple(b, turning, resolution) <= DEVIATION]
+            seen[name] = [
+                b for b in seen[name] if not 1 <= multiple(b, turning, resolution) <= MAX_COMPASS_HARMONIC
+            ]
         last_place = _last_place(columns, name)
         seen[name] = [beat for beat in seen[name] if not _is_rounding(beat, last_place)]
     return channels, {name: beats for name, beats in seen.items() if beats}
 
 
 def _last_place(columns: Mapping[str, Array], name: str) -> float:
-    """Return the step of the last decimal of a channel, or of the positions that it is made of."""
+    """Return the step of the last decimal of a channel, or of the positions that it follows from."""
+    if name in columns:
+        return quantum(columns[name])
     place = _place(columns)
-    made_of = [columns[name]] if name in columns else [] if place is None else list(place.T)
-    return sum(quantum(values) for values in made_of)
+    if place is None:
+        return 0.0
+    return sum(quantum(values) for values in place.T)
 
 
 def _is_rounding(beat: Beat, last_place: float) -> bool:
     """Return whether rounding to the last decimal may cause a beat.
 
-    A rounding error is at most half of the last place. A steady motion makes it periodic. Where the whole
-    motion about its drift is no larger, nothing tells the beat from it.
+    A rounding error is at most half of the last decimal. Under a steady motion it is periodic. A motion about
+    the drift that is no larger cannot be distinguished from it.
     """
     return beat.amplitude <= last_place / 2 * np.sqrt(2.0 * beat.share)
 
 
 def _is_lap(time_s: Array, columns: Mapping[str, Array], frequency_hz: float) -> bool:
-    """Return whether the path goes round once in each period of a frequency."""
+    """Return whether the path goes round once per period of a frequency."""
     place = _place(columns)
     if place is None or place.shape[1] < 2:
         return False
@@ -310,11 +333,11 @@ def _is_lap(time_s: Array, columns: Mapping[str, Array], frequency_hz: float) ->
     if len(x) != len(y):
         return False
     less, more = sorted(float(np.mean(np.abs(x + turn * y) ** 2)) for turn in (1j, -1j))
-    return less < LAP**2 * more
+    return less < MAX_LAP_RATIO**2 * more
 
 
 def _phasors(t: Array, x: Array, frequency_hz: float) -> NDArray[np.complex128]:
-    """Return the complex amplitude of a frequency in each window, or that of the whole of a short record."""
+    """Return the complex amplitude of a frequency in each window, or in the whole of a short record."""
     windows = demodulate(t, x, frequency_hz)
     if windows is not None:
         return windows[1]
@@ -329,10 +352,10 @@ def _turns(angle: Array) -> float:
     return abs(float(known[-1] - known[0])) / (2 * np.pi) if len(known) else 0.0
 
 
-def slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat] | None:
+def find_slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat] | None:
     """Return the channel whose strongest motion has too few cycles for a stroke, and that motion.
 
-    The drive decides where it is logged. Otherwise any channel that swings sideways does.
+    If the drive is logged, only its channels are used; otherwise all that swing to the side.
     """
     driven = [n for n in columns if DRIVEN.fullmatch(n)]
     names = driven or [n for n in columns if SIDEWAYS.fullmatch(n)]
@@ -351,7 +374,7 @@ def slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat] | N
 
 
 def _chosen(candidates: Mapping[str, list[Beat]], seen: Mapping[str, list[Beat]]) -> Beat:
-    """Of the beats of some channels the stroke, by what all channels show."""
+    """Return the candidate that is the stroke: the one seen in most motions (see :func:`find`)."""
 
     def worth(beat: Beat) -> tuple[bool, bool, int, bool, float, float]:
         at_it = {
@@ -361,7 +384,7 @@ def _chosen(candidates: Mapping[str, list[Beat]], seen: Mapping[str, list[Beat]]
         names = [name for name, share in at_it.items() if share > 0]
         motions = sum(any(motion.fullmatch(name) for name in names) for motion in MOTIONS)
         return (
-            beat.frequency_hz <= FASTEST_STROKE_HZ,
+            beat.frequency_hz <= MAX_STROKE_HZ,
             any(DRIVEN.fullmatch(name) for name in names),
             motions,
             any(MOVED.fullmatch(name) for name in names),
@@ -373,12 +396,12 @@ def _chosen(candidates: Mapping[str, list[Beat]], seen: Mapping[str, list[Beat]]
 
 
 def _part(beat: Beat, beats: list[Beat]) -> float:
-    """Share of a channel's variance that one of its beats explains, beats of other frequencies counted in."""
+    """Return the share of one beat in the variance of a channel, from the amplitudes of all its beats."""
     return beats[0].share * beat.amplitude**2 / sum(b.amplitude**2 for b in beats)
 
 
 def _rivals(chosen: Beat, seen: Mapping[str, list[Beat]]) -> dict[str, Beat]:
-    """The largest beat of each channel that is no multiple of the stroke, where it is no ripple upon it."""
+    """Return the largest beat of each channel that is no multiple of the stroke, and no ripple upon it."""
     found = {}
     for name, beats in seen.items():
         stroke = max((b.amplitude for b in beats if multiple(b, chosen)), default=0.0)
@@ -390,21 +413,22 @@ def _rivals(chosen: Beat, seen: Mapping[str, list[Beat]]) -> dict[str, Beat]:
     return found
 
 
-def with_lateness(stroke: Rhythm, time_sd_s: float, time_s: Array) -> Rhythm:
-    """Return a stroke with the independent errors of the first and the last time in its frequency."""
+def add_time_error(stroke: Rhythm, time_sd_s: float, time_s: Array) -> Rhythm:
+    """Return a stroke whose standard error includes independent errors of the first and the last time."""
     error = stroke.beat.frequency_hz * np.sqrt(2.0) * time_sd_s / float(np.ptp(time_s))
     beat = replace(stroke.beat, stderr_hz=float(np.hypot(stroke.beat.stderr_hz, error)))
     return replace(stroke, beat=beat)
 
 
-def unknown(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, float | None]:
-    """Return the reason why :func:`find` finds no stroke, and the frequency of a slow motion, Hz."""
+def explain_missing(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, float | None]:
+    """Return the reason why :func:`find` finds no stroke, and the frequency of a slow motion, Hz, or None."""
     duration = float(np.ptp(time_s)) if len(time_s) else 0.0
-    slow = slowest(time_s, columns)
-    slow_hz = None if slow is None else slow[1].frequency_hz
-    laps = [] if slow_hz is None else [slow_hz]
-    place = _place(columns)
-    if slow is None and place is not None and place.shape[1] > 1:
+    slow = find_slowest(time_s, columns)
+    slow_hz, laps, place = None, [], _place(columns)
+    if slow is not None:
+        slow_hz = slow[1].frequency_hz
+        laps = [slow_hz]
+    elif place is not None and place.shape[1] > 1:
         laps = [beat.frequency_hz for v in place.T for beat in find_beats(*_prepared(time_s, v))]
     for frequency_hz in laps:
         if _is_lap(time_s, columns, frequency_hz):
@@ -413,25 +437,27 @@ def unknown(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, float | N
     if slow is not None:
         name, motion = slow
         text = f"the strongest motion of {name}, at about {motion.frequency_hz:.2g} Hz, has only "
-        cycles = f"{motion.cycles:.1f} cycles in {duration:.3g} s; a stroke needs {FEWEST_CYCLES:g}"
+        cycles = f"{motion.cycles:.1f} cycles in {duration:.3g} s; a stroke needs {MIN_CYCLES:g}"
         return text + cycles, slow_hz
-    lowest = f"in {duration:.3g} s: from {FEWEST_CYCLES / max(duration, 1e-300):.3g} Hz on"
-    return f"nothing in it keeps a beat over {FEWEST_CYCLES:g} cycles or more ({lowest})", None
+    lowest = f"in {duration:.3g} s: from {MIN_CYCLES / max(duration, 1e-300):.3g} Hz on"
+    return f"nothing in it keeps a beat over {MIN_CYCLES:g} cycles or more ({lowest})", None
 
 
 def _beats(
     time_s: Array, columns: Mapping[str, Array], within: tuple[float, float] | None
 ) -> dict[str, list[Beat]]:
-    """The beats of the channels that beat at all."""
+    """Return the beats of each channel that has any."""
     low, high = within or (None, None)
     found = {}
     for name, values in columns.items():
-        found[name] = find_beats(*_prepared(time_s, values), lowest_hz=low, highest_hz=high)
-    return {name: beats for name, beats in found.items() if beats}
+        beats = find_beats(*_prepared(time_s, values), lowest_hz=low, highest_hz=high)
+        if beats:
+            found[name] = beats
+    return found
 
 
 def _unwrap(name: str, values: Array) -> Array:
-    """A channel, an angle without its jumps by a turn."""
+    """Return a channel; an angle without jumps by full turns."""
     if name.endswith("_rad"):
         known = np.isfinite(values)
         values = values.copy()
@@ -440,12 +466,15 @@ def _unwrap(name: str, values: Array) -> Array:
 
 
 def _prepared(time_s: Array, values: Array) -> tuple[Array, Array]:
-    """A channel not faster than a stroke needs: its longest stretch, evenly; or all of it, with its gaps."""
-    time, even = longest_even(time_s, values, FASTEST_HZ)
+    """Return times and samples of a channel at no more than :data:`MAX_RATE_HZ`.
+
+    They are the longest stretch without gaps, on even steps, or all samples if that stretch is too short.
+    """
+    time, even = longest_even(time_s, values, MAX_RATE_HZ)
     there = np.isfinite(values)
     if (
-        len(time) < WHOLE * there.sum() <= MAX_SAMPLES
-        and np.median(np.diff(time_s[there])) * FASTEST_HZ >= 1.0
+        len(time) < MIN_STRETCH_SHARE * there.sum() <= MAX_SAMPLES
+        and np.median(np.diff(time_s[there])) * MAX_RATE_HZ >= 1.0
     ):
         time, even = time_s[there], values[there]
     known = np.isfinite(even)
@@ -455,19 +484,21 @@ def _prepared(time_s: Array, values: Array) -> tuple[Array, Array]:
 
 
 def _as_logged(time_s: Array, values: Array) -> tuple[Array, Array]:
-    """The samples of that stretch as they are: straight lines across missing ones make harmonics."""
+    """Return the logged samples of the stretch of :func:`_prepared`: interpolation would make harmonics."""
     time, even = _prepared(time_s, values)
     first, last = np.searchsorted(time_s, (time[0], time[-1]))
     there = np.flatnonzero(np.isfinite(values[first : last + 1])) + first
-    return (time, even) if len(there) > 2 * len(time) else (time_s[there], values[there])
+    if len(there) > 2 * len(time):
+        return time, even
+    return time_s[there], values[there]
 
 
 def _harmonics(time: Array, values: Array, frequency: float) -> list[Harmonic]:
-    """Amplitudes of a sine series fitted with a cubic trend."""
+    """Return the significant amplitudes of a sine series that is fitted with a cubic trend."""
     known = np.isfinite(values)
     t, x = time[known] - time[known].mean(), values[known]
     nyquist = 0.5 / float(np.median(np.diff(time)))
-    orders = [k for k in range(1, HARMONICS + 1) if k * frequency < 0.9 * nyquist]
+    orders = [k for k in range(1, MAX_HARMONIC + 1) if k * frequency < 0.9 * nyquist]
     drift = np.vander(t / max(float(np.ptp(t)), 1e-300), 4)
     matrix = np.column_stack((drift, waves(t, frequency, orders)))
     weights = np.linalg.lstsq(matrix, x, rcond=None)[0]

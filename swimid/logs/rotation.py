@@ -1,4 +1,4 @@
-"""Attitudes in space, their angles and quaternions, and conventions of axes."""
+"""Attitudes in space: angles, quaternions, and conventions of axes."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ Array = NDArray[np.float64]
 
 
 def angles(rotation: Rotation) -> tuple[Array, Array, Array]:
-    """Roll, pitch and yaw, rad: turned by yaw about z, then pitch, then roll; pitch is nose up.
+    """Return roll, pitch and yaw, rad: a rotation by yaw about z, then by pitch, then by roll.
 
-    Nose up is counter-clockwise in the x-z plane, the sign of pitch in vertical-plane logs; roll is
-    port side up. Yaw is unwrapped.
+    Pitch is positive nose up, which is counter-clockwise in the x-z plane. Roll is positive port side up. Yaw
+    is unwrapped.
 
     >>> from scipy.spatial.transform import Rotation
     >>> nose_up = Rotation.from_rotvec([0.0, -0.1, 0.0])
@@ -33,13 +33,13 @@ def angles(rotation: Rotation) -> tuple[Array, Array, Array]:
 
 
 def from_angles(roll: Any, pitch: Any, yaw: Any) -> Rotation:
-    """The inverse of :func:`angles`; all rad, shape (n,)."""
+    """Return the attitude of angles in rad, shape (n,): the inverse of :func:`angles`."""
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_euler("ZYX", np.column_stack((yaw, -np.asarray(pitch), roll)))
 
 
-#: Columns of an attitude quaternion, body to world, real part first.
+#: Columns of an attitude quaternion from body to world, real part first.
 AXES = ("qw", "qx", "qy", "qz")
 
 
@@ -49,25 +49,27 @@ def rearranged(q: Array, order: str = "wxyz", direction: str = "body-to-world") 
     >>> rearranged(np.array([[0.0, 0.0, 0.6, 0.8]]), "xyzw", "world-to-body").tolist()
     [[0.8, -0.0, -0.0, -0.6]]
     """
-    q = np.roll(q, 1, axis=1) if order == "xyzw" else q
-    return q * [1.0, -1.0, -1.0, -1.0] if direction == "world-to-body" else q
+    if order == "xyzw":
+        q = np.roll(q, 1, axis=1)
+    if direction == "world-to-body":
+        q = q * [1.0, -1.0, -1.0, -1.0]
+    return q
 
 
 def from_frd(columns: dict[str, Array]) -> dict[str, Array]:
-    """Return columns with axes forward, right, down as axes forward, left, up: y, z and yaw change their
-    sign.
+    """Return columns with axes forward, right, down in axes forward, left, up.
 
-    Roll (right side down is port side up) and pitch (nose up) stay, as does the real and the x part of a
-    quaternion.
+    y, z and yaw change their sign. Roll (right side down is port side up), pitch (nose up), and the real and
+    the x part of a quaternion do not.
     """
     turned = re.compile(r"(desired_)?([awvmq]?[yz]|yaw)(_.*)?")
     return {name: -values if turned.fullmatch(name) else values for name, values in columns.items()}
 
 
 def with_angles(columns: dict[str, Array]) -> dict[str, Array]:
-    """Return columns with roll, pitch and yaw beside an attitude quaternion.
+    """Return columns with roll, pitch and yaw from an attitude quaternion.
 
-    Samples whose quaternion has not the length 1 have no angles. A quaternion that is never filled is
+    Samples with a quaternion that is not of unit length have no angles. A quaternion without any sample is
     removed.
     """
     if not set(AXES) <= set(columns):

@@ -1,4 +1,4 @@
-"""The trials file (``swimid-trials/1``): what every fit reads."""
+"""Trials file (``swimid-trials/1``): logs of one experiment with one robot."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FORMAT = "swimid-trials/1"
 
 
 class Drive(yamlio.Document):
-    """The commanded tail beat (interfaces: free-swim)."""
+    """Commanded tail beat of a free-swimming trial."""
 
     waveform: Literal["sine", "hopf", "a-cpg"] = "sine"
     frequency_hz: PositiveFloat
@@ -31,7 +31,7 @@ class Drive(yamlio.Document):
     bias_deg: float = 0.0
     asymmetry: Annotated[float, Field(gt=-1, lt=1)] = 0.0
     ramp_s: Annotated[float, Field(ge=0)] = 1.0
-    #: Phase of the beat at t = 0.
+    #: Phase of the beat at time zero.
     phase_deg: float = 0.0
 
     @model_validator(mode="after")
@@ -42,15 +42,15 @@ class Drive(yamlio.Document):
 
 
 class StrokeDrive(yamlio.Document):
-    """A stroke of the robot file: several joints at once."""
+    """Stroke of the robot file, which moves several joints at once."""
 
     stroke: str
-    #: Cycles a second; default those of the stroke.
+    #: Frequency; default that of the stroke.
     frequency_hz: PositiveFloat | None = None
-    #: What its angles are multiplied with.
+    #: Factor of the angles of the stroke.
     scale: Annotated[float, Field(ge=0)] = 1.0
     ramp_s: Annotated[float, Field(ge=0)] = 0.0
-    #: After so many the joints rest.
+    #: Number of cycles after which the joints rest; default no end.
     cycles: PositiveFloat | None = None
     phase_deg: float = 0.0
 
@@ -61,15 +61,15 @@ def _kind_of_drive(value: Any) -> str:
 
 
 class Trial(yamlio.Document):
-    """Keys every trial has."""
+    """Keys of every trial."""
 
-    #: The log itself, where it is in memory; ``log`` is its name then.
+    #: Log in memory; ``log`` is then its name.
     _held: Log | None = PrivateAttr(default=None)
 
     id: str = ""
     log: str
     role: Literal["fit", "validate"] = "fit"
-    #: Use the log from and up to these times only.
+    #: Part of the log that is used.
     start_s: float | None = None
     end_s: float | None = None
 
@@ -82,7 +82,7 @@ class Trial(yamlio.Document):
 
 
 class RigTrial(Trial):
-    """Keys of a trial on a single-degree-of-freedom rig; they override the robot's."""
+    """Keys of a trial on a single-degree-of-freedom rig; they replace those of the robot."""
 
     inertial_mass_kg: Annotated[float, Field(ge=0)] | None = None
     frontal_area_m2: PositiveFloat | None = None
@@ -90,7 +90,7 @@ class RigTrial(Trial):
 
 
 class FallingWeightTrial(RigTrial):
-    """A body pulled by a falling weight over a pulley, or driven by a known force."""
+    """Trial of a body pulled by a falling weight over a pulley, or driven by a known force."""
 
     pulling_mass_kg: PositiveFloat | None = None
     driving_force_N: float | None = None
@@ -103,7 +103,7 @@ class FallingWeightTrial(RigTrial):
 
 
 class FreeSwimTrial(Trial):
-    """A free-swimming trial; without ``drive`` the log's joint columns are the input."""
+    """Free-swimming trial; without ``drive`` the joint columns of the log are the input."""
 
     drive: (
         Annotated[
@@ -112,14 +112,14 @@ class FreeSwimTrial(Trial):
         ]
         | None
     ) = None
-    #: Coefficients that were set otherwise in this trial (a spring's stiffness, say).
+    #: Coefficients with another value in this trial, as the stiffness of a spring.
     coefficients: dict[str, float] = {}
     #: State at the first sample: at rest, estimated, or steady swimming under the drive.
     start_state: Literal["auto", "rest", "estimate", "steady"] = "auto"
 
 
 class Trials(yamlio.Document):
-    """Keys every trials file has."""
+    """Keys of every trials file."""
 
     _in_memory: bool = PrivateAttr(default=False)
 
@@ -142,16 +142,16 @@ class Towed(Trials):
 
 
 class FreeDecay(Trials):
-    """Trials of a displaced body left to itself."""
+    """Trials of a displaced body that decays freely."""
 
     experiment: Literal["free-decay"]
     trials: Annotated[list[RigTrial], Field(min_length=1)]
 
 
 class Cruise(Trials):
-    """A table of cruising speeds."""
+    """Table of cruising speeds."""
 
-    #: The table itself, where it is in memory; ``table`` is its name then.
+    #: Table in memory; ``table`` is then its name.
     _held: Any = PrivateAttr(default=None)
 
     experiment: Literal["cruise"]
@@ -167,7 +167,7 @@ class FreeSwim(Trials):
 
 
 class Multibody(Trials):
-    """Trials of a robot with links whose logs hold joint angles, pose, or both."""
+    """Trials of a robot with links whose logs have joint angles, a pose, or both."""
 
     experiment: Literal["multibody"]
     trials: Annotated[list[FreeSwimTrial], Field(min_length=1)]
@@ -187,13 +187,13 @@ EXPERIMENTS: dict[str, type[Trials]] = {
     for kind in (FallingWeight, Towed, FreeDecay, Cruise, FreeSwim, Multibody, Arma)
 }
 T = TypeVar("T", bound=Trials)
-#: Any trials file, for the JSON Schema.
+#: Trials file of any experiment, for the JSON Schema.
 AnyTrials = Annotated[
     FallingWeight | Towed | FreeDecay | Cruise | FreeSwim | Multibody | Arma,
     Field(discriminator="experiment"),
 ]
 
-#: Keys that every reader of trials uses; those of a trial and of its drive with their path.
+#: Keys that every reader of trials uses, with their path.
 EVERYWHERE = frozenset(
     {"format", "experiment", "robot", "trials"}
     | {f"trials.{key}" for key in ("id", "log", "role", "start_s", "end_s")}
@@ -202,20 +202,20 @@ EVERYWHERE = frozenset(
 
 @dataclass(frozen=True, eq=False)
 class TrialSet:
-    """Trials of one experiment with one robot: a trials file, or logs in memory.
+    """Trials of one experiment with one robot, from a trials file or from logs in memory.
 
     :func:`swimid.load` makes it.
 
     Attributes
     ----------
     entries : pydantic model
-        What a trials file holds, one of :data:`EXPERIMENTS`.
+        Content of the trials file, one of :data:`EXPERIMENTS`.
     path : Path
-        The trials file; a name where there is none.
+        Trials file; a name for trials in memory.
     experiment : str
         ``"falling-weight"``, ``"free-swim"``, ...
     ids : list of str
-        The trials by name; empty for a cruise, which is one table.
+        Ids of the trials; empty for a cruise, which is one table.
 
     Examples
     --------
@@ -237,7 +237,7 @@ class TrialSet:
 
     @property
     def ids(self) -> list[str]:
-        """The trials by name; empty for a cruise, which is one table."""
+        """Ids of the trials; empty for a cruise, which is one table."""
         return [trial.id for trial in getattr(self.entries, "trials", [])]
 
     @classmethod
@@ -250,36 +250,40 @@ class TrialSet:
         name: str = "trials",
         **keys: Any,
     ) -> TrialSet:
-        """Trials of logs in memory.
+        """Make trials from logs in memory.
 
         Parameters
         ----------
         trials : sequence of mappings
-            The keys of a trial in a trials file; ``log`` is a DataFrame or a :class:`~swimid.logs.log.Log`.
+            Keys of a trial in a trials file; ``log`` is a DataFrame or a :class:`~swimid.logs.log.Log`.
         experiment, robot : str
-            As in a trials file; a robot file's path is relative to the working folder.
+            As in a trials file; the path of a robot file is relative to the working folder.
         name : str
-            What messages call it.
+            Name of the trials in messages.
         **keys
             Further keys of the trials file; the ``table`` of a cruise is a DataFrame or a path.
 
         Raises
         ------
         InputError
-            For keys that no trial of the experiment has, or a log that is none.
+            A trial has a key that the experiment does not have, or its log is none.
         UsageError
-            For an experiment there is none of.
+            The experiment is unknown.
         """
         if experiment not in EXPERIMENTS:
             hint = suggestion(experiment, list(EXPERIMENTS))
             raise UsageError(f"there is no experiment '{experiment}'", hint=hint)
         logs, plain = [], []
         for number, trial in enumerate(trials, start=1):
-            log, called = trial.get("log"), str(trial.get("id", f"trial {number}"))
-            file = log is None or isinstance(log, str | Path)
-            logs.append(None if file else log if isinstance(log, Log) else Log.from_frame(log, name=called))
-            name_of_log = {} if log is None else {"log": str(log) if file else called}
-            plain.append({"id": called, **trial, **name_of_log})
+            log, entry = trial.get("log"), {"id": f"trial {number}", **trial}
+            held = None
+            if isinstance(log, str | Path):
+                entry["log"] = str(log)
+            elif log is not None:
+                entry["log"] = str(entry["id"])
+                held = log if isinstance(log, Log) else Log.from_frame(log, name=entry["log"])
+            logs.append(held)
+            plain.append(entry)
         given = {"format": FORMAT, "experiment": experiment, "robot": robot, **keys}
         if plain:
             given["trials"] = plain
@@ -296,17 +300,18 @@ class TrialSet:
 
     @classmethod
     def read(cls, path: str | Path) -> TrialSet:
-        """The trials of a trials file.
+        """Read the trials of a trials file.
 
         Raises
         ------
         InputError
+            As :func:`read`.
         """
         return cls(read(path), Path(path))
 
 
 def place(source: str | Path | TrialSet) -> Path:
-    """What a trials file is called in messages, and what its logs are relative to."""
+    """Return the path of trials, by which messages name them and to which their logs are relative."""
     return source.path if isinstance(source, TrialSet) else Path(source)
 
 
@@ -315,35 +320,39 @@ def read(
     *experiments: type[T],
     uses: Mapping[str, Collection[str]] | None = None,
 ) -> T:
-    """Read a trials file, or take trials in memory, of one of the given experiments.
+    """Return the trials of a file or in memory, of one of the given experiments.
 
     Parameters
     ----------
     source : path or TrialSet
     uses : mapping, optional
-        By experiment, the keys that the caller uses (``trials.drive.ramp_s``): any other that the file
-        sets is an error. Who computes anything from the trials gives it.
+        Keys that the caller uses, by experiment (``trials.drive.ramp_s``). Another key in the file is an
+        error. Every caller that computes with the trials gives it.
 
     Raises
     ------
     InputError
-        For broken YAML, unknown or unused keys, another experiment than those, repeated trial ids, rows
-        of a log that are both fitted and held out.
+        The file is not YAML, has unknown or unused keys, another experiment, or two trials with the same id,
+        or rows of a log are both fitted and held out.
     """
     path = place(source)
-    held = source.entries if isinstance(source, TrialSet) and source.entries._in_memory else None
-    data: Any = (
-        yamlio.of_format(path, FORMAT, "trials file") if held is None else {"experiment": held.experiment}
-    )
+    held: Any = None
+    if isinstance(source, TrialSet) and source.entries._in_memory:
+        held = source.entries
+        data: Any = {"experiment": held.experiment}
+    else:
+        data = yamlio.of_format(path, FORMAT, "trials file")
     names = [name for name, kind in EXPERIMENTS.items() if not experiments or kind in experiments]
     experiment = data.get("experiment")
     if experiment not in names:
-        close = nearest(str(experiment), names)
-        what = f"'{experiment}' is not allowed" if "experiment" in data else "is missing"
+        close, hint, what = nearest(str(experiment), names), None, "is missing"
+        if "experiment" in data:
+            what = f"'{experiment}' is not allowed"
+        if close:
+            hint = f"did you mean '{close}'?"
         text, line = f"{what}; here: {', '.join(names)}", _key_line(data, "experiment")
-        hint = f"did you mean '{close}'?" if close else None
         raise InputError(text, file=path, line=line, column="experiment", hint=hint)
-    trials: T = yamlio.validate(data, EXPERIMENTS[experiment], path) if held is None else held  # type: ignore[assignment]
+    trials: T = held or yamlio.validate(data, EXPERIMENTS[experiment], path)
     if uses is not None:
         _refuse_unused(trials, path, uses[experiment], data)
     listed: list[Trial] = getattr(trials, "trials", [])
@@ -359,7 +368,7 @@ def read(
 
 
 def same_recording(first: Trial, one: Path, second: Trial, other: Path) -> bool:
-    """Whether two trials' logs are one, or copies of each other: files at these places, or in memory."""
+    """Return whether the logs of two trials, in files or in memory, are the same or copies."""
     if first._held is not None or second._held is not None:
         held = [trial._held.digest() for trial in (first, second) if trial._held is not None]
         return len(held) == 2 and held[0] == held[1]
@@ -381,13 +390,14 @@ def _key_line(data: Any, key: str) -> int | None:
 
 
 def given(document: yamlio.Document, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Every key that a document and the ones within it set, with its path, to other than its default."""
+    """Yield each key that a document sets to another value than its default, with its path and value."""
     for name in type(document).model_fields:
         value = getattr(document, name)
         if name not in document.model_fields_set or value == type(document).model_fields[name].default:
             continue
         yield prefix + name, value
-        for part in value if isinstance(value, list) else [value]:
+        parts = value if isinstance(value, list) else [value]
+        for part in parts:
             if isinstance(part, yamlio.Document):
                 yield from given(part, f"{prefix}{name}.")
 
@@ -410,16 +420,16 @@ def _refuse_unused(trials: Trials, path: Path, uses: Collection[str], data: Any)
 
 
 def check_apart(one: Trial, other: Trial, file: Path, line: int | None = None) -> None:
-    """Refuse rows of one log that are both fitted and held out; warn of rows fitted twice.
+    """Refuse rows of one log that are both fitted and held out; warn of rows that are fitted twice.
 
-    Neighbours may share the row between them.
+    Adjacent trials may share one row.
 
     Parameters
     ----------
     one, other : Trial
-        Two stretches of the same log.
+        Two parts of the same log.
     file, line
-        What to name.
+        Place for the message.
 
     Raises
     ------
@@ -435,9 +445,9 @@ def check_apart(one: Trial, other: Trial, file: Path, line: int | None = None) -
         hint = "part them with start_s and end_s, or hold out another log"
         raise InputError(f"{text}: what is held out must not be fitted", file=file, line=line, hint=hint)
     if one.role == "fit":
-        warn("SWM074", f"{file.name}: {text}, which count twice: standard errors come out too small")
+        warn("SWM074", f"{file.name}: {text}, which count twice: standard errors are too small")
 
 
 def robot_of(trials: Trials, path: Path) -> robot_format.Robot:
-    """The robot a trials file names, by built-in name or path relative to the file."""
+    """Return the robot that a trials file names, by built-in name or path relative to the file."""
     return robot_format.read(trials.robot, path.parent)

@@ -19,6 +19,7 @@ from swimid.files.checkpoint import Checkpoint
 from swimid.files.yamlio import Number, Pair, Rows
 from swimid.fitting import global_search
 from swimid.fitting.model import Array
+from swimid.logs.kinematics import UNSTEADY
 from swimid.notices import Notice, recorded
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import OptimiseGaitOptions
@@ -30,7 +31,6 @@ from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results.result import FileResult
-from swimid.simulation.swim_quantities import UNSTEADY
 
 
 class Varied(yamlio.Document):

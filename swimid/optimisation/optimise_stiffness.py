@@ -14,6 +14,7 @@ from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.model import Array
+from swimid.logs.kinematics import PER_CYCLE
 from swimid.notices import Notice, recorded
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import OptimiseStiffnessOptions
@@ -26,7 +27,7 @@ from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results.result import FileResult
-from swimid.simulation.swim_quantities import PER_BEAT, Steady
+from swimid.simulation.swim_quantities import SwimRun
 
 #: First and last radius of the search about the best end of a front.
 RADIUS, LAST = 0.01, 5e-4
@@ -355,11 +356,11 @@ def sweep(
         ramp_s = 0.0 if number else performance.ramp_s
         swim, _ = replace(performance, ramp_s=ramp_s).swim(point)
         duration_s = math.ceil(performance.duration_s * frequency - 1e-9) / frequency
-        run = Steady.driven(model, f"sweep {number} {point!r}", swim, frequency, duration_s)
+        run = SwimRun.driven(model, f"sweep {number} {point!r}", swim, frequency, duration_s)
         for values, k in zip(states, stiffness[:, number], strict=True):
             values[model.index(coefficient)] = k
         columns = model.simulate_many([(values, run.trial) for values in states])
-        paths = np.array([[column[name][::PER_BEAT] for name in model.pose[:2]] for column in columns])
+        paths = np.array([[column[name][::PER_CYCLE] for name in model.pose[:2]] for column in columns])
         ways += np.hypot(*np.diff(paths, axis=2).transpose(1, 0, 2)).sum(axis=1)
         for values, seen in zip(states, columns, strict=True):
             for name, value in model.final_state(seen).items():

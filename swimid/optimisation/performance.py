@@ -1,4 +1,4 @@
-"""What a robot comes to under given gaits, many drives and coefficients at once, and what a study says."""
+"""Quantities of a robot under given gaits, for many drives and coefficients at once."""
 
 from __future__ import annotations
 
@@ -10,43 +10,42 @@ from functools import cached_property
 
 import numpy as np
 
-from swimid.errors import InputError, NoTrustworthyResult, UsageError, suggestion
+from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.fitting.drives import Beat, SwimInput
 from swimid.fitting.model import Array
 from swimid.fitting.parallel import in_threads
 from swimid.logs.trials import StrokeDrive
 from swimid.optimisation.options import GaitOptions
-from swimid.results import parameters as parameters_format
 from swimid.simulation import catalogue, swim_quantities
 from swimid.simulation.catalogue import Applied, Quantity
-from swimid.simulation.swim_quantities import Steady
+from swimid.simulation.swim_quantities import SwimRun
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.model import Swimmer
 
-#: What of a drive may be varied, with its unit: of a beat, and of a stroke.
+#: Settings that may be varied, with their units: those of a beat, and those of a stroke.
 BEAT = {"frequency_hz": "Hz", "amplitude_deg": "deg", "bias_deg": "deg", "asymmetry": "1", "lag_deg": "deg"}
 STROKE = {"frequency_hz": "Hz", "scale": "1"}
-#: What each may be at most and at least, where that is not told by its nature alone.
+#: Minimum and maximum of settings.
 LIMITS = {"frequency_hz": (0.0, math.inf), "amplitude_deg": (0.0, 180.0), "asymmetry": (-0.8, 0.8)}
-#: Runs that are simulated by one call: those that take no longer than one.
-TOGETHER = 8
+#: Number of runs that are simulated together.
+BATCH = 8
 
 Point = Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class Performance:
-    """A robot with its coefficients, and the drive that gaits depart from.
+    """Robot with its coefficients, and the drive of which gaits vary some settings.
 
     Attributes
     ----------
     applied : Applied
-        Of a robot with links.
+        Model and coefficients of a robot with links.
     drive : mapping of str to float
-        Of :data:`BEAT`, or of :data:`STROKE` where ``stroke`` is named; what is missing must be varied.
+        Settings of :data:`BEAT`, or of :data:`STROKE` if ``stroke`` is given. Missing ones must be varied.
     waveform, stroke : str
     ramp_s, duration_s : float
-        Each run starts from rest.
+        Ramp of the drive, and length of each run. Runs start from rest.
     """
 
     applied: Applied
@@ -58,82 +57,66 @@ class Performance:
 
     @classmethod
     def of_options(cls, options: GaitOptions) -> Performance:
-        """The robot and the drive that the options of a verb describe.
+        """Return the robot and the drive that the options of a command describe.
 
         Raises
         ------
         UsageError, InputError
-            For anything missing, and for anything wrong in a file.
+            For missing options, and for bad files.
         """
-        path = None if options.params is None else parameters_format.place(options.params)
-        file = None if options.params is None else catalogue.read_parameters(options.params)
-        if file is not None and file.model not in ("multilink", "multibody"):
-            raise UsageError(f"gaits are those of a robot with links, not of the model '{file.model}'")
-        if file is None and options.robot is None:
-            raise UsageError("name a parameter file (--params) or a robot (--robot)")
-        if file is None or path is None:
-            name, folder, known = str(options.robot), None, {}
-        else:
-            name, folder = catalogue.robot_of_parameters(file, path, options.robot)
-            known = file.settings.get("readings", {})
-        _, model = swimmer.robot_model(
-            name, folder, readings={**known, **options.readings}, max_step=options.dt
-        )
-        if not model.driven:
-            raise UsageError(f"the robot '{model.robot.name}' has no driven joint: there is no gait")
+        file = None
+        if options.params is not None:
+            file = catalogue.read_parameters(options.params)
+            if file.model not in ("multilink", "multibody"):
+                raise UsageError(f"gaits are those of a robot with links, not of the model '{file.model}'")
+        applied = catalogue.load_robot(options, file)
         names = STROKE if options.stroke is not None else BEAT
-        given = {n: float(v) for n in names if (v := getattr(options, n)) is not None}
-        made = cls(
-            Applied(model, file, path, options.chosen),
-            given,
-            options.waveform,
-            options.stroke,
-            options.ramp_s,
-            options.duration_s,
-        )
-        try:
-            model.check(made.applied.values())
-        except InputError as error:
-            raise InputError(f"with these parameters, {error.reason}", file=path) from error
+        stated = {name: getattr(options, name) for name in names}
+        drive = {name: float(value) for name, value in stated.items() if value is not None}
+        made = cls(applied, drive, options.waveform, options.stroke, options.ramp_s, options.duration_s)
+        if not made.model.driven:
+            raise UsageError(f"the robot '{made.model.robot.name}' has no driven joint: there is no gait")
         return made
 
     @property
     def model(self) -> Swimmer:
-        """The robot's model."""
+        """Model of the robot."""
         assert self.applied.model.swimmer is not None
         return self.applied.model.swimmer
 
     @property
     def turn(self) -> str:
-        """What turning is called in the robot's plane."""
+        """Name of the turn in the plane of the robot: ``yaw`` or ``pitch``."""
         return self.model.pose[2].removesuffix("_rad")
 
     @cached_property
     def values(self) -> Array:
-        """The coefficients as they are given, with the rest at its neutral values."""
+        """Parameter vector with the given coefficients; per-trial parameters are neutral."""
         return self.applied.values()
 
     @cached_property
     def units(self) -> dict[str, str]:
-        """The quantities of a run with their units, in the order of :meth:`table`."""
-        return swim_quantities.known(self.model)
+        """Quantities of a run with their units, in the order of :meth:`table`."""
+        return swim_quantities.units_of(self.model)
 
     @property
     def axes(self) -> dict[str, str]:
-        """What may be varied, with its unit: the drive, and every coefficient of the robot."""
+        """Settings of the drive and coefficients of the robot that may be varied, with their units."""
         drive = STROKE if self.stroke is not None else BEAT
         shared = {p.name: p.unit for p in self.model.parameters if not p.per_trial}
         return {**drive, **shared}
 
     @property
     def identified(self) -> dict[str, tuple[float, float]]:
-        """The range of the drives that the coefficients were identified from; empty where it is not told."""
-        fit = self.applied.file.fit if self.applied.file is not None else None
-        told = (fit.model_extra or {}).get("drives", {}) if fit is not None else {}
-        return {name: (float(low), float(high)) for name, (low, high) in told.items()}
+        """Range of the drives from which the coefficients were identified; empty if it is unknown."""
+        file = self.applied.file
+        if file is None or file.fit is None:
+            return {}
+        drives = (file.fit.model_extra or {}).get("drives", {})
+        return {name: (float(low), float(high)) for name, (low, high) in drives.items()}
 
     def check(self, varied: Mapping[str, tuple[float, float]], option: str) -> None:
-        """Refuse what cannot be varied over these ranges.
+        """Refuse names that cannot be varied, and ranges that are not possible.
 
         Raises
         ------
@@ -157,20 +140,21 @@ class Performance:
             raise UsageError("asymmetry belongs to --waveform a-cpg")
 
     def check_drive(self, varied: Collection[str], option: str) -> None:
-        """Refuse a drive with something missing that is not varied either.
+        """Refuse a drive without a setting that is not varied either.
 
         Raises
         ------
         UsageError
         """
-        # a stroke has a frequency and a size of its own
-        for name in ("frequency_hz", "amplitude_deg") if self.stroke is None else ():
+        if self.stroke is not None:  # it has a frequency and a size of its own
+            return
+        for name in ("frequency_hz", "amplitude_deg"):
             if name not in varied and name not in self.drive:
                 flag = name.replace("_", "-")
                 raise UsageError(f"the drive needs --{flag}, or {name} among what is varied ({option})")
 
     def swim(self, point: Point) -> tuple[SwimInput, float]:
-        """The drive at a point, and its frequency in Hz."""
+        """Return the drive at a point, and its frequency in Hz."""
         drive = {**self.drive, **{name: value for name, value in point.items() if name in BEAT | STROKE}}
         pose = (0.0,) * len(self.model.pose) if self.model.free_base else None
         if self.stroke is not None:
@@ -193,15 +177,17 @@ class Performance:
         )
         return SwimInput(beat, pose=pose), beat.frequency_hz
 
-    def steady(self, point: Point) -> Steady:
-        """The run at a point."""
+    def run(self, point: Point) -> SwimRun:
+        """Return the run at a point."""
         swim, frequency = self.swim(point)
         name = " ".join(f"{key}={value!r}" for key, value in point.items() if key in BEAT | STROKE)
-        return Steady.driven(self.model, f"gait {name}", swim, frequency, self.duration_s)
+        return SwimRun.driven(self.model, f"gait {name}", swim, frequency, self.duration_s)
 
     def at(self, point: Point, values: Array | None = None) -> Array:
-        """The parameter vector at a point."""
-        moved = (self.values if values is None else values).copy()
+        """Return the parameter vector at a point."""
+        if values is None:
+            values = self.values
+        moved = values.copy()
         for name, value in point.items():
             if name not in BEAT | STROKE:
                 moved[self.model.index(name)] = value
@@ -210,53 +196,56 @@ class Performance:
     def quantities(
         self, points: Sequence[Point], values: Sequence[Array] | None = None
     ) -> list[dict[str, Quantity]]:
-        """What runs come to; nothing where one breaks down.
+        """Return the quantities of runs; empty for a run that breaks down.
 
         Parameters
         ----------
         values : sequence of ndarray, optional
-            The coefficients of each point; what the point says itself wins.
+            Parameter vector for each point. Coefficients of the point replace its entries.
         """
-        runs = [self.steady(point) for point in points]
-        vectors = [self.at(p, None if values is None else values[k]) for k, p in enumerate(points)]
+        runs = [self.run(point) for point in points]
+        given = [self.values] * len(points) if values is None else values
+        vectors = [self.at(point, vector) for point, vector in zip(points, given, strict=True)]
         pairs = [(vector, run.trial) for vector, run in zip(vectors, runs, strict=True)]
-        simulated = self.model.with_energetics(pairs, [run.window.length_s for run in runs])
-        found: list[dict[str, Quantity]] = [
-            {} if energetics is None else run.quantities(self.model, vector, columns, energetics)
-            for run, vector, (columns, energetics) in zip(runs, vectors, simulated, strict=True)
-        ]
+        simulated = self.model.with_energetics(pairs, [run.window.duration_s for run in runs])
+        found: list[dict[str, Quantity]] = []
+        for run, vector, (columns, energetics) in zip(runs, vectors, simulated, strict=True):
+            quantities = {}
+            if energetics is not None:
+                quantities = run.quantities(self.model, vector, columns, energetics)
+            found.append(quantities)
         self.model.forget([run.trial for run in runs])
         return found
 
     def table(self, points: Sequence[Point], values: Sequence[Array] | None = None) -> Array:
-        """The quantities of points, shape (n, quantities); NaN where there is none."""
+        """Return the quantities of points, shape (n, quantities); NaN where a run has none."""
+        lost = Quantity(math.nan, "")
         found = self.quantities(points, values)
-        return np.array([[q[n].value if n in q else math.nan for n in self.units] for q in found])
+        return np.array([[quantities.get(name, lost).value for name in self.units] for quantities in found])
 
     def many(self, points: Sequence[Point], values: Sequence[Array] | None = None, *, jobs: int) -> Array:
-        """The same, shared among threads."""
-        parts = [slice(k, k + TOGETHER) for k in range(0, len(points), TOGETHER)]
+        """Return the same as :meth:`table`, computed by several threads."""
+        parts = [slice(k, k + BATCH) for k in range(0, len(points), BATCH)]
+
+        given = [self.values] * len(points) if values is None else values
 
         def one(part: slice) -> Array:
-            return self.table(points[part], None if values is None else values[part])
+            return self.table(points[part], given[part])
 
         with in_threads(one, parts, jobs) as results:
             return np.concatenate(list(results))
 
     def with_errors(self, point: Point) -> Array:
-        """The quantities of a point and their standard errors, shape (quantities, 2)."""
-        values = self.at(point)
-        ends = self.applied.neighbours(values)
-        vectors = [values, *(vector for pair in ends for vector in pair)]
-        centre, *sides = self.quantities([point] * len(vectors), vectors)
-        pairs = list(zip(sides[::2], sides[1::2], strict=True))
-        carried = self.applied.carried(values, centre, pairs)
-        lost = Quantity(math.nan, "1", math.nan)
+        """Return the quantities of a point and their standard errors, shape (quantities, 2)."""
+        carried = self.applied.with_errors(
+            self.at(point), lambda vectors: self.quantities([point] * len(vectors), vectors)
+        )
+        lost = Quantity(math.nan, "")
         told = [carried.get(name, lost) for name in self.units]
-        return np.array([[q.value, math.nan if q.stderr is None else q.stderr] for q in told])
+        return np.array([[quantity.value, quantity.stderr] for quantity in told], dtype=float)
 
     def insist(self, table: Array) -> None:
-        """Refuse a study of which every run broke down, or in which the robot rests throughout.
+        """Refuse a study in which every run breaks down, or the robot never moves.
 
         Parameters
         ----------
@@ -276,7 +265,7 @@ class Performance:
 
     @staticmethod
     def insist_motion(speed_m_s: Array) -> None:
-        """Refuse a study of a robot that does not move under any of its beats.
+        """Refuse a study in which the robot never moves.
 
         Raises
         ------

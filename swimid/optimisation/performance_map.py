@@ -19,12 +19,13 @@ from swimid.files.yamlio import Number, Rows
 from swimid.fitting.experiment import read_log
 from swimid.fitting.model import Array, Trial
 from swimid.logs import trials as trials_format
+from swimid.logs.kinematics import UNSTEADY, Window
 from swimid.logs.log import Log
 from swimid.logs.trials import TrialSet
 from swimid.notices import Notice, recorded, warn
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import MapOptions
-from swimid.optimisation.performance import BEAT, STROKE, TOGETHER, Performance, Point, points_of
+from swimid.optimisation.performance import BATCH, BEAT, STROKE, Performance, Point, points_of
 from swimid.optimisation.study import StudyFile, in_parallel, study_of
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -33,7 +34,7 @@ from swimid.results import evidence as ev
 from swimid.results.result import FileResult
 from swimid.simulation import compare_series
 from swimid.simulation.catalogue import Applied
-from swimid.simulation.swim_quantities import UNSTEADY, Steady, Window
+from swimid.simulation.swim_quantities import SwimRun
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.model import Swimmer
 
@@ -198,7 +199,7 @@ def recorded_trials(
         at = places[trial.id]
         if not at or not _is_alike(trial, performance, axes):
             continue
-        compared = compare_series.compared(experiment, applied, trial, refit=True)
+        compared = compare_series.compare_trial(experiment, applied, trial, refit=True)
         speed = compared.record.mean_speed
         electrical, mechanical = _powers(model, trial, logs[trial.id], compared.values)
         points.append(
@@ -235,11 +236,11 @@ def _is_alike(trial: Trial, performance: Performance, axes: Mapping[str, Sequenc
 def _powers(model: Swimmer, trial: Trial, log: Log, values: Array) -> tuple[float, float]:
     """Electrical power of a log, and the power of the model's joints over the same beats, W; NaN for none."""
     drive = trial.swim.drive
-    run = None if drive is None else Steady.of(model, trial, drive.frequency_hz)
+    run = None if drive is None else SwimRun.of(model, trial, drive.frequency_hz)
     if run is None or VOLTAGE not in log or CURRENT not in log:
         return math.nan, math.nan
     electrical = electrical_power(log.time_s, log[VOLTAGE], log[CURRENT], run.window)
-    columns, energetics = model.with_energetics([(values, run.trial)], [run.window.length_s])[0]
+    columns, energetics = model.with_energetics([(values, run.trial)], [run.window.duration_s])[0]
     mechanical = math.nan
     if energetics is not None:
         mechanical = run.quantities(model, values, columns, energetics)["mean_positive_power_W"].value
@@ -388,7 +389,7 @@ def _computed(
     progress: Progress,
 ) -> Array:
     """Quantities of every point and their standard errors (NaN where unknown), shape (n, quantities, 2)."""
-    size = 1 if uncertain else TOGETHER
+    size = 1 if uncertain else BATCH
     parts = [points[k : k + size] for k in range(0, len(points), size)]
 
     def compute(part: Sequence[Point]) -> Array:
@@ -416,8 +417,8 @@ def _unsettled(quantities: dict[str, Mapped]) -> int:
 #: Quantities that are drawn where the robot has them, in this order.
 DRAWN = (
     "mean_speed_m_s", "cost_of_transport_J_m", "strouhal", "turning_radius_m", "mean_yaw_rate_rad_s",
-    "mean_pitch_rate_rad_s", "peak_yaw_rate_rad_s", "peak_pitch_rate_rad_s", "yaw_range_in_beat_rad",
-    "pitch_range_in_beat_rad", "max_pitch_rate_rad_s", "surge_m", "mean_positive_power_W", "peak_torque_N_m",
+    "mean_pitch_rate_rad_s", "max_yaw_rate_rad_s", "max_pitch_rate_rad_s", "yaw_range_in_beat_rad",
+    "pitch_range_in_beat_rad", "surge_m", "mean_positive_power_W", "peak_torque_N_m",
 )  # fmt: skip
 #: Number of contours of a panel.
 N_LEVELS = 6

@@ -1,5 +1,5 @@
-"""Which coefficient each output of a robot is most sensitive to: ``swimid sensitivity``.
+"""Sensitivity of the outputs of a robot to its coefficients: ``swimid sensitivity``.
 
 ``sensitivity`` is the command and its result; ``indices`` computes Sobol indices and elementary effects.
-``options`` are its options, ``evidence`` is the file and what it rests on.
+``options`` are the options of the command, ``evidence`` is the result file and its evidence.
 """

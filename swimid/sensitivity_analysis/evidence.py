@@ -1,4 +1,4 @@
-"""The sensitivity file (``swimid-sensitivity/2``) and its evidence: checks, tables, figures and sentences."""
+"""Sensitivity file (``swimid-sensitivity/2``) and its evidence: checks, tables, figures and methods."""
 
 from __future__ import annotations
 
@@ -16,59 +16,60 @@ from swimid.results import evidence as ev
 
 
 class Range(yamlio.Document):
-    """What a coefficient was varied over."""
+    """Range over which a coefficient was varied."""
 
     value: float
     low: float
     high: float
     unit: str
-    #: ``bounds``, ``stderr`` (two standard errors to either side), ``share`` of its value, or ``given``.
+    #: Origin of the range: ``bounds``, ``stderr`` (two standard errors on either side), ``share`` of the
+    #: value, or ``given``.
     source: Literal["bounds", "stderr", "share", "given"]
 
 
 class Index(yamlio.Document):
-    """A Sobol index with its 95 % interval."""
+    """Sobol index with its 95 % interval."""
 
     value: float
     ci95: tuple[float, float]
 
 
 class Shares(yamlio.Document):
-    """A coefficient's share of an output's variance: alone, and with all interactions it takes part in."""
+    """Share of a coefficient in the variance of an output: alone, and with all its interactions."""
 
     first: Index
     total: Index
-    #: Whether the interval of the first-order index stays clear of zero.
+    #: Whether the interval of the first-order index lies above zero.
     first_told: bool
-    #: Whether the whole interval of the total index lies below 0.01.
+    #: Whether the interval of the total index lies below 0.01.
     negligible: bool
 
 
 class Output(yamlio.Document):
-    """One output of one trial, or of all trials together where ``trial`` is missing."""
+    """One output of one trial; without ``trial``, of all trials together."""
 
     quantity: str
     unit: str
     trial: str | None = None
-    #: With the given coefficients; of all trials together there is none.
+    #: Value with the given coefficients; None for all trials together.
     value: Number = None
-    #: Over the ranges.
+    #: Mean and standard deviation over the ranges.
     mean: Number = None
     sd: Number = None
     shares: dict[str, Shares] = {}
 
 
 class Simulations(yamlio.Document):
-    """How many points were simulated."""
+    """Number of points that were simulated, and of those that broke down."""
 
     evaluated: int
     broken: int
-    #: Rows of the design replaced because a point broke down.
+    #: Number of rows of the design that were replaced because a point broke down.
     left_out: int
 
 
 class SensitivityFile(yamlio.ResultFile):
-    """A sensitivity file."""
+    """Result of a sensitivity analysis."""
 
     kind: ClassVar[str] = "sensitivity file"
     format: Literal["swimid-sensitivity/2"] = "swimid-sensitivity/2"
@@ -77,7 +78,7 @@ class SensitivityFile(yamlio.ResultFile):
     robot: str
     experiment: str
     params: str | None = None
-    #: Rows of the design.
+    #: Number of rows of the design.
     samples: int
     trials: list[str]
     ranges: dict[str, Range]
@@ -86,12 +87,14 @@ class SensitivityFile(yamlio.ResultFile):
     provenance: dict[str, Any] = Field(default_factory=dict)
 
 
-#: Largest width of a 95 % interval of a total index.
+#: Maximum width of the 95 % interval of a total index.
 MAX_WIDTH = 0.3
-#: Largest change with half the integration step, over an output's deviation.
+#: Maximum change of an output when the integration step is halved, over its standard deviation.
 MAX_STEP_CHANGE = 0.05
-#: Largest correlation of two estimates whose ranges are independent.
+#: Maximum correlation of two estimates whose ranges are independent.
 MAX_CORRELATION = 0.5
+#: Maximum number of outputs with a panel in the figure of the intervals.
+MAX_PANELS = 8
 REFERENCES = [
     "Saltelli, Annoni, Azzini, Campolongo, Ratto, Tarantola (2010): Variance based sensitivity analysis of "
     "model output. Computer Physics Communications 181, doi:10.1016/j.cpc.2009.09.018",
@@ -106,20 +109,20 @@ def evidence(
     strongest: tuple[float, str, str] | None,
     notices: Sequence[Notice],
 ) -> ev.Evidence:
-    """Return the evidence of a study.
+    """Return the evidence of a sensitivity analysis.
 
     Parameters
     ----------
     step_change : float
-        Largest change of an output when the step is halved, over its deviation in the ranges.
+        Maximum change of an output when the step is halved, over its standard deviation in the ranges.
     strongest : (correlation, name, name) or None
-        Of two coefficients whose ranges are their standard errors.
+        Strongest correlation of two coefficients whose ranges are their standard errors.
     """
     checks = _checks(file, step_change, strongest)
     return ev.Evidence(
         verb="sensitivity",
         title=f"Sensitivity of {file.robot}, {file.experiment}",
-        verdict=ev.judged(answer(file), checks),
+        verdict=ev.judged(_answer(file), checks),
         facts={
             "Robot": file.robot,
             "Parameters": file.params or "the robot file's",
@@ -130,14 +133,14 @@ def evidence(
         tables=[_totals(file), _ranges(file), _trials(file)],
         figures=[_map(file), _intervals(file)],
         notices=blocks.notices(notices),
-        methods=_methods(file),
+        methods=[_method(file)],
         references=list(REFERENCES),
         provenance=file.provenance,
     )
 
 
 def _headline(file: SensitivityFile) -> list[Output]:
-    """One output for each quantity: of all trials together, or of the only trial that has it."""
+    """Return one output for each quantity: of all trials together, or of the only trial that has it."""
     outputs: dict[str, Output] = {}
     for one in file.outputs:
         if one.trial is None or one.quantity not in outputs:
@@ -146,49 +149,44 @@ def _headline(file: SensitivityFile) -> list[Output]:
 
 
 def _ranked(output: Output) -> list[tuple[str, Index]]:
-    """Coefficients by total index, the largest first."""
+    """Return the coefficients by total index, the largest first."""
     entries = [(name, shares.total) for name, shares in output.shares.items()]
     return sorted(entries, key=lambda item: -item[1].value)
-
-
-# ------------------------------------------------------------ checks
 
 
 def _checks(
     file: SensitivityFile, step_change: float, strongest: tuple[float, str, str] | None
 ) -> list[ev.Check]:
     runs = file.simulations
-    width, where = max(
-        (index.ci95[1] - index.ci95[0], f"{name} in {o.quantity}")
-        for o in _headline(file)
-        for name, index in [("", Index(value=0.0, ci95=(0.0, 0.0))), *_ranked(o)]
-    )
-    broken, replaced = f"{runs.broken} of {runs.evaluated}", f"{runs.left_out} rows of the design replaced"
-    wide, more = f"at most {numbers.number(width, 2)} wide", f"{where}: take more --samples"
+    totals = [(name, o.quantity, index) for o in _headline(file) for name, index in _ranked(o)]
+    widths = [(index.ci95[1] - index.ci95[0], f"{name} in {output}") for name, output, index in totals]
+    width, where = max(widths, default=(0.0, ""))
+    replaced, samples = "", ""
+    if runs.broken:
+        replaced = f"{runs.left_out} rows of the design replaced"
+    if width > MAX_WIDTH:
+        samples = f"{where}: take more --samples"
+    broken, wide = f"{runs.broken} of {runs.evaluated}", f"at most {numbers.number(width, 2)} wide"
     change, steady = f"{numbers.number(step_change, 2)} sd", step_change <= MAX_STEP_CHANGE
-    halved = "largest change of an output when the step is halved, over its deviation in the ranges"
-    none = "none (refused above 1 %)"
+    halved = "maximum change of an output when the step is halved, over its deviation in the ranges"
+    none, limit = "none (refused above 1 %)", f"≤ {MAX_WIDTH:g}"
     checks = [
-        ev.check("simulations that broke down", broken, not runs.broken, none, replaced * bool(runs.broken)),
-        ev.check(
-            "narrow intervals", wide, width <= MAX_WIDTH, f"≤ {MAX_WIDTH:g}", more * (width > MAX_WIDTH)
-        ),
+        ev.check("simulations that broke down", broken, not runs.broken, none, replaced),
+        ev.check("narrow intervals", wide, width <= MAX_WIDTH, limit, samples),
         ev.check("integration step", change, steady, f"≤ {MAX_STEP_CHANGE:g} sd", halved),
     ]
     if strongest is not None:
         size, one, other = strongest
         value = f"correlation up to {numbers.number(size, 2)} ({one}, {other})"
-        sound = abs(size) <= MAX_CORRELATION
-        text = "" if sound else "the estimates err together: the ranges hold more than is uncertain"
+        sound, text = abs(size) <= MAX_CORRELATION, ""
+        if not sound:
+            text = "the estimates are correlated: the ranges hold more than is uncertain"
         checks.append(ev.check("ranges independent", value, sound, f"≤ {MAX_CORRELATION:g} in size", text))
     return checks
 
 
-# ------------------------------------------------------------ in words
-
-
-def answer(file: SensitivityFile) -> str:
-    """Return what the first outputs are most sensitive to as a sentence."""
+def _answer(file: SensitivityFile) -> str:
+    """Return the most influential coefficients of the first outputs as a sentence."""
     parts = []
     for o in _headline(file)[:3]:
         named = [f"{name} ({numbers.number(index.value, 2)})" for name, index in _ranked(o)[:2]]
@@ -201,7 +199,7 @@ def answer(file: SensitivityFile) -> str:
 
 
 def _totals(file: SensitivityFile) -> ev.Table:
-    """The most influential coefficients of each output."""
+    """Return the most influential coefficients of each output."""
     ranks = ("largest", "second", "third")
     rows: list[dict[str, blocks.Cell]] = []
     for o in _headline(file):
@@ -226,7 +224,7 @@ def _ranges(file: SensitivityFile) -> ev.Table:
         for name, r in file.ranges.items()
     ]
     caption = "Uniform and independent of each other; a wider range of a coefficient raises its share."
-    return blocks.table("ranges", "What was varied", rows, caption)
+    return blocks.table("ranges", "Ranges of the coefficients", rows, caption)
 
 
 def _trials(file: SensitivityFile) -> ev.Table:
@@ -253,14 +251,14 @@ def _map(file: SensitivityFile) -> ev.Figure:
     names = list(file.ranges)
     values = [[round(o.shares[name].total.value, 3) for name in names] for o in outputs]
     heat = ev.Heat(rows=[o.quantity for o in outputs], columns=names, values=values, scale="linear")  # type: ignore[arg-type]
-    caption = "Total Sobol indices: the share of an output's variance that goes with a coefficient."
-    title = "What each output is most sensitive to"
+    caption = "Total Sobol indices: the share of an output's variance that a coefficient takes part in."
+    title = "Sensitivity of each output"
     return blocks.panels("indices", title, caption, [blocks.panel("", "", [], heat=heat)], columns=1)
 
 
 def _intervals(file: SensitivityFile) -> ev.Figure:
     places, panels = np.arange(len(file.ranges), dtype=float), []
-    for o in [o for o in _headline(file) if o.shares][:8]:
+    for o in [o for o in _headline(file) if o.shares][:MAX_PANELS]:
         traces = []
         for kind, label, shift in (("first", "first order", -0.12), ("total", "total", 0.12)):
             index = [getattr(o.shares[n], kind) for n in file.ranges]
@@ -273,24 +271,22 @@ def _intervals(file: SensitivityFile) -> ev.Figure:
     return blocks.panels("intervals", "Sobol indices with 95 % intervals", caption, panels)
 
 
-# ------------------------------------------------------------ methods
-
-
-def _methods(file: SensitivityFile) -> list[str]:
+def _method(file: SensitivityFile) -> str:
+    """Return a sentence for a paper."""
     shares = [text for text in file.provenance["settings"]["range"] if text.endswith("%")]
     sources = {
         "bounds": "their bounds",
-        "stderr": "two standard errors to either side",
+        "stderr": "two standard errors on either side",
         "share": f"±{' '.join(shares).removesuffix('%')} % of their values within their bounds",
         "given": "given ranges",
     }
     used = " or ".join(dict.fromkeys(sources[r.source] for r in file.ranges.values()))
     over = f"{', '.join(file.ranges)}, independent and uniform over {used}"
     runs, trials = file.simulations, f"{len(file.trials)} {file.experiment} trials"
-    return [
+    return (
         f"First-order and total Sobol indices of the outputs of {trials} to {over}, were estimated from "
         f"{file.samples} rows of a scrambled Sobol sequence ({runs.evaluated} points, {runs.broken} of which "
         "broke down) by the estimators of Saltelli et al. (2010) as implemented in SciPy, with intervals by "
         "the bootstrap over the rows; those of all trials together are shares of their summed variance "
         "(Gamboa et al. 2014)."
-    ]
+    )

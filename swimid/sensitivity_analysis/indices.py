@@ -1,4 +1,4 @@
-"""Global sensitivity: which parameter makes an output vary, over ranges of all of them at once."""
+"""Sobol indices: shares of the parameters in the variance of an output, over ranges of all of them."""
 
 from __future__ import annotations
 
@@ -16,25 +16,27 @@ from swimid.fitting.model import Array
 from swimid.fitting.parallel import in_threads
 from swimid.progress import Progress, silent
 
-#: Share of the evaluations that may break down.
-BROKEN = 0.01
-#: Points that are evaluated by one call.
-TOGETHER = 8
+#: Maximum share of the evaluations that may break down.
+MAX_BROKEN_SHARE = 0.01
+#: Number of points that one call evaluates.
+BATCH = 8
+#: Number of draws of the bootstrap.
+N_DRAWS = 1000
 
-#: Outputs, shape (n, s), at points, shape (n, d); NaN where the model breaks down.
+#: Function from points, shape (n, d), to outputs, shape (n, s); NaN where the model breaks down.
 Evaluate = Callable[[Array], Array]
 
 
 @dataclass(frozen=True)
 class Sobol:
-    """Sobol indices of s outputs to d parameters, those of g groups of outputs after them.
+    """Sobol indices of s outputs to d parameters, then those of g groups of outputs.
 
     Attributes
     ----------
     mean, sd : ndarray, shape (s,)
-        Of the outputs over the ranges.
+        Mean and standard deviation of the outputs over the ranges.
     evaluations, broken, left_out : int
-        Evaluations in all, those that broke down, and rows of the design replaced for it.
+        Numbers of evaluations, of those that broke down, and of rows of the design that were replaced.
     first, total : ndarray, shape (s + g, d)
     first_ci, total_ci : ndarray, shape (2, s + g, d)
         Ends of the 95 % intervals.
@@ -61,35 +63,36 @@ def sobol(
     groups: Sequence[Sequence[int]] = (),
     **how: Any,
 ) -> Sobol:
-    """First-order and total Sobol indices (Saltelli et al. 2010, doi:10.1016/j.cpc.2009.09.018).
+    """Estimate first-order and total Sobol indices (Saltelli et al. 2010, doi:10.1016/j.cpc.2009.09.018).
 
     Parameters
     ----------
     evaluate : callable
-        Called from threads.
+        Function of points, called from several threads.
     lower, upper : ndarray, shape (d,), d >= 2
-        Uniform ranges.
+        Ends of the uniform ranges.
     samples : int
-        n, a power of two: rows of the design, each of d + 2 points.
+        Number of rows of the design, a power of two. Each row has d + 2 points.
     seed : int
-        Of the scrambled Sobol sequence and of the bootstrap.
+        Seed of the scrambled Sobol sequence and of the bootstrap.
     groups : sequence of sequences of int
-        Outputs to pool: the indices of their summed variance (Gamboa et al. 2014, doi:10.1214/14-EJS895).
+        Outputs with common indices: those of their summed variance (Gamboa et al. 2014,
+        doi:10.1214/14-EJS895).
     **how
-        Names, jobs, checkpoint and progress, as :class:`Runs` takes them.
+        Names, jobs, checkpoint and progress (see :class:`Evaluations`).
 
     Returns
     -------
     Sobol
-        Intervals by the percentile bootstrap over the rows. A row of which a point breaks down is replaced
-        by the next one of the sequence, so that all its points are finite.
+        Intervals are those of the percentile bootstrap over the rows. A row with a point that breaks down is
+        replaced by the next row of the sequence.
 
     Raises
     ------
     UsageError
-        With fewer than two parameters, or another number of samples than a power of two.
+        There are fewer than two parameters, or the number of samples is no power of two.
     NoTrustworthyResult
-        When more than :data:`BROKEN` of the evaluations break down, with the range in which they do.
+        More than :data:`MAX_BROKEN_SHARE` of the evaluations break down.
     """
     from scipy.stats import qmc
 
@@ -98,15 +101,15 @@ def sobol(
         raise UsageError("Sobol indices share an output's variance between parameters: vary two or more")
     if samples < 2 or samples & (samples - 1):
         raise UsageError(f"the number of samples must be a power of two, not {samples}")
-    # twice the rows: the second half is in reserve
+    # the second half of the rows is in reserve
     unit = qmc.Sobol(2 * d, scramble=True, bits=64, rng=np.random.default_rng(seed)).random(2 * samples)
     a, b = (lower + part * (upper - lower) for part in (unit[:, :d], unit[:, d:]))
     design = np.concatenate([a[:, None], b[:, None], np.repeat(a[:, None], d, axis=1)], axis=1)
     design[:, 2 + np.arange(d), np.arange(d)] = b
-    runs = Runs(evaluate, samples * (d + 2), **how)
+    runs = Evaluations(evaluate, samples * (d + 2), **how)
 
     def of_rows(rows: NDArray[np.intp]) -> Array:
-        labels = [f"{r}.{p}" for r in rows for p in range(d + 2)]
+        labels = [f"{row}.{point}" for row in rows for point in range(d + 2)]
         return runs.of(labels, design[rows].reshape(-1, d)).reshape(len(rows), d + 2, -1)
 
     unused = samples
@@ -121,7 +124,7 @@ def sobol(
     mean, sd = both.mean(axis=1), both.std(axis=1)
     outputs = outputs - mean[:, None]
     rng = np.random.default_rng([seed, 1])
-    drawn = [_indices(outputs[..., rng.integers(samples, size=samples)], groups) for _ in range(1000)]
+    drawn = [_indices(outputs[..., rng.integers(samples, size=samples)], groups) for _ in range(N_DRAWS)]
     first, total = _indices(outputs, groups)
     first_ci, total_ci = np.percentile(drawn, (2.5, 97.5), axis=0).transpose(1, 0, 2, 3)
     broken = len(runs.broken)
@@ -129,17 +132,18 @@ def sobol(
 
 
 def _indices(outputs: Array, groups: Sequence[Sequence[int]]) -> Array:
-    """First-order and total indices of outputs, shape (d + 2, s, n): shape (2, s + g, d).
+    """Return first-order and total indices of outputs, shape (d + 2, s, n), as an array (2, s + g, d).
 
-    Those of a group are means weighted by the outputs' variances; an output that does not vary has none.
+    The indices of a group are the means of those of its outputs, weighted by their variances.
     """
-    a, b, ab = outputs[0], outputs[1], outputs[2:]
     from scipy.stats import sobol_indices
 
+    a, b, ab = outputs[0], outputs[1], outputs[2:]
     variance = np.var([a, b], axis=(0, -1))
     with np.errstate(invalid="ignore"):
         found = sobol_indices(func={"f_A": a, "f_B": b, "f_AB": ab}, n=a.shape[-1])
     shape = (2, len(variance), len(ab))
+    # an output that does not vary has no indices
     indices = np.nan_to_num(np.reshape([found.first_order, found.total_order], shape))
     parts = [indices]
     for members in groups:
@@ -149,20 +153,20 @@ def _indices(outputs: Array, groups: Sequence[Sequence[int]]) -> Array:
     return np.concatenate(parts, axis=1)
 
 
-class Runs:
-    """Evaluations in threads: kept, counted, and refused when too many break down.
+class Evaluations:
+    """Evaluations by several threads, which are kept and counted.
 
     Parameters
     ----------
     evaluate : callable
     planned : int
-        Evaluations the design needs.
+        Number of evaluations that the design needs.
     names : sequence of str
-        Of the parameters, for the error.
+        Names of the parameters, for the error.
     jobs : int
-        Threads; the result does not depend on it.
+        Number of threads. The result does not depend on it.
     checkpoint : Checkpoint, optional
-        Keeps every evaluation.
+        File of the evaluations.
     progress : Progress
     """
 
@@ -180,29 +184,32 @@ class Runs:
         self.jobs, self.checkpoint, self.progress = jobs, checkpoint or Checkpoint(), progress
         self.done = 0
         self.broken: list[Array] = []
-        self._fine: list[Array] = []
+        self._complete: list[Array] = []
 
     def of(self, labels: Sequence[str], points: Array) -> Array:
-        """Outputs at points, shape (n, d) to (n, s); NaN in the whole row where one breaks down."""
+        """Return the outputs at points, shape (n, d) to (n, s); a row of NaN where one breaks down."""
         rows = []
-        parts = range(0, len(points), TOGETHER)
-        work = [(labels[i : i + TOGETHER], points[i : i + TOGETHER]) for i in parts]
+        parts = range(0, len(points), BATCH)
+        work = [(labels[i : i + BATCH], points[i : i + BATCH]) for i in parts]
         with (
             self.progress("sensitivity", total=len(points)) as step,
             in_threads(self._some, work, self.jobs) as results,
         ):
             for outputs, point in zip(chain.from_iterable(results), points, strict=True):
-                whole = bool(np.isfinite(outputs).all())
-                (self._fine if whole else self.broken).append(point)
-                rows.append(outputs if whole else np.full(len(outputs), np.nan))
                 self.done += 1
-                if len(self.broken) > BROKEN * self.planned:
+                if np.isfinite(outputs).all():
+                    self._complete.append(point)
+                    rows.append(outputs)
+                else:
+                    self.broken.append(point)
+                    rows.append(np.full(len(outputs), np.nan))
+                if len(self.broken) > MAX_BROKEN_SHARE * self.planned:
                     self.refuse()
                 step()
         return np.array(rows)
 
     def _some(self, work: tuple[Sequence[str], Array]) -> list[Array]:
-        """Outputs at a few points; those kept from an earlier run are not evaluated again."""
+        """Return the outputs at a few points; those of an earlier run are not evaluated again."""
         labels, points = work
         known = {label: self.checkpoint.get(label) for label in labels}
         new = [k for k, label in enumerate(labels) if known[label] is None]
@@ -213,30 +220,29 @@ class Runs:
         return [np.asarray(known[label]) for label in labels]
 
     def refuse(self) -> NoReturn:
-        """Say where the model breaks down.
+        """Raise an error that says where the model breaks down.
 
         Raises
         ------
         NoTrustworthyResult
-            Always.
         """
         raise NoTrustworthyResult(
             f"{len(self.broken)} of the first {self.done} simulations break down, more than "
-            f"{100 * BROKEN:g} % of all: {self._where()}",
+            f"{100 * MAX_BROKEN_SHARE:g} % of all: {self._where()}",
             hint="narrow that coefficient's range (--range NAME=LOW,HIGH), or take a smaller step (--dt)",
         )
 
     def _where(self) -> str:
-        """The parameter whose values set the broken points apart most, and their range."""
+        """Return the parameter whose values separate the broken points best, and their range."""
         from scipy.stats import ks_2samp
 
         bad = np.array(self.broken)
         low, high = bad.min(axis=0), bad.max(axis=0)
         names = list(self.names) or [f"parameter {k + 1}" for k in range(bad.shape[1])]
-        if not self._fine:
+        if not self._complete:
             spans = ", ".join(f"{n} {a:.3g} to {b:.3g}" for n, a, b in zip(names, low, high, strict=True))
             return f"all that were tried, over {spans}"
-        fine = np.array(self._fine)
+        fine = np.array(self._complete)
         distances = [ks_2samp(bad[:, k], fine[:, k]).statistic for k in range(bad.shape[1])]
         k = int(np.argmax(distances))
         also = float(np.mean((fine[:, k] >= low[k]) & (fine[:, k] <= high[k])))

@@ -18,9 +18,9 @@ class SensitivityOptions(
 ):
     """Rank the coefficients of a swimmer by their effect on each output.
 
-    TRIALS is a trials file of a free-swim or multibody experiment. Each output (speeds, rates, the misfit
-    of each measured channel) is told which coefficients it is sensitive to, over ranges of all at once.
-    A run that was stopped goes on where it was when it is started again.
+    TRIALS is a trials file of a free-swim or multibody experiment. All coefficients vary at once over their
+    ranges. Outputs are speeds, rates, and the root-mean-square error of each measured channel. A run that was
+    stopped continues when it is started again.
 
     Examples:
       swimid sensitivity trials.yaml -o sens.yaml
@@ -42,6 +42,6 @@ class SensitivityOptions(
     coefficients: tuple[str, ...] = option((), separated=True, metavar="A,B", help="Vary these only.")
     chosen: Mapping[str, float] = simulations.chosen("Hold a parameter at this value. Repeatable.")
     readings: Mapping[str, str] = swimmers.readings()
-    seed: int = option(0, ge=0, help="Of the design.")
+    seed: int = option(0, ge=0, help="Seed of the design.")
     jobs: int | None = fits.jobs()
     dt: float = swimmers.step()

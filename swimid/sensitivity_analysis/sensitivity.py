@@ -1,4 +1,4 @@
-"""``sensitivity``: which coefficient each output is most sensitive to."""
+"""``sensitivity``: Sobol indices of the outputs of a robot to its coefficients."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -18,6 +18,7 @@ from swimid.files import atomic, provenance
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array, Parameter, Trial
+from swimid.logs.kinematics import CYCLE_QUANTITIES
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
 from swimid.options import takes
@@ -37,36 +38,37 @@ from swimid.sensitivity_analysis.indices import Sobol, sobol
 from swimid.sensitivity_analysis.options import SensitivityOptions
 from swimid.simulation import catalogue, compare_series
 from swimid.simulation.catalogue import Applied, Quantity, is_possible
-from swimid.simulation.swim_quantities import Steady
-from swimid.swimmer import run_quantities
+from swimid.simulation.swim_quantities import SwimRun, units_of
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.model import Swimmer
 
 if TYPE_CHECKING:
     import pandas as pd
 
-#: An output that varies less than this share of its size does not vary.
-CONSTANT = 1e-9
+#: An output whose standard deviation is below this share of its mean is constant.
+CONSTANT_SHARE = 1e-9
+#: A total index whose 95 % interval lies below this value is negligible.
+NEGLIGIBLE = 0.01
 
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity(FileResult[SensitivityFile]):
-    """Sensitivity indices of coefficients, as ``sensitivity`` gives them.
+    """Result of ``sensitivity``: Sobol indices of coefficients.
 
     Attributes
     ----------
     indices : DataFrame
-        A row for each coefficient of each output (``output``, ``trial``, ``coefficient``; without a trial of
+        A row for each coefficient of each output (``output``, ``trial``, ``coefficient``; without a trial for
         all together): ``first`` and ``total`` Sobol index (1), each a dict of ``value`` and ``ci95``.
     file : SensitivityFile
-        What :meth:`save` writes; it also has the ranges.
+        Sensitivity file that :meth:`save` writes; it also has the ranges.
     """
 
     file_type = SensitivityFile
 
     @property
     def indices(self) -> pd.DataFrame:
-        """A row for each coefficient of each output: its Sobol shares."""
+        """Sobol indices: a row for each coefficient of each output."""
         import pandas as pd
 
         return pd.DataFrame(
@@ -78,63 +80,72 @@ class Sensitivity(FileResult[SensitivityFile]):
         )
 
 
+class MeasuredChannel(NamedTuple):
+    """Samples of a channel for a root-mean-square error, which is divided by ``scale``."""
+
+    time_s: Array
+    values: Array
+    scale: float
+    unit: str
+
+
 @dataclass(frozen=True)
 class Run:
-    """A trial whose outputs are looked at.
+    """A trial with its outputs.
 
     Attributes
     ----------
     trial : Trial
-        At the times at which it is simulated.
-    steady : Steady or None
-        The last whole beats; None where measured joints drive the robot.
-    measured : dict of channel to (times, values, scale, unit)
-        Samples a misfit is taken over; it is divided by ``scale``.
+        The trial at the times at which it is simulated.
+    swim : SwimRun or None
+        The last whole cycles; None if measured joints drive the robot.
+    measured : mapping of str to MeasuredChannel
     values : ndarray
-        The given coefficients, with the trial's start state.
+        The given coefficients, with the start state of the trial.
     """
 
     trial: Trial
-    steady: Steady | None
-    measured: Mapping[str, tuple[Array, Array, float, str]]
+    swim: SwimRun | None
+    measured: Mapping[str, MeasuredChannel]
     values: Array
 
     def outputs(self, model: Swimmer, values: Array, columns: Mapping[str, Array]) -> dict[str, Quantity]:
-        """Return what a simulated run comes to; NaN where the simulation breaks down."""
-        found: dict[str, Quantity] = {}
-        if self.steady is not None:
-            known = self.steady.quantities(model, values, columns, None)
-            for name, unit in _looked_at(model, self.steady).items():
-                found[name] = known.get(name, Quantity(math.nan, unit))
-        for name, (times, measured, scale, unit) in self.measured.items():
+        """Return the outputs of a simulated run; NaN if the simulation breaks down."""
+        outputs: dict[str, Quantity] = {}
+        if self.swim is not None:
+            known, units = self.swim.quantities(model, values, columns, None), units_of(model)
+            for name in _swim_outputs(model, self.swim):
+                outputs[name] = known.get(name, Quantity(math.nan, units[name]))
+        for name, channel in self.measured.items():
             error = math.nan
             if np.isfinite(columns[name]).all():
                 curve = CubicSpline(self.trial.time_s, columns[name])
-                error = math.sqrt(float(np.mean((measured - curve(times)) ** 2)))
-            found[f"misfit_{name}"] = Quantity(error / scale, unit)
-        return found
+                error = math.sqrt(float(np.mean((channel.values - curve(channel.time_s)) ** 2)))
+            outputs[f"misfit_{name}"] = Quantity(error / channel.scale, channel.unit)
+        return outputs
 
 
-def _looked_at(model: Swimmer, steady: Steady) -> dict[str, str]:
-    """The quantities of a swim that are outputs, with their units."""
+def _swim_outputs(model: Swimmer, swim: SwimRun) -> list[str]:
+    """Return the quantities of a swim that are outputs."""
     if model.in_space:
-        return dict(run_quantities.QUANTITIES)
-    found = {f"amplitude_{axis.name}_rad": "rad" for axis in model.passive}
-    if model.free_base:
-        turn = model.pose[2].removesuffix("_rad")
-        found = {"mean_surge_m_s": "m/s", f"{turn}_range_in_beat_rad": "rad", **found}
-        if steady.told_to_turn:
-            found[f"mean_{turn}_rate_rad_s"] = "rad/s"
-    return found
+        return list(CYCLE_QUANTITIES)
+    amplitudes = [f"amplitude_{axis.name}_rad" for axis in model.passive]
+    if not model.free_base:
+        return amplitudes
+    turn = model.pose[2].removesuffix("_rad")
+    outputs = ["mean_surge_m_s", f"{turn}_range_in_beat_rad", *amplitudes]
+    if swim.commanded_turn:
+        outputs.append(f"mean_{turn}_rate_rad_s")
+    return outputs
 
 
 @dataclass(frozen=True)
 class Study:
-    """What is varied, and what is looked at.
+    """Coefficients with their ranges, runs and outputs.
 
     Attributes
     ----------
-    columns : list of (quantity, trial, unit)
+    columns : sequence of (quantity, trial, unit)
         Outputs in order.
     centre : ndarray, shape (s,)
         Outputs with the given coefficients.
@@ -148,7 +159,7 @@ class Study:
 
     @property
     def groups(self) -> dict[str, list[int]]:
-        """The outputs of each quantity that more than one trial has."""
+        """Outputs of each quantity that more than one trial has."""
         groups: dict[str, list[int]] = {}
         for k, (quantity, _, _) in enumerate(self.columns):
             groups.setdefault(quantity, []).append(k)
@@ -165,19 +176,18 @@ def sensitivity(
 ) -> Sensitivity:
     """Vary the coefficients of a robot with links over ranges.
 
-    By default all coefficients vary that a fit estimates, and those with a range of their own. A parameter
-    file gives values, standard errors, start states and noise. The indices hold for the ranges given: another
-    range is another answer.
+    By default the coefficients that a fit estimates are varied, and those with a range of their own. A
+    parameter file gives values, standard errors, start states and noise. The indices hold for the given
+    ranges only.
 
     Parameters
     ----------
     trials : path or TrialSet
-        Trials: a file, or what :func:`swimid.load` gives.
-        Of a free-swim or multibody experiment.
+        Trials file of a free-swim or multibody experiment, or the trials that :func:`swimid.load` returns.
     output : Path, optional
         Sensitivity file to write; its evidence goes beside it.
     progress : Progress
-        Shows the simulations.
+        Progress over the simulations.
 
     Returns
     -------
@@ -190,17 +200,17 @@ def sensitivity(
     UsageError, InputError
         For bad files and options.
     NoTrustworthyResult
-        When more than one in a hundred simulations breaks down.
+        More than one in a hundred simulations breaks down.
 
     References
     ----------
     .. [1] Saltelli, Annoni, Azzini, Campolongo, Ratto, Tarantola (2010), doi:10.1016/j.cpc.2009.09.018: Sobol
        indices.
-    .. [2] Gamboa, Janon, Klein, Lagnoux (2014), doi:10.1214/14-EJS895: those of several outputs together.
+    .. [2] Gamboa, Janon, Klein, Lagnoux (2014), doi:10.1214/14-EJS895: indices of several outputs together.
 
     Examples
     --------
-    Which of two coefficients of the tendon fish turns its heading more?
+    Compare the effect of two coefficients of the tendon fish on its heading:
 
     >>> found = sensitivity(
     ...     "sample_logs/tfish/trials.yaml",
@@ -214,13 +224,13 @@ def sensitivity(
     """
     count, params = options.samples, options.params
     with recorded(repeat=True) as notices:
-        experiment, applied = _loaded(trials, options)
+        experiment, applied = _load(trials, options)
         if output is not None:
             atomic.check_writable(output, inputs=experiment.inputs)
         over = _ranges(applied, options.ranges, options.coefficients)
         origin = provenance.collect(experiment.inputs, settings=options.settings())
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
-        # how much time of the trials is simulated
+        # total time of the simulations
         ahead_s = sum(float(t.time_s[-1] - t.time_s[0]) for t in experiment.trials) * count * (len(over) + 2)
         _swimmer(applied).prepare(progress, simulated_s=ahead_s, checkpoint=keep)
         study = _study(experiment, applied, over)
@@ -260,7 +270,7 @@ def sensitivity(
     return saved
 
 
-def _loaded(source: str | Path | TrialSet, options: SensitivityOptions) -> tuple[Experiment, Applied]:
+def _load(source: str | Path | TrialSet, options: SensitivityOptions) -> tuple[Experiment, Applied]:
     if options.params is None:
         if options.robot is not None:
             raise UsageError("--robot belongs to --params: the trials file names the robot")
@@ -273,56 +283,88 @@ def _loaded(source: str | Path | TrialSet, options: SensitivityOptions) -> tuple
 
 
 def _swimmer(applied: Applied) -> Swimmer:
-    """The model as that of a robot with links, on which :func:`_loaded` insists."""
+    """Return the model as that of a robot with links; :func:`_load` refuses others."""
     assert applied.model.swimmer is not None
     return applied.model.swimmer
 
 
-# ------------------------------------------------------------ what is varied
+# ------------------------------------------------------------ ranges
 
 
 def _ranges(applied: Applied, texts: Sequence[str], coefficients: Sequence[str]) -> dict[str, Range]:
-    """The range of every coefficient that is varied."""
-    parted = [text.partition("=") for text in texts]
-    own = {name.strip(): _ends(name.strip(), ends) for name, equals, ends in parted if equals}
-    rules = [name.strip() for name, equals, _ in parted if not equals]
+    """Return the range of every coefficient that is varied."""
+    parts = [text.partition("=") for text in texts]
+    own = {name.strip(): _ends(name.strip(), ends) for name, equals, ends in parts if equals}
+    rules = [name.strip() for name, equals, _ in parts if not equals] or ["bounds"]
     if len(rules) > 1:
         raise UsageError(f"--range: {' and '.join(rules)} contradict each other")
-    rule = rules[0] if rules else "bounds"
     shared = {p.name: p for p in applied.model.parameters if not p.per_trial}
     for name in (*own, *coefficients):
         if name not in shared:
             raise UsageError(f"there is no coefficient '{name}'", hint=suggestion(name, list(shared)))
         if name in applied.chosen:
             raise UsageError(f"{name} is held by --set and cannot be varied")
+    varied = coefficients or [p.name for p in shared.values() if p.free or p.name in own]
     values = dict(zip([p.name for p in applied.model.parameters], applied.values().tolist(), strict=True))
     names, covariance = applied.uncertain()
     errors = dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
     ranges = {}
-    for p in shared.values():
-        wanted = p.name in coefficients if coefficients else p.free or p.name in own
-        if not wanted or p.name in applied.chosen:
+    for name, p in shared.items():
+        if name not in varied or name in applied.chosen:
             continue
-        if p.name in own:
-            low, high, source = *own[p.name], "given"
+        if name in own:
+            low, high, source = *own[name], "given"
         else:
-            low, high, source = _by_rule(p, values[p.name], rule, errors)
+            low, high, source = _by_rule(p, values[name], rules[0], errors)
         if math.isnan(low):
             if coefficients:
-                raise UsageError(f"{p.name} has no standard error to make a range of")
+                raise UsageError(f"{name} has no standard error to make a range of")
             continue
         if not (math.isfinite(low) and math.isfinite(high)):
-            raise UsageError(f"{p.name} has no bounds", hint=f"give them: --range {p.name}=LOW,HIGH")
+            raise UsageError(f"{name} has no bounds", hint=f"give them: --range {name}=LOW,HIGH")
         if not low < high:
-            raise UsageError(f"the range of {p.name} is empty: {low:g} to {high:g}")
-        ranges[p.name] = Range(value=values[p.name], low=low, high=high, unit=p.unit, source=source)  # type: ignore[arg-type]
+            raise UsageError(f"the range of {name} is empty: {low:g} to {high:g}")
+        ranges[name] = Range(value=values[name], low=low, high=high, unit=p.unit, source=source)  # type: ignore[arg-type]
     if not ranges:
         raise UsageError("there is no coefficient to vary", hint="name one: --range NAME=LOW,HIGH")
     return ranges
 
 
+def _ends(name: str, text: str) -> tuple[float, float]:
+    """Return the ends of a range from an option ``NAME=LOW,HIGH``."""
+    try:
+        low, high = (float(part) for part in text.split(","))
+    except ValueError:
+        raise UsageError(f"--range: '{name}={text}' should be NAME=LOW,HIGH") from None
+    return low, high
+
+
+def _by_rule(p: Parameter, value: float, rule: str, errors: Mapping[str, float]) -> tuple[float, float, str]:
+    """Return the ends of a range and its source; NaN if the standard error is unknown."""
+    if rule == "bounds":
+        return p.lower, p.upper, rule
+    if rule == "stderr":
+        if not errors:
+            raise UsageError("--range stderr needs a parameter file with standard errors: --params")
+        half = 2 * errors.get(p.name, math.nan)
+        return max(value - half, p.lower), min(value + half, p.upper), rule
+    try:
+        share = float(rule.removesuffix("%")) / 100.0
+    except ValueError:
+        share = math.nan
+    if not rule.endswith("%") or not 0 < share < math.inf:
+        raise UsageError(f"--range: '{rule}' should be bounds, stderr, 20% or NAME=LOW,HIGH")
+    half = share * abs(value)
+    if half == 0:
+        raise UsageError(
+            f"{p.name} is 0, of which no share is a range",
+            hint=f"give it one, --range {p.name}=LOW,HIGH, or hold it, --set {p.name}=0",
+        )
+    return max(value - half, p.lower), min(value + half, p.upper), "share"
+
+
 def _correlated(applied: Applied, over: Mapping[str, Range]) -> tuple[float, str, str] | None:
-    """The largest correlation of two coefficients whose ranges are their standard errors, and the two."""
+    """Return the largest correlation of two coefficients whose ranges are their standard errors, and both."""
     names, covariance = applied.uncertain()
     sd = np.sqrt(np.diag(covariance))
     kept = [k for k, name in enumerate(names) if name in over and over[name].source == "stderr"]
@@ -333,43 +375,11 @@ def _correlated(applied: Applied, over: Mapping[str, Range]) -> tuple[float, str
     return max(pairs, key=lambda pair: abs(pair[0]), default=None)
 
 
-def _ends(name: str, text: str) -> tuple[float, float]:
-    try:
-        low, high = (float(part) for part in text.split(","))
-    except ValueError:
-        raise UsageError(f"--range: '{name}={text}' should be NAME=LOW,HIGH") from None
-    return low, high
-
-
-def _by_rule(p: Parameter, value: float, rule: str, errors: Mapping[str, float]) -> tuple[float, float, str]:
-    """Ends of a range and what they are of; NaN where two standard errors are not known."""
-    if rule == "bounds":
-        return p.lower, p.upper, rule
-    if rule == "stderr":
-        if not errors:
-            raise UsageError("--range stderr needs a parameter file with standard errors: --params")
-        half = 2 * errors.get(p.name, math.nan)
-    else:
-        try:
-            share = float(rule.removesuffix("%")) / 100.0
-        except ValueError:
-            share = math.nan
-        if not rule.endswith("%") or not 0 < share < math.inf:
-            raise UsageError(f"--range: '{rule}' should be bounds, stderr, 20% or NAME=LOW,HIGH")
-        half, rule = share * abs(value), "share"
-        if half == 0:
-            raise UsageError(
-                f"{p.name} is 0, of which no share is a range",
-                hint=f"give it one, --range {p.name}=LOW,HIGH, or hold it, --set {p.name}=0",
-            )
-    return max(value - half, p.lower), min(value + half, p.upper), rule
-
-
-# ------------------------------------------------------------ the outputs
+# ------------------------------------------------------------ outputs
 
 
 def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) -> Study:
-    """The runs with their start states, and what they come to with the given coefficients."""
+    """Return the runs with their start states, and the outputs with the given coefficients."""
     model = _swimmer(applied)
     runs, columns, centre = [], [], []
     for trial in experiment.trials:
@@ -385,74 +395,78 @@ def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) 
         columns += [(name, trial.id, q.unit) for name, q in quantities.items()]
         centre += [q.value for q in quantities.values()]
     if not columns:
-        raise NoTrustworthyResult("these trials have no output: the base is held and nothing yields")
+        raise NoTrustworthyResult("these trials have no output: the base is fixed and no joint is passive")
     return Study(applied, over, runs, columns, np.array(centre))
 
 
 def _run(applied: Applied, model: Swimmer, trial: Trial) -> Run:
+    """Return a trial with its start state and the channels that it measured."""
     values, _, _ = compare_series.start_of(applied, trial, refit=bool(trial.measured))
-    drive, steady = trial.swim.drive, None
-    times = trial.time_s
-    if drive is not None:
-        steady = Steady.of(model, trial, drive.frequency_hz)
-    if steady is not None:
-        times = steady.trial.time_s
+    swim, times = None, trial.time_s
+    if trial.swim.drive is not None:
+        swim = SwimRun.of(model, trial, trial.swim.drive.frequency_hz)
+    if swim is not None:
+        times = swim.trial.time_s
     measured, units, noise = {}, {c.name: c.unit for c in model.channels}, applied.noise()
     for name, samples in trial.measured.items():
-        there = np.isfinite(samples) & (trial.time_s <= times[-1])
-        if there.sum() > 1:
-            scale, unit = 1.0, units[name]
-            if noise.get(name, 0.0) > 0:
-                scale, unit = noise[name], "1"
-            measured[name] = (trial.time_s[there], samples[there], scale, unit)
-    return Run(replace(trial, time_s=times, measured={}, inputs={}), steady, measured, values)
+        known = np.isfinite(samples) & (trial.time_s <= times[-1])
+        if known.sum() < 2:
+            continue
+        scale, unit = 1.0, units[name]
+        if noise.get(name, 0.0) > 0:
+            scale, unit = noise[name], "1"
+        measured[name] = MeasuredChannel(trial.time_s[known], samples[known], scale, unit)
+    return Run(replace(trial, time_s=times, measured={}, inputs={}), swim, measured, values)
 
 
 def _evaluation(study: Study, model: Swimmer | None = None) -> Callable[[Array], Array]:
-    """From coefficients, shape (n, d), to the outputs, shape (n, s); NaN where a simulation breaks down."""
+    """Return the function from coefficients, shape (n, d), to the outputs, shape (n, s).
+
+    Outputs are NaN where a simulation breaks down.
+    """
     known = model or _swimmer(study.applied)
     places = [known.index(name) for name in study.ranges]
 
     def evaluate(points: Array) -> Array:
-        results = np.full((len(points), len(study.columns)), np.nan)
         vectors = np.repeat(np.array([run.values for run in study.runs])[None], len(points), axis=0)
         vectors[:, :, places] = points[:, None]
-        asked = [k for k, each in enumerate(vectors) if all(is_possible(known, one) for one in each)]
-        pairs = [(one, run) for k in asked for one, run in zip(vectors[k], study.runs, strict=True)]
+        possible = np.array([all(is_possible(known, one) for one in each) for each in vectors])
+        pairs = [(one, run) for each in vectors[possible] for one, run in zip(each, study.runs, strict=True)]
         simulated = known.simulate_many([(one, run.trial) for one, run in pairs])
-        told = [
-            [q.value for q in run.outputs(known, one, columns).values()]
+        values = [
+            quantity.value
             for (one, run), columns in zip(pairs, simulated, strict=True)
+            for quantity in run.outputs(known, one, columns).values()
         ]
-        count = len(study.runs)
-        for row, k in enumerate(asked):
-            results[k] = list(itertools.chain.from_iterable(told[row * count : (row + 1) * count]))
+        results = np.full((len(points), len(study.columns)), np.nan)
+        results[possible] = np.reshape(values, (-1, len(study.columns)))
         return results
 
     return evaluate
 
 
 def _step_change(study: Study, estimates: Sobol) -> float:
-    """Largest change of an output when the integration step is halved, over its deviation in the ranges."""
+    """Return the maximum change of an output when the step is halved, over its deviation in the ranges."""
     finer = _swimmer(study.applied).refined()
     given = np.array([r.value for r in study.ranges.values()])
     change = np.abs(_evaluation(study, finer)(given[None])[0] - study.centre)
-    vary = estimates.sd > CONSTANT * np.abs(estimates.mean)
+    vary = estimates.sd > CONSTANT_SHARE * np.abs(estimates.mean)
     return float(np.max(change[vary] / estimates.sd[vary], initial=0.0))
 
 
 def _outputs(study: Study, estimates: Sobol) -> list[Output]:
-    numbers = np.column_stack([study.centre, estimates.mean, estimates.sd]).tolist()
+    """Return the outputs of each trial, then those of all trials together, with their indices."""
+    statistics = np.column_stack([study.centre, estimates.mean, estimates.sd]).tolist()
     outputs = [
         Output(quantity=quantity, trial=trial, unit=unit, value=value, mean=mean, sd=sd)
-        for (quantity, trial, unit), (value, mean, sd) in zip(study.columns, numbers, strict=True)
+        for (quantity, trial, unit), (value, mean, sd) in zip(study.columns, statistics, strict=True)
     ]
     for quantity, members in study.groups.items():
         sd = float(np.sqrt(np.mean(estimates.sd[members] ** 2)))
         outputs.append(Output(quantity=quantity, unit=study.columns[members[0]][2], sd=sd))
     for row, one in enumerate(outputs):
         assert one.sd is not None
-        if one.sd > CONSTANT * abs(one.mean or 0.0):
+        if one.sd > CONSTANT_SHARE * abs(one.mean or 0.0):
             one.shares = {name: _shares(estimates, row, k) for k, name in enumerate(study.ranges)}
     return outputs
 
@@ -462,6 +476,5 @@ def _shares(sobol: Sobol, row: int, k: int) -> Shares:
         Index(value=float(index[row, k]), ci95=ends[:, row, k].tolist())
         for index, ends in ((sobol.first, sobol.first_ci), (sobol.total, sobol.total_ci))
     )
-    # a total index whose interval lies below 0.01 is negligible
-    negligible = total.ci95[1] < 0.01
+    negligible = total.ci95[1] < NEGLIGIBLE
     return Shares(first=first, total=total, first_told=first.ci95[0] > 0, negligible=negligible)

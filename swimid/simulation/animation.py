@@ -1,10 +1,9 @@
-"""A simulated run as a film: the links drawn to scale, the path they take, a scale bar and the time."""
+"""Film of a simulated run: the links drawn to scale, their path, a scale bar and the time."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -14,213 +13,200 @@ from numpy.typing import NDArray
 from swimid.files import atomic
 from swimid.files.video import REMARK, Frame, Mpeg4, open_writer
 from swimid.progress import Progress, silent
+from swimid.swimmer.planar.model import Body
 
 Array = NDArray[np.float64]
-#: Pictures a second.
+#: Frames per second.
 RATE_HZ = 25.0
-#: Longer side of the picture, pixels, by the file's ending.
-SIZE = {".mp4": 960, ".gif": 560}
-#: Largest width of the body over its length, and the least (a fin), with the share along it.
-FULLNESS, THINNEST = 0.16, 0.012
-#: Blue, green, red.
-WATER, RIPPLE, INK, TRACE = (250, 246, 240), (238, 228, 214), (70, 55, 40), (190, 150, 60)
+#: Longer side of a frame by ending of the file, px.
+SIZE_PX = {".mp4": 960, ".gif": 560}
+#: Maximum width of a body without a stated one, and minimum width of any body (a fin), body lengths.
+MAX_WIDTH, MIN_WIDTH = 0.16, 0.012
+#: Width of a link of a robot that is no free body, body lengths.
+BAR_WIDTH = 0.06
+#: A path longer than this many body lengths would be useless in a fixed view.
+MAX_FIXED_PATH = 12.0
+#: Size of a view that follows the robot, and margin of one that does not, body lengths.
+FOLLOWING_VIEW, MARGIN = (3.2, 1.9), 0.4
+#: Colours: blue, green, red.
+WATER, GRID, INK, PATH = (250, 246, 240), (238, 228, 214), (70, 55, 40), (190, 150, 60)
 DRIVEN, PASSIVE = (150, 105, 45), (80, 130, 225)
-#: Coordinates are drawn to 1 / 16 of a pixel.
-_SHIFT = 4
+#: Binary digits of a fraction of a pixel in coordinates that are drawn.
+SHIFT = 4
 
 
 @dataclass(frozen=True)
 class Film:
-    """What is shown.
+    """Motion of a robot for a film.
 
     Attributes
     ----------
     time_s : ndarray, shape (n,)
-    x_m, y_m, heading_rad : ndarray, shape (links, n)
-        Front end and heading of every link; y points up in the picture.
-    lengths_m, begins_m : ndarray, shape (links,)
-        Length of every link, and distance of its front end from the robot's, all joints straight.
-    passive : collection of int
-        The links on passive joints.
+    body : Body
+        Links of the robot.
+    frames : (ndarray, ndarray, ndarray), shape (links, n) each
+        Front end (x, y), m, and heading, rad, of every link; y points up in the frame.
+    begins_m : ndarray, shape (links,)
+        Distance of the front end of every link from that of the robot, all joints straight.
     length_m, width_m : float
-        Of the robot.
+        Length and maximum width of the robot.
     title : str
-    tapered : bool
-        The links make up a body as fish have; else each is a bar.
     """
 
     time_s: Array
-    x_m: Array
-    y_m: Array
-    heading_rad: Array
-    lengths_m: Array
+    body: Body
+    frames: tuple[Array, Array, Array]
     begins_m: Array
-    passive: Collection[int]
     length_m: float
     width_m: float
     title: str
-    tapered: bool
+
+    @property
+    def lengths_m(self) -> Array:
+        """Length of every link, m, shape (links,)."""
+        return np.array(self.body.lengths_m)
+
+    def outline(self, link: int) -> Array:
+        """Return the outline of a link, shape (points, 2), m: x forward from the front end of the link."""
+        along = np.linspace(0.0, self.lengths_m[link], 24)
+        half = np.full(len(along), 0.5 * BAR_WIDTH * self.length_m)
+        if self.body.free:
+            s = np.clip((self.begins_m[link] + along) / self.length_m, 0.0, 1.0)
+            # thickness of a NACA four-digit section, scaled to a maximum of one half
+            thickness = 0.2969 * np.sqrt(s) - 0.126 * s - 0.3516 * s**2 + 0.2843 * s**3 - 0.1015 * s**4
+            half = np.maximum(self.width_m * thickness / 0.20, 0.5 * MIN_WIDTH * self.length_m)
+        side = np.column_stack((-along, half))
+        turn = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 12)[1:-1]
+        if self.body.free and self.begins_m[link] == 0:
+            turn = np.empty(0)
+        # a round front closes the gap that a bent joint opens
+        front = half[0] * np.column_stack((np.cos(turn), np.sin(turn)))
+        return np.concatenate((front, side, side[::-1] * (1.0, -1.0)))
 
 
-def half_width(share: Array, width: float, length: float) -> Array:
-    """Half the width of the body along it, 0 at the nose to 1 at the tail: full in front, thin behind.
+@dataclass(frozen=True)
+class View:
+    """Part of the plane that a frame shows.
 
-    Parameters
+    Attributes
     ----------
-    share : ndarray, shape (n,)
-    width, length : float, m
+    scale : float
+        Pixels per metre.
+    size_px : (int, int)
+        Width and height.
+    centre_m : ndarray, shape (2,), or None
+        Centre of all frames; None for a view that follows the robot.
     """
-    s = np.clip(share, 0.0, 1.0)
-    # the thickness of a NACA four-digit section, open at its end, scaled to a maximum of one half
-    thickness = 0.2969 * np.sqrt(s) - 0.126 * s - 0.3516 * s**2 + 0.2843 * s**3 - 0.1015 * s**4
-    return np.maximum(width * thickness / 0.10 * 0.5, 0.5 * THINNEST * length)
 
+    scale: float
+    size_px: tuple[int, int]
+    centre_m: Array | None
 
-def outline(film: Film, link: int) -> Array:
-    """A link's outline in its own axes, x forward from its front end; shape (points, 2), m."""
-    along = np.linspace(0.0, film.lengths_m[link], 24)
-    if film.tapered:
-        half = half_width((film.begins_m[link] + along) / film.length_m, film.width_m, film.length_m)
-    else:
-        half = np.full(len(along), 0.03 * film.length_m)
-    port = np.column_stack((-along, half))
-    # a round front closes the gap that a bent joint opens
-    round_front = film.begins_m[link] > 0 or not film.tapered
-    turn = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 12)[1:-1] if round_front else np.empty(0)
-    cap = half[0] * np.column_stack((np.cos(turn), np.sin(turn)))
-    return np.concatenate((cap, port, port[::-1] * (1.0, -1.0)))
+    @classmethod
+    def of(cls, film: Film, view: str, size_px: int) -> View:
+        """Return the view of a film: ``auto``, ``fixed`` or ``follow``."""
+        ends = np.array([film.frames[:2], film.body.rear_ends(film.frames)])
+        low, high = np.min(ends, axis=(0, 2, 3)), np.max(ends, axis=(0, 2, 3))
+        path = max(float(np.ptp(rows[0])) for rows in film.frames[:2])
+        follows = view == "follow" or (view == "auto" and path > MAX_FIXED_PATH * film.length_m)
+        spans, centre = high - low + MARGIN * film.length_m, 0.5 * (low + high)
+        if follows:
+            spans, centre = np.array(FOLLOWING_VIEW) * film.length_m, None
+        scale = size_px / float(spans.max())
+        # neither a strip nor odd numbers, which encoders refuse
+        width, height = (2 * math.ceil(max(span * scale, 0.4 * size_px) / 2) for span in spans)
+        return cls(scale, (width, height), centre)
 
 
 def write(path: Path, film: Film, *, view: str = "auto", progress: Progress = silent) -> str:
-    """Write a film or an animated GIF, whole or not at all.
+    """Write a film or an animated GIF, complete or not at all.
 
     Parameters
     ----------
     path : Path
-        With an ending of :data:`SIZE`.
+        File with an ending of :data:`SIZE_PX`.
     view : {"auto", "fixed", "follow"}
-        Whether the picture holds the whole path or moves with the robot.
+        Whether the frame holds the whole path or moves with the robot.
 
     Returns
     -------
     str
-        A remark for the user, empty when there is none.
+        Remark for the user; empty if there is none.
     """
-    camera = _Camera.over(film, view, SIZE[path.suffix.lower()])
-    shown = np.arange(film.time_s[0], film.time_s[-1] + 1e-9, 1.0 / RATE_HZ)
-    with atomic.replacing(path) as temporary, progress("animation", total=len(shown)) as step:
-        writer = open_writer(temporary, RATE_HZ, camera.width, camera.height)
+    seen = View.of(film, view, SIZE_PX[path.suffix.lower()])
+    times = np.arange(film.time_s[0], film.time_s[-1] + 1e-9, 1.0 / RATE_HZ)
+    with atomic.replacing(path) as temporary, progress("animation", total=len(times)) as step:
+        writer = open_writer(temporary, RATE_HZ, *seen.size_px)
         try:
-            for time in shown:
-                writer.write(float(time - shown[0]), picture(film, camera, float(time)))
+            for time in times:
+                writer.write(float(time - times[0]), _frame(film, seen, float(time)))
                 step()
         finally:
             writer.close()
     return REMARK.format("animation") if isinstance(writer, Mpeg4) else ""
 
 
-def picture(film: Film, camera: _Camera, time_s: float) -> Frame:
-    """One frame."""
-    x, y, heading = (
-        np.array([np.interp(time_s, film.time_s, row) for row in rows])
-        for rows in (film.x_m, film.y_m, film.heading_rad)
-    )
-    if camera.follows:
-        camera = camera.centred(float(np.mean(x)), float(np.mean(y)))
-    frame = np.full((camera.height, camera.width, 3), WATER, dtype=np.uint8)
-    _grid(frame, camera)
+def _frame(film: Film, view: View, time_s: float) -> Frame:
+    x, y, heading = (np.array([np.interp(time_s, film.time_s, row) for row in rows]) for rows in film.frames)
+    width, height = view.size_px
+    centre = np.array([x.mean(), y.mean()]) if view.centre_m is None else view.centre_m
+    corner = centre - 0.5 * np.array(view.size_px) / view.scale
+
+    def pixels(points: Array) -> NDArray[np.int32]:
+        place = (points - corner) * view.scale
+        place[:, 1] = height - place[:, 1]
+        return np.round(place * 2**SHIFT).astype(np.int32)
+
+    frame = np.full((height, width, 3), WATER, dtype=np.uint8)
+    # the grid shows in a view that follows the robot that it moves
+    pitch = round_length(0.25 * width / view.scale)
+    for at in np.arange(math.ceil(corner[0] / pitch) * pitch, corner[0] + width / view.scale, pitch):
+        column = round((at - corner[0]) * view.scale)
+        cv2.line(frame, (column, 0), (column, height), GRID, 1)
+    for at in np.arange(math.ceil(corner[1] / pitch) * pitch, corner[1] + height / view.scale, pitch):
+        row = round(height - (at - corner[1]) * view.scale)
+        cv2.line(frame, (0, row), (width, row), GRID, 1)
     past = film.time_s <= time_s
-    points = np.column_stack((np.append(film.x_m[0][past], x[0]), np.append(film.y_m[0][past], y[0])))
-    cv2.polylines(frame, [camera.pixels(points)], False, TRACE, 2, cv2.LINE_AA, _SHIFT)
+    points = np.column_stack(
+        [np.append(rows[0][past], at[0]) for rows, at in zip(film.frames, (x, y), strict=False)]
+    )
+    cv2.polylines(frame, [pixels(points)], False, PATH, 2, cv2.LINE_AA, SHIFT)
+    passive = {axis.link for axis in film.body.passive}
     # from the tail forward, so that each link overlaps the one behind it
     for link in reversed(range(len(film.lengths_m))):
         c, s = math.cos(heading[link]), math.sin(heading[link])
-        shape = outline(film, link) @ np.array([[c, s], [-s, c]]) + (x[link], y[link])
-        pixels = camera.pixels(shape)
-        cv2.fillPoly(frame, [pixels], PASSIVE if link in film.passive else DRIVEN, cv2.LINE_AA, _SHIFT)
-        cv2.polylines(frame, [pixels], True, INK, 1, cv2.LINE_AA, _SHIFT)
-    _scale_bar(frame, camera, film.length_m)
+        shape = pixels(film.outline(link) @ np.array([[c, s], [-s, c]]) + (x[link], y[link]))
+        colour = PASSIVE if link in passive else DRIVEN
+        cv2.fillPoly(frame, [shape], colour, cv2.LINE_AA, SHIFT)
+        cv2.polylines(frame, [shape], True, INK, 1, cv2.LINE_AA, SHIFT)
+    _scale_bar(frame, view.scale, film.length_m)
     _text(frame, f"{time_s:6.2f} s", (12, 26))
-    _text(frame, film.title, (12, camera.height - 14))
+    _text(frame, film.title, (12, height - 14))
     return frame
 
 
-@dataclass(frozen=True)
-class _Camera:
-    """From metres to pixels."""
-
-    scale: float
-    width: int
-    height: int
-    follows: bool
-    left: float = 0.0
-    bottom: float = 0.0
-
-    @classmethod
-    def over(cls, film: Film, view: str, size: int) -> _Camera:
-        ends = [
-            np.concatenate((rows, rows - film.lengths_m[:, None] * turn(film.heading_rad)))
-            for rows, turn in ((film.x_m, np.cos), (film.y_m, np.sin))
-        ]
-        path = [float(np.ptp(rows[0])) for rows in (film.x_m, film.y_m)]
-        # a path longer than twelve robots makes a fixed picture useless: the view then follows
-        follows = view == "follow" or (view == "auto" and max(path) > 12.0 * film.length_m)
-        # with some water around
-        spans = [float(np.ptp(rows)) + 0.4 * film.length_m for rows in ends]
-        if follows:
-            spans = [3.2 * film.length_m, 1.9 * film.length_m]
-        scale = size / max(spans)
-        # neither a strip nor odd numbers, which encoders refuse
-        width, height = (2 * math.ceil(max(span * scale, 0.4 * size) / 2) for span in spans)
-        middle = [0.5 * float(rows.min() + rows.max()) for rows in ends]
-        return cls(scale, width, height, follows).centred(*middle)
-
-    def centred(self, x: float, y: float) -> _Camera:
-        """The same, looking at a point."""
-        left, bottom = x - 0.5 * self.width / self.scale, y - 0.5 * self.height / self.scale
-        return replace(self, left=left, bottom=bottom)
-
-    def pixels(self, points: Array) -> NDArray[np.int32]:
-        x = (points[:, 0] - self.left) * self.scale
-        y = self.height - (points[:, 1] - self.bottom) * self.scale
-        pixels: NDArray[np.int32] = np.round(np.column_stack((x, y)) * 2**_SHIFT).astype(np.int32)
-        return pixels
-
-
-def round_length(wanted: float) -> float:
-    """The largest of 1, 2 and 5 times a power of ten that is not longer.
+def round_length(most: float) -> float:
+    """Return the largest of 1, 2 and 5 times a power of ten that is not above a length.
 
     >>> round_length(0.37)
     0.2
     """
-    power = 10.0 ** math.floor(math.log10(wanted))
-    return float(next(k * power for k in (5, 2, 1) if k * power <= wanted * (1 + 1e-9)))
+    power = 10.0 ** math.floor(math.log10(most))
+    return float(max(k * power for k in (1, 2, 5) if k * power <= most * (1 + 1e-9)))
 
 
-def _grid(frame: Frame, camera: _Camera) -> None:
-    """Lines in the water, by which a moving picture shows that it moves."""
-    pitch = round_length(0.25 * camera.width / camera.scale)
-    for first, span, upright in ((camera.left, camera.width, True), (camera.bottom, camera.height, False)):
-        k = math.ceil(first / pitch)
-        while k * pitch < first + span / camera.scale:
-            at = (k * pitch - first) * camera.scale
-            place = round(at if upright else camera.height - at)
-            ends = ((place, 0), (place, camera.height)) if upright else ((0, place), (camera.width, place))
-            cv2.line(frame, *ends, RIPPLE, 1)
-            k += 1
-
-
-def _scale_bar(frame: Frame, camera: _Camera, length: float) -> None:
-    bar = round_length(min(0.3 * camera.width / camera.scale, max(length, 0.1 * camera.width / camera.scale)))
-    right, base = camera.width - 16, camera.height - 18
-    left = right - round(bar * camera.scale)
+def _scale_bar(frame: Frame, scale: float, length_m: float) -> None:
+    height, width = frame.shape[:2]
+    bar = round_length(min(0.3 * width / scale, max(length_m, 0.1 * width / scale)))
+    right, base = width - 16, height - 18
+    left = right - round(bar * scale)
     cv2.line(frame, (left, base), (right, base), INK, 3)
     text = f"{bar:g} m" if bar >= 0.1 else f"{100 * bar:g} cm"
-    (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.55, 1)
-    _text(frame, text, ((left + right - width) // 2, base - 9))
+    (text_width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.55, 1)
+    _text(frame, text, ((left + right - text_width) // 2, base - 9))
 
 
 def _text(frame: Frame, text: str, place: tuple[int, int]) -> None:
-    # the drawing font has no characters beyond ASCII
+    # the font has no characters beyond ASCII
     plain = text.encode("ascii", "replace").decode()
     cv2.putText(frame, plain, place, cv2.FONT_HERSHEY_SIMPLEX, 0.55, INK, 1, cv2.LINE_AA)

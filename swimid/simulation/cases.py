@@ -1,4 +1,4 @@
-"""The runs ``swimid simulate`` is asked for, as cases: a beat, a weight, an input log, recorded trials."""
+"""Cases for ``simulate``: runs under a beat, a weight or an input log, and recorded trials."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from swimid.files.provenance import Input
 from swimid.fitting import drives
 from swimid.fitting.drives import CruiseInput, Cycle, RigInput, SurgeInput, SwimInput
 from swimid.fitting.model import Array, Model, Trial
+from swimid.logs import kinematics
 from swimid.logs import log as log_format
 from swimid.logs import trials as trials_format
 from swimid.logs.beat import find_beat
@@ -30,20 +31,21 @@ from swimid.rig import model as rig
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
 from swimid.simulation import catalogue
-from swimid.simulation.catalogue import Applied, Quantity
+from swimid.simulation.catalogue import Applied, Compute, Quantity
 from swimid.simulation.options import SimulateOptions
-from swimid.simulation.swim_quantities import Steady
-from swimid.swimmer import run_quantities
+from swimid.simulation.swim_quantities import SwimRun, quantity
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.model import Swimmer
 from swimid.swimmer.planar import drive
 
-#: Duration of a run (s) and sampling rate (Hz) by default.
+#: Default duration of a run, s, and default sample rate, Hz.
 DURATION_S, RATE_HZ = 15.0, 50.0
+#: Maximum number of samples or integration steps of a run.
+MAX_SAMPLES = 20_000_000
 #: Length of a course on which the start from rest does not matter, m.
 FAR_M = 1e9
-#: From a parameter vector to the quantities of a run.
-Quantities = Callable[[Array], dict[str, Quantity]]
+#: Bend of a joint from which on a warning is given, degrees.
+MAX_BEND_DEG = 90.0
 
 
 @dataclass(frozen=True)
@@ -56,9 +58,11 @@ class Case:
     trial : Trial
         Sample times, drive and start of the run.
     metadata : dict
-        Comment lines of the log.
+        Metadata of the log.
     extra : dict of str to ndarray, each shape (n,)
-        Columns to write beside the simulated ones: commands, forces, measured inputs.
+        Columns of the log besides the simulated ones: commands, forces, measured inputs.
+    quantities : callable or None
+        Function from parameter vectors to the quantities of the run.
     """
 
     applied: Applied
@@ -66,72 +70,78 @@ class Case:
     trial: Trial
     metadata: Mapping[str, Any]
     extra: Mapping[str, Any] = field(default_factory=dict)
-    quantities: Quantities | None = None
+    quantities: Compute | None = None
 
     @property
     def id(self) -> str:
-        """Name of the trial."""
+        """Id of the trial."""
         return self.trial.id
 
     @property
     def per_run(self) -> bool:
-        """Whether samples are runs of a table, not instants, so that there is no time column."""
+        """Whether a sample is a run of a table, so that the log has no time column."""
         return self.applied.model.timed_runs
 
 
 def place(options: SimulateOptions) -> Path | None:
-    """Return the name of the parameters in messages and logs."""
+    """Return the path by which messages and logs name the parameters."""
     return None if options.params is None else parameters_format.place(options.params)
 
 
 def _metadata(options: SimulateOptions, robot: str, **more: Any) -> dict[str, Any]:
-    """Return the comment lines that every log has, and more."""
+    """Return the metadata of a log: the entries that every log has, and more."""
     path = place(options)
-    lines = {
-        "robot": robot,
-        "params": "" if path is None else path.name,
-        "set": dict(options.chosen),
-        "readings": dict(options.readings),
-    }
-    return {**{name: value for name, value in lines.items() if value}, **more}
+    lines: dict[str, Any] = {"robot": robot}
+    if path is not None:
+        lines["params"] = path.name
+    if options.chosen:
+        lines["set"] = dict(options.chosen)
+    if options.readings:
+        lines["readings"] = dict(options.readings)
+    return lines | more
 
 
 def _times(options: SimulateOptions, stroke: Cycle | None = None) -> Array:
-    """Return even sample times of the run, s; as long as the cycles of the stroke where they are counted."""
-    whole = DURATION_S if stroke is None or math.isinf(stroke.cycles) else stroke.cycles / stroke.frequency_hz
-    duration = options.duration_s or whole
+    """Return even sample times of the run, s; by default over the cycles of a stroke that ends."""
+    duration = options.duration_s or DURATION_S
+    if options.duration_s is None and stroke is not None and math.isfinite(stroke.cycles):
+        duration = stroke.cycles / stroke.frequency_hz
     rate = options.sample_rate_hz or RATE_HZ
-    if duration * max(rate, 1.0 / options.dt) > 20_000_000:
+    if duration * max(rate, 1.0 / options.dt) > MAX_SAMPLES:
         raise UsageError(f"{duration:g} s at this rate and step are too many samples")
     return np.arange(max(round(duration * rate), 1) + 1) / rate
 
 
 def _needed(options: SimulateOptions, what: str, *names: str) -> list[Any]:
-    """Return the values of options without each of which the run is refused."""
+    """Return the values of options.
+
+    Raises
+    ------
+    UsageError
+        One of them is missing.
+    """
     for name in names:
         if getattr(options, name) is None:
             raise UsageError(f"{what} needs --{name.replace('_', '-')}")
     return [getattr(options, name) for name in names]
 
 
-def of_options(options: SimulateOptions) -> Case:
-    """Return the one run that the options describe.
+def case_of_options(options: SimulateOptions) -> Case:
+    """Return the run that the options describe.
 
     Raises
     ------
     UsageError
-        When options are missing that this model needs.
+        An option that this model needs is missing.
     InputError
-        For anything wrong in a file.
+        For bad files.
     """
     path = place(options)
     if path is None:
-        if options.robot is None:
-            raise UsageError("name a parameter file (--params) or a robot (--robot)")
-        return _swim(options, None, options.robot, None)
+        return _swim(options, None)
     file = catalogue.read_parameters(options.params)
     if file.model in ("multilink", "multibody"):
-        return _swim(options, file, *catalogue.robot_of_parameters(file, path, options.robot))
+        return _swim(options, file)
     if options.readings:
         raise UsageError(f"--reading belongs to robots with links, not to the model '{file.model}'")
     if file.model == "arma":
@@ -153,17 +163,17 @@ def of_options(options: SimulateOptions) -> Case:
     return Case(applied, applied.values(), trial, _metadata(options, robot.name, **metadata), **more)
 
 
-def of_trials(
+def cases_of_trials(
     trials: str | Path | TrialSet, options: SimulateOptions, only: str | None
 ) -> tuple[list[Case], Sequence[Input]]:
-    """Return recorded trials with their own drives and start states, and everything that was read for them.
+    """Return recorded trials with their own drives and start states, and the inputs that were read.
 
     Raises
     ------
     UsageError
-        For a trial that is not there; without a parameter file.
+        For an unknown trial, or without a parameter file.
     InputError
-        For anything wrong in a file.
+        For bad files.
     """
     if options.params is None:
         raise UsageError("--trials needs a parameter file: --params")
@@ -181,9 +191,11 @@ def of_trials(
         if swims is not None:
             cases.append(_swimming(applied, applied.values(trial.id), swims, trial, metadata))
             continue
-        extra: dict[str, Any] = dict(trial.inputs) if experiment.name in ("towed", "arma") else {}
+        extra: dict[str, Any] = {}
         if experiment.model.timed_runs:
             extra = _table(trial.id, trial.inputs)
+        elif experiment.name in ("towed", "arma"):
+            extra = dict(trial.inputs)
         cases.append(Case(applied, applied.values(trial.id), trial, metadata, extra))
     return cases, experiment.inputs
 
@@ -196,28 +208,22 @@ def _swimming(
 ) -> Case:
     """Return the run of a robot with links."""
     if trial.swim.drive is not None:
-        metadata["drive"] = drive_block(trial.swim)
+        metadata["drive"] = drive_block(trial)
     metadata["dt_s"] = model.max_step
     extra, quantities = commands(model, trial, values), _swim_quantities(model, trial, values)
     return Case(applied, values, trial, metadata, extra, quantities)
 
 
-def _swim(options: SimulateOptions, file: ParameterFile | None, name: str, folder: Path | None) -> Case:
-    readings = {**(file.settings.get("readings", {}) if file else {}), **options.readings}
-    robot, model = swimmer.robot_model(name, folder, readings=readings, max_step=options.dt)
-    applied = Applied(model, file, place(options), options.chosen)
-    values = applied.values()
-    try:
-        model.check(values)
-    except InputError as error:
-        raise InputError(
-            f"with these parameters, {error.reason}",
-            file=place(options) or robot_format.locate(name, folder),
-            column=error.column,
-        ) from error
-    swim = SwimInput(pose=(0.0,) * len(model.pose) if model.free_base else None)
-    kind = "free-swim" if model.free_base and not model.in_space else "multibody"
-    metadata = _metadata(options, robot.name, experiment=kind)
+def _swim(options: SimulateOptions, file: ParameterFile | None) -> Case:
+    """Return the run of a robot with links under a beat, a stroke or recorded joints."""
+    applied = catalogue.load_robot(options, file)
+    values, model = applied.values(), applied.model.swimmer
+    assert model is not None
+    swim, kind = SwimInput(), "multibody"
+    if model.free_base:
+        swim = SwimInput(pose=(0.0,) * len(model.pose))
+        kind = "multibody" if model.in_space else "free-swim"
+    metadata = _metadata(options, model.robot.name, experiment=kind)
     beaten = options.frequency_hz is not None or options.amplitude_deg is not None
     if options.input is not None:
         if beaten:
@@ -234,34 +240,39 @@ def _swim(options: SimulateOptions, file: ParameterFile | None, name: str, folde
         if model.driven:
             swim = replace(swim, beat=_beat(options, model))
         elif beaten:
-            raise UsageError(f"the robot '{robot.name}' has no driven joint: there is nothing to beat")
+            raise UsageError(f"the robot '{model.robot.name}' has no driven joint: there is nothing to beat")
         time = _times(options)
     return _swimming(applied, values, model, Trial("run", "fit", time, {}, swim=swim), metadata)
 
 
-def drive_block(swim: SwimInput) -> dict[str, Any]:
-    """Return a beat or a stroke as the ``drive`` of a trials file."""
-    stroke, beat = swim.stroke, swim.beat
+def drive_block(trial: Trial) -> dict[str, Any]:
+    """Return the drive of a trial as in a trials file; empty if measured joints drive it."""
+    beat, stroke = trial.swim.beat, trial.swim.stroke
+    block: dict[str, Any] = swimmer.drive_of(trial)
     if stroke is not None:
-        block = {"stroke": stroke.name, "frequency_hz": stroke.frequency_hz, "scale": stroke.scale}
-        counted = {} if math.isinf(stroke.cycles) else {"cycles": stroke.cycles}
-        return {**block, "ramp_s": stroke.ramp_s, **counted}
-    assert beat is not None
-    return {
-        "waveform": beat.waveform,
-        "frequency_hz": beat.frequency_hz,
-        "amplitude_deg": float(f"{math.degrees(beat.amplitude_rad):.12g}"),
-        "bias_deg": float(f"{math.degrees(beat.bias_rad):.12g}"),
-        "asymmetry": beat.asymmetry,
-        "ramp_s": beat.ramp_s,
-        **({"phase_deg": math.degrees(beat.phase_rad)} if beat.phase_rad else {}),
-    }
+        block = {"stroke": stroke.name, **block, "ramp_s": stroke.ramp_s}
+        if math.isfinite(stroke.cycles):
+            block["cycles"] = stroke.cycles
+    elif beat is not None:
+        block = {"waveform": beat.waveform, **block, "ramp_s": beat.ramp_s}
+        optional = {"lag_deg": beat.lag_rad, "phase_deg": beat.phase_rad}
+        for key, angle in optional.items():
+            block.pop(key, None)
+            if angle:
+                block[key] = math.degrees(angle)
+    return block
 
 
-def setting(key: str, value: float | str) -> str:
-    """Return one setting of a drive in words: ``amplitude 20°``."""
+def setting_text(key: str, value: float | str) -> str:
+    """Return one setting of a drive in words.
+
+    >>> setting_text("amplitude_deg", 20.0)
+    'amplitude 20°'
+    """
     name, unit = numbers.split_unit(key)
-    return f"{name} {value if isinstance(value, str) else numbers.number(value, 4, unit)}"
+    if not isinstance(value, str):
+        value = numbers.number(value, 4, unit)
+    return f"{name} {value}"
 
 
 def _stroke(name: str, options: SimulateOptions) -> StrokeDrive:
@@ -288,9 +299,11 @@ def _beat(options: SimulateOptions, model: Swimmer) -> drives.Beat:
     for axis in model.driven:
         law = axis.driven
         assert law is not None
-        bias_gain = law.gain if law.bias_gain is None else law.bias_gain
+        bias_gain = law.bias_gain
+        if bias_gain is None:
+            bias_gain = law.gain
         bend = abs(law.gain) * amplitude + abs(bias_gain * options.bias_deg)
-        if bend > 90.0:
+        if bend > MAX_BEND_DEG:
             warn("SWM054", f"{axis.name} bends by up to {bend:.0f} degrees")
             break
     asymmetry = options.asymmetry
@@ -340,7 +353,7 @@ def commands(model: Swimmer, trial: Trial, values: Array) -> dict[str, Array]:
 def beat_frequency(
     model: Swimmer, trial: Trial, values: Array, measured: Sequence[Array] = ()
 ) -> float | None:
-    """Return the frequency of the drive, else of the driven joints, else of ``measured``, Hz."""
+    """Return the frequency of the drive, else of the first joint or measured channel with a beat, Hz."""
     if trial.swim.drive is not None:
         return float(trial.swim.drive.frequency_hz)
     for angle in (*commands(model, trial, values).values(), *measured):
@@ -350,42 +363,51 @@ def beat_frequency(
     return None
 
 
-def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Quantities | None:
+def _each(compute: Callable[[Array], dict[str, Quantity]]) -> Compute:
+    """Return a function of several parameter vectors from one of a single vector."""
+    return lambda vectors: [compute(values) for values in vectors]
+
+
+def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Compute | None:
     """Return the function for the quantities of the last beats, or of each stroke; None without a beat."""
     frequency = beat_frequency(model, trial, values)
     if frequency is None:
         return None
     if model.body is None:
-        windows = run_quantities.windows(trial.time_s, frequency)
+        windows = kinematics.whole_cycles(trial.time_s, frequency)
 
         def by_stroke(values: Array) -> dict[str, Quantity]:
             columns = model.attempt(values, trial)
-            return {
-                f"cycle_{k}_{name}": Quantity(value, run_quantities.QUANTITIES[name])
-                for k, window in enumerate(windows, 1)
-                for name, value in run_quantities.quantities(trial.time_s, columns, window).items()
-            }
+            found = {}
+            for k, window in enumerate(windows, 1):
+                of_cycle = kinematics.cycle_quantities(trial.time_s, columns, window)
+                found |= {f"cycle_{k}_{name}": quantity(name, value) for name, value in of_cycle.items()}
+            return found
 
-        return by_stroke if windows else None
-    steady = Steady.of(model, trial, frequency)
-    if steady is None:
+        return _each(by_stroke) if windows else None
+    run = SwimRun.of(model, trial, frequency)
+    if run is None:
         return None
 
-    def of_last_beats(values: Array) -> dict[str, Quantity]:
-        columns, energetics = model.with_energetics([(values, steady.trial)], [steady.window.length_s])[0]
-        return steady.quantities(model, values, columns, energetics)
+    def of_last_beats(vectors: Sequence[Array]) -> list[dict[str, Quantity]]:
+        pairs = [(values, run.trial) for values in vectors]
+        simulated = model.with_energetics(pairs, [run.window.duration_s] * len(pairs))
+        return [
+            run.quantities(model, values, columns, energetics)
+            for values, (columns, energetics) in zip(vectors, simulated, strict=True)
+        ]
 
     return of_last_beats
 
 
 # ------------------------------------------------------------ other models
 
-#: Model, trial, metadata, and what else a case has.
+#: Model, trial, metadata, and further attributes of a case.
 _Made = tuple[Model, Trial, dict[str, Any], dict[str, Any]]
 
 
 def _rig_body(file: ParameterFile, robot: Robot) -> tuple[float, bool, float]:
-    """Return mass of the body (kg), whether its drag coefficient is known, and ``rho A / 2`` (kg/m)."""
+    """Return the mass of the body, kg, whether its drag coefficient is known, and ``rho A / 2``, kg/m."""
     mass, area = robot.body.inertial_mass_kg, robot.body.frontal_area_m2
     known = "drag_coefficient" in file.parameters
     if known and area is None:
@@ -411,10 +433,12 @@ def _falling_weight(options: SimulateOptions, file: ParameterFile, path: Path, r
             "distance_m": Quantity(float(simulated["x_m"][-1]), "m"),
         }
         top = rig.terminal_speed(model.coefficients(values, on_rig), force)
-        return ends if math.isnan(top) else {"terminal_speed_m_s": Quantity(top, "m/s"), **ends}
+        if not math.isnan(top):
+            ends = {"terminal_speed_m_s": Quantity(top, "m/s"), **ends}
+        return ends
 
     metadata = {"experiment": "falling-weight", "pulling_mass_kg": pulling}
-    return model, trial, metadata, {"quantities": compute}
+    return model, trial, metadata, {"quantities": _each(compute)}
 
 
 def _towed(options: SimulateOptions, file: ParameterFile, path: Path, robot: Robot) -> _Made:
@@ -434,7 +458,9 @@ def _arma(options: SimulateOptions, file: ParameterFile, path: Path) -> Case:
     model = arma.model_of(file, path)
     metadata = _metadata(options, options.robot or file.robot or "unknown", experiment="arma")
     if options.input is not None:
-        wanted = () if model.sine else (model.source,)
+        wanted: tuple[str, ...] = ()
+        if not model.sine:
+            wanted = (model.source,)
         log = log_format.read(options.input, required=wanted, optional=(model.output,))
         measured = {model.output: log[model.output]} if model.output in log else {}
         trial = Trial("run", "fit", log.time_s, measured, inputs={name: log[name] for name in wanted})
@@ -454,8 +480,10 @@ def _cruise(options: SimulateOptions, file: ParameterFile, path: Path, robot: Ro
     drag, place = catalogue.drag_file(file, path), robot_format.locate(robot.name)
     model = propulsion.recoil_model(robot, [fin, *unknown], drag, unknown=unknown, path=place)
     for name, law in (("frequency_exponent", 3.0), ("amplitude_exponent", 2.0)):
-        known = file.parameters.get(name)
-        if options.chosen.get(name, law if known is None else known.value) != law:
+        value = options.chosen.get(name, law)
+        if name in file.parameters and name not in options.chosen:
+            value = file.parameters[name].value
+        if value != law:
             raise UsageError(
                 f"{name} is not that of the law; its reference is in the fitted table: give it with --trials"
             )
@@ -476,11 +504,11 @@ def _cruise(options: SimulateOptions, file: ParameterFile, path: Path, robot: Ro
 
     extra = _table(fin, {**inputs, "distance_m": np.array([options.distance_m or math.nan])})
     extra["amplitude_deg"] = np.array([amplitude])
-    return model, trial, {"experiment": "cruise"}, {"extra": extra, "quantities": compute}
+    return model, trial, {"experiment": "cruise"}, {"extra": extra, "quantities": _each(compute)}
 
 
 def _table(fin: str, inputs: Mapping[str, Array]) -> dict[str, Any]:
-    """Return the columns of a cruise table but for the speed."""
+    """Return the columns of a cruise table without the speed."""
     return {
         "fin": [fin] * len(inputs["frequency_hz"]),
         "frequency_hz": inputs["frequency_hz"],
@@ -499,4 +527,4 @@ def _surge(options: SimulateOptions, file: ParameterFile, path: Path, robot: Rob
         return {"last_speed_m_s": Quantity(float(model.simulate(values, trial)["u_m_s"][-1]), "m/s")}
 
     drive = {"frequency_hz": frequency, "amplitude_deg": amplitude}
-    return model, trial, {"experiment": "free-swim", "drive": drive}, {"quantities": compute}
+    return model, trial, {"experiment": "free-swim", "drive": drive}, {"quantities": _each(compute)}

@@ -1,4 +1,4 @@
-"""Any trials file with any parameter file: the experiment, the values of each trial, their covariance."""
+"""Trials and parameters of any model: the experiment, the parameters of each trial, their covariance."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from swimid.blackbox import trials as arma
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.model import Array, Model
+from swimid.fitting.model import Array, Model, Parameter
 from swimid.logs import trials as trials_format
 from swimid.logs.trials import TrialSet
 from swimid.notices import warn
@@ -25,20 +25,20 @@ from swimid.rig import trials as rig
 from swimid.robots import file as robot_format
 from swimid.swimmer import trials as swimmer
 
-#: Derivatives are taken over this share of a standard error, and of a parameter's size at most.
-STEP, SMALLEST = 0.05, 1e-3
+#: Step of a derivative: share of a standard error, and maximum share of the size of the parameter.
+STEP_SHARE, MAX_STEP_SHARE = 0.05, 1e-3
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number computed from a simulation.
+    """Value computed from a simulation.
 
     Attributes
     ----------
     value : float
     unit : str
     stderr : float or None
-        From the parameters' covariance; None where no uncertainty is known.
+        Standard error from the covariance of the parameters; None if it is unknown.
     """
 
     value: float
@@ -46,9 +46,13 @@ class Quantity:
     stderr: float | None = None
 
 
+#: Function from parameter vectors to the quantities of each.
+Compute = Callable[[Sequence[Array]], Sequence[Mapping[str, Quantity]]]
+
+
 @dataclass
 class Applied:
-    """Parameter values for a model, with what is known of their uncertainty.
+    """Parameters for a model, with their uncertainty.
 
     Attributes
     ----------
@@ -56,9 +60,13 @@ class Applied:
     file : ParameterFile or None
         None for the values of a robot file.
     path : Path or None
-        Of ``file``.
+        Path of ``file``.
     chosen : dict of str to float
-        Values set by the user; they are exact and win over the file's.
+        Values set by the user. They replace those of the file and have no uncertainty.
+    stated : dict of str to float
+        Values of the coefficients in the robot file, which are not the start values of a fit.
+    known : dict of str to Estimate
+        Estimates of the file by parameter, or ``name[trial]``.
     """
 
     model: Model
@@ -68,9 +76,7 @@ class Applied:
 
     def __post_init__(self) -> None:
         names = [p.name for p in self.model.parameters]
-        #: What a robot file says of its coefficients; a fit starts elsewhere.
         self.stated = self.model.stated()
-        #: The file's estimates by parameter, or ``name[trial]``.
         self.known = {} if self.file is None else self.file.parameters
         for name, value in self.chosen.items():
             if name not in names:
@@ -84,28 +90,28 @@ class Applied:
             self._warn_doubtful(self.file.fit)
 
     def _check(self, names: list[str]) -> None:
-        """Refuse a file of another robot: parameters too many, or too few."""
+        """Refuse the parameter file of another robot, which has other parameters.
+
+        Raises
+        ------
+        InputError
+        """
         known = {label.split("[")[0] for label in self.known}
+        needed = [p.name for p in self.model.parameters if p.free and not p.per_trial]
         strange = sorted(known - set(names))
-        missing = [
-            p.name
-            for p in self.model.parameters
-            if p.free and not p.per_trial and p.name not in known and p.name not in self.chosen
-        ]
-        for wrong, text in (
-            (strange, "the model of this robot has no such parameter"),
-            (missing, "this parameter is missing"),
-        ):
-            if wrong:
-                raise InputError(
-                    text,
-                    file=self.path,
-                    column=f"parameters.{wrong[0]}",
-                    hint=f"are these the parameters of another robot? This one has: {', '.join(names)}",
-                )
+        missing = [name for name in needed if name not in known and name not in self.chosen]
+        if not strange and not missing:
+            return
+        text = "the model of this robot has no such parameter" if strange else "this parameter is missing"
+        raise InputError(
+            text,
+            file=self.path,
+            column=f"parameters.{(strange or missing)[0]}",
+            hint=f"are these the parameters of another robot? This one has: {', '.join(names)}",
+        )
 
     def _warn_doubtful(self, fit: Fit | None) -> None:
-        """Tell which values the fit that wrote them does not vouch for."""
+        """Warn of values of a fit that did not converge, and of values that are not identifiable."""
         name = self.path.name if self.path else "the parameter file"
         if fit is not None and not fit.converged:
             warn(
@@ -120,140 +126,113 @@ class Applied:
             )
 
     def values(self, trial: str | None = None) -> Array:
-        """Full parameter vector, shape (len(model.parameters),).
+        """Return the parameter vector, shape (len(model.parameters),).
 
         Parameters
         ----------
         trial : str, optional
-            Whose own values to take; without it, and for a trial the file does not know, per-trial
-            parameters have their neutral start value.
+            Trial whose own parameters are taken. Without it, and for a trial that the file does not have,
+            per-trial parameters have their neutral start values.
         """
-        return np.array([self._value(p.name, p.start, p.per_trial, trial) for p in self.model.parameters])
+        return np.array([self._value(p, trial) for p in self.model.parameters])
 
-    def _value(self, name: str, start: float, per_trial: bool, trial: str | None) -> float:
-        if name in self.chosen:
-            return float(self.chosen[name])
-        label = f"{name}[{trial}]" if per_trial else name
-        return self.known[label].value if label in self.known else self.stated.get(name, start)
+    def _value(self, p: Parameter, trial: str | None) -> float:
+        if p.name in self.chosen:
+            return float(self.chosen[p.name])
+        label = f"{p.name}[{trial}]" if p.per_trial else p.name
+        if label in self.known:
+            return self.known[label].value
+        return self.stated.get(p.name, p.start)
 
     def fitted_per_trial(self) -> set[str]:
-        """Names of parameters the file holds for some trial."""
+        """Return the names of parameters that the file has for single trials."""
         return {n.split("[")[0] for n in self.known if "[" in n}
 
     def noise(self) -> dict[str, float]:
-        """Standard deviation of the noise of each channel the parameters were fitted to."""
-        fit = self.file.fit if self.file is not None else None
-        return {
-            name: float(known["value_sd"])
-            for name, known in (fit.noise if fit is not None else {}).items()
-            if isinstance(known, dict) and known.get("value_sd")
-        }
+        """Return the standard deviation of the noise of each channel that the parameters were fitted to."""
+        if self.file is None or self.file.fit is None:
+            return {}
+        known = {name: noise for name, noise in self.file.fit.noise.items() if isinstance(noise, dict)}
+        return {name: float(noise["value_sd"]) for name, noise in known.items() if noise.get("value_sd")}
 
     # -------------------------------------------------------- uncertainty
 
-    def _carried(self) -> dict[str, Estimate]:
-        """What the file says of the shared parameters, but for those set by the user."""
+    def _estimates(self) -> dict[str, Estimate]:
+        """Return the estimates of the shared parameters, without those set by the user."""
         names = [p.name for p in self.model.parameters]
         return {n: self.known[n] for n in names if n in self.known and n not in self.chosen}
 
     def uncertain(self) -> tuple[list[str], Array]:
-        """Shared parameters with a standard error, and their covariance."""
+        """Return the shared parameters that have a standard error, and their covariance."""
         if self.file is None:
             return [], np.empty((0, 0))
-        errors = {n: e.stderr for n, e in self._carried().items() if e.stderr and math.isfinite(e.stderr)}
+        errors = {n: e.stderr for n, e in self._estimates().items() if e.stderr and math.isfinite(e.stderr)}
         names, sd = list(errors), np.array(list(errors.values()), dtype=float)
         groups = self.file.settings.get("shared", {})
         owner = {member: group for group, members in groups.items() for member in members}
-        labels = [owner.get(name, name) for name in names]
+        labels = np.array([owner.get(name, name) for name in names])
+        # parameters of one group have one estimate, so they are fully correlated
+        correlation = (labels[:, None] == labels).astype(float)
         stated = self.file.correlation
-        listed = stated.names if stated else []
-        correlation = np.eye(len(names))
-        for i, first in enumerate(labels):
-            for j, second in enumerate(labels):
-                if first == second:
-                    correlation[i, j] = 1.0
-                elif stated and first in listed and second in listed:
-                    correlation[i, j] = stated.matrix[listed.index(first)][listed.index(second)]
+        if stated is not None:
+            at = {name: k for k, name in enumerate(stated.names)}
+            rows = [k for k, label in enumerate(labels) if label in at]
+            places = [at[labels[k]] for k in rows]
+            listed = np.array(stated.matrix)[np.ix_(places, places)]
+            same = labels[rows][:, None] == labels[rows]
+            correlation[np.ix_(rows, rows)] = np.where(same, 1.0, listed)
         return names, correlation * np.outer(sd, sd)
 
     def warn_without_error(self, where: str) -> None:
-        """Name the shared parameters that were not identified and have no standard error to carry along."""
-        lost = [
-            name
-            for name, e in self._carried().items()
-            if e.status in ("unidentifiable", "at-bound") and not e.stderr
-        ]
+        """Warn of shared parameters that were not identified and have no standard error."""
+        doubtful = ("unidentifiable", "at-bound")
+        lost = [n for n, e in self._estimates().items() if e.status in doubtful and not e.stderr]
         if lost:
-            warn(
-                "SWM055",
-                f"{', '.join(lost)} {'has' if len(lost) == 1 else 'have'} no standard error in the parameter "
-                f"file: what is not known of them is not in {where}",
-            )
+            names = ", ".join(lost)
+            text = f"the parameter file has no standard error of {names}: their uncertainty is not in {where}"
+            warn("SWM055", text)
 
-    def with_errors(
-        self, values: Array, compute: Callable[[Array], Mapping[str, Quantity]]
-    ) -> dict[str, Quantity]:
-        """Quantities with standard errors, by the delta method from the parameters' covariance.
+    def with_errors(self, values: Array, compute: Compute) -> dict[str, Quantity]:
+        """Return quantities with standard errors, by the delta method from the covariance of the parameters.
 
         Parameters
         ----------
         values : ndarray, shape (len(model.parameters),)
         compute : callable
-            From a parameter vector to quantities by name.
-        """
-        sides = [tuple(compute(end) for end in ends) for ends in self.neighbours(values)]
-        return self.carried(values, compute(values), sides)
+            Function from parameter vectors to quantities by name, one mapping for each vector.
 
-    def neighbours(self, values: Array) -> list[tuple[Array, Array]]:
-        """Parameter vectors to either side of each uncertain parameter, for central differences."""
+        Notes
+        -----
+        Derivatives are central differences. A quantity that a vector beside ``values`` lacks has no standard
+        error: its run breaks down, or never settles.
+        """
         names, covariance = self.uncertain()
-        found = []
-        for k, name in enumerate(names):
+        vectors, widths = [values], []
+        for name, sd in zip(names, np.sqrt(np.diag(covariance)), strict=True):
             index = self.model.index(name)
             p = self.model.parameters[index]
-            size = max(abs(values[index]), p.scale)
-            step = min(STEP * math.sqrt(covariance[k, k]), SMALLEST * size)
-            low, high = np.clip([values[index] - step, values[index] + step], p.lower, p.upper)
-            found.append((_with(values, index, float(low)), _with(values, index, float(high))))
-        return found
-
-    def carried(
-        self,
-        values: Array,
-        centre: Mapping[str, Quantity],
-        sides: Sequence[tuple[Mapping[str, Quantity], ...]],
-    ) -> dict[str, Quantity]:
-        """Quantities with standard errors from those at the :meth:`neighbours`.
-
-        There is none where a neighbour lacks the quantity: its run breaks down, or never settles.
-        """
-        names, covariance = self.uncertain()
+            step = min(STEP_SHARE * sd, MAX_STEP_SHARE * max(abs(values[index]), p.scale))
+            ends = np.clip([values[index] - step, values[index] + step], p.lower, p.upper)
+            for end in ends:
+                moved = values.copy()
+                moved[index] = end
+                vectors.append(moved)
+            widths.append(float(ends[1] - ends[0]))
+        centre, *sides = compute(vectors)
         if not names:
             return dict(centre)
-        slopes = np.zeros((len(centre), len(names)))
-        lost = {key for pair in sides for end in pair for key in centre if key not in end}
-        ends = self.neighbours(values)
-        for k, ((before, after), (low, high)) in enumerate(zip(sides, ends, strict=True)):
-            index = self.model.index(names[k])
-            width = float(high[index] - low[index])
-            for row, key in enumerate(centre):
-                if key in before and key in after and width > 0:
-                    slopes[row, k] = (after[key].value - before[key].value) / width
-        result = {}
-        for (key, quantity), slope in zip(centre.items(), slopes, strict=True):
-            variance = float(slope @ covariance @ slope)
-            known = key not in lost and math.isfinite(variance)
-            result[key] = replace(quantity, stderr=math.sqrt(max(variance, 0.0)) if known else None)
+        result, width = {}, np.array(widths)
+        lost = Quantity(math.nan, "")
+        for key, quantity in centre.items():
+            found = np.array([side.get(key, lost).value for side in sides])
+            slopes = np.where(width > 0, (found[1::2] - found[::2]) / np.maximum(width, 1e-300), 0.0)
+            variance = float(slopes @ covariance @ slopes)
+            stderr = math.sqrt(max(variance, 0.0)) if math.isfinite(variance) else None
+            result[key] = replace(quantity, stderr=stderr)
         return result
 
 
-def _with(values: Array, index: int, value: float) -> Array:
-    moved = values.copy()
-    moved[index] = value
-    return moved
-
-
-#: Experiments whose trials tell each model's parameters.
+#: Experiments that each model describes.
 EXPERIMENTS = {
     "multilink": ("free-swim", "multibody"),
     "multibody": ("free-swim", "multibody"),
@@ -267,40 +246,39 @@ EXPERIMENTS = {
 
 
 class Loaded(NamedTuple):
-    """An experiment and the parameters to simulate it with."""
+    """Experiment, and the parameters for its simulation."""
 
     experiment: Experiment
     applied: Applied
 
 
 def read_parameters(source: parameters_format.Source) -> ParameterFile:
-    """Parameters of any model that can be simulated.
+    """Read the parameters of a model that can be simulated.
 
     Raises
     ------
     InputError
-        When it is none, or of a model that is not known.
+        The source is no parameter file, or its model cannot be simulated.
     """
     return parameters_format.read(source, model=tuple(EXPERIMENTS))
 
 
 def load(trials: str | Path | TrialSet, options: Any) -> Loaded:
-    """A trials file of any experiment as the model of a parameter file, and its values.
+    """Load trials of any experiment with the model of a parameter file, and the parameters.
 
     Parameters
     ----------
     trials : path or TrialSet
     options : Options
-        Of a verb: ``params`` (a parameter file, or None for the values of the robot file, else the model's
-        start values), ``robot`` (accept the parameters for it although the file names another one),
-        ``readings`` (over those of the parameter file), ``dt`` (integration step of a robot with links, s),
-        and where the verb has it ``chosen`` (values that win over the file's) and ``start_state``.
+        Options of a command: ``params`` (a parameter file; None for the values of the robot file, or else the
+        start values of the model), ``robot`` (robot that the parameters are accepted for), ``readings`` (they
+        replace those of the parameter file), ``dt`` (integration step of a robot with links, s), and, if the
+        command has them, ``chosen`` (values that replace those of the file) and ``start_state``.
 
     Raises
     ------
     InputError
-        For anything wrong in one of the files: another experiment than the parameters' model
-        describes, another robot, missing columns.
+        For bad files: an experiment that the model does not describe, another robot, missing columns.
     """
     parameters, chosen = options.params, dict(getattr(options, "chosen", {}))
     readings, max_step = dict(options.readings), options.dt
@@ -336,7 +314,7 @@ def load(trials: str | Path | TrialSet, options: Any) -> Loaded:
 
 
 def _of_trials(trials: str | Path | TrialSet, readings: dict[str, str], max_step: float) -> Experiment:
-    """The model that a trials file and its robot suggest: of links where the robot has any."""
+    """Load trials with the model that their robot suggests: one with links, if the robot has links."""
     entries: Any = trials_format.read(trials)
     if entries.experiment == "arma":
         raise UsageError(
@@ -353,13 +331,50 @@ def _of_trials(trials: str | Path | TrialSet, readings: dict[str, str], max_step
     return rig.load(trials)
 
 
+def load_robot(options: Any, file: ParameterFile | None) -> Applied:
+    """Load a robot with links and its coefficients, without trials.
+
+    Parameters
+    ----------
+    options : Options
+        ``params``, ``robot``, ``readings``, ``dt`` and ``chosen``, as for :func:`load`.
+    file : ParameterFile or None
+        Parameters of ``options.params``; None for the values of the robot file.
+
+    Raises
+    ------
+    UsageError
+        Neither a parameter file nor a robot is named.
+    InputError
+        For bad files, and for coefficients that make an impossible mass.
+    """
+    path, folder, readings = None, None, dict(options.readings)
+    if file is not None:
+        path = parameters_format.place(options.params)
+        name, folder = robot_of_parameters(file, path, options.robot)
+        readings = {**file.settings.get("readings", {}), **readings}
+    elif options.robot is None:
+        raise UsageError("name a parameter file (--params) or a robot (--robot)")
+    else:
+        name = str(options.robot)
+    _, model = swimmer.robot_model(name, folder, readings=readings, max_step=options.dt)
+    applied = Applied(model, file, path, options.chosen)
+    try:
+        model.check(applied.values())
+    except InputError as error:
+        place = path or robot_format.locate(name, folder)
+        text = f"with these parameters, {error.reason}"
+        raise InputError(text, file=place, column=error.column) from error
+    return applied
+
+
 def robot_of_parameters(file: ParameterFile, path: Path, robot: str | None = None) -> tuple[str, Path | None]:
-    """Name or file of the robot a parameter file is of, and the folder that is relative to.
+    """Return the name or file of the robot of a parameter file, and the folder that it is relative to.
 
     Raises
     ------
     InputError
-        When neither the file nor the user names one.
+        Neither the file nor the user names a robot.
     """
     if robot is not None:
         return robot, None
@@ -369,7 +384,12 @@ def robot_of_parameters(file: ParameterFile, path: Path, robot: str | None = Non
 
 
 def _check_robot(name: str, trials_path: Path, file: ParameterFile, path: Path) -> None:
-    """Refuse the parameters of one robot for the trials of another."""
+    """Refuse the parameters of one robot for the trials of another.
+
+    Raises
+    ------
+    InputError
+    """
     mine = robot_format.read(name, trials_path.parent).name
     if file.robot is None or file.robot in (mine, name):
         return
@@ -398,19 +418,19 @@ def _rig(trials: str | Path | TrialSet, file: ParameterFile) -> Experiment:
 
 
 def drag_file(file: ParameterFile, path: Path) -> Path | ParameterFile:
-    """The drag parameters that the parameters of the recoil law were estimated with.
+    """Return the drag parameters with which the parameters of the recoil law were estimated.
 
     Raises
     ------
     InputError
-        When it is not there: neither where the fit named it nor beside the parameter file.
+        The drag file is neither where the fit named it nor beside the parameter file.
     """
     if file._drag is not None:
         return file._drag
     named = file.settings.get("drag_file")
     if named is None:
         raise InputError("this key is missing", file=path, column="settings.drag_file")
-    # as the fit named it, relative to where it ran; else beside the parameter file
+    # the fit named it relative to its working folder
     places = [path.parent / Path(str(named)).name, path.parent / str(named), Path(str(named))]
     place = next((p for p in places if p.is_file()), None)
     if place is None:
@@ -424,7 +444,7 @@ def drag_file(file: ParameterFile, path: Path) -> Path | ParameterFile:
 
 
 def set_references(model: SurgeModel, file: ParameterFile, path: Path) -> None:
-    """Give a surge model the amplitude and frequency its parameters refer to."""
+    """Set the amplitude and frequency that the parameters of a surge model refer to, in place."""
     for key in ("reference_amplitude_rad", "reference_frequency_hz"):
         if key not in file.settings:
             raise InputError("this key is missing", file=path, column=f"settings.{key}")
@@ -433,7 +453,7 @@ def set_references(model: SurgeModel, file: ParameterFile, path: Path) -> None:
 
 def _propulsion(trials: str | Path | TrialSet, file: ParameterFile, path: Path) -> Experiment:
     if file.model == RecoilModel.name:
-        # a file that does not say which drag it goes with takes the trials file's
+        # without a drag file of its own, that of the trials file is used
         named = file.settings.get("drag_file") is not None
         return propulsion.load(trials, drag=drag_file(file, path) if named else None)
     experiment = propulsion.load(trials)
@@ -452,7 +472,7 @@ def _propulsion(trials: str | Path | TrialSet, file: ParameterFile, path: Path) 
 
 
 def is_possible(model: Model, values: Array) -> bool:
-    """Return whether the coefficients make masses that a body has."""
+    """Return whether the coefficients make a mass that a body can have."""
     try:
         if model.swimmer is not None:
             model.swimmer.check(values)

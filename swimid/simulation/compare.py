@@ -1,4 +1,4 @@
-"""``compare``: measured trials against their simulation, for every model, and the evidence of that."""
+"""``compare``: measured trials against their simulation, for every model, and the evidence."""
 
 from __future__ import annotations
 
@@ -24,16 +24,9 @@ from swimid.results import parameters as parameters_format
 from swimid.results.result import FileResult
 from swimid.simulation import cases, catalogue, compare_series, compare_strokes
 from swimid.simulation.catalogue import Applied
-from swimid.simulation.compare_series import (
-    WINDOW_BEATS,
-    ChannelScore,
-    Compared,
-    ComparisonFile,
-    ProfileComparison,
-)
-from swimid.simulation.compare_strokes import SIDES, Mean, Profile
+from swimid.simulation.compare_series import HALF_WIDTH_BEATS, ChannelScore, Compared, ComparisonFile
+from swimid.simulation.compare_strokes import Profile, value_text
 from swimid.simulation.options import CompareOptions
-from swimid.swimmer.run_quantities import QUANTITIES
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -41,7 +34,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Comparison(FileResult[ComparisonFile]):
-    """Measured trials against their simulation, as ``compare`` gives it.
+    """Result of ``compare``: measured trials against their simulation.
 
     Attributes
     ----------
@@ -50,7 +43,7 @@ class Comparison(FileResult[ComparisonFile]):
         ``peak_error`` (in ``unit``, measured minus simulated), ``nrmse`` (over the measured range), ``vaf``,
         ``fit_percent`` (%), ``phase_error_rad`` (rad) and others.
     file : ComparisonFile
-        What :meth:`save` writes; its ``channels`` hold the scores of all trials together.
+        Comparison file that :meth:`save` writes; its ``channels`` hold the scores of all trials together.
     """
 
     file_type = ComparisonFile
@@ -79,26 +72,26 @@ def compare(
 ) -> Comparison:
     """Compare recorded trials with their simulation.
 
-    By default every logged channel is compared that the model simulates, and surge, sway and turning rate
-    from the pose where they are not logged. A start state that is estimated is estimated from its trial, all
-    shared parameters held. Errors on trials that were fitted say how well the model describes them, not how
-    well it predicts: for that, compare trials that no fit has seen.
+    By default all logged channels are compared that the model simulates. Surge, sway and turning rate are
+    derived from the pose if they are not logged. A start state that the parameter file does not have is
+    estimated from its trial, with all shared parameters held. Errors on fitted trials say how well the model
+    describes them, not how well it predicts. For that, compare trials that were not fitted.
 
     Parameters
     ----------
     trials : path or TrialSet
-        Trials: a file, or what :func:`swimid.load` gives.
+        Trials file, or the trials that :func:`swimid.load` returns.
     output : Path, optional
         Comparison file to write; its evidence goes beside it.
     progress : Progress
-        Shows the trials.
+        Progress over the trials.
 
     Returns
     -------
     Comparison
         ``.scores`` has a row for each channel of each trial: ``rmse`` and ``bias`` (in ``unit``, that of the
         channel), ``nrmse`` (over the measured range), ``vaf``, ``fit_percent`` (%), ``peak_error``,
-        ``phase_error_rad``. ``.verdict`` is by ``nrmse`` and mean speeds.
+        ``phase_error_rad``. ``.verdict`` follows from ``nrmse`` and mean speeds.
 
     Raises
     ------
@@ -130,7 +123,7 @@ def compare(
         done = []
         with progress("comparing", total=len(experiment.trials)) as step:
             for trial in experiment.trials:
-                one = compare_series.compared(
+                one = compare_series.compare_trial(
                     experiment, applied, trial, refit=options.refit_start, channels=options.channels
                 )
                 done.append(one)
@@ -138,14 +131,14 @@ def compare(
         if not any(d.pairs for d in done):
             raise NoTrustworthyResult("the trials hold no channel that the model simulates")
         buoyancy = options.buoyancy_band_percent / 100.0
-        profiles = compare_strokes.profiles(experiment, done, buoyancy=buoyancy)
+        profiles = compare_strokes.compare_profiles(experiment, done, buoyancy=buoyancy)
         file = ComparisonFile(
             verdict="caution",
             model=experiment.model.name,
             robot=experiment.robot.name,
             experiment=experiment.name,
             params=parameters_format.place(options.params).name,
-            channels=compare_series.pooled(done, experiment.model),
+            channels=compare_series.pool(done, experiment.model),
             trials=[d.record for d in done],
             profiles=[p.record for p in profiles],
             provenance=provenance.collect(
@@ -155,8 +148,10 @@ def compare(
         if file.mean_speeds:
             errors = [measured - simulated for _, measured, simulated in file.mean_speeds]
             file.mean_speed_rmse_m_s = float(np.sqrt(np.mean(np.square(errors))))
-        known = applied.file.fit if applied.file is not None else None
-        checks = _checks(file, file.channels if known is None else known.channels)
+        fitted: Iterable[str] = file.channels
+        if applied.file is not None and applied.file.fit is not None:
+            fitted = applied.file.fit.channels
+        checks = _checks(file, fitted)
         before = {d.trial.id: d.errors for d in done}
         if options.refit_start and mistakes.is_suspect(checks, before):
             usual = mistakes.catalogue(experiment.model, experiment.trials)
@@ -174,7 +169,7 @@ def compare(
         tables=_tables(file),
         figures=_figures(experiment, done, profiles, file),
         notices=blocks.notices(notices),
-        methods=_methods(file, profiles, buoyancy),
+        methods=_methods(file),
         references=list(experiment.robot.sources),
         provenance=file.provenance,
     )
@@ -188,7 +183,7 @@ def _explained(
     tried: int,
     before: Mapping[str, mistakes.Errors],
 ) -> mistakes.Explanation | None:
-    """Return a usual mistake that explains the errors, with all shared parameters held."""
+    """Return the usual mistake that explains the errors best, with all shared parameters held."""
 
     def evaluate(trial: Trial) -> mistakes.Errors:
         values, _, _ = compare_series.start_of(applied, trial, True, mistakes.START_TOLERANCE)
@@ -205,29 +200,15 @@ def _explained(
 
 
 #: Columns of the errors of a channel.
-ERRORS = ("channel", "RMSE", "NRMSE", "VAF", "bias")
-#: Settings of a drive that a mean speed is drawn over.
-SETTINGS = ("frequency_hz", "amplitude_deg", "bias_deg", "asymmetry")
-#: Maximum number of samples of a curve.
-MAX_SAMPLES = 400
-#: Headings of the quantities of a stroke.
-HEADINGS = {
-    "max_speed_m_s": "max. speed",
-    "mean_speed_m_s": "mean speed",
-    "final_pitch_rad": "final pitch",
-    "max_pitch_rate_rad_s": "max. rate",
-    "mean_pitch_rate_rad_s": "mean rate",
-    "surge_m": "surge",
-    "heave_m": "heave",
-}
-#: Tables by stroke: id, title, endings of their quantities, and their place in the sea lion paper.
-BY_STROKE = (
-    ("cycle-velocity", "Speed in each stroke", ("speed_m_s",), "Table I"),
-    ("cycle-angles", "Pitch and pitch rate in each stroke", ("pitch_rad", "pitch_rate_rad_s"), "Table II"),
-    ("cycle-way", "Distance made in each stroke", ("surge_m", "heave_m"), "Figs 3 and 5"),
-)
-#: Channels of the figure of a profile, in the order of the paper.
-PROFILE_CHANNELS = ("x_m", "z_m", "speed_m_s", "pitch_rad", "roll_rad", "yaw_rad", "pitch_rate_rad_s")
+ERROR_COLUMNS = ("channel", "RMSE", "NRMSE", "VAF", "bias")
+#: Settings of a drive over which a mean speed is drawn.
+DRIVE_SETTINGS = ("frequency_hz", "amplitude_deg", "bias_deg", "asymmetry")
+#: Maximum number of samples of a curve, and of curves in the figure of the mean speeds.
+MAX_SAMPLES, MAX_CURVES = 400, 3
+#: Maximum number of values of a drive setting that is an axis of a figure.
+MAX_SETTINGS = 12
+#: A bias below this share of the RMSE is a rounding error: a start state was fitted.
+MIN_BIAS_SHARE = 1e-3
 
 
 # ------------------------------------------------------------ verdict
@@ -244,14 +225,18 @@ def _checks(file: ComparisonFile, fitted: Iterable[str]) -> list[ev.Check]:
     graded = metrics.error_checks(file.channels, fitted=fitted)
     share = _speed_share(file)
     if share is not None:
-        what = "root-mean-square difference over the trials, over the root mean square measured"
-        limits = (metrics.GOOD_SPEED, metrics.USABLE_SPEED)
-        graded.append(metrics.share_check("error of mean speeds", share, *limits, "measured", what))
+        text = "root-mean-square difference over the trials, over the root mean square measured"
+        graded.append(_speed_check("error of mean speeds", share, text))
     return graded + _cruise_checks(file)
 
 
+def _speed_check(name: str, share: float, text: str) -> ev.Check:
+    limits = (metrics.GOOD_SPEED, metrics.USABLE_SPEED)
+    return metrics.share_check(name, share, *limits, "measured", text)
+
+
 def _cruise_checks(file: ComparisonFile) -> list[ev.Check]:
-    """Return the checks of the speed at which the model settles, where trials begin in motion."""
+    """Return the checks of the speed at which the model settles, for trials that begin in motion."""
     begun = [(t, t.cruise) for t in file.trials if t.cruise is not None]
     if not begun:
         return []
@@ -267,7 +252,7 @@ def _cruise_checks(file: ComparisonFile) -> list[ev.Check]:
     rows = [
         (t.mean_speed.measured, cruise.settled)
         for t, cruise in begun
-        if cruise.steady and t.mean_speed is not None and t.mean_speed.measured and cruise.settled is not None
+        if cruise.steady and t.mean_speed is not None and t.mean_speed.measured
     ]
     text = (
         "the start speeds of these trials come from the trials themselves; the speed at which the model "
@@ -277,17 +262,17 @@ def _cruise_checks(file: ComparisonFile) -> list[ev.Check]:
         reason = "no trial swims steadily, so the cruising speed of the model is not tested"
         limit = "steady swimming in a trial"
         return [ev.check("cruising speed", "not tested", False, limit, text, reason=reason)]
-    measured, settles = np.array(rows).T
+    measured, settles = np.array(rows, dtype=float).T
     share = float(np.sqrt(np.mean((measured - settles) ** 2) / np.mean(measured**2)))
-    limits = (metrics.GOOD_SPEED, metrics.USABLE_SPEED)
-    return [metrics.share_check("cruising speed", share, *limits, "measured", text)]
+    return [_speed_check("cruising speed", share, text)]
 
 
 def _speed_share(file: ComparisonFile) -> float | None:
-    """Return the error of the mean speeds over their size."""
+    """Return the root-mean-square error of the mean speeds over their root mean square."""
     measured = [speed for _, speed, _ in file.mean_speeds]
-    size = float(np.sqrt(np.mean(np.square(measured)))) if measured else 0.0
-    return file.mean_speed_rmse_m_s / size if file.mean_speed_rmse_m_s is not None and size > 0 else None
+    if not any(measured) or file.mean_speed_rmse_m_s is None:
+        return None
+    return file.mean_speed_rmse_m_s / float(np.sqrt(np.mean(np.square(measured))))
 
 
 def _answer(file: ComparisonFile) -> str:
@@ -306,43 +291,35 @@ def _rates(names: Iterable[str]) -> list[str]:
 
 
 def _facts(file: ComparisonFile) -> dict[str, str]:
-    """Return the particulars of a comparison."""
-    own = sum(t.start == "estimated" for t in file.trials)
-    found = {
+    facts = {
         "Robot": file.robot,
         "Model": file.model,
         "Experiment": file.experiment,
         "Parameters": file.params,
         "Trials": str(len(file.trials)),
     }
-    return {**found, "Start states": f"estimated for {own} of {len(file.trials)} trials"} if own else found
+    own = sum(t.start == "estimated" for t in file.trials)
+    if own:
+        facts["Start states"] = f"estimated for {own} of {len(file.trials)} trials"
+    return facts
 
 
-def _methods(file: ComparisonFile, profiles: Sequence[Profile], buoyancy: float) -> list[str]:
+def _methods(file: ComparisonFile) -> list[str]:
     """Return sentences for a paper."""
     sentences = [
         f"{len(file.trials)} {file.experiment} trials were compared with simulations under the parameters of "
         f"{file.params}. NRMSE is the root-mean-square error over the measured range (tendon fish, Eq 13), "
-        "the peak error the difference of the largest magnitudes (Eq 14), VAF the variance accounted for."
+        "the peak error the difference of the maximum magnitudes (Eq 14), VAF the variance accounted for."
     ]
     if any(s.source == "pose" for t in file.trials for s in t.channels.values()):
         sentences.append(
             "Surge, sway and turning rate were derived from the measured pose and, in the same way, from the "
-            f"simulated one, by a cubic fitted over {2 * WINDOW_BEATS:g} beats around each sample."
+            f"simulated one, by a cubic fitted over {2 * HALF_WIDTH_BEATS:g} beats around each sample."
         )
     if any(t.start == "estimated" for t in file.trials):
         sentences.append(
-            "Where the parameter file held no start state of a trial it was estimated from the whole trial "
-            "with all shared parameters held."
-        )
-    if any(len(p.record.trials) > 1 for p in profiles):
-        sentences.append(
-            "Trials that repeat a motion were averaged on one clock, and so were their simulations."
-        )
-    if any(m.band is not None for p in profiles for m in p.means.values()):
-        sentences.append(
-            f"The band of the simulations is that of {100 * buoyancy:g} % less and more displaced volume, "
-            "all else held (sea lion, section III)."
+            "If the parameter file had no start state of a trial, it was estimated from the whole trial with "
+            "all shared parameters held."
         )
     return sentences
 
@@ -355,55 +332,41 @@ def _tables(file: ComparisonFile) -> list[ev.Table]:
     pooled = ev.Table(
         id="channels",
         title="Errors of all trials together",
-        columns=[*ERRORS, "samples"],
+        columns=[*ERROR_COLUMNS, "samples"],
         rows=[[*_errors(name, s), s.samples] for name, s in file.channels.items()],
         caption="NRMSE is over the measured range; bias is the mean of measured minus simulated.",
     )
-    stroked = [p for p in file.profiles if p.cycles]
-    found = [
-        pooled,
-        _profiles(file.profiles),
-        *(_by_stroke(stroked, *which) for which in BY_STROKE),
-        _speeds(file),
-        _scores(file),
-        _cycles(file),
-    ]
-    return [table for table in found if table.rows]
-
-
-def _text(value: float | None, unit: str, digits: int = 3) -> str:
-    """Return a number as people read it: angles in degrees."""
-    factor, shown = numbers.in_degrees(unit)
-    return numbers.number(None if value is None else factor * value, digits, shown)
+    tables = [pooled, *compare_strokes.tables(file.profiles), _speeds(file), _scores(file), _cycles(file)]
+    return [table for table in tables if table.rows]
 
 
 def _errors(name: str, s: ChannelScore) -> list[Any]:
-    """Return the cells of the columns :data:`ERRORS`."""
+    """Return the cells of the columns :data:`ERROR_COLUMNS`."""
     bias = s.bias
-    # a fitted start leaves only rounding errors of a bias
-    if bias is not None and s.rmse is not None and abs(bias) < 1e-3 * s.rmse:
+    if bias is not None and s.rmse is not None and abs(bias) < MIN_BIAS_SHARE * s.rmse:
         bias = 0.0
-    channel = name + (" (from pose)" if s.source == "pose" else "")
+    channel = name + " (from pose)" * (s.source == "pose")
     shares = [numbers.percent(share) for share in (s.nrmse, s.vaf)]
-    return [channel, _text(s.rmse, s.unit), *shares, _text(bias, s.unit)]
+    return [channel, value_text(s.rmse, s.unit), *shares, value_text(bias, s.unit)]
 
 
 def _scores(file: ComparisonFile) -> ev.Table:
+    roles = {"fit": "fit", "validate": "held out"}
     rows: list[list[Any]] = []
     for t in file.trials:
-        role = "held out" if t.role == "validate" else "fit"
         for name, s in t.channels.items():
             fit, peak = numbers.number(s.fit_percent, 3, "percent"), numbers.percent(s.peak_error_normalised)
             sizes = ((s.peak_error, s.unit), (s.phase_error_rad, "rad"), (s.dtw_distance, s.unit))
-            rows.append([t.id, role, *_errors(name, s), fit, peak, *(_text(*size) for size in sizes)])
+            texts = [value_text(*size) for size in sizes]
+            rows.append([t.id, roles[t.role], *_errors(name, s), fit, peak, *texts])
     return ev.Table(
         id="scores",
         title="Errors of every trial",
-        columns=["trial", "role", *ERRORS, "fit", "of peak", "peak error", "phase", "DTW"],
+        columns=["trial", "role", *ERROR_COLUMNS, "fit", "of peak", "peak error", "phase", "DTW"],
         rows=rows,
         caption="NRMSE is over the measured range (tendon fish, Eq 13), fit as MATLAB's compare prints it, "
-        "the peak error the difference of the largest magnitudes (Eq 14), the phase that of the simulation "
-        "ahead of the measurement at the beat, DTW the error left when time may be stretched within a "
+        "the peak error the difference of the maximum magnitudes (Eq 14), the phase that by which the "
+        "simulation leads the measurement at the beat, DTW the error after dynamic time warping within a "
         "quarter of a beat.",
         folded=True,
     )
@@ -412,20 +375,28 @@ def _scores(file: ComparisonFile) -> ev.Table:
 def _speeds(file: ComparisonFile) -> ev.Table:
     rows: list[list[Any]] = []
     for t, measured, simulated in file.mean_speeds:
-        settles = ""
+        settles, share = "", None
         if t.cruise is not None:
-            settles = "never" if t.cruise.settled is None else numbers.number(t.cruise.settled, 3, "m/s")
-        share = numbers.percent((simulated - measured) / measured if measured else None, 2)
-        drive = [numbers.number(t.drive.get(key), 4) for key in SETTINGS]
-        rows.append([t.id, *(_text(v, "m/s") for v in (measured, simulated)), share, settles, *drive])
+            settles = "never"
+            if t.cruise.settled is not None:
+                settles = numbers.number(t.cruise.settled, 3, "m/s")
+        if measured:
+            share = (simulated - measured) / measured
+        texts = [
+            value_text(measured, "m/s"),
+            value_text(simulated, "m/s"),
+            numbers.percent(share, 2),
+            settles,
+        ]
+        rows.append([t.id, *texts, *(numbers.number(t.drive.get(key), 4) for key in DRIVE_SETTINGS)])
     columns = ["trial", "measured", "simulated", "difference", "model settles at"]
     return ev.Table(
         id="speeds",
         title="Mean speed of the last beats",
-        columns=[*columns, *(numbers.column_title(key) for key in SETTINGS)],
+        columns=[*columns, *(numbers.column_title(key) for key in DRIVE_SETTINGS)],
         rows=rows,
-        caption="Path length between the mean positions of successive beats over time, or mean surge where "
-        "no position is logged; over the last four whole beats.",
+        caption="Path length between the mean positions of successive beats over time, or mean surge if no "
+        "position is logged; over the last four whole beats.",
     )
 
 
@@ -435,67 +406,16 @@ def _cycles(file: ComparisonFile) -> ev.Table:
         for name in _rates(t.cycles) or list(t.cycles)[:2]:
             c, unit = t.cycles[name], t.channels[name].unit
             values = (c.mean_measured, c.mean_simulated, c.peak_measured, c.peak_simulated)
-            for k, time in enumerate(c.time_s):
-                rows.append([t.id, name, time, *(_text(v[k], unit) for v in values)])
+            for time, *each in zip(c.time_s, *values, strict=True):
+                rows.append([t.id, name, time, *(value_text(value, unit) for value in each)])
     kinds = ["mean, measured", "mean, simulated", "peak, measured", "peak, simulated"]
     return ev.Table(
         id="cycles",
         title="Every stroke",
         columns=["trial", "channel", "time (s)", *kinds],
         rows=rows,
-        caption="Mean and largest magnitude within each whole stroke.",
+        caption="Mean and maximum magnitude within each whole stroke.",
         folded=True,
-    )
-
-
-def _profiles(profiles: Sequence[ProfileComparison]) -> ev.Table:
-    rows: list[list[Any]] = []
-    for p in profiles:
-        ways = [way.get(side) for way in (p.surge_m, p.heave_m) for side in SIDES]
-        errors = (_text(p.position_rmse_m, "m"), _text(p.orientation_rmse_rad, "rad"))
-        rows.append([p.name, len(p.trials), *(_text(way, "m") for way in ways), *errors])
-    sides = [f"{way}, {side}" for way in ("surge", "heave") for side in SIDES]
-    return ev.Table(
-        id="profiles",
-        title="Motion profiles",
-        columns=["profile", "trials", *sides, "position RMSE", "orientation RMSE"],
-        rows=rows,
-        caption="Means of the trials that repeat a motion: distance from the first sample to the last, and "
-        "root-mean-square distance of the mean simulated path and angles from the mean measured ones.",
-    )
-
-
-def _by_stroke(
-    profiles: Sequence[ProfileComparison], id: str, title: str, endings: tuple[str, ...], source: str
-) -> ev.Table:
-    names = [name for name in HEADINGS if name.endswith(endings)]
-    most = max((len(p.cycles) for p in profiles), default=0)
-    rows: list[list[Any]] = []
-    for p in profiles:
-        for side in SIDES:
-            row = [p.name, side]
-            for k in range(most):
-                for name in names:
-                    value, spread = None, None
-                    if k < len(p.cycles):
-                        value = getattr(p.cycles[k], side).get(name)
-                        spread = p.cycles[k].spread.get(name) if side == "measured" else None
-                    factor, _ = numbers.in_degrees(QUANTITIES[name])
-                    if value is not None and spread:
-                        row.append(numbers.measured(factor * value, factor * spread))
-                    else:
-                        row.append(numbers.number(None if value is None else factor * value, 3))
-            rows.append(row)
-    units = {name: numbers.unit_text(numbers.in_degrees(QUANTITIES[name])[1]) for name in names}
-    headings = [f"{k + 1}: {HEADINGS[name]} ({units[name]})" for k in range(most) for name in names]
-    return ev.Table(
-        id=id,
-        title=title,
-        columns=["profile", "", *headings],
-        rows=rows,
-        caption=f"As {source} of the sea lion paper; of a repeated motion the mean and the standard "
-        "deviation of the trials. Largest speeds and rates derived from noisy positions come out too large "
-        "by up to a few standard deviations of their noise; those of a smoothed track do not.",
     )
 
 
@@ -508,12 +428,13 @@ def _figures(
     """Return motion profiles, else the time courses, the mean speeds over a setting and the paths."""
     if experiment.model.timed_runs:
         return [_runs(done)]
-    drawn = [_profile(p) for p in profiles] or [_overlay(experiment, done), *_speed_figure(file)]
+    drawn = [compare_strokes.figure(p) for p in profiles]
+    if not drawn:
+        drawn = [_overlay(experiment, done), *_speed_figure(file)]
     body = experiment.model.body
     if body is not None and body.free:
         names = body.pose[:2]
-        shown = [d for d in _telling(done) if all(n in d.pairs for n in names)]
-        paths = [_path(d, *names) for d in shown]
+        paths = [_path(d, *names) for d in _telling(done) if set(names) <= d.pairs.keys()]
         caption = "Path of the reference point, to scale."
         drawn.append(ev.Figure(id="paths", title="Paths", caption=caption, panels=paths, columns=2))
     return [figure for figure in drawn if figure.panels]
@@ -541,13 +462,14 @@ def _pair(x: Sequence[Any], y: Sequence[Any], tail: str = "", group: int = 0) ->
 def _overlay(experiment: Experiment, done: Sequence[Compared]) -> ev.Figure:
     panels = []
     for d in _telling(done):
-        names = (_rates(d.pairs) or [n for n in d.pairs if n.startswith("joint")] or list(d.pairs))[:2]
-        for p in (d.pairs[n] for n in names):
+        title = d.trial.id + ", held out" * (d.trial.role == "validate")
+        joints = [n for n in d.pairs if n.startswith("joint")]
+        for name in (_rates(d.pairs) or joints or list(d.pairs))[:2]:
+            p = d.pairs[name]
             factor, unit = numbers.in_degrees(p.channel.unit)
             curves = [ev.thinned(p.time_s, factor * y, MAX_SAMPLES) for y in (p.measured, p.simulated)]
             label = f"{p.channel.meaning or p.channel.name} ({numbers.unit_text(unit) or '1'})"
             traces = _pair(*zip(*curves, strict=True))
-            title = f"{d.trial.id}{', held out' if d.trial.role == 'validate' else ''}"
             abscissa = experiment.model.abscissa
             panels.append(ev.Panel(x_label=abscissa, y_label=label, traces=traces, title=title))
     caption = "The trials with the largest and the smallest error."
@@ -579,64 +501,32 @@ def _path(done: Compared, *names: str) -> ev.Panel:
 
 
 def _speed_figure(file: ComparisonFile) -> list[ev.Figure]:
-    """Return the mean speed over the setting of the drive with most values, one curve for each other one."""
+    """Return the mean speed over the drive setting with most values, one curve for each other setting."""
     known = [row for row in file.mean_speeds if row[0].drive]
-    counts = {key: len({t.drive.get(key) for t, _, _ in known}) for key in SETTINGS}
+    counts = {key: len({t.drive.get(key) for t, _, _ in known}) for key in DRIVE_SETTINGS}
     # a setting that hardly any two trials share was measured, not set: it is no axis
-    varied = [key for key in SETTINGS if 1 < counts[key] <= max(12, len(known) // 2)]
+    most = max(MAX_SETTINGS, len(known) // 2)
+    varied = [key for key in DRIVE_SETTINGS if 1 < counts[key] <= most]
     if not varied:
         return []
     axis = max(varied, key=lambda key: counts[key])
     groups: dict[str, list[tuple[float, float, float]]] = {}
     for t, measured, simulated in known:
-        settings = {key: t.drive.get(key, 0.0) for key in varied if key != axis}
-        tail = "".join(f", {cases.setting(key, value)}" for key, value in settings.items())
+        others = [cases.setting_text(key, t.drive.get(key, 0.0)) for key in varied if key != axis]
+        tail = "".join(f", {text}" for text in others)
         groups.setdefault(tail, []).append((float(t.drive[axis]), measured, simulated))
     # a single value of the setting makes no curve
     curves = [tail for tail, rows in groups.items() if len({row[0] for row in rows}) > 1]
     traces = []
-    for group, tail in enumerate(sorted(curves, key=lambda tail: -len(groups[tail]))[:3]):
+    for group, tail in enumerate(sorted(curves, key=lambda tail: -len(groups[tail]))[:MAX_CURVES]):
         x, y, z = np.array(sorted(groups[tail])).T
         levels = np.unique(x)
         # repeats of one setting make one point of the line
         means = np.array([float(np.mean(z[x == level])) for level in levels])
         traces += _pair((x, levels), (y, means), tail, group)
+    if not traces:
+        return []
     title = numbers.column_title(axis)
-    panels = [ev.Panel(x_label=title, y_label="mean speed (m/s)", traces=traces)] if traces else []
+    panels = [ev.Panel(x_label=title, y_label="mean speed (m/s)", traces=traces)]
     caption = "Mean speed over the last whole beats of each trial."
     return [ev.Figure(id="speeds", title=f"Mean speed over {title}", caption=caption, panels=panels)]
-
-
-def _profile(profile: Profile) -> ev.Figure:
-    means, record = profile
-    caption = "Mean measured and simulated motion."
-    if len(record.trials) > 1:
-        caption = f"Mean of {len(record.trials)} trials with their standard deviation."
-    if any(m.band is not None for m in means.values()):
-        caption += " Shaded: simulated with less and with more buoyancy."
-    panels = [_mean(means[n]) for n in PROFILE_CHANNELS if n in means and _moves(means[n])]
-    return ev.Figure(
-        id=f"profile-{record.name}", title=record.name, caption=caption, panels=panels, columns=2
-    )
-
-
-def _moves(mean: Mean) -> bool:
-    """Return whether the channel moves: a symmetric stroke has neither roll nor yaw."""
-    values = mean.measured[np.isfinite(mean.measured)]
-    return bool(len(values)) and float(np.ptp(values)) > 1e-9
-
-
-def _mean(mean: Mean) -> ev.Panel:
-    scale, unit = numbers.in_degrees(mean.channel.unit)
-    step = max(len(mean.time_s) // (MAX_SAMPLES // 2), 1)
-    time = mean.time_s[::step]
-    error = scale * np.nan_to_num(mean.spread[::step]) if np.isfinite(mean.spread).any() else None
-    low, high = mean.band or (None, None)
-    band = {name: scale * end[::step] for name, end in (("lower", low), ("upper", high)) if end is not None}
-    points, line = (scale * series[::step] for series in (mean.measured, mean.simulated))
-    traces = [
-        ev.Trace(x=time, y=points, style="points", label="measured", group=0, y_error=error),
-        ev.Trace(x=time, y=line, label="simulated", group=0, **band),
-    ]
-    label = f"{mean.channel.meaning} ({numbers.unit_text(unit)})"
-    return ev.Panel(x_label="time (s)", y_label=label, traces=traces)

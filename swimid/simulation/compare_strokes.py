@@ -1,121 +1,100 @@
-"""``compare`` for robots in space: motion profiles, stroke by stroke, as the sea lion paper does it."""
+"""Motion profiles of a robot in space: ``compare`` by strokes, as in the sea lion paper.
+
+Trials that repeat a motion make one profile. Its mean is compared with the mean of its simulations, over time
+and for each stroke (Tables I and II of the paper).
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.model import Array, Channel
+from swimid.fitting.model import Array
+from swimid.logs import kinematics
+from swimid.logs.kinematics import CYCLE_QUANTITIES, QUANTITIES
 from swimid.logs.sampling import slope
+from swimid.results import evidence as ev
+from swimid.results import numbers
 from swimid.simulation.compare_series import Compared, CycleComparison, ProfileComparison
-from swimid.swimmer import run_quantities
 
-#: Half width of the window speeds are derived in, as a share of a stroke, and s where there is none.
-WINDOW_STROKE, WINDOW_S = 0.1, 0.15
+#: Half width of the window of a derivative: cycles of the stroke, and s without a stroke.
+HALF_WIDTH_CYCLES, HALF_WIDTH_S = 0.1, 0.15
 SIDES = ("measured", "simulated")
-POSITION = ("x_m", "y_m", "z_m")
-#: What is derived where it is not logged.
-DERIVED = (
-    Channel("pitch_rate_rad_s", "rad/s", "pitch rate"),
-    Channel("vx_m_s", "m/s", "speed along x"),
-    Channel("vz_m_s", "m/s", "speed along z"),
-    Channel("speed_m_s", "m/s", "speed in the vertical plane"),
-)
-ORIENTATION = ("roll_rad", "pitch_rad", "yaw_rad")
+POSITION, ORIENTATION = ("x_m", "y_m", "z_m"), ("roll_rad", "pitch_rad", "yaw_rad")
+#: Channels of the figure of a profile, in the order of the paper.
+FIGURE_CHANNELS = ("x_m", "z_m", "speed_m_s", "pitch_rad", "roll_rad", "yaw_rad", "pitch_rate_rad_s")
+#: Maximum number of samples of a curve.
+MAX_SAMPLES = 200
 
-
-@dataclass(frozen=True)
-class Mean:
-    """One channel of a motion profile, the mean over its repeats.
-
-    Attributes
-    ----------
-    time_s, measured, simulated : ndarray, shape (n,)
-        On the clock of the profile's first trial, as far as all repeats reach.
-    spread : ndarray, shape (n,)
-        Standard deviation of the measured repeats; NaN where there is one.
-    band : tuple of ndarray or None
-        Least and most of the simulations with less, as much and more buoyancy.
-    """
-
-    channel: Channel
-    time_s: Array
-    measured: Array
-    spread: Array
-    simulated: Array
-    band: tuple[Array, Array] | None = None
+#: Columns of a trial by side: measured, simulated, and simulated with less and with more buoyancy.
+Columns = dict[str, dict[str, Array]]
 
 
 class Profile(NamedTuple):
-    """Trials that repeat one motion: means by channel, and what the comparison file says of them."""
+    """Trials that repeat one motion.
 
-    means: dict[str, Mean]
+    Attributes
+    ----------
+    time_s : ndarray, shape (n,)
+        Clock of the first trial, in the time that all trials cover.
+    repeats : dict of side to dict of channel to ndarray, shape (trials, n)
+    record : ProfileComparison
+        Entry of the comparison file.
+    """
+
+    time_s: Array
+    repeats: dict[str, dict[str, Array]]
     record: ProfileComparison
 
-
-class _Sides(NamedTuple):
-    """A trial's columns as measured, as simulated, and as simulated with less and more buoyancy."""
-
-    done: Compared
-    columns: dict[str, dict[str, Array]]
+    def mean(self, side: str, channel: str) -> Array:
+        """Return the mean of a channel over the trials, shape (n,)."""
+        return np.asarray(self.repeats[side][channel].mean(axis=0))
 
 
-def profiles(experiment: Experiment, done: Sequence[Compared], *, buoyancy: float) -> list[Profile]:
-    """The motion profiles of a robot in space.
+def compare_profiles(experiment: Experiment, done: Sequence[Compared], *, buoyancy: float) -> list[Profile]:
+    """Return the motion profiles of a robot in space; none for other robots.
 
     Parameters
     ----------
     buoyancy : float
-        The band's half width, as a share of the buoyancy; 0 for none.
+        Half width of the band of simulations, relative to the buoyancy; 0 for no band.
     """
     model = experiment.model.swimmer
     if model is None or not model.in_space:
         return []
-    factors = {"less": 1.0 - buoyancy, "more": 1.0 + buoyancy} if buoyancy else {}
-    others = {side: other for side, k in factors.items() if (other := model.with_buoyancy(k)) is not None}
-    repeats: dict[str, list[_Sides]] = {}
-    for one in (d for d in done if d.pairs):
-        columns = {side: {n: getattr(p, side) for n, p in one.pairs.items()} for side in SIDES}
+    others = {}
+    if buoyancy:
+        others = {"less": model.with_buoyancy(1.0 - buoyancy), "more": model.with_buoyancy(1.0 + buoyancy)}
+    groups: dict[str, list[tuple[Compared, Columns]]] = {}
+    for one in done:
+        columns: Columns = {side: {n: getattr(p, side) for n, p in one.pairs.items()} for side in SIDES}
         for side, other in others.items():
-            simulated = other.attempt(one.values, one.trial)
-            columns[side] = {n: simulated[n] for n in one.pairs}
-        sides = _Sides(one, {side: _with_speeds(series, one) for side, series in columns.items()})
-        repeats.setdefault(experiment.facts["profiles"][one.trial.id], []).append(sides)
-    return [_profile(name, members) for name, members in repeats.items()]
-
-
-def _profile(name: str, members: Sequence[_Sides]) -> Profile:
-    means = _means(members)
-    record = ProfileComparison(
-        name=name,
-        trials=[m.done.trial.id for m in members],
-        cycles=_cycles(members),
-        position_rmse_m=_rmse(means, POSITION),
-        orientation_rmse_rad=_rmse(means, ORIENTATION),
-        surge_m=_way(means.get("x_m")),
-        heave_m=_way(means.get("z_m")),
-    )
-    return Profile(means, record)
-
-
-# ---------------------------------------------------------------- series
+            if other is not None:
+                columns[side] = {
+                    n: v for n, v in other.attempt(one.values, one.trial).items() if n in one.pairs
+                }
+        if one.pairs:
+            columns = {side: _with_speeds(series, one) for side, series in columns.items()}
+            groups.setdefault(experiment.facts["profiles"][one.trial.id], []).append((one, columns))
+    return [_profile(name, members) for name, members in groups.items()]
 
 
 def _with_speeds(columns: Mapping[str, Array], done: Compared) -> dict[str, Array]:
-    """With the speed in the vertical plane and the pitch rate."""
-    stroke, time = done.trial.swim.stroke, done.trial.time_s
-    half = WINDOW_STROKE / stroke.frequency_hz if stroke is not None else WINDOW_S
+    """Return columns with pitch rate and speed in the vertical plane."""
+    stroke, time, half = done.trial.swim.stroke, done.trial.time_s, HALF_WIDTH_S
+    if stroke is not None:
+        half = HALF_WIDTH_CYCLES / stroke.frequency_hz
     extended = dict(columns)
     if "pitch_rad" in columns and "pitch_rate_rad_s" not in columns:
         extended["pitch_rate_rad_s"] = slope(time, columns["pitch_rad"], half)
     if "x_m" in columns and "z_m" in columns:
-        own = {"u_m_s", "w_m_s", "pitch_rad"} <= columns.keys()
-        moving = run_quantities.velocity(time, columns) if own else None
+        moving = None
+        if {"u_m_s", "w_m_s", "pitch_rad"} <= columns.keys():
+            moving = kinematics.world_velocity(time, columns)
         if moving is None:
             moving = np.array([slope(time, columns[name], half) for name in ("x_m", "z_m")])
         extended["vx_m_s"], extended["vz_m_s"] = moving
@@ -123,88 +102,171 @@ def _with_speeds(columns: Mapping[str, Array], done: Compared) -> dict[str, Arra
     return extended
 
 
-def _means(members: Sequence[_Sides]) -> dict[str, Mean]:
-    """Means of every channel all repeats have, on the first one's clock."""
-    times = [m.done.trial.time_s for m in members]
+def _profile(name: str, members: Sequence[tuple[Compared, Columns]]) -> Profile:
+    """Return repeated trials on one clock, and the comparison of their means."""
+    times = [done.trial.time_s for done, _ in members]
     begin, end = max(float(t[0]) for t in times), min(float(t[-1]) for t in times)
     clock = times[0][(times[0] >= begin - 1e-9) & (times[0] <= end + 1e-9)]
-    channels = {c.name: c for c in (*DERIVED, *(p.channel for p in members[0].done.pairs.values()))}
-    means: dict[str, Mean] = {}
-    for name in members[0].columns["measured"] if len(clock) else ():
-        if any(name not in m.columns["measured"] for m in members):
-            continue
-        series = {
-            side: np.array(
-                [_on(clock, t, m.columns[side][name]) for t, m in zip(times, members, strict=True)]
-            )
-            for side in members[0].columns
+    first = members[0][1]
+    common = [n for n in first["measured"] if all(n in columns["measured"] for _, columns in members)]
+    repeats = {
+        side: {
+            n: np.array([_resampled(clock, d.trial.time_s, columns[side][n]) for d, columns in members])
+            for n in common
         }
-        measured = series.pop("measured")
-        spread = np.std(measured, axis=0, ddof=1) if len(members) > 1 else np.full(len(clock), math.nan)
-        simulated = [repeated.mean(axis=0) for repeated in series.values()]
-        band = (np.min(simulated, axis=0), np.max(simulated, axis=0)) if len(simulated) > 1 else None
-        means[name] = Mean(channels[name], clock, measured.mean(axis=0), spread, simulated[0], band)
-    return means
+        for side in first
+    }
+    record = ProfileComparison(
+        name=name, trials=[done.trial.id for done, _ in members], cycles=_cycles(members)
+    )
+    profile = Profile(clock, repeats, record)
+    record.position_rmse_m = _rmse(profile, POSITION)
+    record.orientation_rmse_rad = _rmse(profile, ORIENTATION)
+    record.surge_m, record.heave_m = _displacement(profile, "x_m"), _displacement(profile, "z_m")
+    return profile
 
 
-def _on(clock: Array, time: Array, values: Array) -> Array:
-    there = np.isfinite(values)
-    if there.sum() < 2:
+def _resampled(clock: Array, time_s: Array, values: Array) -> Array:
+    """Return values at other times; NaN outside of the known samples."""
+    known = np.isfinite(values)
+    if known.sum() < 2:
         return np.full(len(clock), math.nan)
-    resampled: Array = np.interp(clock, time[there], values[there], left=math.nan, right=math.nan)
-    return resampled
+    return np.asarray(np.interp(clock, time_s[known], values[known], left=math.nan, right=math.nan))
 
 
-# ---------------------------------------------------------------- numbers
-
-
-def _rmse(means: Mapping[str, Mean], names: Sequence[str]) -> float | None:
-    """Root-mean-square distance of the mean simulated path from the mean measured one."""
-    parts = [means[n].measured - means[n].simulated for n in names if n in means]
-    if not parts:
+def _rmse(profile: Profile, names: Sequence[str]) -> float | None:
+    """Return the root-mean-square distance of the mean simulated series from the mean measured ones."""
+    known = [name for name in names if name in profile.repeats["measured"]]
+    errors = [profile.mean("measured", name) - profile.mean("simulated", name) for name in known]
+    squares = np.sum(np.square(errors), axis=0)
+    if not errors or not np.isfinite(squares).any():
         return None
-    squares = np.sum(np.square(parts), axis=0)
-    squares = squares[np.isfinite(squares)]
-    return math.sqrt(float(squares.mean())) if len(squares) else None
+    return math.sqrt(float(np.nanmean(squares)))
 
 
-def _way(mean: Mean | None) -> dict[str, float]:
-    """From the first to the last sample, measured and simulated."""
-    if mean is None:
+def _displacement(profile: Profile, name: str) -> dict[str, float]:
+    """Return the change from the first to the last known sample, measured and simulated."""
+    if name not in profile.repeats["measured"]:
         return {}
-    both = np.isfinite(mean.measured) & np.isfinite(mean.simulated)
-    if both.sum() < 2:
+    means = {side: profile.mean(side, name) for side in SIDES}
+    known = np.flatnonzero(np.isfinite(sum(means.values())))
+    if len(known) < 2:
         return {}
-    ends = {side: getattr(mean, side)[both] for side in SIDES}
-    return {side: float(values[-1] - values[0]) for side, values in ends.items()}
+    return {side: float(values[known[-1]] - values[known[0]]) for side, values in means.items()}
 
 
-def _cycles(members: Sequence[_Sides]) -> list[CycleComparison]:
-    """Every whole stroke: each trial's quantities, then their means."""
-    each = [_quantities(m) for m in members]
+def _cycles(members: Sequence[tuple[Compared, Columns]]) -> list[CycleComparison]:
+    """Return the quantities of every whole stroke: means over the trials."""
+    each = []
+    for done, columns in members:
+        time, stroke = done.trial.time_s, done.trial.swim.stroke
+        windows = [] if stroke is None else kinematics.whole_cycles(time, stroke.frequency_hz)
+        each.append([[kinematics.cycle_quantities(time, columns[s], w) for s in SIDES] for w in windows])
     comparisons = []
     for k, repeats in enumerate(zip(*each, strict=False), 1):
         comparison = CycleComparison(cycle=k, measured={}, simulated={})
-        for name in run_quantities.QUANTITIES:
-            values = [[stroke[side].get(name) for side in SIDES] for stroke in repeats]
-            if any(None in pair for pair in values):
+        for name in CYCLE_QUANTITIES:
+            values = np.array([[side.get(name, math.nan) for side in sides] for sides in repeats])
+            if np.isnan(values).any():
                 continue
-            measured, simulated = np.array(values, dtype=float).T
-            comparison.measured[name] = float(measured.mean())
-            comparison.simulated[name] = float(simulated.mean())
-            if len(measured) > 1:
-                comparison.spread[name] = float(np.std(measured, ddof=1))
+            comparison.measured[name], comparison.simulated[name] = values.mean(axis=0).tolist()
+            if len(values) > 1:
+                comparison.spread[name] = float(np.std(values[:, 0], ddof=1))
         if comparison.measured:
             comparisons.append(comparison)
     return comparisons
 
 
-def _quantities(sides: _Sides) -> list[dict[str, dict[str, float]]]:
-    trial = sides.done.trial
-    stroke = trial.swim.stroke
-    if stroke is None:
-        return []
+# ------------------------------------------------------------ evidence
+
+
+def tables(profiles: Sequence[ProfileComparison]) -> list[ev.Table]:
+    """Return the table of the profiles, and that of their strokes."""
+    rows: list[list[Any]] = []
+    strokes: list[list[Any]] = []
+    for p in profiles:
+        ways = [way.get(side) for way in (p.surge_m, p.heave_m) for side in SIDES]
+        texts = [numbers.number(way, 3, "m") for way in (*ways, p.position_rmse_m)]
+        rows.append([p.name, len(p.trials), *texts, value_text(p.orientation_rmse_rad, "rad")])
+        for cycle in p.cycles:
+            for side, known, spread in (
+                ("measured", cycle.measured, cycle.spread),
+                ("simulated", cycle.simulated, {}),
+            ):
+                cells = [
+                    value_text(known.get(n), QUANTITIES[n].unit, spread.get(n)) for n in CYCLE_QUANTITIES
+                ]
+                strokes.append([p.name, cycle.cycle, side, *cells])
+    sides = [f"{way}, {side}" for way in ("surge", "heave") for side in SIDES]
+    names = [numbers.split_unit(name)[0].replace("_", " ") for name in CYCLE_QUANTITIES]
     return [
-        {side: run_quantities.quantities(trial.time_s, sides.columns[side], window) for side in SIDES}
-        for window in run_quantities.windows(trial.time_s, stroke.frequency_hz)
+        ev.Table(
+            id="profiles",
+            title="Motion profiles",
+            columns=["profile", "trials", *sides, "position RMSE", "orientation RMSE"],
+            rows=rows,
+            caption="Means of trials that repeat a motion: displacement from first to last sample, "
+            "and root-mean-square distance of mean simulated path and angles from the mean measured ones.",
+        ),
+        ev.Table(
+            id="strokes",
+            title="Quantities of each stroke",
+            columns=["profile", "stroke", "", *names],
+            rows=strokes,
+            caption="Tables I and II of the sea lion paper; mean and standard deviation of repeated trials. "
+            "Maximum speeds and rates derived from noisy positions are too large by up to a few standard "
+            "deviations of their noise; those of a smoothed track are not.",
+        ),
     ]
+
+
+def value_text(value: float | None, unit: str, sd: float | None = None) -> str:
+    """Return a value with its unit, and its standard deviation if it has one; angles in degrees."""
+    factor, shown = numbers.in_degrees(unit)
+    if value is None:
+        return numbers.number(None)
+    if sd:
+        return numbers.measured(factor * value, factor * sd, shown)
+    return numbers.number(factor * value, 3, shown)
+
+
+def figure(profile: Profile) -> ev.Figure:
+    """Return the figure of a profile: measured and simulated means over time."""
+    record, measured = profile.record, profile.repeats["measured"]
+    caption = "Mean measured and simulated motion."
+    if len(record.trials) > 1:
+        caption = (
+            f"Mean of {len(record.trials)} trials on one clock with their standard deviation, and mean of "
+            "their simulations."
+        )
+    if len(profile.repeats) > len(SIDES):
+        caption += " Shaded: simulated with less and with more displaced volume (sea lion, section III)."
+    # a symmetric stroke has neither roll nor yaw
+    shown = [n for n in FIGURE_CHANNELS if n in measured and _moves(profile.mean("measured", n))]
+    panels = [_panel(profile, name) for name in shown]
+    return ev.Figure(
+        id=f"profile-{record.name}", title=record.name, caption=caption, panels=panels, columns=2
+    )
+
+
+def _moves(values: Array) -> bool:
+    known = values[np.isfinite(values)]
+    return bool(len(known)) and float(np.ptp(known)) > 1e-9
+
+
+def _panel(profile: Profile, name: str) -> ev.Panel:
+    factor, _ = numbers.in_degrees(numbers.split_unit(name)[1])
+    keep = slice(None, None, max(len(profile.time_s) // MAX_SAMPLES, 1))
+    time, repeats = profile.time_s[keep], profile.repeats["measured"][name]
+    means = {side: factor * profile.mean(side, name)[keep] for side in profile.repeats}
+    points, line = {}, {}
+    if len(repeats) > 1:
+        points["y_error"] = factor * np.nan_to_num(np.std(repeats, axis=0, ddof=1)[keep])
+    if len(means) > len(SIDES):
+        simulated = [values for side, values in means.items() if side != "measured"]
+        line = {"lower": np.min(simulated, axis=0), "upper": np.max(simulated, axis=0)}
+    traces = [
+        ev.Trace(x=time, y=means["measured"], style="points", label="measured", group=0, **points),
+        ev.Trace(x=time, y=means["simulated"], label="simulated", group=0, **line),
+    ]
+    return ev.Panel(x_label="time (s)", y_label=numbers.column_title(name), traces=traces)

@@ -11,12 +11,12 @@ from swimid.swimmer import options as swimmers
 
 
 def robot(help: str = "Accept the parameters for this robot.") -> Any:
-    """A robot in place of the one the parameter file names."""
+    """Return the option of a robot other than that of the parameter file."""
     return option(None, metavar="NAME|FILE", help=help, recorded=False)
 
 
 def chosen(help: str = "Use this value of a parameter. Repeatable.") -> Any:
-    """A mapping of parameters to values that win over the file's."""
+    """Return the option of parameter values that replace those of the file."""
     return option({}, flag="--set", metavar="NAME=VALUE", help=help, recorded="set")
 
 
@@ -28,9 +28,9 @@ class CompareOptions(
 ):
     """Compare recorded trials with their simulation.
 
-    TRIALS is a trials file of any experiment; the parameter file says which model is to describe it.
-    Errors by channel and trial, stroke by stroke and over the stroke's phase; the report draws them. Of a
-    robot in space, trials that repeat a motion are averaged and shown beside the paper's tables.
+    TRIALS is a trials file of any experiment that the model of the parameter file describes. The result has
+    errors by channel and trial, and the means of every stroke. For a robot in space, trials that repeat a
+    motion are averaged, with the tables of the sea lion paper.
 
     Examples:
       swimid compare trials.yaml --params tfish.yaml -o comparison.yaml
@@ -56,12 +56,12 @@ class CompareOptions(
         le=50,
         flag="--buoyancy-band",
         metavar="PERCENT",
-        help="Shade what so much less and more buoyancy changes (robots in space). 0 for none.",
+        help="Shade the effect of this change of buoyancy (robots in space). 0 for none.",
         recorded="buoyancy_band",
     )
 
 
-#: The part of the options that describes a run; recorded trials bring their own.
+#: Part of the options that describes a run. Recorded trials have drives of their own.
 RUN = "run"
 
 
@@ -75,8 +75,8 @@ class SimulateOptions(
 ):
     """Simulate any robot from any parameter file.
 
-    A robot with links swims as its beat says; a falling weight, a cruise and a discrete-time model
-    have options of their own. Printed with the uncertainty the parameter file gives.
+    A robot with links swims under a beat, a stroke or recorded joint angles. A falling weight, a cruise and a
+    discrete-time model have options of their own. Standard errors follow from those of the parameter file.
 
     Examples:
       swimid simulate --params tfish.yaml --frequency-hz 1 --amplitude-deg 20 --duration-s 15 -o sim.csv
@@ -95,7 +95,7 @@ class SimulateOptions(
     )
     waveform: Literal["sine", "hopf", "a-cpg"] = option("sine", part=RUN, help="Form of the beat.")
     bias_deg: float = option(0.0, part=RUN, help="Turning bias.")
-    asymmetry: float = option(0.0, gt=-1, lt=1, part=RUN, help="Of an a-cpg beat (T-Fish, Eq 10).")
+    asymmetry: float = option(0.0, gt=-1, lt=1, part=RUN, help="Asymmetry of an a-cpg beat (T-Fish, Eq 10).")
     ramp_s: float = option(1.0, ge=0, part=RUN, help="Time the beat is eased in.")
     duration_s: float | None = option(None, gt=0, part=RUN, help="Length of the run  [default: 15]")
     sample_rate_hz: float | None = option(
@@ -113,7 +113,7 @@ class SimulateOptions(
         None, metavar="NAME", part=RUN, help="Stroke of the robot file in place of a beat."
     )
     cycles: float | None = option(None, gt=0, part=RUN, help="Cycles of the stroke; then its joints rest.")
-    scale: float = option(1.0, ge=0, part=RUN, help="What the stroke's angles are multiplied with.")
+    scale: float = option(1.0, ge=0, part=RUN, help="Factor of the angles of the stroke.")
     pulling_mass_kg: float | None = option(None, gt=0, part=RUN, help="Weight of a falling-weight rig.")
     fin: str | None = option(None, part=RUN, help="Fin of a cruise.")
     distance_m: float | None = option(
@@ -125,5 +125,5 @@ class SimulateOptions(
     trial: str | None = option(None, metavar="ID", help="Only this one of --trials; -o is then a log.")
     animate: Path | None = option(None, written=True, help="Film of the links: .mp4 or .gif.")
     view: Literal["auto", "fixed", "follow"] = option(
-        "auto", help="The film's frame: the whole path, or moving with the robot."
+        "auto", help="View of the film: fixed on the whole path, or following the robot."
     )

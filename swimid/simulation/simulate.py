@@ -1,4 +1,4 @@
-"""``simulate``: any robot from any parameter file, as a log, and as a film where it has links."""
+"""``simulate``: any robot with any parameter file, as a log, and as a film of a robot with links."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from swimid.files.atomic import file_names
 from swimid.files.provenance import Input
 from swimid.fitting.model import Array
 from swimid.logs import log as log_format
+from swimid.logs.kinematics import CYCLE_QUANTITIES, QUANTITIES, UNSTEADY
 from swimid.notices import warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -29,21 +30,19 @@ from swimid.simulation import animation, cases
 from swimid.simulation.cases import Case
 from swimid.simulation.catalogue import Quantity
 from swimid.simulation.options import RUN, SimulateOptions
-from swimid.simulation.swim_quantities import UNSTEADY
-from swimid.swimmer import run_quantities
 
 if TYPE_CHECKING:
     import pandas as pd
 
 #: Endings of the logs that are written.
 LOG_ENDINGS = (".csv", *tabular.PARQUET)
-#: Halving the step may change a channel by this share of its range at most.
+#: Maximum change of a channel when the integration step is halved, relative to its range.
 STEP_LIMIT = 1e-3
 
 
 @dataclass(frozen=True)
 class StepChange:
-    """What halving the integration step does to one channel, as ``share`` of its range too."""
+    """Maximum change of a channel when the integration step is halved, and its share of the range."""
 
     largest: float
     share: float
@@ -56,9 +55,9 @@ class Simulated:
     Attributes
     ----------
     columns : dict of str to ndarray
-        Of the log, ``t_s`` first.
+        Columns of the log, ``t_s`` first.
     step : dict of str to StepChange
-        By channel; empty where nothing is integrated.
+        Effect of the integration step by channel; empty if nothing is integrated.
     """
 
     case: Case
@@ -67,33 +66,36 @@ class Simulated:
     step: dict[str, StepChange]
 
 
-def simulated(case: Case) -> Simulated:
+def simulate_case(case: Case) -> Simulated:
     """Simulate a case.
 
     Raises
     ------
     NoTrustworthyResult
-        When the simulation breaks down, with the time.
+        The simulation breaks down.
 
     Warns
     -----
     SWM016
-        When halving the step changes a channel by more than :data:`STEP_LIMIT` of its range.
+        Halving the step changes a channel by more than :data:`STEP_LIMIT` of its range.
     """
     model = case.applied.model
     simulated = model.attempt(case.values, case.trial)
-    _insist_whole(case, simulated)
+    _refuse_broken(case, simulated)
     _warn_folded(case, simulated)
     step = _step_changes(case, simulated)
-    quantities = case.applied.with_errors(case.values, case.quantities) if case.quantities else {}
-    columns: dict[str, Any] = {} if case.per_run else {log_format.TIME: case.trial.time_s}
-    columns |= {c.name: simulated[c.name] for c in model.channels if c.name in simulated}
+    quantities = {}
+    if case.quantities is not None:
+        quantities = case.applied.with_errors(case.values, case.quantities)
+    columns: dict[str, Any] = {c.name: simulated[c.name] for c in model.channels if c.name in simulated}
     added = {k: v for k, v in case.extra.items() if k not in columns}
-    columns = {**added, **columns} if case.per_run else {**columns, **added}
-    return Simulated(case, columns, quantities, step)
+    if case.per_run:
+        return Simulated(case, added | columns, quantities, step)
+    return Simulated(case, {log_format.TIME: case.trial.time_s} | columns | added, quantities, step)
 
 
-def _insist_whole(case: Case, simulated: Mapping[str, Array]) -> None:
+def _refuse_broken(case: Case, simulated: Mapping[str, Array]) -> None:
+    """Refuse a simulation that breaks down, unless its inputs end first."""
     lost = np.any([~np.isfinite(v) for v in simulated.values()], axis=0)
     if not lost[-1] or any(not np.isfinite(v[-1]) for v in case.trial.inputs.values()):
         return
@@ -108,6 +110,7 @@ def _insist_whole(case: Case, simulated: Mapping[str, Array]) -> None:
 
 
 def _warn_folded(case: Case, simulated: Mapping[str, Array]) -> None:
+    """Warn of a joint that turns by more than half a turn."""
     for name, values in simulated.items():
         if re.fullmatch(r"joint\d+_rad", name) and np.nanmax(np.abs(values), initial=0.0) > math.pi:
             turned = math.degrees(float(np.nanmax(np.abs(values))))
@@ -119,6 +122,7 @@ def _warn_folded(case: Case, simulated: Mapping[str, Array]) -> None:
 
 
 def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, StepChange]:
+    """Return the effect of half the integration step on each channel; warn if it is large."""
     finer = case.applied.model.refined()
     if finer is None:
         return {}
@@ -128,9 +132,11 @@ def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, StepC
         both = np.isfinite(values) & np.isfinite(fine[name])
         if not both.any():
             continue
-        largest = float(np.max(np.abs(fine[name] - values)[both]))
+        largest, share = float(np.max(np.abs(fine[name] - values)[both])), 0.0
         span = float(np.ptp(values[both]))
-        changes[name] = StepChange(largest, largest / span if span > 1e-9 else 0.0)
+        if span > 1e-9:
+            share = largest / span
+        changes[name] = StepChange(largest, share)
     worst = max(changes, key=lambda name: changes[name].share, default=None)
     if worst is not None and changes[worst].share > STEP_LIMIT:
         warn(
@@ -163,7 +169,7 @@ def places(output: Path | None, ids: Sequence[str]) -> list[Path]:
 
 
 def write(output: Path | None, done: Sequence[Simulated]) -> list[Path]:
-    """Write runs as logs, all or none; the comment lines of each say what it was made by."""
+    """Write runs as logs, all or none, with the parameters and the drive in their metadata."""
     paths = places(output, [one.case.id for one in done])
     with atomic.together():
         if output is not None and paths != [output]:
@@ -177,19 +183,19 @@ def write(output: Path | None, done: Sequence[Simulated]) -> list[Path]:
 
 @dataclass(frozen=True, eq=False)
 class Simulation(Result):
-    """Simulated runs, as ``simulate`` gives them: one, or one for each recorded trial.
+    """Result of ``simulate``: one simulated run, or one for each recorded trial.
 
     Attributes
     ----------
     frame : DataFrame
         The log of the only run, one row a sample; SI units and radians, named in the columns.
     quantities : dict of str to Quantity
-        What the only run comes to, each with ``value``, ``unit`` and ``stderr`` (None where the uncertainty
-        of the coefficients is not known).
+        Quantities of the only run, each with ``value``, ``unit`` and ``stderr`` (None if the uncertainty of
+        the coefficients is unknown).
     frames : dict of str to DataFrame
         The log of each run by its name.
     runs : dict of str to Simulated
-        Each run by its name, with ``columns``, ``quantities`` and ``step``, the check of the integration
+        Each run by its name, with ``columns``, ``quantities`` and ``step``, the effect of the integration
         step.
     inputs : sequence of path or Log
         Files of the recorded trials.
@@ -208,9 +214,8 @@ class Simulation(Result):
 
     @property
     def runs(self) -> dict[str, Simulated]:
-        """Each run by its name: its channels, and what it comes to."""
-        done: Sequence[Simulated] = self.document
-        return {one.case.id: one for one in done}
+        """Each run by its name: its channels and its quantities."""
+        return {one.case.id: one for one in self.document}
 
     @property
     def frames(self) -> dict[str, pd.DataFrame]:
@@ -226,13 +231,13 @@ class Simulation(Result):
         Raises
         ------
         UsageError
-            Of several runs: see :attr:`frames`.
+            There are several runs: see :attr:`frames`.
         """
         return self._only("frames")
 
     @property
     def quantities(self) -> dict[str, Quantity]:
-        """What the only run comes to: mean speed, stride, amplitudes, each with its standard error."""
+        """Quantities of the only run: mean speed, stride, amplitudes, each with its standard error."""
         return self._only("runs").quantities
 
     def _only(self, several: str) -> Any:
@@ -247,10 +252,9 @@ class Simulation(Result):
         Raises
         ------
         InputError
-            When a log cannot be written.
+            A log cannot be written.
         UsageError
-            When the path is neither the log of one run nor a folder, and where a log of the trials would be
-            replaced.
+            The path is neither the log of one run nor a folder, or a log of the trials would be replaced.
         """
         for place in places(Path(path), list(self.runs)):
             if place.parent.is_dir():
@@ -258,8 +262,8 @@ class Simulation(Result):
         return replace(self, outputs=[*self.outputs, *write(Path(path), self.document)])
 
 
-#: Quantities that the table of several runs holds.
-BRIEF = ("mean_speed_m_s", "peak_yaw_rate_rad_s", "peak_pitch_rate_rad_s", "turning_radius_m")
+#: Quantities in the table of several runs.
+TABLE_QUANTITIES = ("mean_speed_m_s", "max_yaw_rate_rad_s", "max_pitch_rate_rad_s", "turning_radius_m")
 
 
 @takes(SimulateOptions)
@@ -270,21 +274,21 @@ def simulate(
     allow: Callable[[Path], object] = atomic.check_writable,
     progress: Progress = silent,
 ) -> Simulation:
-    """Simulate a robot with given coefficients: its motion over time, and what the run comes to.
+    """Simulate a robot with given coefficients: its motion over time, and the quantities of the run.
 
-    The beat is given as ``drive`` of a trials file gives it. An input log has joint angles or commands that
-    drive a robot, a force, or the input column of a discrete-time model; the run is then as long as the log.
-    Standard errors are those of the coefficients alone; how far the model itself is off,
-    :func:`swimid.compare` says.
+    The options of the beat are those of ``drive`` in a trials file. An input log has joint angles or
+    commands, a force, or the input column of a discrete-time model. The run is then as long as the log.
+    Standard errors follow from those of the coefficients alone. :func:`swimid.compare` tests the model
+    itself.
 
     Parameters
     ----------
     output : Path, optional
         Log to write; for several trials a folder.
     allow : callable
-        Called with every file before it is written; raises where that must not be.
+        Function that is called with every file before it is written, and raises if it must not be written.
     progress : Progress
-        Shows the runs, and the pictures of a film.
+        Progress over the runs, and the frames of a film.
 
     Returns
     -------
@@ -296,9 +300,9 @@ def simulate(
     Raises
     ------
     UsageError, InputError
-        For options that do not fit together and for bad files.
+        For options that exclude each other, and for bad files.
     NoTrustworthyResult
-        When the simulation breaks down.
+        The simulation breaks down.
 
     References
     ----------
@@ -316,7 +320,7 @@ def simulate(
 
     Examples
     --------
-    The boxfish as its drops describe it, pulled by 20 g:
+    Pull the boxfish, with the drag of its drops, by 20 g:
 
     >>> import swimid
     >>> drag = swimid.fit_drag("sample_logs/rig/trials.yaml")
@@ -331,13 +335,13 @@ def simulate(
     if options.trials is None:
         if options.trial is not None:
             raise UsageError("--trial belongs to --trials")
-        asked = [cases.of_options(options)]
+        asked = [cases.case_of_options(options)]
     else:
-        _insist_on_trials_alone(options)
-        asked, inputs = cases.of_trials(options.trials, options, options.trial)
+        _refuse_run_options(options)
+        asked, inputs = cases.cases_of_trials(options.trials, options, options.trial)
     targets = places(output, [case.id for case in asked])
     if options.animate is not None:
-        _insist_on_film(asked, options.animate)
+        _refuse_film(asked, options.animate)
         allow(atomic.check_writable(options.animate, inputs=inputs))
     folder = output if output is not None and targets != [output] else None
     if folder is not None and not folder.parent.is_dir():
@@ -348,14 +352,15 @@ def simulate(
     done = []
     with progress("simulating", total=len(asked)) as step:
         for case in asked:
-            done.append(simulated(case))
+            done.append(simulate_case(case))
             step()
-    notes = []
+    notes: list[str] = []
     with atomic.together():
         outputs = write(output, done)
         if options.animate is not None:
             remark = animation.write(options.animate, _film(done[0]), view=options.view, progress=progress)
-            notes = [remark] if remark else []
+            if remark:
+                notes.append(remark)
             outputs.append(options.animate)
     if done[0].quantities:
         done[0].case.applied.warn_without_error("the uncertainties given here")
@@ -370,21 +375,26 @@ def simulate(
     )
 
 
-def _insist_on_trials_alone(options: SimulateOptions) -> None:
-    """Refuse options that describe a run beside trials, which bring their own."""
+def _refuse_run_options(options: SimulateOptions) -> None:
+    """Refuse options that describe a run beside recorded trials, which have drives of their own."""
     for name, entry in options.declared().items():
         if entry.part == RUN and getattr(options, name) != entry.default:
             raise UsageError(f"{entry.flag} has no place beside --trials: the trials bring their own drive")
 
 
-def _insist_on_film(asked: Sequence[Case], path: Path) -> None:
-    """Refuse a film of what cannot be filmed."""
+def _refuse_film(asked: Sequence[Case], path: Path) -> None:
+    """Refuse a film of several runs, of other models than links in a plane, or in another format.
+
+    Raises
+    ------
+    UsageError
+    """
     if len(asked) > 1:
         raise UsageError("an animation shows one trial: name it with --trial")
     if asked[0].applied.model.body is None:
         raise UsageError("an animation needs a robot with links in one plane")
-    if path.suffix.lower() not in animation.SIZE:
-        endings = " or ".join(animation.SIZE)
+    if path.suffix.lower() not in animation.SIZE_PX:
+        endings = " or ".join(animation.SIZE_PX)
         raise UsageError(f"'{path.name}' can be no animation", hint=f"let it end in {endings}")
 
 
@@ -393,24 +403,17 @@ def _film(done: Simulated) -> animation.Film:
     model, body = case.applied.model.swimmer, case.applied.model.body
     assert model is not None
     assert body is not None
-    x, y, heading = body.frames(case.values, done.columns)
-    length = body.length(case.values)
-    drive = case.metadata.get("drive")
-    title = model.robot.name
+    length, drive, title = body.length(case.values), case.metadata.get("drive"), model.robot.name
     if isinstance(drive, dict):
         title += f"  {drive['frequency_hz']:g} Hz, {drive['amplitude_deg']:g} deg"
     return animation.Film(
         time_s=case.trial.time_s,
-        x_m=x,
-        y_m=y,
-        heading_rad=heading,
-        lengths_m=np.array(body.lengths_m),
+        body=body,
+        frames=body.frames(case.values, done.columns),
         begins_m=body.straight(case.values)[0],
-        passive={a.link for a in body.passive},
         length_m=length,
-        width_m=model.robot.body.width_m or animation.FULLNESS * length,
+        width_m=model.robot.body.width_m or animation.MAX_WIDTH * length,
         title=title,
-        tapered=body.free,
     )
 
 
@@ -418,104 +421,124 @@ def _film(done: Simulated) -> animation.Film:
 
 
 def _evidence(done: Sequence[Simulated], options: SimulateOptions, notes: list[str]) -> ev.Evidence:
-    """Return what the runs come to, and whether the integration step is small enough."""
+    """Return the quantities of the runs, and the checks of the integration step and of steady swimming."""
     first, path = done[0], cases.place(options)
-    facts = {"Parameters": path.name if path else "values of the robot file", "Runs": str(len(done))}
+    facts = {"Parameters": "values of the robot file", "Runs": str(len(done))}
+    if path is not None:
+        facts["Parameters"] = path.name
+    robot = first.case.metadata["robot"]
     if len(done) == 1:
         drive = first.case.metadata.get("drive", {})
         if drive:
-            facts["Drive"] = ", ".join(cases.setting(*item) for item in drive.items() if item[1])
+            facts["Drive"] = ", ".join(cases.setting_text(*item) for item in drive.items() if item[1])
         if not first.case.per_run:
             facts["Duration"] = numbers.number(float(np.ptp(first.case.trial.time_s)), unit="s")
-        rows: list[list[Any]] = [list(row) for row in _shown(first).items()]
-        table = ev.Table(id="quantities", title="Quantities", columns=["quantity", "value"], rows=rows)
+        columns = ["quantity", "value"]
+        rows: list[list[Any]] = [list(row) for row in _texts(first).items()]
+        answer = f"{robot}: {' '.join(rows[0])}."
     else:
         of_cycles = [name for name in first.quantities if name.startswith("cycle_")]
-        kept = [*BRIEF, *of_cycles[-len(run_quantities.QUANTITIES) :]]
-        shown = {d.case.id: _shown(d, kept) for d in done}
-        columns = list(dict.fromkeys(name for row in shown.values() for name in row))
-        rows = [[name, *(row.get(column, "") for column in columns)] for name, row in shown.items()]
-        table = ev.Table(id="quantities", title="Quantities", columns=["run", *columns], rows=rows)
-    shares = {(d.case.id, name): change.share for d in done for name, change in d.step.items()}
-    checks = []
-    if shares:
-        (run_id, name), share = max(shares.items(), key=lambda item: item[1])
-        text = "largest change of a channel over its range when the step is halved"
-        reason = f"halving the integration step changes {name} of {run_id} by {numbers.percent(share, 2)}"
-        limit = f"≤ {numbers.percent(STEP_LIMIT)}"
-        within = share <= STEP_LIMIT
-        value = numbers.percent(share, 2) if share > 1e-6 else "below 0.0001 %"
-        checks.append(ev.check("integration step", value, within, limit, text, reason=reason))
-    speed, change = (first.quantities.get(n) for n in ("mean_speed_m_s", "speed_change_per_beat_m_s"))
-    if len(done) == 1 and speed and change and abs(change.value) > UNSTEADY * abs(speed.value):
-        value = numbers.percent(change.value / speed.value, 2)
-        reason = f"the speed still changes by {value} a beat, so the run is not yet steady"
-        checks.append(ev.check("steady", value, False, "≤ 0.5 % a beat", reason=reason))
+        kept = [*TABLE_QUANTITIES, *of_cycles[-len(CYCLE_QUANTITIES) :]]
+        shown = {d.case.id: _texts(d, kept) for d in done}
+        names = list(dict.fromkeys(name for row in shown.values() for name in row))
+        columns = ["run", *names]
+        rows = [[run, *(row.get(name, "") for name in names)] for run, row in shown.items()]
+        answer = f"{robot} was simulated in {len(done)} runs."
+    quantities = ev.Table(id="quantities", title="Quantities", columns=columns, rows=rows)
+    checks = [*_step_check(done), *_steady_check(done)]
     if first.quantities and not first.case.applied.uncertain()[0]:
         notes = [*notes, "No uncertainty known: the parameters have no standard errors."]
-    robot = first.case.metadata["robot"]
-    answer = f"{robot} was simulated in {len(done)} runs."
-    if len(done) == 1:
-        answer = f"{robot}: {' '.join(next(iter(_shown(first).items())))}."
     return ev.Evidence(
         verb="simulate",
         title=f"Simulation of {robot}",
         verdict=ev.judged(answer, checks),
         facts=facts,
         checks=checks,
-        tables=[table],
+        tables=[table for table in (quantities, _meanings(first)) if table.rows],
         notes=notes,
     )
 
 
-def _shown(done: Simulated, kept: Sequence[str] = ()) -> dict[str, str]:
+def _meanings(done: Simulated) -> ev.Table:
+    """Return the definitions of the quantities of a run."""
+    names = {re.sub(r"cycle_\d+_", "", name) for name in done.quantities}
+    rows: list[list[Any]] = [
+        [numbers.split_unit(name)[0].replace("_", " "), kind.meaning]
+        for name, kind in QUANTITIES.items()
+        if name in names
+    ]
+    title, columns = "Meaning of the quantities", ["quantity", "meaning"]
+    return ev.Table(id="meanings", title=title, columns=columns, rows=rows, folded=True)
+
+
+def _step_check(done: Sequence[Simulated]) -> list[ev.Check]:
+    shares = {(d.case.id, name): change.share for d in done for name, change in d.step.items()}
+    if not shares:
+        return []
+    (run, name), share = max(shares.items(), key=lambda item: item[1])
+    value = numbers.percent(share, 2) if share > 1e-6 else "below 0.0001 %"
+    text = "maximum change of a channel, relative to its range, when the step is halved"
+    reason = f"halving the integration step changes {name} of {run} by {numbers.percent(share, 2)}"
+    limit = f"≤ {numbers.percent(STEP_LIMIT)}"
+    return [ev.check("integration step", value, share <= STEP_LIMIT, limit, text, reason=reason)]
+
+
+def _steady_check(done: Sequence[Simulated]) -> list[ev.Check]:
+    """Return a failed check if the speed of the only run still changes from beat to beat."""
+    speed, change = (done[0].quantities.get(n) for n in ("mean_speed_m_s", "speed_change_per_beat_m_s"))
+    if len(done) > 1 or not speed or not change or abs(change.value) <= UNSTEADY * abs(speed.value):
+        return []
+    value = numbers.percent(change.value / speed.value, 2)
+    reason = f"the speed still changes by {value} a beat, so the run is not yet steady"
+    return [ev.check("steady", value, False, f"≤ {numbers.percent(UNSTEADY)} a beat", reason=reason)]
+
+
+def _texts(done: Simulated, kept: Sequence[str] = ()) -> dict[str, str]:
     """Return quantities (all by default) by a name in words; without any, the channels at the end."""
     found = {n: q for n, q in done.quantities.items() if n in kept or not kept}
+    tail = ""
     if not done.quantities:
         channels = [c for c in done.case.applied.model.channels if c.name in done.columns]
         found = {c.name: Quantity(float(done.columns[c.name][-1]), c.unit) for c in channels}
+        tail = " at the end"
     found.pop("speed_change_per_beat_m_s", None)
     texts = {}
     for name, quantity in found.items():
-        words = numbers.split_unit(name)[0].replace("_", " ")
+        label = f"{numbers.split_unit(name)[0].replace('_', ' ')}{tail}"
+        if name == "mean_speed_BL_s":
+            label = "mean speed in body lengths"
         factor, unit = numbers.in_degrees(quantity.unit)
-        label = words if done.quantities else f"{words} at the end"
-        label = "mean speed in body lengths" if name == "mean_speed_BL_s" else label
+        texts[label] = numbers.number(factor * quantity.value, 4, unit)
         if quantity.stderr:
             texts[label] = numbers.measured(factor * quantity.value, factor * quantity.stderr, unit)
-        else:
-            texts[label] = numbers.number(factor * quantity.value, 4, unit)
     return texts
 
 
 def _data(done: Sequence[Simulated], options: SimulateOptions) -> dict[str, Any]:
-    applied = done[0].case.applied
-    values = done[0].case.values
+    """Return the result for ``--json``."""
+    applied, values = done[0].case.applied, done[0].case.values
     place = cases.place(options)
-    return {
-        "model": applied.model.name,
-        "robot": done[0].case.metadata["robot"],
-        "params": None if place is None else str(place),
-        "parameters": {
-            p.name: float(v) for p, v in zip(applied.model.parameters, values, strict=True) if not p.per_trial
-        },
-        "uncertain": applied.uncertain()[0],
-        "step_limit": STEP_LIMIT,
-        "runs": [
+    shared = [p.name for p in applied.model.parameters if not p.per_trial]
+    runs = []
+    for d in done:
+        ends = {name: column[-1] for name, column in d.columns.items() if not isinstance(column[-1], str)}
+        steps = {n: {"largest_change": c.largest, "share_of_range": c.share} for n, c in d.step.items()}
+        runs.append(
             {
                 "id": d.case.id,
                 "metadata": dict(d.case.metadata),
                 "samples": len(d.case.trial.time_s),
-                "quantities": {n: vars(q) for n, q in d.quantities.items()},
-                "step_check": {
-                    n: {"largest_change": c.largest, "share_of_range": c.share} for n, c in d.step.items()
-                },
-                "last": {
-                    n: float(v[-1])
-                    for n, v in d.columns.items()
-                    if not isinstance(v[-1], str) and np.isfinite(v[-1])
-                },
+                "quantities": {name: vars(quantity) for name, quantity in d.quantities.items()},
+                "step_check": steps,
+                "last": {name: float(value) for name, value in ends.items() if np.isfinite(value)},
             }
-            for d in done
-        ],
+        )
+    return {
+        "model": applied.model.name,
+        "robot": done[0].case.metadata["robot"],
+        "params": str(place) if place else None,
+        "parameters": {name: float(values[applied.model.index(name)]) for name in shared},
+        "uncertain": applied.uncertain()[0],
+        "step_limit": STEP_LIMIT,
+        "runs": runs,
     }

@@ -9,28 +9,30 @@ import numpy as np
 
 from swimid.fitting.model import Array
 
-#: Tolerance of the fixed point, relative to the size of the motion. Fits take differences over steps of 1e-6
-#: of a parameter (:mod:`swimid.fitting.problem`); with this tolerance their derivatives are accurate to 1e-4.
+#: Tolerance of the fixed point, relative to the size of the motion. With steps of 1e-6 of a parameter
+#: (:mod:`swimid.fitting.problem`), derivatives in fits are then accurate to 1e-4.
 STATE_RTOL = 1e-10
-#: Periods simulated from rest before Newton's method, and between two of its attempts.
-FIRST_PERIODS, MORE_PERIODS = 20, 60
-#: Maximum numbers of attempts and of Newton iterations in one.
+#: Numbers of periods simulated from rest before Newton's method, and between two of its attempts.
+N_FIRST_PERIODS, N_MORE_PERIODS = 20, 60
+#: Maximum number of attempts, and maximum number of Newton iterations in each.
 MAX_ATTEMPTS, MAX_ITERATIONS = 8, 12
-#: Largest size of a perturbation after one period, relative to its size before, that counts as settling: the
+#: Maximum size of a perturbation after one period, relative to its size before, in a motion that settles. The
 #: perturbation then falls by 1/e in 1000 periods. Motion without damping has 1 within 1e-6, the error of the
 #: differences.
-LARGEST_MULTIPLIER = 1.0 - 1e-3
+MAX_MULTIPLIER = 1.0 - 1e-3
+#: Step of the differences, relative to the size of the motion.
+DIFFERENCE_SHARE = 1e-6
 
 
 class LimitCycle(NamedTuple):
-    """A fixed point of the map over one period.
+    """Fixed point of the map over one period.
 
     Attributes
     ----------
     state : ndarray, shape (m,)
-        At the beginning of the period.
+        State at the beginning of the period.
     slopes : ndarray, shape (m, m)
-        Derivative of the map there.
+        Derivative of the map at this state.
     """
 
     state: Array
@@ -38,7 +40,7 @@ class LimitCycle(NamedTuple):
 
     @property
     def multiplier(self) -> float:
-        """Largest magnitude of an eigenvalue of the derivative: what one period leaves of a perturbation."""
+        """Maximum magnitude of an eigenvalue of the derivative: factor of a perturbation in one period."""
         return float(np.max(np.abs(np.linalg.eigvals(self.slopes)), initial=0.0))
 
 
@@ -50,7 +52,7 @@ def limit_cycle(
     Parameters
     ----------
     period : callable
-        From the state at the beginning of a period, shape (m,), to the states over it, shape (n, m).
+        Function from the state at the beginning of a period, shape (m,), to the states over it, shape (n, m).
     begin : ndarray, shape (m,)
         State from which the motion settles: at rest.
     near : LimitCycle, optional
@@ -59,7 +61,7 @@ def limit_cycle(
     Returns
     -------
     LimitCycle or None
-        None where the motion does not settle: it has no attracting limit cycle of the drive's period.
+        None if the motion does not settle: it has no attracting limit cycle with the period of the drive.
 
     Notes
     -----
@@ -77,22 +79,22 @@ def limit_cycle(
     """
     if near is not None:
         found = _newton(period, near.state, near.slopes)
-        if found is not None and found.multiplier <= LARGEST_MULTIPLIER:
+        if found is not None and found.multiplier <= MAX_MULTIPLIER:
             return found
     state = begin
     for attempt in range(MAX_ATTEMPTS):
-        for _ in range(FIRST_PERIODS if attempt == 0 else MORE_PERIODS):
+        for _ in range(N_FIRST_PERIODS if attempt == 0 else N_MORE_PERIODS):
             state = period(state)[-1]
         if not np.isfinite(state).all():
             return None
         found = _newton(period, state, None)
-        if found is not None and found.multiplier <= LARGEST_MULTIPLIER:
+        if found is not None and found.multiplier <= MAX_MULTIPLIER:
             return found
     return None
 
 
 def _newton(period: Callable[[Array], Array], state: Array, slopes: Array | None) -> LimitCycle | None:
-    """Fixed point near a state; None where the iteration diverges."""
+    """Return the fixed point near a state; None if the iteration diverges."""
     before = np.inf
     for _ in range(MAX_ITERATIONS):
         states = period(state)
@@ -102,7 +104,7 @@ def _newton(period: Callable[[Array], Array], state: Array, slopes: Array | None
         miss = states[-1] - state
         error = float(np.max(np.abs(miss) / size, initial=0.0))
         if slopes is None or (error > STATE_RTOL and error > 0.1 * before):
-            slopes = _slopes(period, state, states[-1], 1e-6 * size)
+            slopes = _slopes(period, state, states[-1], DIFFERENCE_SHARE * size)
             if not np.isfinite(slopes).all():
                 return None
         if error <= STATE_RTOL:
@@ -116,6 +118,6 @@ def _newton(period: Callable[[Array], Array], state: Array, slopes: Array | None
 
 
 def _slopes(period: Callable[[Array], Array], state: Array, end: Array, steps: Array) -> Array:
-    """Derivative of the map over one period, by forward differences."""
+    """Return the derivative of the map over one period, by forward differences."""
     columns = [(period(state + step)[-1] - end) / np.max(step) for step in np.diag(steps)]
     return np.array(columns).T.reshape(len(state), len(state))

@@ -19,13 +19,13 @@ from swimid.fitting.hooks import NONE, Hooks
 from swimid.fitting.model import Array, Channel, Model, Parameter, Trial, unless_broken
 from swimid.progress import Progress, silent
 from swimid.robots.file import Robot
+from swimid.swimmer.energetics import Energetics, elastic
 from swimid.swimmer.lanes.kernel import Engine, Kernel, Room, WideKernel
 from swimid.swimmer.lanes.tracing import LANES
 from swimid.swimmer.limit_cycle import STATE_RTOL, LimitCycle, limit_cycle
 from swimid.swimmer.options import STEP_S
 from swimid.swimmer.planar import drive
 from swimid.swimmer.planar.engine import sampled
-from swimid.swimmer.run_quantities import Energetics, elastic
 from swimid.swimmer.tree import Axis, Polynomial, Tree, coefficients, law_of
 
 Kept = TypeVar("Kept")

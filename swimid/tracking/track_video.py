@@ -253,7 +253,7 @@ def _swum(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimming:
     seen = pose.times[pose.measured]
     begin, end = (v if v is not None else d for v, d in zip(window_s, (seen[0], seen[-1]), strict=True))
     inside = int(((seen >= begin) & (seen <= end)).sum())
-    if inside < swimming.SHORTEST and window_s != (None, None):
+    if inside < swimming.MIN_SAMPLES and window_s != (None, None):
         raise UsageError(
             f"only {inside} frames with the markers are between {begin:g} and {end:g} s; the track runs from "
             f"{seen[0]:.4g} to {seen[-1]:.4g} s",
@@ -276,7 +276,7 @@ def _swum(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimming:
         error=error,
         angle_error=math.sqrt(2) * error / max(separation, 1e-12),
     )
-    return swimming.figures(track, window_s)
+    return swimming.measure(track, window_s)
 
 
 def _stroke_check(found: Swimming) -> list[ev.Check]:

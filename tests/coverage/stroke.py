@@ -48,9 +48,9 @@ def one(seed: int) -> dict[str, float]:
             assert cleaning.held is not None
             times = cleaning.held.measured_s[good]
             stroke = rhythm.find(times, columns)
-            slow = rhythm.slowest(times, columns)
+            slow = rhythm.find_slowest(times, columns)
             if stroke is not None:
-                stroke = rhythm.with_lateness(stroke, cleaning.held.measured_sd_s, stamps)
+                stroke = rhythm.add_time_error(stroke, cleaning.held.measured_sd_s, stamps)
                 low, high = stroke.beat.interval_hz
                 hits[f"{length}, {kind}: frequency"] = float(low <= truth["frequency_hz"] <= high)
             elif length == "long":

@@ -1,0 +1,431 @@
+"""Kinematics of a motion with a known beat: whole cycles, mean speed, settling, and the quantities of a swim.
+
+Each quantity has one name and one definition, for simulations, logs and tracks alike. :data:`QUANTITIES`
+lists the names with their units and meanings. The beat itself is estimated by :mod:`swimid.logs.beat` (one
+channel) and :mod:`swimid.logs.rhythm` (all channels of a log).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swimid.logs.rotation import from_angles
+from swimid.logs.sampling import slope
+
+Array = NDArray[np.float64]
+
+
+class Kind(NamedTuple):
+    """Kind of a quantity: unit, meaning, and the runs that have it.
+
+    ``of`` names ``plane`` (a free swim in a plane), ``cycle`` (one cycle in the vertical plane), ``power``
+    (driven joints), or several of them.
+    """
+
+    unit: str
+    meaning: str
+    of: str
+
+
+#: Quantities of a swim. Those of a turn exist for yaw (horizontal plane) and pitch (vertical plane). Those of
+#: a passive joint are called ``amplitude_<joint>_rad``.
+QUANTITIES = {
+    "mean_speed_m_s": Kind(
+        "m/s", "length of the path through the mean positions of cycles, over time", "plane cycle"
+    ),
+    "mean_speed_BL_s": Kind("BL/s", "mean speed in body lengths", "plane"),
+    "stride_BL": Kind("BL", "mean speed over frequency, in body lengths", "plane"),
+    "strouhal": Kind("1", "frequency times tail excursion over mean speed", "plane"),
+    "tail_excursion_m": Kind("m", "peak-to-peak excursion of the tail across the path", "plane"),
+    "turning_radius_m": Kind("m", "mean speed over the magnitude of the mean turning rate", "plane"),
+    "mean_yaw_rate_rad_s": Kind("rad/s", "change of the yaw over whole cycles, over time", "plane"),
+    "mean_pitch_rate_rad_s": Kind("rad/s", "change of the pitch over whole cycles, over time", "plane cycle"),
+    "max_yaw_rate_rad_s": Kind("rad/s", "maximum magnitude of the yaw rate", "plane"),
+    "max_pitch_rate_rad_s": Kind("rad/s", "maximum magnitude of the pitch rate", "plane cycle"),
+    "yaw_rate_range_rad_s": Kind("rad/s", "range of the yaw rate (tendon fish, F2 of Eq 12)", "plane"),
+    "pitch_rate_range_rad_s": Kind("rad/s", "range of the pitch rate", "plane"),
+    "yaw_range_in_beat_rad": Kind("rad", "range of yaw in the last beat (tendon fish, Table V)", "plane"),
+    "pitch_range_in_beat_rad": Kind("rad", "range of the pitch in the last beat", "plane"),
+    "mean_surge_m_s": Kind("m/s", "mean forward speed", "plane"),
+    "max_surge_m_s": Kind("m/s", "maximum forward speed", "plane"),
+    "mean_surge_from_start_m_s": Kind("m/s", "mean surge of the whole run (tendon fish, F1)", "plane"),
+    "speed_change_per_beat_m_s": Kind("m/s", "mean change of the speed from beat to beat", "plane"),
+    "settling_time_s": Kind("s", "time after which the mean surge stays within 5 % of its last", "plane"),
+    "path_extent_m": Kind("m", "longer side of the box around the path", "plane"),
+    "max_speed_m_s": Kind("m/s", "maximum speed in the plane (sea lion, Table I)", "cycle"),
+    "path_speed_m_s": Kind("m/s", "mean of the speed in the plane (sea lion, Table I)", "cycle"),
+    "final_pitch_rad": Kind("rad", "pitch at the end of the cycle (sea lion, Table II)", "cycle"),
+    "surge_m": Kind("m", "displacement along x in the cycle", "cycle"),
+    "heave_m": Kind("m", "displacement along z in the cycle", "cycle"),
+    "cost_of_transport_J_m": Kind("J/m", "mean positive power over mean speed (dolphin, Eq 11)", "power"),
+    "mean_positive_power_W": Kind("W", "mean power of the joints, negative power as zero", "power"),
+    "mean_power_W": Kind("W", "mean power of the joints", "power"),
+    "peak_torque_N_m": Kind("N m", "maximum magnitude of a joint torque", "power"),
+    "peak_joint_rate_rad_s": Kind("rad/s", "maximum magnitude of a joint rate", "power"),
+}
+#: Quantities of one cycle of a stroke in the vertical plane (sea lion, Tables I and II).
+CYCLE_QUANTITIES = tuple(name for name, kind in QUANTITIES.items() if "cycle" in kind.of)
+
+#: Maximum number of cycles at the end of a run from which its quantities are computed.
+N_CYCLES = 4
+#: Samples per cycle of a simulated run that is evaluated by whole cycles.
+PER_CYCLE = 64
+#: Minimum number of samples in a cycle.
+MIN_SAMPLES = 6
+#: Minimum speed for a Strouhal number, body lengths per second, and maximum turn in a beat, rad.
+MIN_SPEED_BL_S, MAX_TURN_IN_BEAT = 0.05, math.radians(15.0)
+#: Minimum turning rate for a turning radius of a robot that is not commanded to turn, rad/s.
+MIN_TURNING_RATE = math.radians(2.0)
+#: Maximum change of the speed from beat to beat in a steady run, relative to the speed.
+UNSTEADY = 0.005
+#: Tolerance of the settling time: deviation of the mean surge from its last value, relative to that value.
+SETTLED_RTOL = 0.05
+#: Maximum turn between blocks of a path, rad. A course that turns faster is not that of a swimmer under way.
+MAX_TURN_OF_COURSE = 1.0
+
+
+# ---------------------------------------------------------------- whole cycles
+
+
+@dataclass(frozen=True)
+class Window:
+    """Whole cycles of a record.
+
+    Attributes
+    ----------
+    begin_s, end_s : float
+    cycles : int
+    frequency_hz : float
+    """
+
+    begin_s: float
+    end_s: float
+    cycles: int
+    frequency_hz: float
+
+    @property
+    def duration_s(self) -> float:
+        """Time from begin to end, s."""
+        return self.end_s - self.begin_s
+
+    @property
+    def edges_s(self) -> Array:
+        """Begin and end of each cycle, s, shape (cycles + 1,)."""
+        return np.linspace(self.begin_s, self.end_s, self.cycles + 1)
+
+    def times(self) -> Array:
+        """Return :data:`PER_CYCLE` even times per cycle, both ends included, s."""
+        return np.linspace(self.begin_s, self.end_s, self.cycles * PER_CYCLE + 1)
+
+
+def last_cycles(begin_s: float, end_s: float, frequency_hz: float) -> Window | None:
+    """Return the last :data:`N_CYCLES` whole cycles, fewer in a short run; None if no cycle fits.
+
+    Parameters
+    ----------
+    begin_s : float
+        Time from which cycles are whole: the end of the ramp of the drive, s.
+    """
+    count = min(N_CYCLES, int((end_s - begin_s) * frequency_hz + 1e-9))
+    if count < 1:
+        return None
+    return Window(end_s - count / frequency_hz, end_s, count, frequency_hz)
+
+
+def whole_cycles(time_s: Array, frequency_hz: float, *, begin_s: float = 0.0) -> list[Window]:
+    """Return each whole cycle of a record, counted from the time at which the stroke begins.
+
+    >>> [window.end_s for window in whole_cycles(np.arange(0, 8.8, 0.1), 1 / 2.9)]
+    [2.9, 5.8, 8.7]
+    """
+    period = 1.0 / frequency_hz
+    first = max(int(np.ceil((time_s[0] - begin_s) / period - 1e-6)), 0)
+    last = int(np.floor((time_s[-1] - begin_s) / period + 1e-6))
+    return [
+        Window(float(begin_s + k * period), float(round(begin_s + (k + 1) * period, 9)), 1, frequency_hz)
+        for k in range(first, last)
+    ]
+
+
+def cycle_means(time_s: Array, values: Array, edges_s: Array) -> Array:
+    """Return the mean between successive edges, shape (..., edges - 1), of samples joined by straight lines.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+    values : ndarray, shape (n,) or (k, n)
+        Without NaN.
+
+    >>> cycle_means(np.array([0.0, 1.0, 2.0]), np.array([0.0, 2.0, 2.0]), np.array([0.0, 1.0, 2.0])).tolist()
+    [1.0, 2.0]
+    """
+    areas = np.cumsum(0.5 * np.diff(time_s) * (values[..., 1:] + values[..., :-1]), axis=-1)
+    areas = np.concatenate((np.zeros((*values.shape[:-1], 1)), areas), axis=-1)
+    at_edges = np.apply_along_axis(lambda area: np.interp(edges_s, time_s, area), -1, areas)
+    return np.asarray(np.diff(at_edges, axis=-1) / np.diff(edges_s))
+
+
+# ---------------------------------------------------------------- speeds
+
+
+def block_speeds(place: Array, duration_s: float, turn_rad: Array | None = None) -> Array:
+    """Return the speed between successive mean positions of a path, shape (m - 1,).
+
+    Parameters
+    ----------
+    place : ndarray, shape (2, m)
+        Mean positions over equal blocks of time.
+    duration_s : float
+        Duration of a block, s.
+    turn_rad : ndarray, shape (m - 1,), optional
+        Turn from each block to the next. By default it is that of the course, up to
+        :data:`MAX_TURN_OF_COURSE`.
+
+    Notes
+    -----
+    Each piece is an arc of a circle. The chord is shorter than the arc by the factor ``sinc(turn / 2)``, and
+    the mean position over an arc lies inside the circle by the same factor.
+    """
+    steps = np.diff(place, axis=1)
+    speed = np.hypot(*steps) / duration_s
+    if turn_rad is None:
+        turn_rad = np.zeros(len(speed))
+        if len(speed) > 1:
+            turn_rad = np.abs(np.gradient(np.unwrap(np.arctan2(steps[1], steps[0]))))
+            turn_rad = np.where(turn_rad < MAX_TURN_OF_COURSE, turn_rad, 0.0)
+    return np.asarray(speed / np.sinc(turn_rad / (2.0 * np.pi)) ** 2)
+
+
+def cycle_speeds(time_s: Array, place: Array, window: Window, heading_rad: Array | None = None) -> Array:
+    """Return the speed between the mean positions of successive cycles, shape (cycles - 1,).
+
+    The mean of these speeds is the mean speed of a swim.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+    place : ndarray, shape (2, n)
+        Positions, m, without NaN.
+    heading_rad : ndarray, shape (n,), optional
+        Unwrapped heading, from which the turns follow.
+
+    Notes
+    -----
+    In a window of one cycle the speed is that from its first to its last position.
+    """
+    edges, turn = window.edges_s, None
+    if window.cycles > 1:
+        if heading_rad is not None:
+            turn = np.diff(cycle_means(time_s, heading_rad, edges))
+        return block_speeds(cycle_means(time_s, place, edges), 1.0 / window.frequency_hz, turn)
+    ends = [np.diff(np.interp(edges, time_s, row)) for row in place]
+    speed = np.hypot(*ends) / window.duration_s
+    if heading_rad is not None:
+        speed = speed / np.sinc(np.diff(np.interp(edges, time_s, heading_rad)) / (2.0 * np.pi))
+    return np.asarray(speed)
+
+
+def settling_time(time_s: Array, surge_m_s: Array, frequency_hz: float) -> float:
+    """Return the time after which the mean surge of a beat stays within :data:`SETTLED_RTOL` of its last, s.
+
+    Parameters
+    ----------
+    time_s, surge_m_s : ndarray, shape (n,)
+        :data:`PER_CYCLE` samples per beat.
+
+    Returns
+    -------
+    float
+        NaN if the surge does not settle: it still changes over the last beat, or the run is too short.
+    """
+    mean = np.convolve(surge_m_s, np.full(PER_CYCLE, 1.0 / PER_CYCLE), "valid")
+    if len(mean) < PER_CYCLE + 1 or not np.isfinite(mean).all():
+        return math.nan
+    off = np.abs(mean - mean[-1]) > SETTLED_RTOL * abs(mean[-1])
+    if off[-PER_CYCLE - 1 :].any():
+        return math.nan
+    settled = int(np.max(np.flatnonzero(off) + 1, initial=0))
+    return float(time_s[settled] - time_s[0] + 0.5 / frequency_hz)
+
+
+def body_velocity(time_s: Array, pose: Sequence[Array], half_width_s: float) -> list[Array]:
+    """Return surge, sway and turning rate from a pose, by :func:`swimid.logs.sampling.slope`.
+
+    Parameters
+    ----------
+    pose : sequence of ndarray, each shape (n,)
+        Two positions, m, and the heading, rad.
+    half_width_s : float
+        Half width of the window of the derivative, s.
+    """
+    dx, dy, rate = (slope(time_s, values, half_width_s) for values in pose)
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    return [c * dx + s * dy, -s * dx + c * dy, rate]
+
+
+def world_velocity(time_s: Array, channels: Mapping[str, Array]) -> Array | None:
+    """Return the velocity along the x and z axes of the world, m/s, shape (2, n); None without a path.
+
+    Notes
+    -----
+    Logged velocities are taken first: ``vx_m_s`` and ``vz_m_s``, then those along the axes of the body,
+    turned into the world. Without them it is the central difference of the positions. This is too small by
+    ``(2 pi f / rate)^2 / 6`` at a frequency f, and the noise of a position times ``rate / sqrt 2`` adds to
+    it.
+    """
+    if "vx_m_s" in channels and "vz_m_s" in channels:
+        return np.array([channels["vx_m_s"], channels["vz_m_s"]])
+    if "x_m" not in channels or "z_m" not in channels:
+        return None
+    if not {"u_m_s", "w_m_s", "pitch_rad"} <= channels.keys():
+        return np.array([_differences(time_s, channels[name]) for name in ("x_m", "z_m")])
+    zero = np.zeros(len(time_s))
+    body = np.column_stack([channels.get(name, zero) for name in ("u_m_s", "v_m_s", "w_m_s")])
+    angles = np.column_stack([channels.get(name, zero) for name in ("roll_rad", "pitch_rad", "yaw_rad")])
+    known = np.isfinite(body).all(axis=1) & np.isfinite(angles).all(axis=1)
+    world = np.full((2, len(time_s)), np.nan)
+    if known.any():
+        world[:, known] = from_angles(*angles[known].T).apply(body[known])[:, [0, 2]].T
+    return world
+
+
+def _differences(time_s: Array, values: Array) -> Array:
+    """Return central differences of the known samples; NaN elsewhere."""
+    known = np.isfinite(values)
+    rates = np.full(len(values), np.nan)
+    if known.sum() > 1:
+        rates[known] = np.gradient(values[known], time_s[known])
+    return rates
+
+
+# ---------------------------------------------------------------- quantities of a swim
+
+
+def plane_quantities(
+    pose: Sequence[Array],
+    velocity: Sequence[Array],
+    window: Window,
+    *,
+    length_m: float,
+    turn: str,
+    commanded_turn: bool,
+) -> dict[str, float]:
+    """Return the quantities of whole cycles of a swim in a plane, by name (see :data:`QUANTITIES`).
+
+    Parameters
+    ----------
+    pose, velocity : sequence of three ndarray, each shape (n,)
+        Two positions and heading, and surge, sway and turning rate, at ``window.times()``.
+    length_m : float
+        Body length.
+    turn : str
+        ``"yaw"`` or ``"pitch"``.
+    commanded_turn : bool
+        Whether the drive has a bias or an asymmetry. Without one, a turning radius is given only for a
+        turning rate of at least :data:`MIN_TURNING_RATE`.
+    """
+    heading, (surge, _, turning) = pose[2], velocity
+    speeds = cycle_speeds(window.times(), np.array(pose[:2]), window, heading)
+    speed = float(speeds.mean())
+    rate = float(heading[-1] - heading[0]) / window.duration_s
+    found = {
+        "mean_speed_m_s": speed,
+        "mean_speed_BL_s": speed / length_m,
+        "stride_BL": speed / window.frequency_hz / length_m,
+        "mean_surge_m_s": float(np.mean(surge[:-1])),
+        "max_surge_m_s": float(np.max(surge)),
+        f"max_{turn}_rate_rad_s": float(np.max(np.abs(turning))),
+        f"{turn}_rate_range_rad_s": float(np.ptp(turning)),
+        f"{turn}_range_in_beat_rad": float(np.ptp(heading[-PER_CYCLE - 1 :])),
+    }
+    if len(speeds) > 1:
+        found["speed_change_per_beat_m_s"] = float(speeds[-1] - speeds[0]) / (len(speeds) - 1)
+    if commanded_turn or abs(rate) > MIN_TURNING_RATE:
+        found[f"mean_{turn}_rate_rad_s"] = rate
+        if rate:
+            found["turning_radius_m"] = speed / abs(rate)
+    return found
+
+
+def is_straight(heading_rad: Array, speed_m_s: float, length_m: float) -> bool:
+    """Return whether a swim is fast and straight enough for a Strouhal number.
+
+    Parameters
+    ----------
+    heading_rad : ndarray, shape (n,)
+        :data:`PER_CYCLE` samples per cycle.
+    """
+    turn = np.abs(np.diff(heading_rad[::PER_CYCLE]))
+    return bool(speed_m_s > MIN_SPEED_BL_S * length_m and np.max(turn) < MAX_TURN_IN_BEAT)
+
+
+def tail_excursion(x_m: Array, y_m: Array) -> float:
+    """Return the peak-to-peak excursion of the tail across its path, mean over the cycles, m.
+
+    Parameters
+    ----------
+    x_m, y_m : ndarray, shape (n,)
+        Positions of the tail, :data:`PER_CYCLE` samples per cycle.
+    """
+    excursions = []
+    for first in range(0, len(x_m) - PER_CYCLE, PER_CYCLE):
+        x, y = (values[first : first + PER_CYCLE + 1] - values[first] for values in (x_m, y_m))
+        across = (y * x[-1] - x * y[-1]) / math.hypot(x[-1], y[-1])
+        excursions.append(float(np.ptp(across)))
+    return float(np.mean(excursions))
+
+
+def cycle_quantities(time_s: Array, channels: Mapping[str, Array], window: Window) -> dict[str, float]:
+    """Return the known quantities of :data:`CYCLE_QUANTITIES` of one cycle in the vertical plane.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+    channels : mapping of str to ndarray, each shape (n,)
+        ``x_m``, ``z_m`` and ``pitch_rad``, and their rates, if known (see :func:`world_velocity`).
+
+    Notes
+    -----
+    A quantity needs :data:`MIN_SAMPLES` samples in the cycle. The pitch rate is ``pitch_rate_rad_s``, or the
+    central difference of the pitch.
+    """
+    inside = (time_s >= window.begin_s - 1e-9) & (time_s <= window.end_s + 1e-9)
+    found: dict[str, float] = {}
+
+    def within(values: Array | None) -> tuple[Array, Array] | None:
+        """Return times and samples in the cycle; None if they are too few."""
+        if values is None:
+            return None
+        there = inside & np.isfinite(np.atleast_2d(values)).all(axis=0)
+        if there.sum() < MIN_SAMPLES:
+            return None
+        return time_s[there], values[..., there]
+
+    moving = within(world_velocity(time_s, channels))
+    if moving is not None:
+        t, speed = moving[0], np.hypot(*moving[1])
+        found["max_speed_m_s"] = float(speed.max())
+        found["path_speed_m_s"] = float(np.trapezoid(speed, t) / (t[-1] - t[0]))
+    for name, way in (("x_m", "surge_m"), ("z_m", "heave_m")):
+        place = within(channels.get(name))
+        if place is not None:
+            found[way] = float(place[1][-1] - place[1][0])
+    if "surge_m" in found and "heave_m" in found:
+        found["mean_speed_m_s"] = math.hypot(found["surge_m"], found["heave_m"]) / window.duration_s
+    pitch = within(channels.get("pitch_rad"))
+    if pitch is not None:
+        t, angle = pitch
+        rate = channels.get("pitch_rate_rad_s")
+        if rate is None:
+            rate = _differences(time_s, channels["pitch_rad"])
+        found["final_pitch_rad"] = float(angle[-1])
+        if np.isfinite(rate[inside]).sum() >= MIN_SAMPLES:
+            found["max_pitch_rate_rad_s"] = float(np.nanmax(np.abs(rate[inside])))
+        found["mean_pitch_rate_rad_s"] = float((angle[-1] - angle[0]) / (t[-1] - t[0]))
+    return {name: found[name] for name in CYCLE_QUANTITIES if name in found}
