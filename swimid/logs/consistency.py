@@ -27,17 +27,17 @@ _DEGREES = (np.pi / 180, 180 / np.pi)
 
 
 @dataclass(frozen=True)
-class Contradiction:
-    """A column that contradicts another one.
+class Comparison:
+    """A column compared with another one that tells the same motion.
 
     Attributes
     ----------
     column, against : str
         The column, and what it was compared with.
     gain, stderr : float
-        Motion of the second per motion that the first makes when it is integrated; 1 where both agree.
+        Motion of the second per motion that the first makes when it is integrated; 1 if both agree.
     text : str
-        What is wrong, in words.
+        What is wrong, in words; empty if both agree.
     """
 
     column: str
@@ -47,10 +47,10 @@ class Contradiction:
     text: str
 
 
-def contradictions(columns: Mapping[str, Array], period_s: float | None = None) -> list[Contradiction]:
+def compare_columns(columns: Mapping[str, Array], period_s: float | None = None) -> list[Comparison]:
     """Compare rates with the pose that they are rates of, and the course of the track with its heading.
 
-    Compared are u, v with the track seen along the heading, every ``<name>_m_s`` and ``<name>_rad_s`` with
+    The result holds the comparisons that the log allows. Compared are u, v with the track seen along the heading, every ``<name>_m_s`` and ``<name>_rad_s`` with
     ``<name>_m`` and ``<name>_rad``, the yaw rate with the heading, and turn rates with the quaternion.
 
     Parameters
@@ -61,7 +61,7 @@ def contradictions(columns: Mapping[str, Array], period_s: float | None = None) 
         Period of the stroke, s; without it course and heading are not compared.
     """
     time = columns[TIME]
-    found: list[Contradiction] = []
+    found: list[Comparison] = []
     for name, values in columns.items():
         stem, _, unit = name.rpartition("_")
         unit = f"{stem.rpartition('_')[2]}_{unit}"
@@ -92,18 +92,21 @@ def contradictions(columns: Mapping[str, Array], period_s: float | None = None) 
     return found
 
 
-def _of_course(time: Array, x: Array, y: Array, yaw: Array, period_s: float | None) -> list[Contradiction]:
+def _of_course(time: Array, x: Array, y: Array, yaw: Array, period_s: float | None) -> list[Comparison]:
     """Compare the course of a track with its heading over windows of at least one stroke."""
     seen = None if period_s is None else compare_course([(time, x, y, yaw)], period_s)
-    if seen is None or not seen.mirrored:
+    if seen is None:
         return []
-    text = "turns opposite to the course of the track: one of both is mirrored (factor: -1 for yaw or y)"
-    return [Contradiction("yaw_rad", "the course of the track", -1.0, float("nan"), text)]
+    text = ""
+    if seen.mirrored:
+        text = "turns opposite to the course of the track: one of both is mirrored (factor: -1 for yaw or y)"
+    gain = -1.0 if seen.mirrored else 1.0
+    return [Comparison("yaw_rad", "the course of the track", gain, math.nan, text)]
 
 
 def _of_quaternion(
     time: Array, q: Array, columns: Mapping[str, Array], turns: Sequence[str]
-) -> list[Contradiction]:
+) -> list[Comparison]:
     """Compare turn rates with the rotation from one attitude to the next, in the body frame."""
     from scipy.spatial.transform import Rotation
 
@@ -113,18 +116,19 @@ def _of_quaternion(
     attitudes = Rotation.from_quat(q[there], scalar_first=True)
     steps = (attitudes[:-1].inv() * attitudes[1:]).as_rotvec()
     angles = np.vstack((np.zeros(3), np.cumsum(steps, axis=0)))
-    found: list[Contradiction] = []
+    found: list[Comparison] = []
     for k, name in enumerate(turns):
         rate = columns[name][there]
         found += _judge(time[there], [angles[:, k]], [[rate]], [name], "the quaternion", angle=True)
-    mirrored = [one for one in found if one.gain < 0]
-    if mirrored and len(mirrored) == len(found):
+    wrong = [one for one in found if one.text]
+    mirrored = [one for one in wrong if one.gain < 0]
+    if mirrored and len(mirrored) == len(wrong):
         names = ", ".join(one.column for one in mirrored)
         text = (
             "turns opposite to the quaternion, which is that from world to body, or the sign is wrong: "
             "quaternion: {direction: world-to-body} in the mapping conjugates it"
         )
-        return [Contradiction(names, "the quaternion", mirrored[0].gain, mirrored[0].stderr, text)]
+        return [Comparison(names, "the quaternion", mirrored[0].gain, mirrored[0].stderr, text)]
     return found
 
 
@@ -136,7 +140,7 @@ def _judge(
     against: str,
     *,
     angle: bool,
-) -> list[Contradiction]:
+) -> list[Comparison]:
     """Regress increments of the pose on increments of the integrated rates; name gains that are far from 1.
 
     ``rates[k]`` holds, for rate ``names[k]``, its part in each coordinate of the pose. The length of the
@@ -173,9 +177,9 @@ def _judge(
         return []
     found = []
     for name, gain, stderr in zip(names, best[1], best[2], strict=True):
-        text = _named(float(gain), angle=angle) if abs(gain) > MIN_STDERRS * stderr else ""
-        if text:
-            found.append(Contradiction(name, against, float(gain), float(stderr), text))
+        if abs(gain) > MIN_STDERRS * stderr:
+            text = _named(float(gain), angle=angle)
+            found.append(Comparison(name, against, float(gain), float(stderr), text))
     return found
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -19,7 +20,7 @@ from swimid.logs.log import Log, LogLike
 from swimid.logs.logged import Logged, figures_of
 from swimid.logs.options import ImportOptions
 from swimid.logs.rhythm import Rhythm
-from swimid.logs.sampling import usual_step
+from swimid.logs.sampling import LONG_ENOUGH, SET, may_freeze, usual_step
 from swimid.notices import Notice, recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -211,6 +212,10 @@ def destinations(paths: Sequence[Path], output: Path) -> list[Path]:
 
 # ---------------------------------------------------------------- evidence
 
+#: Minimum number of values of a channel, and of samples, from which the log is judged.
+MIN_SAMPLES = LONG_ENOUGH + 1
+#: Columns whose size is limited for a swimmer (:func:`swimid.logs.log.doubts`).
+LIMITED = re.compile(r"[xyz]_m|.*_(rad|rad_s|m_s)")
 #: Minimum number of samples a stroke for the path between them to be known.
 MIN_SAMPLES_PER_STROKE = 6.0
 #: A track farther from a line than this share of its extent along the line does not keep to it.
@@ -259,23 +264,16 @@ def _row_checks(found: Examined) -> list[Check]:
     mapped, order, n = found.mapped, found.order, len(found.mapped)
     odd, dropped = sum(order.counts.values()), order.untimed + order.clashing
     remarks = "; ".join([f"rows {order.summary}"] * bool(odd) + found.mapped.notes)
-    grade, sampling = _grade(dropped > MAX_DROPPED * n), found.uneven or "even"
+    grade = _grade(dropped > MAX_DROPPED * n)
     if grade == "fail":
         remarks = f"{dropped} of {n} rows have no time of their own: is the time complete?"
     names = ", ".join(mapped.unknown)
     open_ = f"nothing states the quantity of {names}: map it to a name with a unit, or to unit: '1'"
-    disagree = "; ".join(f"{one.column} {one.text} (against {one.against})" for one in found.contradictions)
-    uneven = f"the sampling is uneven{', in bursts' if found.bursts else ''}: {found.uneven}"
-    holds = "; ".join(f"{name} from {a:.4g} to {b:.4g} s" for name, (a, b) in found.frozen.items())
-    frozen = f"channels hold one value amid their motion: {holds}"
-    doubts = "; ".join(f"{doubt.column} {doubt.text}" for doubt in found.doubts)
     checks = [
+        *_amount_checks(found),
         _check("Rows in order", f"{odd} of {n} odd", not remarks, "none", remarks, grade),
         _check("Quantity of every column", names or "known", not names, "known", open_, "fail"),
-        _check("Columns agree", disagree or "all", not disagree, "all", disagree, "fail"),
-        _check("Sampling", sampling, not found.uneven, "even", uneven, _grade(found.bursts)),
-        _check("Frozen channels", holds or "none", not holds, "none", frozen, "fail"),
-        _check(POSSIBLE, "beyond" if doubts else "within", not doubts, "within", doubts),
+        *_value_checks(found),
     ]
     if found.metadata.get("sample_rate") == "assumed":
         why = "the sample rate is assumed, and speeds and frequencies are as wrong as it is"
@@ -284,6 +282,60 @@ def _row_checks(found: Examined) -> list[Check]:
         why = f"{emptied} of {n} samples are left empty for their {name}"
         checks.append(_check(f"Samples by {name}", f"{emptied} of {n}", False, "none", why))
     return checks
+
+
+def _amount_checks(found: Examined) -> list[Check]:
+    """Return the checks whether the log holds enough to judge anything."""
+    time, n = found.time_s, len(found.time_s)
+    counts = {name: int(np.isfinite(values).sum()) for name, values in found.channels.items()}
+    scarce = {name: count for name, count in counts.items() if count < MIN_SAMPLES}
+    listed = ", ".join(f"{name} ({count} of {n})" for name, count in scarce.items())
+    why = f"too few values to judge in {listed}: a channel needs {MIN_SAMPLES}"
+    if n < MIN_SAMPLES:
+        why = f"{n} samples are too few to judge the log, which needs {MIN_SAMPLES}"
+    value, grade = str(min(counts.values())), _grade(not any(counts.values()))
+    limit = f"≥ {MIN_SAMPLES} in every channel"
+    checks = [_check("Samples", value, not scarce, limit, why, grade)]
+    if n >= MIN_SAMPLES:
+        k = int(np.argmax(np.diff(time)))
+        pause_s, duration_s = float(time[k + 1] - time[k]), float(time[-1] - time[0])
+        value = numbers.number(pause_s, 3, "s")
+        why = f"no sample lies between {time[k]:.6g} s and {time[k + 1]:.6g} s, which is more than half of the "
+        why += "log: do the times count from two origins? --start and --end take one part"
+        checks.append(_check("Longest pause", value, pause_s <= 0.5 * duration_s, "≤ half of the log", why))
+    return checks
+
+
+def _value_checks(found: Examined) -> list[Check]:
+    """Return the checks of the samples. A check that these samples do not allow is for information."""
+    disagree = "; ".join(f"{one.column} {one.text} (against {one.against})" for one in found.contradictions)
+    uneven = f"the sampling is uneven{', in bursts' * found.bursts}: {found.uneven}"
+    holds = "; ".join(f"{name} from {a:.4g} to {b:.4g} s" for name, (a, b) in found.frozen.items())
+    frozen = f"channels hold one value amid their motion: {holds}"
+    wrong = "; ".join(f"{name} {text}" for name, text in found.unmeasured.items())
+    doubts = "; ".join(f"{doubt.column} {doubt.text}" for doubt in found.doubts)
+    enough = len(found.time_s) >= MIN_SAMPLES
+    channels = found.channels.items()
+    values = [values for name, values in channels if not SET.fullmatch(name)]
+    measured = any(np.isfinite(one).sum() >= MIN_SAMPLES for one in values)
+    moving = any(may_freeze(*channel) for channel in channels)
+    limited = enough and any(LIMITED.fullmatch(name) for name in found.channels)
+    return [
+        _search("Columns agree", disagree, bool(found.comparisons), "all", disagree, "fail"),
+        _search("Sampling", found.uneven, enough, "even", uneven, _grade(found.bursts)),
+        _search("Frozen channels", holds, moving, "none", frozen, "fail"),
+        _search("Faulty channels", wrong, measured, "none", f"channels look faulty: {wrong}"),
+        _search(POSSIBLE, doubts, limited, "within", doubts),
+    ]
+
+
+def _search(
+    name: str, wrong: str, made: bool, limit: str, reason: str, otherwise: Literal["warn", "fail"] = "warn"
+) -> Check:
+    """Return a check that nothing is wrong; it is for information if these samples do not allow it."""
+    if wrong or made:
+        return _check(name, wrong or limit, not wrong, limit, reason, otherwise)
+    return check(name, "not judged", None, limit, "no channel allows it, or too few samples do")
 
 
 def _grade(fails: bool) -> Literal["warn", "fail"]:

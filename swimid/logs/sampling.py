@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from swimid.logs.log import runs
+from swimid.logs.log import TIME, runs
+from swimid.logs.units import measured
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -530,6 +531,12 @@ def find_held(time_s: Array, channels: Sequence[Array]) -> Held:
     return _timed(time_s, rows, repeated)
 
 
+def may_freeze(name: str, values: Array) -> bool:
+    """Return whether a channel is measured, continuous, and long enough to show that it is frozen."""
+    known = values[np.isfinite(values)]
+    return not SET.fullmatch(name) and len(known) >= LONG_ENOUGH and not has_levels(known)
+
+
 def find_frozen(time_s: Array, columns: Mapping[str, Array]) -> dict[str, tuple[float, float]]:
     """Return the longest stretch (start and end, s) over which each frozen channel holds one value.
 
@@ -547,10 +554,10 @@ def find_frozen(time_s: Array, columns: Mapping[str, Array]) -> dict[str, tuple[
     """
     found: dict[str, tuple[float, float]] = {}
     for name, values in columns.items():
+        if not may_freeze(name, values):
+            continue
         rows = np.flatnonzero(np.isfinite(values))
         x = values[rows]
-        if SET.fullmatch(name) or len(x) < LONG_ENOUGH or has_levels(x):
-            continue
         changes = np.flatnonzero(np.diff(x) != 0)
         first, end = np.append(0, changes + 1), np.append(changes, len(x) - 1)
         length = end - first + 1
@@ -644,6 +651,83 @@ def _timed(time_s: Array, rows: NDArray[np.intp], repeated: Flags) -> Held:
     shown = np.clip(np.searchsorted(fresh, np.arange(len(time_s)), side="right") - 1, 0, None)
     # the last measurement moves evenly over the slack; each end has its half of the variance
     return Held(repeated, period, step, measured[shown], slack / np.sqrt(24.0), even=True)
+
+
+# ---------------------------------------------------------------- channels that are no measurement
+
+#: A value is a mark or an error if it is farther from all others than this many times their range.
+FAR = 10.0
+#: A channel is cut off if it stays at its largest or smallest value for this many samples, this many times.
+CUT_SAMPLES, CUT_TIMES = 3, 3
+#: Relative tolerance of the steps of a count.
+COUNT_RTOL = 1e-6
+
+
+def find_unmeasured(columns: Mapping[str, Array], scales: Mapping[str, float]) -> dict[str, str]:
+    """Return the channels with values that a working sensor does not give, each with what is wrong.
+
+    Such a channel is constant, counts the rows, equals another column, is cut off at a value, or holds a value
+    far from all others. Commands, deviations and qualities are not looked at, nor channels with fewer than
+    :data:`LONG_ENOUGH` values.
+
+    Parameters
+    ----------
+    columns : mapping of str to ndarray, each shape (n,)
+        Columns of a log, ``t_s`` among them; NaN where missing.
+    scales : mapping of str to float
+        Factor from the values in the file to those of a column.
+
+    Examples
+    --------
+    >>> t = np.arange(50) / 10
+    >>> find_unmeasured({"t_s": t, "depth_m": 0 * t + 1.2}, {})
+    {'depth_m': 'holds one value in every sample (1.2)'}
+    """
+    found: dict[str, str] = {}
+    earlier: dict[str, Array] = {}
+    for name, values in columns.items():
+        known = values[np.isfinite(values)]
+        if len(known) < LONG_ENOUGH or SET.fullmatch(name) or measured(name) is None:
+            continue
+        copied = [other for other, same in earlier.items() if np.array_equal(values, same, equal_nan=True)]
+        steps = np.diff(known) / scales.get(name, 1.0)
+        if name == TIME:
+            text = ""
+        elif not steps.any():
+            text = f"holds one value in every sample ({known[0]:.6g})"
+        elif copied:
+            text = f"equals {copied[0]} in every sample"
+        elif np.allclose(steps, 1.0, rtol=COUNT_RTOL):
+            text = "counts the rows"
+        else:
+            text = _find_far(known) or _find_cut(known)
+        if text:
+            found[name] = text
+        if "_raw_" not in name:
+            earlier[name] = values
+    return found
+
+
+def _find_far(known: Array) -> str:
+    """Return how the largest or smallest value lies far from all others; empty if none does."""
+    for extreme in (known.min(), known.max()):
+        others = known[known != extreme]
+        away = float(np.min(np.abs(others - extreme)))
+        if away > FAR * np.ptp(others) > 0:
+            count = len(known) - len(others)
+            return f"holds {extreme:.6g} in {count} samples, far from all others: missing samples?"
+    return ""
+
+
+def _find_cut(known: Array) -> str:
+    """Return at which value a channel is cut off; empty if at none. Coarsely rounded channels are left out."""
+    if has_levels(known) or _rounding_ratio(known) > NEAR_ROUNDED:
+        return ""
+    for extreme in (known.min(), known.max()):
+        held = np.diff(runs(known == extreme)).ravel()
+        if np.count_nonzero(held >= CUT_SAMPLES) >= CUT_TIMES:
+            return f"is cut off at {extreme:.6g}"
+    return ""
 
 
 # ---------------------------------------------------------------- rate of change
