@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
 from swimid.logs.log import FREQUENCY_RTOL
 from swimid.logs.sampling import has_levels
@@ -75,6 +74,8 @@ class Beat:
     @property
     def interval_hz(self) -> tuple[float, float]:
         """95 % interval (Student's t over the cycles), Hz."""
+        from scipy import special
+
         half = float(special.stdtrit(max(self.cycles - WINDOW - 1.0, 1.0), 0.975)) * self.stderr_hz
         return self.frequency_hz - half, self.frequency_hz + half
 
@@ -373,6 +374,8 @@ def _no_line(t: Array, x: Array, frequency: float) -> float:
 
     Thomson's F test of the amplitudes under orthogonal tapers; the line is sought within a tenth of a cycle.
     """
+    from scipy import special
+
     duration = float(t[-1] - t[0])
     if frequency * duration > LINE_CYCLES:
         return 1.0

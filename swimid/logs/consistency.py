@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import i0e
 
 from swimid.logs.log import TIME
 from swimid.logs.rotation import AXES
@@ -50,8 +49,9 @@ class Comparison:
 def compare_columns(columns: Mapping[str, Array], period_s: float | None = None) -> list[Comparison]:
     """Compare rates with the pose that they are rates of, and the course of the track with its heading.
 
-    The result holds the comparisons that the log allows. Compared are u, v with the track seen along the heading, every ``<name>_m_s`` and ``<name>_rad_s`` with
-    ``<name>_m`` and ``<name>_rad``, the yaw rate with the heading, and turn rates with the quaternion.
+    The result holds the comparisons that the log allows. Compared are u, v with the track seen along the
+    heading, every ``<name>_m_s`` and ``<name>_rad_s`` with ``<name>_m`` and ``<name>_rad``, the yaw rate with
+    the heading, and turn rates with the quaternion.
 
     Parameters
     ----------
@@ -296,7 +296,12 @@ def _windows(
 
 
 def _likelihood(length: float, count: int) -> float:
-    """Largest log-likelihood of angles with a mean resultant length under von Mises' distribution."""
+    """Return the largest log-likelihood of ``count`` angles under von Mises' distribution.
+
+    ``length`` is their mean resultant length.
+    """
+    from scipy.special import i0e
+
     length = min(length, 1.0 - 1e-6)
     # Fisher 1993, *Statistical Analysis of Circular Data*, 4.5.5: maximum-likelihood concentration
     if length < 0.53:

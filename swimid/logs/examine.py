@@ -36,7 +36,8 @@ class Projection:
     Attributes
     ----------
     along : ndarray, shape (n,)
-        Distance along the line from the first sample, in the unit of the track; NaN where the track is missing.
+        Distance along the line from the first sample, in the unit of the track; NaN where the track is
+        missing.
     direction : ndarray, shape (d,)
         Unit vector of the line.
     across : float
@@ -126,6 +127,11 @@ class Examined:
     def channels(self) -> dict[str, Array]:
         """The columns other than the time."""
         return {name: values for name, values in self.columns.items() if name != TIME}
+
+    @property
+    def done(self) -> str:
+        """Word for what happened to repeats and jumps of the track."""
+        return "left out" if self.cleaned else "kept"
 
     @property
     def contradictions(self) -> list[Comparison]:

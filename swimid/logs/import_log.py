@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -212,18 +212,18 @@ def destinations(paths: Sequence[Path], output: Path) -> list[Path]:
 
 # ---------------------------------------------------------------- evidence
 
-#: Minimum number of values of a channel, and of samples, from which the log is judged.
+#: Minimum number of values of each channel, and of samples, for a judgement of a log.
 MIN_SAMPLES = LONG_ENOUGH + 1
+#: Minimum number of samples per stroke for an estimate of the path between the samples.
+MIN_SAMPLES_PER_STROKE = 6.0
+#: Maximum distance of a track from a line, as a share of its extent along the line.
+OFF_LINE = 0.1
+#: Maximum share of rows that are dropped. With more the time is hardly complete.
+MAX_DROPPED = 0.1
+#: Maximum share of samples that jump. With more a track is no track.
+MAX_JUMPED = 0.2
 #: Columns whose size is limited for a swimmer (:func:`swimid.logs.log.doubts`).
 LIMITED = re.compile(r"[xyz]_m|.*_(rad|rad_s|m_s)")
-#: Minimum number of samples a stroke for the path between them to be known.
-MIN_SAMPLES_PER_STROKE = 6.0
-#: A track farther from a line than this share of its extent along the line does not keep to it.
-OFF_LINE = 0.1
-#: Largest share of the rows that may be dropped: with more the time is hardly complete.
-MAX_DROPPED = 0.1
-#: With more samples that jump than this share a track is no track.
-MAX_JUMPED = 0.2
 REFERENCES = [
     "Pearson, R. K., Neuvo, Y., Astola, J., Gabbouj, M. (2016). Generalized Hampel filters. EURASIP "
     "Journal on Advances in Signal Processing 2016:87. doi:10.1186/s13634-016-0383-6",
@@ -234,7 +234,10 @@ REFERENCES = [
 
 def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]) -> Evidence:
     """Assemble the evidence of a log."""
-    checks = [*_row_checks(found), *_track_checks(found), *_stroke_checks(found)]
+    checks = [*_amount_checks(found), *_value_checks(found), *_track_checks(found), *_stroke_checks(found)]
+    references = []
+    if found.cleaning is not None:
+        references = REFERENCES
     with recorded(repeat=True) as drawn:
         shown = figures_of([Log(found.path, {}, found.columns)], found=found.stroke)
     return Evidence(
@@ -243,103 +246,103 @@ def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]
         verdict=judged(f"{len(found.time_s)} samples in {len(found.columns) - 1} channels.", checks),
         facts=_facts(found),
         checks=checks,
-        tables=[*_speed(found), *_stroke(found), _sources(found)],
+        tables=_tables(found),
         figures=shown,
         notices=blocks.notices([*notices, *drawn]),
         methods=_methods(found),
-        references=[] if found.cleaning is None else REFERENCES,
+        references=references,
         provenance=origin,
     )
 
 
 def _check(
-    name: str, value: str, passed: bool, limit: str, reason: str, otherwise: Literal["warn", "fail"] = "warn"
+    name: str,
+    passed: bool,
+    limit: str,
+    reason: str,
+    value: str = "",
+    *,
+    made: bool = True,
+    fails: bool = False,
 ) -> Check:
-    """Return a check whose text is the reason why it does not pass, unless its value says it all."""
-    text = "" if passed or value in reason else reason
-    return check(name, value, passed, limit, text, otherwise=otherwise, reason=reason)
+    """Return a check; it is for information if nothing is wrong and it could not be made.
 
-
-def _row_checks(found: Examined) -> list[Check]:
-    mapped, order, n = found.mapped, found.order, len(found.mapped)
-    odd, dropped = sum(order.counts.values()), order.untimed + order.clashing
-    remarks = "; ".join([f"rows {order.summary}"] * bool(odd) + found.mapped.notes)
-    grade = _grade(dropped > MAX_DROPPED * n)
-    if grade == "fail":
-        remarks = f"{dropped} of {n} rows have no time of their own: is the time complete?"
-    names = ", ".join(mapped.unknown)
-    open_ = f"nothing states the quantity of {names}: map it to a name with a unit, or to unit: '1'"
-    checks = [
-        *_amount_checks(found),
-        _check("Rows in order", f"{odd} of {n} odd", not remarks, "none", remarks, grade),
-        _check("Quantity of every column", names or "known", not names, "known", open_, "fail"),
-        *_value_checks(found),
-    ]
-    if found.metadata.get("sample_rate") == "assumed":
-        why = "the sample rate is assumed, and speeds and frequencies are as wrong as it is"
-        checks.append(_check("Sample rate", "assumed", False, "stated", why, "fail"))
-    for name, emptied in mapped.unlikely.items():
-        why = f"{emptied} of {n} samples are left empty for their {name}"
-        checks.append(_check(f"Samples by {name}", f"{emptied} of {n}", False, "none", why))
-    return checks
+    ``reason`` says what is wrong if the check does not pass. The value is by default the reason, or the limit
+    if the check passes. A check that does not pass warns, or fails with ``fails``.
+    """
+    if passed and not made:
+        return check(name, "not judged", None, limit, "no channel allows it, or the samples are too few")
+    if passed:
+        return check(name, value or limit, True, limit, reason=reason)
+    text, otherwise = reason, "warn"
+    if value in reason:
+        text = ""
+    if fails:
+        otherwise = "fail"
+    return check(name, value or reason, False, limit, text, otherwise=otherwise, reason=reason)
 
 
 def _amount_checks(found: Examined) -> list[Check]:
-    """Return the checks whether the log holds enough to judge anything."""
-    time, n = found.time_s, len(found.time_s)
+    """Return the checks of rows, columns and times: whether there is enough to judge, and all of it."""
+    time, n, rows = found.time_s, len(found.time_s), len(found.mapped)
     counts = {name: int(np.isfinite(values).sum()) for name, values in found.channels.items()}
-    scarce = {name: count for name, count in counts.items() if count < MIN_SAMPLES}
-    listed = ", ".join(f"{name} ({count} of {n})" for name, count in scarce.items())
-    why = f"too few values to judge in {listed}: a channel needs {MIN_SAMPLES}"
+    scarce = [f"{name} ({count} of {n})" for name, count in counts.items() if count < MIN_SAMPLES]
+    few = f"too few values to judge {', '.join(scarce)}: a channel needs {MIN_SAMPLES}"
     if n < MIN_SAMPLES:
-        why = f"{n} samples are too few to judge the log, which needs {MIN_SAMPLES}"
-    value, grade = str(min(counts.values())), _grade(not any(counts.values()))
-    limit = f"≥ {MIN_SAMPLES} in every channel"
-    checks = [_check("Samples", value, not scarce, limit, why, grade)]
-    if n >= MIN_SAMPLES:
-        k = int(np.argmax(np.diff(time)))
-        pause_s, duration_s = float(time[k + 1] - time[k]), float(time[-1] - time[0])
-        value = numbers.number(pause_s, 3, "s")
-        why = f"no sample lies between {time[k]:.6g} s and {time[k + 1]:.6g} s, which is more than half of the "
-        why += "log: do the times count from two origins? --start and --end take one part"
-        checks.append(_check("Longest pause", value, pause_s <= 0.5 * duration_s, "≤ half of the log", why))
+        few = f"{n} samples are too few to judge a log, which needs {MIN_SAMPLES}"
+    last = int(np.argmax(np.diff(time)))
+    pause_s = float(time[last + 1] - time[last])
+    long = n >= MIN_SAMPLES and pause_s > 0.5 * (time[-1] - time[0])
+    pause = (
+        f"no sample lies between {time[last]:.6g} s and {time[last + 1]:.6g} s, more than half of the log: "
+        "do the times count from two origins? --start and --end take one part"
+    )
+    order, notes = found.order, found.mapped.notes
+    odd, dropped = sum(order.counts.values()), order.untimed + order.clashing
+    many = dropped > MAX_DROPPED * rows
+    remarks = "; ".join([f"rows {order.summary}"] * order.changed + notes)
+    if many:
+        remarks = f"{dropped} of {rows} rows have no time of their own: is the time complete?"
+    names = ", ".join(found.mapped.unknown)
+    open_ = f"nothing states the quantity of {names}: map it to a name with a unit, or to unit: '1'"
+    least, longest = str(min(counts.values())), numbers.number(pause_s, 3, "s")
+    checks = [
+        _check(
+            "Samples", not scarce, f"≥ {MIN_SAMPLES} in a channel", few, least, fails=not any(counts.values())
+        ),
+        _check("Longest pause", not long, "≤ half of the log", pause, longest, made=n >= MIN_SAMPLES),
+        _check("Rows in order", not (odd or notes), "none", remarks, f"{odd} of {rows} odd", fails=many),
+        _check("Quantity of every column", not names, "known", open_, names, fails=True),
+    ]
+    if found.metadata.get("sample_rate") == "assumed":
+        why = "the sample rate is assumed, and speeds and frequencies are as wrong as it is"
+        checks.append(_check("Sample rate", False, "stated", why, "assumed", fails=True))
+    for name, count in found.mapped.unlikely.items():
+        why = f"{count} of {rows} samples are left empty for their {name}"
+        checks.append(_check(f"Samples by {name}", False, "none", why, f"{count} of {rows}"))
     return checks
 
 
 def _value_checks(found: Examined) -> list[Check]:
-    """Return the checks of the samples. A check that these samples do not allow is for information."""
+    """Return the checks of the samples."""
     disagree = "; ".join(f"{one.column} {one.text} (against {one.against})" for one in found.contradictions)
-    uneven = f"the sampling is uneven{', in bursts' * found.bursts}: {found.uneven}"
     holds = "; ".join(f"{name} from {a:.4g} to {b:.4g} s" for name, (a, b) in found.frozen.items())
-    frozen = f"channels hold one value amid their motion: {holds}"
-    wrong = "; ".join(f"{name} {text}" for name, text in found.unmeasured.items())
+    faults = "; ".join(f"{name} {text}" for name, text in found.unmeasured.items())
     doubts = "; ".join(f"{doubt.column} {doubt.text}" for doubt in found.doubts)
+    frozen, faulty = f"channels hold one value amid their motion: {holds}", f"channels look faulty: {faults}"
+    uneven = f"the sampling is uneven{', in bursts' * found.bursts}: {found.uneven}"
     enough = len(found.time_s) >= MIN_SAMPLES
-    channels = found.channels.items()
-    values = [values for name, values in channels if not SET.fullmatch(name)]
-    measured = any(np.isfinite(one).sum() >= MIN_SAMPLES for one in values)
-    moving = any(may_freeze(*channel) for channel in channels)
-    limited = enough and any(LIMITED.fullmatch(name) for name in found.channels)
+    measured = {name: values for name, values in found.channels.items() if not SET.fullmatch(name)}
+    long = any(np.isfinite(values).sum() >= MIN_SAMPLES for values in measured.values())
+    continuous = any(may_freeze(*channel) for channel in found.channels.items())
+    limited = enough and any(map(LIMITED.fullmatch, found.channels))
     return [
-        _search("Columns agree", disagree, bool(found.comparisons), "all", disagree, "fail"),
-        _search("Sampling", found.uneven, enough, "even", uneven, _grade(found.bursts)),
-        _search("Frozen channels", holds, moving, "none", frozen, "fail"),
-        _search("Faulty channels", wrong, measured, "none", f"channels look faulty: {wrong}"),
-        _search(POSSIBLE, doubts, limited, "within", doubts),
+        _check("Columns agree", not disagree, "all", disagree, made=bool(found.comparisons), fails=True),
+        _check("Sampling", not found.uneven, "even", uneven, found.uneven, made=enough, fails=found.bursts),
+        _check("Frozen channels", not holds, "none", frozen, holds, made=continuous, fails=True),
+        _check("Faulty channels", not faults, "none", faulty, faults, made=long),
+        _check(POSSIBLE, not doubts, "within", doubts, made=limited),
     ]
-
-
-def _search(
-    name: str, wrong: str, made: bool, limit: str, reason: str, otherwise: Literal["warn", "fail"] = "warn"
-) -> Check:
-    """Return a check that nothing is wrong; it is for information if these samples do not allow it."""
-    if wrong or made:
-        return _check(name, wrong or limit, not wrong, limit, reason, otherwise)
-    return check(name, "not judged", None, limit, "no channel allows it, or too few samples do")
-
-
-def _grade(fails: bool) -> Literal["warn", "fail"]:
-    return "fail" if fails else "warn"
 
 
 def _track_checks(found: Examined) -> list[Check]:
@@ -348,26 +351,32 @@ def _track_checks(found: Examined) -> list[Check]:
     if line is not None:
         across, extent = (numbers.number(v, 3, found.unit) for v in (line.across, line.extent))
         why = f"the track leaves the line by {across} over {extent}, and is shortened by projecting it"
-        keeps, limit = line.across <= OFF_LINE * line.extent, f"≤ {100 * OFF_LINE:g} % of the extent"
-        checks.append(_check("Distance from the line", across, keeps, limit, why))
+        limit, keeps = f"≤ {100 * OFF_LINE:g} % of the extent", line.across <= OFF_LINE * line.extent
+        checks.append(_check("Distance from the line", keeps, limit, why, across))
     if cleaning is None:
         return checks
-    done = "left out" if found.cleaned else "kept"
     lost, repeats = cleaning.counts["samples_jumped"], cleaning.counts["repeats"]
-    seen = int(cleaning.good.sum()) + repeats + lost
-    value, why = f"{repeats} of {seen} {done}", "the track holds repeated pictures (--clean leaves them out)"
-    checks.append(_check("Repeated pictures", value, found.cleaned or not repeats, "none kept", why))
-    why = f"the track jumps {cleaning.jumps} times ({lost} samples {done})"
+    seen, done = int(cleaning.good.sum()) + repeats + lost, found.done
+    held = "the track holds repeated pictures (--clean leaves them out)"
+    jumps = f"the track jumps {cleaning.jumps} times ({lost} samples {done})"
     if cleaning.offset_rows:
-        why += f" and goes on elsewhere {len(cleaning.offset_rows)} times"
-    value, grade = (
-        f"{cleaning.jumps} ({lost} samples {done})",
-        _grade(lost > MAX_JUMPED * seen or not found.cleaned),
-    )
-    checks.append(_check("Jumps", value, not cleaning.jumps, "none", why, grade))
-    value = f"{len(cleaning.gaps)}, longest {numbers.number(cleaning.longest_gap_s, 3, 's')}"
-    why = f"the track has gaps ({value}), which are kept"
-    return [*checks, _check("Gaps in the track", value, not cleaning.gaps, "none", why)]
+        jumps += f" and goes on elsewhere {len(cleaning.offset_rows)} times"
+    lossy = lost > MAX_JUMPED * seen or not found.cleaned
+    gaps = f"{len(cleaning.gaps)}, longest {numbers.number(cleaning.longest_gap_s, 3, 's')}"
+    kept, value = f"the track has gaps ({gaps}), which are kept", f"{repeats} of {seen} {done}"
+    return [
+        *checks,
+        _check("Repeated pictures", found.cleaned or not repeats, "none kept", held, value),
+        _check(
+            "Jumps",
+            not cleaning.jumps,
+            "none",
+            jumps,
+            f"{cleaning.jumps} ({lost} samples {done})",
+            fails=lossy,
+        ),
+        _check("Gaps in the track", not cleaning.gaps, "none", kept, gaps),
+    ]
 
 
 def _stroke_checks(found: Examined) -> list[Check]:
@@ -379,19 +388,18 @@ def _stroke_checks(found: Examined) -> list[Check]:
         count = float(found.cleaning.good.sum()) / found.speed.covered_s / stroke.beat.frequency_hz
         value, limit = numbers.number(count, 3), f"≥ {MIN_SAMPLES_PER_STROKE:g}"
         why = f"the track has {value} samples a stroke, too few to know the path between them"
-        checks.append(_check("Samples a stroke", value, count >= MIN_SAMPLES_PER_STROKE, limit, why))
+        checks.append(_check("Samples a stroke", count >= MIN_SAMPLES_PER_STROKE, limit, why, value))
     value = " against ".join(f"{b.frequency_hz:.4g} Hz" for b in (stroke.beat, *stroke.rivals.values()))
     limit = "no channel beats at another frequency"
-    checks.append(_check("One stroke", value, not stroke.doubt, limit, stroke.doubt))
+    checks.append(_check("One stroke", not stroke.doubt, limit, stroke.doubt, value))
     if "frequency_hz" in found.metadata:
-        stated, against = f"{found.metadata['frequency_hz']} Hz", found.against or ""
-        name = "Stroke against the metadata"
-        checks.append(_check(name, _frequency(stroke), not against, stated, against))
+        name, stated = "Stroke against the metadata", f"{found.metadata['frequency_hz']} Hz"
+        checks.append(_check(name, not found.against, stated, found.against, _frequency(stroke)))
     return checks
 
 
 def _facts(found: Examined) -> dict[str, str]:
-    """Return the particulars beside those of any log."""
+    """Return the facts of an imported log, in addition to those of any log."""
     cleaning, speed, stroke, line = found.cleaning, found.speed, found.stroke, found.projection
     facts = {"Stroke": f"unknown: {found.unknown}"}
     if stroke is not None:
@@ -399,10 +407,8 @@ def _facts(found: Examined) -> dict[str, str]:
         if stroke.maybe_double:
             facts["Stroke"] += ", may be twice the stroke: no channel that swings sideways is there"
     if cleaning is not None:
-        counts, done = cleaning.counts, "left out" if found.cleaned else "kept"
-        facts["Track"] = (
-            f"{counts['repeats']} repeats and {counts['jumps']} jumps {done}, {len(cleaning.gaps)} gaps kept"
-        )
+        counts, gaps = cleaning.counts, f"{len(cleaning.gaps)} gaps kept"
+        facts["Track"] = f"{counts['repeats']} repeats and {counts['jumps']} jumps {found.done}, {gaps}"
     if speed is not None:
         path, straight = (f"{mean.value:.4g} {found.unit}/s" for mean in (speed.path, speed.line))
         facts["Speed"] = f"{path} along the path, {straight} along the line"
@@ -412,48 +418,37 @@ def _facts(found: Examined) -> dict[str, str]:
     return facts
 
 
-def _speed(found: Examined) -> list[Table]:
-    speed, unit = found.speed, found.unit
-    if speed is None:
-        return []
-    rows: list[list[Any]] = [
-        ["along the path", speed.path.value, speed.path.low, speed.path.high],
-        ["along the line from start to end", speed.line.value, speed.line.low, speed.line.high],
-        ["naive mean of |dx/dt|", speed.naive_m_s, None, None],
-    ]
-    noise = numbers.number(speed.noise_m, 3, unit)
-    caption = f"Over {speed.covered_s:.4g} s without the gaps; the noise of a coordinate is {noise}."
-    columns = ["mean speed", f"{unit}/s", "95 % from", "to"]
-    return [Table(id="speed", title="Mean speed", columns=columns, rows=rows, caption=caption)]
-
-
-def _stroke(found: Examined) -> list[Table]:
-    stroke = found.stroke
-    if stroke is None:
-        return []
-    harmonics: list[list[Any]] = []
-    for h in stroke.harmonics:
-        frequency_hz = h.order * stroke.beat.frequency_hz
-        harmonics.append([f"{h.order} ×", frequency_hz, numbers.measured(h.amplitude, h.stderr)])
-    channels: list[list[Any]] = []
-    for name, beat in stroke.channels.items():
-        frequency = numbers.measured(beat.frequency_hz, beat.stderr_hz)
-        channels.append([name, frequency, beat.amplitude, 100 * beat.share])
-    title = f"Stroke and harmonics in {stroke.channel}, over {stroke.beat.cycles:.3g} cycles"
-    columns = ["harmonic", "frequency (Hz)", "amplitude"]
-    of_channels = ["channel", "frequency (Hz)", "amplitude", "share of the variance (%)"]
-    return [
-        Table(id="stroke", title=title, columns=columns, rows=harmonics, folded=True),
-        Table(id="beats", title="Beat of every channel", columns=of_channels, rows=channels, folded=True),
-    ]
-
-
-def _sources(found: Examined) -> Table:
-    rows: list[list[Any]] = [
-        [name, *found.mapped.sources.get(name, (name, 1.0, 0.0))] for name in found.columns
-    ]
-    columns = ["column", "source", "factor", "offset"]
-    return Table(id="columns", title="Sources of the columns", columns=columns, rows=rows, folded=True)
+def _tables(found: Examined) -> list[Table]:
+    """Return the tables of the speed, the stroke and its channels, and the sources of the columns."""
+    tables, speed, stroke, unit = [], found.speed, found.stroke, found.unit
+    if speed is not None:
+        rows: list[list[Any]] = [
+            ["along the path", speed.path.value, speed.path.low, speed.path.high],
+            ["along the line from start to end", speed.line.value, speed.line.low, speed.line.high],
+            ["naive mean of |dx/dt|", speed.naive_m_s, None, None],
+        ]
+        noise = numbers.number(speed.noise_m, 3, unit)
+        caption = f"Over {speed.covered_s:.4g} s without the gaps; the noise of a coordinate is {noise}."
+        columns = ["mean speed", f"{unit}/s", "95 % from", "to"]
+        tables.append(Table(id="speed", title="Mean speed", columns=columns, rows=rows, caption=caption))
+    if stroke is not None:
+        rows = []
+        for h in stroke.harmonics:
+            frequency_hz = h.order * stroke.beat.frequency_hz
+            rows.append([f"{h.order} ×", frequency_hz, numbers.measured(h.amplitude, h.stderr)])
+        title = f"Stroke and harmonics in {stroke.channel}, over {stroke.beat.cycles:.3g} cycles"
+        columns = ["harmonic", "frequency (Hz)", "amplitude"]
+        tables.append(Table(id="stroke", title=title, columns=columns, rows=rows, folded=True))
+        rows = []
+        for name, beat in stroke.channels.items():
+            frequency = numbers.measured(beat.frequency_hz, beat.stderr_hz)
+            rows.append([name, frequency, beat.amplitude, 100 * beat.share])
+        title = "Beat of every channel"
+        columns = ["channel", "frequency (Hz)", "amplitude", "share of the variance (%)"]
+        tables.append(Table(id="beats", title=title, columns=columns, rows=rows, folded=True))
+    rows = [[name, *found.mapped.sources.get(name, (name, 1.0, 0.0))] for name in found.columns]
+    columns, title = ["column", "source", "factor", "offset"], "Sources of the columns"
+    return [*tables, Table(id="columns", title=title, columns=columns, rows=rows, folded=True)]
 
 
 def _frequency(stroke: Rhythm) -> str:
@@ -481,16 +476,16 @@ def _methods(found: Examined) -> list[str]:
 
 
 def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
-    """Return what was found as plain data."""
+    """Return the findings as plain data."""
     time, unit, step = found.time_s, found.unit, usual_step(found.time_s)
-    cleaning, speed, line = found.cleaning, found.speed, found.projection
+    cleaning, speed, line, stroke = found.cleaning, found.speed, found.projection, found.stroke
     made: dict[str, Any] = {
         "file": str(found.path),
         "samples": len(time),
         "duration_s": float(time[-1] - time[0]),
-        "median_rate_hz": 1 / step if step > 0 else None,
+        "median_rate_hz": 1 / step,
         "columns": list(found.columns),
-        "missing": {n: int(np.isnan(v).sum()) for n, v in found.columns.items() if n != log.TIME},
+        "missing": {name: int(np.isnan(values).sum()) for name, values in found.channels.items()},
         "rows": found.order.counts,
         "notes": found.mapped.notes,
         "profile": found.mapped.profile,
@@ -518,24 +513,21 @@ def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
             f"noise_{unit}": speed.noise_m,
             "covered_s": speed.covered_s,
         }
-    if found.stroke is not None:
-        made["stroke"] = _stroke_data(found.stroke) | {"contradiction": found.against}
+    if stroke is not None:
+        made["stroke"] = {
+            "frequency_hz": stroke.beat.frequency_hz,
+            "stderr_hz": stroke.beat.stderr_hz,
+            "ci95_hz": list(stroke.beat.interval_hz),
+            "period_s": stroke.period_s[0],
+            "cycles": stroke.beat.cycles,
+            "channel": stroke.channel,
+            "maybe_double": stroke.maybe_double,
+            "harmonics": [asdict(harmonic) for harmonic in stroke.harmonics],
+            "channels_hz": {n: b.frequency_hz for n, b in stroke.channels.items()},
+            "rivals_hz": {n: b.frequency_hz for n, b in stroke.rivals.items()},
+            "contradiction": found.against or None,
+        }
     if line is not None:
         direction = line.direction.tolist()
         made["line"] = {"direction": direction, "extent": line.extent, "across_rms": line.across}
     return made
-
-
-def _stroke_data(stroke: Rhythm) -> dict[str, Any]:
-    return {
-        "frequency_hz": stroke.beat.frequency_hz,
-        "stderr_hz": stroke.beat.stderr_hz,
-        "ci95_hz": list(stroke.beat.interval_hz),
-        "period_s": stroke.period_s[0],
-        "cycles": stroke.beat.cycles,
-        "channel": stroke.channel,
-        "maybe_double": stroke.maybe_double,
-        "harmonics": [asdict(harmonic) for harmonic in stroke.harmonics],
-        "channels_hz": {n: b.frequency_hz for n, b in stroke.channels.items()},
-        "rivals_hz": {n: b.frequency_hz for n, b in stroke.rivals.items()},
-    }

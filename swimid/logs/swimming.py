@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
 from swimid.logs import rhythm, tracks
 from swimid.logs.beat import Beat, waves
@@ -357,6 +356,8 @@ def _slope(time: Array, values: Array) -> Estimate:
     stderr = math.sqrt(float(left @ left) / freedom / float(design[:, 1] @ design[:, 1]))
     together = float(left[1:] @ left[:-1] / max(float(left @ left), 1e-300))
     together = min(max(together, 0.0), 0.8)
+    from scipy import special
+
     half = float(special.stdtrit(freedom, 0.975)) * stderr * math.sqrt((1 + together) / (1 - together))
     return Estimate(float(weights[1]), float(weights[1]) - half, float(weights[1]) + half)
 

@@ -8,7 +8,6 @@ from itertools import pairwise, product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
 from swimid.logs.beat import waves
 from swimid.logs.log import runs
@@ -244,6 +243,8 @@ def mean_of_blocks(values: Array, weights: Array, shift: float = 0.0) -> Estimat
     shift : float
         A correction of the mean, as uncertain as it is large.
     """
+    from scipy.special import stdtrit
+
     value = float(weights @ values / weights.sum())
     block = np.minimum((np.cumsum(weights) - 0.5 * weights) / weights.sum() * BLOCKS, BLOCKS - 1).astype(int)
     totals = np.bincount(block, weights, BLOCKS)
@@ -255,7 +256,7 @@ def mean_of_blocks(values: Array, weights: Array, shift: float = 0.0) -> Estimat
         off = means - means.mean()
         together = float(off[1:] @ off[:-1] / max(float(off @ off), 1e-300))
         widen = np.sqrt((1 + max(together, 0.0)) / (1 - min(max(together, 0.0), 0.8)))
-        half = float(special.stdtrit(len(means) - 1, 0.975) * means.std(ddof=1) / np.sqrt(len(means)) * widen)
+        half = float(stdtrit(len(means) - 1, 0.975) * means.std(ddof=1) / np.sqrt(len(means)) * widen)
     half = float(np.hypot(half, shift))
     return Estimate(value + shift, value + shift - half, value + shift + half)
 
@@ -303,6 +304,8 @@ def net_speed(
     .. [1] Hoeting, J. A., Madigan, D., Raftery, A. E., Volinsky, C. T. (1999). Bayesian model averaging: a
        tutorial. Statistical Science 14, 382-417. doi:10.1214/ss/1009212519
     """
+    from scipy.special import stdtrit
+
     if len(time_s) < MIN_SAMPLES:
         return None
     first, last = float(time_s[0]), float(time_s[-1])
@@ -334,7 +337,7 @@ def net_speed(
     size = float(np.linalg.norm(away))
     along = float(variance @ (away / max(size, 1e-300)) ** 2)
     late = np.sqrt(2.0) * stamp_sd_s * size / duration
-    half = float(special.stdtrit(freedom, 0.975)) * float(np.hypot(np.sqrt(max(along, 0.0)), late))
+    half = float(stdtrit(freedom, 0.975)) * float(np.hypot(np.sqrt(max(along, 0.0)), late))
     return Estimate(size / duration, (size - half) / duration, (size + half) / duration)
 
 
