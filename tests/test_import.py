@@ -161,7 +161,7 @@ FILES: dict[str, tuple[str, Callable[[Path], None], str, tuple[str, str, str]]] 
     "mat 7.3": ("b.mat", _mat73, "", ("t", '"pose[1]"', '"pose[2]"')),
     "parquet": ("a.parquet", _parquet, "", ("t", "x", "yaw")),
     "json lines": ("a.jsonl", _json_lines, "", ("t", "pose.x", '"pose.angles[3]"')),
-    "mcap": ("a.mcap", _mcap, "reader: {topic: /pose}", ("ms", "at.x", "yaw")),
+    "mcap": ("a.mcap", _mcap, "select: /pose", ("ms", "at.x", "yaw")),
     "ulog": ("a.ulg", _ulog, "", ("ms", '"p[1]"', '"p[2]"')),
 }
 

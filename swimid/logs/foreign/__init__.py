@@ -1,6 +1,6 @@
-"""File formats: a :class:`Reader` makes a :class:`Table` of a file.
+"""Readers of file formats: a :class:`Reader` turns a file into a :class:`Table`.
 
-Every reader in a module here is found by itself: the next format is one new file.
+All readers in the modules of this package are found automatically. A new format is one new module.
 """
 
 from __future__ import annotations
@@ -25,17 +25,14 @@ from swimid.files import yamlio
 from swimid.logs import log
 from swimid.logs.log import Log
 
-#: Where a user names the topic, and the struct or group, in the words before its name.
-TOPIC = "--select NAME, or reader: {topic: NAME} in a mapping, with"
-DATASET = "reader: {dataset: NAME} in a mapping, with"
 #: Maximum number of elements of a list that become columns.
 MAX_ELEMENTS = 100
 
 
 class Options(yamlio.Document):
-    """How to read the file, where the file itself does not say it (``reader:`` of a mapping)."""
+    """Layout of a file that the file itself does not state (``reader:`` of a mapping)."""
 
-    #: The format, where neither ending nor content says it.
+    #: Name of the format, if neither ending nor content shows it.
     kind: str | None = None
     #: Delimiter of a text file: one character, ``tab`` or ``whitespace``.
     delimiter: Annotated[str, Field(pattern=r"^([ !#-~\t]|tab|whitespace)$")] | None = None
@@ -45,31 +42,27 @@ class Options(yamlio.Document):
     skip_rows: Annotated[int, Field(ge=0)] | None = None
     #: Cells that mean "no sample", besides the empty cell and ``nan``.
     missing: list[float | str] = []
-    #: Lines that begin with this are comments.
+    #: Beginning of a line of comment.
     comment: Annotated[str, Field(min_length=1, max_length=4)] = "#"
     decimal: Literal[".", ","] | None = None
     encoding: str | None = None
-    #: Topic of a recording that holds several.
-    topic: str | None = None
-    #: Group or struct of a file that holds several.
-    dataset: str | None = None
 
 
 @dataclass(eq=False)
 class Table:
-    """The samples of one file (one topic of it, if it holds several).
+    """Samples of one file, or of one topic of it.
 
     Attributes
     ----------
     columns : dict of str to ndarray, each shape (n,)
-        In the order of the file: numbers, dates (``datetime64[ns]``, UTC) or text (``object``). The columns
-        of a matrix ``acc`` are ``acc[1]``, ``acc[2]``, ...
+        Columns in the order of the file: numbers, dates (``datetime64[ns]``, UTC) or text (``object``). The
+        columns of a matrix ``acc`` are ``acc[1]``, ``acc[2]``, ...
     units : dict of str to str
         Units that the file states, by column.
     metadata : dict
-        What the file says about itself: plain values.
+        Plain values that describe the file.
     scalars : dict of str to float
-        Single numbers beside the columns, a sampling rate for instance.
+        Single numbers in the file, a sampling rate for instance.
     notes : list of str
         Problems of the reading that a user must know.
     comments : list of str
@@ -87,12 +80,12 @@ class Table:
     lines: NDArray[np.int64] | None = None
 
     def column(self, key: str | int, path: Path) -> str:
-        """Return the name of a column given by its name, or by its number from 1.
+        """Return the name of a column that is given by its name, or by its number from 1.
 
         Raises
         ------
         InputError
-            There is no such column; names the nearest.
+            There is no such column; names the nearest one.
         """
         names = list(self.columns)
         if isinstance(key, str) and key in names:
@@ -108,8 +101,10 @@ class Table:
         raise InputError("there is no such column", file=path, column=key, hint=hint)
 
     def place(self, row: int) -> dict[str, int]:
-        """Return where a row stands, for an :class:`InputError`: its line, or its row from 1."""
-        return {"row": row + 1} if self.lines is None else {"line": int(self.lines[row])}
+        """Return the place of a row for an :class:`InputError`: its line, or its row from 1."""
+        if self.lines is None:
+            return {"row": row + 1}
+        return {"line": int(self.lines[row])}
 
 
 @dataclass(frozen=True)
@@ -119,30 +114,30 @@ class Reader:
     Attributes
     ----------
     name : str
-        For ``reader: {kind: name}``.
+        Name for ``reader: {kind: name}``.
     title : str
-        In words.
+        Name of the format in messages.
     endings : tuple of str
         File endings of this format, with their dot.
     open : callable
-        ``open(path, options) -> Table``. What a library raises in it, :func:`reading` turns into an
-        :class:`InputError`.
+        ``open(path, options, select) -> Table``. ``select`` is the topic, struct or group to take; None if
+        the user names none. :func:`reading` turns the exceptions of a library into an :class:`InputError`.
     magic : tuple of bytes
-        First bytes of such a file; they decide before the ending does.
+        First bytes of such a file. They take precedence over the ending.
     extra : str
-        The optional dependency to install, ``"mcap"`` for ``pip install swimid[mcap]``.
+        Optional dependency to install, ``"mcap"`` for ``pip install swimid[mcap]``.
     """
 
     name: str
     title: str
     endings: tuple[str, ...]
-    open: Callable[[Path, Options], Table]
+    open: Callable[[Path, Options, str | None], Table]
     magic: tuple[bytes, ...] = ()
     extra: str = ""
 
 
 def discover(package: str, kind: Any) -> dict[str, Any]:
-    """Return every object of a class in the modules of a package, by its ``name``."""
+    """Return the objects of the class ``kind`` in the modules of a package, by their ``name``."""
     entries = pkgutil.iter_modules(importlib.import_module(package).__path__)
     modules = [importlib.import_module(f"{package}.{entry.name}") for entry in entries]
     objects: list[Any] = [value for module in modules for value in vars(module).values()]
@@ -160,7 +155,7 @@ def first_bytes(path: Path, count: int) -> bytes:
     Raises
     ------
     InputError
-        It cannot be read.
+        The file cannot be read.
     """
     with file_errors(path), path.open("rb") as stream:
         return stream.read(count)
@@ -168,7 +163,7 @@ def first_bytes(path: Path, count: int) -> bytes:
 
 @contextmanager
 def reading(path: Path, title: str, extra: str = "") -> Iterator[None]:
-    """Turn every exception of a library into an :class:`InputError`: the file is no readable ``title``."""
+    """Turn each exception of a library into an :class:`InputError`: the file is no readable ``title``."""
     try:
         with extra_needed(f"reading this {title}", extra, file=path):
             yield
@@ -184,7 +179,7 @@ def flat(
     """Yield the plain values of a nested record by their dotted names.
 
     Elements of lists are ``name[1]``, ``name[2]``, ... Lists longer than :data:`MAX_ELEMENTS` are left out.
-    ``parts`` turns a value that has parts into a dict or a list and returns any other as it is.
+    ``parts`` turns a value with parts into a dict or a list and returns any other value unchanged.
 
     >>> dict(flat({"a": {"b": [1, 2]}, "c": 3}))
     {'a.b[1]': 1, 'a.b[2]': 2, 'c': 3}
@@ -192,7 +187,7 @@ def flat(
     value = parts(value)
     if isinstance(value, dict):
         for key, inner in value.items():
-            yield from flat(inner, parts, brackets, f"{name}.{key}" if name else str(key))
+            yield from flat(inner, parts, brackets, f"{name}.{key}".removeprefix("."))
     elif not isinstance(value, list | tuple):
         yield name, value
     elif len(value) <= MAX_ELEMENTS:
@@ -206,35 +201,33 @@ def of_records(records: Sequence[dict[str, Any]]) -> dict[str, NDArray[Any]]:
 
     frame = pd.DataFrame.from_records(records)
     for name, values in frame.items():
-        # whole numbers of more than 64 bits, or values that some records lack
+        # a column of whole numbers over 64 bits, or with values that some records lack
         if values.dtype == object and not values.map(lambda value: isinstance(value, str)).any():
             frame[name] = pd.to_numeric(values, errors="coerce").astype(float)
     return log.arrays(frame, "records")
 
 
-def one_of(wanted: str | None, known: Sequence[str], *, file: Path, what: str, key: str = TOPIC) -> str:
-    """Return the topic or group that was asked for, or the only one there is.
-
-    ``key`` says to the user where to name it.
+def choose(select: str | None, known: Sequence[str], what: str, path: Path) -> str:
+    """Return the track, topic, group or the like that the user selects, or the only one there is.
 
     Raises
     ------
     InputError
-        It is not there, or none was named and there are several.
+        There is none of that name, or the user selects none and there are several.
     """
     if not known:
-        raise InputError(f"holds no {what} with samples", file=file)
-    if wanted is None and len(known) > 1:
-        hint = f"{key} one of: {', '.join(known[:20])}"
-        raise InputError(f"holds {len(known)} {what}s; name one", file=file, hint=hint)
-    if wanted is not None and wanted not in known:
-        hint = suggestion(wanted, list(known), "it holds")
-        raise InputError(f"holds no {what} '{wanted}'", file=file, hint=hint)
-    return wanted or known[0]
+        raise InputError(f"holds no {what} with samples", file=path)
+    if select is None and len(known) > 1:
+        hint = f"--select with one of: {', '.join(known[:20])}"
+        raise InputError(f"holds {len(known)} {what}s; name one", file=path, hint=hint)
+    if select is not None and select not in known:
+        hint = suggestion(select, list(known), "it holds")
+        raise InputError(f"holds no {what} '{select}'", file=path, hint=hint)
+    return select or known[0]
 
 
-def of_tree(content: Any, options: Options, path: Path, parts: Callable[[Any], Any]) -> Table:
-    """Return the table of the nested arrays of a file, or of the group that ``options.dataset`` names.
+def of_tree(content: Any, select: str | None, path: Path, parts: Callable[[Any], Any]) -> Table:
+    """Return the table of the nested arrays of a file, or of the group that ``select`` names.
 
     The columns of a matrix are ``name[1]``, ``name[2]``, ... A row vector is one column. A matrix that is
     wider than long is transposed if the other arrays have its width as their length. Single numbers become
@@ -246,11 +239,12 @@ def of_tree(content: Any, options: Options, path: Path, parts: Callable[[Any], A
         There is no such group.
     """
     content = parts(content)
-    for part in filter(None, (options.dataset or "").replace("/", ".").split(".")):
-        names = list(content) if isinstance(content, dict) else []
-        chosen = one_of(part, names, file=path, what="struct or group", key=DATASET)
-        content = parts(content[chosen])
-        content = content if isinstance(content, dict) else {chosen: content}
+    for part in filter(None, (select or "").replace("/", ".").split(".")):
+        if not isinstance(content, dict):
+            raise InputError(f"holds no struct or group '{select}'", file=path)
+        content = parts(content[choose(part, list(content), "struct or group", path)])
+    if not isinstance(content, dict):
+        content = {part: content}
     table, arrays = Table({}), {}
     for name, value in flat(content, parts, "{}"):
         array = np.atleast_1d(np.asarray(value))
@@ -281,7 +275,7 @@ def readers() -> dict[str, Reader]:
 
 
 def reader_of(path: Path, options: Options) -> Reader:
-    """Return the format of a file: the one asked for, or by its first bytes, or by its ending.
+    """Return the reader of a file: the stated one, or that of its first bytes, or that of its ending.
 
     Raises
     ------
@@ -301,8 +295,10 @@ def reader_of(path: Path, options: Options) -> Reader:
     return known[options.kind]
 
 
-def open_table(given: str | Path | Log, options: Options | None = None) -> Table:
-    """Read a file as a table, or take a log in memory as one.
+def open_table(given: str | Path | Log, options: Options | None = None, select: str | None = None) -> Table:
+    """Return a file, or a log in memory, as a table.
+
+    ``select`` is the topic, struct or group to take, if the file holds several.
 
     Raises
     ------
@@ -314,7 +310,7 @@ def open_table(given: str | Path | Log, options: Options | None = None) -> Table
     path, options = Path(given), options or Options()
     reader = reader_of(path, options)
     with reading(path, reader.title, reader.extra):
-        table = reader.open(path, options)
+        table = reader.open(path, options, select)
     if not table.columns:
         raise InputError("holds no samples", file=path)
     return table

@@ -1,14 +1,15 @@
-"""Profiles of known formats: every profile in a module here is found by itself.
+"""Profiles of known formats. All profiles in the modules of this package are found automatically.
 
-A profile recognises its files by a fingerprint. It returns a table whose columns are named as in the log
-format, in SI: it knows the units, axes and conventions of its format, or reads them in the file.
+A profile recognises its files by their content. It knows the units, axes and conventions of its format, or
+reads them in the file. It returns a table in SI with columns named as in the log format.
 """
 
 from __future__ import annotations
 
 import codecs
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError, in_words_of_the_caller, suggestion
-from swimid.logs.foreign import Table, discover, first_bytes, is_text, one_of, open_table, reading
+from swimid.logs.foreign import Table, discover, first_bytes, is_text, open_table, reading
 from swimid.logs.log import TIME
 from swimid.logs.units import UNITS, canonical
 
@@ -26,7 +27,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Peek:
-    """The beginning of a file, for fingerprints."""
+    """Beginning of a file, by which a profile recognises its format."""
 
     path: Path
     head: bytes
@@ -38,18 +39,20 @@ class Peek:
         Raises
         ------
         InputError
-            It cannot be read.
+            The file cannot be read.
         """
         return cls(path, first_bytes(path, 1 << 14))
 
     @cached_property
     def lines(self) -> list[str]:
-        """The first lines of a text file; empty for any other."""
+        """The first lines of a text file; empty for any other file."""
         try:
             text = codecs.getincrementaldecoder("utf-8-sig")().decode(self.head)
         except UnicodeDecodeError:
             return []
-        return [] if "\x00" in text else [line.rstrip("\r") for line in text.split("\n")]
+        if "\x00" in text:
+            return []
+        return [line.rstrip("\r") for line in text.split("\n")]
 
     @cached_property
     def header(self) -> list[str]:
@@ -59,7 +62,7 @@ class Peek:
     def holds(self, *names: str) -> bool:
         """Return whether the file is HDF5 and has data sets or groups of these names."""
         if self.head.startswith(b"\x89HDF"):
-            # without h5py the reader of HDF5 names the extra to install
+            # if h5py is missing, the reader of HDF5 names the extra to install
             with contextlib.suppress(OSError, ImportError):
                 import h5py
 
@@ -75,18 +78,19 @@ class Profile:
     Attributes
     ----------
     name : str
-        For ``--as``.
+        Name for ``--as``.
     title : str
-        In words.
+        Name of the format in messages.
     recognises : callable
-        ``recognises(peek) -> bool``: whether a file has the fingerprint of the format.
+        ``recognises(peek) -> bool``: whether a file has this format.
     read : callable
-        ``read(path, select, length_unit) -> Table``: columns named as in the log format, in SI. ``select`` is
-        the track, individual, instance, topic or message type to take, ``length_unit`` the unit of lengths of
-        a file that states none; both are None if the user states nothing. Times are in ``t_s``; a format
-        without times has ``frame``, and the rate in ``scalars["rate_hz"]`` if the file states it.
+        ``read(path, select, length_unit) -> Table``, in SI with columns named as in the log format.
+        ``select`` is the track, individual, instance, topic or message type to take, and ``length_unit`` the
+        unit of lengths in a file that states none. Both are None if the user states nothing. Times are in
+        ``t_s``. A format without times has ``frame``, and the rate in ``scalars["rate_hz"]`` if the file
+        states it.
     extra : str
-        The optional dependency to install.
+        Optional dependency to install.
     magic : bytes
         First bytes of such a file.
     """
@@ -104,7 +108,7 @@ class Profile:
         Raises
         ------
         InputError
-            It is no file of this format, or holds several tracks and none was selected.
+            The file has another format, or it holds several tracks and the user selects none.
         """
         Peek.of(path)
         try:
@@ -124,25 +128,14 @@ def safe(name: str) -> str:
     >>> safe("tail tip"), safe("/hip/value"), safe("2nd")
     ('tail_tip', 'hip_value', 'p2nd')
     """
-    words = "".join(c if c.isascii() and c.isalnum() else "_" for c in name).strip("_")
-    while "__" in words:
-        words = words.replace("__", "_")
-    return words if words[:1].isalpha() else f"p{words}"
-
-
-def choose(select: str | None, names: Sequence[str], what: str, path: Path) -> str:
-    """Return the track, topic or the like that the user selects, or the only one there is.
-
-    Raises
-    ------
-    InputError
-        It is not there, or none was selected and there are several.
-    """
-    return one_of(select, names, file=path, what=what, key="--select with")
+    words = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
+    if not words[:1].isalpha():
+        words = f"p{words}"
+    return words
 
 
 def length(unit: str | None, path: Path) -> tuple[float, str]:
-    """Return factor to SI and unit of lengths, "m" or "px".
+    """Return the factor to SI and the unit of lengths, "m" or "px".
 
     Raises
     ------
@@ -151,14 +144,18 @@ def length(unit: str | None, path: Path) -> tuple[float, str]:
     """
     factors = {"px": 1.0, **UNITS["length"]}
     name = canonical(unit or "")
+    hint = f"add --length-unit with one of: {', '.join(factors)}"
+    if not name:
+        raise InputError("states no unit of length", file=path, hint=hint)
     if name not in factors:
-        text = f"'{name}' is no unit of length" if name else "states no unit of length"
-        raise InputError(text, file=path, hint=f"add --length-unit with one of: {', '.join(factors)}")
-    return factors[name], "px" if name == "px" else "m"
+        raise InputError(f"'{name}' is no unit of length", file=path, hint=hint)
+    if name == "px":
+        return 1.0, "px"
+    return factors[name], "m"
 
 
 def axes(source: str, target: str, letters: str = "xyz", names: str = "") -> dict[str, str]:
-    """Return the names of the columns of a vector in the file, each with its name in the log.
+    """Return the names of the components of a vector in the file, each with its name in the log.
 
     >>> axes("Gyr{}", "w{}_rad_s", "XYZ", "xyz")
     {'GyrX': 'wx_rad_s', 'GyrY': 'wy_rad_s', 'GyrZ': 'wz_rad_s'}
@@ -176,17 +173,19 @@ def renamed(table: Table, names: Mapping[str, str]) -> dict[str, Array]:
 
 def rows(table: Table, kept: NDArray[np.bool_]) -> Table:
     """Return a table with some of its rows."""
-    lines = None if table.lines is None else table.lines[kept]
+    lines = table.lines
+    if lines is not None:
+        lines = lines[kept]
     return replace(table, columns={name: v[kept] for name, v in table.columns.items()}, lines=lines)
 
 
 def numbers(path: Path, start: int, delimiter: str, width: int) -> tuple[Array, NDArray[np.int64]]:
-    """Return the numbers below ``start`` lines, shape (n, width), and their lines; empty cells are NaN.
+    """Return the numbers below ``start`` lines, shape (n, width), and their lines; NaN for empty cells.
 
     Raises
     ------
     InputError
-        There is none.
+        There are no numbers.
     """
     import pandas as pd
 
@@ -199,7 +198,7 @@ def numbers(path: Path, start: int, delimiter: str, width: int) -> tuple[Array, 
 
 
 def _has_time(peek: Peek) -> bool:
-    """Return whether the first line that is no comment names ``t_s``."""
+    """Return whether the first line without a comment names ``t_s``."""
     header = next((line for line in peek.lines if line.strip() and not line.startswith("#")), "")
     return TIME in [cell.strip().strip('"') for cell in header.split(",")]
 
@@ -210,12 +209,12 @@ SWIMID = Profile("swimid", "log of swimid", _has_time, lambda path, select, leng
 
 @cache
 def known() -> dict[str, Profile]:
-    """Return every profile by its name."""
+    """Return the profiles by their names."""
     return {**discover(__name__, Profile), SWIMID.name: SWIMID}
 
 
 def find(path: Path, name: str | None = None) -> Profile | None:
-    """Return the profile of this name, or without a name the one that recognises the file; None if none does.
+    """Return the profile of a name, or without a name the one that recognises the file; None if none does.
 
     Raises
     ------

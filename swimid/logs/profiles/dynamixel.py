@@ -1,8 +1,8 @@
-"""Logs of Dynamixel servos (X series) with the names of the control table: Present Position, Goal Position,
-...
+"""Logs of Dynamixel servos (X series) with the names of the control table, as in Present Position.
 
-A turn has 4096 ticks and 2048 is the middle; velocities count 0.229 rev/min (ROBOTIS e-Manual, X series). The
-present position is the joint, the goal position its command. A number in the name is that of the servo.
+A turn has 4096 ticks, and 2048 is the middle. Velocities have the unit 0.229 rev/min (ROBOTIS e-Manual, X
+series). The present position is that of the joint, and the goal position is its command. A number in the name
+is that of the servo.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def _read(path: Path, select: str | None, length_unit: str | None) -> Table:
         hint = "its columns are named as in the control table: Present Position, Goal Position"
         raise InputError("has no position of a servo", file=path, hint=hint)
     servos = {name: int([*re.findall(r"\d+", name), "1"][0]) for name in fields}
-    # joints count from 1, in the order of the file; servos may have any number
+    # joints are numbered from 1 in the order of the file, servos arbitrarily
     numbers = list(dict.fromkeys(servos.values()))
     rows = len(table.columns[next(iter(fields))])
     columns = {"frame": np.arange(rows, dtype=float)}
@@ -53,7 +53,7 @@ def _read(path: Path, select: str | None, length_unit: str | None) -> Table:
         if is_text(table.columns[name]):
             raise InputError("holds text, not ticks", file=path, column=name)
         ticks = table.columns[name].astype(float)
-        stem = "joint" if hit["what"].lower() == "present" else "cmd"
+        stem = {"present": "joint", "goal": "cmd"}[hit["what"].lower()]
         joint = f"{stem}{numbers.index(servos[name]) + 1}"
         if hit["which"].lower() == "position":
             columns[f"{joint}_rad"] = (ticks - 2048) * 2 * np.pi / 4096

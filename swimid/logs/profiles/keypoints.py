@@ -1,9 +1,9 @@
 """Tracked points of pictures: tables of DeepLabCut, and analysis files of SLEAP.
 
-A table of DeepLabCut (CSV, HDF5) has one row a frame, and x, y and likelihood of each body part; its columns
-have the levels scorer, (individuals,) bodyparts, coords. SLEAP writes HDF5 (``tracks``: tracks, x and y,
-nodes, frames) and CSV (``node.x``, ``node.y``). Coordinates are pixels with the origin in the upper left
-corner and y down; here y points up. Neither states a frame rate.
+A table of DeepLabCut (CSV, HDF5) has one row per frame, and x, y and likelihood of each body part. Its
+columns have the levels scorer, (individuals,) bodyparts, coords. SLEAP writes HDF5 (``tracks``: tracks, x and
+y, nodes, frames) and CSV (``node.x``, ``node.y``). Coordinates are pixels from the upper left corner with y
+down, and are turned to y up. Neither format states a frame rate.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from pathlib import Path
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs.foreign import Table, is_text, open_table
-from swimid.logs.profiles import Array, Peek, Profile, choose, rows, safe
+from swimid.logs.foreign import Table, choose, is_text, open_table
+from swimid.logs.profiles import Array, Peek, Profile, rows, safe
 
 _LEVELS = ("scorer", "individuals", "bodyparts", "coords")
 _CELL = re.compile(r"(?!instance\.).+\.(x|y|score)")
 
 
 def points(found: Mapping[str, Array]) -> dict[str, Array]:
-    """Return columns of tracked points, named as in the log: pixels with y turned up, and likelihoods.
+    """Return the columns of tracked points, named as in the log: pixels with y up, and likelihoods.
 
     >>> points({"tail tip.y": np.array([2.0]), "tail tip.score": np.array([0.9])})
     {'tail_tip_y_px': array([-2.]), 'tail_tip_score': array([0.9])}
@@ -32,8 +32,11 @@ def points(found: Mapping[str, Array]) -> dict[str, Array]:
     columns: dict[str, Array] = {}
     for name, values in found.items():
         point, _, what = name.rpartition(".")
-        unit = "" if what in ("likelihood", "score") else "_px"
-        columns[f"{safe(point)}_{what}{unit}"] = -values if what == "y" else values
+        if what == "y":
+            values = -values
+        if what not in ("likelihood", "score"):
+            what += "_px"
+        columns[f"{safe(point)}_{what}"] = values
     return columns
 
 
@@ -78,7 +81,9 @@ def _is_sleap(peek: Peek) -> bool:
 
 
 def _read_sleap(path: Path, select: str | None, length_unit: str | None) -> Table:
-    return _of_text(path, select) if Peek.of(path).lines else _of_hdf5(path, select)
+    if Peek.of(path).lines:
+        return _of_text(path, select)
+    return _of_hdf5(path, select)
 
 
 def _of_text(path: Path, select: str | None) -> Table:
