@@ -1,4 +1,4 @@
-"""``swimid import``: turn logs of other programs into logs of the pinned format."""
+"""``swimid import``: logs of other programs in the log format."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class Imported(Logged):
 
     Attributes
     ----------
-    examined : Examined
-        Rows in order, jumps and speed of the track, and the stroke; None for a result read from a file.
+    examined : Examined or None
+        Order of the rows, jumps and speed of the track, and the stroke; None for a result read from a file.
     progress : Progress
         Shows the writing.
     """
@@ -61,17 +61,17 @@ def import_log(
     """Turn a foreign recording into a log in SI units, with its rows in order and its jumps removed.
 
     A profile reads a file of a known format. For any other file a mapping, which may be a dict, says which
-    source column becomes which column of the log, and in which unit it was written; without one the columns
-    must be named as in the log format. Repeats and jumps are removed from logs with two or more position
-    columns, except from tracks made by swimid.
+    source column becomes which column of the log, and in which unit it was written. Without a mapping the
+    columns must be named as in the log format. Repeats and jumps are removed from logs with two or more
+    position columns, except from tracks made by swimid.
 
     Parameters
     ----------
     source : path, DataFrame or Log
-        A file of any format in ``docs/import.md``; or a table, shape (n, k), one row a sample.
+        A file of any format in ``docs/import.md``; or a table, shape (n, k), one row per sample.
     output : path, optional
-        The log, CSV or Parquet by its ending, with ``<stem>.evidence.json`` beside it. Without it nothing is
-        written; :meth:`~swimid.results.result.Result.save` writes the same later.
+        Path of the log, CSV or Parquet by its ending; ``<stem>.evidence.json`` is written beside it. Without
+        it nothing is written, and :meth:`~swimid.results.result.Result.save` writes both later.
     progress : Progress
         Shows reading and writing.
 
@@ -86,7 +86,7 @@ def import_log(
     InputError
         The source or the mapping cannot be used, or states no time; names file, line and column.
     NoTrustworthyResult
-        A cleaned track has hardly a sample left.
+        Too few samples of a cleaned track are left.
     UsageError
         The output is the source.
 
@@ -107,20 +107,26 @@ def import_log(
     (['t_s', 'yaw_rad'], 1.5)
     """
     given, map_path = log.unread(source), options.map_path
-    rules = None if map_path is None else mapping.of(map_path)
     inputs: list[provenance.Input] = [given]
-    if rules is not None:
-        inputs.append(map_path if isinstance(map_path, str | Path) else rules)
+    rules = None
+    if map_path is not None:
+        rules = mapping.of(map_path)
+        if isinstance(map_path, str | Path):
+            inputs.append(map_path)
+        else:
+            inputs.append(rules)
     if output is not None:
         output = atomic.check_writable(output, inputs=inputs)
     with recorded(repeat=True) as notices, ThreadPoolExecutor(1) as beside:
-        # hash a long file while it is read
+        # a long file is hashed while it is read
         digests = beside.submit(provenance.digests_of, inputs)
         read = mapping.apply(rules, given, options.stated, progress=progress)
         found = examine(read, options)
         settings = options.settings(clean=found.cleaned)
         origin = provenance.collect(inputs, settings=settings, digests=digests.result())
-        name = f"{found.path.stem}.csv" if output is None else output.name
+        name = f"{found.path.stem}.csv"
+        if output is not None:
+            name = output.name
         made = Log(Path(name), found.metadata, found.columns, None)
         proof = _evidence(found, origin, notices)
     data = _data(found, proof)
@@ -145,22 +151,22 @@ def import_logs(
     files : sequence of paths
         At least one.
     output : path
-        The log, CSV or Parquet by its ending; for several files a folder, which is made.
+        Path of the log, CSV or Parquet by its ending; for several files a folder, which is made.
 
     Raises
     ------
     InputError
-        The mapping cannot be used; or, after all other files were imported, files that could not be.
+        The mapping cannot be used, or some files cannot be imported; then all others were imported before.
     NoTrustworthyResult
-        The only file is a track with hardly a sample left.
+        The only file is a track of which too few samples are left.
     UsageError
-        No file is named, or two would be written to one.
+        No file is named, or two files would be written to one.
     """
     if not files:
         raise UsageError("name at least one log to import")
     paths = list(dict.fromkeys(Path(file) for file in files))
     if options.map_path is not None:
-        mapping.of(options.map_path)  # refuse it before any file is read
+        mapping.of(options.map_path)  # an invalid mapping is refused before any file is read
     done: list[Imported] = []
     failed: list[InputError | NoTrustworthyResult] = []
     for path, target in zip(paths, destinations(paths, Path(output)), strict=True):
@@ -171,9 +177,13 @@ def import_logs(
                 raise
             failed.append(error)
     if failed:
-        listed = "\n  ".join(f"{error}" + (f" ({error.hint})" if error.hint else "") for error in failed)
+        listed = ""
+        for error in failed:
+            listed += f"\n  {error}"
+            if error.hint:
+                listed += f" ({error.hint})"
         written = ", ".join(str(outcome.outputs[0]) for outcome in done) or "none"
-        text = f"{len(failed)} of {len(paths)} logs cannot be imported:\n  {listed}"
+        text = f"{len(failed)} of {len(paths)} logs cannot be imported:{listed}"
         raise InputError(text, hint=f"the others were written: {written}")
     if len(done) == 1:
         return done[0]
@@ -183,12 +193,12 @@ def import_logs(
 
 
 def destinations(paths: Sequence[Path], output: Path) -> list[Path]:
-    """Return where each log goes: the file that was named, or a file in the folder that was named.
+    """Return the path of each imported log: the named file, or a file in the named folder, which is made.
 
     Raises
     ------
     UsageError
-        There are several logs and one file to write them to, or two would have one name.
+        Several logs would be written to one file.
     """
     if len(paths) == 1 and not output.is_dir() and not str(output).endswith("/"):
         atomic.check_writable(output, inputs=tuple(paths))
@@ -198,10 +208,10 @@ def destinations(paths: Sequence[Path], output: Path) -> list[Path]:
         raise UsageError(text, hint="name a folder with -o")
     atomic.check_writable(output.parent / "x")
     output.mkdir(exist_ok=True)
-    stems = Counter(path.stem for path in paths)
-    names = [
-        path.stem if stems[path.stem] == 1 else f"{path.resolve().parent.name}-{path.stem}" for path in paths
-    ]
+    names = [path.stem for path in paths]
+    for k, path in enumerate(paths):
+        if [other.stem for other in paths].count(path.stem) > 1:
+            names[k] = f"{path.resolve().parent.name}-{path.stem}"
     # some file systems ignore capitals
     folded = Counter(name.casefold() for name in names)
     twice = [name for name in names if folded[name.casefold()] > 1]
