@@ -201,9 +201,7 @@ def _parsed(
 
     # whole numbers beside a text are written without a decimal point
     columns = [pd.Series(part).convert_dtypes().astype("string").str.strip() for part in parts]
-    cells = columns[0]
-    if len(columns) > 1:
-        cells = cells.str.cat(columns[1:], sep=" ")
+    cells = columns[0].str.cat(columns[1:], sep=" ") if columns[1:] else columns[0]
     plain = cells.str.replace(",", ".", regex=False)
     of_day = plain.str.fullmatch(_TIME_OF_DAY)
     if time.format is not None:
@@ -217,9 +215,7 @@ def _parsed(
                 text = f"'{cells[cells.notna()].iloc[0]}' may have the day or the month first"
                 hint = "add 'day_first: true' (or false) to 'time:' of the mapping"
                 raise InputError(text, file=path, column=names[0], hint=hint)
-            iso = r"\3-\1-\2 "
-            if time.day_first:
-                iso = r"\3-\2-\1 "
+            iso = r"\3-\2-\1 " if time.day_first else r"\3-\1-\2 "
             plain = plain.str.replace(_DATE, iso, regex=True).str.strip()
         stamps = pd.to_datetime(plain, errors="coerce", format="ISO8601", utc=True)
     bad = (cells.notna() & stamps.isna()).to_numpy(dtype=bool)

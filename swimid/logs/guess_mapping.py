@@ -108,9 +108,7 @@ def guess_mapping(source: LogLike, *, output: str | Path | None = None) -> Draft
     """
     given = log.unread(source)
     path = path_of(given)
-    profile = None
-    if isinstance(given, Path):
-        profile = profiles.find(path)
+    profile = profiles.find(path) if isinstance(given, Path) else None
     if profile is not None and profile.name != "swimid":
         lines = _of_profile(profile, path)
     else:
@@ -120,9 +118,7 @@ def guess_mapping(source: LogLike, *, output: str | Path | None = None) -> Draft
     data = {"file": str(path), "mapping": text, "open": asked}
     if output is None:
         return Draft("import", text.rstrip("\n"), data, document=text)
-    todo = "look at every line"
-    if asked:
-        todo = f"answer the {asked} lines with {ASK}"
+    todo = f"answer the {asked} lines with {ASK}" if asked else "look at every line"
     told = f"{path.name}: mapping drafted; {todo}, then swimid import {path.name} --map {output} -o run.csv"
     return Draft("import", told, data, document=text).save(output)
 
@@ -247,9 +243,7 @@ def _target(bare: str, unit: str | None) -> str | None:
         if hit is not None:
             wanted = target.format(**hit.groupdict())
             fitting = units.UNITS.get(units.measured(wanted) or "", {})
-            if unit is None or unit in fitting:
-                return wanted
-            return None
+            return wanted if unit is None or unit in fitting else None
     if unit is None or bare == "":
         return None
     # the unit of a word states its quantity if no other quantity has that unit

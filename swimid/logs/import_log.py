@@ -107,14 +107,10 @@ def import_log(
     (['t_s', 'yaw_rad'], 1.5)
     """
     given, map_path = log.unread(source), options.map_path
+    rules = None if map_path is None else mapping.of(map_path)
     inputs: list[provenance.Input] = [given]
-    rules = None
-    if map_path is not None:
-        rules = mapping.of(map_path)
-        if isinstance(map_path, str | Path):
-            inputs.append(map_path)
-        else:
-            inputs.append(rules)
+    if rules is not None:
+        inputs.append(map_path if isinstance(map_path, str | Path) else rules)
     if output is not None:
         output = atomic.check_writable(output, inputs=inputs)
     with recorded(repeat=True) as notices, ThreadPoolExecutor(1) as beside:
@@ -124,9 +120,7 @@ def import_log(
         found = examine(read, options)
         settings = options.settings(clean=found.cleaned)
         origin = provenance.collect(inputs, settings=settings, digests=digests.result())
-        name = f"{found.path.stem}.csv"
-        if output is not None:
-            name = output.name
+        name = f"{found.path.stem}.csv" if output is None else output.name
         made = Log(Path(name), found.metadata, found.columns, None)
         proof = _evidence(found, origin, notices)
     data = _data(found, proof)
@@ -245,9 +239,6 @@ REFERENCES = [
 def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]) -> Evidence:
     """Assemble the evidence of a log."""
     checks = [*_amount_checks(found), *_value_checks(found), *_track_checks(found), *_stroke_checks(found)]
-    references = []
-    if found.cleaning is not None:
-        references = REFERENCES
     with recorded(repeat=True) as drawn:
         shown = figures_of([Log(found.path, {}, found.columns)], found=found.stroke)
     return Evidence(
@@ -260,7 +251,7 @@ def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]
         figures=shown,
         notices=blocks.notices([*notices, *drawn]),
         methods=_methods(found),
-        references=references,
+        references=[] if found.cleaning is None else REFERENCES,
         provenance=origin,
     )
 
@@ -282,14 +273,9 @@ def _check(
     """
     if passed and not made:
         return check(name, "not judged", None, limit, "no channel allows it, or the samples are too few")
-    if passed:
-        return check(name, value or limit, True, limit, reason=reason)
-    text, otherwise = reason, "warn"
-    if value in reason:
-        text = ""
-    if fails:
-        otherwise = "fail"
-    return check(name, value or reason, False, limit, text, otherwise=otherwise, reason=reason)
+    text = "" if passed or value in reason else reason
+    value = value or (limit if passed else reason)
+    return check(name, value, passed, limit, text, otherwise="fail" if fails else "warn", reason=reason)
 
 
 def _amount_checks(found: Examined) -> list[Check]:

@@ -235,9 +235,7 @@ def apply(
         stated["time"] = Time(rate_hz=rate)
     rules = rules.model_copy(update=stated)
     with progress(f"reading {path.name}", total=1) as step:
-        profile, select = None, rules.select
-        if select is not None:
-            select = str(select)
+        profile, select = None, None if rules.select is None else str(rules.select)
         if rules.profile is not None and isinstance(given, Log):
             rules.profile = ""
         elif rules.profile is not None:
@@ -291,9 +289,7 @@ def _mapped(mapping: Mapping, table: Table, path: Path) -> MappedLog:
         found |= dict(zip(AXES, q.T, strict=True))
     if time is not None and time.frame is None and time.sources:
         notes += _contradicted(table, table.column(time.sources[0], path))
-    lines = table.lines
-    if lines is None:
-        lines = np.arange(1, rows + 1, dtype=np.int64)
+    lines = np.arange(1, rows + 1, dtype=np.int64) if table.lines is None else table.lines
     known = written_by(metadata, "swimid")
     return MappedLog(
         path,
@@ -325,9 +321,7 @@ def _with_unit(column: Column, stated: str | None, notes: list[str]) -> Column:
 
 def _short(value: Any) -> Any:
     """Return the first line of a remark; any other value is returned unchanged."""
-    if isinstance(value, str):
-        return value.strip().partition("\n")[0][:120]
-    return value
+    return value.strip().partition("\n")[0][:120] if isinstance(value, str) else value
 
 
 def _identity(table: Table, path: Path, metadata: dict[str, Any]) -> list[Column]:
@@ -408,9 +402,7 @@ def _numbers(table: Table, name: str, missing: Sequence[float | str], path: Path
             raise InputError(text, file=path, column=name, hint=hint, **table.place(row))
     numbers = values.astype(float, copy=False)
     marks = [mark for mark in missing if isinstance(mark, int | float)]
-    if marks:
-        return np.where(np.isin(numbers, marks), np.nan, numbers)
-    return numbers
+    return np.where(np.isin(numbers, marks), np.nan, numbers) if marks else numbers
 
 
 def _contradicted(table: Table, name: str) -> list[str]:

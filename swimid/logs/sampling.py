@@ -314,9 +314,7 @@ def rounding(values: Sequence[float] | np.ndarray) -> float:
         return 0.0
     step = quantum(x)
     many = len(np.unique(x)) >= max(LEVELS, LEVEL_SHARE * len(x))
-    if many or step <= FINE * np.ptp(x):
-        return step
-    return 0.0
+    return step if many or step <= FINE * np.ptp(x) else 0.0
 
 
 def has_levels(values: np.ndarray) -> bool:
@@ -347,9 +345,7 @@ def step_of(values: np.ndarray) -> float | None:
     if count[-1] > 0:
         # the whole range gives more digits
         step = float((values[-1] - values[0]) / count[-1])
-    if np.max(np.abs((values - values[0]) / step - count)) < 0.02:
-        return step
-    return None
+    return step if np.max(np.abs((values - values[0]) / step - count)) < 0.02 else None
 
 
 def quantum(values: Sequence[float] | np.ndarray) -> float:

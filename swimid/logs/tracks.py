@@ -307,9 +307,8 @@ def net_speed(
         return None
     first, last = float(time_s[0]), float(time_s[-1])
     duration = last - first
-    end_s, near_hz = END_SHARE * duration, [frequency_hz]
-    if frequency_hz is not None:
-        end_s = END_CYCLES / frequency_hz
+    end_s = END_SHARE * duration if frequency_hz is None else END_CYCLES / frequency_hz
+    near_hz = [frequency_hz]
     if 2.0 * end_s > duration:
         if frequency_hz is not None:
             near_hz = [frequency_hz + part / duration for part in np.linspace(-0.1, 0.1, 9)]

@@ -102,9 +102,7 @@ class Table:
 
     def place(self, row: int) -> dict[str, int]:
         """Return the place of a row for an :class:`InputError`: its line, or its row from 1."""
-        if self.lines is None:
-            return {"row": row + 1}
-        return {"line": int(self.lines[row])}
+        return {"row": row + 1} if self.lines is None else {"line": int(self.lines[row])}
 
 
 @dataclass(frozen=True)

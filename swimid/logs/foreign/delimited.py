@@ -180,9 +180,7 @@ def _decimal(table: list[list[str]], delimiter: str) -> str:
     cells = [cell for row in table for cell in row]
     commas = sum(bool(_COMMA.fullmatch(cell)) for cell in cells)
     dots = sum(number(cell) is not None and "." in cell for cell in cells)
-    if commas > dots and delimiter != ",":
-        return ","
-    return "."
+    return "," if commas > dots and delimiter != "," else "."
 
 
 def _value(cell: str, decimal: str) -> float | None:

@@ -129,9 +129,7 @@ def safe(name: str) -> str:
     ('tail_tip', 'hip_value', 'p2nd')
     """
     words = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
-    if not words[:1].isalpha():
-        words = f"p{words}"
-    return words
+    return words if words[:1].isalpha() else f"p{words}"
 
 
 def length(unit: str | None, path: Path) -> tuple[float, str]:
@@ -149,9 +147,7 @@ def length(unit: str | None, path: Path) -> tuple[float, str]:
         raise InputError("states no unit of length", file=path, hint=hint)
     if name not in factors:
         raise InputError(f"'{name}' is no unit of length", file=path, hint=hint)
-    if name == "px":
-        return 1.0, "px"
-    return factors[name], "m"
+    return factors[name], name if name == "px" else "m"
 
 
 def axes(source: str, target: str, letters: str = "xyz", names: str = "") -> dict[str, str]:
@@ -173,9 +169,7 @@ def renamed(table: Table, names: Mapping[str, str]) -> dict[str, Array]:
 
 def rows(table: Table, kept: NDArray[np.bool_]) -> Table:
     """Return a table with some of its rows."""
-    lines = table.lines
-    if lines is not None:
-        lines = lines[kept]
+    lines = None if table.lines is None else table.lines[kept]
     return replace(table, columns={name: v[kept] for name, v in table.columns.items()}, lines=lines)
 
 

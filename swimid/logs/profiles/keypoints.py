@@ -81,9 +81,7 @@ def _is_sleap(peek: Peek) -> bool:
 
 
 def _read_sleap(path: Path, select: str | None, length_unit: str | None) -> Table:
-    if Peek.of(path).lines:
-        return _of_text(path, select)
-    return _of_hdf5(path, select)
+    return _of_text(path, select) if Peek.of(path).lines else _of_hdf5(path, select)
 
 
 def _of_text(path: Path, select: str | None) -> Table:

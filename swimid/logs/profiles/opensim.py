@@ -71,9 +71,7 @@ def _motion(lines: list[str], path: Path) -> Table:
         hint = "add the line inDegrees=yes or inDegrees=no above 'endheader'"
         raise InputError("states no 'inDegrees'", file=path, line=end + 1, hint=hint)
     # the cells of a storage are separated by tabs, or aligned by blanks
-    delimiter = r"\s+"
-    if "\t" in lines[end + 2]:
-        delimiter = "\t"
+    delimiter = "\t" if "\t" in lines[end + 2] else r"\s+"
     values, at = numbers(path, end + 2, delimiter, len(names))
     columns: dict[str, Array] = {TIME: values[:, 0]}
     has_coordinates = path.suffix.lower() == ".mot" or "coordinates" in head[0]
