@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from swimid.logs import log, mapping, units
-from swimid.logs.foreign import Options, open_table, readers
+from swimid.logs.foreign import formats, open_table
 from tests.conftest import ROOT, Ran
 
 Run = Callable[..., Ran]
@@ -193,7 +193,7 @@ def test_cells_of_one_length_are_columns(
     make: Callable[[Path], None], kind: str | None, tmp_path: Path
 ) -> None:
     make(tmp_path / "a.mat")
-    table = open_table(tmp_path / "a.mat", Options(kind=kind))
+    table = open_table(tmp_path / "a.mat", kind=kind)
     assert list(table.columns) == ["run.cells{1}", "run.cells{2}"]
     assert np.array_equal(table.columns["run.cells{1}"], TIME_MS)
     assert np.array_equal(table.columns["run.cells{2}"], YAW_DEG)
@@ -201,7 +201,8 @@ def test_cells_of_one_length_are_columns(
 
 
 def test_every_reader_is_tried() -> None:
-    assert set(readers()) == {"delimited", "mat", "hdf5", "parquet", "jsonl", "mcap", "ulog"}
+    plain = {name for name, found in formats().items() if found.recognises is None}
+    assert plain == {"delimited", "mat", "hdf5", "parquet", "jsonl", "mcap", "ulog"}
 
 
 def test_layout_with_a_preamble_units_and_a_cut_last_line(tmp_path: Path) -> None:

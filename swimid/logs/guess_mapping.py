@@ -14,9 +14,9 @@ import numpy as np
 from swimid.errors import InputError
 from swimid.files import atomic, provenance, yamlio
 from swimid.files.provenance import path_of
-from swimid.logs import clock, log, mapping, profiles, units
+from swimid.logs import clock, log, mapping, units
 from swimid.logs.clock import ASK
-from swimid.logs.foreign import Table, is_text, open_table
+from swimid.logs.foreign import Format, Table, find_format, is_text, open_table
 from swimid.logs.log import TIME, LogLike
 from swimid.logs.mapping import Mapping
 from swimid.results.result import Result
@@ -108,9 +108,9 @@ def guess_mapping(source: LogLike, *, output: str | Path | None = None) -> Draft
     """
     given = log.unread(source)
     path = path_of(given)
-    profile = profiles.find(path) if isinstance(given, Path) else None
-    if profile is not None and profile.name != "swimid":
-        lines = _of_profile(profile, path)
+    found = find_format(path, "") if isinstance(given, Path) else None
+    if found is not None and found.recognises is not None and found.name != "swimid":
+        lines = _of_profile(found, path)
     else:
         lines = _of_names(path.name, open_table(given))
     asked = sum(ASK in line.partition("#")[0] for line in lines)
@@ -123,7 +123,7 @@ def guess_mapping(source: LogLike, *, output: str | Path | None = None) -> Draft
     return Draft("import", told, data, document=text).save(output)
 
 
-def _of_profile(profile: profiles.Profile, path: Path) -> list[str]:
+def _of_profile(profile: Format, path: Path) -> list[str]:
     """Return the lines of the draft for a file of a known format."""
     lines = [
         f"# Drafted from {path.name} ({profile.title}) by swimid import --guess.",
@@ -131,7 +131,7 @@ def _of_profile(profile: profiles.Profile, path: Path) -> list[str]:
         f"as: {profile.name}",
     ]
     try:
-        table = profile.table(path)
+        table = open_table(path, kind=profile.name)
     except InputError as error:
         return [*lines, _line("select", ASK, f"{error}; {error.hint or ''}")]
     lines += [f"# {note}" for note in table.notes]

@@ -21,7 +21,7 @@ from swimid.errors import InputError
 from swimid.files import yamlio
 from swimid.files.provenance import path_of
 from swimid.files.tabular import number_hint
-from swimid.logs import clock, profiles, units
+from swimid.logs import clock, units
 from swimid.logs.clock import ColumnKey, Stated, Time
 from swimid.logs.foreign import Options, Table, is_text, open_table
 from swimid.logs.log import TIME, Log, metadata_of, written_by
@@ -96,12 +96,10 @@ class Mapping(Stated):
     """A mapping file."""
 
     format: Literal["swimid-mapping/1"]
-    #: Name of a profile, for a file of a known format.
+    #: Name of the format. That of a profile names the columns, too.
     profile: str | None = Field(default=None, alias="as")
     #: Track, individual, topic, message type, struct or group to take, if the file holds several.
     select: str | int | None = None
-    #: Unit of lengths, for a profile whose file states none.
-    length_unit: str | None = None
     #: A tracked point with a likelihood below this is left empty.
     min_likelihood: Annotated[float, Field(ge=0, le=1)] = MIN_LIKELIHOOD
     reader: Options = Options()
@@ -233,18 +231,12 @@ def apply(
     rate = stated.pop("rate_hz", None)
     if rate is not None and rules.time is None:
         stated["time"] = Time(rate_hz=rate)
+    unit = stated.pop("length_unit", rules.reader.length_unit)
+    stated["reader"] = rules.reader.model_copy(update={"length_unit": unit})
     rules = rules.model_copy(update=stated)
     with progress(f"reading {path.name}", total=1) as step:
-        profile, select = None, None if rules.select is None else str(rules.select)
-        if rules.profile is not None and isinstance(given, Log):
-            rules.profile = ""
-        elif rules.profile is not None:
-            profile = profiles.find(path, rules.profile)
-        if profile is None:
-            table = open_table(given, rules.reader, select)
-        else:
-            rules.profile = profile.name
-            table = profile.table(path, select, rules.length_unit)
+        select = None if rules.select is None else str(rules.select)
+        table = open_table(given, rules.reader, select, rules.profile)
         step(1)
     return _mapped(rules, table, path)
 
@@ -299,7 +291,7 @@ def _mapped(mapping: Mapping, table: Table, path: Path) -> MappedLog:
         notes,
         {column.target: (str(column.source), column.scale, column.offset) for column in columns},
         [column.target for column in columns if not (known or column.is_known)],
-        mapping.profile or "",
+        table.profile,
         unlikely,
         clock.wrap_hint(found[TIME], time),
     )

@@ -1,17 +1,20 @@
-"""Readers of file formats: a :class:`Reader` turns a file into a :class:`Table`.
+"""Readers of file formats: a :class:`Format` turns a file into a :class:`Table`.
 
-All readers in the modules of this package are found automatically. A new format is one new module.
+All formats in the modules of this package and of ``profiles`` are found automatically. A new one is one new
+module.
 """
 
 from __future__ import annotations
 
+import codecs
+import contextlib
 import importlib
 import pkgutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property
 from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -20,7 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from swimid.errors import InputError, extra_needed, file_errors, first_line, suggestion
+from swimid.errors import (
+    InputError,
+    extra_needed,
+    file_errors,
+    first_line,
+    in_words_of_the_caller,
+    suggestion,
+)
 from swimid.files import yamlio
 from swimid.logs import log
 from swimid.logs.log import Log
@@ -32,8 +42,6 @@ MAX_ELEMENTS = 100
 class Options(yamlio.Document):
     """Layout of a file that the file itself does not state (``reader:`` of a mapping)."""
 
-    #: Name of the format, if neither ending nor content shows it.
-    kind: str | None = None
     #: Delimiter of a text file: one character, ``tab`` or ``whitespace``.
     delimiter: Annotated[str, Field(pattern=r"^([ !#-~\t]|tab|whitespace)$")] | None = None
     #: Whether a line of names stands above the samples.
@@ -46,6 +54,8 @@ class Options(yamlio.Document):
     comment: Annotated[str, Field(min_length=1, max_length=4)] = "#"
     decimal: Literal[".", ","] | None = None
     encoding: str | None = None
+    #: Unit of lengths in a file that states none.
+    length_unit: str | None = None
 
 
 @dataclass(eq=False)
@@ -69,6 +79,8 @@ class Table:
         Comment lines, without their mark.
     lines : ndarray of int, shape (n,), or None
         Line of the file of each row, from 1; None for a file without lines.
+    profile : str
+        Name of the profile that read the file; empty without one.
     """
 
     columns: dict[str, NDArray[Any]]
@@ -78,6 +90,7 @@ class Table:
     notes: list[str] = field(default_factory=list)
     comments: list[str] = field(default_factory=list)
     lines: NDArray[np.int64] | None = None
+    profile: str = ""
 
     def column(self, key: str | int, path: Path) -> str:
         """Return the name of a column that is given by its name, or by its number from 1.
@@ -106,20 +119,70 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Reader:
-    """One file format.
+class Peek:
+    """Beginning of a file, by which a profile recognises its format."""
+
+    path: Path
+    head: bytes
+
+    @classmethod
+    def of(cls, path: Path) -> Peek:
+        """Read the beginning of a file.
+
+        Raises
+        ------
+        InputError
+            The file cannot be read.
+        """
+        return cls(path, first_bytes(path, 1 << 14))
+
+    @cached_property
+    def lines(self) -> list[str]:
+        """The first lines of a text file; empty for any other file."""
+        try:
+            text = codecs.getincrementaldecoder("utf-8-sig")().decode(self.head)
+        except UnicodeDecodeError:
+            return []
+        if "\x00" in text:
+            return []
+        return [line.rstrip("\r") for line in text.split("\n")]
+
+    @cached_property
+    def header(self) -> list[str]:
+        """The cells of the first line, separated by commas, without blanks around them."""
+        return [cell.strip().strip('"') for cell in (self.lines or [""])[0].split(",")]
+
+    def holds(self, *names: str) -> bool:
+        """Return whether the file is HDF5 and has data sets or groups of these names."""
+        if self.head.startswith(b"\x89HDF"):
+            # if h5py is missing, the reader of HDF5 names the extra to install
+            with contextlib.suppress(OSError, ImportError):
+                import h5py
+
+                with h5py.File(self.path, "r") as file:
+                    return all(name in file for name in names)
+        return False
+
+
+@dataclass(frozen=True)
+class Format:
+    """One file format. A format with ``recognises`` is a profile.
 
     Attributes
     ----------
     name : str
-        Name for ``reader: {kind: name}``.
+        Name for ``--as``.
     title : str
         Name of the format in messages.
+    open : callable
+        ``open(path, options, select) -> Table``. ``select`` is the track, topic, struct or the like to take;
+        None if the user names none. :func:`reading` turns the exceptions of a library into an
+        :class:`InputError`.
+    recognises : callable, optional
+        ``recognises(peek) -> bool``: whether the content of a file is known, so that the columns are named as
+        in the log format. Without it the first bytes or the ending show the format.
     endings : tuple of str
         File endings of this format, with their dot.
-    open : callable
-        ``open(path, options, select) -> Table``. ``select`` is the topic, struct or group to take; None if
-        the user names none. :func:`reading` turns the exceptions of a library into an :class:`InputError`.
     magic : tuple of bytes
         First bytes of such a file. They take precedence over the ending.
     extra : str
@@ -128,18 +191,11 @@ class Reader:
 
     name: str
     title: str
-    endings: tuple[str, ...]
     open: Callable[[Path, Options, str | None], Table]
+    recognises: Callable[[Peek], bool] | None = None
+    endings: tuple[str, ...] = ()
     magic: tuple[bytes, ...] = ()
     extra: str = ""
-
-
-def discover(package: str, kind: Any) -> dict[str, Any]:
-    """Return the objects of the class ``kind`` in the modules of a package, by their ``name``."""
-    entries = pkgutil.iter_modules(importlib.import_module(package).__path__)
-    modules = [importlib.import_module(f"{package}.{entry.name}") for entry in entries]
-    objects: list[Any] = [value for module in modules for value in vars(module).values()]
-    return {one.name: one for one in objects if isinstance(one, kind)}
 
 
 def is_text(values: NDArray[Any]) -> bool:
@@ -267,48 +323,79 @@ def of_tree(content: Any, select: str | None, path: Path, parts: Callable[[Any],
 
 
 @cache
-def readers() -> dict[str, Reader]:
-    """Return the reader of each file format by its name."""
-    return discover(__name__, Reader)
+def formats() -> dict[str, Format]:
+    """Return the formats in the modules of ``profiles`` and ``foreign`` by their names."""
+    packages = [importlib.import_module(f"swimid.logs.{name}") for name in ("profiles", "foreign")]
+    entries = [
+        entry
+        for package in packages
+        for entry in pkgutil.iter_modules(package.__path__, f"{package.__name__}.")
+    ]
+    objects: list[Any] = []
+    for entry in entries:
+        objects += vars(importlib.import_module(entry.name)).values()
+    return {one.name: one for one in objects if isinstance(one, Format)}
 
 
-def reader_of(path: Path, options: Options) -> Reader:
-    """Return the reader of a file: the stated one, or that of its first bytes, or that of its ending.
+def find_format(path: Path, name: str | None) -> Format:
+    """Return the format of a name, or the format of a file.
+
+    Without a name it is the profile that recognises the content of the file, else that of its first bytes,
+    else that of its ending. No profile is considered if the name is None.
 
     Raises
     ------
     InputError
-        The file cannot be read, or there is no such format.
+        The file cannot be read or is empty, or there is no such format.
     """
-    known, head = readers(), first_bytes(path, 512)
-    if not head:
+    known, peek = formats(), Peek.of(path)
+    if not peek.head:
         raise InputError("is empty", file=path)
-    if options.kind is None:
-        begins = [r for r in known.values() if r.magic and head.startswith(r.magic)]
-        ends = [r for r in known.values() if path.suffix.lower() in r.endings]
-        return [*begins, *ends, known["delimited"]][0]
-    if options.kind not in known:
-        hint = suggestion(options.kind, list(known))
-        raise InputError(f"there is no reader '{options.kind}'", file=path, hint=hint)
-    return known[options.kind]
+    if name:
+        if name not in known:
+            hint = suggestion(name, list(known))
+            raise InputError(f"there is no format '{name}'", file=path, hint=hint)
+        return known[name]
+    begins = [one for one in known.values() if one.magic and peek.head.startswith(one.magic)]
+    ends = [one for one in known.values() if path.suffix.lower() in one.endings]
+    for one in known.values():
+        fits = one in begins or not one.magic
+        if name is not None and one.recognises is not None and fits and one.recognises(peek):
+            return one
+    plain = [one for one in [*begins, *ends] if one.recognises is None]
+    return [*plain, known["delimited"]][0]
 
 
-def open_table(given: str | Path | Log, options: Options | None = None, select: str | None = None) -> Table:
+def open_table(
+    given: str | Path | Log,
+    options: Options | None = None,
+    select: str | None = None,
+    kind: str | None = None,
+) -> Table:
     """Return a file, or a log in memory, as a table.
 
-    ``select`` is the topic, struct or group to take, if the file holds several.
+    ``select`` is the track, topic, struct or the like to take, if the file holds several. ``kind`` is the
+    name of a format as of :func:`find_format`.
 
     Raises
     ------
     InputError
-        The file cannot be read, or its reader needs an extra that is not installed.
+        The file cannot be read, or its format needs an extra that is not installed.
     """
     if isinstance(given, Log):
         return Table(dict(given.columns), comments=yamlio.dumps_flat(given.metadata).splitlines())
-    path, options = Path(given), options or Options()
-    reader = reader_of(path, options)
-    with reading(path, reader.title, reader.extra):
-        table = reader.open(path, options, select)
+    path = Path(given)
+    found = find_format(path, kind)
+    try:
+        with reading(path, found.title, found.extra):
+            table = found.open(path, options or Options(), select)
+    except InputError as error:
+        if error.hint is None and found.recognises is not None:
+            hint = f"the file is read as a {found.title}; --as names another format"
+            error.hint = in_words_of_the_caller(hint)
+        raise
     if not table.columns:
         raise InputError("holds no samples", file=path)
+    if found.recognises is not None:
+        table.profile = found.name
     return table

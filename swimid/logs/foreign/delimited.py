@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from swimid.errors import InputError
 from swimid.files.tabular import MISSING, count_cells, number, parse
 from swimid.logs import units
-from swimid.logs.foreign import Options, Reader, Table
+from swimid.logs.foreign import Format, Options, Peek, Table
+from swimid.logs.log import TIME
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -119,7 +120,7 @@ def _read_utf8(path: Path, options: Options) -> tuple[bytes, list[str]]:
         text = raw.decode("cp1252", "replace")
         notes.append("is not UTF-8; read as Western European text (cp1252)")
     if "\x00" in text[:SAMPLE]:
-        hint = "name its format under 'reader:' of the mapping: {kind: ...}"
+        hint = "name its format: --as NAME, or as: NAME in a mapping"
         raise InputError("is no text file", file=path, hint=hint)
     return text.encode().replace(b"\r\n", b"\n").replace(b"\r", b"\n"), notes
 
@@ -310,4 +311,13 @@ def _note_ragged(broken: list[tuple[int, int]], width: int, rows: int, path: Pat
     return [f"{share} have a wrong number of cells and are left out (first: line {line})"]
 
 
-READER = Reader("delimited", "delimited text file", (".csv", ".txt", ".tsv", ".dat", ".asc", ".log"), _open)
+def _has_time(peek: Peek) -> bool:
+    """Return whether the first line without a comment names ``t_s``."""
+    header = next((line for line in peek.lines if line.strip() and not line.startswith("#")), "")
+    return TIME in [cell.strip().strip('"') for cell in header.split(",")]
+
+
+ENDINGS = (".csv", ".txt", ".tsv", ".dat", ".asc", ".log")
+DELIMITED = Format("delimited", "delimited text file", _open, endings=ENDINGS)
+#: The log format of swimid, whose columns keep their names.
+SWIMID = Format("swimid", "log of swimid", _open, _has_time)

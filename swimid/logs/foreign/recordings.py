@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from swimid.logs.foreign import Options, Reader, Table, choose, first_bytes, flat, of_records, reading
+from swimid.logs.foreign import Format, Options, Table, choose, first_bytes, flat, of_records, reading
 
 ULOG_MAGIC, MCAP_MAGIC = b"ULog\x01\x12\x35", b"\x89MCAP0\r\n"
 
@@ -102,7 +102,8 @@ def _parts(value: Any) -> Any:
     return value
 
 
-ULOG = Reader("ulog", "ULog recording", (".ulg", ".ulog"), _open_ulog, magic=(ULOG_MAGIC,), extra="ulog")
-MCAP = Reader(
-    "mcap", "MCAP file of ROS 2 or JSON messages", (".mcap",), _open_mcap, magic=(MCAP_MAGIC,), extra="mcap"
+ULOG = Format(
+    "ulog", "ULog recording", _open_ulog, endings=(".ulg", ".ulog"), magic=(ULOG_MAGIC,), extra="ulog"
 )
+MCAP_TITLE = "MCAP file of ROS 2 or JSON messages"
+MCAP = Format("mcap", MCAP_TITLE, _open_mcap, endings=(".mcap",), magic=(MCAP_MAGIC,), extra="mcap")

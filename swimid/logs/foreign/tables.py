@@ -12,7 +12,7 @@ import numpy as np
 from swimid.errors import InputError
 from swimid.files import tabular
 from swimid.logs import log
-from swimid.logs.foreign import Options, Reader, Table, flat, of_records, of_tree
+from swimid.logs.foreign import Format, Options, Table, flat, of_records, of_tree
 
 
 def _open_hdf5(path: Path, options: Options, select: str | None) -> Table:
@@ -57,10 +57,9 @@ def _open_matlab(path: Path, options: Options, select: str | None) -> Table:
     return table
 
 
-HDF5 = Reader("hdf5", "HDF5 file", (".h5", ".hdf5"), _open_hdf5, magic=(b"\x89HDF",), extra="hdf5")
-MATLAB = Reader(
-    "mat", "MATLAB file", (".mat",), _open_matlab, magic=(b"MATLAB 5.0", b"MATLAB 7.3"), extra="hdf5"
-)
+HDF5 = Format("hdf5", "HDF5 file", _open_hdf5, endings=(".h5", ".hdf5"), magic=(b"\x89HDF",), extra="hdf5")
+MATLAB_MAGIC = (b"MATLAB 5.0", b"MATLAB 7.3")
+MATLAB = Format("mat", "MATLAB file", _open_matlab, endings=(".mat",), magic=MATLAB_MAGIC, extra="hdf5")
 
 
 def _open_parquet(path: Path, options: Options, select: str | None) -> Table:
@@ -78,7 +77,9 @@ def _open_parquet(path: Path, options: Options, select: str | None) -> Table:
     )
 
 
-PARQUET = Reader("parquet", "Parquet file", tabular.PARQUET, _open_parquet, magic=(b"PAR1",), extra="parquet")
+PARQUET = Format(
+    "parquet", "Parquet file", _open_parquet, endings=tabular.PARQUET, magic=(b"PAR1",), extra="parquet"
+)
 
 
 def _open_json_lines(path: Path, options: Options, select: str | None) -> Table:
@@ -97,6 +98,5 @@ def _open_json_lines(path: Path, options: Options, select: str | None) -> Table:
     return Table(of_records(records), lines=np.array([*lines], dtype=np.int64))
 
 
-JSON_LINES = Reader(
-    "jsonl", "file of JSON lines", (".jsonl", ".ndjson", ".json"), _open_json_lines, magic=(b'{"',)
-)
+JSON_ENDINGS = (".jsonl", ".ndjson", ".json")
+JSON_LINES = Format("jsonl", "file of JSON lines", _open_json_lines, endings=JSON_ENDINGS, magic=(b'{"',))

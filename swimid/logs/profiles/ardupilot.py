@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs.foreign import Table, choose, is_text, open_table
+from swimid.logs.foreign import Format, Options, Peek, Table, choose, is_text, open_table
 from swimid.logs.log import TIME
-from swimid.logs.profiles import Peek, Profile, axes, renamed, rows
+from swimid.logs.profiles import axes, renamed, rows
 from swimid.logs.rotation import from_frd, with_angles
 
 #: Columns of a log by the name of a field.
@@ -37,7 +37,7 @@ def _recognises(peek: Peek) -> bool:
     return "TimeUS" in peek.header or ("FMT" in types and b"TimeUS" in peek.head)
 
 
-def _read(path: Path, select: str | None, length_unit: str | None) -> Table:
+def _read(path: Path, options: Options, select: str | None) -> Table:
     kind, _, instance = (select or "").rstrip("]").partition("[")
     header = Peek.of(path).header
     if header[0] == "FMT" or "TimeUS" not in header:
@@ -91,4 +91,4 @@ def _messages(path: Path, kind: str | None) -> Table:
     return Table(columns, metadata={"type": kind}, notes=notes, lines=frame.index.to_numpy())
 
 
-PROFILE = Profile("ardupilot", "log of ArduPilot", _recognises, _read)
+PROFILE = Format("ardupilot", "log of ArduPilot", _read, _recognises)

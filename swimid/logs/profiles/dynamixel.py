@@ -15,9 +15,8 @@ import numpy as np
 
 from swimid.errors import InputError
 from swimid.logs import clock, units
-from swimid.logs.foreign import Table, is_text, open_table
+from swimid.logs.foreign import Format, Options, Peek, Table, is_text, open_table
 from swimid.logs.log import TIME
-from swimid.logs.profiles import Peek, Profile
 
 _FIELD = re.compile(
     r"(dxl|id|servo|motor|joint)?[ _]*\d*[ _:.-]*(?P<what>present|goal)[ _]*(?P<which>position|velocity)"
@@ -32,7 +31,7 @@ def _recognises(peek: Peek) -> bool:
     return any(hit["which"].lower() == "position" for hit in fields)
 
 
-def _read(path: Path, select: str | None, length_unit: str | None) -> Table:
+def _read(path: Path, options: Options, select: str | None) -> Table:
     table = open_table(path)
     fields = {name: hit for name in table.columns if (hit := _FIELD.fullmatch(name.strip()))}
     if not fields:
@@ -62,4 +61,4 @@ def _read(path: Path, select: str | None, length_unit: str | None) -> Table:
     return replace(table, columns=columns, metadata={"servos": numbers}, units={})
 
 
-PROFILE = Profile("dynamixel", "log of Dynamixel servos", _recognises, _read)
+PROFILE = Format("dynamixel", "log of Dynamixel servos", _read, _recognises)

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs.foreign import Table, choose, is_text, open_table
-from swimid.logs.profiles import Array, Peek, Profile, rows, safe
+from swimid.logs.foreign import Format, Options, Peek, Table, choose, is_text, open_table
+from swimid.logs.profiles import Array, rows, safe
 
 _LEVELS = ("scorer", "individuals", "bodyparts", "coords")
 _CELL = re.compile(r"(?!instance\.).+\.(x|y|score)")
@@ -51,7 +51,7 @@ def _is_deeplabcut(peek: Peek) -> bool:
     return (levels[:1] == ["scorer"] and "bodyparts" in levels) or peek.holds("df_with_missing")
 
 
-def _read_deeplabcut(path: Path, select: str | None, length_unit: str | None) -> Table:
+def _read_deeplabcut(path: Path, options: Options, select: str | None) -> Table:
     import pandas as pd
 
     peek, lines = Peek.of(path), None
@@ -80,7 +80,7 @@ def _is_sleap(peek: Peek) -> bool:
     return ("frame_idx" in peek.header and {"x", "y"} <= cells) or peek.holds("tracks", "node_names")
 
 
-def _read_sleap(path: Path, select: str | None, length_unit: str | None) -> Table:
+def _read_sleap(path: Path, options: Options, select: str | None) -> Table:
     return _of_text(path, select) if Peek.of(path).lines else _of_hdf5(path, select)
 
 
@@ -122,7 +122,5 @@ def _of_hdf5(path: Path, select: str | None) -> Table:
     return Table({"frame": np.arange(tracks.shape[3], dtype=float), **points(found)})
 
 
-DEEPLABCUT = Profile(
-    "deeplabcut", "table of DeepLabCut", _is_deeplabcut, _read_deeplabcut, extra="deeplabcut"
-)
-SLEAP = Profile("sleap", "analysis file of SLEAP", _is_sleap, _read_sleap, extra="hdf5")
+DEEPLABCUT = Format("deeplabcut", "table of DeepLabCut", _read_deeplabcut, _is_deeplabcut, extra="deeplabcut")
+SLEAP = Format("sleap", "analysis file of SLEAP", _read_sleap, _is_sleap, extra="hdf5")

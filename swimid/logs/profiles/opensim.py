@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs.foreign import Table
+from swimid.logs.foreign import Format, Options, Peek, Table
 from swimid.logs.log import TIME
-from swimid.logs.profiles import Array, Peek, Profile, length, numbers, safe
+from swimid.logs.profiles import Array, length, numbers, safe
 from swimid.logs.sampling import usual_step
 from swimid.notices import warn
 
@@ -35,10 +35,10 @@ def _recognises(peek: Peek) -> bool:
     return bool(starts) and (starts[0].startswith("pathfiletype") or "endheader" in starts)
 
 
-def _read(path: Path, select: str | None, length_unit: str | None) -> Table:
+def _read(path: Path, options: Options, select: str | None) -> Table:
     lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     if lines and lines[0].strip().lower().startswith("pathfiletype"):
-        return _markers(lines, length_unit, path)
+        return _markers(lines, options.length_unit, path)
     return _motion(lines, path)
 
 
@@ -94,4 +94,4 @@ def _motion(lines: list[str], path: Path) -> Table:
     return Table(columns, lines=at)
 
 
-PROFILE = Profile("opensim", "TRC, MOT or STO file of OpenSim", _recognises, _read)
+PROFILE = Format("opensim", "TRC, MOT or STO file of OpenSim", _read, _recognises)

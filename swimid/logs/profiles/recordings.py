@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from swimid.logs.foreign import Table, choose, open_table, recordings
+from swimid.logs.foreign import Format, Options, Peek, Table, choose, open_table, recordings
 from swimid.logs.log import TIME
-from swimid.logs.profiles import Peek, Profile, axes, renamed, safe
+from swimid.logs.profiles import axes, renamed, safe
 from swimid.logs.rotation import from_frd, with_angles
 
 
@@ -65,13 +65,13 @@ def _open(path: Path, select: str | None) -> tuple[Table, str]:
     return open_table(path, select=topic), topics[topic]
 
 
-def _read_px4(path: Path, select: str | None, length_unit: str | None) -> Table:
+def _read_px4(path: Path, options: Options, select: str | None) -> Table:
     table, kind = _open(path, select)
     time_s = table.columns[table.column("timestamp", path)].astype(np.int64) * 1e-6
     return replace(table, columns={TIME: time_s, **with_angles(from_frd(renamed(table, FIELDS[kind])))})
 
 
-def _read_ros2(path: Path, select: str | None, length_unit: str | None) -> Table:
+def _read_ros2(path: Path, options: Options, select: str | None) -> Table:
     table, kind = _open(path, select)
     stamp = table.columns.get("header.stamp")
     if stamp is None or not (stamp.astype(np.int64) > 0).any():
@@ -98,5 +98,9 @@ def _joints(table: Table) -> dict[str, str]:
     return fields
 
 
-PX4 = Profile("px4", "ULog recording of PX4", _recognises, _read_px4, "ulog", recordings.ULOG_MAGIC)
-ROS2 = Profile("ros2", "MCAP recording of ROS 2", _recognises, _read_ros2, "mcap", recordings.MCAP_MAGIC)
+PX4 = Format(
+    "px4", "ULog recording of PX4", _read_px4, _recognises, magic=(recordings.ULOG_MAGIC,), extra="ulog"
+)
+ROS2 = Format(
+    "ros2", "MCAP recording of ROS 2", _read_ros2, _recognises, magic=(recordings.MCAP_MAGIC,), extra="mcap"
+)
