@@ -218,7 +218,7 @@ def test_a_confidence_under_another_name(imported: Callable[..., dict[str, Any]]
     assert not imported(f"time: {{source: t}}\nmin_likelihood: 0.05\ncolumns: {columns}\n")["unlikely"]
 
 
-def test_german_dates_ask_for_the_order_of_day_and_month(
+def test_dates_need_the_order_of_day_and_month(
     swimid: Run, imported: Callable[..., dict[str, Any]], tmp_path: Path
 ) -> None:
     stamps = pd.Timestamp("2025-04-07 23:59:50") + pd.to_timedelta(T, unit="s")
@@ -249,7 +249,7 @@ def test_a_column_without_a_quantity_is_bad(imported: Callable[..., dict[str, An
     assert imported()["columns"] == ["t_s", "x_m"]
 
 
-def test_one_unreadable_file_does_not_end_the_others(swimid: Run, tmp_path: Path) -> None:
+def test_other_files_are_imported_if_one_cannot_be_read(swimid: Run, tmp_path: Path) -> None:
     for name in ("a", "c"):
         (tmp_path / f"{name}.csv").write_text("t_s,u_m_s\n0,1\n1,2\n2,3\n")
     (tmp_path / "b.csv").write_bytes(b"\x00\x01\x02" * 40)
@@ -299,7 +299,7 @@ def test_a_group_above_empty_cells_stands_for_all_its_columns(swimid: Run, tmp_p
             assert f"target: {point}_{axis}_m" in draft
 
 
-def test_two_columns_of_one_name_are_not_chosen_from(swimid: Run, tmp_path: Path) -> None:
+def test_two_columns_of_one_name_are_refused(swimid: Run, tmp_path: Path) -> None:
     rows = "".join(f"{k / 50},{0.01 * k},{1 - 0.02 * k}\n" for k in range(100))
     (tmp_path / "run.csv").write_text("t_s,x_m,x_m\n" + rows)
     ran = swimid("import", tmp_path / "run.csv", "-o", tmp_path / "out.csv")

@@ -19,14 +19,14 @@ class ImportOptions(Options):
     profile: str | None = option(
         None,
         flag="--as",
-        metavar="PROFILE",
+        metavar="FORMAT",
         help="Format of the file: ardupilot, deeplabcut, dynamixel, opensim, px4, ros2, sleap, swimid, "
-        "tracker  [default: recognised by its content].",
+        "tracker, delimited, hdf5, jsonl, mat, mcap, parquet, ulog  [default: recognised by its content].",
     )
     select: str | None = option(
         None,
         metavar="NAME",
-        help="Track, individual, instance, topic or message type to take, if the file holds several.",
+        help="Track, individual, topic, message type, struct or group to take, if the file holds several.",
     )
     rate_hz: float | None = option(
         None, gt=0, help="Frames per second, for a file of a known format that states no times."
