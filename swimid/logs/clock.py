@@ -300,8 +300,6 @@ def in_order(time_s: Array, columns: Mapping[str, Array]) -> Order:
     Single rows that come late (packets on a network) are moved to the place of their time. A clock that goes
     back and counts on from there was reset, and nothing shows which of its times are right.
     """
-    import pandas as pd
-
     index = np.flatnonzero(np.isfinite(time_s))
     times, untimed = time_s[index], len(time_s) - len(index)
     if np.all(np.diff(times) > 0):
@@ -310,6 +308,8 @@ def in_order(time_s: Array, columns: Mapping[str, Array]) -> Order:
     late = int(behind.sum())
     if late > max(1, LATE_SHARE * len(times)) or longest_run(behind) > LATE_RUN:
         return Order(index, untimed, late=late, reset_row=int(index[np.argmax(behind)]))
+    import pandas as pd
+
     rows = pd.DataFrame({**columns, TIME: time_s}).iloc[index].sort_values(TIME, kind="stable")
     again, repeated = rows.duplicated(TIME), int(rows.duplicated().sum())
     return Order(rows.index[~again].to_numpy(), untimed, repeated, int(again.sum()) - repeated, late)

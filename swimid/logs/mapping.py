@@ -375,12 +375,12 @@ def _same_length(names: Sequence[str], table: Table, path: Path) -> int:
 
 def _numbers(table: Table, name: str, missing: Sequence[float | str], path: Path) -> Array | None:
     """Return a column as numbers, NaN for the marks of missing samples; None for dates or text."""
-    import pandas as pd
-
     values = table.columns[name]
     if values.dtype.kind == "M":
         return None
     if is_text(values):
+        import pandas as pd
+
         cells = values
         values = pd.to_numeric(pd.Series(cells, dtype=object), errors="coerce").to_numpy(dtype=float)
         bad = np.isnan(values) & pd.notna(cells)
@@ -420,10 +420,10 @@ def _chosen(table: Table, where: dict[str, Any], rows: int, path: Path) -> NDArr
     InputError
         No row is left; lists the values that are there.
     """
-    import pandas as pd
-
     kept = np.ones(rows, dtype=bool)
     for key, wanted in where.items():
+        import pandas as pd
+
         name = table.column(key, path)
         values, options = table.columns[name], pd.Series(wanted)
         if is_text(values):
@@ -443,8 +443,6 @@ def find_mixed(table: Table, time_s: Array, kept: NDArray[np.bool_], used: Set[s
     Such a column changes at most rows and has few values. Also, its name is that of an instance, or the times
     are even within each value and uneven over all rows. Without such a column the result is ``("", [])``.
     """
-    import pandas as pd
-
     time = time_s[kept]
     if len(time) < 10:
         return "", []
@@ -455,6 +453,8 @@ def find_mixed(table: Table, time_s: Array, kept: NDArray[np.bool_], used: Set[s
         values = whole[kept]
         if not is_text(values) and not np.all(values == np.round(values)):
             continue
+        import pandas as pd
+
         codes, found = pd.factorize(values, use_na_sentinel=False)
         count = len(found)
         if not 2 <= count <= MAX_INSTANCES or np.mean(np.diff(codes) != 0) < 0.5:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import csv
+import io
 import re
 from collections import Counter
 from dataclasses import dataclass
@@ -83,6 +84,12 @@ def _open(path: Path, options: Options, select: str | None) -> Table:
         text = comment.sub(b"", text)
     if found.delimiter == " ":
         text = _EDGES.sub(b"", _BLANKS.sub(b" ", text))
+    stated = dict(zip(found.names, found.units, strict=False))
+    plain = None if options.missing else _read_plain(text, found)
+    if plain is not None:
+        rows = np.arange(plain.shape[1], dtype=np.int64) + found.first_line
+        columns = dict(zip(found.names, plain, strict=True))
+        return Table(columns, units=stated, notes=notes, comments=comments, lines=rows)
     parsed, width = None, len(found.names)
     if b'"' not in text:
         parsed = _parse(text, found, options)
@@ -99,7 +106,7 @@ def _open(path: Path, options: Options, select: str | None) -> Table:
         notes += _note_ragged(broken, width, len(rows), path)
         if broken or parsed is None:
             parsed = _parse(b"\n".join(line for _, line in filled), found, options)
-    columns, stated = {}, dict(zip(found.names, found.units, strict=False))
+    columns = {}
     for name in found.names:
         columns[name], unit = _convert(parsed[name], found.decimal)
         if unit:
@@ -244,6 +251,21 @@ def _fill(cells: list[str]) -> list[str]:
     for cell in cells:
         filled.append(cell or filled[-1])
     return filled[1:]
+
+
+def _read_plain(text: bytes, found: Layout) -> NDArray[np.float64] | None:
+    """Return the columns of a short text with a number in each cell, shape (k, n); None for any other text.
+
+    They are read without pandas, because its import takes longer than all else of a short log.
+    """
+    width, lines = len(found.names), text.count(b"\n") + (not text.endswith(b"\n"))
+    if len(text) > SAMPLE or len(found.numbers) < width or found.decimal != ".":
+        return None
+    try:
+        cells = np.loadtxt(io.BytesIO(text), delimiter=found.delimiter, comments=None, ndmin=2)
+    except ValueError:
+        return None
+    return np.ascontiguousarray(cells.T) if cells.shape == (lines, width) else None
 
 
 def _parse(text: bytes, found: Layout, options: Options) -> pd.DataFrame:
