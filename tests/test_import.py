@@ -331,6 +331,10 @@ def test_a_file_with_several_topics_needs_a_selection(swimid: Run, tmp_path: Pat
     ran = swimid("import", tmp_path / "a.mcap", "--guess")
     assert ran.status == 3
     assert "/depth, /pose" in ran.err
+    ran = swimid("import", tmp_path / "a.mcap", "--guess", "--select", "/pose")
+    assert ran.status == 0, ran.err
+    assert 'select: "/pose"' in ran.out
+    assert "source: yaw" in ran.out.replace('"', "")
 
 
 def test_several_logs_go_to_a_folder(swimid: Run, tmp_path: Path) -> None:

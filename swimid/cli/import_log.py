@@ -44,7 +44,7 @@ def import_log(
         from swimid.logs.guess_mapping import guess_mapping
 
         allow(output)
-        return guess_mapping(files[0], output=output)
+        return guess_mapping(files[0], select=options.select, output=output)
     if output is None:
         raise UsageError("say where the log goes", hint="add -o run.csv")
     for target in destinations(files, output):

@@ -75,7 +75,7 @@ class Draft(Result):
         return [path]
 
 
-def guess_mapping(source: LogLike, *, output: str | Path | None = None) -> Draft:
+def guess_mapping(source: LogLike, *, select: str | None = None, output: str | Path | None = None) -> Draft:
     """Draft the mapping of a foreign log.
 
     The draft states what follows from a profile, from the name of a column or from a stated unit. All else is
@@ -85,7 +85,9 @@ def guess_mapping(source: LogLike, *, output: str | Path | None = None) -> Draft
     Parameters
     ----------
     source : path, DataFrame or Log
-        The foreign log; a table has shape (n, k), one row a sample.
+        The foreign log; a table has shape (n, k), one row per sample.
+    select : str, optional
+        Track, topic, struct or the like to take, if the file holds several.
     output : path, optional
         Path of the mapping file. Without it nothing is written.
 
@@ -110,9 +112,9 @@ def guess_mapping(source: LogLike, *, output: str | Path | None = None) -> Draft
     path = path_of(given)
     found = find_format(path, "") if isinstance(given, Path) else None
     if found is not None and found.recognises is not None and found.name != "swimid":
-        lines = _of_profile(found, path)
+        lines = _of_profile(found, path, select)
     else:
-        lines = _of_names(path.name, open_table(given))
+        lines = _of_names(path.name, open_table(given, select=select), select)
     asked = sum(ASK in line.partition("#")[0] for line in lines)
     text = "".join(re.sub(r"[\r\n]", " ", line) + "\n" for line in lines)
     data = {"file": str(path), "mapping": text, "open": asked}
@@ -123,7 +125,7 @@ def guess_mapping(source: LogLike, *, output: str | Path | None = None) -> Draft
     return Draft("import", told, data, document=text).save(output)
 
 
-def _of_profile(profile: Format, path: Path) -> list[str]:
+def _of_profile(profile: Format, path: Path, select: str | None) -> list[str]:
     """Return the lines of the draft for a file of a known format."""
     lines = [
         f"# Drafted from {path.name} ({profile.title}) by swimid import --guess.",
@@ -131,9 +133,11 @@ def _of_profile(profile: Format, path: Path) -> list[str]:
         f"as: {profile.name}",
     ]
     try:
-        table = open_table(path, kind=profile.name)
+        table = open_table(path, select=select, kind=profile.name)
     except InputError as error:
         return [*lines, _line("select", ASK, f"{error}; {error.hint or ''}")]
+    if select is not None:
+        lines.append(_line("select", select))
     lines += [f"# {note}" for note in table.notes]
     if TIME not in table.columns and "rate_hz" not in table.scalars:
         comment = "frames per second of the film; the file does not state them"
@@ -143,7 +147,7 @@ def _of_profile(profile: Format, path: Path) -> list[str]:
     return [*lines, *(f"#   - {{source: {name}, target: {name}}}" for name in names)]
 
 
-def _of_names(name: str, table: Table) -> list[str]:
+def _of_names(name: str, table: Table, select: str | None) -> list[str]:
     """Return the lines of the draft that follow from names and stated units."""
     usual = max((len(v) for v in table.columns.values()), default=0)
     columns = {key: values for key, values in table.columns.items() if len(values) == usual}
@@ -152,8 +156,9 @@ def _of_names(name: str, table: Table) -> list[str]:
         "# an axis may be swapped or flipped (factor: -1), which no name states.",
         f"format: {mapping.FORMAT}",
     ]
-    if "topic" in table.metadata:
-        lines.append(_line("select", table.metadata["topic"]))
+    select = select or table.metadata.get("topic")
+    if select is not None:
+        lines.append(_line("select", select))
     time, comment = _time(table, columns)
     taken: set[str] = set()
     if isinstance(time, dict):
