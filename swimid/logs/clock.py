@@ -1,4 +1,4 @@
-"""Sample times of a foreign table: read as numbers, frames, dates or times of day, and put in order.
+"""Sample times of a foreign table, from numbers, frames, dates or times of day, and the order of its rows.
 
 :class:`Time` is the part ``time:`` of a mapping, and :class:`Stated` the base of all its parts.
 """
@@ -52,7 +52,7 @@ class Stated(yamlio.Document):
 
 
 class Time(Stated):
-    """Where the sample times come from (``time:`` of a mapping)."""
+    """Source of the sample times (``time:`` of a mapping)."""
 
     #: The column, or several columns that form one time: date and time of day, or seconds and nanoseconds.
     source: ColumnKey | list[ColumnKey] | None = None

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 METRES = ("x_m", "y_m", "z_m")
 PIXELS = ("x_px", "y_px", "z_px")
 ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")
-#: First words of the names of a pose, and of the rates that follow from a pose.
+#: First words of the names of columns of a pose, and of the rates that follow from a pose.
 _POSE, _POSE_RATES = ("x", "y", "z", "yaw", "pitch", "roll"), ("u", "v", "w", "vx", "vy", "vz")
 
 

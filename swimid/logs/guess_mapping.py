@@ -24,8 +24,7 @@ from swimid.results.result import Result
 #: Names of a rate, and of columns with parts of a time, in small letters.
 RATES, SECONDS = ("fs", "rate", "rate_hz", "fps", "sample_rate"), ("secs", "sec", "s", "seconds")
 NANOSECONDS = ("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds", "ns")
-#: Stand-ins for open values of a drafted time, which the search for instances needs. Their size is
-#: irrelevant.
+#: Arbitrary stand-ins for open values of a drafted time, which the search for instances needs.
 ANSWERS = {"unit": "s", "rate_hz": 1.0, "day_first": True}
 _XYZ = r"[ _.\[]*(?P<axis>[xyz])\]?"
 #: Names that state a quantity but no unit: pattern of the whole name in small letters, and target column.

@@ -32,17 +32,18 @@ from swimid.progress import Progress, silent
 Array = NDArray[np.float64]
 FORMAT: Literal["swimid-mapping/1"] = "swimid-mapping/1"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-#: Largest number of instances (sensors, animals, tags) in one table.
+#: Maximum number of instances (sensors, animals, tags) in one table.
 MAX_INSTANCES = 16
 #: Names of columns that are part of a time, and of columns that number instances.
 _OF_TIME = re.compile(r".*(time|stamp|date|n?sec(ond)?s?|nanosec)", re.I)
 _INSTANCE = re.compile(
     r"(.*[ _.])?(i|id|instance|instances|tag|track|individual|animal|sensor|marker|device)"
 )
-#: A tracked point with a likelihood below this is left empty; the default ``pcutoff`` of DeepLabCut.
+#: Minimum likelihood of a tracked point, below which it is left empty (the default ``pcutoff`` of
+#: DeepLabCut).
 MIN_LIKELIHOOD = 0.6
 _LIKELIHOOD = re.compile(r"(?P<point>.+?)[ _.](likelihood|confidence|score|prob(ability)?)", re.I)
-#: Coordinate of a point, behind its name.
+#: Pattern of a coordinate behind the name of its point.
 _COORDINATE = r"[ _.]*(?i:[xyz]([ _.].*)?)"
 #: Unit of a quantity without a dimension.
 NO_UNIT = "1"
@@ -56,7 +57,7 @@ class Column(Stated):
     #: Unit of the source, converted to that of the target's name; ``1`` for a quantity without a dimension.
     unit: str | None = None
     factor: float = 1.0
-    #: In the target's unit.
+    #: Offset in the unit of the target.
     offset: float = 0.0
 
     @field_validator("target")
@@ -81,7 +82,7 @@ class Column(Stated):
 
     @property
     def is_known(self) -> bool:
-        """Whether its quantity is stated: by the name of the target, or as a number without a dimension."""
+        """Whether the target names its quantity, or the unit says that it has no dimension."""
         return self.unit == NO_UNIT or units.is_known(self.target)
 
 
@@ -93,14 +94,14 @@ class Quaternion(Stated):
 
 
 class Mapping(Stated):
-    """A mapping file."""
+    """Content of a mapping file."""
 
     format: Literal["swimid-mapping/1"]
     #: Name of the format. That of a profile names the columns, too.
     profile: str | None = Field(default=None, alias="as")
     #: Track, individual, topic, message type, struct or group to take, if the file holds several.
     select: str | int | None = None
-    #: A tracked point with a likelihood below this is left empty.
+    #: Minimum likelihood of a tracked point, below which it is left empty.
     min_likelihood: Annotated[float, Field(ge=0, le=1)] = MIN_LIKELIHOOD
     reader: Options = Options()
     time: Time | None = None
@@ -108,7 +109,7 @@ class Mapping(Stated):
     where: dict[str, str | float | int | list[str | float | int]] = {}
     quaternion: Quaternion = Quaternion()
     columns: list[Column] = []
-    #: Added to the metadata of the log.
+    #: Metadata that are added to those of the file.
     metadata: dict[str, str | float | int | bool | list[str | float | int]] = {}
 
     @model_validator(mode="after")

@@ -666,13 +666,14 @@ def _timed(time_s: Array, rows: NDArray[np.intp], repeated: Flags) -> Held:
 
 # ---------------------------------------------------------------- channels that are no measurement
 
-#: A value is a mark or an error if it is farther from all others than this many times their range.
+#: Minimum distance of a mark of missing samples, or of an error, from all other values, in ranges of these.
 FAR = 10.0
-#: A channel is cut off if it stays at its largest or smallest value for this many samples, this many times.
+#: Minimum number of samples in a stretch at the largest or smallest value, and minimum number of such
+#: stretches, of a channel that is cut off.
 CUT_SAMPLES, CUT_TIMES = 3, 3
-#: Relative tolerance of the steps of a count.
+#: Relative tolerance of the steps of a column that counts the rows.
 COUNT_RTOL = 1e-6
-#: Names of one quantity in logs of two sensors: these columns may be equal.
+#: Two names of the turn rate about the vertical, whose columns may be equal.
 SYNONYMS = {"wz_rad_s", "yaw_rate_rad_s"}
 
 
