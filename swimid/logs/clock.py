@@ -80,8 +80,8 @@ class Time(Stated):
             raise ValueError("give 'source' (a column), or 'rate_hz', or 'frame' and 'rate_hz'")
         if isinstance(self.unit, list) and len(self.unit) != len(self.sources):
             raise ValueError(f"{len(self.unit)} units stand beside {len(self.sources)} sources")
-        for unit in self.units_of_sources or [self.unit]:
-            units.factor(str(unit), TIME)
+        for unit in self.units_of_sources or [str(self.unit)]:
+            units.factor(unit, TIME)
         return self
 
     @property

@@ -172,10 +172,10 @@ def import_logs(
             failed.append(error)
     if failed:
         listed = ""
-        for error in failed:
-            listed += f"\n  {error}"
-            if error.hint:
-                listed += f" ({error.hint})"
+        for refused in failed:
+            listed += f"\n  {refused}"
+            if refused.hint:
+                listed += f" ({refused.hint})"
         written = ", ".join(str(outcome.outputs[0]) for outcome in done) or "none"
         text = f"{len(failed)} of {len(paths)} logs cannot be imported:{listed}"
         raise InputError(text, hint=f"the others were written: {written}")
