@@ -337,7 +337,7 @@ def _value_checks(found: Examined) -> list[Check]:
         _check("Sampling", not found.uneven, "even", uneven, found.uneven, made=enough, fails=found.bursts),
         _check("Frozen channels", not holds, "none", frozen, holds, made=continuous, fails=True),
         _check("Faulty channels", not faults, "none", faulty, faults, made=long),
-        _check(POSSIBLE, not doubts, "within", doubts, made=limited),
+        _check(POSSIBLE, not doubts, "within", doubts, "beyond" if doubts else "", made=limited),
     ]
 
 
