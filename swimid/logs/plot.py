@@ -120,6 +120,12 @@ def plot(
     """
     if isinstance(logs, str) or not isinstance(logs, Sequence):
         logs = [logs]
+    if not logs:
+        raise UsageError("name at least one log to draw")
+    if output is not None:
+        paths = [one for one in logs if isinstance(one, str | Path)]
+        output = atomic.check_writable(_picture(Path(output)), inputs=paths)
+    name = "log {}" if len(logs) > 1 else "log"
     inputs: list[provenance.Input] = []
     records: list[log.Log] = []
     with recorded(repeat=True) as notices:
@@ -130,10 +136,8 @@ def plot(
                     inputs.append(path)
                     records.append(log.read(path))
             else:
-                records.append(log.of(given, name=f"log {number}"))
+                records.append(log.of(given, name=name.format(number)))
                 inputs.append(records[-1])
-        if not inputs:
-            raise UsageError("name at least one log to draw")
         figures = figures_of(records)
     proof = Evidence(
         verb="plot",
