@@ -260,7 +260,8 @@ def _mapped(mapping: Mapping, table: Table, path: Path) -> MappedLog:
     for column in sorted(columns, key=lambda column: column.target != TIME):
         values = _numbers(table, sources[column.target], mapping.reader.missing, path)
         if values is None:
-            raise InputError("holds text or dates, not numbers", file=path, column=sources[column.target])
+            kind = "text" if is_text(table.columns[sources[column.target]]) else "dates"
+            raise InputError(f"holds {kind}, not numbers", file=path, column=sources[column.target])
         found.setdefault(column.target, values * column.scale + column.offset)
     chosen = _chosen(table, mapping.where, rows, path)
     by, there = find_mixed(table, found[TIME], chosen, {*used, sources.get(TIME, "")})
