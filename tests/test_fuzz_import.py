@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from swimid.errors import SwimidError
 from swimid.logs import mapping
-from swimid.logs.foreign import Options, open_table
+from swimid.logs.foreign import open_table
 from swimid.logs.guess_mapping import guess_mapping
 from swimid.notices import SwimidWarning
 from tests.conftest import Ran
@@ -38,7 +38,7 @@ def _through(path: Path, topic: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SwimidWarning)
         with contextlib.suppress(SwimidError):
-            open_table(path, Options(topic=topic or None))
+            open_table(path, select=topic or None)
         with contextlib.suppress(SwimidError):
             mapping.apply(None, path)
         with contextlib.suppress(SwimidError):

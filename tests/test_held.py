@@ -30,7 +30,7 @@ def test_the_times_of_an_even_camera_are_found(share: float) -> None:
     assert np.ptp(off) < max(4.0 * found.measured_sd_s, 1e-3)
 
 
-def test_a_log_that_begins_within_a_repeat_keeps_the_period_of_the_camera() -> None:
+def test_a_log_that_begins_within_a_hold_keeps_the_period_of_the_camera() -> None:
     # the first sample of 100 shows a picture that was almost a period old
     stamps, late = np.arange(100) / 30, 0.99
     picture = np.floor(0.45 * np.arange(100) + late).astype(int)
@@ -49,7 +49,7 @@ def test_a_slow_sensor_is_distinguished_from_one_at_rest() -> None:
     assert not find_held(np.arange(600) / 100, rest).repeated.any()
 
 
-def test_what_stands_for_a_good_reason_is_not_frozen() -> None:
+def test_channels_at_rest_are_not_frozen() -> None:
     rng = np.random.default_rng(2)
     time = np.arange(2000) / 50
     beat = np.where(time % 10 < 4, 0.3 * np.sin(2 * np.pi * time), 0.0)
@@ -123,7 +123,7 @@ def _held_depth(time: Array, rng: np.random.Generator) -> dict[str, Array]:
         (_held_depth, 100, 20.0, "good", "1.3"),
     ],
 )
-def test_further_logs_are_not_called_frozen(
+def test_stroke_and_verdict_of_further_logs(
     make: Callable[..., dict[str, Array]],
     rate: int,
     seconds: float,

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from swimid.logs import log, mapping, units
-from swimid.logs.foreign import Options, open_table, readers
+from swimid.logs.foreign import formats, open_table
 from tests.conftest import ROOT, Ran
 
 Run = Callable[..., Ran]
@@ -161,7 +161,7 @@ FILES: dict[str, tuple[str, Callable[[Path], None], str, tuple[str, str, str]]] 
     "mat 7.3": ("b.mat", _mat73, "", ("t", '"pose[1]"', '"pose[2]"')),
     "parquet": ("a.parquet", _parquet, "", ("t", "x", "yaw")),
     "json lines": ("a.jsonl", _json_lines, "", ("t", "pose.x", '"pose.angles[3]"')),
-    "mcap": ("a.mcap", _mcap, "reader: {topic: /pose}", ("ms", "at.x", "yaw")),
+    "mcap": ("a.mcap", _mcap, "select: /pose", ("ms", "at.x", "yaw")),
     "ulog": ("a.ulg", _ulog, "", ("ms", '"p[1]"', '"p[2]"')),
 }
 
@@ -193,18 +193,19 @@ def test_cells_of_one_length_are_columns(
     make: Callable[[Path], None], kind: str | None, tmp_path: Path
 ) -> None:
     make(tmp_path / "a.mat")
-    table = open_table(tmp_path / "a.mat", Options(kind=kind))
+    table = open_table(tmp_path / "a.mat", kind=kind)
     assert list(table.columns) == ["run.cells{1}", "run.cells{2}"]
     assert np.array_equal(table.columns["run.cells{1}"], TIME_MS)
     assert np.array_equal(table.columns["run.cells{2}"], YAW_DEG)
     assert table.metadata == {"run.who": "us"}
 
 
-def test_every_reader_is_tried() -> None:
-    assert set(readers()) == {"delimited", "mat", "hdf5", "parquet", "jsonl", "mcap", "ulog"}
+def test_each_format_without_a_profile_has_a_file_in_these_tests() -> None:
+    plain = {name for name, found in formats().items() if found.recognises is None}
+    assert plain == {"delimited", "mat", "hdf5", "parquet", "jsonl", "mcap", "ulog"}
 
 
-def test_layout_with_a_preamble_units_and_a_cut_last_line(tmp_path: Path) -> None:
+def test_a_file_with_a_preamble_units_and_a_cut_last_line(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     rows = "".join(f"{k},{k / 2}\n" for k in range(100))
     path.write_text(f"Logger 7\nserial 12\n# a remark: 5\ntime,force\n[ms],[N]\n{rows}100")
@@ -262,7 +263,7 @@ def test_a_rate_in_place_of_a_time_column(tmp_path: Path) -> None:
     assert np.allclose(found.time_s, np.arange(N) / 50)
 
 
-def test_order_is_mended_and_told(swimid: Run, tmp_path: Path) -> None:
+def test_rows_out_of_order_are_sorted_and_reported(swimid: Run, tmp_path: Path) -> None:
     rows = [[k / 10, float(k)] for k in range(200)]
     rows[50], rows[51] = rows[51], rows[50]  # a late packet
     rows.insert(100, list(rows[99]))  # the same row twice
@@ -325,11 +326,15 @@ def test_mistakes_in_a_mapping(
         assert word in ran.err
 
 
-def test_several_topics_must_be_told_apart(swimid: Run, tmp_path: Path) -> None:
+def test_a_file_with_several_topics_needs_a_selection(swimid: Run, tmp_path: Path) -> None:
     _mcap(tmp_path / "a.mcap")
     ran = swimid("import", tmp_path / "a.mcap", "--guess")
     assert ran.status == 3
     assert "/depth, /pose" in ran.err
+    ran = swimid("import", tmp_path / "a.mcap", "--guess", "--select", "/pose")
+    assert ran.status == 0, ran.err
+    assert 'select: "/pose"' in ran.out
+    assert "source: yaw" in ran.out.replace('"', "")
 
 
 def test_several_logs_go_to_a_folder(swimid: Run, tmp_path: Path) -> None:
@@ -347,7 +352,7 @@ def test_several_logs_go_to_a_folder(swimid: Run, tmp_path: Path) -> None:
     assert refused.status == 2
 
 
-def test_a_draft_runs_once_its_questions_are_answered(swimid: Run, tmp_path: Path) -> None:
+def test_a_draft_can_be_used_after_its_questions_are_answered(swimid: Run, tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     acc = np.array([0.05, -0.02, 1.0]) + 0.01 * rng.normal(size=(400, 3))
     gyro = 20 * rng.normal(size=(400, 3))
@@ -437,7 +442,7 @@ def test_starfish(name: str, real_data: Path, swimid: Run, tmp_path: Path) -> No
     assert ran.json["result"]["track"]["jumps"] == 0
 
 
-def test_the_manual_shows_what_the_command_prints(
+def test_the_manual_shows_the_output_of_the_command(
     swimid: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(ROOT)
@@ -488,7 +493,7 @@ def test_a_track_in_pixels_becomes_what_a_rig_fit_reads(swimid: Run, tmp_path: P
     assert fitted.status == 0, fitted.err
 
 
-def test_a_swing_has_a_period(swimid: Run, tmp_path: Path) -> None:
+def test_the_period_of_a_pendulum_is_found(swimid: Run, tmp_path: Path) -> None:
     t = np.arange(600) / 30
     angle = 0.3 * np.exp(-t / 30) * np.cos(2 * np.pi * 0.7 * t)
     noise = np.random.default_rng(0).normal(size=(2, len(t))) * 5e-4
@@ -516,7 +521,9 @@ def test_a_swing_has_a_period(swimid: Run, tmp_path: Path) -> None:
         (["--stroke", "2", "1"], "the lower first"),
     ],
 )
-def test_what_cannot_be_asked_of_a_track(options: list[str], words: str, swimid: Run, tmp_path: Path) -> None:
+def test_options_that_do_not_fit_the_track_are_refused(
+    options: list[str], words: str, swimid: Run, tmp_path: Path
+) -> None:
     t = np.arange(60) / 30
     rows = "".join(f"{a:.4f},{0.1 * a:.5f},{0.01 * a:.5f}\n" for a in t)
     (tmp_path / "p.csv").write_text("t_s,x_m,y_m\n" + rows)
@@ -526,7 +533,7 @@ def test_what_cannot_be_asked_of_a_track(options: list[str], words: str, swimid:
     assert not (tmp_path / "o.csv").exists()
 
 
-def _swimmer(path: Path, *, metre: float = 1.0, radian: float = 1.0) -> None:
+def _write_swimmer(path: Path, *, metre: float = 1.0, radian: float = 1.0) -> None:
     t = np.arange(450) / 30
     rng = np.random.default_rng(1)
     x = metre * (0.15 * t + 0.0003 * rng.normal(size=len(t)))
@@ -542,7 +549,7 @@ def _swimmer(path: Path, *, metre: float = 1.0, radian: float = 1.0) -> None:
 def test_unusual_values_are_a_reason_for_caution(
     units: dict[str, float], column: str | None, swimid: Run, tmp_path: Path
 ) -> None:
-    _swimmer(tmp_path / "s.csv", **units)
+    _write_swimmer(tmp_path / "s.csv", **units)
     ran = swimid("import", tmp_path / "s.csv", "-o", tmp_path / "o.csv", "--json")
     assert ran.json["result"]["verdict"]["level"] == ("good" if column is None else "caution")
     check = next(c for c in ran.json["result"]["checks"] if c["name"] == "Values a swimmer reaches")
@@ -565,7 +572,7 @@ def test_a_fit_to_impossible_values_is_bad(swimid: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_track_of_swimid_passes_without_a_word(swimid: Run, tmp_path: Path) -> None:
+def test_a_track_of_swimid_is_imported_without_warnings(swimid: Run, tmp_path: Path) -> None:
     pool = ROOT / "sample_logs/pool"
     tracked = swimid(
         "track", "video", pool / "pool.mp4", "--setup", pool / "pool_setup.yaml", "-o", tmp_path / "run.csv"
@@ -621,7 +628,7 @@ def test_a_table_of_deeplabcut(swimid: Run, tmp_path: Path) -> None:
     assert log.read(tmp_path / "run.csv")["y_px"].mean() == pytest.approx(-200, abs=1)
 
 
-def test_a_hum_beside_the_stroke_is_told(swimid: Run, tmp_path: Path) -> None:
+def test_a_hum_beside_the_stroke_is_reported(swimid: Run, tmp_path: Path) -> None:
     """The heading hums at 10 Hz, the sway beats at 1.3 Hz: never a verdict of good."""
     rng, t = np.random.default_rng(0), np.arange(1200) / 60
     beat = 2 * np.pi * 1.3 * t

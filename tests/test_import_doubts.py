@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+import swimid
 from swimid.logs import log
 from tests.conftest import Ran
 
@@ -46,6 +47,68 @@ def _swim(beat_hz: float = 1.1) -> pd.DataFrame:
     values = np.array([place.real, place.imag, yaw, u, v, rate]) + noise
     names = ["x_m", "y_m", "yaw_rad", "u_m_s", "v_m_s", "yaw_rate_rad_s"]
     return pd.DataFrame({"t_s": T, **dict(zip(names, values, strict=True))})
+
+
+STROKE = 0.3 * np.sin(2 * np.pi * 1.5 * T) + 1e-3 * np.random.default_rng(1).normal(size=len(T))
+#: Columns of logs with too little to judge, or with a faulty channel, and words of the verdict.
+UNJUDGED: dict[str, tuple[dict[str, Any], str]] = {
+    "two samples": ({"t_s": T[:2], "yaw_rad": STROKE[:2]}, "2 samples are too few to judge a log"),
+    "three samples": ({"t_s": T[:3], "x_m": T[:3], "y_m": STROKE[:3]}, "3 samples are too few"),
+    "no value in one channel": (
+        {"t_s": T, "yaw_rad": STROKE, "x_m": np.full(len(T), np.nan)},
+        "too few values to judge x_m (0 of 750)",
+    ),
+    "five values in one channel": (
+        {"t_s": T, "u_m_s": STROKE, "yaw_rad": np.where(np.arange(len(T)) % 150 == 0, STROKE, np.nan)},
+        "too few values to judge yaw_rad (5 of 750)",
+    ),
+    "constant channel": ({"t_s": T, "yaw_rad": STROKE, "depth_m": 0 * T + 1.2}, "depth_m holds one value"),
+    "copied channel": ({"t_s": T, "roll_rad": STROKE, "pitch_rad": STROKE}, "pitch_rad equals roll_rad"),
+    "time as a channel": ({"t_s": T, "force_N": T}, "force_N equals t_s"),
+    "count of the rows": ({"t_s": T, "depth_m": np.arange(len(T))}, "depth_m counts the rows"),
+    "mark of missing samples": (
+        {"t_s": T, "force_N": np.where(np.arange(len(T)) % 50 == 0, -9999.0, STROKE)},
+        "force_N holds -9999 in 15 samples",
+    ),
+    "one error far away": (
+        {"t_s": T, "depth_m": np.where(np.arange(len(T)) == 70, 80.0, STROKE)},
+        "depth_m holds 80 in 1 samples",
+    ),
+    "saturated sensor": ({"t_s": T, "force_N": np.clip(20 * STROKE, -3.0, 3.0)}, "force_N is cut off at -3"),
+    "two origins of the time": (
+        {"t_s": np.where(np.arange(len(T)) < 400, T, T + 1.7e9), "yaw_rad": STROKE},
+        "no sample lies between 7.98 s and 1.7e+09 s",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", UNJUDGED)
+def test_a_log_is_not_good_without_evidence(case: str) -> None:
+    columns, words = UNJUDGED[case]
+    found = swimid.import_log(pd.DataFrame(columns)).data
+    assert found["verdict"]["level"] == "caution"
+    assert words in found["verdict"]["text"]
+
+
+def test_a_log_without_any_value_is_bad() -> None:
+    found = swimid.import_log(pd.DataFrame({"t_s": T, "yaw_rad": np.full(len(T), np.nan)})).data
+    assert found["verdict"]["level"] == "bad"
+    assert "too few values to judge yaw_rad (0 of 750)" in found["verdict"]["text"]
+
+
+def test_a_check_that_the_samples_do_not_allow_does_not_pass() -> None:
+    checks = swimid.import_log(pd.DataFrame({"t_s": T[:2], "yaw_rad": STROKE[:2]})).data["checks"]
+    verdicts = {check["name"]: check["verdict"] for check in checks}
+    names = ("Columns agree", "Sampling", "Frozen channels", "Faulty channels", "Values a swimmer reaches")
+    assert {verdicts[name] for name in names} == {"info"}
+    whole = {check["name"]: check["verdict"] for check in swimid.import_log(_swim()).data["checks"]}
+    assert {whole[name] for name in names} == {"pass"}
+
+
+def test_commands_and_synonyms_may_be_constant_or_equal() -> None:
+    rate = 3.0 * np.cos(2 * np.pi * 1.5 * T) + 1e-3 * STROKE
+    columns = {"t_s": T, "cmd1_rad": 0 * T, "cmd2_rad": 0 * T, "wz_rad_s": rate, "yaw_rate_rad_s": rate}
+    assert swimid.import_log(pd.DataFrame(columns)).data["verdict"]["level"] == "good"
 
 
 def test_columns_that_agree_are_good(imported: Callable[..., dict[str, Any]], tmp_path: Path) -> None:
@@ -155,7 +218,7 @@ def test_a_confidence_under_another_name(imported: Callable[..., dict[str, Any]]
     assert not imported(f"time: {{source: t}}\nmin_likelihood: 0.05\ncolumns: {columns}\n")["unlikely"]
 
 
-def test_german_dates_ask_for_the_order_of_day_and_month(
+def test_dates_need_the_order_of_day_and_month(
     swimid: Run, imported: Callable[..., dict[str, Any]], tmp_path: Path
 ) -> None:
     stamps = pd.Timestamp("2025-04-07 23:59:50") + pd.to_timedelta(T, unit="s")
@@ -186,7 +249,7 @@ def test_a_column_without_a_quantity_is_bad(imported: Callable[..., dict[str, An
     assert imported()["columns"] == ["t_s", "x_m"]
 
 
-def test_one_unreadable_file_does_not_end_the_others(swimid: Run, tmp_path: Path) -> None:
+def test_other_files_are_imported_if_one_cannot_be_read(swimid: Run, tmp_path: Path) -> None:
     for name in ("a", "c"):
         (tmp_path / f"{name}.csv").write_text("t_s,u_m_s\n0,1\n1,2\n2,3\n")
     (tmp_path / "b.csv").write_bytes(b"\x00\x01\x02" * 40)
@@ -236,7 +299,7 @@ def test_a_group_above_empty_cells_stands_for_all_its_columns(swimid: Run, tmp_p
             assert f"target: {point}_{axis}_m" in draft
 
 
-def test_two_columns_of_one_name_are_not_chosen_from(swimid: Run, tmp_path: Path) -> None:
+def test_two_columns_of_one_name_are_refused(swimid: Run, tmp_path: Path) -> None:
     rows = "".join(f"{k / 50},{0.01 * k},{1 - 0.02 * k}\n" for k in range(100))
     (tmp_path / "run.csv").write_text("t_s,x_m,x_m\n" + rows)
     ran = swimid("import", tmp_path / "run.csv", "-o", tmp_path / "out.csv")

@@ -164,7 +164,9 @@ def test_tracker_with_several_tracks(imported: Callable[..., tuple[Log, Ran]], t
     assert np.allclose(one["x_m"], -T, atol=1e-5)
 
 
-def test_trc_has_its_unit_in_the_header(imported: Callable[..., tuple[Log, Ran]], tmp_path: Path) -> None:
+def test_the_header_of_marker_trajectories_states_the_unit(
+    imported: Callable[..., tuple[Log, Ran]], tmp_path: Path
+) -> None:
     lines = [
         "PathFileType\t4\t(X/Y/Z)\tswim.trc",
         "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
@@ -185,7 +187,7 @@ def test_trc_has_its_unit_in_the_header(imported: Callable[..., tuple[Log, Ran]]
 
 
 @pytest.mark.parametrize(("degrees", "factor"), [("yes", np.pi / 180), ("no", 1.0)])
-def test_mot_says_whether_it_is_in_degrees(
+def test_a_motion_states_whether_it_is_in_degrees(
     degrees: str, factor: float, imported: Callable[..., tuple[Log, Ran]], tmp_path: Path
 ) -> None:
     head = ["Coordinates", "version=1", f"nRows={N}", "nColumns=3", f"inDegrees={degrees}", "", "endheader"]
@@ -196,7 +198,7 @@ def test_mot_says_whether_it_is_in_degrees(
     assert np.allclose(record["pelvis_tx_m"], 0.2 * T, atol=1e-6)
 
 
-def test_mot_of_measured_forces(imported: Callable[..., tuple[Log, Ran]], tmp_path: Path) -> None:
+def test_columns_of_forces_in_a_motion(imported: Callable[..., tuple[Log, Ran]], tmp_path: Path) -> None:
     """Files of forces state inDegrees too; their columns are no angles."""
     names = "time\tground_force_vx\tground_force_px\tground_torque_z"
     rows = [f"{t:.6f}\t{3 * np.sin(b):.6f}\t0.25\t{0.1 * t:.6f}" for t, b in zip(T, BEAT, strict=True)]

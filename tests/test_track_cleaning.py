@@ -64,7 +64,7 @@ def test_speed_within_two_percent_where_the_naive_mean_is_ten_off(
     ],
     ids=str,
 )
-def test_other_tracks(changes: dict[str, float]) -> None:
+def test_repeats_and_jumps_of_other_tracks(changes: dict[str, float]) -> None:
     made = polled(11, **changes)  # type: ignore[arg-type]
     time, x, y, _ = np.array(made.rows).T
     cleaning = tracks.clean(time, [x, y])
@@ -83,7 +83,7 @@ def test_a_clean_track_stays_whole(seed: int) -> None:
     assert not cleaning.gaps
 
 
-def test_the_interval_covers() -> None:
+def test_the_interval_of_the_speed_covers_the_truth() -> None:
     """Of 8 steady runs the 95 % interval misses few: more than 2 misses have a chance below 1 %."""
     misses = 0
     for seed in range(8):
@@ -95,7 +95,7 @@ def test_the_interval_covers() -> None:
     assert misses <= 2
 
 
-def test_a_track_that_goes_on_elsewhere_is_told(swimid: Run, tmp_path: Path) -> None:
+def test_a_track_that_goes_on_elsewhere_is_reported(swimid: Run, tmp_path: Path) -> None:
     made = polled(3, jumps=1, stays=True)
     _write(tmp_path / "camera.csv", made)
     ran = swimid("import", tmp_path / "camera.csv", "-o", tmp_path / "run.csv", "--json")
@@ -129,7 +129,7 @@ def test_other_columns_of_a_repeat_stay(swimid: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("stated,told", [(1.2, False), (0.6, True), (2.4, True)])
-def test_the_stroke_is_found_and_held_against_the_metadata(
+def test_the_stroke_is_found_and_compared_with_the_metadata(
     stated: float, told: bool, swimid: Run, tmp_path: Path
 ) -> None:
     made = polled(7)
@@ -186,7 +186,7 @@ def test_three_rows_for_two_pictures(rng: np.random.Generator) -> None:
     assert stale(x).sum() == np.sum(np.diff(x) == 0)
 
 
-def test_what_repeats_itself_for_another_reason_stays(rng: np.random.Generator) -> None:
+def test_samples_that_repeat_for_another_reason_stay(rng: np.random.Generator) -> None:
     x = track(rng, 200)
     at_rest = np.concatenate((np.zeros(120), x))
     stops = np.concatenate([np.concatenate((part, np.full(40, part[-1]))) for part in np.split(x, 8)])

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from swimid.cli.options import ImportLogOptions
 from swimid.errors import UsageError
-from swimid.logs.guess_mapping import guess_mapping
 from swimid.logs.import_log import destinations, import_logs
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -42,8 +41,10 @@ def import_log(
     if options.guess:
         if len(files) > 1 or options.map_path is not None:
             raise UsageError("--guess drafts the mapping of one file")
+        from swimid.logs.guess_mapping import guess_mapping
+
         allow(output)
-        return guess_mapping(files[0], output=output)
+        return guess_mapping(files[0], select=options.select, output=output)
     if output is None:
         raise UsageError("say where the log goes", hint="add -o run.csv")
     for target in destinations(files, output):

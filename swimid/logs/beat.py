@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
 from swimid.logs.log import FREQUENCY_RTOL
 from swimid.logs.sampling import has_levels
@@ -77,6 +76,8 @@ class Beat:
     @property
     def interval_hz(self) -> tuple[float, float]:
         """95 % interval, by Student's t over the cycles, Hz."""
+        from scipy import special
+
         half = float(special.stdtrit(max(self.cycles - WINDOW_CYCLES - 1.0, 1.0), 0.975)) * self.stderr_hz
         return self.frequency_hz - half, self.frequency_hz + half
 
@@ -411,7 +412,8 @@ def _no_line(t: Array, x: Array, frequency: float) -> float:
         left = float(np.sum(np.abs(tapered - line * sums) ** 2))
         best = max(best, (N_TAPERS - 1) * abs(line) ** 2 * float(sums @ sums) / max(left, 1e-300))
     best *= float(known.mean())
-    return float(special.fdtrc(2, 2 * N_TAPERS - 2, best))
+    # survival function of the F distribution with 2 and 2 (N_TAPERS - 1) degrees of freedom
+    return float((1.0 + best / (N_TAPERS - 1)) ** (1 - N_TAPERS))
 
 
 def _fitted(

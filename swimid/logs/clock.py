@@ -1,4 +1,4 @@
-"""Sample times of a foreign table: read as numbers, frames, dates or times of day, and put in order.
+"""Sample times of a foreign table, from numbers, frames, dates or times of day, and the order of its rows.
 
 :class:`Time` is the part ``time:`` of a mapping, and :class:`Stated` the base of all its parts.
 """
@@ -29,7 +29,7 @@ COUNT = re.compile(
     r"(frame|index|idx|row|sample|num(ber)?|n|no|count)s?([ _.#]*(number|num|index|idx|no|id|#))?"
 )
 
-#: Mark in a drafted mapping of what nobody has stated yet.
+#: Mark in a drafted mapping for a value that the user must state.
 ASK = "ASK"
 #: A column by its name in the file, or by its number from 1.
 ColumnKey = Annotated[str | int, Field(union_mode="left_to_right")]
@@ -41,30 +41,34 @@ class Stated(yamlio.Document):
     @field_validator("*", mode="before")
     @classmethod
     def _nothing_is_open(cls, value: Any) -> Any:
-        inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else [value]
-        if any(part == ASK for part in inner if isinstance(part, str)):
+        inner = [value]
+        if isinstance(value, list):
+            inner = value
+        elif isinstance(value, dict):
+            inner = [*value.values()]
+        if any(isinstance(part, str) and part == ASK for part in inner):
             raise ValueError(f"is still {ASK}: state it, or delete the line")
         return value
 
 
 class Time(Stated):
-    """Where the sample times come from (``time:`` of a mapping)."""
+    """Source of the sample times (``time:`` of a mapping)."""
 
-    #: The column; or several that belong together: date and time of day, or seconds and nanoseconds.
+    #: The column, or several columns that form one time: date and time of day, or seconds and nanoseconds.
     source: ColumnKey | list[ColumnKey] | None = None
     #: Column of frame numbers; the time is the frame number over the rate.
     frame: ColumnKey | None = None
-    #: Unit of the source; one for each of several sources of numbers.
+    #: Unit of the source, or a list with the unit of each source.
     unit: str | list[str] = "s"
-    #: Rate of the rows or frames, Hz; or the name of a number in the file.
+    #: Rate of the rows or frames, Hz, or the name of a number in the file that states it.
     rate_hz: PositiveFloat | str | None = None
-    #: Format of dates as of ``datetime.strptime``, if they are not ISO 8601.
+    #: Format of dates for ``datetime.strptime``, if they are not ISO 8601.
     format: str | None = None
     #: Whether the day stands before the month, in dates such as 03/11/2025.
     day_first: bool | None = None
     #: Number at which a counter starts again from 0, in the unit of the source.
     wraps_at: PositiveFloat | None = None
-    #: ``keep`` the clock of the file, count from the ``first`` sample, or subtract so many seconds.
+    #: ``keep`` the clock of the file, count from the ``first`` sample, or subtract a number of seconds.
     origin: Literal["keep", "first"] | float = "keep"
 
     @model_validator(mode="after")
@@ -74,21 +78,31 @@ class Time(Stated):
         given = (self.source is not None, self.frame is not None, self.rate_hz is not None)
         if given not in ((True, False, False), (False, False, True), (False, True, True)):
             raise ValueError("give 'source' (a column), or 'rate_hz', or 'frame' and 'rate_hz'")
-        for unit in [self.unit] if isinstance(self.unit, str) else self.unit:
-            units.factor(unit, TIME)
         if isinstance(self.unit, list) and len(self.unit) != len(self.sources):
             raise ValueError(f"{len(self.unit)} units stand beside {len(self.sources)} sources")
+        for unit in self.units_of_sources or [str(self.unit)]:
+            units.factor(unit, TIME)
         return self
 
     @property
     def sources(self) -> list[str | int]:
         """The columns that hold the time; empty if it is counted from the rows."""
-        keys = self.frame if self.frame is not None else self.source
-        return keys if isinstance(keys, list) else [] if keys is None else [keys]
+        if self.frame is not None:
+            return [self.frame]
+        if isinstance(self.source, list):
+            return self.source
+        return [key for key in [self.source] if key is not None]
+
+    @property
+    def units_of_sources(self) -> list[str]:
+        """The unit of each source."""
+        if isinstance(self.unit, list):
+            return self.unit
+        return [self.unit] * len(self.sources)
 
 
 def seconds(table: Table, time: Time, rows: int, path: Path, metadata: dict[str, Any]) -> Array:
-    """Return the sample times in s, shape (rows,); NaN where a row has none.
+    """Return the sample times in s, shape (rows,); NaN for a row without one.
 
     The origin is subtracted before whole numbers become floating-point numbers. With ``origin: first`` the
     first stamp goes to ``metadata['first_stamp_s']``.
@@ -100,10 +114,9 @@ def seconds(table: Table, time: Time, rows: int, path: Path, metadata: dict[str,
     """
     names = [table.column(key, path) for key in time.sources]
     parts = [table.columns[name] for name in names]
-    units_of = time.unit if isinstance(time.unit, list) else [time.unit] * len(parts)
-    factors = [units.factor(unit, TIME) for unit in units_of]
+    factors = [units.factor(unit, TIME) for unit in time.units_of_sources]
     if time.rate_hz is not None:
-        parts = [_frames(table, names[0], path)] if names else [np.arange(rows, dtype=float)]
+        parts = [_frames(table, name, path) for name in names] or [np.arange(rows, dtype=float)]
         factors = [1.0 / _rate(time.rate_hz, table, path)]
     elif any(is_text(part) for part in parts):
         # times of day are seconds already
@@ -120,8 +133,9 @@ def seconds(table: Table, time: Time, rows: int, path: Path, metadata: dict[str,
         elif time.wraps_at is not None:
             values = unwrapped(part, time.wraps_at)
         first += float(values[row]) * factor
-        start = values[row] if time.origin == "first" else 0
-        total += (values - start) * factor
+        if time.origin == "first":
+            values = values - values[row]
+        total += values * factor
     if time.origin == "first":
         metadata.setdefault("first_stamp_s", first)
     elif not isinstance(time.origin, str):
@@ -156,7 +170,7 @@ def _frames(table: Table, name: str, path: Path) -> Array:
 
 
 def unwrapped(counts: NDArray[Any], period: float) -> Array:
-    """Return a counter that starts again from 0 at ``period`` as a number that grows.
+    """Return a counter that restarts from 0 at ``period`` as numbers that grow.
 
     >>> unwrapped(np.array([65534.0, 65535.0, 0.0, 1.0]), 65536).tolist()
     [65534.0, 65535.0, 65536.0, 65537.0]
@@ -168,8 +182,10 @@ def unwrapped(counts: NDArray[Any], period: float) -> Array:
 
 def wrap_hint(times_s: Array, time: Time | None) -> str:
     """Return the hint for a clock that goes back where a counter of 16 or 32 bits restarts; else ''."""
-    unit = time.unit if time is not None and isinstance(time.unit, str) else "s"
-    steps = np.diff(times_s[np.isfinite(times_s)]) / units.factor(unit, TIME)
+    factor = 1.0
+    if time is not None and isinstance(time.unit, str):
+        factor = units.factor(time.unit, TIME)
+    steps = np.diff(times_s[np.isfinite(times_s)]) / factor
     back = steps[steps < 0]
     for bits in (16, 32):
         if len(back) and np.all(np.abs(back + 2.0**bits) < 10 * np.median(np.abs(steps))):
@@ -215,9 +231,9 @@ def _parsed(
 
 # ---------------------------------------------------------------- rows in order
 
-#: Of more samples than this share that come late, or of more in a row, the clock was reset.
+#: Maximum share of samples that come late, and maximum number in a row. With more the clock was reset.
 LATE_SHARE, LATE_RUN = 0.01, 20
-#: What is done to rows that are not in order.
+#: Words for the rows that are out of order, by the attribute of :class:`Order` that counts them.
 ODD_ROWS = {
     "untimed": "without a time left out",
     "repeated": "repeated left out",
@@ -228,22 +244,22 @@ ODD_ROWS = {
 
 @dataclass(frozen=True)
 class Order:
-    """What was done to the rows of a record.
+    """Order of the rows of a record by their times.
 
     Attributes
     ----------
     index : ndarray of int, shape (m,)
-        The rows that stay, in the order of their times.
+        Rows that stay, in the order of their times.
     untimed : int
-        Rows without a time, left out.
+        Number of rows without a time, which are left out.
     repeated : int
-        Rows that say the same as another row at the same time, left out.
+        Number of rows equal to an earlier row at the same time, which are left out.
     clashing : int
-        Rows that say something else at a time that is taken already, left out.
+        Number of rows with other values at the time of an earlier row, which are left out.
     late : int
-        Rows that came after later ones and were put in their place.
+        Number of rows that came after later ones and were moved to their place.
     reset_row : int or None
-        Row at which the clock starts again: nothing puts such a record in order.
+        Row at which the clock starts again. Such a record cannot be put in order.
     """
 
     index: NDArray[np.int64]
@@ -255,7 +271,7 @@ class Order:
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many rows were out of order, by what was wrong with them."""
+        """Number of rows out of order, by kind."""
         return {name: getattr(self, name) for name in ODD_ROWS}
 
     @property
@@ -265,27 +281,25 @@ class Order:
 
     @property
     def summary(self) -> str:
-        """What was done to how many rows, in words."""
+        """What was done with the rows out of order, in words."""
         return "; ".join(f"{count} {ODD_ROWS[name]}" for name, count in self.counts.items() if count)
 
 
 def in_order(time_s: Array, columns: Mapping[str, Array]) -> Order:
-    """Rows of a record with strictly increasing times.
+    """Return the order in which the rows of a record have strictly increasing times.
 
     Parameters
     ----------
     time_s : ndarray, shape (n,)
-        May be NaN, repeat, or go back.
+        Times, s, which may be NaN, repeat, or go back.
     columns : mapping of str to ndarray, each shape (n,)
-        The other columns, to tell a repeated row from a clashing one.
+        The other columns, which distinguish a repeated row from a clashing one.
 
     Notes
     -----
-    Single rows that come late (packets on a network) are put where their time says. A clock that
-    goes back and counts on from there was reset; which of its times are right cannot be told.
+    Single rows that come late (packets on a network) are moved to the place of their time. A clock that goes
+    back and counts on from there was reset, and nothing shows which of its times are right.
     """
-    import pandas as pd
-
     index = np.flatnonzero(np.isfinite(time_s))
     times, untimed = time_s[index], len(time_s) - len(index)
     if np.all(np.diff(times) > 0):
@@ -294,6 +308,8 @@ def in_order(time_s: Array, columns: Mapping[str, Array]) -> Order:
     late = int(behind.sum())
     if late > max(1, LATE_SHARE * len(times)) or longest_run(behind) > LATE_RUN:
         return Order(index, untimed, late=late, reset_row=int(index[np.argmax(behind)]))
+    import pandas as pd
+
     rows = pd.DataFrame({**columns, TIME: time_s}).iloc[index].sort_values(TIME, kind="stable")
     again, repeated = rows.duplicated(TIME), int(rows.duplicated().sum())
     return Order(rows.index[~again].to_numpy(), untimed, repeated, int(again.sum()) - repeated, late)

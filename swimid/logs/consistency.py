@@ -1,7 +1,7 @@
-"""Columns of one log that contradict each other: rates and poses, and the course of a track and its heading.
+"""Comparison of columns of one log: rates with poses, and the course of a track with its heading.
 
-A camera's y axis points down, so a track written without turning it is mirrored while a heading from the
-image is not, or the other way round. Every sample is plausible then, and every fit wrong.
+The y axis of a camera points down. If the track or the heading is written without turning that axis, one of
+them is mirrored. Then every sample is plausible, and every fit is wrong.
 """
 
 from __future__ import annotations
@@ -12,32 +12,32 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import i0e
 
 from swimid.logs.log import TIME
 from swimid.logs.rotation import AXES
 
 Array = NDArray[np.float64]
-#: A gain is judged only if it is this many standard errors from 0: it occurs by chance once in 16,000 pairs.
+#: Minimum distance of a gain from 0, in standard errors, for a judgement. Unrelated columns exceed it once in
+#: 16,000 pairs.
 MIN_STDERRS = 4.0
-#: Minimum number of increments that do not overlap, for a standard error to mean something.
+#: Minimum number of increments that do not overlap, for a useful standard error.
 MIN_WINDOWS = 8
-#: Factors that degrees for radians bring.
+#: Factors of a confusion of degrees and radians.
 _DEGREES = (np.pi / 180, 180 / np.pi)
 
 
 @dataclass(frozen=True)
-class Contradiction:
-    """A column that contradicts another one.
+class Comparison:
+    """A column compared with another one that tells the same motion.
 
     Attributes
     ----------
     column, against : str
         The column, and what it was compared with.
     gain, stderr : float
-        Motion of the second per motion that the first makes when it is integrated; 1 where both agree.
+        Motion of the second per motion that the first makes when it is integrated; 1 if both agree.
     text : str
-        What is wrong, in words.
+        What is wrong, in words; empty if both agree.
     """
 
     column: str
@@ -47,21 +47,22 @@ class Contradiction:
     text: str
 
 
-def contradictions(columns: Mapping[str, Array], period_s: float | None = None) -> list[Contradiction]:
-    """Compare rates with the pose that they are rates of, and the course of the track with its heading.
+def compare_columns(columns: Mapping[str, Array], period_s: float | None = None) -> list[Comparison]:
+    """Compare rates with their pose, and the course of the track with its heading.
 
-    Compared are u, v with the track seen along the heading, every ``<name>_m_s`` and ``<name>_rad_s`` with
-    ``<name>_m`` and ``<name>_rad``, the yaw rate with the heading, and turn rates with the quaternion.
+    The result holds the comparisons that the log allows. Compared are u, v with the track seen along the
+    heading, every ``<name>_m_s`` and ``<name>_rad_s`` with ``<name>_m`` and ``<name>_rad``, the yaw rate with
+    the heading, and turn rates with the quaternion.
 
     Parameters
     ----------
     columns : mapping of str to ndarray, each shape (n,)
         Columns of a log in SI, ``t_s`` among them.
     period_s : float, optional
-        Period of the stroke, s; without it course and heading are not compared.
+        Period of the stroke, s. Without it course and heading are not compared.
     """
     time = columns[TIME]
-    found: list[Contradiction] = []
+    found: list[Comparison] = []
     for name, values in columns.items():
         stem, _, unit = name.rpartition("_")
         unit = f"{stem.rpartition('_')[2]}_{unit}"
@@ -69,18 +70,24 @@ def contradictions(columns: Mapping[str, Array], period_s: float | None = None) 
         if unit not in ("m_s", "rad_s", "px_s"):
             continue
         pose = unit.removesuffix("_s")
-        against = f"{stem.removesuffix('_rate').removeprefix('v' if len(stem) == 2 else '')}_{pose}"
+        of = stem.removesuffix("_rate")
+        if len(stem) == 2:
+            of = of.removeprefix("v")
+        against = f"{of}_{pose}"
         if name == "wz_rad_s" and not {"roll_rad", "pitch_rad", *AXES} & set(columns):
             against = "yaw_rad"
         if against in columns and stem not in ("u", "v", "w"):
-            turn = np.unwrap(columns[against]) if pose == "rad" else columns[against]
-            found += _judge(time, [turn], [[values]], [name], against, angle=pose == "rad")
+            motion = columns[against]
+            if pose == "rad":
+                motion = np.unwrap(motion)
+            found += _judge(time, [motion], [[values]], [name], against, angle=pose == "rad")
     for pose in ("m", "px"):
         track = [f"x_{pose}", f"y_{pose}", "yaw_rad"]
         names = [name for name in (f"u_{pose}_s", f"v_{pose}_s") if name in columns]
         if set(track) <= set(columns):
             x, y, yaw = (columns[name] for name in track)
-            found += _of_course(time, x, y, yaw, period_s)
+            if period_s is not None:
+                found += _of_course(time, x, y, yaw, period_s)
         if set(track) <= set(columns) and names:
             along, across = (np.cos(yaw), np.sin(yaw)), (-np.sin(yaw), np.cos(yaw))
             ways = {f"u_{pose}_s": along, f"v_{pose}_s": across}
@@ -92,18 +99,21 @@ def contradictions(columns: Mapping[str, Array], period_s: float | None = None) 
     return found
 
 
-def _of_course(time: Array, x: Array, y: Array, yaw: Array, period_s: float | None) -> list[Contradiction]:
+def _of_course(time: Array, x: Array, y: Array, yaw: Array, period_s: float) -> list[Comparison]:
     """Compare the course of a track with its heading over windows of at least one stroke."""
-    seen = None if period_s is None else compare_course([(time, x, y, yaw)], period_s)
-    if seen is None or not seen.mirrored:
+    seen = compare_course([(time, x, y, yaw)], period_s)
+    if seen is None:
         return []
-    text = "turns opposite to the course of the track: one of both is mirrored (factor: -1 for yaw or y)"
-    return [Contradiction("yaw_rad", "the course of the track", -1.0, float("nan"), text)]
+    gain, text = 1.0, ""
+    if seen.mirrored:
+        gain = -1.0
+        text = "turns opposite to the course of the track: one of both is mirrored (factor: -1 for yaw or y)"
+    return [Comparison("yaw_rad", "the course of the track", gain, math.nan, text)]
 
 
 def _of_quaternion(
     time: Array, q: Array, columns: Mapping[str, Array], turns: Sequence[str]
-) -> list[Contradiction]:
+) -> list[Comparison]:
     """Compare turn rates with the rotation from one attitude to the next, in the body frame."""
     from scipy.spatial.transform import Rotation
 
@@ -113,18 +123,19 @@ def _of_quaternion(
     attitudes = Rotation.from_quat(q[there], scalar_first=True)
     steps = (attitudes[:-1].inv() * attitudes[1:]).as_rotvec()
     angles = np.vstack((np.zeros(3), np.cumsum(steps, axis=0)))
-    found: list[Contradiction] = []
+    found: list[Comparison] = []
     for k, name in enumerate(turns):
         rate = columns[name][there]
         found += _judge(time[there], [angles[:, k]], [[rate]], [name], "the quaternion", angle=True)
-    mirrored = [one for one in found if one.gain < 0]
-    if mirrored and len(mirrored) == len(found):
+    wrong = [one for one in found if one.text]
+    mirrored = [one for one in wrong if one.gain < 0]
+    if mirrored and len(mirrored) == len(wrong):
         names = ", ".join(one.column for one in mirrored)
         text = (
             "turns opposite to the quaternion, which is that from world to body, or the sign is wrong: "
             "quaternion: {direction: world-to-body} in the mapping conjugates it"
         )
-        return [Contradiction(names, "the quaternion", mirrored[0].gain, mirrored[0].stderr, text)]
+        return [Comparison(names, "the quaternion", mirrored[0].gain, mirrored[0].stderr, text)]
     return found
 
 
@@ -136,11 +147,11 @@ def _judge(
     against: str,
     *,
     angle: bool,
-) -> list[Contradiction]:
-    """Regress increments of the pose on increments of the integrated rates; name gains that are far from 1.
+) -> list[Comparison]:
+    """Regress increments of the pose on increments of the integrated rates; say which gains are far from 1.
 
-    ``rates[k]`` holds, for rate ``names[k]``, its part in each coordinate of the pose. The length of the
-    increments is the one at which the rates explain most of the pose.
+    ``rates[k]`` holds the part of the rate ``names[k]`` in each coordinate of the pose. The increments have
+    the length at which the rates explain most of the pose. A gain that is not significant is left out.
     """
     there = np.isfinite([time, *pose, *(part for parts in rates for part in parts)]).all(axis=0)
     if there.sum() < 2 * MIN_WINDOWS:
@@ -163,7 +174,7 @@ def _judge(
         x /= scale
         gain, *_ = np.linalg.lstsq(x, y, rcond=None)
         squares = float(np.sum((y - x @ gain) ** 2))
-        # increments that overlap are not independent: one in ``lag`` counts
+        # increments that overlap are not independent: only one in ``lag`` counts
         freedom = max(len(y) / lag - x.shape[1], 1.0)
         stderr = np.sqrt(squares / freedom * np.diag(np.linalg.pinv(x.T @ x)))
         explained = 1.0 - squares / float(y @ y)
@@ -173,23 +184,25 @@ def _judge(
         return []
     found = []
     for name, gain, stderr in zip(names, best[1], best[2], strict=True):
-        text = _named(float(gain), angle=angle) if abs(gain) > MIN_STDERRS * stderr else ""
-        if text:
-            found.append(Contradiction(name, against, float(gain), float(stderr), text))
+        if abs(gain) > MIN_STDERRS * stderr:
+            text = _named(float(gain), angle=angle)
+            found.append(Comparison(name, against, float(gain), float(stderr), text))
     return found
 
 
 def _named(gain: float, *, angle: bool) -> str:
-    """Return the mistake whose factor is nearest to a gain; empty if that is none."""
-    factors = [*(10.0**k for k in range(-3, 4)), *(_DEGREES if angle else ())]
+    """Return in words the mistake whose factor is nearest to a gain; empty for a gain near 1."""
+    factors = [10.0**k for k in range(-3, 4)]
+    if angle:
+        factors += _DEGREES
     nearest = min(factors, key=lambda factor: abs(np.log(abs(gain) / factor)))
     words = []
     if gain < 0:
         words.append("has the opposite sign")
-    if nearest in _DEGREES:
-        words.append(
-            "is in degrees where radians are named" if nearest < 1 else "is in radians beside degrees"
-        )
+    if nearest == _DEGREES[0]:
+        words.append("is in degrees where radians are named")
+    elif nearest == _DEGREES[1]:
+        words.append("is in radians beside degrees")
     elif nearest != 1.0:
         words.append(f"is {1 / nearest:g} times too large")
     return " and ".join(words)
@@ -197,26 +210,26 @@ def _named(gain: float, *, angle: bool) -> str:
 
 # ---------------------------------------------------------------- course and heading
 
-#: Log of the Bayes factor from which evidence is "very strong" (Kass and Raftery 1995, JASA 90).
+#: Natural logarithm of the smallest Bayes factor that is "very strong" evidence (Kass and Raftery 1995, JASA
+#: 90).
 VERY_STRONG = math.log(150.0)
-#: Drift angles of hulls in the tightest turns stay below this, rad: a course that differs from the heading by
-#: more is no slip (ships 10 to 20 degrees to either side, Fossen 2011, *Handbook of Marine Craft
-#: Hydrodynamics*, 7.1).
+#: Maximum drift angle of a hull in its tightest turn, rad (Fossen 2011, *Handbook of Marine Craft
+#: Hydrodynamics*, 7.1: 10 to 20 degrees for ships). A larger angle between course and heading is no slip.
 LARGEST_SLIP = math.radians(30.0)
 
 
 @dataclass(frozen=True)
 class Course:
-    """Course against heading over the windows of some tracks.
+    """Difference of course and heading over the windows of some tracks.
 
     Attributes
     ----------
     slip_rad : float
         Mean of course minus heading, -pi to pi.
     spread_rad : float
-        Circular standard deviation of it.
+        Circular standard deviation of course minus heading.
     mirrored : bool
-        Whether the courses follow the headings turned the other way round, and not the headings.
+        Whether the courses follow the headings with the opposite sign, and not the headings.
     """
 
     slip_rad: float
@@ -230,14 +243,14 @@ def compare_course(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s
     Parameters
     ----------
     tracks : iterable of (t, x, y, heading)
-        Each shape (n,), in s, m, m and rad; NaN where nothing was measured.
+        Each shape (n,), in s, m, m and rad; NaN where missing.
     window_s : float
-        At least one stroke, so that recoil averages out.
+        Length of a window, s: at least one stroke, so that recoil averages out.
 
     Returns
     -------
     Course or None
-        None where too few windows advance farther than they sway.
+        None if the swimmer advances farther than it sways in too few windows.
     """
     pairs = [pair for track in tracks for pair in _windows(*track, window_s)]
     if len(pairs) < MIN_WINDOWS:
@@ -251,7 +264,9 @@ def compare_course(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s
 
 
 def is_in_degrees(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s: float) -> bool:
-    """Whether the courses, which differ, follow the headings taken for degrees, and not as they are.
+    """Return whether the courses follow the headings only if these are taken for degrees.
+
+    That needs courses which differ.
 
     Parameters
     ----------
@@ -261,7 +276,7 @@ def is_in_degrees(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s:
     tracks = list(tracks)
     turned = [(t, x, y, np.radians(heading)) for t, x, y, heading in tracks]
     plain, found = compare_course(tracks, window_s), compare_course(turned, window_s)
-    # against no heading at all: the spread of the courses themselves
+    # the spread of the courses themselves
     still = compare_course([(t, x, y, np.zeros_like(heading)) for t, x, y, heading in tracks], window_s)
     if found is None or still is None or (plain is not None and plain.spread_rad < LARGEST_SLIP):
         return False
@@ -272,7 +287,7 @@ def is_in_degrees(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s:
 def _windows(
     time: Array, x: Array, y: Array, heading: Array, window_s: float
 ) -> list[tuple[complex, complex]]:
-    """Unit vectors of course and mean heading of each window that advances farther than it sways."""
+    """Return the unit vectors of course and mean heading of each window with more advance than sway."""
     there = np.isfinite(x) & np.isfinite(y) & np.isfinite(heading)
     if there.sum() < 3:
         return []
@@ -292,7 +307,12 @@ def _windows(
 
 
 def _likelihood(length: float, count: int) -> float:
-    """Largest log-likelihood of angles with a mean resultant length under von Mises' distribution."""
+    """Return the largest log-likelihood of ``count`` angles under von Mises' distribution.
+
+    ``length`` is their mean resultant length.
+    """
+    from scipy.special import i0e
+
     length = min(length, 1.0 - 1e-6)
     # Fisher 1993, *Statistical Analysis of Circular Data*, 4.5.5: maximum-likelihood concentration
     if length < 0.53:

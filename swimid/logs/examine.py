@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,21 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError, NoTrustworthyResult
-from swimid.logs import (
-    clock,
-    consistency,
-    log,
-    rhythm,
-    tracks,
-)
+from swimid.logs import clock, log, rhythm, sampling, tracks
 from swimid.logs.beat import contradiction
 from swimid.logs.clock import Order
-from swimid.logs.consistency import Contradiction
-from swimid.logs.log import Doubt
+from swimid.logs.consistency import Comparison, compare_columns
+from swimid.logs.log import TIME, Doubt
 from swimid.logs.mapping import MappedLog
 from swimid.logs.options import ImportOptions, direction
 from swimid.logs.rhythm import Rhythm
-from swimid.logs.sampling import find_frozen, find_uneven
 from swimid.logs.tracks import Cleaning, TrackSpeed
 from swimid.notices import warn
 
@@ -32,8 +25,8 @@ Array = NDArray[np.float64]
 METRES = ("x_m", "y_m", "z_m")
 PIXELS = ("x_px", "y_px", "z_px")
 ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")
-#: What columns of a pose begin with, and those that follow from it.
-_POSE, _POSE_SPEEDS = ("x", "y", "z", "yaw", "pitch", "roll"), ("u", "v", "w", "vx", "vy", "vz")
+#: First words of the names of columns of a pose, and of the rates that follow from a pose.
+_POSE, _POSE_RATES = ("x", "y", "z", "yaw", "pitch", "roll"), ("u", "v", "w", "vx", "vy", "vz")
 
 
 @dataclass(frozen=True)
@@ -43,11 +36,12 @@ class Projection:
     Attributes
     ----------
     along : ndarray, shape (n,)
-        Distance travelled along it from the first sample, NaN where the track has none.
+        Distance along the line from the first sample, in the unit of the track; NaN where the track is
+        missing.
     direction : ndarray, shape (d,)
-        Unit vector.
+        Unit vector of the line.
     across : float
-        Root mean square distance from the line through the mean place.
+        Root-mean-square distance of the track from the line through its mean position.
     extent : float
         Range of ``along``.
     """
@@ -64,38 +58,43 @@ class Examined:
 
     Attributes
     ----------
-    metadata, columns : dict
-        As they are written.
-    order : Order
-        What was done to the rows.
-    cleaning : Cleaning or None
-        What was found in the track; None without one.
-    cleaned : bool
-        Whether that was left out of the log.
-    speed : TrackSpeed or None
-    stroke : Rhythm or None
-    against : str or None
-        How the stroke contradicts the metadata.
-    unknown : str
-        Why there is no stroke; empty where there is one.
-    doubts : list of Doubt
-        Values no swimmer reaches.
-    projection : Projection or None
-        The line the track was projected on.
-    unit : str
-        Of the track: m or px.
     mapped : MappedLog
-        How the file was read; its columns are these.
-    contradictions : list of Contradiction
-        Columns that contradict each other.
+        The log as it was read. Its columns are those of this object.
+    metadata, columns : dict
+        Metadata and columns as they are written.
+    order : Order
+        Rows that were moved or left out.
+    cleaning : Cleaning or None
+        Repeats, jumps and gaps of the track; None without a track.
+    cleaned : bool
+        Whether repeats and jumps were left out of the log.
+    speed : TrackSpeed or None
+        Speed of the track.
+    stroke : Rhythm or None
+        The stroke, if the log shows one.
+    against : str
+        How the stroke contradicts the metadata; empty if it does not.
+    unknown : str
+        Reason why there is no stroke; empty if there is one.
+    doubts : list of Doubt
+        Columns with values that no swimmer reaches.
+    projection : Projection or None
+        The line on which the track was projected.
+    unit : str
+        Unit of the track, m or px.
+    comparisons : list of Comparison
+        Columns that tell the same motion, and whether they agree.
     frozen : dict of str to (float, float)
-        Longest stretch of each channel that is frozen, s (:func:`swimid.logs.sampling.find_frozen`).
+        Longest stretch in which each frozen channel holds one value, s.
+    unmeasured : dict of str to str
+        Channels with values that a working sensor does not give, each with what is wrong.
     uneven : str
-        How the sampling departs from an even one, in words; empty where it does not.
+        How the sampling departs from an even one, in words; empty if it does not.
     bursts : bool
-        Whether the stamps come in bursts.
+        Whether the samples are stamped in bursts.
     """
 
+    mapped: MappedLog
     metadata: dict[str, Any]
     columns: dict[str, Array]
     order: Order
@@ -103,39 +102,54 @@ class Examined:
     cleaned: bool
     speed: TrackSpeed | None
     stroke: Rhythm | None
-    against: str | None
+    against: str
     unknown: str
     doubts: list[Doubt]
     projection: Projection | None
     unit: str
-    mapped: MappedLog
-    contradictions: list[Contradiction]
-    frozen: dict[str, tuple[float, float]] = field(default_factory=dict)
-    uneven: str = ""
-    bursts: bool = False
+    comparisons: list[Comparison]
+    frozen: dict[str, tuple[float, float]]
+    unmeasured: dict[str, str]
+    uneven: str
+    bursts: bool
 
     @property
     def path(self) -> Path:
-        """The foreign log."""
+        """Path of the foreign log."""
         return self.mapped.path
 
     @property
     def time_s(self) -> Array:
-        """Sample times, s."""
-        return self.columns[log.TIME]
+        """Sample times, s, shape (n,)."""
+        return self.columns[TIME]
+
+    @property
+    def channels(self) -> dict[str, Array]:
+        """The columns other than the time."""
+        return {name: values for name, values in self.columns.items() if name != TIME}
+
+    @property
+    def done(self) -> str:
+        """Word for what happened to repeats and jumps of the track."""
+        return "left out" if self.cleaned else "kept"
+
+    @property
+    def contradictions(self) -> list[Comparison]:
+        """Comparisons of columns that disagree."""
+        return [one for one in self.comparisons if one.text]
 
 
 def examine(source: MappedLog, options: ImportOptions) -> Examined:
     """Put a foreign log in order, clean its track, and find its speed and stroke.
 
-    ``source.columns`` is emptied on the way: a log of many samples is held once, not twice.
+    ``source.columns`` is changed in place, so that a long log is held in memory once.
 
     Raises
     ------
     InputError
         No sample has a time, or the clock starts again within the log.
     NoTrustworthyResult
-        Fewer samples of a cleaned track than :data:`swimid.logs.tracks.MIN_SAMPLES` stay of many.
+        A cleaned track keeps fewer samples than :data:`swimid.logs.tracks.MIN_SAMPLES`.
     """
     name, columns = source.path.name, source.columns
     order = _in_order(source)
@@ -146,7 +160,7 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
         warn("SWM057", f"{name}: rows {order.summary}")
     _cut(columns, options, source)
     _to_metres(columns, options, source)
-    uneven, bursts = find_uneven(columns[log.TIME])
+    uneven, bursts = sampling.find_uneven(columns[TIME])
     metadata = dict(source.metadata) | {"source": name, "imported_by": "swimid import"}
     coordinates, known = _track(columns), _measured(columns)
     cleaned = options.clean
@@ -157,39 +171,43 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
     if len(coordinates) > 1 or cleaned:
         track = [known[column] for column in coordinates]
         angles = [known[column] for column in ANGLES if column in columns]
-        stamps = columns[log.TIME]
+        stamps = columns[TIME]
         cleaning = tracks.clean(stamps, track, angles)
         if cleaned:
             _take_out(columns, cleaning, name, metadata)
-    telling = {column: v for column, v in _measured(columns).items() if column != log.TIME}
-    times, times_sd_s = columns[log.TIME], 0.0
+    channels = {column: v for column, v in _measured(columns).items() if column != TIME}
+    times, times_sd_s = columns[TIME], 0.0
     if cleaning is not None and cleaning.held is not None:
         times_sd_s = cleaning.held.lateness_s / np.sqrt(12.0)
         measured_s = np.interp(times, stamps, cleaning.held.measured_s)
         if (np.diff(measured_s) > 0).all():  # else rows of other channels stand between the pictures
             times, times_sd_s = measured_s, cleaning.held.measured_sd_s
-    stated = _stated(metadata)
-    stroke = rhythm.find(times, telling, range_hz=options.stroke_hz, stated_hz=stated)
-    unknown, against, periodic_hz, period_s = "", None, None, None
+    stated_hz = _stated(metadata)
+    stroke = rhythm.find(times, channels, range_hz=options.stroke_hz, stated_hz=stated_hz)
+    unknown, against, periodic_hz, period_s = "", "", None, None
     if stroke is None:
-        unknown, periodic_hz = rhythm.explain_missing(columns[log.TIME], telling)
+        unknown, periodic_hz = rhythm.explain_missing(columns[TIME], channels)
     else:
         stroke = rhythm.add_time_error(stroke, times_sd_s, times)
         periodic_hz, period_s = stroke.beat.frequency_hz, stroke.period_s[0]
-        against = _against(stroke, stated, name)
+        against = _against(stroke, stated_hz, name)
     if cleaning is not None:
         speed = tracks.speed(stamps, track, cleaning, periodic_hz)
-    doubts = [*log.doubts(columns[log.TIME], columns), *_bent(stroke)]
+    doubts = [*log.doubts(columns[TIME], columns), *_bent(stroke)]
     for doubt in doubts:
         warn("SWM002", f"{name}, '{doubt.column}': {doubt.text}")
-    contradictions = consistency.contradictions(columns, period_s)
-    for one in contradictions:
-        warn("SWM090", f"{name}, '{one.column}': {one.text} (against {one.against}: {one.gain:.3g})")
-    frozen = find_frozen(columns[log.TIME], telling)
+    comparisons = compare_columns(columns, period_s)
+    for one in comparisons:
+        if one.text:
+            warn("SWM090", f"{name}, '{one.column}': {one.text} (against {one.against}: {one.gain:.3g})")
+    frozen = sampling.find_frozen(columns[TIME], channels)
+    scales = {target: factor for target, (_, factor, _) in source.sources.items()}
+    unmeasured = sampling.find_unmeasured(columns, scales)
     line = _along(columns, options, source)
     if line is not None:
         metadata["along"] = [float(part) for part in line.direction]
     return Examined(
+        mapped=source,
         metadata=metadata,
         columns=columns,
         order=order,
@@ -202,56 +220,57 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
         doubts=doubts,
         projection=line,
         unit=_unit(coordinates),
-        mapped=source,
-        contradictions=contradictions,
+        comparisons=comparisons,
         frozen=frozen,
+        unmeasured=unmeasured,
         uneven=uneven,
         bursts=bursts,
     )
 
 
 def _in_order(source: MappedLog) -> Order:
-    """How the rows get strictly increasing times; an error where they cannot."""
-    channels = {name: values for name, values in source.columns.items() if name != log.TIME}
+    """Return how the rows get strictly increasing times; raise if the clock does not allow it."""
+    channels = {name: values for name, values in source.columns.items() if name != TIME}
     order = clock.in_order(source.time_s, channels)
     if len(order.index) < 2:
         text = f"{len(order.index)} of {len(source)} rows have a time of their own; at least 2 are needed"
-        raise InputError(text, file=source.path, column=log.TIME, hint="is the time complete?")
+        raise InputError(text, file=source.path, column=TIME, hint="is the time complete?")
     if order.reset_row is not None:
         last = np.nanmax(source.time_s[: order.reset_row])
         text = f"the clock starts again: {source.time_s[order.reset_row]:g} s after {last:g} s"
         line, hint = int(source.rows[order.reset_row]), source.hint or "split the file there"
-        raise InputError(text, file=source.path, line=line, column=log.TIME, hint=hint)
+        raise InputError(text, file=source.path, line=line, column=TIME, hint=hint)
     return order
 
 
 def _keep(columns: dict[str, Array], rows: NDArray[Any]) -> None:
-    """Leave only these rows, in place."""
+    """Keep these rows of all columns, in place."""
     for name in columns:
         columns[name] = columns[name][rows]
 
 
 def _track(columns: dict[str, Array]) -> list[str]:
-    """The columns of the track, in metres where both are there."""
+    """Return the columns of the track, in metres if both units are there."""
     return [n for n in METRES if n in columns] or [n for n in PIXELS if n in columns]
 
 
 def _unit(coordinates: list[str]) -> str:
-    return "px" if coordinates and coordinates[0] in PIXELS else "m"
+    return "px" if set(coordinates) & set(PIXELS) else "m"
 
 
 def _bent(stroke: Rhythm | None) -> list[Doubt]:
-    """Return the angles that swing by more than half a turn to either side: a joint goes through itself."""
-    beats = {} if stroke is None else stroke.channels
+    """Return the angles that swing by more than half a turn to either side, which no joint can."""
+    if stroke is None:
+        return []
     text = "swings by ±{:.3g} rad: state the unit if it is degrees (a factor of 57.3)"
-    bent = {n: b.amplitude for n, b in beats.items() if n.endswith("_rad") and b.amplitude > np.pi}
-    return [Doubt(name, text.format(amplitude)) for name, amplitude in bent.items()]
+    beats = {name: beat.amplitude for name, beat in stroke.channels.items() if name.endswith("_rad")}
+    return [Doubt(name, text.format(size)) for name, size in beats.items() if size > np.pi]
 
 
 def _take_out(columns: dict[str, Array], cleaning: Cleaning, name: str, metadata: dict[str, Any]) -> None:
-    """Empty the pose cells of repeats and jumps; rows that hold nothing else go."""
+    """Empty the pose of repeats and jumps, and drop rows that hold nothing else, in place."""
     done = metadata["track_cleaned"] = {**cleaning.counts, "gaps": len(cleaning.gaps)}
-    elsewhere = [float(columns[log.TIME][row]) for row in cleaning.offset_rows]
+    elsewhere = [float(columns[TIME][row]) for row in cleaning.offset_rows]
     if elsewhere:
         at = ", ".join(f"{time:.6g} s" for time in elsewhere[:5])
         warn("SWM059", f"{name}: the track goes on elsewhere at {at}")
@@ -268,38 +287,39 @@ def _take_out(columns: dict[str, Array], cleaning: Cleaning, name: str, metadata
     for column, values in columns.items():
         if column in (*METRES, *PIXELS, *ANGLES):
             columns[column] = np.where(out, np.nan, values)
-        elif column != log.TIME:
+        elif column != TIME:
             empty &= np.isnan(values)
     _keep(columns, ~empty)
 
 
-def _against(stroke: Rhythm, stated_hz: float | None, name: str) -> str | None:
-    """Return in words how a stroke contradicts the metadata; warn of that, and of what makes it doubtful."""
-    against = None if stated_hz is None else contradiction(stroke.beat, stated_hz)
-    if against is not None:
-        against = f"{stroke.channel} {against}; the metadata say {stated_hz:g} Hz"
-        warn("SWM032", f"{name}: {against}")
-    if stroke.doubt:
-        warn("SWM033", f"{name}: {stroke.doubt}")
-    return against
-
-
 def _stated(metadata: dict[str, Any]) -> float | None:
-    """The stroke frequency the metadata tell, Hz."""
+    """Return the stroke frequency in the metadata, Hz; None if it is no positive number."""
     stated = metadata.get("frequency_hz")
     if isinstance(stated, bool) or not isinstance(stated, int | float) or not stated > 0:
         return None
     return float(stated)
 
 
+def _against(stroke: Rhythm, stated_hz: float | None, name: str) -> str:
+    """Return how a stroke contradicts the metadata; warn of that, and of a doubtful stroke."""
+    against = ""
+    if stated_hz is not None and (text := contradiction(stroke.beat, stated_hz)):
+        against = f"{stroke.channel} {text}; the metadata say {stated_hz:g} Hz"
+        warn("SWM032", f"{name}: {against}")
+    if stroke.doubt:
+        warn("SWM033", f"{name}: {stroke.doubt}")
+    return against
+
+
 def _cut(columns: dict[str, Array], options: ImportOptions, source: MappedLog) -> None:
     """Keep the part of the log that was asked for, in place."""
     if options.start_s is None and options.end_s is None:
         return
-    time = columns[log.TIME]
-    low = -np.inf if options.start_s is None else options.start_s
-    high = np.inf if options.end_s is None else options.end_s
-    kept = (time >= low) & (time <= high)
+    time, kept = columns[TIME], np.ones(len(columns[TIME]), dtype=bool)
+    if options.start_s is not None:
+        kept &= time >= options.start_s
+    if options.end_s is not None:
+        kept &= time <= options.end_s
     if kept.sum() < 2:
         text = f"{int(kept.sum())} samples lie between --start and --end; the log goes from {time[0]:g} s "
         raise InputError(f"{text}to {time[-1]:g} s", file=source.path)
@@ -307,22 +327,20 @@ def _cut(columns: dict[str, Array], options: ImportOptions, source: MappedLog) -
 
 
 def _measured(columns: dict[str, Array]) -> dict[str, Array]:
-    """The columns as they were measured: of a track of swimid the positions before smoothing.
+    """Return the columns as they were measured.
 
-    What was bridged there, and is no measurement, is NaN.
+    In a track of swimid these are the positions before smoothing, with NaN where a gap was bridged.
     """
     raw = {name: columns[raw] for name in columns if (raw := _raw(name)) in columns}
     bridged = columns.get("interpolated")
     if not raw or bridged is None:
         return columns
-    return {
-        name: np.where(bridged == 1, np.nan, raw.get(name, values)) if _of_pose(name) else values
-        for name, values in columns.items()
-    }
+    pose = {name: raw.get(name, values) for name, values in columns.items() if _of_pose(name)}
+    return columns | {name: np.where(bridged == 1, np.nan, values) for name, values in pose.items()}
 
 
 def _to_metres(columns: dict[str, Array], options: ImportOptions, source: MappedLog) -> None:
-    """Convert the pose of a track in pixels, in place."""
+    """Convert the pose of a track in pixels to metres, in place."""
     if options.scale is None:
         return
     if not any(name in columns for name in PIXELS):
@@ -335,7 +353,7 @@ def _to_metres(columns: dict[str, Array], options: ImportOptions, source: Mapped
 
 
 def _along(columns: dict[str, Array], options: ImportOptions, source: MappedLog) -> Projection | None:
-    """Put the distance along a line in the place of the pose, in place."""
+    """Replace the pose by the distance along a line, in place."""
     if options.along is None:
         return None
     names = _track(columns)
@@ -355,12 +373,12 @@ def _along(columns: dict[str, Array], options: ImportOptions, source: MappedLog)
     line = _project(place, there, towards)
     rest = {name: values for name, values in columns.items() if not _of_pose(name)}
     columns.clear()
-    columns.update({log.TIME: rest.pop(log.TIME), f"x_{_unit(names)}": line.along} | rest)
+    columns.update({TIME: rest.pop(TIME), f"x_{_unit(names)}": line.along} | rest)
     return line
 
 
 def _project(place: Array, there: NDArray[np.bool_], towards: Array | None) -> Projection:
-    """Project a track on a line: by default the one it keeps closest to, in the sense of its travel."""
+    """Project a track on a line: by default the one closest to the track, in the direction of its travel."""
     centred = place - place[there].mean(axis=0)
     if towards is None:
         towards = np.linalg.svd(centred[there], full_matrices=False)[2][0]
@@ -375,14 +393,14 @@ def _project(place: Array, there: NDArray[np.bool_], towards: Array | None) -> P
 
 
 def _raw(name: str) -> str:
-    """Name of the column of a track before it was smoothed."""
+    """Return the name of the column of a track before smoothing; empty if there is none."""
     stem, _, unit = name.partition("_")
     return f"{stem}_raw_{unit}" if stem in _POSE else ""
 
 
 def _of_pose(name: str) -> bool:
-    """Whether a column is a pose or follows from it."""
+    """Return whether a column is a pose or follows from one."""
     stem, _, rest = name.partition("_")
     if stem in _POSE:
         return bool(rest)
-    return stem in _POSE_SPEEDS and rest.replace("sd_", "") in ("m_s", "px_s", "m_s2", "px_s2")
+    return stem in _POSE_RATES and rest.replace("sd_", "") in ("m_s", "px_s", "m_s2", "px_s2")

@@ -14,20 +14,20 @@ import numpy as np
 from swimid.errors import InputError
 from swimid.files import atomic, provenance, yamlio
 from swimid.files.provenance import path_of
-from swimid.logs import clock, log, mapping, profiles, units
+from swimid.logs import clock, log, mapping, units
 from swimid.logs.clock import ASK
-from swimid.logs.foreign import Table, is_text, open_table
+from swimid.logs.foreign import Format, Table, find_format, is_text, open_table
 from swimid.logs.log import TIME, LogLike
 from swimid.logs.mapping import Mapping
 from swimid.results.result import Result
 
-#: Names of single numbers that are a rate, and of columns that are parts of a time, in small letters.
+#: Names of a rate, and of columns with parts of a time, in small letters.
 RATES, SECONDS = ("fs", "rate", "rate_hz", "fps", "sample_rate"), ("secs", "sec", "s", "seconds")
 NANOSECONDS = ("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds", "ns")
-#: Stand-ins for what is still open in a drafted time; the scale of the time does not tell instances apart.
+#: Arbitrary stand-ins for open values of a drafted time, which the search for instances needs.
 ANSWERS = {"unit": "s", "rate_hz": 1.0, "day_first": True}
 _XYZ = r"[ _.\[]*(?P<axis>[xyz])\]?"
-#: Names that state a quantity (not its unit): pattern of the whole name in small letters, target column.
+#: Names that state a quantity but no unit: pattern of the whole name in small letters, and target column.
 _NAMES: list[tuple[str, str]] = [
     (r"(lin(ear)?[ _.]*)?acc(el(eration|erometer)?)?" + _XYZ, "a{axis}_m_s2"),
     (r"(gyr(o(scope)?)?|ang(ular)?[ _.]?(vel(ocity)?|rate)|omega)" + _XYZ, "w{axis}_rad_s"),
@@ -56,7 +56,7 @@ _ENDING = re.compile(r"(?P<bare>.+?)[ _](?P<unit>[A-Za-z°µ/]+(?:_s2?)?)")
 
 @dataclass(frozen=True, eq=False)
 class Draft(Result):
-    """A drafted mapping, as ``guess_mapping`` returns it; ``document`` is its commented YAML."""
+    """A drafted mapping, as ``guess_mapping`` returns it. Its ``document`` is commented YAML."""
 
     @property
     def mapping(self) -> Mapping:
@@ -74,19 +74,21 @@ class Draft(Result):
         return [path]
 
 
-def guess_mapping(source: LogLike, *, output: str | Path | None = None) -> Draft:
+def guess_mapping(source: LogLike, *, select: str | None = None, output: str | Path | None = None) -> Draft:
     """Draft the mapping of a foreign log.
 
-    The draft holds what a profile, the name of a column or a stated unit says. It has ``ASK`` for everything
-    else, with the first values beside it; a mapping with an open ``ASK`` is refused. Nothing is inferred from
+    The draft states what follows from a profile, from the name of a column or from a stated unit. All else is
+    ``ASK``, with the first values in a comment. A mapping with ``ASK`` is refused. Nothing is inferred from
     the size of values.
 
     Parameters
     ----------
     source : path, DataFrame or Log
-        The foreign log; a table has shape (n, k), one row a sample.
+        The foreign log; a table has shape (n, k), one row per sample.
+    select : str, optional
+        Track, topic, struct or the like to take, if the file holds several.
     output : path, optional
-        The mapping file; without it nothing is written.
+        Path of the mapping file. Without it nothing is written.
 
     Returns
     -------
@@ -107,22 +109,22 @@ def guess_mapping(source: LogLike, *, output: str | Path | None = None) -> Draft
     """
     given = log.unread(source)
     path = path_of(given)
-    profile = profiles.find(path) if isinstance(given, Path) else None
-    if profile is not None and profile.name != "swimid":
-        lines = _of_profile(profile, path)
+    found = find_format(path, "") if isinstance(given, Path) else None
+    if found is not None and found.recognises is not None and found.name != "swimid":
+        lines = _of_profile(found, path, select)
     else:
-        lines = _of_names(path.name, open_table(given))
+        lines = _of_names(path.name, open_table(given, select=select), select)
     asked = sum(ASK in line.partition("#")[0] for line in lines)
     text = "".join(re.sub(r"[\r\n]", " ", line) + "\n" for line in lines)
     data = {"file": str(path), "mapping": text, "open": asked}
     if output is None:
         return Draft("import", text.rstrip("\n"), data, document=text)
-    todo = f"answer the {asked} lines with {ASK}, then" if asked else "look at every line, then"
-    told = f"{path.name}: mapping drafted; {todo} swimid import {path.name} --map {output} -o run.csv"
+    todo = f"answer the {asked} lines with {ASK}" if asked else "look at every line"
+    told = f"{path.name}: mapping drafted; {todo}, then swimid import {path.name} --map {output} -o run.csv"
     return Draft("import", told, data, document=text).save(output)
 
 
-def _of_profile(profile: profiles.Profile, path: Path) -> list[str]:
+def _of_profile(profile: Format, path: Path, select: str | None) -> list[str]:
     """Return the lines of the draft for a file of a known format."""
     lines = [
         f"# Drafted from {path.name} ({profile.title}) by swimid import --guess.",
@@ -130,9 +132,11 @@ def _of_profile(profile: profiles.Profile, path: Path) -> list[str]:
         f"as: {profile.name}",
     ]
     try:
-        table = profile.table(path)
+        table = open_table(path, select=select, kind=profile.name)
     except InputError as error:
         return [*lines, _line("select", ASK, f"{error}; {error.hint or ''}")]
+    if select is not None:
+        lines.append(_line("select", select))
     lines += [f"# {note}" for note in table.notes]
     if TIME not in table.columns and "rate_hz" not in table.scalars:
         comment = "frames per second of the film; the file does not state them"
@@ -142,7 +146,7 @@ def _of_profile(profile: profiles.Profile, path: Path) -> list[str]:
     return [*lines, *(f"#   - {{source: {name}, target: {name}}}" for name in names)]
 
 
-def _of_names(name: str, table: Table) -> list[str]:
+def _of_names(name: str, table: Table, select: str | None) -> list[str]:
     """Return the lines of the draft that follow from names and stated units."""
     usual = max((len(v) for v in table.columns.values()), default=0)
     columns = {key: values for key, values in table.columns.items() if len(values) == usual}
@@ -151,12 +155,14 @@ def _of_names(name: str, table: Table) -> list[str]:
         "# an axis may be swapped or flipped (factor: -1), which no name states.",
         f"format: {mapping.FORMAT}",
     ]
-    if "topic" in table.metadata:
-        lines.append(_line("reader", {"topic": table.metadata["topic"]}))
+    select = select or table.metadata.get("topic")
+    if select is not None:
+        lines.append(_line("select", select))
     time, comment = _time(table, columns)
     taken: set[str] = set()
     if isinstance(time, dict):
-        stated = clock.Time(**{key: ANSWERS[key] if value == ASK else value for key, value in time.items()})
+        answers = {key: ANSWERS[key] for key, value in time.items() if value == ASK}
+        stated = clock.Time(**(time | answers))
         taken = {str(key) for key in stated.sources}
         with contextlib.suppress(InputError):
             seconds = clock.seconds(table, stated, usual, Path(name), {})
@@ -189,21 +195,23 @@ def _line(key: str, value: Any, comment: str = "") -> str:
     if isinstance(value, dict):
         entries = [f"{name}: {_written(name, v)}" for name, v in value.items() if v is not None]
         text = f"{{{', '.join(entries)}}}"
-    start = key if key == "-" else f"{key}:"
-    return f"{start} {text}   # {comment}" if comment else f"{start} {text}"
+    start = f"{key}:".replace("-:", "-")
+    if comment:
+        text += f"   # {comment}"
+    return f"{start} {text}"
 
 
 def _written(key: str, value: Any) -> str:
-    """Return a value as YAML: names and units of the file in quotes, columns by number and words without."""
+    """Return a value as YAML: names and units of the file in quotes, column numbers and keywords without."""
     if value == ASK or key in ("target", "origin") or (key in ("source", "frame") and str(value).isdecimal()):
         return str(value)
     return json.dumps(value, ensure_ascii=False)
 
 
 def named(source: str, written: str | None = None) -> tuple[str, str | None]:
-    """Return the target and the unit that the name of a column and a unit written beside it state.
+    """Return the target and the unit that follow from the name of a column and from the unit beside it.
 
-    A target or a unit that they do not state is ``ASK``. The unit is None for a column of the log format.
+    An unknown target or unit is ``ASK``. The unit is None for a column of the log format.
 
     >>> named("Yaw [deg]"), named("accX"), named("x_m"), named("level (mm)")
     (('yaw_rad', 'deg'), ('ax_m_s2', 'ASK'), ('x_m', None), ('level_m', 'mm'))
@@ -212,9 +220,9 @@ def named(source: str, written: str | None = None) -> tuple[str, str | None]:
     if re.fullmatch(r"[A-Za-z]\w*", name, re.A) and units.is_known(name) and not written:
         return name, None
     bare, unit = _split(name)
-    unit = written or unit
-    unit = units.canonical(unit or "")
-    unit = unit if unit in units.KNOWN else None
+    unit = units.canonical(written or unit or "")
+    if unit not in units.KNOWN:
+        unit = None
     target = _target(bare.strip(" _.").lower(), unit)
     if target is not None and units.measured(target) is None:
         return target, unit
@@ -242,7 +250,7 @@ def _target(bare: str, unit: str | None) -> str | None:
             return wanted if unit is None or unit in fitting else None
     if unit is None or bare == "":
         return None
-    # a word with a unit: the unit states the quantity, if it is that of one quantity only
+    # the unit of a word states its quantity if no other quantity has that unit
     quantities = [quantity for quantity, table in units.UNITS.items() if unit in table]
     word = re.sub(r"[^a-z0-9]+", "_", bare).strip("_")
     if len(quantities) != 1 or not word[:1].isalpha():
@@ -252,7 +260,7 @@ def _target(bare: str, unit: str | None) -> str | None:
 
 def _time(table: Table, columns: dict[str, Any]) -> tuple[dict[str, Any] | str, str]:
     """Return the value of ``time:`` and the comment beside it."""
-    # the stamp of the sensor before that of the recorder
+    # the stamp of the sensor precedes that of the recorder
     stamps = sorted(filter(_is_time, columns), key=lambda name: "header" not in name.lower())
     counts = [name for name, values in columns.items() if _counts(name, values)]
     rates = [name for name in table.scalars if name.lower() in RATES]
@@ -270,8 +278,9 @@ def _time(table: Table, columns: dict[str, Any]) -> tuple[dict[str, Any] | str, 
     if is_text(columns[chosen]):
         parts = [name for name in stamps if is_text(columns[name])][:2]
         parts.sort(key=lambda name: not name.strip().lower().startswith("dat"))
-        chosen = parts[0]
-        time["source"] = parts if len(parts) > 1 else chosen
+        chosen = time["source"] = parts[0]
+        if len(parts) > 1:
+            time["source"] = parts
         if re.match(r"\d{1,2}[/.-]\d{1,2}[/.-]\d{4}", str(columns[chosen][0])):
             time["day_first"] = ASK
     elif rest and chosen.strip().lower() in SECONDS:
@@ -289,7 +298,7 @@ def _is_time(name: str) -> bool:
 
 
 def _counts(name: str, values: Any) -> bool:
-    """Return whether a column counts frames or rows: by its name, or since it is 0, 1, 2, ..."""
+    """Return whether a column counts frames or rows, by its name or by its values 0, 1, 2, ..."""
     if is_text(values) or values.dtype.kind == "M":
         return False
     known = values[np.isfinite(values.astype(float))]
@@ -299,6 +308,7 @@ def _counts(name: str, values: Any) -> bool:
 
 
 def _first(values: Any) -> str:
-    """Return the first values of a column, for the reader of the draft."""
-    shown = [f"{value:.6g}" if isinstance(value, float) else str(value)[:30] for value in values[:3]]
-    return ", ".join(shown)
+    """Return the first values of a column as text."""
+    if values.dtype.kind == "f":
+        return ", ".join(f"{value:.6g}" for value in values[:3])
+    return ", ".join(str(value)[:30] for value in values[:3])

@@ -1,13 +1,14 @@
-"""``swimid import``: turn logs of other programs into logs of the pinned format."""
+"""``swimid import``: logs of other programs in the log format."""
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from swimid.logs.log import Log, LogLike
 from swimid.logs.logged import Logged, figures_of
 from swimid.logs.options import ImportOptions
 from swimid.logs.rhythm import Rhythm
-from swimid.logs.sampling import usual_step
+from swimid.logs.sampling import LONG_ENOUGH, SET, may_freeze, usual_step
 from swimid.notices import Notice, recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -34,8 +35,8 @@ class Imported(Logged):
 
     Attributes
     ----------
-    examined : Examined
-        Rows in order, jumps and speed of the track, and the stroke; None for a result read from a file.
+    examined : Examined or None
+        Order of the rows, jumps and speed of the track, and the stroke; None for a result read from a file.
     progress : Progress
         Shows the writing.
     """
@@ -60,17 +61,17 @@ def import_log(
     """Turn a foreign recording into a log in SI units, with its rows in order and its jumps removed.
 
     A profile reads a file of a known format. For any other file a mapping, which may be a dict, says which
-    source column becomes which column of the log, and in which unit it was written; without one the columns
-    must be named as in the log format. Repeats and jumps are removed from logs with two or more position
-    columns, except from tracks made by swimid.
+    source column becomes which column of the log, and in which unit it was written. Without a mapping the
+    columns must be named as in the log format. Repeats and jumps are removed from logs with two or more
+    position columns, except from tracks made by swimid.
 
     Parameters
     ----------
     source : path, DataFrame or Log
-        A file of any format in ``docs/import.md``; or a table, shape (n, k), one row a sample.
+        A file of any format in ``docs/import.md``; or a table, shape (n, k), one row per sample.
     output : path, optional
-        The log, CSV or Parquet by its ending, with ``<stem>.evidence.json`` beside it. Without it nothing is
-        written; :meth:`~swimid.results.result.Result.save` writes the same later.
+        Path of the log, CSV or Parquet by its ending; ``<stem>.evidence.json`` is written beside it. Without
+        it nothing is written, and :meth:`~swimid.results.result.Result.save` writes both later.
     progress : Progress
         Shows reading and writing.
 
@@ -85,7 +86,7 @@ def import_log(
     InputError
         The source or the mapping cannot be used, or states no time; names file, line and column.
     NoTrustworthyResult
-        A cleaned track has hardly a sample left.
+        Too few samples of a cleaned track are left.
     UsageError
         The output is the source.
 
@@ -113,7 +114,7 @@ def import_log(
     if output is not None:
         output = atomic.check_writable(output, inputs=inputs)
     with recorded(repeat=True) as notices, ThreadPoolExecutor(1) as beside:
-        # hash a long file while it is read
+        # a long file is hashed while it is read
         digests = beside.submit(provenance.digests_of, inputs)
         read = mapping.apply(rules, given, options.stated, progress=progress)
         found = examine(read, options)
@@ -144,22 +145,22 @@ def import_logs(
     files : sequence of paths
         At least one.
     output : path
-        The log, CSV or Parquet by its ending; for several files a folder, which is made.
+        Path of the log, CSV or Parquet by its ending; for several files a folder, which is made.
 
     Raises
     ------
     InputError
-        The mapping cannot be used; or, after all other files were imported, files that could not be.
+        The mapping cannot be used, or some files cannot be imported; then all others were imported before.
     NoTrustworthyResult
-        The only file is a track with hardly a sample left.
+        The only file is a track of which too few samples are left.
     UsageError
-        No file is named, or two would be written to one.
+        No file is named, or two files would be written to one.
     """
     if not files:
         raise UsageError("name at least one log to import")
     paths = list(dict.fromkeys(Path(file) for file in files))
     if options.map_path is not None:
-        mapping.of(options.map_path)  # refuse it before any file is read
+        mapping.of(options.map_path)  # an invalid mapping is refused before any file is read
     done: list[Imported] = []
     failed: list[InputError | NoTrustworthyResult] = []
     for path, target in zip(paths, destinations(paths, Path(output)), strict=True):
@@ -170,9 +171,13 @@ def import_logs(
                 raise
             failed.append(error)
     if failed:
-        listed = "\n  ".join(f"{error}" + (f" ({error.hint})" if error.hint else "") for error in failed)
+        listed = ""
+        for refused in failed:
+            listed += f"\n  {refused}"
+            if refused.hint:
+                listed += f" ({refused.hint})"
         written = ", ".join(str(outcome.outputs[0]) for outcome in done) or "none"
-        text = f"{len(failed)} of {len(paths)} logs cannot be imported:\n  {listed}"
+        text = f"{len(failed)} of {len(paths)} logs cannot be imported:{listed}"
         raise InputError(text, hint=f"the others were written: {written}")
     if len(done) == 1:
         return done[0]
@@ -182,12 +187,12 @@ def import_logs(
 
 
 def destinations(paths: Sequence[Path], output: Path) -> list[Path]:
-    """Return where each log goes: the file that was named, or a file in the folder that was named.
+    """Return the path of each imported log: the named file, or a file in the named folder, which is made.
 
     Raises
     ------
     UsageError
-        There are several logs and one file to write them to, or two would have one name.
+        Several logs would be written to one file.
     """
     if len(paths) == 1 and not output.is_dir() and not str(output).endswith("/"):
         atomic.check_writable(output, inputs=tuple(paths))
@@ -197,10 +202,10 @@ def destinations(paths: Sequence[Path], output: Path) -> list[Path]:
         raise UsageError(text, hint="name a folder with -o")
     atomic.check_writable(output.parent / "x")
     output.mkdir(exist_ok=True)
-    stems = Counter(path.stem for path in paths)
-    names = [
-        path.stem if stems[path.stem] == 1 else f"{path.resolve().parent.name}-{path.stem}" for path in paths
-    ]
+    names = [path.stem for path in paths]
+    for k, path in enumerate(paths):
+        if [other.stem for other in paths].count(path.stem) > 1:
+            names[k] = f"{path.resolve().parent.name}-{path.stem}"
     # some file systems ignore capitals
     folded = Counter(name.casefold() for name in names)
     twice = [name for name in names if folded[name.casefold()] > 1]
@@ -211,14 +216,18 @@ def destinations(paths: Sequence[Path], output: Path) -> list[Path]:
 
 # ---------------------------------------------------------------- evidence
 
-#: Minimum number of samples a stroke for the path between them to be known.
+#: Minimum number of values of each channel, and of samples, for a judgement of a log.
+MIN_SAMPLES = LONG_ENOUGH + 1
+#: Minimum number of samples per stroke for an estimate of the path between the samples.
 MIN_SAMPLES_PER_STROKE = 6.0
-#: A track farther from a line than this share of its extent along the line does not keep to it.
+#: Maximum distance of a track from a line, as a share of its extent along the line.
 OFF_LINE = 0.1
-#: Largest share of the rows that may be dropped: with more the time is hardly complete.
+#: Maximum share of rows that are dropped. With more the time is hardly complete.
 MAX_DROPPED = 0.1
-#: With more samples that jump than this share a track is no track.
+#: Maximum share of samples that jump. With more a track is no track.
 MAX_JUMPED = 0.2
+#: Columns whose size is limited for a swimmer (:func:`swimid.logs.log.doubts`).
+LIMITED = re.compile(r"[xyz]_m|.*_(rad|rad_s|m_s)")
 REFERENCES = [
     "Pearson, R. K., Neuvo, Y., Astola, J., Gabbouj, M. (2016). Generalized Hampel filters. EURASIP "
     "Journal on Advances in Signal Processing 2016:87. doi:10.1186/s13634-016-0383-6",
@@ -229,7 +238,7 @@ REFERENCES = [
 
 def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]) -> Evidence:
     """Assemble the evidence of a log."""
-    checks = [*_row_checks(found), *_track_checks(found), *_stroke_checks(found)]
+    checks = [*_amount_checks(found), *_value_checks(found), *_track_checks(found), *_stroke_checks(found)]
     with recorded(repeat=True) as drawn:
         shown = figures_of([Log(found.path, {}, found.columns)], found=found.stroke)
     return Evidence(
@@ -238,7 +247,7 @@ def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]
         verdict=judged(f"{len(found.time_s)} samples in {len(found.columns) - 1} channels.", checks),
         facts=_facts(found),
         checks=checks,
-        tables=[*_speed(found), *_stroke(found), _sources(found)],
+        tables=_tables(found),
         figures=shown,
         notices=blocks.notices([*notices, *drawn]),
         methods=_methods(found),
@@ -248,46 +257,88 @@ def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]
 
 
 def _check(
-    name: str, value: str, passed: bool, limit: str, reason: str, otherwise: Literal["warn", "fail"] = "warn"
+    name: str,
+    passed: bool,
+    limit: str,
+    reason: str,
+    value: str = "",
+    *,
+    made: bool = True,
+    fails: bool = False,
 ) -> Check:
-    """Return a check whose text is the reason why it does not pass, unless its value says it all."""
+    """Return a check; it is for information if nothing is wrong and it could not be made.
+
+    ``reason`` says what is wrong if the check does not pass. The value is by default the reason, or the limit
+    if the check passes. A check that does not pass warns, or fails with ``fails``.
+    """
+    if passed and not made:
+        return check(name, "not judged", None, limit, "no channel allows it, or the samples are too few")
     text = "" if passed or value in reason else reason
-    return check(name, value, passed, limit, text, otherwise=otherwise, reason=reason)
+    value = value or (limit if passed else reason)
+    return check(name, value, passed, limit, text, otherwise="fail" if fails else "warn", reason=reason)
 
 
-def _row_checks(found: Examined) -> list[Check]:
-    mapped, order, n = found.mapped, found.order, len(found.mapped)
+def _amount_checks(found: Examined) -> list[Check]:
+    """Return the checks of rows, columns and times: whether there is enough to judge, and all of it."""
+    time, n, rows = found.time_s, len(found.time_s), len(found.mapped)
+    counts = {name: int(np.isfinite(values).sum()) for name, values in found.channels.items()}
+    scarce = [f"{name} ({count} of {n})" for name, count in counts.items() if count < MIN_SAMPLES]
+    few = f"too few values to judge {', '.join(scarce)}: a channel needs {MIN_SAMPLES}"
+    if n < MIN_SAMPLES:
+        few = f"{n} samples are too few to judge a log, which needs {MIN_SAMPLES}"
+    last = int(np.argmax(np.diff(time)))
+    pause_s = float(time[last + 1] - time[last])
+    long = n >= MIN_SAMPLES and pause_s > 0.5 * (time[-1] - time[0])
+    pause = (
+        f"no sample lies between {time[last]:.6g} s and {time[last + 1]:.6g} s, more than half of the log: "
+        "do the times count from two origins? --start and --end take one part"
+    )
+    order, notes = found.order, found.mapped.notes
     odd, dropped = sum(order.counts.values()), order.untimed + order.clashing
-    remarks = "; ".join([f"rows {order.summary}"] * bool(odd) + found.mapped.notes)
-    grade, sampling = _grade(dropped > MAX_DROPPED * n), found.uneven or "even"
-    if grade == "fail":
-        remarks = f"{dropped} of {n} rows have no time of their own: is the time complete?"
-    names = ", ".join(mapped.unknown)
+    many = dropped > MAX_DROPPED * rows
+    remarks = "; ".join([f"rows {order.summary}"] * order.changed + notes)
+    if many:
+        remarks = f"{dropped} of {rows} rows have no time of their own: is the time complete?"
+    names = ", ".join(found.mapped.unknown)
     open_ = f"nothing states the quantity of {names}: map it to a name with a unit, or to unit: '1'"
-    disagree = "; ".join(f"{one.column} {one.text} (against {one.against})" for one in found.contradictions)
-    uneven = f"the sampling is uneven{', in bursts' if found.bursts else ''}: {found.uneven}"
-    holds = "; ".join(f"{name} from {a:.4g} to {b:.4g} s" for name, (a, b) in found.frozen.items())
-    frozen = f"channels hold one value amid their motion: {holds}"
-    doubts = "; ".join(f"{doubt.column} {doubt.text}" for doubt in found.doubts)
+    least, longest = str(min(counts.values())), numbers.number(pause_s, 3, "s")
     checks = [
-        _check("Rows in order", f"{odd} of {n} odd", not remarks, "none", remarks, grade),
-        _check("Quantity of every column", names or "known", not names, "known", open_, "fail"),
-        _check("Columns agree", disagree or "all", not disagree, "all", disagree, "fail"),
-        _check("Sampling", sampling, not found.uneven, "even", uneven, _grade(found.bursts)),
-        _check("Frozen channels", holds or "none", not holds, "none", frozen, "fail"),
-        _check(POSSIBLE, "beyond" if doubts else "within", not doubts, "within", doubts),
+        _check(
+            "Samples", not scarce, f"≥ {MIN_SAMPLES} in a channel", few, least, fails=not any(counts.values())
+        ),
+        _check("Longest pause", not long, "≤ half of the log", pause, longest, made=n >= MIN_SAMPLES),
+        _check("Rows in order", not (odd or notes), "none", remarks, f"{odd} of {rows} odd", fails=many),
+        _check("Quantity of every column", not names, "known", open_, names, fails=True),
     ]
     if found.metadata.get("sample_rate") == "assumed":
         why = "the sample rate is assumed, and speeds and frequencies are as wrong as it is"
-        checks.append(_check("Sample rate", "assumed", False, "stated", why, "fail"))
-    for name, emptied in mapped.unlikely.items():
-        why = f"{emptied} of {n} samples are left empty for their {name}"
-        checks.append(_check(f"Samples by {name}", f"{emptied} of {n}", False, "none", why))
+        checks.append(_check("Sample rate", False, "stated", why, "assumed", fails=True))
+    for name, count in found.mapped.unlikely.items():
+        why = f"{count} of {rows} samples are left empty for their {name}"
+        checks.append(_check(f"Samples by {name}", False, "none", why, f"{count} of {rows}"))
     return checks
 
 
-def _grade(fails: bool) -> Literal["warn", "fail"]:
-    return "fail" if fails else "warn"
+def _value_checks(found: Examined) -> list[Check]:
+    """Return the checks of the samples."""
+    disagree = "; ".join(f"{one.column} {one.text} (against {one.against})" for one in found.contradictions)
+    holds = "; ".join(f"{name} from {a:.4g} to {b:.4g} s" for name, (a, b) in found.frozen.items())
+    faults = "; ".join(f"{name} {text}" for name, text in found.unmeasured.items())
+    doubts = "; ".join(f"{doubt.column} {doubt.text}" for doubt in found.doubts)
+    frozen, faulty = f"channels hold one value amid their motion: {holds}", f"channels look faulty: {faults}"
+    uneven = f"the sampling is uneven{', in bursts' * found.bursts}: {found.uneven}"
+    enough = len(found.time_s) >= MIN_SAMPLES
+    measured = {name: values for name, values in found.channels.items() if not SET.fullmatch(name)}
+    long = any(np.isfinite(values).sum() >= MIN_SAMPLES for values in measured.values())
+    continuous = any(may_freeze(*channel) for channel in found.channels.items())
+    limited = enough and any(map(LIMITED.fullmatch, found.channels))
+    return [
+        _check("Columns agree", not disagree, "all", disagree, made=bool(found.comparisons), fails=True),
+        _check("Sampling", not found.uneven, "even", uneven, found.uneven, made=enough, fails=found.bursts),
+        _check("Frozen channels", not holds, "none", frozen, holds, made=continuous, fails=True),
+        _check("Faulty channels", not faults, "none", faulty, faults, made=long),
+        _check(POSSIBLE, not doubts, "within", doubts, "beyond" if doubts else "", made=limited),
+    ]
 
 
 def _track_checks(found: Examined) -> list[Check]:
@@ -296,26 +347,32 @@ def _track_checks(found: Examined) -> list[Check]:
     if line is not None:
         across, extent = (numbers.number(v, 3, found.unit) for v in (line.across, line.extent))
         why = f"the track leaves the line by {across} over {extent}, and is shortened by projecting it"
-        keeps, limit = line.across <= OFF_LINE * line.extent, f"≤ {100 * OFF_LINE:g} % of the extent"
-        checks.append(_check("Distance from the line", across, keeps, limit, why))
+        limit, keeps = f"≤ {100 * OFF_LINE:g} % of the extent", line.across <= OFF_LINE * line.extent
+        checks.append(_check("Distance from the line", keeps, limit, why, across))
     if cleaning is None:
         return checks
-    done = "left out" if found.cleaned else "kept"
     lost, repeats = cleaning.counts["samples_jumped"], cleaning.counts["repeats"]
-    seen = int(cleaning.good.sum()) + repeats + lost
-    value, why = f"{repeats} of {seen} {done}", "the track holds repeated pictures (--clean leaves them out)"
-    checks.append(_check("Repeated pictures", value, found.cleaned or not repeats, "none kept", why))
-    why = f"the track jumps {cleaning.jumps} times ({lost} samples {done})"
+    seen, done = int(cleaning.good.sum()) + repeats + lost, found.done
+    held = "the track holds repeated pictures (--clean leaves them out)"
+    jumps = f"the track jumps {cleaning.jumps} times ({lost} samples {done})"
     if cleaning.offset_rows:
-        why += f" and goes on elsewhere {len(cleaning.offset_rows)} times"
-    value, grade = (
-        f"{cleaning.jumps} ({lost} samples {done})",
-        _grade(lost > MAX_JUMPED * seen or not found.cleaned),
-    )
-    checks.append(_check("Jumps", value, not cleaning.jumps, "none", why, grade))
-    value = f"{len(cleaning.gaps)}, longest {numbers.number(cleaning.longest_gap_s, 3, 's')}"
-    why = f"the track has gaps ({value}), which are kept"
-    return [*checks, _check("Gaps in the track", value, not cleaning.gaps, "none", why)]
+        jumps += f" and goes on elsewhere {len(cleaning.offset_rows)} times"
+    lossy = lost > MAX_JUMPED * seen or not found.cleaned
+    gaps = f"{len(cleaning.gaps)}, longest {numbers.number(cleaning.longest_gap_s, 3, 's')}"
+    kept, value = f"the track has gaps ({gaps}), which are kept", f"{repeats} of {seen} {done}"
+    return [
+        *checks,
+        _check("Repeated pictures", found.cleaned or not repeats, "none kept", held, value),
+        _check(
+            "Jumps",
+            not cleaning.jumps,
+            "none",
+            jumps,
+            f"{cleaning.jumps} ({lost} samples {done})",
+            fails=lossy,
+        ),
+        _check("Gaps in the track", not cleaning.gaps, "none", kept, gaps),
+    ]
 
 
 def _stroke_checks(found: Examined) -> list[Check]:
@@ -327,19 +384,18 @@ def _stroke_checks(found: Examined) -> list[Check]:
         count = float(found.cleaning.good.sum()) / found.speed.covered_s / stroke.beat.frequency_hz
         value, limit = numbers.number(count, 3), f"≥ {MIN_SAMPLES_PER_STROKE:g}"
         why = f"the track has {value} samples a stroke, too few to know the path between them"
-        checks.append(_check("Samples a stroke", value, count >= MIN_SAMPLES_PER_STROKE, limit, why))
+        checks.append(_check("Samples a stroke", count >= MIN_SAMPLES_PER_STROKE, limit, why, value))
     value = " against ".join(f"{b.frequency_hz:.4g} Hz" for b in (stroke.beat, *stroke.rivals.values()))
     limit = "no channel beats at another frequency"
-    checks.append(_check("One stroke", value, not stroke.doubt, limit, stroke.doubt))
+    checks.append(_check("One stroke", not stroke.doubt, limit, stroke.doubt, value))
     if "frequency_hz" in found.metadata:
-        stated, against = f"{found.metadata['frequency_hz']} Hz", found.against or ""
-        name = "Stroke against the metadata"
-        checks.append(_check(name, _frequency(stroke), not against, stated, against))
+        name, stated = "Stroke against the metadata", f"{found.metadata['frequency_hz']} Hz"
+        checks.append(_check(name, not found.against, stated, found.against, _frequency(stroke)))
     return checks
 
 
 def _facts(found: Examined) -> dict[str, str]:
-    """Return the particulars beside those of any log."""
+    """Return the facts of an imported log, in addition to those of any log."""
     cleaning, speed, stroke, line = found.cleaning, found.speed, found.stroke, found.projection
     facts = {"Stroke": f"unknown: {found.unknown}"}
     if stroke is not None:
@@ -347,10 +403,8 @@ def _facts(found: Examined) -> dict[str, str]:
         if stroke.maybe_double:
             facts["Stroke"] += ", may be twice the stroke: no channel that swings sideways is there"
     if cleaning is not None:
-        counts, done = cleaning.counts, "left out" if found.cleaned else "kept"
-        facts["Track"] = (
-            f"{counts['repeats']} repeats and {counts['jumps']} jumps {done}, {len(cleaning.gaps)} gaps kept"
-        )
+        counts, gaps = cleaning.counts, f"{len(cleaning.gaps)} gaps kept"
+        facts["Track"] = f"{counts['repeats']} repeats and {counts['jumps']} jumps {found.done}, {gaps}"
     if speed is not None:
         path, straight = (f"{mean.value:.4g} {found.unit}/s" for mean in (speed.path, speed.line))
         facts["Speed"] = f"{path} along the path, {straight} along the line"
@@ -360,48 +414,37 @@ def _facts(found: Examined) -> dict[str, str]:
     return facts
 
 
-def _speed(found: Examined) -> list[Table]:
-    speed, unit = found.speed, found.unit
-    if speed is None:
-        return []
-    rows: list[list[Any]] = [
-        ["along the path", speed.path.value, speed.path.low, speed.path.high],
-        ["along the line from start to end", speed.line.value, speed.line.low, speed.line.high],
-        ["naive mean of |dx/dt|", speed.naive_m_s, None, None],
-    ]
-    noise = numbers.number(speed.noise_m, 3, unit)
-    caption = f"Over {speed.covered_s:.4g} s without the gaps; the noise of a coordinate is {noise}."
-    columns = ["mean speed", f"{unit}/s", "95 % from", "to"]
-    return [Table(id="speed", title="Mean speed", columns=columns, rows=rows, caption=caption)]
-
-
-def _stroke(found: Examined) -> list[Table]:
-    stroke = found.stroke
-    if stroke is None:
-        return []
-    harmonics: list[list[Any]] = []
-    for h in stroke.harmonics:
-        frequency_hz = h.order * stroke.beat.frequency_hz
-        harmonics.append([f"{h.order} ×", frequency_hz, numbers.measured(h.amplitude, h.stderr)])
-    channels: list[list[Any]] = []
-    for name, beat in stroke.channels.items():
-        frequency = numbers.measured(beat.frequency_hz, beat.stderr_hz)
-        channels.append([name, frequency, beat.amplitude, 100 * beat.share])
-    title = f"Stroke and harmonics in {stroke.channel}, over {stroke.beat.cycles:.3g} cycles"
-    columns = ["harmonic", "frequency (Hz)", "amplitude"]
-    of_channels = ["channel", "frequency (Hz)", "amplitude", "share of the variance (%)"]
-    return [
-        Table(id="stroke", title=title, columns=columns, rows=harmonics, folded=True),
-        Table(id="beats", title="Beat of every channel", columns=of_channels, rows=channels, folded=True),
-    ]
-
-
-def _sources(found: Examined) -> Table:
-    rows: list[list[Any]] = [
-        [name, *found.mapped.sources.get(name, (name, 1.0, 0.0))] for name in found.columns
-    ]
-    columns = ["column", "source", "factor", "offset"]
-    return Table(id="columns", title="Sources of the columns", columns=columns, rows=rows, folded=True)
+def _tables(found: Examined) -> list[Table]:
+    """Return the tables of the speed, the stroke and its channels, and the sources of the columns."""
+    tables, speed, stroke, unit = [], found.speed, found.stroke, found.unit
+    if speed is not None:
+        rows: list[list[Any]] = [
+            ["along the path", speed.path.value, speed.path.low, speed.path.high],
+            ["along the line from start to end", speed.line.value, speed.line.low, speed.line.high],
+            ["naive mean of |dx/dt|", speed.naive_m_s, None, None],
+        ]
+        noise = numbers.number(speed.noise_m, 3, unit)
+        caption = f"Over {speed.covered_s:.4g} s without the gaps; the noise of a coordinate is {noise}."
+        columns = ["mean speed", f"{unit}/s", "95 % from", "to"]
+        tables.append(Table(id="speed", title="Mean speed", columns=columns, rows=rows, caption=caption))
+    if stroke is not None:
+        rows = []
+        for h in stroke.harmonics:
+            frequency_hz = h.order * stroke.beat.frequency_hz
+            rows.append([f"{h.order} ×", frequency_hz, numbers.measured(h.amplitude, h.stderr)])
+        title = f"Stroke and harmonics in {stroke.channel}, over {stroke.beat.cycles:.3g} cycles"
+        columns = ["harmonic", "frequency (Hz)", "amplitude"]
+        tables.append(Table(id="stroke", title=title, columns=columns, rows=rows, folded=True))
+        rows = []
+        for name, beat in stroke.channels.items():
+            frequency = numbers.measured(beat.frequency_hz, beat.stderr_hz)
+            rows.append([name, frequency, beat.amplitude, 100 * beat.share])
+        title = "Beat of every channel"
+        columns = ["channel", "frequency (Hz)", "amplitude", "share of the variance (%)"]
+        tables.append(Table(id="beats", title=title, columns=columns, rows=rows, folded=True))
+    rows = [[name, *found.mapped.sources.get(name, (name, 1.0, 0.0))] for name in found.columns]
+    columns, title = ["column", "source", "factor", "offset"], "Sources of the columns"
+    return [*tables, Table(id="columns", title=title, columns=columns, rows=rows, folded=True)]
 
 
 def _frequency(stroke: Rhythm) -> str:
@@ -429,16 +472,16 @@ def _methods(found: Examined) -> list[str]:
 
 
 def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
-    """Return what was found as plain data."""
+    """Return the findings as plain data."""
     time, unit, step = found.time_s, found.unit, usual_step(found.time_s)
-    cleaning, speed, line = found.cleaning, found.speed, found.projection
+    cleaning, speed, line, stroke = found.cleaning, found.speed, found.projection, found.stroke
     made: dict[str, Any] = {
         "file": str(found.path),
         "samples": len(time),
         "duration_s": float(time[-1] - time[0]),
-        "median_rate_hz": 1 / step if step > 0 else None,
+        "median_rate_hz": 1 / step,
         "columns": list(found.columns),
-        "missing": {n: int(np.isnan(v).sum()) for n, v in found.columns.items() if n != log.TIME},
+        "missing": {name: int(np.isnan(values).sum()) for name, values in found.channels.items()},
         "rows": found.order.counts,
         "notes": found.mapped.notes,
         "profile": found.mapped.profile,
@@ -466,24 +509,21 @@ def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
             f"noise_{unit}": speed.noise_m,
             "covered_s": speed.covered_s,
         }
-    if found.stroke is not None:
-        made["stroke"] = _stroke_data(found.stroke) | {"contradiction": found.against}
+    if stroke is not None:
+        made["stroke"] = {
+            "frequency_hz": stroke.beat.frequency_hz,
+            "stderr_hz": stroke.beat.stderr_hz,
+            "ci95_hz": list(stroke.beat.interval_hz),
+            "period_s": stroke.period_s[0],
+            "cycles": stroke.beat.cycles,
+            "channel": stroke.channel,
+            "maybe_double": stroke.maybe_double,
+            "harmonics": [asdict(harmonic) for harmonic in stroke.harmonics],
+            "channels_hz": {n: b.frequency_hz for n, b in stroke.channels.items()},
+            "rivals_hz": {n: b.frequency_hz for n, b in stroke.rivals.items()},
+            "contradiction": found.against or None,
+        }
     if line is not None:
         direction = line.direction.tolist()
         made["line"] = {"direction": direction, "extent": line.extent, "across_rms": line.across}
     return made
-
-
-def _stroke_data(stroke: Rhythm) -> dict[str, Any]:
-    return {
-        "frequency_hz": stroke.beat.frequency_hz,
-        "stderr_hz": stroke.beat.stderr_hz,
-        "ci95_hz": list(stroke.beat.interval_hz),
-        "period_s": stroke.period_s[0],
-        "cycles": stroke.beat.cycles,
-        "channel": stroke.channel,
-        "maybe_double": stroke.maybe_double,
-        "harmonics": [asdict(harmonic) for harmonic in stroke.harmonics],
-        "channels_hz": {n: b.frequency_hz for n, b in stroke.channels.items()},
-        "rivals_hz": {n: b.frequency_hz for n, b in stroke.rivals.items()},
-    }

@@ -21,7 +21,7 @@ from swimid.errors import InputError
 from swimid.files import yamlio
 from swimid.files.provenance import path_of
 from swimid.files.tabular import number_hint
-from swimid.logs import clock, profiles, units
+from swimid.logs import clock, units
 from swimid.logs.clock import ColumnKey, Stated, Time
 from swimid.logs.foreign import Options, Table, is_text, open_table
 from swimid.logs.log import TIME, Log, metadata_of, written_by
@@ -32,17 +32,18 @@ from swimid.progress import Progress, silent
 Array = NDArray[np.float64]
 FORMAT: Literal["swimid-mapping/1"] = "swimid-mapping/1"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-#: Largest number of instances (sensors, animals, tags) in one table.
+#: Maximum number of instances (sensors, animals, tags) in one table.
 MAX_INSTANCES = 16
-#: Names of columns that are part of a time, and of columns that tell instances apart.
+#: Names of columns that are part of a time, and of columns that number instances.
 _OF_TIME = re.compile(r".*(time|stamp|date|n?sec(ond)?s?|nanosec)", re.I)
 _INSTANCE = re.compile(
     r"(.*[ _.])?(i|id|instance|instances|tag|track|individual|animal|sensor|marker|device)"
 )
-#: A tracked point with a likelihood below this is left empty; the default ``pcutoff`` of DeepLabCut.
+#: Minimum likelihood of a tracked point, below which it is left empty (the default ``pcutoff`` of
+#: DeepLabCut).
 MIN_LIKELIHOOD = 0.6
 _LIKELIHOOD = re.compile(r"(?P<point>.+?)[ _.](likelihood|confidence|score|prob(ability)?)", re.I)
-#: Coordinate of a point, behind its name.
+#: Pattern of a coordinate behind the name of its point.
 _COORDINATE = r"[ _.]*(?i:[xyz]([ _.].*)?)"
 #: Unit of a quantity without a dimension.
 NO_UNIT = "1"
@@ -56,7 +57,7 @@ class Column(Stated):
     #: Unit of the source, converted to that of the target's name; ``1`` for a quantity without a dimension.
     unit: str | None = None
     factor: float = 1.0
-    #: In the target's unit.
+    #: Offset in the unit of the target.
     offset: float = 0.0
 
     @field_validator("target")
@@ -75,12 +76,13 @@ class Column(Stated):
     @property
     def scale(self) -> float:
         """Factor from the source to the target."""
-        unit = 1.0 if self.unit in (None, NO_UNIT) else units.factor(str(self.unit), self.target)
-        return self.factor * unit
+        if self.unit in (None, NO_UNIT):
+            return self.factor
+        return self.factor * units.factor(str(self.unit), self.target)
 
     @property
     def is_known(self) -> bool:
-        """Whether its quantity is stated: by the name of the target, or as a number without a dimension."""
+        """Whether the target names its quantity, or the unit says that it has no dimension."""
         return self.unit == NO_UNIT or units.is_known(self.target)
 
 
@@ -92,24 +94,22 @@ class Quaternion(Stated):
 
 
 class Mapping(Stated):
-    """A mapping file."""
+    """Content of a mapping file."""
 
     format: Literal["swimid-mapping/1"]
-    #: Name of a profile, for a file of a known format.
+    #: Name of the format. That of a profile names the columns, too.
     profile: str | None = Field(default=None, alias="as")
-    #: Track, instance, topic or message type to take, for a profile.
+    #: Track, individual, topic, message type, struct or group to take, if the file holds several.
     select: str | int | None = None
-    #: Unit of lengths, for a profile whose file states none.
-    length_unit: str | None = None
-    #: A tracked point with a likelihood below this is left empty.
+    #: Minimum likelihood of a tracked point, below which it is left empty.
     min_likelihood: Annotated[float, Field(ge=0, le=1)] = MIN_LIKELIHOOD
     reader: Options = Options()
     time: Time | None = None
-    #: Rows to take: by column the value, or values, they have there.
+    #: Rows to take: one value or several values of each named column.
     where: dict[str, str | float | int | list[str | float | int]] = {}
     quaternion: Quaternion = Quaternion()
     columns: list[Column] = []
-    #: Added to the metadata of the log.
+    #: Metadata that are added to those of the file.
     metadata: dict[str, str | float | int | bool | list[str | float | int]] = {}
 
     @model_validator(mode="after")
@@ -143,9 +143,9 @@ class MappedLog:
     Attributes
     ----------
     path : Path
-        Where it was read.
+        Path of the foreign log.
     columns : dict of str to ndarray, each shape (n,)
-        Target columns in SI, NaN where missing; ``t_s`` first. Times may repeat, go back or be missing.
+        Target columns in SI, ``t_s`` first, NaN where missing. Times may repeat, go back or be missing.
     rows : ndarray of int, shape (n,)
         Line of each sample in a text file, else its row, from 1.
     metadata : dict
@@ -161,7 +161,7 @@ class MappedLog:
     unlikely : dict of str to int
         Number of samples left empty for their likelihood, by point.
     hint : str
-        What to do if the clock goes back.
+        Advice for a clock that goes back.
     """
 
     path: Path
@@ -177,7 +177,7 @@ class MappedLog:
 
     @property
     def time_s(self) -> Array:
-        """Sample times as they stand in the file, s, shape (n,)."""
+        """Sample times as in the file, s, shape (n,)."""
         return self.columns[TIME]
 
     def __len__(self) -> int:
@@ -185,7 +185,7 @@ class MappedLog:
 
 
 def of(given: str | Path | Mapping | dict[str, Any]) -> Mapping:
-    """Return the mapping that was passed: a file, an object, or a dict with the keys of the file.
+    """Return a mapping that is given as a file, as an object, or as a dict with the keys of the file.
 
     Raises
     ------
@@ -216,9 +216,9 @@ def apply(
     given : path or Log
         The foreign log; or one in memory (:func:`swimid.logs.log.unread`).
     stated : dict, optional
-        What the user states beside the mapping: ``profile``, ``select``, ``length_unit`` and
-        ``min_likelihood`` replace what the mapping states; ``rate_hz`` is the rate of the frames, Hz, if the
-        mapping states no time.
+        Statements of the user beside the mapping. ``profile``, ``select``, ``length_unit`` and
+        ``min_likelihood`` replace those of the mapping. ``rate_hz`` is the rate of the frames, Hz, for a
+        mapping without a time.
     progress : Progress
         Shows the reading.
 
@@ -232,19 +232,12 @@ def apply(
     rate = stated.pop("rate_hz", None)
     if rate is not None and rules.time is None:
         stated["time"] = Time(rate_hz=rate)
+    unit = stated.pop("length_unit", rules.reader.length_unit)
+    stated["reader"] = rules.reader.model_copy(update={"length_unit": unit})
     rules = rules.model_copy(update=stated)
     with progress(f"reading {path.name}", total=1) as step:
-        profile = None
-        if isinstance(given, Log):
-            rules.profile = None if rules.profile is None else ""
-        elif rules.profile is not None:
-            profile = profiles.find(path, rules.profile)
-        if profile is None:
-            table = open_table(given, rules.reader)
-        else:
-            rules.profile = profile.name
-            select = None if rules.select is None else str(rules.select)
-            table = profile.table(path, select, rules.length_unit)
+        select = None if rules.select is None else str(rules.select)
+        table = open_table(given, rules.reader, select, rules.profile)
         step(1)
     return _mapped(rules, table, path)
 
@@ -257,7 +250,9 @@ def _mapped(mapping: Mapping, table: Table, path: Path) -> MappedLog:
     sources = {column.target: table.column(column.source, path) for column in columns}
     columns = [_with_unit(column, table.units.get(sources[column.target]), notes) for column in columns]
     time = _time(mapping, table, sources, path)
-    used = [table.column(key, path) for key in (*time.sources, *mapping.where)] if time else []
+    used: list[str] = []
+    if time is not None:
+        used = [table.column(key, path) for key in (*time.sources, *mapping.where)]
     rows = _same_length([*sources.values(), *used], table, path)
     found: dict[str, Array] = {}
     if time is not None:
@@ -266,8 +261,7 @@ def _mapped(mapping: Mapping, table: Table, path: Path) -> MappedLog:
         values = _numbers(table, sources[column.target], mapping.reader.missing, path)
         if values is None:
             kind = "text" if is_text(table.columns[sources[column.target]]) else "dates"
-            text = f"holds {kind}, not numbers"
-            raise InputError(text, file=path, column=sources[column.target])
+            raise InputError(f"holds {kind}, not numbers", file=path, column=sources[column.target])
         found.setdefault(column.target, values * column.scale + column.offset)
     chosen = _chosen(table, mapping.where, rows, path)
     by, there = find_mixed(table, found[TIME], chosen, {*used, sources.get(TIME, "")})
@@ -280,7 +274,8 @@ def _mapped(mapping: Mapping, table: Table, path: Path) -> MappedLog:
     infinite = [name for name, values in found.items() if np.isinf(values).any()]
     for name in infinite:
         found[name][np.isinf(found[name])] = np.nan
-    notes += [f"infinite values taken as missing in {', '.join(infinite)}"] if infinite else []
+    if infinite:
+        notes.append(f"infinite values taken as missing in {', '.join(infinite)}")
     unlikely = empty_unlikely(found, sources, mapping.min_likelihood)
     if set(AXES) <= set(found):
         q = np.column_stack([found[axis] for axis in AXES])
@@ -298,7 +293,7 @@ def _mapped(mapping: Mapping, table: Table, path: Path) -> MappedLog:
         notes,
         {column.target: (str(column.source), column.scale, column.offset) for column in columns},
         [column.target for column in columns if not (known or column.is_known)],
-        mapping.profile or "",
+        table.profile,
         unlikely,
         clock.wrap_hint(found[TIME], time),
     )
@@ -319,12 +314,12 @@ def _with_unit(column: Column, stated: str | None, notes: list[str]) -> Column:
 
 
 def _short(value: Any) -> Any:
-    """Return the first line of a remark; any other value as it is."""
+    """Return the first line of a remark; any other value is returned unchanged."""
     return value.strip().partition("\n")[0][:120] if isinstance(value, str) else value
 
 
 def _identity(table: Table, path: Path, metadata: dict[str, Any]) -> list[Column]:
-    """Return the columns that are named as in the log format; the others are left out, with a warning."""
+    """Return the columns named as in the log format; warn of the others, which are left out."""
     names = ", ".join(list(table.columns)[:20])
     hint = f"a mapping says which column is which (swimid import --guess drafts one); the file has: {names}"
     if not {TIME, "frame"} & set(table.columns):
@@ -350,7 +345,7 @@ def _identity(table: Table, path: Path, metadata: dict[str, Any]) -> list[Column
 
 
 def _time(mapping: Mapping, table: Table, sources: dict[str, str], path: Path) -> Time | None:
-    """Return where the time comes from; None if it is a column of the log format."""
+    """Return the rule for the time; None if the time is a column of the log format."""
     time, has_frames = mapping.time, "frame" in table.columns and mapping.profile is not None
     if TIME in sources:
         if time is not None:
@@ -381,13 +376,13 @@ def _same_length(names: Sequence[str], table: Table, path: Path) -> int:
 
 
 def _numbers(table: Table, name: str, missing: Sequence[float | str], path: Path) -> Array | None:
-    """Return a column as numbers, with the marks of missing samples as NaN; None for one of dates or text."""
-    import pandas as pd
-
+    """Return a column as numbers, NaN for the marks of missing samples; None for dates or text."""
     values = table.columns[name]
     if values.dtype.kind == "M":
         return None
     if is_text(values):
+        import pandas as pd
+
         cells = values
         values = pd.to_numeric(pd.Series(cells, dtype=object), errors="coerce").to_numpy(dtype=float)
         bad = np.isnan(values) & pd.notna(cells)
@@ -405,7 +400,7 @@ def _numbers(table: Table, name: str, missing: Sequence[float | str], path: Path
 
 
 def _contradicted(table: Table, name: str) -> list[str]:
-    """Return the note about a time whose name and steps are those of a frame number."""
+    """Return a note if the name and the steps of the time are those of a frame number."""
     values = table.columns[name]
     if values.dtype.kind not in "iuf" or not clock.COUNT.fullmatch(name.strip().lower()):
         return []
@@ -420,17 +415,17 @@ def _contradicted(table: Table, name: str) -> list[str]:
 
 
 def _chosen(table: Table, where: dict[str, Any], rows: int, path: Path) -> NDArray[np.bool_]:
-    """Return which rows to take, shape (rows,): in each column of ``where`` they have one of the values.
+    """Return which rows have one of the wanted values in each column of ``where``, shape (rows,).
 
     Raises
     ------
     InputError
         No row is left; lists the values that are there.
     """
-    import pandas as pd
-
     kept = np.ones(rows, dtype=bool)
     for key, wanted in where.items():
+        import pandas as pd
+
         name = table.column(key, path)
         values, options = table.columns[name], pd.Series(wanted)
         if is_text(values):
@@ -445,14 +440,11 @@ def _chosen(table: Table, where: dict[str, Any], rows: int, path: Path) -> NDArr
 
 
 def find_mixed(table: Table, time_s: Array, kept: NDArray[np.bool_], used: Set[str]) -> tuple[str, list[str]]:
-    """Return the column that tells apart several instances whose rows stand in turn, and its values; ("", [])
-    if there is none.
+    """Return the column that numbers several instances whose rows alternate, and its values.
 
-    A column tells instances apart if it changes at most rows and has few values, and either the times are
-    even within each value and uneven over all rows, or its name is that of an instance.
+    Such a column changes at most rows and has few values. Also, its name is that of an instance, or the times
+    are even within each value and uneven over all rows. Without such a column the result is ``("", [])``.
     """
-    import pandas as pd
-
     time = time_s[kept]
     if len(time) < 10:
         return "", []
@@ -463,6 +455,8 @@ def find_mixed(table: Table, time_s: Array, kept: NDArray[np.bool_], used: Set[s
         values = whole[kept]
         if not is_text(values) and not np.all(values == np.round(values)):
             continue
+        import pandas as pd
+
         codes, found = pd.factorize(values, use_na_sentinel=False)
         count = len(found)
         if not 2 <= count <= MAX_INSTANCES or np.mean(np.diff(codes) != 0) < 0.5:
@@ -478,8 +472,10 @@ def find_mixed(table: Table, time_s: Array, kept: NDArray[np.bool_], used: Set[s
 def _evenness(time: Array) -> float:
     """Return the share of steps that lie within half of the median step."""
     steps = np.diff(time)
-    usual = float(np.median(steps)) if len(steps) else 0.0
-    return float(np.mean(np.abs(steps - usual) <= 0.5 * usual)) if usual > 0 else 0.0
+    if len(steps) == 0 or not np.median(steps) > 0:
+        return 0.0
+    usual = float(np.median(steps))
+    return float(np.mean(np.abs(steps - usual) <= 0.5 * usual))
 
 
 def _distinct(values: NDArray[Any]) -> list[str]:
@@ -492,10 +488,10 @@ def _distinct(values: NDArray[Any]) -> list[str]:
 
 
 def empty_unlikely(columns: dict[str, Array], sources: dict[str, str], minimum: float) -> dict[str, int]:
-    """Empty the coordinates of unlikely points in place; return the number of samples by likelihood.
+    """Empty the coordinates of unlikely points in place; return the number of emptied samples by likelihood.
 
-    A likelihood belongs to the coordinates that have the name of the same point, in the log or in the file.
-    A sample without a likelihood counts as unlikely.
+    A likelihood belongs to the coordinates with the name of the same point, in the log or in the file. A
+    sample without a likelihood counts as unlikely.
 
     >>> columns = {"x_px": np.array([1.0, 2.0]), "c": np.array([0.9, 0.1])}
     >>> empty_unlikely(columns, {"x_px": "nose_x", "c": "nose_likelihood"}, 0.6), columns["x_px"]

@@ -19,14 +19,14 @@ class ImportOptions(Options):
     profile: str | None = option(
         None,
         flag="--as",
-        metavar="PROFILE",
+        metavar="FORMAT",
         help="Format of the file: ardupilot, deeplabcut, dynamixel, opensim, px4, ros2, sleap, swimid, "
-        "tracker  [default: recognised by its content].",
+        "tracker, delimited, hdf5, jsonl, mat, mcap, parquet, ulog  [default: recognised by its content].",
     )
     select: str | None = option(
         None,
         metavar="NAME",
-        help="Track, individual, instance, topic or message type to take, if the file holds several.",
+        help="Track, individual, topic, message type, struct or group to take, if the file holds several.",
     )
     rate_hz: float | None = option(
         None, gt=0, help="Frames per second, for a file of a known format that states no times."
@@ -43,7 +43,7 @@ class ImportOptions(Options):
     clean: bool | None = option(
         None,
         flag="--clean/--raw",
-        help="Take repeats and jumps out of the track, or keep all  "
+        help="Leave repeats and jumps out of the track, or keep them  "
         "[default: clean a track of two coordinates].",
     )
     start_s: float | None = option(None, flag="--start", help="Keep the log from here, s on its own clock.")
@@ -51,25 +51,25 @@ class ImportOptions(Options):
     along: str | None = option(
         None,
         metavar="LINE",
-        help="Put the way along a line in the place of the track, as x_m: line (the one it keeps closest "
-        "to), x, -y, z, or components as in 0.6,-0.8.",
+        help="Replace the track by its distance along a line, x_m: line (the one closest to the track), "
+        "x, -y, z, or components as in 0.6,-0.8.",
     )
     scale: float | None = option(
         None,
         metavar="M_PER_PX",
         recorded="metres_per_pixel",
-        help="Metres a pixel, for a track in pixels.",
+        help="Metres per pixel, for a track in pixels.",
     )
     stroke_hz: tuple[float, float] | None = option(
         None,
         flag="--stroke",
         metavar="LOW HIGH",
-        help="Frequencies between which the stroke is known to lie, Hz.",
+        help="Lowest and highest possible frequency of the stroke, Hz.",
     )
 
     @property
     def stated(self) -> dict[str, Any]:
-        """What was stated about the file beside its mapping, without what was not given."""
+        """Statements about the file that replace or complete those of its mapping."""
         names = {"profile", "select", "rate_hz", "length_unit", "min_likelihood"}
         return self.model_dump(include=names, exclude_none=True)
 
@@ -86,17 +86,17 @@ class ImportOptions(Options):
         return self
 
     def settings(self, **found: Any) -> dict[str, Any]:
-        """The options as the provenance records them, without those that were not given."""
+        """Return the options as the provenance records them, without those that were not given."""
         return {key: value for key, value in super().settings(**found).items() if value is not None}
 
 
 def direction(text: str) -> tuple[float, ...] | None:
-    """Return the unit vector that a text names: ``x``, ``-y``, ``0.6,-0.8``; None for ``line``.
+    """Return the unit vector of a direction written as ``x``, ``-y`` or ``0.6,-0.8``; None for ``line``.
 
     Raises
     ------
     UsageError
-        It names none.
+        The text is no direction.
     """
     if text == "line":
         return None
@@ -120,7 +120,7 @@ class PlotOptions(
     required=True,
     beside=(),
 ):
-    """Draw logs: channels, track from above, spectra; several over each other.
+    """Draw logs: channels, track from above, and spectra. Several logs are drawn over each other.
 
     Examples:
       swimid plot run.csv -o run.png

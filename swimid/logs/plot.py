@@ -27,12 +27,12 @@ PICTURES = (".svg", ".png")
 
 @dataclass(frozen=True, eq=False)
 class Drawn(Result):
-    """Figures of logs, as ``plot`` gives them; they are written as one page or picture.
+    """Figures of logs, as ``plot`` returns them. They are saved as one page or picture.
 
     Attributes
     ----------
     inputs : sequence of path or Log
-        What was drawn.
+        The logs that were drawn.
     progress : Progress
         Shows the drawing.
     """
@@ -48,7 +48,7 @@ class Drawn(Result):
         Raises
         ------
         InputError
-            When the folder does not exist or cannot be written.
+            The folder does not exist or cannot be written.
         UsageError
             The ending is none of these.
         """
@@ -73,7 +73,7 @@ class Drawn(Result):
 
     @property
     def path(self) -> Path:
-        """The first of the logs."""
+        """Path of the first log."""
         return provenance.path_of(self.inputs[0])
 
 
@@ -87,7 +87,7 @@ def plot(
 ) -> Drawn:
     """Draw logs: channels over time, the track from above, spectra.
 
-    By default the title is the names of the logs.
+    By default the title lists the names of the logs.
 
     Parameters
     ----------
@@ -118,19 +118,27 @@ def plot(
     >>> plot(pd.DataFrame({"t_s": t, "yaw_rad": 0.2 * np.sin(9 * t)})).figure_names
     ['channels', 'spectra-log']
     """
-    listed = logs if isinstance(logs, Sequence) and not isinstance(logs, str) else [logs]
-    given = [Path(one) if isinstance(one, str | Path) else one for one in listed]
-    # a path named twice is drawn once
-    given = list({one if isinstance(one, Path) else at: one for at, one in enumerate(given)}.values())
-    if not given:
+    if isinstance(logs, str) or not isinstance(logs, Sequence):
+        logs = [logs]
+    if not logs:
         raise UsageError("name at least one log to draw")
     if output is not None:
-        output = atomic.check_writable(_picture(Path(output)), inputs=given)
+        paths = [one for one in logs if isinstance(one, str | Path)]
+        output = atomic.check_writable(_picture(Path(output)), inputs=paths)
+    name = "log {}" if len(logs) > 1 else "log"
+    inputs: list[provenance.Input] = []
+    records: list[log.Log] = []
     with recorded(repeat=True) as notices:
-        names = [f"log {number}" if len(given) > 1 else "log" for number in range(1, len(given) + 1)]
-        records = [log.of(one, name=name) for one, name in zip(given, names, strict=True)]
+        for number, given in enumerate(logs, start=1):
+            if isinstance(given, str | Path):
+                # a path that is named twice is drawn once
+                if (path := Path(given)) not in inputs:
+                    inputs.append(path)
+                    records.append(log.read(path))
+            else:
+                records.append(log.of(given, name=name.format(number)))
+                inputs.append(records[-1])
         figures = figures_of(records)
-    inputs = [one if isinstance(one, Path) else record for one, record in zip(given, records, strict=True)]
     proof = Evidence(
         verb="plot",
         title=options.title or " and ".join(record.name for record in records),

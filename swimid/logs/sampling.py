@@ -8,36 +8,37 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
-from swimid.logs.log import runs
+from swimid.logs.log import TIME, runs
+from swimid.logs.units import measured
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-#: A pause longer than this many sample times is a gap.
+#: Minimum length of a gap, in sample times. A shorter pause is no gap.
 PAUSE = 6.0
-#: A step within this share of a whole number of sample times lies on the grid.
+#: Maximum distance of a step from a whole number of sample times, as a share of one, for a step on the grid.
 ON_GRID = 0.15
-#: Fewer steps on the grid than this share: the record is not uniformly sampled.
+#: Minimum share of steps on the grid in a uniformly sampled record.
 UNIFORM_SHARE = 0.8
-#: Root-mean-square jitter, in sample times, from which on it is worth a warning.
+#: Minimum root-mean-square jitter, in sample times, that deserves a warning.
 NOTABLE_JITTER = 0.05
-#: Ratio of neighbouring steps from which on stamps are uneven, and come in bursts, if more than a share
-#: ``FEW_CHANGES`` of the steps have it. A single missing sample makes a ratio of 2.
+#: Minimum ratio of neighbouring steps in uneven sampling, and in bursts, if more than the share
+#: ``FEW_CHANGES`` of the steps has that ratio. A single missing sample makes a ratio of 2.
 UNEVEN, BURST, FEW_CHANGES = 2.0, 10.0, 0.1
-#: Steps a record needs before its stamps may be explained by rounding.
+#: Minimum number of steps of a record for a judgement of its sampling. In fewer steps a missing sample and a
+#: coarse rounding look the same.
 LONG_ENOUGH = 20
-#: A jump over more samples than this starts a new piece instead of being filled with NaN.
+#: Maximum number of missing samples within one piece of a record. A longer jump starts a new piece.
 LONGEST_FILL = 1000
-#: Steps that differ by less than this share are the same rate.
+#: Maximum relative difference of two sample times at the same rate.
 SAME_RATE = 0.01
-#: A column with fewer distinct values than this, or than this share of its samples, holds
-#: levels that were set, not a rounded continuous signal.
+#: Minimum number of distinct values of a continuous signal, and its minimum share of the samples. A column
+#: with fewer holds levels that were set.
 LEVELS, LEVEL_SHARE = 100, 0.05
-#: Of a longer record the middle is enough to see how it swings.
+#: Maximum number of samples that are searched for a motion. Of a longer record the middle is searched.
 LONGEST_SOUGHT = 1_000_000
-#: Unless their last decimal is finer than this share of their range: nobody sets such levels, but
-#: a computed signal that repeats itself (a sine of 20 samples a period) has them.
+#: Maximum last decimal place of a computed signal that repeats itself, as a share of its range. Such a signal
+#: (a sine of 20 samples per period) has few distinct values, but set levels are coarser.
 FINE = 1e-4
 
 
@@ -50,8 +51,8 @@ class Rate:
     step_s : float
         Sample time, s.
     jitter : float
-        Root-mean-square deviation of single steps from it, in sample times; 0 where every stamp
-        is that of a uniform grid, rounded.
+        Root-mean-square deviation of single steps from the sample time, in sample times. It is 0 if every
+        stamp is a rounded point of a uniform grid.
     on_grid : float
         Share of the steps that are a whole number of sample times within :data:`ON_GRID`.
     """
@@ -62,31 +63,40 @@ class Rate:
 
     @property
     def uniform(self) -> bool:
-        """Whether a constant rate describes the record at all."""
+        """Whether a constant rate describes the record."""
         return self.on_grid >= UNIFORM_SHARE
 
 
 def usual_step(time_s: np.ndarray) -> float:
-    """Median step of a record, s, of its first samples where there are very many; NaN for one sample.
+    """Return the median step of a record, s; NaN for one sample.
+
+    Of a long record the first :data:`LONGEST_SOUGHT` samples are used.
 
     >>> usual_step(np.array([0.0, 0.1, 0.2, 0.7]))
     0.1
     """
-    steps = np.diff(time_s[:LONGEST_SOUGHT])
-    return float(np.median(steps)) if len(steps) else float("nan")
+    if len(time_s) < 2:
+        return float("nan")
+    return float(np.median(np.diff(time_s[:LONGEST_SOUGHT])))
 
 
 def pauses(time_s: np.ndarray, step_s: float | None = None) -> np.ndarray:
-    """Samples after which there is none for longer than :data:`PAUSE` sample times."""
-    steps = np.diff(time_s) if len(time_s) > 2 else np.empty(0)
-    return np.flatnonzero(steps > PAUSE * (usual_step(time_s) if step_s is None else step_s))
+    """Return the index of the last sample before each pause of more than :data:`PAUSE` sample times.
+
+    By default the sample time is the usual step. A record of two samples has no pause.
+    """
+    if len(time_s) <= 2:
+        return np.empty(0, dtype=np.intp)
+    if step_s is None:
+        step_s = usual_step(time_s)
+    return np.flatnonzero(np.diff(time_s) > PAUSE * step_s)
 
 
 def find_uneven(time_s: np.ndarray) -> tuple[str, bool]:
     """Return how a record departs from even sampling, in words, and whether its stamps come in bursts.
 
-    Missing samples, pauses and a rate that changes slowly are no departure. Stamps in bursts tell when
-    samples arrived, not when they were taken.
+    The words are empty for even sampling. Missing samples, pauses and a slowly changing rate count as even.
+    Stamps in bursts show when samples arrived, and not when they were taken.
 
     >>> find_uneven(np.cumsum(np.tile([137e-6, 19863e-6], 100)))[1], find_uneven(np.arange(50) / 7.0)
     (True, ('', False))
@@ -104,26 +114,26 @@ def find_uneven(time_s: np.ndarray) -> tuple[str, bool]:
 
 @dataclass(frozen=True)
 class Piece:
-    """An unbroken stretch on a grid of constant rate.
+    """A part of a record on a grid of constant rate.
 
     Attributes
     ----------
     time_s : ndarray, shape (n,)
-        Time of every grid point; the measured stamp where there is a sample.
+        Time of each grid point, s. It is the stamp of the sample if there is one.
     rows : ndarray of int, shape (n,)
-        Row of the record each grid point came from, -1 for a sample that is missing.
+        Row of the record for each grid point; -1 for a missing sample.
     """
 
     time_s: np.ndarray
     rows: np.ndarray
 
     def take(self, column: np.ndarray) -> np.ndarray:
-        """A column of the record on this grid, NaN where the sample is missing."""
+        """Return a column of the record on this grid, shape (n,), with NaN for missing samples."""
         return np.where(self.rows >= 0, np.asarray(column, dtype=float)[self.rows], np.nan)
 
 
 def rate(time_s: np.ndarray) -> Rate:
-    """Sample time and regularity of a record.
+    """Return the sample time and the regularity of a record.
 
     Parameters
     ----------
@@ -134,28 +144,23 @@ def rate(time_s: np.ndarray) -> Rate:
     0.1
     """
     steps = np.diff(np.asarray(time_s, dtype=float))
-    typical = float(np.median(steps))
-    plain = _plain_rate(steps, typical)
-    if len(steps) < LONG_ENOUGH:
-        return plain  # a missing sample and a coarse rounding look the same
-    line = _rounded_grid(time_s, (float(np.mean(steps)), typical))
-    return plain if line is None else Rate(float(f"{line[0]:.10g}"), 0.0, 1.0)
-
-
-def _plain_rate(steps: np.ndarray, typical: float) -> Rate:
-    # The mean of the ordinary steps: stamps rounded to milliseconds have a biased median.
-    typical = float(np.mean(steps[np.abs(steps - typical) <= 0.5 * typical]))
-    typical = float(f"{typical:.10g}")
+    median = float(np.median(steps))
+    if len(steps) >= LONG_ENOUGH:
+        line = _rounded_grid(time_s, (float(np.mean(steps)), median))
+        if line is not None:
+            return Rate(float(f"{line[0]:.10g}"), 0.0, 1.0)
+    # the median of stamps rounded to milliseconds is biased, the mean of the ordinary steps is not
+    typical = float(f"{np.mean(steps[np.abs(steps - median) <= 0.5 * median]):.10g}")
     relative = steps / typical
     whole = np.maximum(np.round(relative), 1)
     off = np.abs(relative - whole)
     single = off[(whole == 1) & (off < 0.5)]
-    jitter = float(np.sqrt(np.mean(single**2))) if len(single) else 0.0
+    jitter = float(np.sqrt(np.sum(single**2) / max(len(single), 1)))
     return Rate(typical, jitter, float(np.mean((off <= ON_GRID) & (whole <= 10))))
 
 
 def late_grid(time_s: np.ndarray, step_s: float, lateness_s: float) -> tuple[float, np.ndarray, float] | None:
-    """Return the step and the times of an even sensor whose samples are stamped late.
+    """Return the step and the times of an even sensor whose samples are stamped late; None if no times fit.
 
     Parameters
     ----------
@@ -172,7 +177,7 @@ def late_grid(time_s: np.ndarray, step_s: float, lateness_s: float) -> tuple[flo
     measured_s : ndarray, shape (n,)
         The latest even times that no stamp precedes, s.
     slack_s : float
-        Time by which the last could move against the first, s. None in place of all where no even times fit.
+        Time by which the last measurement can move against the first, s.
     """
     from scipy import optimize
 
@@ -181,7 +186,7 @@ def late_grid(time_s: np.ndarray, step_s: float, lateness_s: float) -> tuple[flo
     fits = [line for line in lines if line is not None]
     if not fits:
         return None
-    # of the steps that fit the longest: it needs the fewest missing samples
+    # take the longest step that fits: it needs the fewest missing samples
     step, number = max(fits, key=lambda line: line[0])
     reach = 4.0 * lateness_s / number[-1]
 
@@ -206,13 +211,19 @@ def _rounded_grid(
 
     ``starts`` are guesses of the step, ``unit`` is the rounding (default: the last decimal place) and
     ``first_s`` is a guess of the first grid point (default: the first stamp). The line through stamps and
-    numbers is fitted on a growing part of the record, so that the guess must be good for a few samples only.
-    The result is None where some stamp lies farther from the grid than its rounding.
+    numbers is fitted to a growing part of the record, so that the guess must be good for a few samples only.
+    The result is None if any stamp lies farther from the grid than its rounding.
     """
     time_s = np.asarray(time_s, dtype=float)
-    n, unit = len(time_s), quantum(time_s) if unit is None else unit
-    for start in starts if n >= 3 and unit > 0 else ():
-        step, origin = float(start), float(time_s[0] if first_s is None else first_s)
+    n = len(time_s)
+    if unit is None:
+        unit = quantum(time_s)
+    if n < 3 or unit <= 0:
+        return None
+    if first_s is None:
+        first_s = time_s[0]
+    for start in starts:
+        step, origin = float(start), float(first_s)
         size = min(n, 8)
         while True:
             part = time_s[:size]
@@ -229,16 +240,16 @@ def _rounded_grid(
         if np.any(np.diff(number) < 1) or unit > step * (1 + 1e-6):
             continue
         if np.mean(np.diff(number) == 1) < UNIFORM_SHARE:
-            continue  # any rounded stamps lie on the grid of their unit, with many samples missing
+            continue  # on the grid of their unit all rounded stamps lie, with many samples missing
         off = time_s - origin - step * number
-        # The line is fitted: its own error comes on top of half a unit.
+        # the error of the fitted line adds to the rounding
         if np.ptp(off) <= unit * (1 + 4 / np.sqrt(n)) + 1e-9 * step:
             return step, number.astype(int)
     return None
 
 
 def pieces(time_s: np.ndarray, step_s: float) -> list[Piece]:
-    """Lay a record on a grid, and cut it where the time jumps off that grid.
+    """Return a record as pieces on a grid, cut where the time leaves that grid.
 
     Parameters
     ----------
@@ -250,13 +261,13 @@ def pieces(time_s: np.ndarray, step_s: float) -> list[Piece]:
     Returns
     -------
     list of Piece
-        More than one where the time jumps by no whole number of samples, or by more than
-        :data:`LONGEST_FILL`. Shorter jumps become missing samples within a piece.
+        A new piece begins where the time jumps by no whole number of samples, or by more than
+        :data:`LONGEST_FILL` samples. Shorter jumps become missing samples within a piece.
     """
     time_s = np.asarray(time_s, dtype=float)
     line = _rounded_grid(time_s, (step_s,))
     if line is not None and abs(line[0] / step_s - 1) < SAME_RATE:
-        # Single steps may be far off a whole number of samples; the stamps are not.
+        # rounded stamps lie on the grid even if single steps are far from a whole number of samples
         whole = np.diff(line[1]).astype(float)
         cut = np.zeros(len(whole), dtype=bool)
     else:
@@ -275,18 +286,17 @@ def pieces(time_s: np.ndarray, step_s: float) -> list[Piece]:
 
 
 def _one_late_stamp(relative: np.ndarray) -> np.ndarray:
-    """Steps that with a neighbour make a whole number: one stamp is off, the samples are not."""
+    """Return the steps that make two sample times with a neighbour: only the stamp between them is off."""
     pair = relative[:-1] + relative[1:]
     whole = (np.abs(pair - np.round(pair)) <= ON_GRID) & (np.round(pair) == 2)
     return np.append(whole, False) | np.append(False, whole)
 
 
 def rounding(values: Sequence[float] | np.ndarray) -> float:
-    """Step to which a continuous signal was rounded, 0 for a signal that is exact.
+    """Return the step to which a continuous signal was rounded; 0 for an exact signal.
 
-    A commanded input of a few levels (binary, steps, stairs) means exactly what is written,
-    however few decimals it has; only a column of many distinct values, or of many decimals, is
-    taken as rounded.
+    A commanded input of a few levels (binary, steps, stairs) is exact, however few decimals it has. A column
+    counts as rounded only if it has many distinct values or many decimals.
 
     Parameters
     ----------
@@ -308,7 +318,7 @@ def rounding(values: Sequence[float] | np.ndarray) -> float:
 
 
 def has_levels(values: np.ndarray) -> bool:
-    """Return whether a channel comes back again and again to a few levels, or is constant.
+    """Return whether a channel is constant or returns repeatedly to a few levels.
 
     >>> has_levels(np.tile([0.0, 0.0, 1.0, 1.0, 2.0, 1.0], 50)), has_levels(np.sin(np.arange(300.0)))
     (True, False)
@@ -319,7 +329,9 @@ def has_levels(values: np.ndarray) -> bool:
 
 
 def step_of(values: np.ndarray) -> float | None:
-    """The step all values are multiples of (up to 0.1 % of it), or None.
+    """Return the step of which all values are multiples, to 2 % of a step; None if there is none.
+
+    Fewer than four distinct values have no step.
 
     >>> step_of(np.array([0.0, 0.0, 0.5, 1.0, 1.0, 1.5, 3.0]))
     0.5
@@ -330,15 +342,14 @@ def step_of(values: np.ndarray) -> float | None:
     gaps = np.diff(values)
     step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
     count = np.round((values - values[0]) / step)
-    # the step itself to more digits, from the whole range
-    step = float((values[-1] - values[0]) / count[-1]) if count[-1] > 0 else step
+    if count[-1] > 0:
+        # the whole range gives more digits
+        step = float((values[-1] - values[0]) / count[-1])
     return step if np.max(np.abs((values - values[0]) / step - count)) < 0.02 else None
 
 
 def quantum(values: Sequence[float] | np.ndarray) -> float:
-    """Step of the last decimal place the values were written with, 0 when there is none.
-
-    Logs hold rounded decimals; below their last place the data say nothing.
+    """Return the last decimal place of written values as a step; 0 if they are not rounded.
 
     >>> quantum(np.array([0.25, 1.5, -0.75]))
     0.01
@@ -359,23 +370,23 @@ def quantum(values: Sequence[float] | np.ndarray) -> float:
 def longest_even(
     time_s: np.ndarray, values: np.ndarray, fastest_hz: float, most: int = 20_000
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The longest stretch of a channel without a gap, on even steps.
+    """Return the longest part of a channel without a gap, on even steps, for a spectrum.
 
     Parameters
     ----------
     time_s, values : ndarray, shape (n,)
         Strictly increasing times; NaN where missing.
     fastest_hz : float
-        A faster channel is averaged down to this rate. Of more samples than :data:`LONGEST_SOUGHT` those
-        in the middle are looked at.
+        Maximum rate, Hz. A faster channel is averaged. Of more samples than :data:`LONGEST_SOUGHT` the middle
+        is used.
     most : int
-        Samples that are enough; a longer stretch is cut.
+        Maximum number of samples that are returned.
 
     Returns
     -------
     time_s, values : ndarray, shape (m,)
-        Empty where no two samples are there. Pauses up to six sample times are bridged by straight
-        lines, so that a spectrum can be taken; nothing else should be read off them.
+        Empty for fewer than two samples. Pauses up to :data:`PAUSE` sample times are bridged by straight
+        lines, which suits a spectrum and nothing else.
     """
     if len(values) > LONGEST_SOUGHT:
         first = (len(values) - LONGEST_SOUGHT) // 2
@@ -396,21 +407,21 @@ def longest_even(
         return np.empty(0), np.empty(0)
     even = np.linspace(t[0], t[-1], max(round((t[-1] - t[0]) / float(np.median(np.diff(t)))) + 1, 2))
     if len(even) == len(t) and np.allclose(even, t, rtol=0.0, atol=1e-6 * (even[1] - even[0])):
-        return t, x  # as they are: between the samples of a signal that jumps there is nothing
+        return t, x  # interpolation would smear a signal that jumps
     return even, np.interp(even, t, x)
 
 
 def white_noise_sd(values: np.ndarray, least: float) -> float:
-    """Standard deviation of a channel's white noise, from its third differences (robust).
+    """Return the standard deviation of the white noise of a channel, from its third differences (robust).
 
-    The variance of a third difference of white noise is 20 times its own.
+    The variance of a third difference of white noise is 20 times that of the noise.
 
     Parameters
     ----------
     values : ndarray, shape (n,)
         Evenly sampled, NaN where missing.
     least : float
-        What it is at least, and where the samples are too few to tell.
+        Minimum of the result, which is also returned for too few samples.
     """
     if len(values) < 4:
         return least
@@ -424,20 +435,20 @@ def white_noise_sd(values: np.ndarray, least: float) -> float:
 
 # ---------------------------------------------------------------- repeated samples
 
-#: Ratios of a step to the next one below which it may be a repeat with jitter; 0 stands for exact repeats.
+#: Maximum ratios of a step to the next one for a repeat with jitter; 0 stands for exact repeats.
 RATIOS = (0.0, 0.003, 0.01, 0.03, 0.1)
-#: Probability that a log without repeats is said to have some.
+#: Probability of finding repeats in a log without repeats.
 FALSE_ALARM = 1e-3
-#: A constant stretch longer than this many measurements is a rest or a frozen sensor. After a frozen sensor
-#: the next sample is more than ``NEAR`` usual steps away.
+#: Minimum length of a rest or of a frozen sensor, in measurements, and maximum distance, in usual steps, of
+#: the next sample after a rest. After a frozen sensor it is larger.
 LONG_HOLD, NEAR = 5.0, 3.0
-#: Columns that are set or computed, not measured: commands, deviations and qualities.
+#: Columns that are set or computed, and not measured: commands, deviations and qualities.
 SET = re.compile(r"cmd.*|.*_sd(_.*)?|.*likelihood|.*confidence")
-#: A channel stops at once only where its rounding is less than this share of its mean step: a coarser one
-#: stands between its steps.
+#: Maximum rounding of a channel, as a share of its mean step, for a stop to be seen. A coarser channel stands
+#: still between its steps.
 NEAR_ROUNDED = 0.2
-#: A smooth signal turns round at a step where the steps before and after cancel up to this share: twice the
-#: largest of ``RATIOS``, because their mean is about the step between them.
+#: Maximum relative sum of the steps before and after a turning point of a smooth signal. It is twice the
+#: largest of ``RATIOS``, because the mean of both steps is about the step between them.
 TURN = 2.0 * RATIOS[-1]
 
 
@@ -448,7 +459,7 @@ class Held:
     Attributes
     ----------
     repeated : ndarray of bool, shape (n,)
-        Samples that repeat the measurement before. The first sample of each measurement is not among them.
+        Samples that repeat the previous measurement, without the first sample of each measurement.
     period_s : float
         Mean time between measurements, s. Without repeats it is the usual step of the log.
     lateness_s : float
@@ -472,10 +483,9 @@ class Held:
 
 
 def find_held(time_s: Array, channels: Sequence[Array]) -> Held:
-    """Find the samples that repeat the measurement before.
+    """Find the samples that repeat the previous measurement.
 
-    A robot at rest is not a repeat. Neither is a counter that stands between its steps, nor a command of a
-    few levels.
+    A robot at rest is no repeat, nor a counter between its steps, nor a command of a few levels.
 
     Parameters
     ----------
@@ -501,6 +511,8 @@ def find_held(time_s: Array, channels: Sequence[Array]) -> Held:
     >>> int(found.repeated.sum()), round(found.period_s, 6), round(found.lateness_s, 6)
     (40, 0.02, 0.01)
     """
+    from scipy import special
+
     none = Held(np.zeros(len(time_s), dtype=bool), usual_step(time_s), 0.0, time_s, 0.0)
     place = np.array(channels, dtype=float).reshape(len(channels), len(time_s)).T
     rows = np.flatnonzero(np.isfinite(place).any(axis=1))
@@ -530,13 +542,18 @@ def find_held(time_s: Array, channels: Sequence[Array]) -> Held:
     return _timed(time_s, rows, repeated)
 
 
+def may_freeze(name: str, values: Array) -> bool:
+    """Return whether a channel is measured, continuous, and long enough to show that it is frozen."""
+    known = values[np.isfinite(values)]
+    return not SET.fullmatch(name) and len(known) >= LONG_ENOUGH and not has_levels(known)
+
+
 def find_frozen(time_s: Array, columns: Mapping[str, Array]) -> dict[str, tuple[float, float]]:
     """Return the longest stretch (start and end, s) over which each frozen channel holds one value.
 
-    A channel is frozen where it holds one value for more than :data:`LONG_HOLD` times as long as it usually
-    does, and either jumps there or from there, or stops at once amid its motion. A robot at rest comes to its
-    rest and leaves it step by step. A command, a channel of a few levels and a value that recurs are not
-    frozen.
+    A frozen channel holds one value for more than :data:`LONG_HOLD` times as long as it usually does. It also
+    jumps to or from that value, or stops suddenly while it moves. A robot comes to rest and leaves its rest
+    step by step. A command, a channel of a few levels and a value that recurs are not frozen.
 
     Parameters
     ----------
@@ -547,10 +564,10 @@ def find_frozen(time_s: Array, columns: Mapping[str, Array]) -> dict[str, tuple[
     """
     found: dict[str, tuple[float, float]] = {}
     for name, values in columns.items():
+        if not may_freeze(name, values):
+            continue
         rows = np.flatnonzero(np.isfinite(values))
         x = values[rows]
-        if SET.fullmatch(name) or len(x) < LONG_ENOUGH or has_levels(x):
-            continue
         changes = np.flatnonzero(np.diff(x) != 0)
         first, end = np.append(0, changes + 1), np.append(changes, len(x) - 1)
         length = end - first + 1
@@ -582,7 +599,7 @@ def _step_sizes(place: Array) -> Array:
 
 
 def _turns(place: Array) -> Flags:
-    """Return the steps at which all channels turn round: samples on both sides of a peak are no repeats."""
+    """Return the steps at which all channels turn round. Samples on both sides of a peak are no repeats."""
     steps = np.diff(place, axis=0)
     before, after = steps[:-2], steps[2:]
     back = np.abs(before + after) <= TURN * (np.abs(before) + np.abs(after))
@@ -594,12 +611,13 @@ def _turns(place: Array) -> Flags:
 def _rounding_ratio(values: Array) -> float:
     """Return the quantum of a channel over its mean step."""
     known = values[np.isfinite(values)]
-    mean = float(np.mean(np.abs(np.diff(known)))) if len(known) > 1 else 0.0
-    return (step_of(known) or quantum(known)) / mean if mean > 0 else np.inf
+    if len(known) == 0 or not np.ptp(known) > 0:
+        return np.inf
+    return (step_of(known) or quantum(known)) / float(np.mean(np.abs(np.diff(known))))
 
 
 def _small(sizes: Array, ratio: float) -> Flags:
-    """Return the steps less than ``ratio`` times a neighbour, and all steps as small as those.
+    """Return the steps below ``ratio`` times a neighbour, and all other steps of that size.
 
     The limit lies midway, on a logarithmic scale, between the small steps and the large steps beside them.
     """
@@ -613,7 +631,7 @@ def _small(sizes: Array, ratio: float) -> Flags:
 
 
 def _without_rests(time_s: Array, sizes: Array, small: Flags) -> Flags:
-    """Return the small steps without those of long stretches from which the signal goes on where it was."""
+    """Return the small steps without those of rests, after which the signal goes on where it was."""
     fresh = np.concatenate(([True], ~small))
     if fresh.sum() < 3 or not small.any():
         return np.zeros_like(small)
@@ -628,50 +646,131 @@ def _without_rests(time_s: Array, sizes: Array, small: Flags) -> Flags:
 
 
 def _timed(time_s: Array, rows: NDArray[np.intp], repeated: Flags) -> Held:
-    """Return repeated samples with the times of the measurements they show."""
+    """Return the repeated samples with the times of their measurements."""
     fresh = rows[~repeated[rows]]
     stamps, step = time_s[fresh], usual_step(time_s)
     gaps = np.diff(stamps)
     period = float(np.mean(gaps[gaps <= LONG_HOLD * np.median(gaps)]))
-    # the log may begin amid a hold: the lateness of the first stamp has no limit of one step
+    # the log may begin within a hold: the first stamp can be late by more than one step
     line = late_grid(stamps[1:], period, step)
-    # uneven stamps fit an even sensor by chance, each with the probability step / period
+    # each uneven stamp fits an even sensor by chance with the probability step / period
     if line is None or (len(stamps) - 3) * np.log(line[0] / step) < -np.log(FALSE_ALARM):
         return Held(repeated, period, step, time_s, step / np.sqrt(12.0))
     period, measured, slack = line
     measured = np.append(measured[0] - period, measured)
     # a repeated sample shows the measurement of the fresh sample before it
     shown = np.clip(np.searchsorted(fresh, np.arange(len(time_s)), side="right") - 1, 0, None)
-    # the last measurement moves evenly over the slack; each end has its half of the variance
+    # the last measurement is uniform over the slack; half of the variance belongs to each end
     return Held(repeated, period, step, measured[shown], slack / np.sqrt(24.0), even=True)
+
+
+# ---------------------------------------------------------------- channels that are no measurement
+
+#: Minimum distance of a mark of missing samples, or of an error, from all other values, in ranges of these.
+FAR = 10.0
+#: Minimum number of samples in a stretch at the largest or smallest value, and minimum number of such
+#: stretches, of a channel that is cut off.
+CUT_SAMPLES, CUT_TIMES = 3, 3
+#: Relative tolerance of the steps of a column that counts the rows.
+COUNT_RTOL = 1e-6
+#: Two names of the turn rate about the vertical, whose columns may be equal.
+SYNONYMS = {"wz_rad_s", "yaw_rate_rad_s"}
+
+
+def find_unmeasured(columns: Mapping[str, Array], scales: Mapping[str, float]) -> dict[str, str]:
+    """Return the channels with values that a working sensor does not give, each with what is wrong.
+
+    Such a channel is constant, counts the rows, equals another column, is cut off at a value, or holds a
+    value far from all others. Commands, deviations and qualities are not looked at, nor channels with fewer
+    than :data:`LONG_ENOUGH` values.
+
+    Parameters
+    ----------
+    columns : mapping of str to ndarray, each shape (n,)
+        Columns of a log, ``t_s`` among them; NaN where missing.
+    scales : mapping of str to float
+        Factor from the values in the file to those of a column.
+
+    Examples
+    --------
+    >>> t = np.arange(50) / 10
+    >>> find_unmeasured({"t_s": t, "depth_m": 0 * t + 1.2}, {})
+    {'depth_m': 'holds one value in every sample (1.2)'}
+    """
+    found: dict[str, str] = {}
+    earlier: dict[str, Array] = {}
+    for name, values in columns.items():
+        known = values[np.isfinite(values)]
+        if len(known) < LONG_ENOUGH or SET.fullmatch(name) or measured(name) is None:
+            continue
+        equal = [other for other, same in earlier.items() if np.array_equal(values, same, equal_nan=True)]
+        copied = [other for other in equal if {name, other} != SYNONYMS]
+        steps = np.diff(known) / scales.get(name, 1.0)
+        if name == TIME:
+            text = ""
+        elif not steps.any():
+            text = f"holds one value in every sample ({known[0]:.6g})"
+        elif copied:
+            text = f"equals {copied[0]} in every sample"
+        elif np.allclose(steps, 1.0, rtol=COUNT_RTOL):
+            text = "counts the rows"
+        else:
+            text = _find_far(known) or _find_cut(known)
+        if text:
+            found[name] = text
+        if "_raw_" not in name:
+            earlier[name] = values
+    return found
+
+
+def _find_far(known: Array) -> str:
+    """Return how the largest or smallest value lies far from all others; empty if none does."""
+    for extreme in (known.min(), known.max()):
+        others = known[known != extreme]
+        away = float(np.min(np.abs(others - extreme)))
+        if away > FAR * np.ptp(others) > 0:
+            count = len(known) - len(others)
+            return f"holds {extreme:.6g} in {count} samples, far from all others: missing samples?"
+    return ""
+
+
+def _find_cut(known: Array) -> str:
+    """Return the value at which a channel is cut off, in words; empty for a coarsely rounded channel."""
+    if has_levels(known) or _rounding_ratio(known) > NEAR_ROUNDED:
+        return ""
+    for extreme in (known.min(), known.max()):
+        held = np.diff(runs(known == extreme)).ravel()
+        if np.count_nonzero(held >= CUT_SAMPLES) >= CUT_TIMES:
+            return f"is cut off at {extreme:.6g}"
+    return ""
 
 
 # ---------------------------------------------------------------- rate of change
 
-#: Minimum number of samples in the window of a cubic.
+#: Minimum number of samples in the window of a cubic, which has 4 coefficients.
 SLOPE_SAMPLES = 6
 
 
 def slope(time_s: Array, values: Array, half_width_s: float) -> Array:
-    """Derivative by a cubic fitted to the samples around each instant.
+    """Return the derivative by a cubic fitted to the samples around each instant.
 
     Parameters
     ----------
     time_s, values : ndarray, shape (n,)
         Uneven steps and NaN are allowed.
     half_width_s : float
-        Samples this far on either side are fitted; a window with too few of them takes in as many
-        more on each side as it needs.
+        Half width of the fitted window, s. It is enlarged if the window would hold fewer than
+        :data:`SLOPE_SAMPLES` samples.
 
     Returns
     -------
     ndarray, shape (n,)
-        NaN within half a window of the ends, and where a gap leaves no samples on one side.
+        NaN within half a window of the ends, and beside a gap that leaves no samples on one side.
 
     Notes
     -----
-    Savitzky and Golay (1964) for any sampling. A sine of frequency f passes with a gain of
-    ``1 - (2 pi f h)^4 / 504`` to leading order, h the half width.
+    This is the filter of Savitzky and Golay (1964) for any sampling. To leading order a sine of frequency f
+    has the gain ``1 - (2 pi f h)^4 / 504``, with the half width h.
 
     >>> t = np.linspace(0.0, 1.0, 101)
     >>> float(np.round(slope(t, t**3, 0.05)[50], 9))

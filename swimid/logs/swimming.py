@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
 from swimid.logs import kinematics, rhythm, tracks
 from swimid.logs.beat import Beat, waves
@@ -454,5 +453,7 @@ def _slope(time: Array, values: Array) -> Estimate:
     correlation = float(residual[1:] @ residual[:-1] / max(squares, 1e-300))
     correlation = min(max(correlation, 0.0), 0.8)
     widening = math.sqrt((1 + correlation) / (1 - correlation))
+    from scipy import special
+
     half = float(special.stdtrit(freedom, 0.975)) * stderr * widening
     return Estimate(float(weights[1]), float(weights[1]) - half, float(weights[1]) + half)

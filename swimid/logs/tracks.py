@@ -1,4 +1,4 @@
-"""Tracks of a camera: repeats, jumps and gaps found, none of them filled; the mean speed and its interval."""
+"""Tracks of a camera: their repeats, jumps and gaps, which are never filled, and their mean speed."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from itertools import pairwise, product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
 from swimid.logs.beat import waves
 from swimid.logs.log import runs
@@ -17,39 +16,39 @@ from swimid.logs.sampling import PAUSE, Held, find_held, pauses, quantum
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-#: Steps whose median is the expected velocity, and whose scatter is the local scale.
+#: Number of steps in the median for the expected velocity, and in the median for the local deviation.
 WINDOW, WIDE = 11, 41
-#: A step this many times the median deviation off the expected one is not of the same motion: for
-#: Gaussian noise in a plane seven standard deviations.
+#: Minimum deviation of an outlying step from the expected one, in median deviations. For Gaussian noise in a
+#: plane that is seven standard deviations.
 OUTLYING = 6.0
-#: ... unless somewhere most of so many steps on end are half as fast, and alike: a burst of the
-#: robot's own, which a jump out and back is not.
+#: Minimum speed of an outlying step, in speeds of the fastest part of the track, and number of steps in the
+#: median for that speed. A robot can be fast for several steps, a jump out and back cannot.
 FASTER, ALIKE = 2.0, 5
-#: A place of which fewer samples tell than this (or than the share of all) is a jump there and back,
-#: not a track that goes on elsewhere.
+#: Minimum number of samples, and minimum share of all samples, of a track that goes on elsewhere. Fewer
+#: samples are a jump there and back.
 FEW, FEW_SHARE = 12, 0.05
 
 
 @dataclass(frozen=True)
 class Cleaning:
-    """What was found in a track.
+    """Repeats, jumps and gaps of a track.
 
     Attributes
     ----------
     good : ndarray of bool, shape (n,)
-        Samples that tell where the robot was.
+        Samples that show the position of the robot.
     repeated : ndarray of bool, shape (n,)
-        The same in every pose column as the sample before, but for jitter: the camera had no new picture.
+        Samples that repeat all columns of the pose, except for jitter, because the camera had no new picture.
     jumped : ndarray of bool, shape (n,)
-        Away from the track that goes on before and after.
+        Samples away from the track that goes on before and after them.
     jumps : int
-        How often the track was away, and how often it went on elsewhere.
+        Number of jumps there and back, and of jumps after which the track goes on elsewhere.
     offset_rows : list of int
-        Rows where it goes on elsewhere for good.
+        Rows from which the track goes on elsewhere.
     gaps : list of (float, float)
-        Start and end of the stretches without a good sample, s.
+        Start and end of the gaps between good samples, s.
     held : Held or None
-        Repeats with the times of the pictures; None where nobody looked for them.
+        Repeats with the times of the pictures; None if they were not searched.
     """
 
     good: Flags
@@ -62,13 +61,13 @@ class Cleaning:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Numbers of repeats, jumps and samples that jumped."""
+        """Numbers of repeats, of jumps and of samples that jumped."""
         repeats, lost = int(self.repeated.sum()), int(self.jumped.sum())
         return {"repeats": repeats, "jumps": self.jumps, "samples_jumped": lost}
 
     @property
     def longest_gap_s(self) -> float:
-        """The longest gap, s; 0 without one."""
+        """Length of the longest gap, s; 0 without a gap."""
         return max((end - start for start, end in self.gaps), default=0.0)
 
 
@@ -80,18 +79,18 @@ def clean(time_s: Array, positions: list[Array], others: list[Array] | None = No
     time_s : ndarray, shape (n,)
         Strictly increasing, s.
     positions : list of ndarray, each shape (n,)
-        Its coordinates, m; NaN where missing.
+        Coordinates, m; NaN where missing.
     others : list of ndarray, optional
-        Further columns of the same picture (angles): a repeat repeats them too.
+        Other columns of the same picture (angles), which a repeat repeats too.
 
     Notes
     -----
-    A step is outlying when it differs from the running median velocity (Hampel's identifier on the
-    steps, each by its own duration) by more than :data:`OUTLYING` times the larger of the local and
-    the global median deviation, and is more than :data:`FASTER` times as fast as the track is in its
-    fastest moments (the 99th percentile of the running median of :data:`ALIKE` steps). Outlying steps
-    cut the track into pieces; the chain of pieces that keeps most samples, and pays for every piece
-    that does not continue the one before, is the track.
+    A step is outlying under two conditions. First, it differs from the running median velocity by more than
+    :data:`OUTLYING` times the larger of the local and the global median deviation (Hampel's identifier on the
+    steps, each with its own duration). Second, it is more than :data:`FASTER` times as fast as the track at
+    its fastest (the 99th percentile of the running median of :data:`ALIKE` steps). Outlying steps cut the
+    track into pieces. The track is the chain of pieces with most samples, less a cost for each piece that
+    does not continue the one before.
 
     References
     ----------
@@ -116,13 +115,13 @@ def clean(time_s: Array, positions: list[Array], others: list[Array] | None = No
 
 
 def gaps(time_s: Array, good: Flags) -> list[tuple[float, float]]:
-    """Pauses between good samples (:func:`swimid.logs.sampling.pauses`), s."""
+    """Return the gaps between good samples (:func:`swimid.logs.sampling.pauses`) as start and end, s."""
     times = time_s[good]
     return [(float(times[k]), float(times[k + 1])) for k in pauses(times)]
 
 
 def _jumps(time: Array, place: Array) -> tuple[Flags, list[int]]:
-    """Samples that stay, and samples at which the track goes on elsewhere."""
+    """Return which samples stay, and the samples from which the track goes on elsewhere."""
     from scipy import ndimage
 
     steps_s, steps = np.diff(time), np.diff(place, axis=0)
@@ -158,7 +157,7 @@ def _jumps(time: Array, place: Array) -> tuple[Flags, list[int]]:
 
 
 def _chain(sizes: NDArray[np.int64], goes_on: Callable[[int, int], bool], cost: float) -> list[int]:
-    """The pieces that keep most samples, each break of the track paid for."""
+    """Return the chain of pieces with most samples, less ``cost`` for each piece that does not go on."""
     best = np.zeros(len(sizes))
     link = np.full(len(sizes), -1)
     for k, size in enumerate(sizes):
@@ -177,32 +176,28 @@ def _chain(sizes: NDArray[np.int64], goes_on: Callable[[int, int], bool], cost: 
 
 # ---------------------------------------------------------------- mean speed
 
-#: Samples of a stretch without a gap that a speed needs.
+#: Minimum number of samples of a stretch without a gap, for a speed.
 MIN_SAMPLES = 12
-#: Samples smoothed at once; a longer stretch is cut.
+#: Maximum number of samples that are smoothed together. A longer stretch is cut.
 MAX_STRETCH = 1500
-#: Samples in all that are smoothed; of more only every so many are taken.
+#: Maximum number of samples that are smoothed. A longer track is thinned.
 MAX_SAMPLES = 60_000
-#: Smoothness tried, the weight of the squared curvature at one sample a unit of time.
+#: Weights of the squared curvature that are compared, for one sample per unit of time.
 STRENGTHS = np.logspace(-4, 6, 11)
-#: Parts of the samples that are left out in turn to choose it.
+#: Number of folds of the cross-validation that chooses the weight.
 FOLDS = 5
-
-
-#: Cycles at each end of a track from which the ends of its averaged path are estimated. A shorter track is
-#: fitted as a whole. Without a periodic motion the ends are this share of the track.
+#: Length of each end of a track, in cycles, from which the ends of its averaged path are estimated. A shorter
+#: track is fitted as a whole. Without a periodic motion each end is the second number, a share of the track.
 END_CYCLES, END_SHARE = 4.0, 0.125
-#: Highest order of the polynomial fitted to a track as a whole, and order of that at its ends.
+#: Maximum order of the polynomial fitted to a track as a whole, and order of the polynomial at its ends.
 MAX_ORDER, END_ORDER = 3, 2
-
-
-#: Blocks whose means tell how sure the mean of all is.
+#: Number of blocks whose means give the uncertainty of the mean.
 BLOCKS = 12
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value with its 95 % interval, in one unit; NaN ends where nothing tells how sure it is."""
+    """A value with its 95 % interval, in one unit. The ends are NaN if the uncertainty is unknown."""
 
     value: float
     low: float
@@ -211,20 +206,20 @@ class Estimate:
 
 @dataclass(frozen=True)
 class TrackSpeed:
-    """How fast a track is.
+    """Speed of a track, in units of its coordinates per second.
 
     Attributes
     ----------
     path : Estimate
-        Mean of the speed along the path, sway and turns included; m/s.
+        Mean of the speed along the path, sway and turns included, m/s.
     line : Estimate
-        Displacement over time of the path averaged over the periodic motion; m/s.
+        Displacement over time of the path averaged over the periodic motion, m/s.
     naive_m_s : float
-        Mean of ``|dx/dt|`` over all samples as they stand in the file.
+        Mean of ``|dx/dt|`` over all samples as they are in the file, m/s.
     noise_m : float
-        Standard deviation of a coordinate about the smoothed path.
+        Standard deviation of a coordinate about the smoothed path, m.
     covered_s : float
-        Time without the gaps.
+        Duration without the gaps, s.
     """
 
     path: Estimate
@@ -235,33 +230,35 @@ class TrackSpeed:
 
 
 def mean_of_blocks(values: Array, weights: Array, shift: float = 0.0) -> Estimate:
-    """Weighted mean with Student's interval over the means of :data:`BLOCKS` blocks of equal weight.
+    """Return a weighted mean with Student's interval over the means of :data:`BLOCKS` blocks of equal weight.
 
     Parameters
     ----------
     values, weights : ndarray, shape (n,)
-        In the order of time; ``weights`` the time each value stands for, not all 0.
+        Values in the order of time, and the time for which each value stands, not all 0.
     shift : float
-        A correction of the mean, as uncertain as it is large.
+        Correction of the mean. Its standard uncertainty is its own size.
     """
+    from scipy.special import stdtrit
+
     value = float(weights @ values / weights.sum())
     block = np.minimum((np.cumsum(weights) - 0.5 * weights) / weights.sum() * BLOCKS, BLOCKS - 1).astype(int)
     totals = np.bincount(block, weights, BLOCKS)
     held = totals > 0
     means = np.bincount(block, weights * values, BLOCKS)[held] / totals[held]
-    half = 0.0  # of the block means; what noise adds is as uncertain as it is large
+    half = 0.0
     if len(means) > 1:
-        # neighbouring blocks are not independent: their correlation widens the interval
+        # the correlation of neighbouring blocks widens the interval
         off = means - means.mean()
         together = float(off[1:] @ off[:-1] / max(float(off @ off), 1e-300))
         widen = np.sqrt((1 + max(together, 0.0)) / (1 - min(max(together, 0.0), 0.8)))
-        half = float(special.stdtrit(len(means) - 1, 0.975) * means.std(ddof=1) / np.sqrt(len(means)) * widen)
+        half = float(stdtrit(len(means) - 1, 0.975) * means.std(ddof=1) / np.sqrt(len(means)) * widen)
     half = float(np.hypot(half, shift))
     return Estimate(value + shift, value + shift - half, value + shift + half)
 
 
 def naive(time_s: Array, positions: list[Array]) -> float:
-    """Mean of ``|dx/dt|`` over the samples that are there, m/s; NaN for fewer than two."""
+    """Return the mean of ``|dx/dt|`` over the samples that are there, m/s; NaN for fewer than two."""
     place = np.column_stack(positions)
     there = np.isfinite(place).all(axis=1)
     if there.sum() < 2:
@@ -282,7 +279,8 @@ def net_speed(
     place : ndarray, shape (n, d)
         Positions, without NaN.
     frequency_hz : float, optional
-        Frequency of the periodic motion, which is fitted and left out, to a tenth of a cycle in the record.
+        Frequency of the periodic motion, which is fitted and left out, Hz, known to a tenth of a cycle in the
+        record.
     stamp_sd_s : float
         Standard deviation of the stamps, s.
 
@@ -293,23 +291,25 @@ def net_speed(
 
     Notes
     -----
-    A polynomial and two harmonics are fitted by least squares: to both ends of the track, or to all of a
-    short one. There orders and frequencies are averaged with the weights of the Bayesian information
-    criterion [1]_, and an amplitude that changes linearly covers the error of the frequency. Correlated
-    residuals widen the interval by the factor of a first-order autoregressive process.
+    A polynomial and two harmonics are fitted by least squares to both ends of the track, or to the whole of a
+    short track. For a short track, orders and frequencies are averaged with the weights of the Bayesian
+    information criterion [1]_, and an amplitude that changes linearly absorbs the error of the frequency.
+    Correlated residuals widen the interval by the factor of a first-order autoregressive process.
 
     References
     ----------
     .. [1] Hoeting, J. A., Madigan, D., Raftery, A. E., Volinsky, C. T. (1999). Bayesian model averaging: a
        tutorial. Statistical Science 14, 382-417. doi:10.1214/ss/1009212519
     """
+    from scipy.special import stdtrit
+
     if len(time_s) < MIN_SAMPLES:
         return None
     first, last = float(time_s[0]), float(time_s[-1])
     duration = last - first
     end_s = END_SHARE * duration if frequency_hz is None else END_CYCLES / frequency_hz
+    near_hz = [frequency_hz]
     if 2.0 * end_s > duration:
-        near_hz: list[float | None] = [None]
         if frequency_hz is not None:
             near_hz = [frequency_hz + part / duration for part in np.linspace(-0.1, 0.1, 9)]
         fits = [
@@ -334,7 +334,7 @@ def net_speed(
     size = float(np.linalg.norm(away))
     along = float(variance @ (away / max(size, 1e-300)) ** 2)
     late = np.sqrt(2.0) * stamp_sd_s * size / duration
-    half = float(special.stdtrit(freedom, 0.975)) * float(np.hypot(np.sqrt(max(along, 0.0)), late))
+    half = float(stdtrit(freedom, 0.975)) * float(np.hypot(np.sqrt(max(along, 0.0)), late))
     return Estimate(size / duration, (size - half) / duration, (size + half) / duration)
 
 
@@ -348,8 +348,8 @@ def _fit_path(
 ) -> tuple[float, Array, Array, int]:
     """Fit a polynomial and a periodic motion to positions.
 
-    Return the information criterion, the polynomial at some times, shape (m, d), its covariance by
-    coordinate, shape (m, m, d), and the degrees of freedom.
+    Returned are the information criterion, the polynomial at the times ``at``, shape (m, d), its covariance
+    by coordinate, shape (m, m, d), and the degrees of freedom.
     """
     u = (t - t[0]) / float(np.ptp(t))
     design = np.vander(u, order + 1, increasing=True)
@@ -374,26 +374,26 @@ def _fit_path(
 def speed(
     time_s: Array, positions: list[Array], cleaning: Cleaning, frequency_hz: float | None = None
 ) -> TrackSpeed | None:
-    """Mean speed of a cleaned track; None where no stretch is long enough.
+    """Return the mean speed of a cleaned track; None if no stretch is long enough.
 
     Parameters
     ----------
     time_s : ndarray, shape (n,)
+        Stamps, s. If samples are repeated, the times of the measurements are used in their place.
     positions : list of ndarray, each shape (n,)
-        As in the file, m.
+        Coordinates as in the file, m.
     cleaning : Cleaning
-        What of them is good. Where samples are repeated, the times of the measurements take the place of the
-        stamps.
+        Good samples of the track.
     frequency_hz : float, optional
-        Frequency of the periodic motion that the displacement leaves out.
+        Frequency of the periodic motion that the displacement leaves out, Hz.
 
     Notes
     -----
-    Every stretch between gaps is smoothed by a cubic spline. Cross-validation on the longest stretch chooses
-    how smooth [1]_. Noise lengthens a path: the smoothed path with its own noise put on is smoothed again,
-    and what that adds is taken off (parametric bootstrap [2]_). The interval of the path speed is that of
-    :func:`mean_of_blocks`, which holds noise and the unsteadiness of the swimming. The displacement over time
-    is that of :func:`net_speed`.
+    Each stretch between gaps is smoothed by a cubic spline, whose weight is chosen by cross-validation on the
+    longest stretch [1]_. Noise lengthens a path. To correct for that, resampled noise is added to the
+    smoothed path, which is smoothed again, and the added length is subtracted (parametric bootstrap [2]_).
+    The interval of the path speed contains noise and the unsteadiness of the swimming
+    (:func:`mean_of_blocks`). The displacement over time is that of :func:`net_speed`.
 
     References
     ----------
@@ -417,7 +417,7 @@ def speed(
         smooth, slope = _smoothed(t, x, strength)
         left = x - smooth
         again = _smoothed(t, smooth + rng.choice(left, len(left)), strength)[1]
-        part = np.convolve(np.diff(t), [0.5, 0.5])  # the time that each sample stands for
+        part = np.convolve(np.diff(t), [0.5, 0.5])  # time for which each sample stands
         weights[rows] = part
         velocity[rows] = slope
         excess += float(part @ (np.linalg.norm(again, axis=1) - np.linalg.norm(slope, axis=1)))
@@ -426,7 +426,7 @@ def speed(
     used = weights > 0
     along = np.linalg.norm(velocity[used], axis=1)
     line = net_speed(time_s[cleaning.good], place[cleaning.good], frequency_hz, stamp_sd_s)
-    assert line is not None  # a stretch has as many samples
+    assert line is not None  # a stretch has the samples that it needs
     return TrackSpeed(
         mean_of_blocks(along, weights[used], -excess / covered),
         line,
@@ -437,7 +437,7 @@ def speed(
 
 
 def _stretches(time_s: Array, cleaning: Cleaning) -> list[NDArray[np.int64]]:
-    """Rows of the stretches without a gap or a jump, each long enough and not too long."""
+    """Return the rows of the stretches without a gap or a jump that are long enough; long ones in parts."""
     rows = np.flatnonzero(cleaning.good)
     rows = rows[:: max(len(rows) // MAX_SAMPLES, 1)]
     if len(rows) < MIN_SAMPLES:
@@ -454,11 +454,11 @@ def _stretches(time_s: Array, cleaning: Cleaning) -> list[NDArray[np.int64]]:
 
 
 def _smoothed(t: Array, x: Array, strength: Array) -> tuple[Array, Array]:
-    """Smoothed coordinates and their rates."""
+    """Return the smoothed coordinates and their derivatives, each shape (n, d)."""
     from scipy.interpolate import make_smoothing_spline
 
     step = float(np.mean(np.diff(t)))
-    unit = (t - t[0]) / step  # the spline's equations are ill-conditioned in other units
+    unit = (t - t[0]) / step  # the equations of the spline are ill-conditioned in other units
     smooth, slope = np.empty_like(x), np.empty_like(x)
     for axis, lam in enumerate(strength):
         size = max(float(np.ptp(x[:, axis])), 1e-300)
@@ -469,7 +469,7 @@ def _smoothed(t: Array, x: Array, strength: Array) -> tuple[Array, Array]:
 
 
 def _strength(t: Array, x: Array) -> Array:
-    """Smoothness of each coordinate with which samples left out are foretold best."""
+    """Return the weight with the smallest cross-validation error for each coordinate, shape (d,)."""
     from scipy.interpolate import make_smoothing_spline
 
     unit = (t - t[0]) / float(np.mean(np.diff(t)))

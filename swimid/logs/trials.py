@@ -352,7 +352,7 @@ def read(
             hint = f"did you mean '{close}'?"
         text, line = f"{what}; here: {', '.join(names)}", _key_line(data, "experiment")
         raise InputError(text, file=path, line=line, column="experiment", hint=hint)
-    trials: T = held or yamlio.validate(data, EXPERIMENTS[experiment], path)
+    trials: Any = held or yamlio.validate(data, EXPERIMENTS[experiment], path)
     if uses is not None:
         _refuse_unused(trials, path, uses[experiment], data)
     listed: list[Trial] = getattr(trials, "trials", [])

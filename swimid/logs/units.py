@@ -11,7 +11,7 @@ from swimid.errors import suggestion
 _G = 9.80665  # standard gravity, ISO 80000-3
 _DEG, _REV, _RPM = math.pi / 180, 2 * math.pi, 2 * math.pi / 60
 
-#: Factor to SI of every unit, by what it measures; the unit of SI first.
+#: Factor to SI of every unit, by quantity; the SI unit stands first.
 UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60, "h": 3600},
     "pixels": {"px": 1},
@@ -41,9 +41,9 @@ UNITS: dict[str, dict[str, float]] = {
     "frequency": {"Hz": 1, "kHz": 1e3, "rpm": 1 / 60},
     "temperature": {"degC": 1},
 }
-#: What each ending of a column's name measures: ``m_s`` for m/s.
+#: Quantity by the ending of the name of a column, ``m_s`` for m/s.
 SUFFIXES = {next(iter(table)).replace("/", "_"): quantity for quantity, table in UNITS.items()}
-#: Every unit, whatever it measures.
+#: All units of all quantities.
 KNOWN = frozenset(name for table in UNITS.values() for name in table)
 #: Other spellings of a unit.
 _SPELLED = {
@@ -70,12 +70,12 @@ _SPELLINGS = {spelling: unit for unit, others in _SPELLED.items() for spelling i
 
 
 def canonical(unit: str) -> str:
-    """A unit in the spelling of :data:`UNITS`; one it does not know comes back as it is.
+    """Return a unit in the spelling of :data:`UNITS`; an unknown unit is returned unchanged.
 
     >>> canonical("m/s^2"), canonical("°/s"), canonical("µT"), canonical("m s-1")
     ('m/s2', 'deg/s', 'uT', 'm/s')
     """
-    # this form has "m/s2" for "m/s²" and one letter for both signs of micro
+    # NFKC turns "m/s²" into "m/s2", and the two characters for micro into one
     text = unicodedata.normalize("NFKC", unit.strip()).replace("μ", "u")
     text = re.sub(r"\*\*|\^", "", text)
     text = re.sub(r"[ *]s-2|/s/s", "/s2", re.sub(r"[ *]s-1", "/s", text))
@@ -86,7 +86,7 @@ def canonical(unit: str) -> str:
 
 
 def measured(column: str) -> str | None:
-    """What a column of a log measures, by the ending of its name; None where it has no unit.
+    """Return the quantity that a column measures, by the ending of its name; None if the name has no unit.
 
     >>> measured("yaw_rate_rad_s"), measured("x_m"), measured("valve")
     ('turn rate', 'length', None)
@@ -96,7 +96,7 @@ def measured(column: str) -> str | None:
 
 
 def is_known(column: str) -> bool:
-    """Return whether the name of a column states its quantity: by its unit, or as a number that has none.
+    """Return whether the name of a column states its quantity, by its unit or as a known name without a unit.
 
     >>> is_known("x_m"), is_known("qw"), is_known("nose_likelihood"), is_known("column_3")
     (True, True, True, False)
@@ -105,12 +105,12 @@ def is_known(column: str) -> bool:
 
 
 def factor(unit: str, column: str) -> float:
-    """Factor from ``unit`` to the SI unit that a target column's name carries.
+    """Return the factor from ``unit`` to the SI unit in the name of a column.
 
     Raises
     ------
     ValueError
-        When the unit is unknown, or is not one of what the column measures.
+        The unit is unknown, or is not a unit of the quantity of the column.
 
     >>> factor("g", "ax_m_s2"), factor("g", "load_kg"), factor("ms", "t_s")
     (9.80665, 0.001, 0.001)

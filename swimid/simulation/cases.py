@@ -378,7 +378,7 @@ def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Compute | N
 
         def by_stroke(values: Array) -> dict[str, Quantity]:
             columns = model.attempt(values, trial)
-            found = {}
+            found: dict[str, Quantity] = {}
             for k, window in enumerate(windows, 1):
                 of_cycle = kinematics.cycle_quantities(trial.time_s, columns, window)
                 found |= {f"cycle_{k}_{name}": quantity(name, value) for name, value in of_cycle.items()}

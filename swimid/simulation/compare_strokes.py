@@ -144,7 +144,7 @@ def _rmse(profile: Profile, names: Sequence[str]) -> float | None:
     return math.sqrt(float(np.nanmean(squares)))
 
 
-def _displacement(profile: Profile, name: str) -> dict[str, float]:
+def _displacement(profile: Profile, name: str) -> dict[str, float | None]:
     """Return the change from the first to the last known sample, measured and simulated."""
     if name not in profile.repeats["measured"]:
         return {}

@@ -1,17 +1,20 @@
-"""File formats: a :class:`Reader` makes a :class:`Table` of a file.
+"""Readers of file formats: a :class:`Format` turns a file into a :class:`Table`.
 
-Every reader in a module here is found by itself: the next format is one new file.
+All formats in the modules of this package and of ``profiles`` are found automatically. A new one is one new
+module.
 """
 
 from __future__ import annotations
 
+import codecs
+import contextlib
 import importlib
 import pkgutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property
 from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -20,23 +23,25 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from swimid.errors import InputError, extra_needed, file_errors, first_line, suggestion
+from swimid.errors import (
+    InputError,
+    extra_needed,
+    file_errors,
+    first_line,
+    in_words_of_the_caller,
+    suggestion,
+)
 from swimid.files import yamlio
 from swimid.logs import log
 from swimid.logs.log import Log
 
-#: Where a user names the topic, and the struct or group, in the words before its name.
-TOPIC = "--select NAME, or reader: {topic: NAME} in a mapping, with"
-DATASET = "reader: {dataset: NAME} in a mapping, with"
 #: Maximum number of elements of a list that become columns.
 MAX_ELEMENTS = 100
 
 
 class Options(yamlio.Document):
-    """How to read the file, where the file itself does not say it (``reader:`` of a mapping)."""
+    """Layout of a file that the file itself does not state (``reader:`` of a mapping)."""
 
-    #: The format, where neither ending nor content says it.
-    kind: str | None = None
     #: Delimiter of a text file: one character, ``tab`` or ``whitespace``.
     delimiter: Annotated[str, Field(pattern=r"^([ !#-~\t]|tab|whitespace)$")] | None = None
     #: Whether a line of names stands above the samples.
@@ -45,37 +50,37 @@ class Options(yamlio.Document):
     skip_rows: Annotated[int, Field(ge=0)] | None = None
     #: Cells that mean "no sample", besides the empty cell and ``nan``.
     missing: list[float | str] = []
-    #: Lines that begin with this are comments.
+    #: Beginning of a line of comment.
     comment: Annotated[str, Field(min_length=1, max_length=4)] = "#"
     decimal: Literal[".", ","] | None = None
     encoding: str | None = None
-    #: Topic of a recording that holds several.
-    topic: str | None = None
-    #: Group or struct of a file that holds several.
-    dataset: str | None = None
+    #: Unit of lengths in a file that states none.
+    length_unit: str | None = None
 
 
 @dataclass(eq=False)
 class Table:
-    """The samples of one file (one topic of it, if it holds several).
+    """Samples of one file, or of one topic of it.
 
     Attributes
     ----------
     columns : dict of str to ndarray, each shape (n,)
-        In the order of the file: numbers, dates (``datetime64[ns]``, UTC) or text (``object``). The columns
-        of a matrix ``acc`` are ``acc[1]``, ``acc[2]``, ...
+        Columns in the order of the file: numbers, dates (``datetime64[ns]``, UTC) or text (``object``). The
+        columns of a matrix ``acc`` are ``acc[1]``, ``acc[2]``, ...
     units : dict of str to str
         Units that the file states, by column.
     metadata : dict
-        What the file says about itself: plain values.
+        Plain values that describe the file.
     scalars : dict of str to float
-        Single numbers beside the columns, a sampling rate for instance.
+        Single numbers in the file, a sampling rate for instance.
     notes : list of str
         Problems of the reading that a user must know.
     comments : list of str
         Comment lines, without their mark.
     lines : ndarray of int, shape (n,), or None
         Line of the file of each row, from 1; None for a file without lines.
+    profile : str
+        Name of the profile that read the file; empty without one.
     """
 
     columns: dict[str, NDArray[Any]]
@@ -85,14 +90,15 @@ class Table:
     notes: list[str] = field(default_factory=list)
     comments: list[str] = field(default_factory=list)
     lines: NDArray[np.int64] | None = None
+    profile: str = ""
 
     def column(self, key: str | int, path: Path) -> str:
-        """Return the name of a column given by its name, or by its number from 1.
+        """Return the name of a column that is given by its name, or by its number from 1.
 
         Raises
         ------
         InputError
-            There is no such column; names the nearest.
+            There is no such column; names the nearest one.
         """
         names = list(self.columns)
         if isinstance(key, str) and key in names:
@@ -108,45 +114,88 @@ class Table:
         raise InputError("there is no such column", file=path, column=key, hint=hint)
 
     def place(self, row: int) -> dict[str, int]:
-        """Return where a row stands, for an :class:`InputError`: its line, or its row from 1."""
+        """Return the place of a row for an :class:`InputError`: its line, or its row from 1."""
         return {"row": row + 1} if self.lines is None else {"line": int(self.lines[row])}
 
 
 @dataclass(frozen=True)
-class Reader:
-    """One file format.
+class Peek:
+    """Beginning of a file, by which a profile recognises its format."""
+
+    path: Path
+    head: bytes
+
+    @classmethod
+    def of(cls, path: Path) -> Peek:
+        """Read the beginning of a file.
+
+        Raises
+        ------
+        InputError
+            The file cannot be read.
+        """
+        return cls(path, first_bytes(path, 1 << 14))
+
+    @cached_property
+    def lines(self) -> list[str]:
+        """The first lines of a text file; empty for any other file."""
+        try:
+            text = codecs.getincrementaldecoder("utf-8-sig")().decode(self.head)
+        except UnicodeDecodeError:
+            return []
+        if "\x00" in text:
+            return []
+        return [line.rstrip("\r") for line in text.split("\n")]
+
+    @cached_property
+    def header(self) -> list[str]:
+        """The cells of the first line, separated by commas, without blanks around them."""
+        return [cell.strip().strip('"') for cell in (self.lines or [""])[0].split(",")]
+
+    def holds(self, *names: str) -> bool:
+        """Return whether the file is HDF5 and has data sets or groups of these names."""
+        if self.head.startswith(b"\x89HDF"):
+            # if h5py is missing, the reader of HDF5 names the extra to install
+            with contextlib.suppress(OSError, ImportError):
+                import h5py
+
+                with h5py.File(self.path, "r") as file:
+                    return all(name in file for name in names)
+        return False
+
+
+@dataclass(frozen=True)
+class Format:
+    """One file format. A format with ``recognises`` is a profile.
 
     Attributes
     ----------
     name : str
-        For ``reader: {kind: name}``.
+        Name for ``--as``.
     title : str
-        In words.
+        Name of the format in messages.
+    open : callable
+        ``open(path, options, select) -> Table``. ``select`` is the track, topic, struct or the like to take;
+        None if the user names none. :func:`reading` turns the exceptions of a library into an
+        :class:`InputError`.
+    recognises : callable, optional
+        ``recognises(peek) -> bool``: whether the content of a file is known, so that the columns are named as
+        in the log format. Without it the first bytes or the ending show the format.
     endings : tuple of str
         File endings of this format, with their dot.
-    open : callable
-        ``open(path, options) -> Table``. What a library raises in it, :func:`reading` turns into an
-        :class:`InputError`.
     magic : tuple of bytes
-        First bytes of such a file; they decide before the ending does.
+        First bytes of such a file. They take precedence over the ending.
     extra : str
-        The optional dependency to install, ``"mcap"`` for ``pip install swimid[mcap]``.
+        Optional dependency to install, ``"mcap"`` for ``pip install swimid[mcap]``.
     """
 
     name: str
     title: str
-    endings: tuple[str, ...]
-    open: Callable[[Path, Options], Table]
+    open: Callable[[Path, Options, str | None], Table]
+    recognises: Callable[[Peek], bool] | None = None
+    endings: tuple[str, ...] = ()
     magic: tuple[bytes, ...] = ()
     extra: str = ""
-
-
-def discover(package: str, kind: Any) -> dict[str, Any]:
-    """Return every object of a class in the modules of a package, by its ``name``."""
-    entries = pkgutil.iter_modules(importlib.import_module(package).__path__)
-    modules = [importlib.import_module(f"{package}.{entry.name}") for entry in entries]
-    objects: list[Any] = [value for module in modules for value in vars(module).values()]
-    return {one.name: one for one in objects if isinstance(one, kind)}
 
 
 def is_text(values: NDArray[Any]) -> bool:
@@ -160,7 +209,7 @@ def first_bytes(path: Path, count: int) -> bytes:
     Raises
     ------
     InputError
-        It cannot be read.
+        The file cannot be read.
     """
     with file_errors(path), path.open("rb") as stream:
         return stream.read(count)
@@ -168,7 +217,7 @@ def first_bytes(path: Path, count: int) -> bytes:
 
 @contextmanager
 def reading(path: Path, title: str, extra: str = "") -> Iterator[None]:
-    """Turn every exception of a library into an :class:`InputError`: the file is no readable ``title``."""
+    """Turn each exception of a library into an :class:`InputError`: the file is no readable ``title``."""
     try:
         with extra_needed(f"reading this {title}", extra, file=path):
             yield
@@ -184,7 +233,7 @@ def flat(
     """Yield the plain values of a nested record by their dotted names.
 
     Elements of lists are ``name[1]``, ``name[2]``, ... Lists longer than :data:`MAX_ELEMENTS` are left out.
-    ``parts`` turns a value that has parts into a dict or a list and returns any other as it is.
+    ``parts`` turns a value with parts into a dict or a list and returns any other value unchanged.
 
     >>> dict(flat({"a": {"b": [1, 2]}, "c": 3}))
     {'a.b[1]': 1, 'a.b[2]': 2, 'c': 3}
@@ -192,7 +241,7 @@ def flat(
     value = parts(value)
     if isinstance(value, dict):
         for key, inner in value.items():
-            yield from flat(inner, parts, brackets, f"{name}.{key}" if name else str(key))
+            yield from flat(inner, parts, brackets, f"{name}.{key}".removeprefix("."))
     elif not isinstance(value, list | tuple):
         yield name, value
     elif len(value) <= MAX_ELEMENTS:
@@ -206,35 +255,33 @@ def of_records(records: Sequence[dict[str, Any]]) -> dict[str, NDArray[Any]]:
 
     frame = pd.DataFrame.from_records(records)
     for name, values in frame.items():
-        # whole numbers of more than 64 bits, or values that some records lack
+        # a column of whole numbers over 64 bits, or with values that some records lack
         if values.dtype == object and not values.map(lambda value: isinstance(value, str)).any():
             frame[name] = pd.to_numeric(values, errors="coerce").astype(float)
     return log.arrays(frame, "records")
 
 
-def one_of(wanted: str | None, known: Sequence[str], *, file: Path, what: str, key: str = TOPIC) -> str:
-    """Return the topic or group that was asked for, or the only one there is.
-
-    ``key`` says to the user where to name it.
+def choose(select: str | None, known: Sequence[str], what: str, path: Path) -> str:
+    """Return the track, topic, group or the like that the user selects, or the only one there is.
 
     Raises
     ------
     InputError
-        It is not there, or none was named and there are several.
+        There is none of that name, or the user selects none and there are several.
     """
     if not known:
-        raise InputError(f"holds no {what} with samples", file=file)
-    if wanted is None and len(known) > 1:
-        hint = f"{key} one of: {', '.join(known[:20])}"
-        raise InputError(f"holds {len(known)} {what}s; name one", file=file, hint=hint)
-    if wanted is not None and wanted not in known:
-        hint = suggestion(wanted, list(known), "it holds")
-        raise InputError(f"holds no {what} '{wanted}'", file=file, hint=hint)
-    return wanted or known[0]
+        raise InputError(f"holds no {what} with samples", file=path)
+    if select is None and len(known) > 1:
+        hint = f"--select with one of: {', '.join(known[:20])}"
+        raise InputError(f"holds {len(known)} {what}s; name one", file=path, hint=hint)
+    if select is not None and select not in known:
+        hint = suggestion(select, list(known), "it holds")
+        raise InputError(f"holds no {what} '{select}'", file=path, hint=hint)
+    return select or known[0]
 
 
-def of_tree(content: Any, options: Options, path: Path, parts: Callable[[Any], Any]) -> Table:
-    """Return the table of the nested arrays of a file, or of the group that ``options.dataset`` names.
+def of_tree(content: Any, select: str | None, path: Path, parts: Callable[[Any], Any]) -> Table:
+    """Return the table of the nested arrays of a file, or of the group that ``select`` names.
 
     The columns of a matrix are ``name[1]``, ``name[2]``, ... A row vector is one column. A matrix that is
     wider than long is transposed if the other arrays have its width as their length. Single numbers become
@@ -246,11 +293,12 @@ def of_tree(content: Any, options: Options, path: Path, parts: Callable[[Any], A
         There is no such group.
     """
     content = parts(content)
-    for part in filter(None, (options.dataset or "").replace("/", ".").split(".")):
-        names = list(content) if isinstance(content, dict) else []
-        chosen = one_of(part, names, file=path, what="struct or group", key=DATASET)
-        content = parts(content[chosen])
-        content = content if isinstance(content, dict) else {chosen: content}
+    for part in filter(None, (select or "").replace("/", ".").split(".")):
+        if not isinstance(content, dict):
+            raise InputError(f"holds no struct or group '{select}'", file=path)
+        content = parts(content[choose(part, list(content), "struct or group", path)])
+    if not isinstance(content, dict):
+        content = {part: content}
     table, arrays = Table({}), {}
     for name, value in flat(content, parts, "{}"):
         array = np.atleast_1d(np.asarray(value))
@@ -275,46 +323,79 @@ def of_tree(content: Any, options: Options, path: Path, parts: Callable[[Any], A
 
 
 @cache
-def readers() -> dict[str, Reader]:
-    """Return the reader of each file format by its name."""
-    return discover(__name__, Reader)
+def formats() -> dict[str, Format]:
+    """Return the formats in the modules of ``profiles`` and ``foreign`` by their names."""
+    packages = [importlib.import_module(f"swimid.logs.{name}") for name in ("profiles", "foreign")]
+    entries = [
+        entry
+        for package in packages
+        for entry in pkgutil.iter_modules(package.__path__, f"{package.__name__}.")
+    ]
+    objects: list[Any] = []
+    for entry in entries:
+        objects += vars(importlib.import_module(entry.name)).values()
+    return {one.name: one for one in objects if isinstance(one, Format)}
 
 
-def reader_of(path: Path, options: Options) -> Reader:
-    """Return the format of a file: the one asked for, or by its first bytes, or by its ending.
+def find_format(path: Path, name: str | None) -> Format:
+    """Return the format of a name, or the format of a file.
+
+    Without a name it is the profile that recognises the content of the file, else that of its first bytes,
+    else that of its ending. No profile is considered if the name is None.
 
     Raises
     ------
     InputError
-        The file cannot be read, or there is no such format.
+        The file cannot be read or is empty, or there is no such format.
     """
-    known, head = readers(), first_bytes(path, 512)
-    if not head:
+    known, peek = formats(), Peek.of(path)
+    if not peek.head:
         raise InputError("is empty", file=path)
-    if options.kind is None:
-        begins = [r for r in known.values() if r.magic and head.startswith(r.magic)]
-        ends = [r for r in known.values() if path.suffix.lower() in r.endings]
-        return [*begins, *ends, known["delimited"]][0]
-    if options.kind not in known:
-        hint = suggestion(options.kind, list(known))
-        raise InputError(f"there is no reader '{options.kind}'", file=path, hint=hint)
-    return known[options.kind]
+    if name:
+        if name not in known:
+            hint = suggestion(name, list(known))
+            raise InputError(f"there is no format '{name}'", file=path, hint=hint)
+        return known[name]
+    begins = [one for one in known.values() if one.magic and peek.head.startswith(one.magic)]
+    ends = [one for one in known.values() if path.suffix.lower() in one.endings]
+    for one in known.values():
+        fits = one in begins or not one.magic
+        if name is not None and one.recognises is not None and fits and one.recognises(peek):
+            return one
+    plain = [one for one in [*begins, *ends] if one.recognises is None]
+    return [*plain, known["delimited"]][0]
 
 
-def open_table(given: str | Path | Log, options: Options | None = None) -> Table:
-    """Read a file as a table, or take a log in memory as one.
+def open_table(
+    given: str | Path | Log,
+    options: Options | None = None,
+    select: str | None = None,
+    kind: str | None = None,
+) -> Table:
+    """Return a file, or a log in memory, as a table.
+
+    ``select`` is the track, topic, struct or the like to take, if the file holds several. ``kind`` is the
+    name of a format as of :func:`find_format`.
 
     Raises
     ------
     InputError
-        The file cannot be read, or its reader needs an extra that is not installed.
+        The file cannot be read, or its format needs an extra that is not installed.
     """
     if isinstance(given, Log):
         return Table(dict(given.columns), comments=yamlio.dumps_flat(given.metadata).splitlines())
-    path, options = Path(given), options or Options()
-    reader = reader_of(path, options)
-    with reading(path, reader.title, reader.extra):
-        table = reader.open(path, options)
+    path = Path(given)
+    found = find_format(path, kind)
+    try:
+        with reading(path, found.title, found.extra):
+            table = found.open(path, options or Options(), select)
+    except InputError as error:
+        if error.hint is None and found.recognises is not None:
+            hint = f"the file is read as a {found.title}; --as names another format"
+            error.hint = in_words_of_the_caller(hint)
+        raise
     if not table.columns:
         raise InputError("holds no samples", file=path)
+    if found.recognises is not None:
+        table.profile = found.name
     return table

@@ -1,9 +1,10 @@
-"""Text files of columns: comma, semicolon, tab, blanks; with a header line or without."""
+"""Reader of text files with columns, separated by commas, semicolons, tabs or blanks."""
 
 from __future__ import annotations
 
 import codecs
 import csv
+import io
 import re
 from collections import Counter
 from dataclasses import dataclass
@@ -18,20 +19,21 @@ from numpy.typing import NDArray
 from swimid.errors import InputError
 from swimid.files.tabular import MISSING, count_cells, number, parse
 from swimid.logs import units
-from swimid.logs.foreign import Options, Reader, Table
+from swimid.logs.foreign import Format, Options, Peek, Table
+from swimid.logs.log import TIME
 
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Bytes in which the layout is found, and lines in which delimiter and decimal mark are.
+#: Number of bytes from which the layout is found, and number of lines for delimiter and decimal mark.
 SAMPLE, LINES = 1 << 18, 200
-#: Largest share of rows with a wrong number of cells that are left out; with more the file is refused.
+#: Maximum share of rows with a wrong number of cells, which are left out. With more the file is refused.
 MAX_RAGGED = 0.01
-#: Delimiters with their weight: commas also mark decimals, and blanks (any run of them) stand within cells.
+#: Weights of the delimiters. Commas can also mark decimals, and runs of blanks can stand within cells.
 DELIMITERS = {",": 0.9, ";": 1.0, "\t": 1.0, "|": 1.0, " ": 0.7}
 _MARKS: dict[str | None, str] = {"tab": "\t", "whitespace": " "}
 _ENCODINGS = {codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
-#: Characters to replace so that the decimal mark is a point; the other mark is then none of a number.
+#: Characters that are exchanged so that a point is the decimal mark, by the decimal mark of the file.
 _POINTS: dict[str, dict[int, int]] = {".": {}, ",": str.maketrans(",.", ".,")}
 _COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 #: A number with a unit, as in ``0.05 kg``.
@@ -52,9 +54,11 @@ class Layout:
     units : list of str
         Line of units under the header; empty without one.
     numbers : list of str
-        Columns to read as numbers: those whose cells are numbers in the first rows.
+        Columns to read as numbers, because their cells are numbers in the first rows.
     delimiter : str
-        One character; a space if any run of blanks separates the cells.
+        One character; a space if runs of blanks separate the cells.
+    decimal : str
+        Decimal mark.
     first_line : int
         Line of the first sample, from 1.
     """
@@ -67,7 +71,7 @@ class Layout:
     first_line: int
 
 
-def _open(path: Path, options: Options) -> Table:
+def _open(path: Path, options: Options, select: str | None) -> Table:
     text, notes = _read_utf8(path, options)
     comment = re.compile(rb"(?m)^[ \t]*" + re.escape(options.comment.encode()) + rb"(.*)")
     comments = [line.decode(errors="replace") for line in comment.findall(text[:SAMPLE])]
@@ -80,7 +84,15 @@ def _open(path: Path, options: Options) -> Table:
         text = comment.sub(b"", text)
     if found.delimiter == " ":
         text = _EDGES.sub(b"", _BLANKS.sub(b" ", text))
-    parsed, width = None if b'"' in text else _parse(text, found, options), len(found.names)
+    stated = dict(zip(found.names, found.units, strict=False))
+    plain = None if options.missing else _read_plain(text, found)
+    if plain is not None:
+        rows = np.arange(plain.shape[1], dtype=np.int64) + found.first_line
+        columns = dict(zip(found.names, plain, strict=True))
+        return Table(columns, units=stated, notes=notes, comments=comments, lines=rows)
+    parsed, width = None, len(found.names)
+    if b'"' not in text:
+        parsed = _parse(text, found, options)
     if parsed is not None and _is_regular(text, parsed, found.delimiter):
         rows = np.arange(len(parsed), dtype=np.int64) + found.first_line
     else:
@@ -94,7 +106,7 @@ def _open(path: Path, options: Options) -> Table:
         notes += _note_ragged(broken, width, len(rows), path)
         if broken or parsed is None:
             parsed = _parse(b"\n".join(line for _, line in filled), found, options)
-    columns, stated = {}, dict(zip(found.names, found.units, strict=False))
+    columns = {}
     for name in found.names:
         columns[name], unit = _convert(parsed[name], found.decimal)
         if unit:
@@ -115,13 +127,13 @@ def _read_utf8(path: Path, options: Options) -> tuple[bytes, list[str]]:
         text = raw.decode("cp1252", "replace")
         notes.append("is not UTF-8; read as Western European text (cp1252)")
     if "\x00" in text[:SAMPLE]:
-        hint = "name its format under 'reader:' of the mapping: {kind: ...}"
+        hint = "name its format: --as NAME, or as: NAME in a mapping"
         raise InputError("is no text file", file=path, hint=hint)
     return text.encode().replace(b"\r\n", b"\n").replace(b"\r", b"\n"), notes
 
 
 def _find_layout(lines: list[str], options: Options, path: Path, notes: list[str]) -> Layout:
-    """Return the layout of a file: stated by the options, else found in its first lines; add to the notes."""
+    """Return the layout of a file, as stated by the options or found in its first lines; add to the notes."""
     numbered = list(enumerate(lines, start=1))[options.skip_rows :]
     kept = [(at, line) for at, line in numbered if line.strip()]
     if not kept:
@@ -142,10 +154,10 @@ def _find_layout(lines: list[str], options: Options, path: Path, notes: list[str
     if above and _are_units(above[-1]) and (len(above) > 1 or not _differ(above[-1])):
         stated = [_unit(cell) for cell in above.pop()]
     if above and len(above[-1]) == width - 1 and not any(cells[-1] for cells in samples):
-        # a delimiter at the end of every line of samples, and none under the names
+        # each line of samples ends with a delimiter, and the line of names does not
         above[-1] = [*above[-1], ""]
     levels: list[list[str]] = []
-    # a line of names that stand more than once needs the line above to tell them apart
+    # repeated names are completed by the line above them
     while above and len(above[-1]) == width and not (levels and _differ(levels[0])):
         levels.insert(0, above.pop())
     if levels and above and options.skip_rows is None:
@@ -160,8 +172,8 @@ def _likely_delimiter(lines: list[str]) -> str:
     scores = {}
     for mark, weight in DELIMITERS.items():
         width, times = Counter(len(_cells(line, mark)) for line in lines).most_common(1)[0]
-        # the more lines of one width the better; among equals the more cells
-        scores[mark] = weight * times * (1 + min(width, 50) / 1000) if width > 1 else 0.0
+        # many lines of one width count most, then many cells
+        scores[mark] = weight * times * (1 + min(width, 50) / 1000) * (width > 1)
     return max(scores, key=lambda mark: scores[mark])
 
 
@@ -180,7 +192,7 @@ def _decimal(table: list[list[str]], delimiter: str) -> str:
 
 
 def _value(cell: str, decimal: str) -> float | None:
-    """Return the number in a cell; None if it is none."""
+    """Return the number in a cell; None if the cell holds none."""
     return number(cell.translate(_POINTS[decimal]))
 
 
@@ -210,23 +222,26 @@ def _differ(cells: list[str]) -> bool:
 
 
 def _names(levels: list[list[str]], width: int) -> list[str]:
-    """Return a name for each column, all different: ``x``, ``x (2)``, ``column 3``; numbers without a header.
+    """Return different names for all columns: ``x``, ``x (2)``, ``column 3``; numbers without a header.
 
     A table may have one line for each level of the names: ``nose`` above ``x`` becomes ``nose_x``. A name
-    above empty cells stands for them, too. A line that is equal in all columns is left out.
+    also stands for the empty cells to its right. A line that is equal in all columns is left out.
     """
     if not levels:
         return [str(k + 1) for k in range(width)]
     telling = [row for row in map(_fill, levels[:-1]) if len(set(row[1:])) > 1]
     joined = ["_".join(filter(None, cells)) for cells in zip(*telling, levels[-1], strict=True)]
     if len(levels) > 1:
-        # the cells of the first column name the levels; in a table of DeepLabCut it counts the frames
+        # the first column names the levels; in a table of DeepLabCut it counts the frames
         joined[0] = levels[-1][0].replace("coords", "") or "frame"
     names: list[str] = []
     for at, name in enumerate(joined, start=1):
         again = joined[:at].count(name)
-        unique = f"{name} ({again})" if again > 1 else name
-        names.append(unique if name else f"column {at}")
+        if not name:
+            name = f"column {at}"
+        elif again > 1:
+            name += f" ({again})"
+        names.append(name)
     return names
 
 
@@ -236,6 +251,21 @@ def _fill(cells: list[str]) -> list[str]:
     for cell in cells:
         filled.append(cell or filled[-1])
     return filled[1:]
+
+
+def _read_plain(text: bytes, found: Layout) -> NDArray[np.float64] | None:
+    """Return the columns of a short text with a number in each cell, shape (k, n); None for any other text.
+
+    They are read without pandas, because its import takes longer than all else of a short log.
+    """
+    width, lines = len(found.names), text.count(b"\n") + (not text.endswith(b"\n"))
+    if len(text) > SAMPLE or len(found.numbers) < width or found.decimal != ".":
+        return None
+    try:
+        cells = np.loadtxt(io.BytesIO(text), delimiter=found.delimiter, comments=None, ndmin=2)
+    except ValueError:
+        return None
+    return np.ascontiguousarray(cells.T) if cells.shape == (lines, width) else None
 
 
 def _parse(text: bytes, found: Layout, options: Options) -> pd.DataFrame:
@@ -251,14 +281,14 @@ def _parse(text: bytes, found: Layout, options: Options) -> pd.DataFrame:
     try:
         return read(dict.fromkeys(found.names, str) | dict.fromkeys(found.numbers, float))
     except ValueError:
-        # some cell is no number: its column stays text, and is refused if a mapping asks for it
+        # some cell is no number: its column stays text, which a mapping cannot use
         return read(str)
 
 
 def _is_regular(text: bytes, parsed: pd.DataFrame, delimiter: str) -> bool:
-    """Return whether the text has one line for each row, and each line has the right number of cells.
+    """Return whether the text has one line per row, and each line the right number of cells.
 
-    A line with too few cells has left the last one missing.
+    The last cell of a line with too few cells is missing.
     """
     lines = text.count(b"\n") + (not text.endswith(b"\n"))
     marks = text.count(delimiter.encode())
@@ -267,9 +297,9 @@ def _is_regular(text: bytes, parsed: pd.DataFrame, delimiter: str) -> bool:
 
 
 def _convert(cells: pd.Series, decimal: str) -> tuple[NDArray[Any], str | None]:
-    """Return a column, and the unit in its cells.
+    """Return a column, and the unit that its cells state.
 
-    Text stays text unless each cell is a number, or a number and a unit of one quantity.
+    A column stays text unless each cell is a number, or a number and a unit of one quantity.
     """
     import pandas as pd
 
@@ -303,4 +333,13 @@ def _note_ragged(broken: list[tuple[int, int]], width: int, rows: int, path: Pat
     return [f"{share} have a wrong number of cells and are left out (first: line {line})"]
 
 
-READER = Reader("delimited", "delimited text file", (".csv", ".txt", ".tsv", ".dat", ".asc", ".log"), _open)
+def _has_time(peek: Peek) -> bool:
+    """Return whether the first line without a comment names ``t_s``."""
+    header = next((line for line in peek.lines if line.strip() and not line.startswith("#")), "")
+    return TIME in [cell.strip().strip('"') for cell in header.split(",")]
+
+
+ENDINGS = (".csv", ".txt", ".tsv", ".dat", ".asc", ".log")
+DELIMITED = Format("delimited", "delimited text file", _open, endings=ENDINGS)
+#: The log format of swimid, whose columns keep their names.
+SWIMID = Format("swimid", "log of swimid", _open, _has_time)

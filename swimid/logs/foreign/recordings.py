@@ -1,4 +1,4 @@
-"""Recordings of several topics: ULog, by ``pyulog``, and MCAP of ROS 2 or JSON messages, by ``mcap``."""
+"""Readers of recordings with topics: ULog (by pyulog), and MCAP of ROS 2 or JSON messages (by mcap)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from swimid.logs.foreign import Options, Reader, Table, first_bytes, flat, of_records, one_of, reading
+from swimid.logs.foreign import Format, Options, Table, choose, first_bytes, flat, of_records, reading
 
 ULOG_MAGIC, MCAP_MAGIC = b"ULog\x01\x12\x35", b"\x89MCAP0\r\n"
 
@@ -45,33 +45,41 @@ def _load_ulog(path: Path) -> tuple[Any, dict[str, Any]]:
 
         log = ULog(str(path))
     several = {data.name for data in log.data_list if data.multi_id}
-    return log, {f"{d.name}[{d.multi_id}]" if d.name in several else d.name: d for d in log.data_list}
+    found = {}
+    for data in log.data_list:
+        name = data.name
+        if name in several:
+            name += f"[{data.multi_id}]"
+        found[name] = data
+    return log, found
 
 
-def _open_ulog(path: Path, options: Options) -> Table:
+def _open_ulog(path: Path, options: Options, select: str | None) -> Table:
     log, found = _load_ulog(path)
-    topic = one_of(options.topic, list(found), file=path, what="topic")
+    topic = choose(select, list(found), "topic", path)
     # q[0] becomes q[1]: columns count from 1 in every format
     values = {
         re.sub(r"\[(\d+)\]$", lambda index: f"[{int(index[1]) + 1}]", name): column
         for name, column in found[topic].data.items()
     }
-    notes = [f"{len(log.dropouts)} dropouts while it was recorded"] if log.dropouts else []
+    notes = []
+    if log.dropouts:
+        notes.append(f"{len(log.dropouts)} dropouts while it was recorded")
     if log.file_corruption:
         notes.append("the file is damaged; its readable part was read")
     return Table(values, metadata={"topic": topic}, notes=notes)
 
 
-def _open_mcap(path: Path, options: Options) -> Table:
-    """Read one topic, its messages in the order of the file; times are ``datetime64[ns]``.
+def _open_mcap(path: Path, options: Options, select: str | None) -> Table:
+    """Return the messages of one topic in the order of the file, with times as ``datetime64[ns]``.
 
-    The order of the file is kept, since the recorder's clock (``log_time``) may step back.
+    They are not sorted by ``log_time``, because the clock of the recorder may step back.
     """
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 
     known = topics(path)
-    topic = one_of(options.topic, list(known), file=path, what="topic")
+    topic = choose(select, list(known), "topic", path)
     records, decoders = [], DecoderFactory()
     with path.open("rb") as stream:
         found = make_reader(stream).iter_messages(topics=[topic], log_time_order=False)
@@ -86,7 +94,7 @@ def _open_mcap(path: Path, options: Options) -> Table:
 
 
 def _parts(value: Any) -> Any:
-    """Return the fields of a message as a dict; a stamp of seconds and nanoseconds as a date."""
+    """Return the fields of a message as a dict, and a stamp of seconds and nanoseconds as a date."""
     if hasattr(value, "__slots__"):
         value = {name: getattr(value, name) for name in value.__slots__}
     if isinstance(value, dict) and {"sec", "nanosec"} <= set(value):
@@ -94,7 +102,8 @@ def _parts(value: Any) -> Any:
     return value
 
 
-ULOG = Reader("ulog", "ULog recording", (".ulg", ".ulog"), _open_ulog, magic=(ULOG_MAGIC,), extra="ulog")
-MCAP = Reader(
-    "mcap", "MCAP file of ROS 2 or JSON messages", (".mcap",), _open_mcap, magic=(MCAP_MAGIC,), extra="mcap"
+ULOG = Format(
+    "ulog", "ULog recording", _open_ulog, endings=(".ulg", ".ulog"), magic=(ULOG_MAGIC,), extra="ulog"
 )
+MCAP_TITLE = "MCAP file of ROS 2 or JSON messages"
+MCAP = Format("mcap", MCAP_TITLE, _open_mcap, endings=(".mcap",), magic=(MCAP_MAGIC,), extra="mcap")

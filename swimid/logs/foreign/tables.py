@@ -1,4 +1,4 @@
-"""HDF5 (by h5py), MATLAB of any version (by pymatreader), Parquet, and JSON lines."""
+"""Readers of HDF5 (by h5py), MATLAB of any version (by pymatreader), Parquet, and JSON lines."""
 
 from __future__ import annotations
 
@@ -12,57 +12,64 @@ import numpy as np
 from swimid.errors import InputError
 from swimid.files import tabular
 from swimid.logs import log
-from swimid.logs.foreign import Options, Reader, Table, flat, of_records, of_tree
+from swimid.logs.foreign import Format, Options, Table, flat, of_records, of_tree
 
 
-def _open_hdf5(path: Path, options: Options) -> Table:
+def _open_hdf5(path: Path, options: Options, select: str | None) -> Table:
     import h5py
 
     def parts(item: Any) -> Any:
         if isinstance(item, h5py.Group):
             return dict(item.items())
-        # a film is no column
-        return {} if isinstance(item, h5py.Dataset) and item.ndim > 2 else item
+        if isinstance(item, h5py.Dataset) and item.ndim > 2:
+            return {}  # a film is no column
+        return item
 
     with h5py.File(path, "r") as file:
-        # MATLAB writes a text block before the HDF5 content
-        return _open_matlab(path, options) if file.userblock_size else of_tree(file, options, path, parts)
+        if file.userblock_size:
+            # MATLAB writes a text block before the HDF5 content
+            return _open_matlab(path, options, select)
+        return of_tree(file, select, path, parts)
 
 
-def _open_matlab(path: Path, options: Options) -> Table:
+def _open_matlab(path: Path, options: Options, select: str | None) -> Table:
     from h5py import is_hdf5
     from pymatreader import read_mat
 
-    # it warns about objects, which only MATLAB reads
+    # pymatreader warns about objects, which only MATLAB can read
     with warnings.catch_warnings(action="ignore"):
         content = read_mat(path, ignore_fields=["#subsystem#"])
-    # pymatreader returns the fields of version 7.3 in any order
-    arranged = sorted if is_hdf5(path) else list
+    is_unordered = is_hdf5(path)
 
     def parts(value: Any) -> Any:
         if not isinstance(value, dict):
             return value
-        return {name: value[name] for name in arranged(value) if not name.startswith("__")}
+        names = [name for name in value if not name.startswith("__")]
+        if is_unordered:
+            # pymatreader returns the fields of version 7.3 in any order
+            names.sort()
+        return {name: value[name] for name in names}
 
-    table = of_tree(content, options, path, parts)
+    table = of_tree(content, select, path, parts)
     if not table.columns:
         hint = "only MATLAB reads a MATLAB table: save its columns, or use writetable"
         raise InputError("holds no columns of numbers", file=path, hint=hint)
     return table
 
 
-HDF5 = Reader("hdf5", "HDF5 file", (".h5", ".hdf5"), _open_hdf5, magic=(b"\x89HDF",), extra="hdf5")
-MATLAB = Reader(
-    "mat", "MATLAB file", (".mat",), _open_matlab, magic=(b"MATLAB 5.0", b"MATLAB 7.3"), extra="hdf5"
-)
+HDF5 = Format("hdf5", "HDF5 file", _open_hdf5, endings=(".h5", ".hdf5"), magic=(b"\x89HDF",), extra="hdf5")
+MATLAB_MAGIC = (b"MATLAB 5.0", b"MATLAB 7.3")
+MATLAB = Format("mat", "MATLAB file", _open_matlab, endings=(".mat",), magic=MATLAB_MAGIC, extra="hdf5")
 
 
-def _open_parquet(path: Path, options: Options) -> Table:
+def _open_parquet(path: Path, options: Options, select: str | None) -> Table:
     import pyarrow.parquet
 
     table, types = pyarrow.parquet.read_table(path), pyarrow.types
     nested = [f.name for f in table.schema if types.is_nested(f.type) or types.is_binary(f.type)]
-    notes = [f"columns that hold no plain values left out: {', '.join(nested)}"] if nested else []
+    notes = []
+    if nested:
+        notes.append(f"columns that hold no plain values left out: {', '.join(nested)}")
     stored = (table.schema.metadata or {}).get(b"swimid", b"")
     frame = table.drop_columns(nested).to_pandas(ignore_metadata=True)
     return Table(
@@ -70,10 +77,12 @@ def _open_parquet(path: Path, options: Options) -> Table:
     )
 
 
-PARQUET = Reader("parquet", "Parquet file", tabular.PARQUET, _open_parquet, magic=(b"PAR1",), extra="parquet")
+PARQUET = Format(
+    "parquet", "Parquet file", _open_parquet, endings=tabular.PARQUET, magic=(b"PAR1",), extra="parquet"
+)
 
 
-def _open_json_lines(path: Path, options: Options) -> Table:
+def _open_json_lines(path: Path, options: Options, select: str | None) -> Table:
     numbered = enumerate(path.read_bytes().split(b"\n"), start=1)
     lines = {at: line for at, line in numbered if line.strip()}
     records = []
@@ -89,6 +98,5 @@ def _open_json_lines(path: Path, options: Options) -> Table:
     return Table(of_records(records), lines=np.array([*lines], dtype=np.int64))
 
 
-JSON_LINES = Reader(
-    "jsonl", "file of JSON lines", (".jsonl", ".ndjson", ".json"), _open_json_lines, magic=(b'{"',)
-)
+JSON_ENDINGS = (".jsonl", ".ndjson", ".json")
+JSON_LINES = Format("jsonl", "file of JSON lines", _open_json_lines, endings=JSON_ENDINGS, magic=(b'{"',))

@@ -1,7 +1,7 @@
-"""Rows of ArduPilot logs: text logs (``IMU, 1234, 0, ...`` under ``FMT`` lines), or CSV of one message type.
+"""Logs of ArduPilot: text logs (``IMU, 1234, 0, ...`` under ``FMT`` lines), or CSV of one message type.
 
-One instance of a sensor is taken. Units are those of the ArduPilot log messages; the axes forward, right,
-down are turned to y left, z up.
+One instance of a sensor is taken. Units are those of the log messages of ArduPilot. The axes forward, right
+and down are turned to forward, left and up.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs.foreign import Table, is_text, open_table
+from swimid.logs.foreign import Format, Options, Peek, Table, choose, is_text, open_table
 from swimid.logs.log import TIME
-from swimid.logs.profiles import Peek, Profile, axes, choose, renamed, rows
+from swimid.logs.profiles import axes, renamed, rows
 from swimid.logs.rotation import from_frd, with_angles
 
 #: Columns of a log by the name of a field.
@@ -28,7 +28,7 @@ FIELDS: dict[str, str] = {
     **axes("V{}", "v{}_m_s", "NED", "xyz"),
     **axes("Q{}", "q{}", "1234", "wxyz"),
 }
-#: Factors to SI of what is not in SI, by the ending of the column: degrees and milligauss.
+#: Factors to SI of degrees and milligauss, by the ending of the column.
 FACTORS = {"_rad": np.pi / 180, "_T": 1e-7}
 
 
@@ -37,7 +37,7 @@ def _recognises(peek: Peek) -> bool:
     return "TimeUS" in peek.header or ("FMT" in types and b"TimeUS" in peek.head)
 
 
-def _read(path: Path, select: str | None, length_unit: str | None) -> Table:
+def _read(path: Path, options: Options, select: str | None) -> Table:
     kind, _, instance = (select or "").rstrip("]").partition("[")
     header = Peek.of(path).header
     if header[0] == "FMT" or "TimeUS" not in header:
@@ -50,7 +50,9 @@ def _read(path: Path, select: str | None, length_unit: str | None) -> Table:
         taken = choose(instance or there[0], there, "instance", path)
         table = rows(table, table.columns[by] == float(taken))
         if len(there) > 1 and not instance:
-            other = f"{table.metadata['type']}[{there[1]}]" if "type" in table.metadata else there[1]
+            other = there[1]
+            if "type" in table.metadata:
+                other = f"{table.metadata['type']}[{other}]"
             note = f"instance {taken} of {', '.join(there)} is taken (another one: --select {other})"
             table.notes.append(note)
     columns = renamed(table, FIELDS)
@@ -82,9 +84,11 @@ def _messages(path: Path, kind: str | None) -> Table:
     frame = pd.DataFrame.from_dict(whole, orient="index", columns=formats[kind])
     frame = frame.apply(pd.to_numeric, errors="coerce").dropna(axis=1, how="all")
     lost = len(found) - len(whole)
-    notes = [f"{lost} of {len(found)} rows of {kind} are cut off and left out"] if lost else []
+    notes = []
+    if lost:
+        notes.append(f"{lost} of {len(found)} rows of {kind} are cut off and left out")
     columns = dict(zip(frame, frame.to_numpy(dtype=float).T, strict=True))
     return Table(columns, metadata={"type": kind}, notes=notes, lines=frame.index.to_numpy())
 
 
-PROFILE = Profile("ardupilot", "log of ArduPilot", _recognises, _read)
+PROFILE = Format("ardupilot", "log of ArduPilot", _read, _recognises)

@@ -1,8 +1,8 @@
-"""Logs of Dynamixel servos (X series) with the names of the control table: Present Position, Goal Position,
-...
+"""Logs of Dynamixel servos (X series) with the names of the control table, as in Present Position.
 
-A turn has 4096 ticks and 2048 is the middle; velocities count 0.229 rev/min (ROBOTIS e-Manual, X series). The
-present position is the joint, the goal position its command. A number in the name is that of the servo.
+A turn has 4096 ticks, and 2048 is the middle. Velocities have the unit 0.229 rev/min (ROBOTIS e-Manual, X
+series). The present position is that of the joint, and the goal position is its command. A number in the name
+is that of the servo.
 """
 
 from __future__ import annotations
@@ -15,9 +15,8 @@ import numpy as np
 
 from swimid.errors import InputError
 from swimid.logs import clock, units
-from swimid.logs.foreign import Table, is_text, open_table
+from swimid.logs.foreign import Format, Options, Peek, Table, is_text, open_table
 from swimid.logs.log import TIME
-from swimid.logs.profiles import Peek, Profile
 
 _FIELD = re.compile(
     r"(dxl|id|servo|motor|joint)?[ _]*\d*[ _:.-]*(?P<what>present|goal)[ _]*(?P<which>position|velocity)"
@@ -32,14 +31,14 @@ def _recognises(peek: Peek) -> bool:
     return any(hit["which"].lower() == "position" for hit in fields)
 
 
-def _read(path: Path, select: str | None, length_unit: str | None) -> Table:
+def _read(path: Path, options: Options, select: str | None) -> Table:
     table = open_table(path)
     fields = {name: hit for name in table.columns if (hit := _FIELD.fullmatch(name.strip()))}
     if not fields:
         hint = "its columns are named as in the control table: Present Position, Goal Position"
         raise InputError("has no position of a servo", file=path, hint=hint)
     servos = {name: int([*re.findall(r"\d+", name), "1"][0]) for name in fields}
-    # joints count from 1, in the order of the file; servos may have any number
+    # joints are numbered from 1 in the order of the file, servos arbitrarily
     numbers = list(dict.fromkeys(servos.values()))
     rows = len(table.columns[next(iter(fields))])
     columns = {"frame": np.arange(rows, dtype=float)}
@@ -53,7 +52,7 @@ def _read(path: Path, select: str | None, length_unit: str | None) -> Table:
         if is_text(table.columns[name]):
             raise InputError("holds text, not ticks", file=path, column=name)
         ticks = table.columns[name].astype(float)
-        stem = "joint" if hit["what"].lower() == "present" else "cmd"
+        stem = {"present": "joint", "goal": "cmd"}[hit["what"].lower()]
         joint = f"{stem}{numbers.index(servos[name]) + 1}"
         if hit["which"].lower() == "position":
             columns[f"{joint}_rad"] = (ticks - 2048) * 2 * np.pi / 4096
@@ -62,4 +61,4 @@ def _read(path: Path, select: str | None, length_unit: str | None) -> Table:
     return replace(table, columns=columns, metadata={"servos": numbers}, units={})
 
 
-PROFILE = Profile("dynamixel", "log of Dynamixel servos", _recognises, _read)
+PROFILE = Format("dynamixel", "log of Dynamixel servos", _read, _recognises)

@@ -1,9 +1,9 @@
 """Tracked points of pictures: tables of DeepLabCut, and analysis files of SLEAP.
 
-A table of DeepLabCut (CSV, HDF5) has one row a frame, and x, y and likelihood of each body part; its columns
-have the levels scorer, (individuals,) bodyparts, coords. SLEAP writes HDF5 (``tracks``: tracks, x and y,
-nodes, frames) and CSV (``node.x``, ``node.y``). Coordinates are pixels with the origin in the upper left
-corner and y down; here y points up. Neither states a frame rate.
+A table of DeepLabCut (CSV, HDF5) has one row per frame, and x, y and likelihood of each body part. Its
+columns have the levels scorer, (individuals,) bodyparts, coords. SLEAP writes HDF5 (``tracks``: tracks, x and
+y, nodes, frames) and CSV (``node.x``, ``node.y``). Coordinates are pixels from the upper left corner with y
+down, and are turned to y up. Neither format states a frame rate.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from pathlib import Path
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs.foreign import Table, is_text, open_table
-from swimid.logs.profiles import Array, Peek, Profile, choose, rows, safe
+from swimid.logs.foreign import Format, Options, Peek, Table, choose, is_text, open_table
+from swimid.logs.profiles import Array, rows, safe
 
 _LEVELS = ("scorer", "individuals", "bodyparts", "coords")
 _CELL = re.compile(r"(?!instance\.).+\.(x|y|score)")
 
 
 def points(found: Mapping[str, Array]) -> dict[str, Array]:
-    """Return columns of tracked points, named as in the log: pixels with y turned up, and likelihoods.
+    """Return the columns of tracked points, named as in the log: pixels with y up, and likelihoods.
 
     >>> points({"tail tip.y": np.array([2.0]), "tail tip.score": np.array([0.9])})
     {'tail_tip_y_px': array([-2.]), 'tail_tip_score': array([0.9])}
@@ -32,8 +32,11 @@ def points(found: Mapping[str, Array]) -> dict[str, Array]:
     columns: dict[str, Array] = {}
     for name, values in found.items():
         point, _, what = name.rpartition(".")
-        unit = "" if what in ("likelihood", "score") else "_px"
-        columns[f"{safe(point)}_{what}{unit}"] = -values if what == "y" else values
+        if what == "y":
+            values = -values
+        if what not in ("likelihood", "score"):
+            what += "_px"
+        columns[f"{safe(point)}_{what}"] = values
     return columns
 
 
@@ -48,7 +51,7 @@ def _is_deeplabcut(peek: Peek) -> bool:
     return (levels[:1] == ["scorer"] and "bodyparts" in levels) or peek.holds("df_with_missing")
 
 
-def _read_deeplabcut(path: Path, select: str | None, length_unit: str | None) -> Table:
+def _read_deeplabcut(path: Path, options: Options, select: str | None) -> Table:
     import pandas as pd
 
     peek, lines = Peek.of(path), None
@@ -77,7 +80,7 @@ def _is_sleap(peek: Peek) -> bool:
     return ("frame_idx" in peek.header and {"x", "y"} <= cells) or peek.holds("tracks", "node_names")
 
 
-def _read_sleap(path: Path, select: str | None, length_unit: str | None) -> Table:
+def _read_sleap(path: Path, options: Options, select: str | None) -> Table:
     return _of_text(path, select) if Peek.of(path).lines else _of_hdf5(path, select)
 
 
@@ -119,7 +122,5 @@ def _of_hdf5(path: Path, select: str | None) -> Table:
     return Table({"frame": np.arange(tracks.shape[3], dtype=float), **points(found)})
 
 
-DEEPLABCUT = Profile(
-    "deeplabcut", "table of DeepLabCut", _is_deeplabcut, _read_deeplabcut, extra="deeplabcut"
-)
-SLEAP = Profile("sleap", "analysis file of SLEAP", _is_sleap, _read_sleap, extra="hdf5")
+DEEPLABCUT = Format("deeplabcut", "table of DeepLabCut", _read_deeplabcut, _is_deeplabcut, extra="deeplabcut")
+SLEAP = Format("sleap", "analysis file of SLEAP", _read_sleap, _is_sleap, extra="hdf5")

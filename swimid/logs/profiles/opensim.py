@@ -1,8 +1,8 @@
-"""OpenSim: marker trajectories (TRC) and motions or storages (MOT, STO).
+"""Files of OpenSim: marker trajectories (TRC), and motions or storages (MOT, STO).
 
-Both state their conventions in the header: ``Units`` and ``DataRate`` of a TRC file, ``inDegrees`` of a
-motion. Coordinates of a motion are angles, except translations, which end in ``_tx``, ``_ty`` or ``_tz``.
-Forces are in N, torques in N m, points of application in m.
+The header states the conventions: ``Units`` and ``DataRate`` of a TRC file, ``inDegrees`` of a motion.
+Coordinates of a motion are angles, except translations, which end in ``_tx``, ``_ty`` or ``_tz``. Forces are
+in N, torques in N m, and points of application in m.
 """
 
 from __future__ import annotations
@@ -13,19 +13,20 @@ from pathlib import Path
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs.foreign import Table
+from swimid.logs.foreign import Format, Options, Peek, Table
 from swimid.logs.log import TIME
-from swimid.logs.profiles import Array, Peek, Profile, length, numbers, safe
+from swimid.logs.profiles import Array, length, numbers, safe
+from swimid.logs.sampling import usual_step
 from swimid.notices import warn
 
-#: Units of the columns of a motion, by pattern; the first that fits counts.
+#: Units of the columns of a motion, by pattern. The first pattern that fits is used.
 _UNITS = {
     r".*(force.*_p|_t)[xyz]": "m",
     r".*(torque|moment).*": "Nm",
     r".*force.*": "N",
     r".*": "rad",
 }
-#: Value or speed of a coordinate, ``/jointset/hip/hip_flexion/value``.
+#: Name of the value or the speed of a coordinate, ``/jointset/hip/hip_flexion/value``.
 _COORDINATE = re.compile(r"(?:.*/)?(?P<name>[^/]+)/(?P<kind>value|speed)")
 
 
@@ -34,10 +35,10 @@ def _recognises(peek: Peek) -> bool:
     return bool(starts) and (starts[0].startswith("pathfiletype") or "endheader" in starts)
 
 
-def _read(path: Path, select: str | None, length_unit: str | None) -> Table:
+def _read(path: Path, options: Options, select: str | None) -> Table:
     lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     if lines and lines[0].strip().lower().startswith("pathfiletype"):
-        return _markers(lines, length_unit, path)
+        return _markers(lines, options.length_unit, path)
     return _motion(lines, path)
 
 
@@ -52,7 +53,7 @@ def _markers(lines: list[str], length_unit: str | None, path: Path) -> Table:
     time_s = values[:, 1]
     columns = {TIME: time_s, **dict(zip(targets, values.T[2:] * factor, strict=True))}
     rate, notes = float(head.get("DataRate", "nan")), []
-    step = float(np.median(np.diff(time_s))) if len(time_s) > 1 else np.nan
+    step = usual_step(time_s)
     if abs(step * rate - 1.0) > 0.01:
         notes.append(f"its header states {rate:g} Hz, its times are {1 / step:g} Hz apart")
     return Table(columns, notes=notes, lines=at)
@@ -69,7 +70,7 @@ def _motion(lines: list[str], path: Path) -> Table:
     if not {"indegrees=yes", "indegrees=no"} & set(head):
         hint = "add the line inDegrees=yes or inDegrees=no above 'endheader'"
         raise InputError("states no 'inDegrees'", file=path, line=end + 1, hint=hint)
-    # a storage is separated by tabs, or aligned by blanks
+    # the cells of a storage are separated by tabs, or aligned by blanks
     delimiter = "\t" if "\t" in lines[end + 2] else r"\s+"
     values, at = numbers(path, end + 2, delimiter, len(names))
     columns: dict[str, Array] = {TIME: values[:, 0]}
@@ -77,18 +78,20 @@ def _motion(lines: list[str], path: Path) -> Table:
     left_out = []
     for name, cells in zip(names[1:], values.T[1:], strict=True):
         hit = _COORDINATE.fullmatch(name)
-        word = safe(hit["name"] if hit else name)
+        word, rate = safe(name), ""
+        if hit:
+            word, rate = safe(hit["name"]), {"value": "", "speed": "_s"}[hit["kind"]]
         unit = next(unit for pattern, unit in _UNITS.items() if re.fullmatch(pattern, word))
-        rate = "_s" if hit and hit["kind"] == "speed" else ""
         if unit == "rad" and not (has_coordinates or hit):
             left_out.append(name)
             continue
-        in_degrees = unit == "rad" and "indegrees=yes" in head
-        columns[f"{word}_{unit}{rate}"] = np.radians(cells) if in_degrees else cells
+        if unit == "rad" and "indegrees=yes" in head:
+            cells = np.radians(cells)
+        columns[f"{word}_{unit}{rate}"] = cells
     if left_out:
         text = f"columns that are no coordinates are left out: {', '.join(left_out[:20])}"
         warn("SWM004", f"{path.name}: {text}")
     return Table(columns, lines=at)
 
 
-PROFILE = Profile("opensim", "TRC, MOT or STO file of OpenSim", _recognises, _read)
+PROFILE = Format("opensim", "TRC, MOT or STO file of OpenSim", _read, _recognises)

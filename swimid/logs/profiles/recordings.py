@@ -1,8 +1,8 @@
 """Recordings of messages of known types: ULog of PX4, and ROS 2 messages in MCAP.
 
-The axes of PX4 are forward, right, down and north, east, down; they are turned to y left and z up. ROS 2 has
-the units and axes of REP 103: SI, x forward, y left, z up; quaternions are x, y, z, w from body to world. Its
-times are those of the message header, which the sensor driver sets, not those of the recorder.
+The axes of PX4 are forward, right, down and north, east, down. They are turned to y left and z up. ROS 2 has
+the units and axes of REP 103: SI, x forward, y left, z up. Its quaternions are x, y, z, w from body to world.
+Its times are those of the message header, which the driver of the sensor sets, and not those of the recorder.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from swimid.logs.foreign import Options, Table, open_table, recordings
+from swimid.logs.foreign import Format, Options, Peek, Table, choose, open_table, recordings
 from swimid.logs.log import TIME
-from swimid.logs.profiles import Peek, Profile, axes, choose, renamed, safe
+from swimid.logs.profiles import axes, renamed, safe
 from swimid.logs.rotation import from_frd, with_angles
 
 
@@ -24,7 +24,7 @@ def _pose(at: str) -> dict[str, str]:
     return axes(f"{at}position.{{}}", "{}_m") | axes(f"{at}orientation.{{}}", "q{}", "wxyz")
 
 
-#: Fields and their columns, by type of message; the package of ROS 2 may be written with or without ``/msg``.
+#: Fields and their columns, by type of message. Names of ROS 2 are written without ``/msg``.
 FIELDS: dict[str, dict[str, str]] = {
     "vehicle_local_position": axes("{}", "{}_m") | axes("v{}", "v{}_m_s") | {"heading": "yaw_rad"},
     "vehicle_attitude": axes("q[{}]", "q{}", "1234", "wxyz"),
@@ -59,19 +59,19 @@ def _recognises(peek: Peek) -> bool:
 
 
 def _open(path: Path, select: str | None) -> tuple[Table, str]:
-    """Return the samples of the topic that the user selects, or of the only one, and its type."""
+    """Return the samples and the type of the topic that the user selects, or of the only one."""
     topics = _topics(path)
     topic = choose(select, list(topics), "topic", path)
-    return open_table(path, Options(topic=topic)), topics[topic]
+    return open_table(path, select=topic), topics[topic]
 
 
-def _read_px4(path: Path, select: str | None, length_unit: str | None) -> Table:
+def _read_px4(path: Path, options: Options, select: str | None) -> Table:
     table, kind = _open(path, select)
     time_s = table.columns[table.column("timestamp", path)].astype(np.int64) * 1e-6
     return replace(table, columns={TIME: time_s, **with_angles(from_frd(renamed(table, FIELDS[kind])))})
 
 
-def _read_ros2(path: Path, select: str | None, length_unit: str | None) -> Table:
+def _read_ros2(path: Path, options: Options, select: str | None) -> Table:
     table, kind = _open(path, select)
     stamp = table.columns.get("header.stamp")
     if stamp is None or not (stamp.astype(np.int64) > 0).any():
@@ -85,7 +85,7 @@ def _read_ros2(path: Path, select: str | None, length_unit: str | None) -> Table
 
 
 def _joints(table: Table) -> dict[str, str]:
-    """Return the columns of joint states; the joints are revolute (a prismatic one would be in m)."""
+    """Return the columns of joint states, of which all joints are taken for revolute."""
     fields = {}
     for name, words in table.columns.items():
         if not name.startswith("name["):
@@ -98,5 +98,9 @@ def _joints(table: Table) -> dict[str, str]:
     return fields
 
 
-PX4 = Profile("px4", "ULog recording of PX4", _recognises, _read_px4, "ulog", recordings.ULOG_MAGIC)
-ROS2 = Profile("ros2", "MCAP recording of ROS 2", _recognises, _read_ros2, "mcap", recordings.MCAP_MAGIC)
+PX4 = Format(
+    "px4", "ULog recording of PX4", _read_px4, _recognises, magic=(recordings.ULOG_MAGIC,), extra="ulog"
+)
+ROS2 = Format(
+    "ros2", "MCAP recording of ROS 2", _read_ros2, _recognises, magic=(recordings.MCAP_MAGIC,), extra="mcap"
+)

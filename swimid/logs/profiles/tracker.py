@@ -1,7 +1,7 @@
-"""Text that Tracker (Open Source Physics) exports: a line with the tracks, a line of names, then t, x, y.
+"""Text exported by Tracker (Open Source Physics): a line with the tracks, a line of names, then t, x, y.
 
-Tracker counts time in seconds. Its length unit is the metre unless the project sets another, which the names
-state (``x (cm)``).
+Times are in seconds. Lengths are in metres, unless the project sets another unit, which the names state
+(``x (cm)``).
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ import re
 from pathlib import Path
 
 from swimid.errors import InputError
-from swimid.logs.foreign import Table
+from swimid.logs.foreign import Format, Options, Peek, Table, choose
 from swimid.logs.log import TIME
-from swimid.logs.profiles import Peek, Profile, choose, length, numbers, safe
+from swimid.logs.profiles import length, numbers, safe
 
 _NAME = re.compile(
     r"(t|step|frame|(?P<kind>[va]?)_?\{?(?P<axis>[xyr])\}?)(\s*[(\[](?P<unit>[^)\]/]*)[^)\]]*[)\]])?"
@@ -24,7 +24,7 @@ _PER = {"": "", "v": "_s", "a": "_s2"}
 def _layout(lines: list[str]) -> tuple[int, str, list[str], list[str]] | None:
     """Return the number of lines of the header, the delimiter, and the cells of its last two lines."""
     is_multi = bool(lines) and lines[0].strip().startswith("#multi:")
-    height = 3 if is_multi else 2
+    height = 2 + is_multi
     if len(lines) <= height:
         return None
     for mark in ("\t", ",", ";"):
@@ -41,7 +41,7 @@ def _recognises(peek: Peek) -> bool:
     return _layout(peek.lines) is not None
 
 
-def _read(path: Path, select: str | None, length_unit: str | None) -> Table:
+def _read(path: Path, options: Options, select: str | None) -> Table:
     import pandas as pd
 
     found = _layout(path.read_text(encoding="utf-8-sig").splitlines()[:4])
@@ -54,21 +54,23 @@ def _read(path: Path, select: str | None, length_unit: str | None) -> Table:
     filled = pd.Series(above).reindex(range(len(names)))
     owners = filled.where(filled != "").ffill().fillna("").tolist()
     tracks = [track for track in dict.fromkeys(owners[1:]) if track]
-    track = choose(select, tracks, "track", path) if select else None
+    track = None
+    if select:
+        track = choose(select, tracks, "track", path)
     columns = {TIME: values[:, 0]}
     taken = [k for k in range(len(names)) if track in (None, owners[k])]
     hits = {k: hit for k in taken if (hit := _NAME.fullmatch(names[k])) and hit["axis"]}
     for k, hit in hits.items():
-        factor, unit = length(length_unit or hit["unit"] or "m", path)
+        factor, unit = length(options.length_unit or hit["unit"] or "m", path)
         target = f"{hit['kind']}{hit['axis']}_{unit}{_PER[hit['kind']]}"
         if len(tracks) > 1 and track is None:
             target = f"{safe(owners[k])}_{target}"
         columns[target] = values[:, k] * factor
     notes = []
-    if length_unit is None and not any(hit["unit"] for hit in hits.values()):
+    if options.length_unit is None and not any(hit["unit"] for hit in hits.values()):
         default = "metres are Tracker's default (else add --length-unit cm)"
         notes.append(f"the file states no unit of length; {default}")
     return Table(columns, notes=notes, lines=lines)
 
 
-PROFILE = Profile("tracker", "export of Tracker", _recognises, _read)
+PROFILE = Format("tracker", "export of Tracker", _read, _recognises)
