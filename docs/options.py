@@ -19,7 +19,7 @@ def page() -> str:
     """Return the whole page."""
     parts = [
         "# Options of all commands",
-        "This page is printed by `python docs/options.py`. All commands also take the options of `swimid --help`.",
+        "`python docs/options.py` prints this page. All commands also take the options of `swimid --help`.",
     ]
     for name, spec in sorted(found().items()):
         parts.append(f"## `swimid {name}`\n\n{table(spec)}")
