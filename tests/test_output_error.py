@@ -15,7 +15,7 @@ from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error
 from swimid.fitting.covariance import sandwich
 from swimid.fitting.model import Trial
-from swimid.fitting.problem import Problem
+from swimid.fitting.problem import BRIEF, CREEPING, STALLED, Box, Patience, Problem, Solution, minimise
 from swimid.progress import Step
 from tests.toy_models import DECAY, TRUTH, Toy, decay, parameter, trials
 
@@ -24,6 +24,116 @@ BOTH = {"y": 0.02, "v": 0.05}
 
 def slow() -> None:
     time.sleep(1e-3)
+
+
+def broyden(rows: np.ndarray, off: np.ndarray, step: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return derivatives updated after a step (Broyden, Math. Comp. 19, 1965)."""
+    return rows + np.outer(off, step * weights) / (step * weights @ step)
+
+
+def unbounded(count: int) -> Box:
+    return Box(np.full(count, -np.inf), np.full(count, np.inf), np.ones(count))
+
+
+class TestMinimise:
+    @pytest.mark.parametrize("secant", [None, broyden])
+    @pytest.mark.parametrize("seed", range(8))
+    def test_the_optimum_is_that_of_scipy(self, seed: int, secant: Callable[..., np.ndarray] | None) -> None:
+        """Secant updates save derivatives."""
+        rng = np.random.default_rng(seed)
+        t = np.linspace(0, 4, 60)
+        y = 2.0 * np.exp(-0.7 * t) + 0.5 + rng.normal(0, 0.05, 60)
+
+        def residuals(p: np.ndarray) -> np.ndarray:
+            return p[0] * np.exp(-p[1] * t) + p[2] - y
+
+        def jacobian(p: np.ndarray) -> np.ndarray:
+            return np.column_stack((np.exp(-p[1] * t), -p[0] * t * np.exp(-p[1] * t), np.ones(60)))
+
+        # in half of the cases the optimum of the last parameter lies outside its bound
+        upper = np.array([10.0, 10.0, 0.3 if seed % 2 else 5.0])
+        start = rng.uniform([0.1, 0.1, 0.0], [5.0, 3.0, 0.3])
+        taken = [0]
+
+        def counted(p: np.ndarray) -> np.ndarray:
+            taken[0] += 1
+            return jacobian(p)
+
+        ours = minimise(residuals, counted, start, Box(np.zeros(3), upper, np.ones(3)), secant=secant)
+        if secant is not None:
+            assert taken[0] < ours.iterations
+        scipys = optimize.least_squares(
+            residuals, start, jac=jacobian, bounds=(np.zeros(3), upper), xtol=1e-14, ftol=1e-14, gtol=1e-14
+        )
+        assert ours.success
+        assert ours.cost <= 2 * scipys.cost * (1 + 1e-9)
+        assert ours.x == pytest.approx(scipys.x, abs=1e-5)
+
+    def test_secant_updates_and_corrected_steps_save_derivatives_in_a_curved_valley(self) -> None:
+        """Rosenbrock's valley a hundred times as steep (More, Garbow and Hillstrom 1981, problem 1)."""
+
+        def search(secant: Callable[..., np.ndarray] | None) -> tuple[Solution, int]:
+            taken = [0]
+
+            def jacobian(p: np.ndarray) -> np.ndarray:
+                taken[0] += 1
+                return np.array([[-2000.0 * p[0], 1000.0], [-1.0, 0.0]])
+
+            found = minimise(
+                lambda p: np.array([1000.0 * (p[1] - p[0] ** 2), 1.0 - p[0]]),
+                jacobian,
+                np.array([-1.2, 1.0]),
+                Box(np.full(2, -10.0), np.full(2, 10.0), np.ones(2)),
+                secant=secant,
+            )
+            return found, taken[0]
+
+        (found, few), (_, many) = search(broyden), search(None)
+        assert found.success
+        assert found.x == pytest.approx([1.0, 1.0], abs=1e-6)
+        assert few < 0.5 * many
+
+    def test_a_search_without_a_minimum_is_no_success(self) -> None:
+        never = minimise(
+            lambda p: np.array([np.exp(-p[0])]),
+            lambda p: np.array([[-np.exp(-p[0])]]),
+            np.array([0.0]),
+            unbounded(1),
+            max_iterations=5,
+        )
+        assert not never.success
+
+    def test_a_search_ends_when_noise_hides_its_steps(self) -> None:
+        """Derivatives ten times too large: the search goes on while a parameter still moves."""
+
+        def search(move: float) -> Solution:
+            return minimise(
+                lambda p: np.append(p, 1e3),
+                lambda p: np.array([[10.0], [0.0]]),
+                np.array([1.0]),
+                unbounded(1),
+                tolerance=0.0,
+                watch=Patience(10.0, np.array([move])),
+            )
+
+        loose, strict = search(np.inf), search(1e-3)
+        assert loose.iterations == BRIEF
+        assert strict.iterations > loose.iterations
+        assert abs(strict.x[0]) < abs(loose.x[0])
+
+    def test_a_slow_search_is_ended_and_named(self) -> None:
+        """Derivatives ten times too large, far from the optimum."""
+        found = minimise(
+            lambda p: np.append(p, 1e6),
+            lambda p: np.array([[10.0], [0.0]]),
+            np.array([1e4]),
+            unbounded(1),
+            watch=Patience(),
+        )
+        assert found.success
+        assert found.message == STALLED
+        assert CREEPING < found.iterations < 200
+        assert found.x[0] > 10.0
 
 
 class TestThreads:

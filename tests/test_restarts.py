@@ -74,10 +74,10 @@ def test_corners_are_told_from_bends(rng: np.random.Generator) -> None:
     bent = output_error.fit(Valley(), data, tested=False)
     stairs = output_error.fit(Terrace(0.05), _line(rng), tested=False)
     for seed in range(5):
-        around = restarts.held(bent, seed=seed)
+        around = restarts.search_around(bent, seed=seed)
         assert not around.rough
         assert around.evaluations < 60
-        assert restarts.held(stairs, seed=seed).rough
+        assert restarts.search_around(stairs, seed=seed).rough
 
 
 def test_all_that_a_fit_simulates_is_counted(rng: np.random.Generator) -> None:

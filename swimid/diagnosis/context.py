@@ -429,11 +429,8 @@ class FitContext:
         noise_model.install(problem)
         if warm is not None:
             problem.hold_derivatives(warm.labels, warm.rows)
-        try:
-            best = self.search(problem, noise_model, starts, tolerance, iterations)
-            return self._at(problem, effects, best.x, best.cost)
-        finally:
-            problem.close()
+        best = self.search(problem, noise_model, starts, tolerance, iterations)
+        return self._at(problem, effects, best.x, best.cost)
 
     def multistart(
         self,
@@ -481,20 +478,17 @@ class FitContext:
                     found.append(ended)
             return found
 
-        try:
-            if len(starts) > finalists:
-                problem.hold_derivatives(warm.labels, warm.rows)
-                while len(starts) > finalists:
-                    steps = 1 if len(starts) > 2 * finalists else HEAT
-                    left = ranked(starts, ROUGH, steps)[: max(len(starts) // 2, finalists)]
-                    starts = [found.x for found in left]
-                problem.hold_derivatives((), ())
-            found = ranked(starts, ROUGH, HEAT)[:1] if len(starts) > 1 else []
-            found.append(one(found[0].x if found else starts[0], FINE, STEPS))
-            best = min(found, key=cost)
-            return self._at(problem, effects, best.x, best.cost)
-        finally:
-            problem.close()
+        if len(starts) > finalists:
+            problem.hold_derivatives(warm.labels, warm.rows)
+            while len(starts) > finalists:
+                steps = 1 if len(starts) > 2 * finalists else HEAT
+                left = ranked(starts, ROUGH, steps)[: max(len(starts) // 2, finalists)]
+                starts = [found.x for found in left]
+            problem.hold_derivatives((), ())
+        found = ranked(starts, ROUGH, HEAT)[:1] if len(starts) > 1 else []
+        found.append(one(found[0].x if found else starts[0], FINE, STEPS))
+        best = min(found, key=cost)
+        return self._at(problem, effects, best.x, best.cost)
 
     def search(
         self,
@@ -551,14 +545,11 @@ class FitContext:
             return minimise(
                 residuals,
                 jacobian,
-                np.clip(start, problem.lower, problem.upper),
-                lower=problem.lower,
-                upper=problem.upper,
-                scale=problem.scale,
+                start,
+                problem.box,
                 tolerance=tolerance,
                 max_iterations=iterations,
                 secant=secant,
-                corrected=True,
             )
 
         return min(map(one, starts), key=lambda found: found.cost)
@@ -590,10 +581,7 @@ class FitContext:
         """The state of a fit at given numbers, nothing searched."""
         problem = self.problem(effects, noise_model.random_effects)
         noise_model.install(problem)
-        try:
-            return self._at(problem, effects, theta, math.nan)
-        finally:
-            problem.close()
+        return self._at(problem, effects, theta, math.nan)
 
     def _at(self, problem: Mixed, effects: Sequence[Effect], theta: Array, cost: float) -> Fit:
         rows = [-r for r in problem.trial_jacobians(theta)]

@@ -19,7 +19,7 @@ from swimid.diagnosis.search import Round, State
 from swimid.diagnosis.shrinkage import Piece
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error
-from swimid.fitting.between_trials import MIN_TRIALS, Odd, odd_trial
+from swimid.fitting.between_trials import MIN_TRIALS, OutlierTrial, find_outlier_trial
 from swimid.fitting.model import Array, Trial
 
 #: Causes explain a gap where they are likelier than something from outside the catalogue by four to one.
@@ -106,7 +106,7 @@ class Judgement:
         Why the causes are not told for sure.
     refuted : tuple of str
         Causes with which held-out errors grow.
-    odd : Odd or None
+    odd : OutlierTrial or None
         The trial that contradicts the others.
     unpredicted : mapping of trial to float
         Validation trials that the model with the causes does not predict, and by how many times each is off;
@@ -121,7 +121,7 @@ class Judgement:
     reasons: tuple[str, ...] = ()
     unsure: tuple[str, ...] = ()
     refuted: tuple[str, ...] = ()
-    odd: Odd | None = None
+    odd: OutlierTrial | None = None
     unpredicted: Mapping[str, float] = field(default_factory=dict)
     unreproduced: Mapping[str, float] = field(default_factory=dict)
 
@@ -373,7 +373,7 @@ def differs(state: State) -> list[str]:
 
 def contradicting(
     context: FitContext, nominal: Fit, residuals: Sequence[Array], floor: Mapping[str, float]
-) -> Odd | None:
+) -> OutlierTrial | None:
     """The trial that has most of the gap, if the others do not predict it as they predict one another.
 
     Parameters
@@ -396,7 +396,9 @@ def contradicting(
         for p in context.parameters
     ]
     try:
-        return odd_trial(output_error.fit(context.model, context.trials, parameters=here, tested=False))
+        return find_outlier_trial(
+            output_error.fit(context.model, context.trials, parameters=here, tested=False)
+        )
     except NoTrustworthyResult:
         return None
 

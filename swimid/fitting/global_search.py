@@ -75,7 +75,7 @@ def multistart(
     parameters = tuple(parameters or model.parameters)
     problem = Problem(model, parameters, [t for t in trials if t.role == "fit"])
     rng = np.random.default_rng(seed)
-    low, high = problem.box()
+    low, high = problem.search_range()
     given = [problem.start] if begins is None else list(begins)
     best: FitResult | None = None
     ends: list[Start] = []
