@@ -271,11 +271,16 @@ class OutlierTrial:
 
 
 def find_outlier_trial(result: FitResult) -> OutlierTrial | None:
-    """Find the trial that does not agree with the others; None if there is none, or a fit of the others fails.
+    """Find the trial that does not agree with the others.
 
     The suspect is the trial whose absence lowers the residuals of the rest most. Its prediction error is
     compared with those of the other trials, each predicted from the rest. What the model lacks in all trials
     is in these errors too, so that it makes no trial an outlier.
+
+    Returns
+    -------
+    OutlierTrial or None
+        None if there is none, or a fit of the others fails.
     """
     names = [t.id for t in result.trials if t.role == "fit"]
     if len(names) < MIN_TRIALS:
