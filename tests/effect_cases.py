@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from swimid.effects.affected import Affected
-from swimid.effects.base import Effect
+from swimid.effects.base import Affected, Effect
 from swimid.fitting.drives import Beat, RigInput, SwimInput
 from swimid.fitting.model import Model, Trial
 from swimid.rig import model as rig

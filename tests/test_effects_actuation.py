@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from swimid.blackbox.difference import Orders
 from swimid.blackbox.model import ArxModel
 from swimid.effects import actuation
-from swimid.effects.affected import Affected
+from swimid.effects.base import Affected
 from swimid.fitting import drives
 from swimid.fitting.drives import CruiseInput, SurgeInput, SwimInput
 from swimid.fitting.hooks import Hooks, Stroke

@@ -12,7 +12,7 @@ from scipy.optimize import fsolve
 from swimid.blackbox.difference import Orders
 from swimid.blackbox.model import ArxModel
 from swimid.effects import sensing
-from swimid.effects.affected import Affected
+from swimid.effects.base import Affected
 from swimid.fitting import drives
 from swimid.fitting.drives import CruiseInput, RigInput, SurgeInput, SwimInput
 from swimid.fitting.model import Trial

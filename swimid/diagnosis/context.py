@@ -14,8 +14,7 @@ from swimid.diagnosis.folds import Folds, folds, stretches
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.diagnosis.nominal import OWN_PRIOR
 from swimid.diagnosis.random_effects import RandomEffect
-from swimid.effects.affected import Affected
-from swimid.effects.base import Effect
+from swimid.effects.base import Affected, Effect
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.parallel import mapped
 from swimid.fitting.problem import Problem, Solution, minimise

@@ -202,9 +202,10 @@ class Front:
 
 
 def knee(objectives: Array) -> int:
-    """Return the point nearest to the best of every objective, shape (n, m), each over its range on the front.
+    """Return the point nearest to the best of every objective, each over its range on the front.
 
-    This is the ideal-point rule (Miettinen 1999, Nonlinear Multiobjective Optimization, section 2.2).
+    The objectives have the shape (n, m). This is the ideal-point rule (Miettinen 1999, Nonlinear
+    Multiobjective Optimization, section 2.2).
 
     >>> knee(np.array([[0.0, 1.0], [0.2, 0.2], [1.0, 0.0]]))
     1

@@ -261,7 +261,7 @@ def _independent(residual: Array) -> float:
 
 
 def gain(before: Errors, after: Errors) -> float:
-    """Return twice the logarithm of the likelihood ratio of a trial, from the independent samples that remain."""
+    """Return twice the logarithm of a trial's likelihood ratio, from the independent samples that remain."""
     shared = [name for name in after if name in before]
     return float(
         sum(2.0 * after[n].independent * math.log(before[n].relative / after[n].relative) for n in shared)

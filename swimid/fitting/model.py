@@ -482,7 +482,9 @@ def chosen(
 
 
 class Scales:
-    """Typical sizes in the trials of a model. A model that knows more of its forces and masses overrides them.
+    """Typical sizes in the trials of a model.
+
+    A model that knows more of its forces and masses overrides them.
 
     Parameters
     ----------
@@ -501,18 +503,18 @@ class Scales:
     @property
     def duration(self) -> float:
         """Median duration of a trial, s; 1 if unknown."""
-        return _median([float(t.time_s[-1] - t.time_s[0]) for t in self.trials if len(t.time_s) > 1], 1.0)
+        return typical([float(t.time_s[-1] - t.time_s[0]) for t in self.trials if len(t.time_s) > 1], 1.0)
 
     @property
     def speed(self) -> float:
         """Typical speed, m/s (rad/s for an angle); 0.1 if unknown."""
-        return _median([v for t in self.trials if (v := _speed(t)) is not None], 0.1)
+        return typical([v for t in self.trials if (v := _speed(t)) is not None], 0.1)
 
     @property
     def span(self) -> float:
         """Typical extent of the motion, m (rad for an angle); 1 if unknown."""
         series = [t.measured[name] for t in self.trials for name in self.places if name in t.measured]
-        return _median([float(np.nanmax(s) - np.nanmin(s)) for s in series if np.isfinite(s).any()], 1.0)
+        return typical([float(np.nanmax(s) - np.nanmin(s)) for s in series if np.isfinite(s).any()], 1.0)
 
     @property
     def inertia(self) -> float:
@@ -535,8 +537,8 @@ class Scales:
         return 0.0
 
 
-def _median(values: Sequence[float], otherwise: float) -> float:
-    """Return the median, or another value if there is none or it is zero."""
+def typical(values: Sequence[float], otherwise: float) -> float:
+    """Return the median of values, or another value if there is none or the median is zero."""
     return (float(np.median(values)) or otherwise) if values else otherwise
 
 
