@@ -428,9 +428,8 @@ class Waves(Effect):
         if "force" not in model.offers:
             return []
         found: list[Waves] = []
-        along = f"{model.axes[0]}_m"
         tracked = len(model.axes) == 2 and all(
-            along in t.measured and np.isfinite(t.measured[along]).sum() > ORDER for t in trials
+            np.isfinite(t.measured.get(f"{model.axes[0]}_m", math.nan)).sum() > ORDER for t in trials
         )
         for axis in model.axes:
             strongest = lines(model, trials, axis)

@@ -118,7 +118,7 @@ def sandwich(
     null = size == 0
     size = np.where(null, 1.0, size)
     u, singular, vt = np.linalg.svd(j / size, full_matrices=False)
-    good = singular > 1e-8 * singular[0] if singular[0] > 0 else np.zeros(len(singular), bool)
+    good = (singular > 1e-8 * singular[0]) & (singular[0] > 0)
     # a parameter with a part in a direction that the data do not see is not identifiable
     null |= (np.abs(vt[~good]) > 1e-3).any(axis=0)
     ends = np.cumsum([0, *(len(r) for r in residuals)])
@@ -172,7 +172,9 @@ def _scatter(
     if degrees < 1:
         return 1.0, 1.0
     p_value = float(special.chdtrc(degrees, statistic))
-    return (max(math.sqrt(statistic / degrees), 1.0) if p_value < HETEROGENEITY else 1.0), p_value
+    if p_value >= HETEROGENEITY:
+        return 1.0, p_value
+    return max(math.sqrt(statistic / degrees), 1.0), p_value
 
 
 # ---------------------------------------------------------------- identifiability
@@ -209,8 +211,8 @@ class Combination:
         """The sum in words, ``c_f0 + 0.31 c_f13 = 0.0123 ± 0.0002``."""
         terms = ""
         for label, weight in self.weights.items():
-            divisor = self.divisors.get(label, "")
-            label = f"{label}/({divisor})" if divisor else label
+            if label in self.divisors:
+                label = f"{label}/({self.divisors[label]})"
             factor = f"{abs(weight):.2g} ".removeprefix("1 ")
             terms += f"{' - ' if weight < 0 else ' + '}{factor}{label}"
         first = "-" if terms.startswith(" - ") else ""
@@ -259,7 +261,9 @@ def combinations(result: FitResult) -> list[Combination]:
         if singular[0] * UNIDENTIFIABLE < 1.0:
             continue
         kept = np.where(np.abs(vt[0]) < NEGLIGIBLE * np.abs(vt[0]).max(), 0.0, vt[0])
-        direction = kept if _sd(kept, singular, vt) * singular[0] <= 1.1 else vt[0]
+        direction = vt[0]
+        if _sd(kept, singular, vt) * singular[0] <= 1.1:
+            direction = kept
         units = [result.parameter(g).unit for g in group]
         alike = len(set(units)) == 1
         counted, divisors = np.ones(len(group)), {}
@@ -328,10 +332,8 @@ def ranked(result: FitResult) -> list[tuple[str, float]]:
     r, order = linalg.qr(_marginal(result, index), mode="r", pivoting=True)
     own = np.zeros(len(index))
     own[: min(r.shape)] = np.abs(np.diag(r))
-    return [
-        (result.labels[index[j]], float(own[k] / whole[j]) if whole[j] > 0 else 0.0)
-        for k, j in enumerate(order)
-    ]
+    shares = own / np.where(whole[order] > 0, whole[order], np.inf)
+    return [(result.labels[index[j]], float(share)) for j, share in zip(order, shares, strict=True)]
 
 
 def _sizes(result: FitResult) -> Array:

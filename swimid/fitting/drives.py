@@ -49,10 +49,12 @@ def straight(time_s: Array) -> Motion:
     return zero, zero, zero
 
 
-def _ramped(time_s: Array, ramp_s: float, motion: Motion) -> Motion:
-    """Return a motion that is eased in from time zero on."""
+def _ramped(drive: Beat | Cycle, time_s: Array, motion: Motion) -> Motion:
+    """Return a motion that is eased in from time zero on; unchanged if it is steady."""
+    if drive.steady:
+        return motion
     value, rate, bend = motion
-    ease, slope, curve = smoothstep(time_s, ramp_s)
+    ease, slope, curve = smoothstep(time_s, drive.ramp_s)
     return value * ease, rate * ease + value * slope, bend * ease + 2.0 * rate * slope + value * curve
 
 
@@ -105,8 +107,7 @@ class Beat:
             ends = [self._wave(time_s + side * cell_s, phase)[1] for side in (-0.5, 0.5)]
             bend = (ends[1] - ends[0]) / cell_s
         a, b = gain * self.amplitude_rad, bias_gain * self.bias_rad
-        whole = (a * value + b, a * rate, a * bend)
-        return whole if self.steady else _ramped(time_s, self.ramp_s, whole)
+        return _ramped(self, time_s, (a * value + b, a * rate, a * bend))
 
     def _wave(self, time_s: Array, phase_rad: float) -> Motion:
         omega = 2.0 * math.pi * self.frequency_hz
@@ -197,15 +198,16 @@ class Cycle:
         angles = np.radians(self.law.angles_deg[hinge])
         spline = interpolate.CubicSpline(knots, angles, bc_type="periodic")
         begun = self.frequency_hz * time_s
-        first_cycle, last_cycle = (-math.inf, math.inf) if self.steady else (0.0, self.cycles)
+        first_cycle, last_cycle = 0.0, self.cycles
+        if self.steady:
+            first_cycle, last_cycle = -math.inf, math.inf
         share = np.clip(begun, first_cycle, last_cycle) + (self.phase_rad + phase_rad) / (2.0 * math.pi)
         at = np.mod(share, 1.0)
         f = self.frequency_hz * ((begun >= first_cycle) & (begun <= last_cycle))
         first = float(angles[0])
         value = self.scale * (spline(at) - first)
         rate, bend = self.scale * f * spline(at, 1), self.scale * f**2 * spline(at, 2)
-        whole = (value, rate, bend)
-        angle, rate, bend = whole if self.steady else _ramped(time_s, self.ramp_s, whole)
+        angle, rate, bend = _ramped(self, time_s, (value, rate, bend))
         return first + angle, rate, bend
 
 
@@ -232,12 +234,12 @@ class RigInput:
     @property
     def pull(self) -> float:
         """Constant force, N; 0 if there is none."""
-        return 0.0 if self.force is None else self.force
+        return self.force or 0.0
 
     @property
     def begin_s(self) -> float:
         """Time of release, s."""
-        return 0.0 if self.release_s is None else self.release_s
+        return self.release_s or 0.0
 
 
 @dataclass(frozen=True)
@@ -258,7 +260,7 @@ class SwimInput:
     @property
     def drive(self) -> Beat | Cycle | None:
         """Beat or stroke; None if measured joints, or nothing, move the robot."""
-        return self.stroke if self.beat is None else self.beat
+        return self.beat or self.stroke
 
     @property
     def steady(self) -> bool:
@@ -280,7 +282,7 @@ class SwimInput:
 
     def posed(self, count: int = 3) -> tuple[float, ...]:
         """Return the start pose; the origin if unknown."""
-        return (0.0,) * count if self.pose is None else self.pose
+        return self.pose or (0.0,) * count
 
 
 @dataclass(frozen=True)

@@ -46,8 +46,8 @@ class Experiment:
 
 def inputs_of(path: Path, entries: Trials, logs: Sequence[Input]) -> list[Input]:
     """Return trials file, robot file and logs, for the provenance."""
-    listing = [] if entries._in_memory else [path]
-    return [*listing, locate(entries.robot, path.parent), *logs]
+    files = [locate(entries.robot, path.parent), *logs]
+    return files if entries._in_memory else [path, *files]
 
 
 def read_log(
@@ -98,8 +98,8 @@ def _measured_anew(log: Log) -> Log:
         f"{log.path.name}: {len(at)} of {len(log)} samples repeat the position before and are left out: the "
         "log is written faster than it is measured",
     )
-    masked = {n: np.where(repeats, np.nan, v) if n in shown else v for n, v in log.columns.items()}
-    return replace(log, columns=masked)
+    masked = {n: np.where(repeats, np.nan, log[n]) for n in shown}
+    return replace(log, columns={**log.columns, **masked})
 
 
 def warn_mass(name: str, value: float, against: float, file: Path) -> None:

@@ -113,7 +113,9 @@ def multistart(
         assert failure is not None
         raise failure
     threads = jobs or os.cpu_count() or 1
-    found = output_error.held_to_restarts(best, jobs=threads) if best.converged else best
+    found = best
+    if best.converged:
+        found = output_error.held_to_restarts(best, jobs=threads)
     others = [r for r in results if r is not best]
     evaluations = found.evaluations + sum(r.evaluations for r in others)
     return replace(

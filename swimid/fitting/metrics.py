@@ -129,7 +129,7 @@ class FitResult:
 
     def at_estimates(self) -> tuple[Parameter, ...]:
         """Return the parameters; shared ones start at their estimates."""
-        return tuple(p if p.per_trial else replace(p, start=self.value(p.name)) for p in self.parameters)
+        return tuple(replace(p, start=self.value(p.name)) for p in self.parameters)
 
     def stderr(self, label: str) -> float | None:
         """Return the standard error of an estimate, or None if it has none."""
@@ -141,16 +141,16 @@ class FitResult:
 
     def value(self, name: str, trial: str | None = None) -> float:
         """Return the value of a parameter, estimated or fixed; of one trial if it is per trial."""
-        label = name if trial is None else f"{name}[{trial}]"
-        if label in self.labels:
-            return float(self.estimate[self.labels.index(label)])
-        if label in self.start_states:
-            return self.start_states[label]
+        for label in (f"{name}[{trial}]", name):
+            if label in self.labels:
+                return float(self.estimate[self.labels.index(label)])
+            if label in self.start_states:
+                return self.start_states[label]
         return next(p.start for p in self.parameters if p.name == name)
 
     def values(self, trial: str) -> Array:
         """Return the values of all parameters in one trial."""
-        return np.array([self.value(p.name, trial if p.per_trial else None) for p in self.parameters])
+        return np.array([self.value(p.name, trial) for p in self.parameters])
 
 
 # ---------------------------------------------------------------- errors
@@ -202,12 +202,19 @@ def _scored(error: Array, span: float, variance: float, missed: float) -> Score:
     rmse = float(np.sqrt(np.mean(error**2)))
     return Score(
         rmse=rmse,
-        nrmse=rmse / span if span > 0 else np.nan,
-        vaf=1.0 - missed / variance if variance > 0 else np.nan,
-        fit_percent=100.0 * (1.0 - rmse / math.sqrt(variance)) if variance > 0 else np.nan,
+        nrmse=_ratio(rmse, span),
+        vaf=1.0 - _ratio(missed, variance),
+        fit_percent=100.0 * (1.0 - _ratio(rmse, math.sqrt(variance))),
         bias=float(np.mean(error)),
         samples=len(error),
     )
+
+
+def _ratio(value: float, size: float) -> float:
+    """Return a value over a size; NaN unless the size is positive."""
+    if size > 0:
+        return value / size
+    return math.nan
 
 
 def score_trials(parts: Sequence[tuple[Array, Array]], *, own_motion: bool) -> Score:
@@ -246,8 +253,9 @@ def score_trials(parts: Sequence[tuple[Array, Array]], *, own_motion: bool) -> S
 
 def pose_channels(model: Model) -> tuple[str, ...]:
     """Return the channels of the pose of a robot that moves freely; none for any other model."""
-    swimmer = model.swimmer
-    return tuple(swimmer.pose) if swimmer is not None and swimmer.free_base else ()
+    if model.swimmer is None or not model.swimmer.free_base:
+        return ()
+    return tuple(model.swimmer.pose)
 
 
 def own_axes(
@@ -305,7 +313,7 @@ def peak_error(measured: Array, simulated: Array) -> tuple[float, float]:
         return np.nan, np.nan
     peak = float(np.max(np.abs(y)))
     error = abs(peak - float(np.max(np.abs(z))))
-    return error, error / peak if peak > 0 else np.nan
+    return error, _ratio(error, peak)
 
 
 def dtw_distance(measured: Array, simulated: Array, *, band: int) -> float:
@@ -426,20 +434,20 @@ def error_checks(
     held_out : bool
         The trials were held out.
     """
-    where = "held-out error" if held_out else "error"
+    where = "held-out " if held_out else ""
     found = []
     for name, score in scores.items():
-        check = share_check(f"{where} of {name}", score.nrmse, GOOD, USABLE, "measured range")
+        check = share_check(f"{where}error of {name}", score.nrmse, GOOD, USABLE, "measured range")
         if name in set(noise) and check.verdict != "pass":
             text = "the residuals are white: noise alone is left"
             check = ev.check(check.name, check.value, None, text=text)
         found.append(check)
-    for name in fitted:
-        vaf = scores[name].vaf if name in scores else None
+    for name in (name for name in fitted if name in scores):
+        vaf = scores[name].vaf
         if vaf is not None and vaf < 0.0:
             found.append(
                 ev.check(
-                    f"{'held-out ' if held_out else ''}variance accounted for, {name}",
+                    f"{where}variance accounted for, {name}",
                     numbers.percent(vaf),
                     False,
                     "≥ 0 %",

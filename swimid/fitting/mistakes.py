@@ -28,6 +28,20 @@ from swimid.results import numbers
 #: Factors between units of length that are confused.
 FACTORS = (10.0, 100.0, 1000.0, 0.1, 0.01, 0.001)
 DEGREE = math.pi / 180.0
+#: Factors on the amplitude of a drive, and on the motion of all driven joints.
+AMPLITUDES = {
+    "twice the amplitude of the drive": 2.0,
+    "half the amplitude of the drive": 0.5,
+    "the amplitude of the drive taken as radians": 1.0 / DEGREE,
+    "the amplitude of the drive multiplied by pi/180": DEGREE,
+}
+JOINTS = {
+    "the signs of all driven joints changed": -1.0,
+    "the driven joints taken as degrees": DEGREE,
+    "the driven joints multiplied by 180/pi": 1.0 / DEGREE,
+    "the driven joints multiplied by 2": 2.0,
+    "the driven joints multiplied by 0.5": 0.5,
+}
 #: Twice the logarithm of a Bayes factor that is decisive (Kass and Raftery, J. Am. Stat. Assoc. 90, 1995).
 #: Twice the logarithm of the number of alternatives comes on top.
 DECISIVE = 10.0
@@ -126,37 +140,18 @@ def catalogue(model: Model, trials: Sequence[Trial]) -> list[Mistake]:
     for name in (n for n in names if units.get(n) == "rad"):
         found.append(_changed(model, f"{name} taken as degrees", {name: DEGREE}))
         found.append(_changed(model, f"{name} multiplied by 180/pi", {name: 1.0 / DEGREE}))
-    groups = [tuple(place)] if place else []
-    groups += [(name,) for name in names if name in units and name not in place]
-    for group in groups:
-        if units[group[0]] != "rad":
-            found += [
-                _changed(
-                    model, f"{' and '.join(group)} multiplied by {factor:g}", dict.fromkeys(group, factor)
-                )
-                for factor in FACTORS
-            ]
-    amplitudes = {
-        "twice the amplitude of the drive": 2.0,
-        "half the amplitude of the drive": 0.5,
-        "the amplitude of the drive taken as radians": 1.0 / DEGREE,
-        "the amplitude of the drive multiplied by pi/180": DEGREE,
-    }
-    found += [Mistake(says, partial(_driven, factor=factor)) for says, factor in amplitudes.items()]
+    groups = [tuple(place), *((name,) for name in names if name in units and name not in place)]
+    for group in (group for group in groups if group and units[group[0]] != "rad"):
+        for factor in FACTORS:
+            says = f"{' and '.join(group)} multiplied by {factor:g}"
+            found.append(_changed(model, says, dict.fromkeys(group, factor)))
+    found += [Mistake(says, partial(_driven, factor=factor)) for says, factor in AMPLITUDES.items()]
     joints = max((len(t.swim.joints) for t in trials if t.swim.joints is not None), default=0)
     for k in range(joints):
-        found.append(
-            Mistake(f"the sign of driven joint {k + 1} changed", partial(_joint, factor=-1.0, number=k))
-        )
+        says = f"the sign of driven joint {k + 1} changed"
+        found.append(Mistake(says, partial(_joint, factor=-1.0, number=k)))
     if joints:
-        factors = {
-            "the signs of all driven joints changed": -1.0,
-            "the driven joints taken as degrees": DEGREE,
-            "the driven joints multiplied by 180/pi": 1.0 / DEGREE,
-            "the driven joints multiplied by 2": 2.0,
-            "the driven joints multiplied by 0.5": 0.5,
-        }
-        found += [Mistake(says, partial(_joint, factor=factor)) for says, factor in factors.items()]
+        found += [Mistake(says, partial(_joint, factor=factor)) for says, factor in JOINTS.items()]
     swimmer = model.swimmer
     if swimmer is not None and not swimmer.in_space:
         found.append(Mistake("a start in steady swimming (start_state: steady)", _steady))
@@ -239,7 +234,9 @@ def misfits(trial: Trial, simulated: Mapping[str, Array]) -> dict[str, Misfit]:
     place = [name for name in ("x_m", "y_m") if name in ranges]
     found = {}
     for name in (n for n in ranges if math.isfinite(scores[n].nrmse)):
-        group = place if name in place else [name]
+        group = [name]
+        if name in place:
+            group = place
         error = math.hypot(*(scores[n].rmse for n in group)) / math.hypot(*(ranges[n] for n in group))
         residual = measured[name] - simulated[name]
         found[name] = Misfit(max(scores[name].nrmse, 1e-9), max(error, 1e-9), _independent(residual))

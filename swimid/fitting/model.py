@@ -82,10 +82,8 @@ class Parameter:
     @property
     def bounds(self) -> tuple[float | None, float | None]:
         """Bounds as files hold them, None for infinity."""
-        return (
-            self.lower if math.isfinite(self.lower) else None,
-            self.upper if math.isfinite(self.upper) else None,
-        )
+        lower, upper = (b if math.isfinite(b) else None for b in (self.lower, self.upper))
+        return lower, upper
 
 
 @dataclass(frozen=True)
@@ -283,7 +281,9 @@ class Model(ABC):
 
     def onset(self, trial: Trial) -> float:
         """Return the begin of the run, s: zero with a drive, else the first sample of the log."""
-        return float(trial.time_s[0]) if trial.swim.drive is None else 0.0
+        if trial.swim.drive is not None:
+            return 0.0
+        return float(trial.time_s[0])
 
     def beats(self, trials: Sequence[Trial]) -> list[float]:
         """Return the known frequencies of the drive, Hz."""
@@ -539,7 +539,9 @@ class Scales:
 
 def typical(values: Sequence[float], otherwise: float) -> float:
     """Return the median of values, or another value if there is none or the median is zero."""
-    return (float(np.median(values)) or otherwise) if values else otherwise
+    if not len(values):
+        return otherwise
+    return float(np.median(values)) or otherwise
 
 
 def _speed(trial: Trial) -> float | None:

@@ -104,7 +104,7 @@ def estimate(
             if np.any(shape > 0):
                 sd = np.maximum(shape, 0.05 * np.median(shape)) * (constant or 1e-15)
             else:
-                sd = np.sqrt(constant**2 + (stamp * rate) ** 2) if free else np.full(len(rate), constant)
+                sd = np.sqrt(constant**2 + (free * stamp * rate) ** 2)
             largest = np.nanmax(np.abs(problem.trials[k].measured[channel]))
             problem.sd[k][i] = np.maximum(sd, 1e-12 * max(1e-6, largest))
             if robust:
@@ -454,7 +454,7 @@ def independence(
     e, e_there = _centred(residuals)
     u, u_there = _centred(source)
     top = default_lags(int(np.count_nonzero(e_there)))
-    number = top if lags is None else lags
+    number = lags or top
     means, pairs = _lagged_means(e, e_there, u, u_there, np.arange(first, first + number))
     if not np.all(pairs) or _deviation(e, e_there) == 0 or _deviation(u, u_there) == 0:
         return TestResult(0.0, number, 1.0)
@@ -551,7 +551,7 @@ def long_run_covariance(scores: np.ndarray) -> np.ndarray:
     for column in np.where(there[:, None], scores, np.nan).T:
         correlation = autocorrelation(column)
         outside = np.abs(correlation.values[1:]) > correlation.bound[1:]
-        memory = max(memory, len(outside) if np.all(outside) else int(np.argmin(outside)))
+        memory = max(memory, int(np.argmin(np.append(outside, False))))
     lags = max(int(4 * (max(n, 1) / 100) ** (2 / 9)), 2 * memory)
     rows = np.where(there[:, None], scores, 0.0)
     covariance = rows.T @ rows

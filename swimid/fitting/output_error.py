@@ -235,7 +235,9 @@ def at(
     task = _Task(model, tuple(trials), tuple(parameters or model.parameters), jobs or os.cpu_count() or 1)
     result = _fit_once(task, point)
     finer = model.refined()
-    return result if finer is None else replace(result, step_error=_step_error(result, finer))
+    if finer is None:
+        return result
+    return replace(result, step_error=_step_error(result, finer))
 
 
 def _step_error(result: FitResult, finer: Model) -> float:
@@ -285,7 +287,9 @@ def _fit_once(
         )
     search.estimate_noise()
     result = _result(search, task)
-    reason = None if search.interrupted or budget is None else _unfinished(search, result)
+    if search.interrupted or budget is None:
+        return result
+    reason = _unfinished(search, result)
     return result if reason is None else replace(result, converged=False, message=reason)
 
 
@@ -389,9 +393,9 @@ class _Search:
 def _unfinished(search: _Search, result: FitResult) -> str | None:
     """Return the reason why the end of a search is no minimum; None if it is one to within noise."""
     moving = {}
-    lowered, moved = search.patience.last(STRIDE) if search.patience.path else (math.inf, np.empty(0))
-    if len(moved) and (not search.converged or search.message == STALLED):
-        for label, move in zip(result.labels, moved, strict=True):
+    lowered, moved = search.patience.last(STRIDE)
+    if not search.converged or search.message == STALLED:
+        for label, move in zip(result.labels, moved, strict=False):
             error = result.stderr(label)
             if "[" not in label and result.status[label] == "estimated" and error:
                 moving[label] = abs(float(move)) / error
@@ -408,7 +412,9 @@ def _unfinished(search: _Search, result: FitResult) -> str | None:
     if still and worst is not None and math.isfinite(moving[worst]):
         said += f", and the last {STRIDE} moved {worst} by {moving[worst]:.2g} standard errors"
     bound = [label for label in result.shared if result.status[label] == "at-bound"]
-    return said + (f"; {', '.join(bound)} at a bound" if bound else "")
+    if bound:
+        said += f"; {', '.join(bound)} at a bound"
+    return said
 
 
 def _insist_unbroken(problem: Problem, theta: Array) -> None:
@@ -604,7 +610,6 @@ def with_held_out(result: FitResult) -> FitResult:
     result = replace(result, start_states=found)
     simulated = {t.id: result.model.simulate(result.values(t.id), t) for t in waiting}
     series = [
-        replace(s, simulated=simulated[s.trial][s.channel]) if s.trial in simulated else s
-        for s in result.series
+        replace(s, simulated=simulated.get(s.trial, {}).get(s.channel, s.simulated)) for s in result.series
     ]
     return replace(result, series=series)

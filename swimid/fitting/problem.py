@@ -593,6 +593,8 @@ class Patience:
 
     def last(self, steps: int) -> tuple[float, Array]:
         """Return the decrease of the cost over the last steps, and the moves; infinite for fewer steps."""
+        if not self.path:
+            return math.inf, np.empty(0)
         x, cost = self.path[-1]
         if len(self.path) <= steps:
             return math.inf, np.full(len(x), math.inf)

@@ -104,9 +104,10 @@ def _better(problem: Problem, result: FitResult, rng: np.random.Generator) -> tu
             rough = abs(off) > KINK_SHARE * max(predicted, variance) and not _smooth(
                 problem, theta, rows, step, off
             )
+    distances = KINK_DISTANCES if rough else SMOOTH_DISTANCES
     starts = [
         np.clip(theta + far * steps @ _unit(rng, len(theta)), problem.lower, problem.upper)
-        for far in (KINK_DISTANCES if rough else SMOOTH_DISTANCES)
+        for far in distances
     ]
     starts += _inside(problem, result, theta, rough)
     tolerance = 0.1 * material / max(here, 1e-300)
@@ -123,7 +124,9 @@ def _better(problem: Problem, result: FitResult, rng: np.random.Generator) -> tu
             if cost >= here - material and after > 0.5 * before:
                 ends += _searched(problem, [step_only.x], SHORT_ITERATIONS, tolerance)
     cost, point = min(ends, key=lambda pair: pair[0])
-    return (point if cost < here - material else None), rough
+    if cost >= here - material:
+        return None, rough
+    return point, rough
 
 
 def _smooth(problem: Problem, theta: Array, rows: Array, step: Array, off: float) -> bool:
@@ -196,7 +199,9 @@ def _inside(problem: Problem, result: FitResult, theta: Array, rough: bool) -> l
             values = [problem.lower[j] + INSIDE * problem.scale[j]]
         elif problem.upper[j] - theta[j] < margin[j]:
             values = [problem.upper[j] - INSIDE * problem.scale[j]]
-        for value in values if not per_trial or rough else []:
+        if per_trial and not rough:
+            continue
+        for value in values:
             point = theta.copy()
             point[j] = np.clip(value, problem.lower[j], problem.upper[j])
             found.append(point)
@@ -226,12 +231,13 @@ def profile_interval(
     inflation = stderr**2 / white if white > 0 else 1.0
     limit = float(special.chdtri(1, 1.0 - level)) * variance * inflation
     centre, others = float(result.estimate[j]), np.delete(result.estimate, j)
+    parameter = result.parameter(name)
 
     def excess(value: float) -> float:
-        held = tuple(replace(p, start=value, free=False) if p.name == name else p for p in result.parameters)
-        return weighted(result, held).solve(others, tolerance=1e-8).cost - cost - limit
+        held = list(result.parameters)
+        held[held.index(parameter)] = replace(parameter, start=value, free=False)
+        return weighted(result, tuple(held)).solve(others, tolerance=1e-8).cost - cost - limit
 
-    parameter = result.parameter(name)
     ends: list[float | None] = []
     for side, bound in ((-1.0, parameter.lower), (1.0, parameter.upper)):
         near, end = centre, None
