@@ -30,7 +30,7 @@ class AmplitudeLoss(common.Actuation):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the share that is lost."""
-        return (parameter("loss", "1", 0.05, "share of the amplitude lost", lower=-0.5, upper=0.95),)
+        return (parameter("loss", "1", 0.05, "share of the amplitude lost", -0.5, 0.95),)
 
     def followed(self, value: float, time_s: Array, angle: Array) -> Array:
         """Return the reduced command."""
@@ -65,7 +65,7 @@ class AmplitudeOffset(common.Actuation):
         """Return the angle of each driven joint, in the unit of its command."""
         size = common.amplitude(model, trials)
         most, words = 0.9 * size, "constant angle off"
-        return (parameter("offset_rad", "rad", 0.05 * size, words, lower=-most, upper=most),)
+        return (parameter("offset_rad", "rad", 0.05 * size, words, -most, most),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Add the trim to the command, and reduce the amplitude of a steady beat."""
@@ -201,8 +201,7 @@ class ServoBacklash(common.Actuation):
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the whole width of the play of each joint, in the unit of its command."""
         size = common.amplitude(model, trials)
-        words = "whole width of the play"
-        return (parameter("backlash_rad", "rad", 0.1 * size, words, lower=0.0, upper=1.9 * size),)
+        return (parameter("backlash_rad", "rad", 0.1 * size, "whole width of the play", 0.0, 1.9 * size),)
 
     def followed(self, value: float, time_s: Array, angle: Array) -> Array:
         """Return the command after the play."""
@@ -240,8 +239,7 @@ class ServoDelay(common.Actuation):
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the delay, s."""
         beat = common.period(model, trials)
-        words = "delay of the joints' commands"
-        return (parameter("delay_s", "s", 0.04 * beat, words, lower=0.0, upper=beat),)
+        return (parameter("delay_s", "s", 0.04 * beat, "delay of the joints' commands", 0.0, beat),)
 
     def followed(self, value: float, time_s: Array, angle: Array) -> Array:
         """Return the delayed command."""
@@ -277,8 +275,7 @@ class ServoLag(common.Actuation):
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the time constant, s."""
         beat = common.period(model, trials)
-        words = "time constant of the servos"
-        return (parameter("time_constant_s", "s", 0.04 * beat, words, lower=0.0, upper=beat),)
+        return (parameter("time_constant_s", "s", 0.04 * beat, "time constant of the servos", 0.0, beat),)
 
     def followed(self, value: float, time_s: Array, angle: Array) -> Array:
         """Return the command after the lag."""
@@ -351,8 +348,8 @@ class Slip(common.Actuation):
         longest = max(float(t.time_s[-1] - t.time_s[0]) for t in trials) or lasting
         when = "time after the first sample at which half of it is lost"
         return (
-            parameter("loss", "1", 0.1, "share of the command lost", lower=0.0, upper=0.95),
-            parameter("begin_s", "s", 0.1 * lasting, when, lower=0.0, upper=longest, start=0.5 * lasting),
+            parameter("loss", "1", 0.1, "share of the command lost", 0.0, 0.95),
+            parameter("begin_s", "s", 0.1 * lasting, when, 0.0, longest, start=0.5 * lasting),
         )
 
     def tries(self, parameters: Parameters) -> list[Array]:

@@ -37,9 +37,9 @@ def parameter(
     unit: str,
     scale: float,
     meaning: str,
-    *,
     lower: float = -math.inf,
     upper: float = math.inf,
+    *,
     start: float = 0.0,
     per_trial: bool = False,
 ) -> Parameter:

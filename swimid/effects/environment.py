@@ -95,7 +95,7 @@ class Current(Effect):
         size = model.scales(trials).speed
         most, words = MOST_CURRENT * size, "velocity of the water along"
         return tuple(
-            parameter(f"c{axis}_m_s", "m/s", 0.1 * size, f"{words} {axis}", lower=-most, upper=most)
+            parameter(f"c{axis}_m_s", "m/s", 0.1 * size, f"{words} {axis}", -most, most)
             for axis in model.axes
         )
 
@@ -231,7 +231,7 @@ class Tether(Effect):
         stiffness = 0.3 * scales.force / size
         pull = (
             parameter("stiffness_N_m", "N/m", stiffness, "pull of the tether per length", lower=0.0),
-            parameter("slack_m", "m", 0.2 * size, "length before it pulls", lower=0.0, upper=size),
+            parameter("slack_m", "m", 0.2 * size, "length before it pulls", 0.0, size),
         )
         if model.timed_runs:
             return pull
@@ -241,7 +241,7 @@ class Tether(Effect):
         if model.body is None:
             return (*pull, line)
         words = "distance of the anchor behind the start"
-        return (*pull, line, parameter("behind_m", "m", 0.2 * size, words, lower=0.0, upper=size))
+        return (*pull, line, parameter("behind_m", "m", 0.2 * size, words, 0.0, size))
 
     def tries(self, parameters: Parameters) -> list[Array]:
         """Return a stiffness, without slack and with, or an anchor behind the start; a drag of the line."""
@@ -350,8 +350,7 @@ class Wall(Effect):
             first = parameter(f"{self.side}_gain", "1", 1.0, words, lower=0.0)
         lower, upper, start, size = (share * length for share in (0.1, 3.0, 0.5, 0.2))
         words = "length over which it decays"
-        name = f"{self.side}_decay_m"
-        return first, parameter(name, "m", size, words, lower=lower, upper=upper, start=start)
+        return first, parameter(f"{self.side}_decay_m", "m", size, words, lower, upper, start=start)
 
     def tries(self, parameters: Parameters) -> list[Array]:
         """Return the force, in which the change is nearly linear, at two decay lengths."""
@@ -502,9 +501,7 @@ class _Travelling(Waves):
         size = min(0.5 / max(long, 1e-3), deep)
         shared = [
             frequency,
-            parameter(
-                "wavenumber_rad_m", "rad/m", size, "wavenumber", lower=0.0, upper=4.0 * shallow, start=deep
-            ),
+            parameter("wavenumber_rad_m", "rad/m", size, "wavenumber", 0.0, 4.0 * shallow, start=deep),
         ]
         if model.axes[1] == "y":
             toward = 0.5 * math.pi * (self.axis != "x")

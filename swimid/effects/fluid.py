@@ -124,8 +124,7 @@ class DragReynolds(Effect):
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the exponent n."""
         name = "trial_exponent" if self.whole else "exponent"
-        words = "the drag coefficient falls as speed^-n"
-        return (parameter(name, "1", 0.2, words, lower=-1.5, upper=1.5),)
+        return (parameter(name, "1", 0.2, "the drag coefficient falls as speed^-n", -1.5, 1.5),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Add the difference to the model's quadratic drag, or change its coefficients."""
@@ -180,7 +179,7 @@ class LiftDamping(Effect):
         body = common.links(model)
         size = 0.1 * float(body.normal_drag(body.tables())[1][:, 2].sum())
         words = "force across the links per speed and speed across"
-        return (parameter("lift_N_s2_m2", "N s^2/m^2", size, words, lower=0.0, upper=100.0 * size),)
+        return (parameter("lift_N_s2_m2", "N s^2/m^2", size, words, 0.0, 100.0 * size),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Add points with lift."""
@@ -280,7 +279,7 @@ class WakeLift(Effect):
         plate = 0.25 * math.pi * body.density_kg_m3 * body.lengths_m[-1] ** 2
         words = "added mass per length at the trailing edge"
         most = MOST * plate
-        return (parameter("added_mass_kg_m", "kg/m", 0.1 * plate, words, lower=0.0, upper=most),)
+        return (parameter("added_mass_kg_m", "kg/m", 0.1 * plate, words, 0.0, most),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Add a trailing edge."""

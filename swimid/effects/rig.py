@@ -175,9 +175,9 @@ class StringStretch(Effect):
         words = "share of the weight that the string did not carry at release"
         string, ratio = "compliance of the string", "damping ratio of the weight on it"
         return (
-            parameter("compliance_m_N", "m/N", scale, string, lower=0.0, upper=100 * scale),
-            parameter("unloaded", "1", 0.5, words, lower=0.0, upper=1.0, start=1.0),
-            parameter("damping", "1", 0.2, ratio, lower=0.02, upper=0.95, start=0.2),
+            parameter("compliance_m_N", "m/N", scale, string, 0.0, 100 * scale),
+            parameter("unloaded", "1", 0.5, words, 0.0, 1.0, start=1.0),
+            parameter("damping", "1", 0.2, ratio, 0.02, 0.95, start=0.2),
         )
 
     def tries(self, parameters: Parameters) -> list[Array]:

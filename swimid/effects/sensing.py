@@ -32,7 +32,7 @@ class CameraRotation(Effect):
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the angle, rad."""
         words = "axes of the positions against those of the heading"
-        return (parameter("angle_rad", "rad", 0.03, words, lower=-math.pi, upper=math.pi),)
+        return (parameter("angle_rad", "rad", 0.03, words, -math.pi, math.pi),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Turn the positions."""
@@ -88,7 +88,7 @@ class CameraScale(common.Sensing):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the relative error of the scale."""
-        return (parameter("scale_error", "1", 0.03, "relative error of the lengths", lower=-0.5, upper=1.0),)
+        return (parameter("scale_error", "1", 0.03, "relative error of the lengths", -0.5, 1.0),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Scale positions and speeds."""
@@ -125,12 +125,12 @@ class _Lens(CameraScale):
             scale,
             parameter(
                 "distortion_1_m2", "1/m^2", 0.03 / reach**2, "radial distortion of the picture",
-                lower=-0.2 / reach**2, upper=0.5 / reach**2,
+                -0.2 / reach**2, 0.5 / reach**2,
             ),
             *(
                 parameter(
                     f"centre_{name}", "m", 0.5 * reach, "centre of the picture",
-                    lower=at - 3.0 * reach, upper=at + 3.0 * reach, start=at,
+                    at - 3.0 * reach, at + 3.0 * reach, start=at,
                 )
                 for name, at in ((first, middle.real), (second, middle.imag))
             ),
@@ -217,7 +217,7 @@ class ClockRate(Effect):
         """Return the share by which the log runs fast; 0.2 % are 20 ms after 10 s, a visible offset."""
         name = "camera_rate" if self.camera else "rate"
         words = "share by which the clock of the log is fast"
-        return (parameter(name, "1", 0.002, words, lower=-LARGEST, upper=LARGEST),)
+        return (parameter(name, "1", 0.002, words, -LARGEST, LARGEST),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Let the clock drift from the begin of the run."""
@@ -244,7 +244,7 @@ class ImuBias(common.Sensing):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the bias, rad/s."""
-        return (parameter("bias_rad_s", "rad/s", 0.02, "turn rate shown at rest", lower=-1.0, upper=1.0),)
+        return (parameter("bias_rad_s", "rad/s", 0.02, "turn rate shown at rest", -1.0, 1.0),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Add the bias to the turn rates."""
@@ -261,7 +261,7 @@ class ImuTilt(common.Sensing):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the tilt, rad."""
-        return (parameter("tilt_rad", "rad", 0.2, "tilt of the gyroscope's axis", lower=0.0, upper=1.4),)
+        return (parameter("tilt_rad", "rad", 0.2, "tilt of the gyroscope's axis", 0.0, 1.4),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Reduce the turn rates."""
@@ -319,7 +319,7 @@ class MarkerOffset(Effect):
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the tracked point ahead of and beside the reference point, m, and its direction, rad."""
         return tuple(
-            parameter(name, unit, size, words, lower=-most, upper=most)
+            parameter(name, unit, size, words, -most, most)
             for name, unit, size, words, most in (
                 ("along_m", "m", 0.01, "tracked point ahead of the reference", FARTHEST_M),
                 ("across_m", "m", 0.01, "tracked point beside the reference", FARTHEST_M),
@@ -394,8 +394,7 @@ class TimeOffset(Effect):
         """Return the time by which the log is late, s."""
         name = "camera_offset_s" if self.camera else "offset_s"
         typical = 0.1 if model.timed_runs else 0.03
-        words = "time by which the log is late"
-        return (parameter(name, "s", typical, words, lower=-LARGEST_S, upper=LARGEST_S),)
+        return (parameter(name, "s", typical, "time by which the log is late", -LARGEST_S, LARGEST_S),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Delay the clock, or lengthen the times of cruising runs."""

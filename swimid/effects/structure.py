@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC
 from dataclasses import replace
 from typing import Any
 
@@ -38,7 +39,7 @@ class ComOffset(Effect):
         length = body.lengths_m[body.hull]
         size, most = 0.01 * length, 0.2 * length
         return tuple(
-            parameter(name, "m", size, f"centre of mass {way} of the model's", lower=-most, upper=most)
+            parameter(name, "m", size, f"centre of mass {way} of the model's", -most, most)
             for name, way in (("along_m", "ahead"), ("across_m", "above" if body.vertical else "to port"))
         )
 
@@ -108,8 +109,8 @@ class FinFlexibility(Effect):
             load = (quadratic * across + lift * model.scales(trials).speed) * across
             words = "angle by which the fin bends per force across it"
             most = 30.0 / load
-            return (parameter("compliance_rad_N", "rad/N", 0.1 / load, words, lower=0.0, upper=most),)
-        return (parameter("loss", "1", 0.2, "loss of thrust at the typical load", lower=0.0, upper=20.0),)
+            return (parameter("compliance_rad_N", "rad/N", 0.1 / load, words, 0.0, most),)
+        return (parameter("loss", "1", 0.2, "loss of thrust at the typical load", 0.0, 20.0),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Add a force on the last link, or a factor on the thrust."""
@@ -187,7 +188,7 @@ class Hardening(Effect):
         unit = common.by_motion(model, "m", "rad") if model.rig is not None else "rad"
         size, least = 0.2 / largest**2, -1.0 / (3.0 * largest**2)
         words = "growth of the stiffness with squared deflection"
-        return (parameter(f"hardening_{unit}_2", f"{unit}^-2", size, words, lower=least, upper=30.0 * size),)
+        return (parameter(f"hardening_{unit}_2", f"{unit}^-2", size, words, least, 30.0 * size),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Add a cubic term to the springs."""
@@ -302,9 +303,8 @@ class JointLocked(Effect):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the share to which it is locked, 0 to nearly 1."""
-        name = f"locked_{self.column.removesuffix('_rad')}"
         words = f"share to which {self.column} is held"
-        return (parameter(name, "1", 0.3, words, lower=0.0, upper=MOST),)
+        return (parameter(f"locked_{self.column.removesuffix('_rad')}", "1", 0.3, words, 0.0, MOST),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Hold the joint."""
@@ -349,11 +349,11 @@ class JointStiffness(Effect):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the relative change, and for a swimmer's joints the hardening."""
-        change = parameter("change", "1", 0.2, "relative change of stiffness", lower=-0.95, upper=6.0)
+        change = parameter("change", "1", 0.2, "relative change of stiffness", -0.95, 6.0)
         if model.body is None:
             return (change,)
         words = "relative growth with squared angle"
-        return change, parameter("hardening_rad_2", "rad^-2", 2.0, words, lower=-10.0, upper=60.0)
+        return change, parameter("hardening_rad_2", "rad^-2", 2.0, words, -10.0, 60.0)
 
     def tries(self, parameters: Parameters) -> list[Array]:
         """Return softer and stiffer springs, some several times as stiff, and hardening ones."""
@@ -406,7 +406,30 @@ def loaded(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def
     wrench[0] -= constants[0] * abs(load) * v / math.sqrt(v * v + constants[1] * constants[1])
 
 
-class LoadFriction(Effect):
+class Friction(Effect, ABC):
+    """Friction of a rig, or of servos that follow a command.
+
+    Parameters
+    ----------
+    everywhere : bool
+        On a rig, it acts also in trials without a pulley.
+    """
+
+    def __init__(self, *, everywhere: bool = False) -> None:
+        self.everywhere = everywhere
+
+    def variants(self, model: Model, trials: Trials) -> Effects:
+        """Return the form for rigs, or for models that a command drives in some trial."""
+        if model.rig is not None:
+            return [type(self)(everywhere=not common.with_pulley(trials))]
+        return super().variants(model, trials)
+
+    def applies(self, model: Model, trials: Trials) -> bool:
+        """Whether a command drives some trial."""
+        return "command" in model.offers and any(model.commanded(t) for t in trials)
+
+
+class LoadFriction(Friction):
     """Dry friction ``mu |load|`` (Coulomb) of a bearing, slide or gear in proportion to the load it carries.
 
     The load on the bearing, guide or slide of a rig is the pull of a weight (in the trials with a pulley, if
@@ -414,11 +437,6 @@ class LoadFriction(Effect):
     joint carries the torque ``I q'' + D q' |q'|`` of inertia and drag beyond it, with the joint itself held
     in place and those beyond it straight. A position servo of stiffness k stands still while it is closer to
     its command than ``mu |torque| / k``.
-
-    Parameters
-    ----------
-    everywhere : bool
-        On a rig, it acts also in trials without a pulley.
     """
 
     name = "load-friction"
@@ -431,16 +449,9 @@ class LoadFriction(Effect):
     needs = frozenset({"command", "coefficients", "force"})
     smooth = True
 
-    def __init__(self, *, everywhere: bool = False) -> None:
-        self.everywhere = everywhere
-
-    def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return the form for rigs, or for planar robots that a command drives in some trial."""
-        if model.rig is not None:
-            return [LoadFriction(everywhere=not common.with_pulley(trials))]
-        if model.body is not None and model.body.driven and any(model.commanded(t) for t in trials):
-            return [self]
-        return []
+    def applies(self, model: Model, trials: Trials) -> bool:
+        """Whether a command drives a planar robot in some trial."""
+        return model.body is not None and bool(model.body.driven) and super().applies(model, trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the share of the load, or for servos the angle per torque.
@@ -451,7 +462,7 @@ class LoadFriction(Effect):
         if model.rig is not None:
             size = 0.01 if model.rig.swings else 0.03
             words = "friction per load"
-            return (parameter("share", "1", size, words, lower=0.0, upper=0.9),)
+            return (parameter("share", "1", size, words, 0.0, 0.9),)
         yields = []
         for trial in trials:
             for load, (time, told, _) in zip(_loads(model), model.commands(trial), strict=True):
@@ -460,7 +471,7 @@ class LoadFriction(Effect):
                     yields.append(0.5 * float(np.ptp(told)) / torque)
         size = 0.05 * typical(yields, 20.0)
         words = "angle by which a joint is held back per torque it carries"
-        return (parameter("held_rad_N_m", "rad/(N m)", size, words, lower=0.0, upper=30.0 * size),)
+        return (parameter("held_rad_N_m", "rad/(N m)", size, words, 0.0, 30.0 * size),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Add dry friction, or let joints stick under load."""
@@ -514,18 +525,13 @@ def relieved(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-d
     wrench[0] += math.copysign(constants[0] * (1.0 - math.exp(-share * share)), v)
 
 
-class Stribeck(Effect):
+class Stribeck(Friction):
     """Friction ``(F_s - F_c) exp(-(v / v_s)^2) sgn(v)`` beyond the Coulomb friction of the model.
 
     On a rig the whole rise ``F_s - F_c`` holds a body at rest (of a pulley in the trials that have one, else
     of the bearing or slide). A position servo of stiffness k stands still while it is closer to its command
     than ``(T_s - T_c) exp(-(w / w_s)^2) / k``, with w the rate of the command: it sticks where the command
     turns round. Steady beats of average models do not show the difference to a play.
-
-    Parameters
-    ----------
-    everywhere : bool
-        On a rig, it acts also in trials without a pulley.
     """
 
     name = "stribeck"
@@ -535,17 +541,6 @@ class Stribeck(Effect):
         "boxfish paper, Eq 7 (a friction that does not depend on speed)",
     )
     needs = frozenset({"command", "force"})
-
-    def __init__(self, *, everywhere: bool = False) -> None:
-        self.everywhere = everywhere
-
-    def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return the form for rigs, or for models that a command drives in some trial."""
-        if model.rig is not None:
-            return [Stribeck(everywhere=not common.with_pulley(trials))]
-        if "command" in model.offers and any(model.commanded(t) for t in trials):
-            return [self]
-        return []
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the rise, N or N m, and the Stribeck speed.
@@ -568,8 +563,8 @@ class Stribeck(Effect):
             what, moving = "angle by which a joint at rest is held back", "rate"
         over, least = f"{moving} over which it falls", 0.01 * top
         return (
-            parameter(rise, unit, size, what, lower=0.0, upper=most),
-            parameter(word, rates, 0.1 * top, over, lower=least, upper=0.5 * top, start=0.2 * top),
+            parameter(rise, unit, size, what, 0.0, most),
+            parameter(word, rates, 0.1 * top, over, least, 0.5 * top, start=0.2 * top),
         )
 
     def tries(self, parameters: Parameters) -> list[Array]:
@@ -634,7 +629,7 @@ class WaterIngress(Effect):
             return (much,)
         length, (x, _) = body.lengths_m[body.hull], body.centre(body.hull)
         words = "where it collects, ahead of the hull's centre of mass"
-        place = parameter("along_m", "m", 0.2 * length, words, lower=-length - x, upper=-x)
+        place = parameter("along_m", "m", 0.2 * length, words, -length - x, -x)
         return much, place
 
     def tries(self, parameters: Parameters) -> list[Array]:
