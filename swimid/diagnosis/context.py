@@ -17,7 +17,7 @@ from swimid.diagnosis.random_effects import RandomEffect
 from swimid.effects.base import Affected, Effect
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.parallel import mapped
-from swimid.fitting.problem import Problem, Solution, minimise
+from swimid.fitting.problem import Problem, Solution
 
 #: Prior standard deviation of an effect's parameters, in their typical sizes.
 EFFECT_PRIOR = 5.0
@@ -508,50 +508,18 @@ class FitContext:
         prior : tuple of ndarray, shapes (p,) and (m, p), optional
             What is known of the numbers: their mean, and a root of their precision; default that of a fit.
         """
-        mean, root = prior or (self.expected(problem)[0], self.root(problem))
+        problem.prior = prior or (self.expected(problem)[0], self.root(problem))
 
-        def whitened(k: int, rows: Array) -> Array:
+        def whiten(k: int, rows: Array) -> Array:
             seen = noise_model.whiten(problem, k, rows)
             return seen if kept is None else (seen.T * kept[k]).T
 
-        def residuals(theta: Array) -> Array:
-            parts = [whitened(k, problem.trial_residuals(theta, k)) for k in range(len(problem.trials))]
-            return np.concatenate([*parts, root @ (theta - mean)])
-
-        own: list[tuple[slice, NDArray[np.intp]]] = []
-        for k, masks in enumerate(problem.masks):
-            begin = own[-1][0].stop if own else 0
-            own.append((slice(begin, begin + sum(int(m.sum()) for m in masks)), problem.taken[k][1]))
-        count = own[-1][0].stop if own else 0
-
-        def jacobian(theta: Array) -> Array:
-            found = np.zeros((count + len(root), len(theta)))
-            found[count:] = root
-            for k, rows in enumerate(problem.own_jacobians(theta)):
-                found[own[k]] = whitened(k, rows)
-            return found
-
-        def secant(rows: Array, off: Array, step: Array, weights: Array) -> Array:
-            # no trial's rows depend on what another has for itself
-            for part, columns in own:
-                along = step[columns] * weights[columns]
-                length = float(along @ step[columns])
-                if length > 0:
-                    rows[part, columns] += np.outer(off[part], along / length)
-            return rows
-
-        def one(start: Array) -> Solution:
-            return minimise(
-                residuals,
-                jacobian,
-                start,
-                problem.box,
-                tolerance=tolerance,
-                max_iterations=iterations,
-                secant=secant,
-            )
-
-        return min(map(one, starts), key=lambda found: found.cost)
+        problem.whiten = whiten
+        found = [
+            problem.solve(start, tolerance=tolerance, max_iterations=iterations, secant=True)
+            for start in starts
+        ]
+        return min(found, key=lambda one: one.cost)
 
     def without_each(self, fit: Fit, noise_model: NoiseModel) -> list[Array]:
         """Numbers of a fit refitted without each fold, from the fit to all on; shape (p,) each.

@@ -443,7 +443,7 @@ def _result(search: _Search, task: _Task) -> FitResult:
     samples = sum(int(mask.sum()) for masks in problem.masks for mask in masks)
     raw, residuals, rows = _influences(problem, theta, central=samples * len(theta) <= 50_000)
     autoregressions = noise_model.autoregressions(problem, residuals)
-    priors = problem.priors(theta)
+    priors = problem.random_effects(theta)
     rows = [np.vstack((a, b * problem.scale)) for a, (_, b) in zip(rows, priors, strict=True)]
     residuals = [np.concatenate((a, b)) for a, (b, _) in zip(residuals, priors, strict=True)]
     margin = 1e-6 * np.maximum(problem.scale, np.abs(theta))
@@ -594,7 +594,7 @@ def estimate_start(
     if problem.broken(begin):
         # the start was estimated with other coefficients, with which the simulation did not diverge
         begin = np.clip([held[i].start for i, _ in problem.slots], problem.lower, problem.upper)
-    solution = problem.solve(begin, tolerance=tolerance)
+    solution = problem.solve(begin, tolerance=tolerance, watch=Patience())
     return {label: float(v) for label, v in zip(problem.labels, solution.x, strict=True)}
 
 

@@ -70,8 +70,13 @@ class Problem:
     near : float
         Largest step over which derivatives are used again, as :data:`NEAR`.
     random : ndarray of bool, shape (p,)
-        Unknowns that are random effects (:attr:`Parameter.spread`). Each adds its distance from the mean, in
-        standard deviations, to the weighted residuals of its trial.
+        Unknowns that are random effects (:attr:`Parameter.spread`).
+    prior : tuple of ndarray, shapes (p,) and (m, p)
+        Mean of the unknowns, and a root of their precision, which add ``root @ (theta - mean)`` to the
+        residuals. By default it is that of the random effects.
+    whiten : callable
+        Map of the weighted residuals of a trial, or of their derivatives, to independent ones of unit
+        variance; by default the identity. It is called with the index of the trial.
     """
 
     def __init__(
@@ -113,16 +118,19 @@ class Problem:
         self.damping = [[np.ones(len(sd)) for sd in sds] for sds in self.sd]
         self._values = np.array([p.start for p in self.parameters])
         own = [self.parameters[i] for i, _ in self.slots]
-        self.lower, self.upper, self.scale, self._spread, self._mean = (
+        self.lower, self.upper, self.scale, spread, mean = (
             np.array([getattr(p, name) for p in own])
             for name in ("lower", "upper", "scale", "spread", "start")
         )
-        self.random = np.isfinite(self._spread)
+        self.random = np.isfinite(spread)
+        self.prior = mean, np.diag(1.0 / spread)[self.random]
+        self.whiten: Callable[[int, Array], Array] = lambda k, rows: rows
         # the log of a trial may suggest a better start than that of the parameter
         known = [{} if owner is None else self.trials[owner].starts for _, owner in self.slots]
         starts = [float(found.get(p.name, p.start)) for p, found in zip(own, known, strict=True)]
         self.start = np.clip(np.array(starts), self.lower, self.upper)
         self._measured = [self.stacked(k, t.measured) for k, t in enumerate(self.trials)]
+        self._samples = [len(values) for values in self._measured]
         self._simulated: dict[bytes, list[dict[str, Array]]] = {}
         self._slopes: tuple[Array, bool, list[Array]] | None = None
         self._held: dict[str, list[Array]] = {}
@@ -180,19 +188,37 @@ class Problem:
         return np.where(np.isfinite(values), values, BROKEN)
 
     def residuals(self, theta: Array) -> Array:
-        """Return the weighted residuals of all trials, then those of the random effects, shape (n,)."""
-        parts = [self.trial_residuals(theta, k) for k in range(len(self.trials))]
-        return np.concatenate([*parts, *(r for r, _ in self.priors(theta))])
+        """Return the whitened residuals of all trials, then those of the prior, shape (n,)."""
+        mean, root = self.prior
+        parts = [self.whiten(k, self.trial_residuals(theta, k)) for k in range(len(self.trials))]
+        return np.concatenate([*parts, root @ (theta - mean)])
 
-    def priors(self, theta: Array) -> list[tuple[Array, Array]]:
-        """Return residuals and derivatives of each trial's random effects, shapes (m_k,) and (m_k, p)."""
-        found = []
-        for k in range(len(self.trials)):
-            mine = [j for j in self.own(k) if self.random[j]]
-            rows = np.zeros((len(mine), len(theta)))
-            rows[range(len(mine)), mine] = 1.0 / self._spread[mine]
-            found.append(((theta[mine] - self._mean[mine]) / self._spread[mine], rows))
+    def jacobian(self, theta: Array) -> Array:
+        """Return the derivatives of these residuals, shape (n, p)."""
+        _, root = self.prior
+        blocks = self._blocks()
+        count = sum(self._samples)
+        found = np.zeros((count + len(root), len(theta)))
+        found[count:] = root
+        for k, rows in enumerate(self.own_jacobians(theta)):
+            found[blocks[k]] = self.whiten(k, rows)
         return found
+
+    def _blocks(self) -> list[tuple[slice, NDArray[np.intp]]]:
+        """Return the rows of each trial's residuals, and the columns of the unknowns it takes."""
+        ends = np.cumsum(self._samples).tolist()
+        return [
+            (slice(end - n, end), numbers)
+            for end, n, (_, numbers) in zip(ends, self._samples, self.taken, strict=True)
+        ]
+
+    def random_effects(self, theta: Array) -> list[tuple[Array, Array]]:
+        """Return residuals and derivatives of each trial's random effects, shapes (m_k,) and (m_k, p)."""
+        mean, root = self.prior
+        residuals = root @ (theta - mean)
+        owners = [self.slots[j][1] for j in np.flatnonzero(self.random)]
+        mine = [[i for i, owner in enumerate(owners) if owner == k] for k in range(len(self.trials))]
+        return [(residuals[rows], root[rows]) for rows in mine]
 
     def trial_jacobians(self, theta: Array, *, central: bool = False) -> list[Array]:
         """Return the derivatives of each trial's residuals to all unknowns, shape (n_k, p) each.
@@ -226,14 +252,32 @@ class Problem:
             label: [r[:, j] / w for r, w in zip(rows, weights, strict=True)] for j, label in enumerate(labels)
         }
 
-    def jacobian(self, theta: Array) -> Array:
-        """Return the derivatives of all residuals, shape (n, p)."""
-        return np.concatenate([*self.trial_jacobians(theta), *(rows for _, rows in self.priors(theta))])
-
     def solve(
-        self, theta: Array, *, tolerance: float, max_iterations: int = 200, watch: Watch | None = None
+        self,
+        theta: Array,
+        *,
+        tolerance: float,
+        max_iterations: int = 200,
+        watch: Watch | None = None,
+        secant: bool = False,
     ) -> Solution:
-        """Minimise the squared residuals inside the bounds, from ``theta`` on (see :func:`minimise`)."""
+        """Minimise the squared residuals inside the bounds, from ``theta`` on (see :func:`minimise`).
+
+        Parameters
+        ----------
+        secant : bool
+            Update the derivatives from step to step, each trial's to the unknowns that it takes.
+        """
+        blocks = self._blocks()
+
+        def update(rows: Array, off: Array, step: Array, weights: Array) -> Array:
+            for part, columns in blocks:
+                along = step[columns] * weights[columns]
+                length = float(along @ step[columns])
+                if length > 0:
+                    rows[part, columns] += np.outer(off[part], along / length)
+            return rows
+
         return minimise(
             self.residuals,
             self.jacobian,
@@ -241,7 +285,8 @@ class Problem:
             self.box,
             tolerance=tolerance,
             max_iterations=max_iterations,
-            watch=watch or Patience(),
+            watch=watch,
+            secant=update if secant else None,
         )
 
     def sample_weights(self, k: int) -> Array:

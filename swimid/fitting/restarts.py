@@ -15,7 +15,7 @@ from scipy import optimize, special
 from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Parameter
 from swimid.fitting.noise import huber_damping
-from swimid.fitting.problem import Problem, minimise
+from swimid.fitting.problem import Patience, Problem, minimise
 
 #: Number of pairs of points around the answer, and their distance in standard errors under white noise.
 N_PAIRS, PAIR_DISTANCE = 3, 2.0
@@ -236,7 +236,8 @@ def profile_interval(
     def excess(value: float) -> float:
         held = list(result.parameters)
         held[held.index(parameter)] = replace(parameter, start=value, free=False)
-        return weighted(result, tuple(held)).solve(others, tolerance=1e-8).cost - cost - limit
+        problem = weighted(result, tuple(held))
+        return problem.solve(others, tolerance=1e-8, watch=Patience()).cost - cost - limit
 
     ends: list[float | None] = []
     for side, bound in ((-1.0, parameter.lower), (1.0, parameter.upper)):
