@@ -90,7 +90,7 @@ class TestOperators:
     @pytest.mark.parametrize("tau", [0.004, 0.05, 0.3])
     def test_lag_of_a_sine(self, tau):
         """The gain is 1 / (1 + i w tau) after the transient."""
-        found = actuation.lagged(TIME, np.sin(OMEGA * TIME), tau)
+        found = actuation.apply_lag(TIME, np.sin(OMEGA * TIME), tau)
         answer = np.exp(1j * OMEGA * TIME) / (1 + 1j * OMEGA * tau)
         late = 20 * tau < TIME
         np.testing.assert_allclose(found[late], answer.imag[late], atol=1e-4)
@@ -99,10 +99,10 @@ class TestOperators:
         time = np.sort(rng.uniform(0, 5, 60))
         since = time - time[0]
         expected = 2.0 * (since - 0.4 * -np.expm1(-since / 0.4)) + 1.0
-        np.testing.assert_allclose(actuation.lagged(time, 1.0 + 2.0 * since, 0.4), expected, atol=1e-12)
+        np.testing.assert_allclose(actuation.apply_lag(time, 1.0 + 2.0 * since, 0.4), expected, atol=1e-12)
 
     def test_delay(self):
-        found = actuation.delayed(TIME, np.sin(OMEGA * TIME), 0.0333)
+        found = actuation.apply_delay(TIME, np.sin(OMEGA * TIME), 0.0333)
         expected = np.where(TIME < 0.0333, 0.0, np.sin(OMEGA * (TIME - 0.0333)))
         inside = np.abs(TIME - 0.0333) > 0.01
         np.testing.assert_allclose(found[inside], expected[inside], atol=3e-5)
@@ -111,7 +111,7 @@ class TestOperators:
         """The joint rests while the servo crosses the play, then follows half of it behind."""
         width, size = 0.08, 0.3
         signal = size * np.sin(OMEGA * TIME)
-        found = actuation.play(signal, width)
+        found = actuation.apply_play(signal, width)
         assert found[0] == 0
         assert np.all(np.abs(found - signal) <= 0.5 * width + 1e-15)
         steady = TIME > 1 / 1.5
@@ -125,24 +125,24 @@ class TestOperators:
 
     def test_a_strongly_limited_sine_is_a_triangle(self):
         rate = 0.3 * OMEGA
-        found = actuation.limited(TIME, np.sin(OMEGA * TIME), rate)[TIME > 6]
+        found = actuation.limit_rate(TIME, np.sin(OMEGA * TIME), rate)[TIME > 6]
         assert np.abs(np.diff(found)).max() <= rate * 0.0025 * (1 + 1e-9)
         assert 0.5 * np.ptp(found) == pytest.approx(rate / (4 * 1.5), rel=5e-3)
 
     def test_a_limit_above_every_rate_does_nothing(self):
         signal = np.sin(OMEGA * TIME)
-        np.testing.assert_array_equal(actuation.limited(TIME, signal, OMEGA), signal)
+        np.testing.assert_array_equal(actuation.limit_rate(TIME, signal, OMEGA), signal)
 
     @pytest.mark.parametrize("ratio", [0.2, 0.5, 0.55, 0.7, 0.85, 0.97])
     def test_describing_function_is_the_fundamental(self, ratio):
         time = np.arange(80_000) / 10_000
-        found = actuation.limited(time, np.sin(2 * np.pi * time), 2 * np.pi * ratio)[40_000:]
+        found = actuation.limit_rate(time, np.sin(2 * np.pi * time), 2 * np.pi * ratio)[40_000:]
         fundamental = 2 * abs(np.mean(found * np.exp(-2j * np.pi * time[40_000:])))
-        assert float(actuation.describing(ratio)) == pytest.approx(fundamental, abs=5e-4)
+        assert float(actuation.describing_gain(ratio)) == pytest.approx(fundamental, abs=5e-4)
 
     def test_describing_function_begins_smoothly(self):
         ratio = np.linspace(0.5, 1.0, 2001)
-        gain = actuation.describing(ratio)
+        gain = actuation.describing_gain(ratio)
         assert np.all(np.diff(gain) > 0)
         assert np.abs(np.diff(gain)).max() < 2 * 4 / np.pi * (ratio[1] - ratio[0])
 

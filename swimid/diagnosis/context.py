@@ -16,7 +16,7 @@ from swimid.diagnosis.nominal import OWN_PRIOR
 from swimid.diagnosis.random_effects import RandomEffect
 from swimid.effects.base import Affected, Effect
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.fitting.parallel import mapped
+from swimid.fitting.parallel import map_in_processes
 from swimid.fitting.problem import Problem, Solution
 
 #: Prior standard deviation of an effect's parameters, in their typical sizes.
@@ -540,7 +540,7 @@ class FitContext:
         for known, through, found in self._without:
             if known is fit and through is noise_model:
                 return found
-        found = list(mapped(one, range(self.folds.count), self.jobs))
+        found = list(map_in_processes(one, range(self.folds.count), self.jobs))
         self._without.append((fit, noise_model, found))
         return found
 

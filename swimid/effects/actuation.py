@@ -32,7 +32,7 @@ class AmplitudeLoss(common.Actuation):
         """Return the share that is lost."""
         return (parameter("loss", "1", 0.05, "share of the amplitude lost", -0.5, 0.95),)
 
-    def followed(self, value: float, time_s: Array, angle: Array) -> Array:
+    def follow(self, value: float, time_s: Array, angle: Array) -> Array:
         """Return the reduced command."""
         return (1.0 - value) * angle
 
@@ -63,7 +63,7 @@ class AmplitudeOffset(common.Actuation):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the angle of each driven joint, in the unit of its command."""
-        size = common.amplitude(model, trials)
+        size = common.typical_amplitude(model, trials)
         most, words = 0.9 * size, "constant angle off"
         return (parameter("offset_rad", "rad", 0.05 * size, words, -most, most),)
 
@@ -75,7 +75,7 @@ class AmplitudeOffset(common.Actuation):
             laws = [axis.driven for axis in model.body.driven]
             still = [k for k, law in enumerate(laws) if law is None or law.gain == 0]
         begin = model.onset(trial)
-        trimmed = common.every_joint(lambda time, angle: angle + offset * eased(time - begin, EASE_S))
+        trimmed = common.for_every_joint(lambda time, angle: angle + offset * eased(time - begin, EASE_S))
 
         def command(time_s: Array, angle: Array, joint: int) -> Array:
             if joint in still:
@@ -97,7 +97,7 @@ class RateLimit(common.Actuation):
     """The joint follows its command no faster than a limit.
 
     The limit has no influence if it is the rate of the fastest command. A steady beat of the average models
-    keeps the fundamental of the limited sine (its describing function: :func:`describing`).
+    keeps the fundamental of the limited sine (its describing function: :func:`describing_gain`).
     """
 
     name = "rate-limit"
@@ -106,22 +106,22 @@ class RateLimit(common.Actuation):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the limit, rad/s, which has no influence at the trials' largest commanded rate."""
-        largest = common.fastest(model, trials)
+        largest = common.largest_rate(model, trials)
         bounds, words = (0.02 * largest, largest), "largest rate of the servos"
         return (Parameter("rate_limit_rad_s", "rad/s", *bounds, largest, 0.2 * largest, meaning=words),)
 
-    def followed(self, value: float, time_s: Array, angle: Array) -> Array:
+    def follow(self, value: float, time_s: Array, angle: Array) -> Array:
         """Return the limited command."""
-        return np.asarray(limited(time_s, angle, value))
+        return np.asarray(limit_rate(time_s, angle, value))
 
     def amplitude(self, value: float, stroke: Stroke) -> Array:
         """Return the fundamental of the limited sine."""
         rate = 2.0 * math.pi * np.asarray(stroke.frequency_hz) * stroke.amplitude_rad
-        return stroke.amplitude_rad * describing(value / np.maximum(rate, 1e-12))
+        return stroke.amplitude_rad * describing_gain(value / np.maximum(rate, 1e-12))
 
 
 @numba.njit(cache=True, nogil=True)
-def limited(time, signal, limit):  # type: ignore[no-untyped-def]
+def limit_rate(time, signal, limit):  # type: ignore[no-untyped-def]
     """Follow a signal no faster than a limit.
 
     Parameters
@@ -145,7 +145,7 @@ def limited(time, signal, limit):  # type: ignore[no-untyped-def]
     return output
 
 
-def describing(ratio: Array | float) -> Array:
+def describing_gain(ratio: Array | float) -> Array:
     """Return the amplitude of the fundamental of a rate-limited sine, over that of the sine.
 
     Parameters
@@ -153,7 +153,7 @@ def describing(ratio: Array | float) -> Array:
     ratio : ndarray or float
         Limit over the sine's largest rate; from one on nothing is lost.
 
-    >>> [round(float(v), 6) for v in describing(np.array([0.0, 0.5, 1.0, 2.0]))]
+    >>> [round(float(v), 6) for v in describing_gain(np.array([0.0, 0.5, 1.0, 2.0]))]
     [0.0, 0.63662, 1.0, 1.0]
     """
     nodes, gains = _middle()
@@ -200,19 +200,19 @@ class ServoBacklash(common.Actuation):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the whole width of the play of each joint, in the unit of its command."""
-        size = common.amplitude(model, trials)
+        size = common.typical_amplitude(model, trials)
         return (parameter("backlash_rad", "rad", 0.1 * size, "whole width of the play", 0.0, 1.9 * size),)
 
-    def followed(self, value: float, time_s: Array, angle: Array) -> Array:
+    def follow(self, value: float, time_s: Array, angle: Array) -> Array:
         """Return the command after the play."""
-        return play(angle, value)
+        return apply_play(angle, value)
 
     def amplitude(self, value: float, stroke: Stroke) -> Array:
         """Return the amplitude less half the play."""
         return np.maximum(stroke.amplitude_rad - 0.5 * value, 0.0)
 
 
-def play(signal: Array, width: float) -> Array:
+def apply_play(signal: Array, width: float) -> Array:
     """Return the output of a play of a given whole width that starts in its middle.
 
     Parameters
@@ -224,7 +224,7 @@ def play(signal: Array, width: float) -> Array:
     -------
     ndarray, shape (n,)
     """
-    return common.held_back(signal, np.full(len(signal), 0.5 * width))
+    return common.hold_back(signal, np.full(len(signal), 0.5 * width))
 
 
 class ServoDelay(common.Actuation):
@@ -238,15 +238,15 @@ class ServoDelay(common.Actuation):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the delay, s."""
-        beat = common.period(model, trials)
+        beat = common.typical_period(model, trials)
         return (parameter("delay_s", "s", 0.04 * beat, "delay of the joints' commands", 0.0, beat),)
 
-    def followed(self, value: float, time_s: Array, angle: Array) -> Array:
+    def follow(self, value: float, time_s: Array, angle: Array) -> Array:
         """Return the delayed command."""
-        return delayed(time_s, angle, value)
+        return apply_delay(time_s, angle, value)
 
 
-def delayed(time_s: Array, signal: Array, delay_s: float) -> Array:
+def apply_delay(time_s: Array, signal: Array, delay_s: float) -> Array:
     """Return a signal a constant time later; before its first sample it rests there.
 
     Parameters
@@ -274,12 +274,12 @@ class ServoLag(common.Actuation):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the time constant, s."""
-        beat = common.period(model, trials)
+        beat = common.typical_period(model, trials)
         return (parameter("time_constant_s", "s", 0.04 * beat, "time constant of the servos", 0.0, beat),)
 
-    def followed(self, value: float, time_s: Array, angle: Array) -> Array:
+    def follow(self, value: float, time_s: Array, angle: Array) -> Array:
         """Return the command after the lag."""
-        return np.asarray(lagged(time_s, angle, value))
+        return np.asarray(apply_lag(time_s, angle, value))
 
     def amplitude(self, value: float, stroke: Stroke) -> Array:
         """Return the amplitude after the lag at the beat's frequency."""
@@ -288,7 +288,7 @@ class ServoLag(common.Actuation):
 
 
 @numba.njit(cache=True, nogil=True)
-def lagged(time, signal, tau):  # type: ignore[no-untyped-def]
+def apply_lag(time, signal, tau):  # type: ignore[no-untyped-def]
     """Apply a first-order lag to a signal, exactly if the signal is straight between its samples.
 
     Parameters
@@ -360,11 +360,11 @@ class Slip(common.Actuation):
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Reduce the commands by the loss."""
         loss, begin = (float(v) for v in values)
-        ramp = RAMP * common.period(model, [trial])
+        ramp = RAMP * common.typical_period(model, [trial])
         ramp = max(ramp, SAMPLES * typical(np.diff(trial.time_s).tolist(), 0.0))
         first = float(trial.time_s[0]) + begin - 0.5 * ramp
 
         def command(time_s: Array, angle: Array) -> Array:
             return angle * (1.0 - loss * eased(time_s - first, ramp))
 
-        return common.on_command(model, trial, common.every_joint(command))
+        return common.on_command(model, trial, common.for_every_joint(command))

@@ -50,17 +50,17 @@ def parameter(
 # ---------------------------------------------------------------- models
 
 
-def by_motion(model: Model, along: Choice, about: Choice) -> Choice:
+def pick_by_motion(model: Model, along: Choice, about: Choice) -> Choice:
     """Return ``about`` for a model with one coordinate that is an angle, else ``along``."""
     return about if model.rig is not None and model.rig.rotation else along
 
 
-def pulled(model: Model) -> bool:
+def is_pulled(model: Model) -> bool:
     """Whether a model is a body on a rig that is pulled from place to place."""
     return model.rig is not None and not model.rig.swings
 
 
-def with_pulley(trials: Trials) -> bool:
+def has_pulley(trials: Trials) -> bool:
     """Whether some trial has a pulley."""
     return any(trial.rig.pulley for trial in trials)
 
@@ -70,7 +70,7 @@ def free_body(model: Model) -> Body | None:
     return model.body if model.body is not None and model.body.free else None
 
 
-def links(model: Model) -> Body:
+def require_links(model: Model) -> Body:
     """Return the links, for an effect that applies to nothing else."""
     assert model.body is not None
     return model.body
@@ -79,7 +79,7 @@ def links(model: Model) -> Body:
 # ---------------------------------------------------------------- hooks
 
 
-def more(coefficient: str, value: float) -> Hooks:
+def add_to_coefficient(coefficient: str, value: float) -> Hooks:
     """Return hooks that add a value to a coefficient of a model's equation."""
 
     def change(coefficients: dict[str, float]) -> None:
@@ -88,7 +88,7 @@ def more(coefficient: str, value: float) -> Hooks:
     return Hooks(coefficients=(change,))
 
 
-def at_hull(body: Body, function: Any, constants: Array) -> Force:
+def force_at_hull(body: Body, function: Any, constants: Array) -> Force:
     """Return a force at the centre of mass of the heaviest link."""
     x, y = body.centre(body.hull)
     return Force(function, constants, body.hull, x, y)
@@ -116,13 +116,13 @@ class RigCoefficient(Effect, ABC):
     def applies(self, model: Model, trials: Trials) -> bool:
         """Whether the model is a rig that does not estimate it, for a pulley's with a pulley."""
         known = model.rig is None or model.estimates(*self.own)
-        return not known and (not self.pulley or with_pulley(trials))
+        return not known and (not self.pulley or has_pulley(trials))
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Add to the coefficient."""
         if self.pulley and not trial.rig.pulley:
             return Hooks()
-        return more(self.coefficient, values[0])
+        return add_to_coefficient(self.coefficient, values[0])
 
 
 # ---------------------------------------------------------------- commands
@@ -131,7 +131,7 @@ class RigCoefficient(Effect, ABC):
 class Actuation(Effect, ABC):
     """An effect of the actuator, where a command drives the model and not a measured joint angle.
 
-    An effect of one parameter, the same for every driven joint, defines :meth:`followed`, and
+    An effect of one parameter, the same for every driven joint, defines :meth:`follow`, and
     :meth:`amplitude` if it ``needs`` the stroke.
     """
 
@@ -141,7 +141,7 @@ class Actuation(Effect, ABC):
         """Whether a command drives some trial."""
         return super().applies(model, trials) and any(model.commanded(t) for t in trials)
 
-    def followed(self, value: float, time_s: Array, angle: Array) -> Array:
+    def follow(self, value: float, time_s: Array, angle: Array) -> Array:
         """Return the motion of a joint under a command, shape (n,), without missing samples."""
         raise NotImplementedError
 
@@ -154,12 +154,12 @@ class Actuation(Effect, ABC):
         value = float(values[0])
 
         def command(time_s: Array, angle: Array) -> Array:
-            return bridged(lambda time, whole: self.followed(value, time, whole), time_s, angle)
+            return bridge_missing(lambda time, whole: self.follow(value, time, whole), time_s, angle)
 
         def beaten(stroke: Stroke) -> Stroke:
             return replace(stroke, amplitude_rad=self.amplitude(value, stroke))
 
-        hooks = on_command(model, trial, every_joint(command))
+        hooks = on_command(model, trial, for_every_joint(command))
         return replace(hooks, stroke=(beaten,)) if "stroke" in self.needs else hooks
 
 
@@ -168,7 +168,7 @@ def on_command(model: Model, trial: Trial, change: Command) -> Hooks:
     return Hooks(command=(change,)) if model.commanded(trial) else Hooks()
 
 
-def every_joint(change: Callable[[Array, Array], Array]) -> Command:
+def for_every_joint(change: Callable[[Array, Array], Array]) -> Command:
     """Return a hook that changes every joint alike, computed once for joints with one command."""
     last: tuple[Array, Array, Array] | None = None
 
@@ -183,7 +183,7 @@ def every_joint(change: Callable[[Array, Array], Array]) -> Command:
     return command
 
 
-def held_back(signal: Array, half: Array) -> Array:
+def hold_back(signal: Array, half: Array) -> Array:
     """Follow a signal only where it is further away than friction holds: the play operator.
 
     A position servo of stiffness k with a dry friction T stands still while ``k |command - angle| < T``.
@@ -210,7 +210,7 @@ def _play(signal, half):  # type: ignore[no-untyped-def]
     return output
 
 
-def bridged(change: Callable[[Array, Array], Array], time_s: Array, signal: Array) -> Array:
+def bridge_missing(change: Callable[[Array, Array], Array], time_s: Array, signal: Array) -> Array:
     """Change a signal whose missing samples are interpolated before, and missing again after."""
     there = np.isfinite(signal)
     if there.all():
@@ -236,13 +236,13 @@ def _strokes(trials: Trials) -> tuple[Array, Array]:
     return frequency[there], amplitude[there]
 
 
-def amplitude(model: Model, trials: Trials) -> float:
+def typical_amplitude(model: Model, trials: Trials) -> float:
     """Return the typical amplitude of a driven joint, rad (or the unit of a black box's input)."""
     sizes = [0.5 * float(np.ptp(s)) for _, s, _ in _signals(model, trials) if len(s) and np.ptp(s) > 0]
     return typical(sizes or list(_strokes(trials)[1]), USUAL_ANGLE)
 
 
-def fastest(model: Model, trials: Trials) -> float:
+def largest_rate(model: Model, trials: Trials) -> float:
     """Return the largest commanded rate, rad/s (or the unit of a black box's input, per second)."""
     rates = [r for _, _, r in _signals(model, trials)]
     for time, signal, _ in _signals(model, trials):
@@ -253,7 +253,7 @@ def fastest(model: Model, trials: Trials) -> float:
     return float(max(rates, default=0.0)) or 1.0
 
 
-def period(model: Model, trials: Trials) -> float:
+def typical_period(model: Model, trials: Trials) -> float:
     """Return the typical period of the beat, s; one second if unknown."""
     return 1.0 / typical([f for f in (*model.beats(trials), *_strokes(trials)[0]) if f > 0], 1.0)
 
@@ -261,19 +261,19 @@ def period(model: Model, trials: Trials) -> float:
 # ---------------------------------------------------------------- channels
 
 
-def measured(names: Sequence[str], trials: Trials) -> list[str]:
+def select_measured(names: Sequence[str], trials: Trials) -> list[str]:
     """Return those of the channels that some trial has samples of."""
     return [n for n in names if any(n in t.measured and np.isfinite(t.measured[n]).any() for t in trials)]
 
 
-def clocks_apart(model: Model, trials: Trials) -> bool:
+def has_camera_clock(model: Model, trials: Trials) -> bool:
     """Whether the logs hold poses of a camera beside turn rates of the robot, each with its own clock."""
     measured = {c for t in trials for c in t.measured}
     rates = any(c.endswith("_rate_rad_s") for c in measured)
     return "output" in model.offers and rates and bool(measured & set(POSES))
 
 
-def poses_at(trial: Trial, happened: Callable[[Array], Array]) -> Hooks:
+def shift_poses(trial: Trial, happened: Callable[[Array], Array]) -> Hooks:
     """Return hooks for the poses of a camera with another clock: they are those of when they ``happened``."""
 
     def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
@@ -299,9 +299,9 @@ class Sensing(Effect, ABC):
 
     def applies(self, model: Model, trials: Trials) -> bool:
         """Whether such a channel is measured."""
-        return super().applies(model, trials) and bool(measured(self.channels, trials))
+        return super().applies(model, trials) and bool(select_measured(self.channels, trials))
 
-    def shown(self, change: Callable[[str, Array], Array]) -> Hooks:
+    def show(self, change: Callable[[str, Array], Array]) -> Hooks:
         """Return the hooks of ``change(name, simulated)``, the same for every channel."""
 
         def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:

@@ -69,8 +69,8 @@ class Buoyancy(Effect):
         """Add a constant force, and a moment."""
         body = model.body
         if body is not None:
-            return Hooks(force=(common.at_hull(body, rise, np.array(values, dtype=float)),))
-        return common.more("force", values[0])
+            return Hooks(force=(common.force_at_hull(body, rise, np.array(values, dtype=float)),))
+        return common.add_to_coefficient("force", values[0])
 
 
 #: Largest current, in typical speeds of the robot.
@@ -167,7 +167,7 @@ class SurfaceBreach(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Add a force and its moment to the heaviest link."""
-        body = common.links(model)
+        body = common.require_links(model)
         hull = body.hull
         x, y = body.centre(hull)
         a, b = x, y
@@ -175,7 +175,7 @@ class SurfaceBreach(Effect):
             a, b = body.reference_m
         quarter = 0.25 * body.lengths_m[hull]
         constants = np.array([*values, x - a, y - b, quarter])
-        return Hooks(force=(common.at_hull(body, sink, constants),))
+        return Hooks(force=(common.force_at_hull(body, sink, constants),))
 
 
 def _heights(trial: Trial) -> Trial:
@@ -219,7 +219,7 @@ class Tether(Effect):
 
     def applies(self, model: Model, trials: Trials) -> bool:
         """Whether the model is a pulled body, a cruise or a free swimmer."""
-        return common.pulled(model) or model.timed_runs or common.free_body(model) is not None
+        return common.is_pulled(model) or model.timed_runs or common.free_body(model) is not None
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return stiffness, N/m, and slack, m, and what the motion shows beyond them.
@@ -256,7 +256,7 @@ class Tether(Effect):
         if model.timed_runs:
             way = np.asarray(trial.inputs["distance_m"], dtype=float)
             mean = float(np.mean(0.5 * values[0] * np.maximum(way - values[1], 0.0) ** 2 / way))
-            return common.more("dry", mean)
+            return common.add_to_coefficient("dry", mean)
         if model.body is not None:
             *line, behind = values
             start_x, start_y, heading = trial.swim.posed()
@@ -324,7 +324,7 @@ class Wall(Effect):
         """Return one form per side for free swimmers, and the far end for pulled bodies."""
         free = common.free_body(model) is not None
         walls: list[Effect] = []
-        for axis in model.axes if free or common.pulled(model) else ():
+        for axis in model.axes if free or common.is_pulled(model) else ():
             series = [t.measured[f"{axis}_m"] for t in trials if f"{axis}_m" in t.measured]
             values = np.concatenate([np.zeros(0), *series])
             values = values[np.isfinite(values)]
@@ -364,7 +364,7 @@ class Wall(Effect):
             axis, end = self.side.split("_")
             side = {"max": 1.0, "min": -1.0}[end]
             place = [side * (axis == "x"), side * (axis != "x"), side * self.extreme_m]
-            return Hooks(force=(common.at_hull(body, push_off, np.array([*values, *place])),))
+            return Hooks(force=(common.force_at_hull(body, push_off, np.array([*values, *place])),))
         constants = np.array([0.0, *values, self.extreme_m])
 
         def take(c: dict[str, float]) -> None:

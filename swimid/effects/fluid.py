@@ -49,7 +49,7 @@ class AddedMass(Effect):
                 )
             )
         linear, angular = ("added_kg", "kg", "added mass"), ("added_kg_m2", "kg m^2", "added inertia")
-        name, unit, words = common.by_motion(model, linear, angular)
+        name, unit, words = common.pick_by_motion(model, linear, angular)
         size = model.scales(trials).inertia
         own = size - model.start("added_mass", "added_inertia")
         return (parameter(name, unit, 0.05 * size, words, lower=-LEAST * own),)
@@ -68,7 +68,7 @@ class AddedMass(Effect):
                 body.weigh(tables, len(masses) - 1, points[-1], 0.0, values[2])
 
             return Hooks(tables=(carry,))
-        return common.more("inertia", values[0])
+        return common.add_to_coefficient("inertia", values[0])
 
 
 #: Speed, m/s or rad/s, below which the drag is zero; it avoids a division by zero.
@@ -130,7 +130,7 @@ class DragReynolds(Effect):
         """Add the difference to the model's quadratic drag, or change its coefficients."""
         body = model.body
         if self.whole:
-            whole = common.links(model)
+            whole = common.require_links(model)
             factor = (model.scales([trial]).speed / self.reference_m_s) ** -float(values[0])
             return Hooks(tables=(lambda tables: whole.drag_times(tables, factor),))
         constants = np.array([0.0, values[0], self.reference_m_s])
@@ -139,7 +139,7 @@ class DragReynolds(Effect):
             def read(tables: dict[str, Any]) -> None:
                 constants[0] = body.axial_drag(tables)
 
-            return Hooks(tables=(read,), force=(common.at_hull(body, changed_drag, constants),))
+            return Hooks(tables=(read,), force=(common.force_at_hull(body, changed_drag, constants),))
 
         def take(c: dict[str, float]) -> None:
             constants[0] = c["quadratic"]
@@ -176,14 +176,14 @@ class LiftDamping(Effect):
         The scale is a tenth of the model's drag across all links. The lift slope of a body of low aspect
         ratio is about 1 per rad, as large as a drag coefficient across it, and a tenth of it is visible.
         """
-        body = common.links(model)
+        body = common.require_links(model)
         size = 0.1 * float(body.normal_drag(body.tables())[1][:, 2].sum())
         words = "force across the links per speed and speed across"
         return (parameter("lift_N_s2_m2", "N s^2/m^2", size, words, 0.0, 100.0 * size),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Add points with lift."""
-        body = common.links(model)
+        body = common.require_links(model)
         links, points = body.normal_drag(body.tables())
         points[:, 2] *= float(values[0]) / points[:, 2].sum()
         return Hooks(tables=(lambda tables: body.lift(tables, links, points),))
@@ -228,7 +228,7 @@ class LinearDrag(Effect):
         if body is not None:
             at = body.centre(body.hull)
             return Hooks(tables=(lambda tables: body.drag_more(tables, body.hull, at, values[0]),))
-        return common.more("linear", values[0])
+        return common.add_to_coefficient("linear", values[0])
 
 
 class QuadraticDrag(common.RigCoefficient):
@@ -246,7 +246,7 @@ class QuadraticDrag(common.RigCoefficient):
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the force per squared speed, N s2/m2; moment per squared rate for an angle."""
         linear, angular = ("quadratic_N_s2_m2", "N s^2/m^2"), ("quadratic_N_m_s2_rad2", "N m s^2/rad^2")
-        name, unit = common.by_motion(model, linear, angular)
+        name, unit = common.pick_by_motion(model, linear, angular)
         scales = model.scales(trials)
         size = scales.brake / scales.speed**2
         return (parameter(name, unit, size, "drag per squared speed", lower=-scales.quadratic),)
@@ -275,7 +275,7 @@ class WakeLift(Effect):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the added mass per length at the edge, kg/m; the scale is a plate as high as its length."""
-        body = common.links(model)
+        body = common.require_links(model)
         plate = 0.25 * math.pi * body.density_kg_m3 * body.lengths_m[-1] ** 2
         words = "added mass per length at the trailing edge"
         most = MOST * plate
@@ -283,5 +283,5 @@ class WakeLift(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Add a trailing edge."""
-        body = common.links(model)
+        body = common.require_links(model)
         return Hooks(tables=(lambda tables: body.shed(tables, float(values[0])),))

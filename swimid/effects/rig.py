@@ -23,7 +23,7 @@ class InitialSpeed(common.RigCoefficient):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the speed, m/s or rad/s."""
-        name, unit = common.by_motion(model, ("speed_m_s", "m/s"), ("speed_rad_s", "rad/s"))
+        name, unit = common.pick_by_motion(model, ("speed_m_s", "m/s"), ("speed_rad_s", "rad/s"))
         return (parameter(name, unit, 0.1 * model.scales(trials).speed, self.meaning),)
 
 
@@ -45,12 +45,12 @@ class PulleyFriction(common.RigCoefficient):
 
     def variants(self, model: Model, trials: Trials) -> Effects:
         """Return the form for the pulley or the slide, for rigs whose model does not estimate it."""
-        form = PulleyFriction(everywhere=not common.with_pulley(trials))
+        form = PulleyFriction(everywhere=not common.has_pulley(trials))
         return common.RigCoefficient.variants(form, model, trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the friction beyond that of the model, N (N m for an angle)."""
-        name, unit = common.by_motion(model, ("friction_N", "N"), ("friction_N_m", "N m"))
+        name, unit = common.pick_by_motion(model, ("friction_N", "N"), ("friction_N_m", "N m"))
         words = "dry friction beyond the model's"
         size = model.scales(trials).brake
         return (parameter(name, unit, size, words, lower=-model.start(*self.own)),)
@@ -103,7 +103,7 @@ class StartOffset(common.RigCoefficient):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the displacement, m or rad."""
-        unit = common.by_motion(model, "m", "rad")
+        unit = common.pick_by_motion(model, "m", "rad")
         return (parameter(f"offset_{unit}", unit, 0.01 * model.scales(trials).span, self.meaning),)
 
 
@@ -166,7 +166,7 @@ class StringStretch(Effect):
 
     def applies(self, model: Model, trials: Trials) -> bool:
         """Whether a weight pulls over a pulley."""
-        return common.pulled(model) and common.with_pulley(trials)
+        return common.is_pulled(model) and common.has_pulley(trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return compliance, m/N, share of the weight taken up after the release, and damping ratio."""

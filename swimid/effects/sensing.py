@@ -37,7 +37,7 @@ class CameraRotation(Effect):
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Turn the positions."""
         angle = float(values[0])
-        first, second, _ = common.links(model).pose
+        first, second, _ = common.require_links(model).pose
         origin = model.origin(trial)
 
         def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
@@ -55,7 +55,7 @@ class CameraRotation(Effect):
 
 def _both_measured(model: Model, trials: Trials) -> bool:
     """Whether both coordinates of the position of a planar robot are measured."""
-    return len(common.measured(common.links(model).pose[:2], trials)) == 2
+    return len(common.select_measured(common.require_links(model).pose[:2], trials)) == 2
 
 
 #: Number of Newton steps from the picture of a place to the place.
@@ -93,7 +93,7 @@ class CameraScale(common.Sensing):
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Scale positions and speeds."""
         error, origin = float(values[0]), model.origin(trial)
-        return self.shown(lambda name, length: length + error * (length - origin.get(name, 0.0)))
+        return self.show(lambda name, length: length + error * (length - origin.get(name, 0.0)))
 
 
 class _Lens(CameraScale):
@@ -120,7 +120,7 @@ class _Lens(CameraScale):
         middle = complex(np.mean(places)) if len(places) else 0j
         reach = max(float(np.max(np.abs(places - middle), initial=0.0)), 1e-3)
         (scale,) = super().parameters(model, trials)
-        first, second = common.links(model).pose[:2]
+        first, second = common.require_links(model).pose[:2]
         return (
             scale,
             parameter(
@@ -143,7 +143,7 @@ class _Lens(CameraScale):
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Show positions as the lens does, and speeds with the scale of its centre."""
         error, bent, centre = 1.0 + float(values[0]), float(values[1]), complex(values[2], values[3])
-        first, second = common.links(model).pose[:2]
+        first, second = common.require_links(model).pose[:2]
         origin = model.origin(trial)
         begin = complex(origin[first], origin[second])
 
@@ -173,7 +173,7 @@ class _Lens(CameraScale):
 
 def _places(model: Model, trial: Trial) -> Array:
     """Return the measured places of the body, with two axes as one complex number; none if unknown."""
-    first, second = (trial.measured.get(name) for name in common.links(model).pose[:2])
+    first, second = (trial.measured.get(name) for name in common.require_links(model).pose[:2])
     if first is None or second is None:
         return np.empty(0, dtype=complex)
     return np.asarray(first + 1j * second)
@@ -210,7 +210,7 @@ class ClockRate(Effect):
 
     def variants(self, model: Model, trials: Trials) -> Effects:
         """Return the clock of the log, and the camera's alone if it has its own."""
-        alone = [ClockRate(camera=True)] if common.clocks_apart(model, trials) else []
+        alone = [ClockRate(camera=True)] if common.has_camera_clock(model, trials) else []
         return [*super().variants(model, trials), *alone]
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
@@ -230,7 +230,7 @@ class ClockRate(Effect):
             return Hooks(clock_s=-drift * begin, clock_drift=drift)
         if rate == 0.0:
             return Hooks()
-        return common.poses_at(trial, lambda time_s: time_s - drift * (time_s - begin))
+        return common.shift_poses(trial, lambda time_s: time_s - drift * (time_s - begin))
 
 
 class ImuBias(common.Sensing):
@@ -248,7 +248,7 @@ class ImuBias(common.Sensing):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Add the bias to the turn rates."""
-        return self.shown(lambda name, rate: rate + float(values[0]))
+        return self.show(lambda name, rate: rate + float(values[0]))
 
 
 class ImuTilt(common.Sensing):
@@ -265,7 +265,7 @@ class ImuTilt(common.Sensing):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Reduce the turn rates."""
-        return self.shown(lambda name, rate: math.cos(float(values[0])) * rate)
+        return self.show(lambda name, rate: math.cos(float(values[0])) * rate)
 
 
 class MarkerDropout(Effect):
@@ -314,7 +314,7 @@ class MarkerOffset(Effect):
         body = common.free_body(model)
         if body is None or not super().applies(model, trials):
             return False
-        return bool(common.measured((*body.pose, *body.velocity[:2]), trials))
+        return bool(common.select_measured((*body.pose, *body.velocity[:2]), trials))
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the tracked point ahead of and beside the reference point, m, and its direction, rad."""
@@ -329,7 +329,7 @@ class MarkerOffset(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Show pose and velocity of the tracked point."""
-        body = common.links(model)
+        body = common.require_links(model)
         along, across, turn = (float(v) for v in values)
         (first, second, heading), (ahead, beside, rate) = body.pose, body.velocity
 
@@ -387,7 +387,7 @@ class TimeOffset(Effect):
             return [self]
         if model.estimates("clock_offset"):
             return []
-        alone = [TimeOffset(camera=True)] if common.clocks_apart(model, trials) else []
+        alone = [TimeOffset(camera=True)] if common.has_camera_clock(model, trials) else []
         return [*super().variants(model, trials), *alone]
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
@@ -400,7 +400,7 @@ class TimeOffset(Effect):
         """Delay the clock, or lengthen the times of cruising runs."""
         offset = float(values[0])
         if self.camera and offset != 0.0:
-            return common.poses_at(trial, lambda time_s: time_s - offset)
+            return common.shift_poses(trial, lambda time_s: time_s - offset)
         if self.camera:
             return Hooks()
         if not model.timed_runs:

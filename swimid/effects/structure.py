@@ -35,7 +35,7 @@ class ComOffset(Effect):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the offsets forwards and to port (up in the vertical plane), m."""
-        body = common.links(model)
+        body = common.require_links(model)
         length = body.lengths_m[body.hull]
         size, most = 0.01 * length, 0.2 * length
         return tuple(
@@ -45,7 +45,7 @@ class ComOffset(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Move the mass, and its weight."""
-        body = common.links(model)
+        body = common.require_links(model)
         by = float(values[0]), float(values[1])
         return Hooks(tables=(lambda tables: body.shift(tables, body.hull, by),))
 
@@ -185,7 +185,7 @@ class Hardening(Effect):
         stiffness up to there, ``1 + 3 h q^2 > 0``.
         """
         largest = _deflection(model, trials)
-        unit = common.by_motion(model, "m", "rad") if model.rig is not None else "rad"
+        unit = common.pick_by_motion(model, "m", "rad") if model.rig is not None else "rad"
         size, least = 0.2 / largest**2, -1.0 / (3.0 * largest**2)
         words = "growth of the stiffness with squared deflection"
         return (parameter(f"hardening_{unit}_2", f"{unit}^-2", size, words, least, 30.0 * size),)
@@ -241,7 +241,7 @@ class JointDamping(Effect):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the torque per rate, N m s/rad; its scale is a damping ratio of 0.05."""
-        body = common.links(model)
+        body = common.require_links(model)
         tables, joints = body.tables(), range(len(body.passive))
         sizes = [
             math.sqrt(max(body.stiffness(tables, k), 1e-6) * body.joint_inertia(tables, k)) for k in joints
@@ -252,7 +252,7 @@ class JointDamping(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Add to the damping."""
-        body = common.links(model)
+        body = common.require_links(model)
 
         def damp(tables: dict[str, Any]) -> None:
             for k in range(len(body.passive)):
@@ -308,7 +308,7 @@ class JointLocked(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Hold the joint."""
-        body = common.links(model)
+        body = common.require_links(model)
         lock = float(values[0])
         driven = [axis.column for axis in body.driven]
         if self.column in driven:
@@ -421,7 +421,7 @@ class Friction(Effect, ABC):
     def variants(self, model: Model, trials: Trials) -> Effects:
         """Return the form for rigs, or for models that a command drives in some trial."""
         if model.rig is not None:
-            return [type(self)(everywhere=not common.with_pulley(trials))]
+            return [type(self)(everywhere=not common.has_pulley(trials))]
         return super().variants(model, trials)
 
     def applies(self, model: Model, trials: Trials) -> bool:
@@ -481,16 +481,16 @@ class LoadFriction(Friction):
 
             def command(time_s: Array, angle: Array, joint: int) -> Array:
                 def stuck(time: Array, told: Array) -> Array:
-                    return common.held_back(told, share * _torque(loads[joint], time, told))
+                    return common.hold_back(told, share * _torque(loads[joint], time, told))
 
-                return common.bridged(stuck, time_s, angle)
+                return common.bridge_missing(stuck, time_s, angle)
 
             return common.on_command(model, trial, command)
         if not (trial.rig.pulley or self.everywhere):
             return Hooks()
         measured = trial.inputs.get("force_N")
         if measured is None and not model.rig.swings:
-            return common.more("dry", share * abs(trial.rig.pull))
+            return common.add_to_coefficient("dry", share * abs(trial.rig.pull))
         slow = ROUND * model.scales([trial]).speed
         constants = np.array([share, slow, 0.0, 0.0])
         if measured is not None:
@@ -504,7 +504,7 @@ class LoadFriction(Friction):
 
 def _loads(model: Model) -> list[tuple[float, float]]:
     """Return inertia and quadratic drag of the load of each driven joint."""
-    body = common.links(model)
+    body = common.require_links(model)
     tables = body.tables()
     return [body.carried(tables, k) for k in range(len(body.driven))]
 
@@ -551,15 +551,15 @@ class Stribeck(Friction):
         """
         if model.rig is not None:
             scales = model.scales(trials)
-            rise, unit = common.by_motion(model, ("rise_N", "N"), ("rise_N_m", "N m"))
+            rise, unit = common.pick_by_motion(model, ("rise_N", "N"), ("rise_N_m", "N m"))
             size, most, top = scales.brake, math.inf, scales.speed
             word = f"stribeck_{model.rig.speed.unit.replace('/', '_')}"
             rates, moving = model.rig.speed.unit, "speed"
             what = "friction at rest beyond that in motion"
         else:
-            largest = common.amplitude(model, trials)
+            largest = common.typical_amplitude(model, trials)
             rise, unit, size, most = "stick_rad", "rad", 0.05 * largest, 0.9 * largest
-            word, rates, top = "stribeck_rad_s", "rad/s", common.fastest(model, trials)
+            word, rates, top = "stribeck_rad_s", "rad/s", common.largest_rate(model, trials)
             what, moving = "angle by which a joint at rest is held back", "rate"
         over, least = f"{moving} over which it falls", 0.01 * top
         return (
@@ -583,18 +583,18 @@ class Stribeck(Friction):
             if not (trial.rig.pulley or self.everywhere):
                 return Hooks()
             spared = Force(relieved, np.array([rise, slow]))
-            return Hooks(coefficients=common.more("dry", rise).coefficients, force=(spared,))
+            return Hooks(coefficients=common.add_to_coefficient("dry", rise).coefficients, force=(spared,))
 
         def stuck(time_s: Array, angle: Array) -> Array:
             if len(time_s) < 2:
                 return angle
             rate = np.gradient(angle, time_s)
-            return common.held_back(angle, rise * np.exp(-np.square(rate / slow)))
+            return common.hold_back(angle, rise * np.exp(-np.square(rate / slow)))
 
         def command(time_s: Array, angle: Array) -> Array:
-            return common.bridged(stuck, time_s, angle)
+            return common.bridge_missing(stuck, time_s, angle)
 
-        return common.on_command(model, trial, common.every_joint(command))
+        return common.on_command(model, trial, common.for_every_joint(command))
 
 
 #: Unit of the forces of a model that has no inertia of its own.
@@ -621,7 +621,7 @@ class WaterIngress(Effect):
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the mass (kg; kg m2 for an angle), and for a swimmer its place (m ahead of the centre)."""
         linear, angular = ("mass_kg", "kg", "mass"), ("inertia_kg_m2", "kg m^2", "inertia")
-        name, unit, what = common.by_motion(model, linear, angular)
+        name, unit, what = common.pick_by_motion(model, linear, angular)
         size = 0.05 * model.scales(trials).inertia
         much = parameter(name, unit, size, f"{what} of the water inside", lower=0.0)
         body = model.body

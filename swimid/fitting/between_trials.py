@@ -229,7 +229,7 @@ def fit_random_effect(
             parameters.append(p)
         now = output_error.fit(result.model, result.trials, parameters=parameters, tested=False)
         rounds.append(now)
-    now = output_error.held_to_restarts(now, jobs=1)
+    now = output_error.check_by_restarts(now, jobs=1)
     earlier = [result, *rounds[:-1]]
     now = replace(
         now,

@@ -63,7 +63,7 @@ def multistart(
     -------
     best : FitResult
         Fit of the least cost; a converged one if two are the same minimum (:data:`SAME`). A converged one is
-        tested as in :func:`swimid.fitting.output_error.held_to_restarts`.
+        tested as in :func:`swimid.fitting.output_error.check_by_restarts`.
     ends : list of Start
         In the order they were run. After Ctrl-C the remaining ones are left out.
 
@@ -115,7 +115,7 @@ def multistart(
     threads = jobs or os.cpu_count() or 1
     found = best
     if best.converged:
-        found = output_error.held_to_restarts(best, jobs=threads)
+        found = output_error.check_by_restarts(best, jobs=threads)
     others = [r for r in results if r is not best]
     evaluations = found.evaluations + sum(r.evaluations for r in others)
     return replace(

@@ -126,10 +126,10 @@ def fit(
     threads = jobs or os.cpu_count() or 1
     task = _Task(model, tuple(trials), tuple(parameters or model.parameters), threads, loss, progress)
     result = _refined(task, begin, unfinished)
-    return held_to_restarts(result, jobs=threads) if tested and result.converged else result
+    return check_by_restarts(result, jobs=threads) if tested and result.converged else result
 
 
-def held_to_restarts(result: FitResult, *, jobs: int) -> FitResult:
+def check_by_restarts(result: FitResult, *, jobs: int) -> FitResult:
     """Return a fit, or a better one that a restart near its answer leads to; warn of the latter.
 
     The result states :attr:`FitResult.restarts` and :attr:`FitResult.settled`.

@@ -16,7 +16,7 @@ Made = TypeVar("Made")
 _work: tuple[Callable[[Any], Any], list[Any]] | None = None
 
 
-def mapped(function: Callable[[Item], Made], items: Iterable[Item], jobs: int) -> Iterator[Made]:
+def map_in_processes(function: Callable[[Item], Made], items: Iterable[Item], jobs: int) -> Iterator[Made]:
     """Yield the results of a function in the order of its items, each as soon as it is there.
 
     On Linux the items are shared among forked processes, because most of a simulation is Python, which
@@ -30,7 +30,7 @@ def mapped(function: Callable[[Item], Made], items: Iterable[Item], jobs: int) -
         yield from map(function, items)
         return
     if sys.platform != "linux":
-        with in_threads(function, items, jobs) as results:
+        with map_in_threads(function, items, jobs) as results:
             yield from results
         return
     _work = function, items
@@ -49,7 +49,9 @@ def _one(index: int) -> Any:
 
 
 @contextmanager
-def in_threads(work: Callable[[Item], Made], items: Iterable[Item], jobs: int) -> Iterator[Iterator[Made]]:
+def map_in_threads(
+    work: Callable[[Item], Made], items: Iterable[Item], jobs: int
+) -> Iterator[Iterator[Made]]:
     """Compute a function of many items in threads.
 
     Parameters

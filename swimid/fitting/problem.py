@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.fitting.parallel import in_threads
+from swimid.fitting.parallel import map_in_threads
 
 #: Duration of one simulation, s, above which simulations are shared among threads.
 WORTH_A_THREAD = 3e-4
@@ -380,7 +380,7 @@ class Problem:
             together = self.model.together
             share = math.ceil(len(runs) / threads / together) * together
             parts = [runs[i : i + share] for i in range(0, len(runs), share)]
-            with in_threads(self.model.simulate_many, parts, threads) as batches:
+            with map_in_threads(self.model.simulate_many, parts, threads) as batches:
                 found = [one for batch in batches for one in batch]
         else:
             found = self.model.simulate_many(runs)

@@ -13,7 +13,7 @@ import numpy as np
 from swimid.errors import InputError, NoTrustworthyResult, UsageError, suggestion
 from swimid.fitting.drives import Beat, SwimInput
 from swimid.fitting.model import Array
-from swimid.fitting.parallel import in_threads
+from swimid.fitting.parallel import map_in_threads
 from swimid.logs.trials import StrokeDrive
 from swimid.optimisation.options import GaitOptions
 from swimid.results import parameters as parameters_format
@@ -240,7 +240,7 @@ class Performance:
         def one(part: slice) -> Array:
             return self.table(points[part], None if values is None else values[part])
 
-        with in_threads(one, parts, jobs) as results:
+        with map_in_threads(one, parts, jobs) as results:
             return np.concatenate(list(results))
 
     def with_errors(self, point: Point) -> Array:
