@@ -3,7 +3,7 @@
 A class of options derives from :class:`Options` and has one :func:`option` for each field. It gives the
 keyword arguments of the function and their docstring (:func:`takes`), the command with its options and help
 (``swimid.cli.builder``), the ``settings`` of the provenance (:meth:`Options.settings`), and the table in the
-docs (``swimid.cli.table``).
+docs (``docs/options.py``).
 
 Modules with options import this module and typing only, so that ``--help`` stays fast.
 """
@@ -97,8 +97,6 @@ class Options(BaseModel):
         Options of a document that goes to stdout without ``-o``, unless they are given.
     beside : tuple of str
         Endings of the files that are written beside the output, by default that of the evidence.
-    page : str
-        Page of the docs, by default that of the command's name.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)

@@ -318,7 +318,7 @@ def test_the_command(swimid: Callable[..., Ran], tmp_path: Path) -> None:
         ({"robot": "boxfish"}, "multilink"),
     ],
 )
-def test_what_is_refused(changed: dict[str, object], says: str) -> None:
+def test_invalid_files_are_refused(changed: dict[str, object], says: str) -> None:
     given = {"vary": {"K_s": (0.1, 1.0)}, "frequency_hz": 3.0, **DOLPHIN, **changed}
     with pytest.raises((UsageError, InputError), match=says):
         package.optimise_gait(**{k: v for k, v in given.items() if v is not None})

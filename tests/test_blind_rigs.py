@@ -200,7 +200,7 @@ def test_a_finished_case_is_not_run_again(finished: Path) -> None:
     runner.run([case], finished, 1, program=("/nowhere",))
 
 
-def test_right_and_wrong_are_told_apart(finished: Path) -> None:
+def test_right_and_wrong_answers_are_distinguished(finished: Path) -> None:
     rows = {row["number"]: row for row in score.read(finished)}
     assert [rows[k]["first"] for k in range(5)] == [False] * 5
     assert [rows[k]["within"] for k in range(5)] == [False, True, False, True, False]

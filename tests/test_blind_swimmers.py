@@ -200,7 +200,7 @@ def test_the_same_seed_makes_the_same_case(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("brief")
-def test_what_the_nominal_model_can_imitate_is_no_gap(tmp_path: Path) -> None:
+def test_a_change_that_the_nominal_model_imitates_is_no_gap(tmp_path: Path) -> None:
     label = swimmers.make_case(tmp_path, robot="dolphin", effect=None, size=1.0, rng=np.random.default_rng(5))
     other = {k: v * 1.02 for k, v in label["coefficients"].items()}
     moved = {t.id: swimmers.swim(t, other) for t in label["trials"]}

@@ -73,7 +73,7 @@ def marker_lost(begin_s: float, length_s: float, trials: Sequence[int]) -> Act:
 
 
 @pytest.mark.slow
-def test_a_marker_lost_after_four_seconds_is_no_force(tmp_path: Path) -> None:
+def test_a_lost_marker_is_not_reported_as_a_force(tmp_path: Path) -> None:
     gap_trials.write(tmp_path, "tfish", [marker_lost(4.0, 1.5, (1, 3))])
     file = diagnosed(tmp_path)
     assert file.verdict == "explained"
@@ -144,10 +144,8 @@ def test_the_users_own_effect_is_found(tmp_path: Path) -> None:
     weak = swim_actuation.battery_droop(rng(), 3.0, "tfish")
     gap_trials.write(tmp_path, "tfish", [weak])
     (tmp_path / "params.yaml").rename(tmp_path / "tfish.yaml")
-    text = (ROOT / "docs" / "diagnose.md").read_text(encoding="utf-8")
-    *_, line = re.findall(
-        r"^swimid (diagnose .*my_effect\.py -o gap\.yaml)$", text.split("## Limits")[0], re.M
-    )
+    text = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
+    (line,) = re.findall(r"^swimid (diagnose .*my_effect\.py -o gap\.yaml)$", text, re.M)
     place = tmp_path / "docs" / "examples" / "effect"
     place.mkdir(parents=True)
     shutil.copy(DROOP, place)
@@ -231,7 +229,7 @@ def test_the_cause_in_the_sample_leaves_what_noise_would(sample: tuple[Path, Ran
 
 
 @pytest.mark.slow
-def test_the_report_draws_it(sample: tuple[Path, Ran], tmp_path: Path) -> None:
+def test_the_report_draws_the_sample(sample: tuple[Path, Ran], tmp_path: Path) -> None:
     ran = command("report", sample[0], "-o", tmp_path / "gap.html")
     assert ran.status == 0, ran.err
     page = (tmp_path / "gap.html").read_text(encoding="utf-8")
@@ -241,7 +239,7 @@ def test_the_report_draws_it(sample: tuple[Path, Ran], tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_sample_is_the_generators(tmp_path: Path) -> None:
+def test_the_sample_is_what_its_generator_writes(tmp_path: Path) -> None:
     gap_trials.write_sample(tmp_path)
     kept = SAMPLES / "gap"
     assert sorted(p.name for p in kept.iterdir()) == sorted(p.name for p in tmp_path.iterdir())
@@ -327,7 +325,7 @@ def test_only_the_effects_asked_for_are_tried(rig: tuple[Path, Path]) -> None:
     assert result["as_given"] == compared.json["result"]["channels"]
 
 
-def test_a_validation_trial_that_is_not_predicted_is_told(tmp_path: Path) -> None:
+def test_a_validation_trial_that_is_not_predicted_is_reported(tmp_path: Path) -> None:
     """Drops without a gap, one of them, held out, with a tape that is 2 % long; and a single drop."""
     shutil.copytree(SAMPLES / "rig", tmp_path / "rig")
     trials, log = tmp_path / "rig" / "trials.yaml", tmp_path / "rig" / "w30.csv"
@@ -353,7 +351,7 @@ def test_a_validation_trial_that_is_not_predicted_is_told(tmp_path: Path) -> Non
     assert "another setting" in file.advice[0].text
 
 
-def test_a_sparse_budget_still_ends_with_an_answer(rig: tuple[Path, Path]) -> None:
+def test_a_short_time_budget_still_gives_an_answer(rig: tuple[Path, Path]) -> None:
     ran = command("diagnose", rig[0], "--params", rig[1], "--budget-s", "0.001", "--json")
     assert ran.status == 0, ran.err
     assert ran.json["result"]["verdict"] in ("none", "explained", "ambiguous", "unexplained")
@@ -370,7 +368,7 @@ def test_without_a_parameter_file_the_robot_file_is_refitted(rig: tuple[Path, Pa
     assert command("report", out, "-o", tmp_path / "gap.html").status == 0
 
 
-def test_a_black_box_has_no_values_but_those_of_a_fit(swimid: Run, tmp_path: Path) -> None:
+def test_a_black_box_model_needs_a_parameter_file(swimid: Run, tmp_path: Path) -> None:
     path = tmp_path / "trials.yaml"
     path.write_text(
         "format: swimid-trials/1\nexperiment: arma\nrobot: long-fin\n"
@@ -381,7 +379,7 @@ def test_a_black_box_has_no_values_but_those_of_a_fit(swimid: Run, tmp_path: Pat
     assert "give them with --params" in ran.err
 
 
-def test_an_unknown_effect(swimid: Run, rig: tuple[Path, Path]) -> None:
+def test_an_unknown_effect_is_refused(swimid: Run, rig: tuple[Path, Path]) -> None:
     ran = swimid("diagnose", rig[0], "--params", rig[1], "--effects", "servo-lagg")
     assert ran.status == 2
     assert "did you mean 'servo-lag'" in ran.err
@@ -397,7 +395,7 @@ def test_an_unknown_effect(swimid: Run, rig: tuple[Path, Path]) -> None:
         ("x = 1\n", "defines no effect"),
     ],
 )
-def test_an_effect_that_cannot_be_read(
+def test_an_effect_file_that_cannot_be_read_is_refused(
     swimid: Run, rig: tuple[Path, Path], tmp_path: Path, text: str | None, said: str
 ) -> None:
     mine, out = tmp_path / "mine.py", tmp_path / "gap.yaml"
@@ -410,7 +408,9 @@ def test_an_effect_that_cannot_be_read(
     assert not out.exists()
 
 
-def test_an_effect_whose_name_is_taken(swimid: Run, rig: tuple[Path, Path], tmp_path: Path) -> None:
+def test_an_effect_with_a_name_of_the_catalogue_is_refused(
+    swimid: Run, rig: tuple[Path, Path], tmp_path: Path
+) -> None:
     mine = tmp_path / "mine.py"
     mine.write_text(DROOP.read_text().replace('"drive-droop"', '"servo-lag"'))
     ran = swimid("diagnose", rig[0], "--params", rig[1], "--effect", mine)
@@ -418,7 +418,9 @@ def test_an_effect_whose_name_is_taken(swimid: Run, rig: tuple[Path, Path], tmp_
     assert "servo-lag" in ran.err
 
 
-def test_no_trial_to_fit(swimid: Run, rig: tuple[Path, Path], tmp_path: Path) -> None:
+def test_trials_without_a_fitted_trial_are_refused(
+    swimid: Run, rig: tuple[Path, Path], tmp_path: Path
+) -> None:
     for path in rig[0].parent.glob("*.csv"):
         shutil.copy(path, tmp_path)
     text = rig[0].read_text().replace("- {log:", "- {role: validate, log:")
@@ -430,7 +432,7 @@ def test_no_trial_to_fit(swimid: Run, rig: tuple[Path, Path], tmp_path: Path) ->
     assert "fit" in ran.err
 
 
-def test_the_parameters_of_another_robot(swimid: Run, rig: tuple[Path, Path], tmp_path: Path) -> None:
+def test_parameters_of_another_robot_are_refused(swimid: Run, rig: tuple[Path, Path], tmp_path: Path) -> None:
     out = tmp_path / "gap.yaml"
     for params in (rig[1], tmp_path / "dolphin.yaml"):
         if params != rig[1]:
@@ -441,7 +443,9 @@ def test_the_parameters_of_another_robot(swimid: Run, rig: tuple[Path, Path], tm
         assert not out.exists()
 
 
-def test_the_gap_file_is_no_parameter_file(swimid: Run, rig: tuple[Path, Path], tmp_path: Path) -> None:
+def test_a_gap_file_is_refused_as_a_parameter_file(
+    swimid: Run, rig: tuple[Path, Path], tmp_path: Path
+) -> None:
     ran = swimid("diagnose", rig[0], "--params", rig[0])
     assert ran.status == 3
     assert "Traceback" not in ran.err

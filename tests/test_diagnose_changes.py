@@ -58,7 +58,7 @@ def test_the_same_rig_on_another_day(swimid: Run, first_day: Path, tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_of_values_without_standard_errors_none_is_not_good(
+def test_a_none_verdict_without_standard_errors_is_not_good(
     swimid: Run, first_day: Path, tmp_path: Path
 ) -> None:
     """Nothing tells how well they were known; the refit says how far they are off."""

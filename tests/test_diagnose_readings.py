@@ -83,7 +83,7 @@ def starts(model: Model) -> Array:
 # ---------------------------------------------------------------- how they act
 
 
-def test_every_answer_but_those_chosen_is_tried(others: dict[str, OtherReading]) -> None:
+def test_every_reading_that_was_not_chosen_is_tried(others: dict[str, OtherReading]) -> None:
     assert {name: other.stage for name, other in others.items()} == STAGES
     meaning = others["reading:drag_point=strips"].meaning
     assert meaning == (
@@ -96,7 +96,7 @@ def test_every_answer_but_those_chosen_is_tried(others: dict[str, OtherReading])
     [{"drag_point": "strips"}, {"areas": "as-printed"}, {"head_inertia": "com", "drag_point": "com"}],
     ids=lambda a: "+".join(a.values()),
 )
-def test_the_robot_read_otherwise_takes_the_place_of_the_nominal_one(
+def test_another_reading_replaces_the_nominal_robot(
     fish: Experiment, others: dict[str, OtherReading], answers: dict[str, str]
 ) -> None:
     """As a model of the robot file read so from the start, to the last bit, with the nominal parameters."""
@@ -112,7 +112,7 @@ def test_the_robot_read_otherwise_takes_the_place_of_the_nominal_one(
             assert not np.allclose(found[channel], plain[channel], rtol=1e-3)
 
 
-def test_effects_act_on_the_robot_read_otherwise(fish: Experiment, others: dict[str, OtherReading]) -> None:
+def test_effects_act_on_a_robot_in_another_reading(fish: Experiment, others: dict[str, OtherReading]) -> None:
     ingress = next(
         e for e in catalogue.applicable(catalogue.catalogue(), fish.model, fish.trials) if e.name == "current"
     )
@@ -135,7 +135,7 @@ def test_a_finer_step_keeps_the_reading(fish: Experiment, others: dict[str, Othe
     assert finer.model.robot.readings["areas"].chosen == "as-printed"
 
 
-def test_no_question_has_two_answers(others: dict[str, OtherReading]) -> None:
+def test_two_answers_of_one_question_cannot_be_combined(others: dict[str, OtherReading]) -> None:
     strips, com, head = (
         others[f"reading:{n}"] for n in ("drag_point=strips", "drag_point=com", "head_inertia=com")
     )
@@ -159,7 +159,7 @@ def test_the_compiled_form_serves_readings_that_differ_in_numbers(fish: Experime
 # ---------------------------------------------------------------- which are tried
 
 
-def test_what_the_trials_do_not_depend_on_is_no_hypothesis(tmp_path: Path) -> None:
+def test_a_reading_that_changes_no_measured_channel_is_no_hypothesis(tmp_path: Path) -> None:
     """Gravity in a horizontal plane; an answer that takes a coefficient away; one already chosen."""
     spare = "coefficients:\n    spare: {value: 1.0, meaning: none, source: none}\n#"
     text = robot_format.locate("tfish").read_text().replace("coefficients:", spare, 1)
@@ -173,7 +173,7 @@ def test_what_the_trials_do_not_depend_on_is_no_hypothesis(tmp_path: Path) -> No
     }
 
 
-def test_a_robot_that_leaves_nothing_open_has_none() -> None:
+def test_a_robot_without_readings_has_no_such_hypothesis() -> None:
     sealion = experiment("sealion", [])
     assert readings.others(sealion, []) == ([], {})
 
@@ -185,7 +185,9 @@ def test_a_robot_that_leaves_nothing_open_has_none() -> None:
         ("reading:drag_point=mid-link", 2, "is read so already"),
     ],
 )
-def test_readings_asked_for_by_name(swimid: Run, tmp_path: Path, name: str, status: int, says: str) -> None:
+def test_readings_are_requested_by_name(
+    swimid: Run, tmp_path: Path, name: str, status: int, says: str
+) -> None:
     gap_trials.write(tmp_path, "tfish", settings=((1.0, 25, 0),), duration_s=2.0)
     ran = swimid("diagnose", tmp_path / "trials.yaml", "--effects", f"current,{name}")
     assert ran.status == status
@@ -195,9 +197,7 @@ def test_readings_asked_for_by_name(swimid: Run, tmp_path: Path, name: str, stat
 # ---------------------------------------------------------------- how they are weighed
 
 
-def test_what_other_trials_told_they_told_of_the_nominal_robot(
-    fish: Experiment, others: dict[str, OtherReading]
-) -> None:
+def test_priors_are_wider_under_another_reading(fish: Experiment, others: dict[str, OtherReading]) -> None:
     """Under another reading a coefficient is known to 60 % of its size at best, and counts like a number."""
     model = fish.model
     prior = {"c_d0": (4.9, 0.1), "c_d4": (5.8, 4.0)}
@@ -252,7 +252,7 @@ def sought(trials: list[Trial], *, reading: bool = True) -> State:
     "rate, rising, causes",
     [(2.0, 0.0, {"reading:rate=quick"}), (2.0, 0.3, {"reading:rate=quick", "rise"}), (1.0, 0.3, {"rise"})],
 )
-def test_a_reading_is_named_alone_and_in_a_set(
+def test_a_reading_is_a_cause_alone_and_in_a_set(
     rng: np.random.Generator, rate: float, rising: float, causes: set[str]
 ) -> None:
     state = sought(decays(rng, rate, rising))
@@ -260,7 +260,7 @@ def test_a_reading_is_named_alone_and_in_a_set(
     assert state.posterior.sets[frozenset(causes)] > 0.8
 
 
-def test_beside_a_reading_the_fits_of_effects_stay_what_they_are(rng: np.random.Generator) -> None:
+def test_readings_do_not_change_the_fits_of_effects(rng: np.random.Generator) -> None:
     """To the last bit, where it does not lead and so does not tell the noise."""
     trials = decays(rng, 1.0, 0.3)
     found, without = sought(trials), sought(trials, reading=False)
@@ -287,7 +287,7 @@ def answered(option: str) -> swimmer.Swimmer:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("option", ["drag_point=com", "head_inertia=com"])
-def test_trials_of_a_robot_read_otherwise(tmp_path: Path, option: str) -> None:
+def test_trials_of_a_robot_in_another_reading_name_that_reading(tmp_path: Path, option: str) -> None:
     """Without a parameter file: the coefficients are free to stand in for the reading, and one ends at its
     bound where they cannot.
     """
@@ -309,7 +309,7 @@ def test_trials_of_a_robot_read_otherwise(tmp_path: Path, option: str) -> None:
 
 
 @pytest.mark.slow
-def test_drag_along_the_links_is_another_reading(tmp_path: Path) -> None:
+def test_drag_on_strips_is_found_as_another_reading(tmp_path: Path) -> None:
     spread = swim_effects.spread_drag(np.random.default_rng(5), 1.0, "tfish")
     gap_trials.write(tmp_path, "tfish", [spread])
     file = diagnosed(tmp_path)
@@ -322,7 +322,7 @@ def test_drag_along_the_links_is_another_reading(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_current_is_no_reading(tmp_path: Path) -> None:
+def test_a_current_is_not_reported_as_a_reading(tmp_path: Path) -> None:
     current = swim_effects.current(np.random.default_rng(5), 2.0, "tfish")
     gap_trials.write(tmp_path, "tfish", [current])
     file = diagnosed(tmp_path)

@@ -126,9 +126,7 @@ def test_a_block_on_a_ramp_is_not_frictionless(swimid: Command, real_data: Path,
     assert friction / (9.81 * np.cos(np.radians([21.9, 26.6])).mean()) == pytest.approx(0.33, abs=0.03)
 
 
-def test_tanks_that_overflow_are_beyond_the_catalogue(
-    swimid: Command, real_data: Path, tmp_path: Path
-) -> None:
+def test_overflowing_tanks_are_unexplained(swimid: Command, real_data: Path, tmp_path: Path) -> None:
     """A linear black box; outflow as the root of the level, and a level that cannot pass 10 V."""
     trials, nominal = real_logs.write_tanks(tmp_path, real_data), tmp_path / "arx.yaml"
     orders = ("--input", "u", "--output", "y", "--na", "2", "--nb", "2")
@@ -138,7 +136,7 @@ def test_tanks_that_overflow_are_beyond_the_catalogue(
     assert not gap["causes"]
 
 
-def test_what_is_named_for_the_fish_helps_at_the_amplitude_held_out(
+def test_a_cause_of_the_fish_reduces_held_out_errors(
     swimid: Command, real_data: Path, tmp_path: Path
 ) -> None:
     """Nothing is known to be missing: the amplitude that took no part in any fit judges what is named."""

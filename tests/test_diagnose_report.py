@@ -113,14 +113,14 @@ def test_the_summary_says_that_little_of_the_gap_closes() -> None:
     assert "Caution: of the gap in u_m_s 40 % closes" in text
 
 
-def test_the_summary_does_not_choose_where_the_data_cannot() -> None:
+def test_the_summary_names_no_cause_if_the_data_cannot() -> None:
     text = said("ambiguous")
     assert "Caution: these trials cannot tell current from tether or linear-drag" in text
     assert "explains" not in text
     assert "current/north_m_s at a bound" in text
 
 
-def test_why_a_cause_is_not_named_is_said() -> None:
+def test_the_reason_why_no_cause_is_named_is_stated() -> None:
     alone = replace(cases.CURRENT, equivalent=[])
     gap = replace(
         cases.AMBIGUOUS, causes=[alone], unsure=["half of the gap stays"], reasons=["something else"]
@@ -146,7 +146,7 @@ def test_the_other_verdicts_in_words() -> None:
     assert "0.0021 rad) closes part of it." in said("partly")
 
 
-def test_a_parameter_that_changed_is_said_first() -> None:
+def test_a_changed_parameter_is_stated_first() -> None:
     text = said("changed")
     change = "k_t 0.06 → 0.055200 ± 0.000030 N·m/rad (71 standard errors)"
     assert f"EXPLAINED: {change} or joint-stiffness explains the gap of the parameters as given." in text
@@ -162,12 +162,12 @@ def test_a_changed_parameter_is_written_with_its_value_in_the_file(tmp_path: Pat
     assert GapFile.read(path).causes[0].parameters == cases.SOFTER.parameters
 
 
-def test_what_no_parameter_file_and_a_poor_black_box_leave_open_is_said() -> None:
+def test_notes_of_a_missing_parameter_file_and_a_poor_black_box() -> None:
     assert "NO GAP: The refitted model describes these trials" in said("not given")
     assert "Do not rely on it: the model reproduces 0.3 % of u_m_s" in said("black box")
 
 
-def test_a_reading_is_named_with_its_question_and_how_to_work_with_it() -> None:
+def test_a_reading_is_named_with_its_question_and_its_option() -> None:
     text = said("reread")
     assert "reading:drag_point=strips explains the gap" in text
     assert "To work with the other reading: --reading drag_point=strips." in text
@@ -179,7 +179,7 @@ def test_a_reading_is_named_with_its_question_and_how_to_work_with_it() -> None:
     assert row["value"] is None
 
 
-def test_an_odd_trial_and_a_refuted_cause_are_told() -> None:
+def test_an_odd_trial_and_a_refuted_cause_are_reported() -> None:
     gap = replace(cases.UNEXPLAINED, odd_trial={"f10a15": 91.0}, refuted=["waves"])
     text = summary(gap)
     assert "f10a15 contradicts the other trials, with 91 times their error" in text
@@ -188,7 +188,7 @@ def test_an_odd_trial_and_a_refuted_cause_are_told() -> None:
     assert failed == ["trials agree", "likeliest cause", "remaining gap"]
 
 
-def test_bounds_that_are_hit_are_said() -> None:
+def test_bounds_that_are_reached_are_reported() -> None:
     first = checked(cases.REREAD)["bounds without effects"]
     assert (first.value, first.verdict) == ("c_d4 at 6 and c_f0 at 0", "info")
     hit = replace(cases.NONE, at_bound={"c_d4": 6.0})
@@ -207,7 +207,7 @@ def test_an_explanation_names_its_rivals() -> None:
     "without, error, with_effect, found",
     [(1.3, 0.1, 1.0, True), (1.15, 0.1, 1.0, False), (1.05, 0.01, 1.0, False), (0.7, 0.1, 1.0, True)],
 )
-def test_a_coefficient_moved_by_two_errors_and_a_tenth(
+def test_a_coefficient_has_moved_beyond_two_errors_and_a_tenth(
     without: float, error: float, with_effect: float, found: bool
 ) -> None:
     number = cases.number
@@ -241,7 +241,7 @@ def test_the_level_follows_from_the_verdict(name: str) -> None:
     assert cases.evidence(cases.ALL[name]).verdict.level == LEVELS[name]
 
 
-def test_a_gap_file_alone_is_shown_too(tmp_path: Path) -> None:
+def test_a_gap_file_without_evidence_is_shown(tmp_path: Path) -> None:
     path = cases.written(tmp_path, "explained")
     ev.sidecar(path).unlink()
     found = Diagnosis.load(path).content()
@@ -294,7 +294,7 @@ def test_every_check_that_does_not_pass_gives_a_reason(name: str) -> None:
         assert check.reason or check.verdict not in ("warn", "fail"), check.name
 
 
-def test_logs_that_contradict_what_is_written_of_them_make_no_good_answer() -> None:
+def test_logs_that_contradict_their_metadata_give_no_good_answer() -> None:
     against = ev.NoticeRecord(code="SWM063", text="the courses follow the headings mirrored")
     known = [diagnose_evidence.evidence(cases.EXPLAINED, notices=n) for n in ([], [against])]
     assert [e.verdict.level for e in known] == ["good", "caution"]
@@ -313,7 +313,7 @@ def test_the_methods_cite_what_was_done() -> None:
     assert not any("Box" in r for r in silent.references)
 
 
-def test_effects_of_which_nothing_can_be_said_are_listed_with_the_others() -> None:
+def test_effects_that_cannot_be_evaluated_are_listed() -> None:
     gap = replace(cases.NONE, left_out={"imu-bias": "it changes nothing that was measured"})
     (table,) = (t for t in cases.evidence(gap).tables if t.id == "scores")
     assert [table.rows[-1][k] for k in (0, 2)] == ["imu-bias", "it changes nothing that was measured"]
@@ -359,7 +359,7 @@ def test_causes_and_rivals_stand_out_of_the_ranked_effects() -> None:
 # ---------------------------------------------------------------- the command line
 
 
-def test_the_command_hands_over_what_was_asked(
+def test_the_command_passes_its_options_to_the_function(
     swimid: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen: dict[str, Any] = {}
@@ -399,7 +399,7 @@ def test_the_help_has_an_example(swimid: Run) -> None:
 
 
 def test_the_manual_lists_the_catalogue() -> None:
-    manual = (ROOT / "docs" / "diagnose.md").read_text()
+    manual = (ROOT / "docs" / "effects.md").read_text()
     table = manual.split("## The catalogue")[1].split("## ")[0]
     stage, listed = "", {}
     for row in re.findall(r"^\| *(\w*) *\| `([a-z-]+)` \|", table, flags=re.M):
@@ -442,7 +442,7 @@ def test_the_example_of_the_manual_works() -> None:
 
 
 class TestWhatIsStatedIsWhatIsComputed:
-    def test_what_else_may_be_is_told(self) -> None:
+    def test_other_possibilities_are_stated(self) -> None:
         text = summary(replace(cases.EXPLAINED, no_gap=0.0004, outside=0.062))
         assert "probability no gap < 0.1 %, a cause outside the catalogue 6.2 %" in text
 
@@ -454,7 +454,7 @@ class TestWhatIsStatedIsWhatIsComputed:
             ("stretches", "In cross-validation over stretches of trials the error of u_m_s"),
         ],
     )
-    def test_held_out_data_are_called_what_they_are(self, held_out: HeldOut, said: str) -> None:
+    def test_held_out_data_are_named_correctly(self, held_out: HeldOut, said: str) -> None:
         assert said in summary(replace(cases.EXPLAINED, held_out=held_out))
 
     @pytest.mark.parametrize("name", sorted(cases.ALL))
@@ -463,7 +463,7 @@ class TestWhatIsStatedIsWhatIsComputed:
         parts = evidence.model_dump(exclude={"references", "provenance"})
         assert not re.search("at most once in|took no part|[Ss]oftmax|threshold", f"{parts} {said(name)}")
 
-    def test_the_badge_says_the_verdict_and_not_that_a_gap_is_good(self) -> None:
+    def test_the_badge_shows_the_verdict(self) -> None:
         words = {name: cases.evidence(gap).verdict.word for name, gap in cases.ALL.items()}
         assert (words["explained"], words["none"]) == ("Explained", "No gap")
         assert (words["ambiguous"], words["unexplained"]) == ("Ambiguous", "Unexplained")

@@ -83,7 +83,7 @@ def test_repeats_stay_together() -> None:
     assert [set(o.tolist()) for o in found.owner] == [{0}, {1}, {0}, {2}, {3}]
 
 
-def test_few_trials_are_cut_into_stretches() -> None:
+def test_few_trials_are_divided_into_stretches() -> None:
     """Two trials, four stretches each; what is missing from a channel shifts no sample to another stretch."""
     trials = [plain(0, force=1.0), plain(1, force=2.0)]
     times = [np.linspace(0.0, 8.0, 81), np.linspace(0.0, 8.0, 81)[40:]]
@@ -123,7 +123,7 @@ def _autoregression(rng: np.random.Generator, n: int, sd: float) -> tuple[np.nda
     return a, innovations, lfilter([1.0], [1.0, *a], innovations)
 
 
-def test_whitening_gives_back_the_innovations(rng: np.random.Generator) -> None:
+def test_whitening_returns_the_innovations(rng: np.random.Generator) -> None:
     a, innovations, x = _autoregression(rng, 300, 0.3)
     problem = _problem(x)
     noise_model = NoiseModel(problem.sd, {"y": a}, {"y": 0.3}, {"y": 2.0})
@@ -135,7 +135,7 @@ def test_whitening_gives_back_the_innovations(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(both, np.column_stack((seen, -2.0 * seen)), rtol=1e-12, atol=1e-12)
 
 
-def test_no_colour_leaks_over_a_missing_sample(rng: np.random.Generator) -> None:
+def test_whitening_restarts_after_a_missing_sample(rng: np.random.Generator) -> None:
     a, innovations, x = _autoregression(rng, 100, 1.0)
     x[[40, 41]] = np.nan
     problem = _problem(x)
@@ -147,7 +147,7 @@ def test_no_colour_leaks_over_a_missing_sample(rng: np.random.Generator) -> None
     np.testing.assert_allclose(seen[clean], innovations[clean], atol=1e-10)
 
 
-def test_the_colour_is_found(rng: np.random.Generator) -> None:
+def test_the_autoregression_is_estimated(rng: np.random.Generator) -> None:
     a, _, x = _autoregression(rng, 6000, 0.3)
     problem = _problem(x)
     noise_model = coloured(problem, [x], NoiseModel(problem.sd))
@@ -160,7 +160,7 @@ def test_the_colour_is_found(rng: np.random.Generator) -> None:
         assert abs(np.corrcoef(seen[lag:], seen[:-lag])[0, 1]) < 4.0 / np.sqrt(len(seen))
 
 
-def test_chance_differences_are_sized(rng: np.random.Generator) -> None:
+def test_between_trial_variation_is_estimated(rng: np.random.Generator) -> None:
     n, count, true = 40, 60, np.array([0.5, 0.0])
     random_effects = [rng.normal(size=(n, 2)) for _ in range(count)]
     residuals = [c @ (true * rng.normal(size=2)) + rng.normal(size=n) for c in random_effects]
@@ -170,7 +170,7 @@ def test_chance_differences_are_sized(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize("repeated", [True, False])
-def test_repeats_tell_how_much_of_a_difference_is_chance(repeated: bool, rng: np.random.Generator) -> None:
+def test_repeats_limit_the_between_trial_variation(repeated: bool, rng: np.random.Generator) -> None:
     """Settings differ by 2, repeats of one by 0.3: of 40 degrees of freedom the bound is 23 % above it."""
     n, settings, count = 40, 20, 60
     random_effects = [rng.normal(size=(n, 1)) for _ in range(count)]
@@ -196,7 +196,7 @@ def test_a_recording_given_twice_is_no_repeat(context: FitContext) -> None:
     assert repeats(context) == [[0, 1]]
 
 
-def test_the_kind_that_describes_the_trials_is_told_of_two_alike(rng: np.random.Generator) -> None:
+def test_the_better_of_two_similar_random_effects_is_chosen(rng: np.random.Generator) -> None:
     """A steeper column needs a smaller size and stands out as clearly; it fits far worse."""
     n, count = 100, 12
     time = np.linspace(0.0, 1.0, n)
@@ -207,7 +207,7 @@ def test_the_kind_that_describes_the_trials_is_told_of_two_alike(rng: np.random.
     assert second.sd == 0.0
 
 
-def test_differences_beyond_chance_are_told_and_are_none(rng: np.random.Generator) -> None:
+def test_differences_beyond_chance_are_reported_and_limited(rng: np.random.Generator) -> None:
     """The noise has no more of them than chance may make."""
     count, time = 60, np.linspace(0.0, 1.0, 200)
     noises = [0.2 * rng.normal(size=len(time)) for _ in range(count)]
@@ -229,7 +229,7 @@ def test_differences_beyond_chance_are_told_and_are_none(rng: np.random.Generato
     assert number.upper == -number.lower == pytest.approx(3.0 * np.hypot(LARGEST_SD, 0.1))
 
 
-def test_of_two_like_chance_differences_the_clearer_one_is_told(rng: np.random.Generator) -> None:
+def test_of_two_similar_random_effects_the_more_significant_is_reported(rng: np.random.Generator) -> None:
     """What a start state and a kind already known take is not seen again in a kind like them."""
     n, count = 60, 60
     time = np.linspace(0.0, 1.0, n)
@@ -244,7 +244,7 @@ def test_of_two_like_chance_differences_the_clearer_one_is_told(rng: np.random.G
 
 
 @pytest.mark.parametrize("cautious", [True, False])
-def test_of_few_trials_the_one_that_differs_counts_once_a_cause_is_found(
+def test_with_few_trials_an_odd_one_counts_once_a_cause_is_found(
     cautious: bool, rng: np.random.Generator
 ) -> None:
     """Four trims alike within a tenth and one far off: an odd trial, or how far trims may go."""
@@ -261,7 +261,7 @@ def test_of_few_trials_the_one_that_differs_counts_once_a_cause_is_found(
     assert told.sd == pytest.approx(found, rel=0.05)
 
 
-def test_a_spread_grows_until_trials_agree_with_it(rng: np.random.Generator) -> None:
+def test_a_standard_deviation_grows_until_trials_agree_with_it(rng: np.random.Generator) -> None:
     """Ten times too small a spread pulls slopes of trials to zero; a right one stays."""
     size, time = 0.4, np.linspace(0.0, 1.0, 100)
     trials = [
@@ -295,7 +295,7 @@ def test_slow_motion_is_not_taken_for_noise(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(pole[1:] + toeplitz(pole[:6]) @ noise_model.colour["y"], 0.0, atol=1e-12)
 
 
-def test_what_single_trials_may_have_is_noise_of_those_to_come(rng: np.random.Generator) -> None:
+def test_between_trial_variation_is_part_of_the_noise_floor(rng: np.random.Generator) -> None:
     """A trim and the noise around it: within the trials the noise alone, for a further one both."""
     n, count, size = 400, 30, 0.7
     time = np.linspace(0.0, 1.0, n)
@@ -319,7 +319,7 @@ def test_what_single_trials_may_have_is_noise_of_those_to_come(rng: np.random.Ge
 
 
 @pytest.mark.parametrize("common, apart, widens", [(0.4, 0.0, False), (0.0, 0.4, True)])
-def test_what_all_trials_share_is_no_spread_between_them(
+def test_a_value_that_all_trials_share_is_no_random_effect(
     rng: np.random.Generator, common: float, apart: float, widens: bool
 ) -> None:
     """A tilt of all trials alike, and one of each its own: only the latter widens a spread of 0.05."""
@@ -339,12 +339,12 @@ def test_what_all_trials_share_is_no_spread_between_them(
 
 
 @pytest.mark.parametrize("factor, allowed", [(0.5, 0.5), (3.0, 2.0), (-1.0, 0.0)])
-def test_a_size_out_of_bounds_ends_there(factor: float, allowed: float) -> None:
+def test_a_size_beyond_its_bound_is_set_to_the_bound(factor: float, allowed: float) -> None:
     null, step = np.array([0.0, 1.0]), np.array([0.5, 0.0])
     assert _allowed(null, step, factor, np.array([0.0, 1.0]), np.array([1.0, 1.0])) == allowed
 
 
-def test_two_trials_show_no_chance(rng: np.random.Generator) -> None:
+def test_two_trials_give_no_between_trial_variation(rng: np.random.Generator) -> None:
     columns = [rng.normal(size=(9, 1))] * 2
     residuals = [rng.normal(size=9) for _ in range(2)]
     (found,) = spread(lambda k, rows: rows, residuals, columns, columns)
@@ -379,7 +379,7 @@ def _refit(blocks: list[np.ndarray], at: list[int], weights: np.ndarray) -> np.n
 
 @pytest.mark.parametrize("chosen, weights", [((), ()), ((0,), (0.5,)), ((1, 0), (0.5, 2.0))])
 @pytest.mark.parametrize("lean", [0.0, crossval.SHRINKAGE])
-def test_held_out_is_a_refit_without_the_fold(
+def test_held_out_residuals_equal_those_of_a_refit_without_the_fold(
     blocks: list[np.ndarray],
     chosen: tuple[int, ...],
     weights: tuple[float, ...],
@@ -402,7 +402,7 @@ def test_held_out_is_a_refit_without_the_fold(
     np.testing.assert_allclose(crossval.together(_folded(blocks), chosen, weights), whole, rtol=1e-8)
 
 
-def test_a_fold_is_as_far_off_as_it_raises_the_misfit_of_all(blocks: list[np.ndarray]) -> None:
+def test_the_predictive_distance_is_the_increase_of_the_total_cost(blocks: list[np.ndarray]) -> None:
     """Against the covariance of what the others predict, in one system."""
     found = crossval.predictive(_folded(blocks))
     for f, block in enumerate(blocks):
@@ -414,12 +414,12 @@ def test_a_fold_is_as_far_off_as_it_raises_the_misfit_of_all(blocks: list[np.nda
 
 
 @pytest.mark.parametrize("count", [0, 1, 3, 10])
-def test_few_samples_do_not_tell_their_noise(count: int, rng: np.random.Generator) -> None:
+def test_few_samples_do_not_determine_their_noise(count: int, rng: np.random.Generator) -> None:
     assert white_noise_sd(rng.normal(size=count), 0.5) == 0.5
     assert white_noise_sd(rng.normal(size=4000), 0.5) == pytest.approx(1.0, rel=0.1)
 
 
-def test_a_fold_left_out_takes_no_part_in_the_refit(rng: np.random.Generator) -> None:
+def test_a_held_out_fold_takes_no_part_in_the_refit(rng: np.random.Generator) -> None:
     """Of a model in which one step from the fit to all leads far off."""
 
     def decaying(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
@@ -444,7 +444,9 @@ def test_a_fold_left_out_takes_no_part_in_the_refit(rng: np.random.Generator) ->
 
 
 @pytest.mark.parametrize("held", ["validation", "folds"])
-def test_what_coefficients_do_not_tell_contradicts_no_model(held: str, rng: np.random.Generator) -> None:
+def test_errors_within_the_uncertainty_of_coefficients_refute_no_model(
+    held: str, rng: np.random.Generator
+) -> None:
     """A slope known from a second moves minutes far off; a step in them no slope describes."""
     near, far = np.linspace(0.0, 1.0, 50), np.linspace(100.0, 200.0, 50)
 
@@ -469,7 +471,7 @@ def test_what_coefficients_do_not_tell_contradicts_no_model(held: str, rng: np.r
     assert off(20.0) > samples + 0.2 * 50 * 10.0**2
 
 
-def test_what_each_fitted_trial_has_of_an_effect_tells_a_held_out_one_nothing() -> None:
+def test_per_trial_values_say_nothing_about_a_held_out_trial() -> None:
     """Of two trials and one to come, each with a curve of a size of its own: right, and off by a curve."""
     time = np.linspace(0.0, 6.0, 200)
 
@@ -496,7 +498,7 @@ def test_what_each_fitted_trial_has_of_an_effect_tells_a_held_out_one_nothing() 
 @pytest.mark.parametrize(
     ("more", "noise", "off"), [(0.0, 1.0, False), (0.0, 4.0, False), (0.3, 1.0, True), (0.3, 4.0, False)]
 )
-def test_a_validation_trial_is_not_predicted_that_is_off_by_more_than_noise(
+def test_a_validation_trial_beyond_the_noise_is_not_predicted(
     more: float, noise: float, off: bool, rng: np.random.Generator
 ) -> None:
     """Slow errors of three times the noise; a trial that is only noisier than the others is predicted."""
@@ -518,7 +520,7 @@ def test_a_validation_trial_is_not_predicted_that_is_off_by_more_than_noise(
         assert found["other"] == pytest.approx(np.hypot(1.0, 0.3 / np.sqrt(2.0) / 0.1), rel=0.15)
 
 
-def test_held_out_of_other_residuals(blocks: list[np.ndarray], rng: np.random.Generator) -> None:
+def test_held_out_residuals_of_noise_draws(blocks: list[np.ndarray], rng: np.random.Generator) -> None:
     """Draws of noise, against refits to them: the misfit less that of the residuals themselves."""
     others = [rng.normal(size=(len(b), 3)) for b in blocks]
     right = np.array([b[:, :-1].T @ o for b, o in zip(blocks, others, strict=True)])
@@ -532,14 +534,16 @@ def test_held_out_of_other_residuals(blocks: list[np.ndarray], rng: np.random.Ge
         np.testing.assert_allclose(found[:, m], whole - size, rtol=1e-8, atol=1e-9)
 
 
-def test_projection_leaves_what_the_shared_numbers_cannot_imitate(blocks: list[np.ndarray]) -> None:
+def test_projection_removes_what_shared_parameters_imitate(blocks: list[np.ndarray]) -> None:
     rows = np.concatenate([*(b for b in blocks), np.zeros((3, 6))])
     rows[-3:, :3] = np.diag(np.sqrt(PRIOR))
     rest = rows[:, 3:] - rows[:, :3] @ np.linalg.lstsq(rows[:, :3], rows[:, 3:])[0]
     np.testing.assert_allclose(crossval.projected(_folded(blocks)), rest.T @ rest, rtol=1e-7, atol=1e-8)
 
 
-def test_drawn_noise_has_the_columns_covariance(blocks: list[np.ndarray], rng: np.random.Generator) -> None:
+def test_noise_draws_have_the_covariance_of_the_columns(
+    blocks: list[np.ndarray], rng: np.random.Generator
+) -> None:
     drawn = crossval.noise_draws(_folded(blocks), rng, 40_000)
     np.testing.assert_allclose(drawn.pull.std(axis=1), [0.0, 0.5, 2.0], rtol=0.03)
     for f, block in enumerate(blocks):
@@ -549,7 +553,7 @@ def test_drawn_noise_has_the_columns_covariance(blocks: list[np.ndarray], rng: n
         np.testing.assert_allclose(covariance / scale, exact / scale, atol=0.03)
 
 
-def test_what_nothing_tells_stays_at_zero() -> None:
+def test_an_undetermined_direction_stays_at_zero() -> None:
     normal = np.array([[4.0, 0.0, 2.0], [0.0, 0.0, 0.0], [2.0, 0.0, 3.0]])
     found = crossval.solved(normal, np.array([[1.0], [0.0], [2.0]]))[:, 0]
     assert found[1] == 0.0
@@ -558,7 +562,7 @@ def test_what_nothing_tells_stays_at_zero() -> None:
     )
 
 
-def test_each_trials_own_start_is_projected_out(context: FitContext) -> None:
+def test_the_start_state_of_each_trial_is_projected_out(context: FitContext) -> None:
     """NormalEquations products equal those of the rows less what the trial's start state takes."""
     noise_model = NoiseModel(context.shape.sd)
     fit = context.at((), noise_model, context.problem(()).start)
@@ -621,7 +625,7 @@ class Tilt(Effect):
         return Hooks(output=(more,))
 
 
-def test_chance_differences_are_numbers_with_their_spread_as_prior(context: FitContext) -> None:
+def test_random_effects_are_parameters_with_a_prior(context: FitContext) -> None:
     """Products, fit and errors are those of residuals whose noise has the covariance the differences add."""
     model = Hooked(line, LINE, ("y", "v"))
     mixed = FitContext(model, LINE, context.trials, {"a": (0.8, 0.2)})
@@ -686,7 +690,7 @@ def test_a_linear_fit_is_least_squares(context: FitContext) -> None:
     np.testing.assert_allclose(found, exact, atol=1e-4 * exact.diagonal().min())
 
 
-def test_what_is_known_of_coefficients_together_is_known_of_their_ratio(context: FitContext) -> None:
+def test_correlated_priors_constrain_the_ratio_of_coefficients(context: FitContext) -> None:
     """Each to 0.2 and 0.5 alone, and their weighted difference to a tenth of that."""
     known = FitContext(
         context.model, context.parameters, context.trials, {"a": (0.8, 0.2), "b": (0.3, 0.5)},
@@ -726,7 +730,7 @@ def tracked(rng: np.random.Generator) -> np.ndarray:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_nothing_failed_in_clean_noise(seed: int) -> None:
+def test_no_sample_fails_in_clean_noise(seed: int) -> None:
     rng = np.random.default_rng(seed)
     noise = 0.002 * lfilter([1.0], [1.0, -0.6], rng.normal(size=len(TIME)))
     assert _looked(TRUE + noise).count == 0
@@ -734,7 +738,7 @@ def test_nothing_failed_in_clean_noise(seed: int) -> None:
     assert _looked(TRUE + noise, 0.95 * TRUE + 0.02 * np.sin(TIME)).count == 0
 
 
-def test_a_frozen_marker(tracked: np.ndarray) -> None:
+def test_a_frozen_marker_is_detected(tracked: np.ndarray) -> None:
     hit = (TIME >= 4.0) & (TIME < 5.0)
     tracked[hit] = tracked[np.argmax(hit)]
     found = _looked(tracked)
@@ -750,7 +754,7 @@ def test_a_frozen_marker(tracked: np.ndarray) -> None:
     np.testing.assert_array_equal(blank[~mask], tracked[~mask])
 
 
-def test_single_spikes(tracked: np.ndarray) -> None:
+def test_single_spikes_are_detected(tracked: np.ndarray) -> None:
     at = [50, 51, 133, 240]
     tracked[at] += [0.1, -0.15, 0.08, 0.2]
     found = _looked(tracked)
@@ -759,7 +763,7 @@ def test_single_spikes(tracked: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("begin, end", [(4.0, 5.5), (9.0, 12.0)])
-def test_a_displaced_stretch(tracked: np.ndarray, begin: float, end: float) -> None:
+def test_a_displaced_stretch_is_detected(tracked: np.ndarray, begin: float, end: float) -> None:
     """A reflection is followed for a while, or to the end."""
     hit = (begin <= TIME) & (end > TIME)
     tracked[hit] += 0.2
@@ -804,7 +808,7 @@ def test_a_cell_is_residual_over_floor() -> None:
     assert max(found, key=lambda c: c.ratio).label in ("2 N", "t1")
 
 
-def test_start_up_and_steady_share_the_gap_out() -> None:
+def test_start_up_and_steady_motion_share_the_gap() -> None:
     time = np.linspace(0.0, 10.0, 201)
     found = places.times(_residual_map([np.where(time <= 2.0, 0.4, 0.2)] * 3, 0.1))
     by = {c.label: c for c in found}
@@ -822,7 +826,7 @@ def test_a_change_is_dated(rng: np.random.Generator) -> None:
     assert change.share > 0.95
 
 
-def test_the_phase_of_the_stroke() -> None:
+def test_the_gap_is_located_in_the_phase_of_the_stroke() -> None:
     """A gap in the first eighth of the stroke is found there, whatever the frequency."""
     time, series, beats = np.linspace(0.0, 10.0, 2001), [], []
     for f in (1.0, 1.7):
@@ -878,7 +882,7 @@ def test_repeats_are_compared_as_functions_of_time(shift: float, rng: np.random.
     assert len(found) == 4000 - (shift > 0)
 
 
-def test_repeats_that_never_overlap_tell_nothing() -> None:
+def test_repeats_without_overlap_give_no_floor() -> None:
     early, late = np.arange(3.0), np.arange(5.0, 8.0)
     assert len(disagreement([(early, early), (late, late)])) == 0
     assert len(disagreement([(early[:1], early[:1]), (late, late)])) == 0
@@ -899,7 +903,7 @@ def test_one_pair_sets_the_floor(rng: np.random.Generator) -> None:
     assert floor.levels["y"] == pytest.approx(0.1, rel=0.1)
 
 
-def test_noise_that_fitted_numbers_take_up_is_noise(rng: np.random.Generator) -> None:
+def test_the_floor_includes_noise_that_parameters_absorb(rng: np.random.Generator) -> None:
     """Eight numbers fitted to eight trials of six samples leave 5/6 of the squared noise."""
     numbers, count, n, draws = 8, 8, 6, 30
     parameters = tuple(parameter(f"a{j}", 0.0) for j in range(numbers))
@@ -933,7 +937,7 @@ def test_noise_is_no_more_than_held_out_errors_with_the_causes() -> None:
 
 
 @pytest.mark.parametrize("size", [0.0, 0.2, -2.0])
-def test_what_differs_in_a_validation_trial_by_chance_is_read_from_it(
+def test_random_effects_of_a_validation_trial_are_estimated_from_it(
     size: float, rng: np.random.Generator
 ) -> None:
     """As far as it may be chance: of a spread of 0.1 no more than the 97.5 % point of its square."""
@@ -966,7 +970,7 @@ def test_errors_are_shares_of_the_fitted_range(rng: np.random.Generator) -> None
     assert found.before == pytest.approx(0.01 * np.sqrt(26.0) / 4.0, rel=0.2)
 
 
-def test_of_a_channel_that_only_held_out_trials_have_no_share_is_closed(rng: np.random.Generator) -> None:
+def test_a_channel_of_held_out_trials_only_has_no_closed_share(rng: np.random.Generator) -> None:
     """Its noise is not known."""
     (found,) = shrinkage.shrinkages([piece(5.0, 1.0)], {}, {}, {}, rng=rng)
     assert (found.floor, found.closed, found.ci95) == (None, None, (None, None))
@@ -974,7 +978,7 @@ def test_of_a_channel_that_only_held_out_trials_have_no_share_is_closed(rng: np.
     assert (lowered.sum(), gap) == (0.0, 0.0)
 
 
-def test_the_interval_of_a_share_knows_how_few_trials_tell_the_noise(rng: np.random.Generator) -> None:
+def test_the_interval_of_a_share_includes_the_uncertain_floor(rng: np.random.Generator) -> None:
     """Held-out trials alike, noise from trials that are not: all of the interval is the noise's."""
     one = piece(3.0, 1.0)
     held = [replace(one, trial=replace(one.trial, id=str(k))) for k in range(6)]
@@ -989,7 +993,7 @@ def test_the_interval_of_a_share_knows_how_few_trials_tell_the_noise(rng: np.ran
 
 
 @pytest.mark.parametrize("count", [3, 4, 6])
-def test_the_bootstrap_of_few_trials_is_widened_to_what_it_says(count: int, rng: np.random.Generator) -> None:
+def test_the_bootstrap_of_few_trials_is_widened_to_its_level(count: int, rng: np.random.Generator) -> None:
     """Of a mean of normal numbers it holds the truth in 95 % (two standard errors of 1,000)."""
     values = rng.standard_normal((1000, count))
     means = [v[rng.integers(0, count, (400, count))].mean(axis=1) for v in values]
@@ -1002,7 +1006,7 @@ def test_the_bootstrap_of_few_trials_is_widened_to_what_it_says(count: int, rng:
 @pytest.mark.parametrize(
     "before, after, floor, share", [(3.0, 1.0, 1.0, 1.0), (3.0, 2.0, 1.0, 0.5), (3.0, 4.0, 1.0, -0.5)]
 )
-def test_closed(before: float, after: float, floor: float, share: float) -> None:
+def test_the_closed_share_by_hand(before: float, after: float, floor: float, share: float) -> None:
     assert closed(before, after, floor) == pytest.approx(share)
     assert np.isnan(closed(floor, after, floor))
 
@@ -1010,7 +1014,7 @@ def test_closed(before: float, after: float, floor: float, share: float) -> None
 # ---------------------------------------------------------------- search
 
 
-def test_a_fit_also_begins_at_what_is_known(context: FitContext) -> None:
+def test_a_fit_also_starts_at_the_prior_means(context: FitContext) -> None:
     problem = context.problem(())
     near, far = np.array(problem.start), np.array(problem.start)
     at = problem.labels.index("a")
@@ -1023,7 +1027,7 @@ def test_a_fit_also_begins_at_what_is_known(context: FitContext) -> None:
     np.testing.assert_array_equal(known[others], far[others])
 
 
-def test_where_the_trials_told_the_prior_a_fit_begins_at_published_numbers(context: FitContext) -> None:
+def test_a_prior_from_the_same_trials_is_not_a_start(context: FitContext) -> None:
     published = tuple(replace(p, known=2.0) if p.name == "a" else p for p in LINE)
     loose = FitContext(context.model, published, context.trials, {"a": (0.8, 0.6)})
     problem = loose.problem(())
@@ -1081,7 +1085,7 @@ def seen_trials(rng: np.random.Generator, rising: float, ringing: float) -> list
     return trials
 
 
-def test_a_smaller_set_is_fitted_from_where_a_larger_one_ends(rng: np.random.Generator) -> None:
+def test_a_smaller_set_is_refitted_from_the_optimum_of_a_larger_one(rng: np.random.Generator) -> None:
     """A tone caught in a side lobe, as its search began there; with a further effect it is found."""
 
     class Tone(Seen):
@@ -1109,7 +1113,7 @@ def test_a_smaller_set_is_fitted_from_where_a_larger_one_ends(rng: np.random.Gen
     assert found.lessened().best == {"tone"}
 
 
-def test_a_set_that_its_own_noise_makes_needless_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_set_that_its_own_noise_makes_unnecessary_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two effects are likelier than one until the noise is learnt from them."""
     one, two = (
         SimpleNamespace(names=frozenset(names), key=frozenset(names), fit=SimpleNamespace(effects=()))
@@ -1149,7 +1153,7 @@ def test_a_set_that_its_own_noise_makes_needless_ends_the_search(monkeypatch: py
     assert turning.learnt == 1
 
 
-def test_two_effects_are_found_beside_one_that_stands_in_for_both(rng: np.random.Generator) -> None:
+def test_two_effects_are_found_beside_one_that_imitates_both(rng: np.random.Generator) -> None:
     """A curve like the sum of two others is better than either, and no cause once both are fitted jointly."""
 
     def both(t: np.ndarray) -> np.ndarray:
@@ -1187,7 +1191,7 @@ class Bounded(Seen):
 
 
 @pytest.mark.parametrize(("size", "told"), [(0.3, ["rise"]), (-0.7, ["rise"]), (0.7, [])])
-def test_an_effect_that_ends_where_it_stands_for_others_is_no_hypothesis(
+def test_an_effect_that_ends_at_an_imitating_bound_is_no_hypothesis(
     rng: np.random.Generator, size: float, told: list[str]
 ) -> None:
     model = Hooked(plainly, PLAIN, ("y",))
@@ -1229,7 +1233,7 @@ def test_a_change_stays_within_the_bounds_of_its_parameter() -> None:
     assert model.parameters[1].bounds == (-0.5, 0.5)
 
 
-def test_nothing_is_found_in_what_the_model_describes(rng: np.random.Generator) -> None:
+def test_nothing_is_found_in_trials_of_the_model_itself(rng: np.random.Generator) -> None:
     model = Hooked(plainly, PLAIN, ("y",))
     effects = [Seen("rise", rise), Seen("ring", ring)]
     state = search.run(FitContext(model, PLAIN, seen_trials(rng, 0.0, 0.0), {"a": (1.0, 0.1)}), effects)
@@ -1246,16 +1250,16 @@ def _posterior(null: float, *others: tuple[str, float], samples: float = 1000.0)
 
 
 class TestPosterior:
-    def test_it_sums_to_one(self) -> None:
+    def test_probabilities_sum_to_one(self) -> None:
         found = _posterior(5000.0, ("a", 1010.0), ("b", 2000.0), ("a+b", 1000.0))
         assert sum(found.sets.values()) + found.none + found.outside == pytest.approx(1.0)
 
-    def test_what_leaves_several_times_more_is_no_rival_and_what_leaves_as_much_is_one(self) -> None:
+    def test_an_effect_that_leaves_several_times_more_is_no_rival(self) -> None:
         found = _posterior(20000.0, ("a", 1000.0), ("b", 1900.0), ("c", 1000.0))
         assert found.instead("a", frozenset({"a"}))["b"] < 0.01
         assert found.sets[frozenset("a")] == pytest.approx(found.sets[frozenset("c")])
 
-    def test_of_causes_that_leave_much_the_same_share_none_is_sure(self) -> None:
+    def test_causes_that_leave_a_similar_share_are_uncertain(self) -> None:
         found = _posterior(20000.0, ("a", 9000.0), ("b", 9500.0))
         assert found.instead("a", frozenset({"a"}))["b"] > 0.2
         assert found.outside > 0.5
@@ -1264,7 +1268,7 @@ class TestPosterior:
         found = _posterior(5000.0, ("a", 4900.0), ("b", 4950.0))
         assert found.outside > 0.9
 
-    def test_the_second_cause_must_be_sure(self) -> None:
+    def test_a_second_cause_must_be_probable(self) -> None:
         assert _posterior(20000.0, ("a", 1400.0), ("a+b", 1250.0)).best == frozenset("a")
         assert _posterior(20000.0, ("a", 3000.0), ("a+b", 1000.0)).best == frozenset("ab")
 
@@ -1287,7 +1291,7 @@ class TestPosterior:
         found_best = posterior.posterior(null, found, record=record, calibration=known).best
         assert found_best == frozenset(named)
 
-    def test_a_gain_in_one_fold_alone_is_unsure(self) -> None:
+    def test_a_gain_in_one_fold_is_uncertain(self) -> None:
         null = posterior.Candidate(frozenset(), 1060.0, np.full(6, 1060.0 / 6), 0)
         even = posterior.Candidate(frozenset("a"), 1000.0, np.full(6, 1000.0 / 6), 1)
         one = np.array([-50.0, *[10.0] * 5])
@@ -1297,7 +1301,7 @@ class TestPosterior:
         )
         assert unsure > sure
 
-    def test_what_is_left_is_a_share_of_the_squared_gap(self) -> None:
+    def test_the_remainder_is_a_share_of_the_squared_gap(self) -> None:
         assert _posterior(3000.0, ("a", 1500.0)).left == pytest.approx(0.25)
 
 
@@ -1313,7 +1317,7 @@ class Fragile(Seen):
         )
 
 
-def test_a_trial_that_breaks_down_leaves_an_effect_to_the_others(rng: np.random.Generator) -> None:
+def test_a_trial_that_diverges_leaves_an_effect_to_the_others(rng: np.random.Generator) -> None:
     trials = []
     for k in range(6):
         t = np.linspace(0.0, 5.0, 100)
@@ -1328,7 +1332,7 @@ def test_a_trial_that_breaks_down_leaves_an_effect_to_the_others(rng: np.random.
         assert all(np.abs(c).max() > 1.0 for c in changes[1:])
 
 
-def test_a_start_that_changes_nothing_is_no_obstacle(context: FitContext) -> None:
+def test_a_start_without_a_change_is_skipped(context: FitContext) -> None:
     fit = context.fit(
         (), NoiseModel([[np.full(len(t.time_s), 0.05)] * 2 for t in context.trials]), [context.shape.start]
     )
@@ -1358,14 +1362,14 @@ def test_causes_close_most_of_the_gap(before: float, after: float, helps: bool) 
     assert bool(lowered.sum() > shrinkage.MOST * gap) is helps
 
 
-def test_each_model_predicts_by_the_way_of_fitting_it_that_errs_less() -> None:
+def test_each_model_predicts_by_its_better_fit() -> None:
     first, second = [piece(5.0, 3.0)], [piece(4.0, 6.0)]
     (found,) = shrinkage.better([first, second], {"x_m": 0.01})
     np.testing.assert_array_equal(found.before, second[0].before)
     np.testing.assert_array_equal(found.after, first[0].after)
 
 
-def test_the_worst_held_out_trial_is_whole_and_in_the_order_of_time() -> None:
+def test_the_worst_held_out_trial_is_complete_and_in_time_order() -> None:
     early, late, other = piece(5.0, 3.0), piece(4.0, 3.0), piece(9.0, 1.0)
     late = replace(late, time_s=late.time_s - 10.0)
     other = replace(other, trial=replace(other.trial, id="other"))
@@ -1377,7 +1381,7 @@ def test_the_worst_held_out_trial_is_whole_and_in_the_order_of_time() -> None:
     assert found.trial.id == "other"
 
 
-def test_where_held_out_data_have_no_gap_nothing_of_it_is_to_close() -> None:
+def test_held_out_data_without_a_gap_have_no_closed_share() -> None:
     lowered, gap = shrinkage.gained([piece(5.0, 5.1)], {"x_m": 0.1})
     assert lowered.sum() < 0.0 == gap
 
@@ -1399,7 +1403,7 @@ def test_where_held_out_data_have_no_gap_nothing_of_it_is_to_close() -> None:
         (6.0, 1.0, 1.1, "unexplained", []),
     ],
 )
-def test_held_out_errors_may_only_weaken_what_the_fits_say(
+def test_held_out_errors_may_only_weaken_a_verdict(
     after: float, without: float, distance: float, verdict: str, named: list[str]
 ) -> None:
     """What random effects account for is in the errors, and not in the squared Mahalanobis distance."""
@@ -1438,7 +1442,7 @@ def test_held_out_errors_may_only_weaken_what_the_fits_say(
 @pytest.mark.parametrize(
     ("outside", "verdict"), [(0.1, "explained"), (0.3, "ambiguous"), (0.6, "unexplained")]
 )
-def test_an_explanation_is_likelier_than_a_cause_from_outside(outside: float, verdict: str) -> None:
+def test_an_explanation_is_more_probable_than_a_cause_from_outside(outside: float, verdict: str) -> None:
     waves, effect = frozenset({"waves"}), SimpleNamespace(name="waves", adds_to=None)
     beside = {frozenset[str](): outside, waves: 0.0}
     state = SimpleNamespace(
@@ -1453,7 +1457,7 @@ def test_an_explanation_is_likelier_than_a_cause_from_outside(outside: float, ve
     ("none", "dropout", "verdict"),
     [(0.8, False, "none"), (0.8, True, "explained"), (0.2, False, "unexplained"), (0.2, True, "unexplained")],
 )
-def test_failed_samples_explain_only_where_nothing_else_is_lacking(
+def test_failed_samples_explain_only_if_nothing_else_is_missing(
     none: float, dropout: bool, verdict: str
 ) -> None:
     nominal = SimpleNamespace(effects=(), marginal_residuals=lambda _=(): [])
@@ -1468,7 +1472,7 @@ def test_failed_samples_explain_only_where_nothing_else_is_lacking(
     assert told.verdict == verdict
 
 
-def test_beside_something_from_outside_an_effect_is_as_likely_as_such_effects_are_at_work() -> None:
+def test_beside_an_outside_cause_an_effect_has_its_calibrated_probability() -> None:
     """Whatever the fits thought of the outside: of what closes most there, the share that is learnt."""
     lag, slip = frozenset({"servo-lag"}), frozenset({"slip"})
     found = posterior.Posterior(
@@ -1485,7 +1489,7 @@ def test_beside_something_from_outside_an_effect_is_as_likely_as_such_effects_ar
 
 
 @pytest.mark.parametrize(("value", "status"), [(0.995, "at-bound"), (0.9, "estimated"), (0.005, "estimated")])
-def test_a_size_that_its_error_does_not_tell_from_a_bound_is_there(value: float, status: str) -> None:
+def test_a_size_within_its_error_of_a_bound_is_at_the_bound(value: float, status: str) -> None:
     """But for the bound at which the effect vanishes."""
     tried = SimpleNamespace(
         effect=SimpleNamespace(name="slip", adds_to=None),
@@ -1497,7 +1501,7 @@ def test_a_size_that_its_error_does_not_tell_from_a_bound_is_there(value: float,
     assert (found.status, found.stderr) == (status, 0.01 if status == "estimated" else None)
 
 
-def test_what_rounding_accounts_for_is_no_gap_however_slow() -> None:
+def test_slow_rounding_errors_are_no_gap() -> None:
     """A slow error of known size keeps its colour; one three times as large is no rounding."""
     time = np.arange(400) / 50
     problem = FitContext(
@@ -1517,11 +1521,11 @@ def test_what_rounding_accounts_for_is_no_gap_however_slow() -> None:
     assert short.whole["y"] == pytest.approx(1.0)
 
 
-def test_few_samples_need_less_gain_and_never_less_than_noise_may_give() -> None:
+def test_few_samples_need_less_gain_but_more_than_noise() -> None:
     assert [remainder.least_gain(n) for n in (10, 60, 5000)] == [25.0, 30.0, 50.0]
 
 
-def test_a_base_held_in_a_poor_optimum_begins_anew_from_known_coefficients(rng: np.random.Generator) -> None:
+def test_a_base_in_a_poor_optimum_restarts_from_the_prior(rng: np.random.Generator) -> None:
     """A swim's phase has an optimum in every turn; the one near the known frequency is the lowest."""
 
     def turning(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
@@ -1546,7 +1550,7 @@ def test_a_base_held_in_a_poor_optimum_begins_anew_from_known_coefficients(rng: 
     ("before", "after", "sound"),
     [(5.0, 500.0, True), (5.0, 1e5, False), (5.0, np.nan, False), (1e5, 2e5, True), (np.nan, np.nan, True)],
 )
-def test_a_cause_with_which_a_held_out_trial_breaks_down_is_told(
+def test_a_cause_with_which_a_held_out_trial_diverges_is_reported(
     before: float, after: float, sound: bool
 ) -> None:
     """The trial's range is 200 times its noise; beside it another one that is well with the cause."""

@@ -86,7 +86,7 @@ def test_scores_are_ranked_and_screened_ones_last() -> None:
     assert (scores[-1].effect, scores[-1].refitted, scores[-1].gain) == ("wall", False, None)
 
 
-def test_what_is_not_known_is_null() -> None:
+def test_unknown_values_are_null() -> None:
     file = cases.EXPLAINED
     still = file.causes[0].shrinkage[-1]
     assert (still.channel, still.closed, still.ci95) == ("joint4_rad", None, (None, None))
@@ -113,7 +113,7 @@ def _leaves(value: object) -> list[object]:
         (("actuation: 0.9", "acuation: 0.9"), "line", "'acuation' is not allowed"),
     ],
 )
-def test_what_is_refused(tmp_path: Path, change: tuple[str, str], place: str, text: str) -> None:
+def test_invalid_files_are_refused(tmp_path: Path, change: tuple[str, str], place: str, text: str) -> None:
     path = tmp_path / "gap.yaml"
     path.write_text(PINNED.replace(*change))
     with pytest.raises(InputError) as caught:

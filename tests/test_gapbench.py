@@ -41,7 +41,7 @@ def written(path: Path, *lines: dict[str, Any]) -> Path:
 # ------------------------------------------------------------ make
 
 
-def test_a_case_says_nothing_of_its_label(made: Path) -> None:
+def test_a_case_does_not_reveal_its_label(made: Path) -> None:
     assert sorted(p.name for p in (made / "cases").iterdir()) == ["0000", "0001"]
     plan = json.loads((made / "plan.json").read_text())
     for case in plan["cases"]:
@@ -52,7 +52,7 @@ def test_a_case_says_nothing_of_its_label(made: Path) -> None:
     assert (made / "robots" / "boxfish.yaml").exists()
 
 
-def test_a_label_has_what_scoring_needs(made: Path) -> None:
+def test_a_label_contains_what_scoring_needs(made: Path) -> None:
     found = labels.read(made)
     plan = json.loads((made / "plan.json").read_text())["cases"]
     for case in plan:
@@ -63,7 +63,7 @@ def test_a_label_has_what_scoring_needs(made: Path) -> None:
         assert 0.0 < label.floor["x_m"] < 0.1
 
 
-def test_what_is_made_is_kept_and_never_mixed(made: Path) -> None:
+def test_existing_cases_are_kept_and_never_mixed(made: Path) -> None:
     log = next((made / "cases" / "0000").glob("run*.csv"))
     before = log.stat().st_mtime_ns
     assert make.make(made, cases=2, seed=11, robots=ROBOTS) == 2
@@ -199,7 +199,7 @@ def test_answers_come_from_the_checkout_asked_for(made: Path, tmp_path: Path, ch
     assert set(answers.read(out)) == {"0000", "0001"}
 
 
-def test_what_is_answered_is_not_asked_again(made: Path, tmp_path: Path) -> None:
+def test_answered_cases_are_not_asked_again(made: Path, tmp_path: Path) -> None:
     """A line that was cut when the program was killed is, a whole one without its end is not."""
     out = tmp_path / "tool.jsonl"
     first = json.dumps(answer("0000", "none"))
@@ -232,7 +232,7 @@ def test_the_least_bic_decides() -> None:
     }  # fmt: skip
 
 
-def test_the_regression_reads_a_force_off_a_motion() -> None:
+def test_the_regression_finds_a_force_in_a_motion() -> None:
     """``y'' = -0.4 y' - 3 y' |y'|`` of one equation: the linear term lowers the BIC, a constant does not."""
     rng = np.random.default_rng(2)
     v = rng.uniform(-1.0, 1.0, 300)
@@ -290,7 +290,7 @@ def judged(tmp_path: Path) -> tuple[Path, Path]:
     return tmp_path, written(tmp_path / "tool.jsonl", *ANSWERS)
 
 
-def test_the_figures_are_those_counted_by_hand(judged: tuple[Path, Path]) -> None:
+def test_scores_agree_with_a_count_by_hand(judged: tuple[Path, Path]) -> None:
     found = dict(scoring.figures(scoring.scored(*judged)))
     begins = {
         "cases answered": "8 of 9",
@@ -333,7 +333,7 @@ def test_shares_have_wilsons_interval() -> None:
     assert scoring.share(0, 0) == "–"
 
 
-def test_the_table_has_a_column_an_entry_and_recordings_apart(judged: tuple[Path, Path]) -> None:
+def test_the_table_has_one_column_for_each_entry(judged: tuple[Path, Path]) -> None:
     folder, path = judged
     none = written(folder / "silent.jsonl")
     entries = {p.stem: scoring.scored(folder, p) for p in (path, none)}

@@ -30,7 +30,7 @@ def test_a_case_is_the_same_whenever_it_is_made(tmp_path: Path, name: str) -> No
     assert ("params.yaml" in first) == (CASES[name].fit is None)
 
 
-def test_what_is_wrong_with_an_answer() -> None:
+def test_wrong_answers_are_described() -> None:
     truth = Truth(frozenset({"explained"}), frozenset({"current"}), alone=True, closed=0.9)
     right = Answer("explained", [(frozenset({"current"}), 0.97, {})], (0.99,), ["current"])
     assert truth.wrong(right) == []
@@ -46,7 +46,7 @@ QUICK = ("drops-wave",)
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in CASES]
 )
-def test_what_must_be_said_is_said(tmp_path: Path, name: str) -> None:
+def test_required_statements_are_checked(tmp_path: Path, name: str) -> None:
     found = outcome(CASES[name], tmp_path)
     assert found.faults == [], f"{CASES[name].says}: {found.answer.verdict}, {found.answer.causes}"
     # the same file whatever order Python's sets of names have

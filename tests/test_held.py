@@ -30,7 +30,7 @@ def test_the_times_of_an_even_camera_are_found(share: float) -> None:
     assert np.ptp(off) < max(4.0 * found.measured_sd_s, 1e-3)
 
 
-def test_a_log_that_begins_amid_a_hold_keeps_the_period_of_the_camera() -> None:
+def test_a_log_that_begins_within_a_repeat_keeps_the_period_of_the_camera() -> None:
     # the first sample of 100 shows a picture that was almost a period old
     stamps, late = np.arange(100) / 30, 0.99
     picture = np.floor(0.45 * np.arange(100) + late).astype(int)
@@ -41,7 +41,7 @@ def test_a_log_that_begins_amid_a_hold_keeps_the_period_of_the_camera() -> None:
     assert np.ptp(off) < 4.0 * found.measured_sd_s + 1e-3
 
 
-def test_a_sensor_of_a_third_of_the_rate_is_told_from_one_at_rest() -> None:
+def test_a_slow_sensor_is_distinguished_from_one_at_rest() -> None:
     rng = np.random.default_rng(1)
     slow = np.repeat(np.cumsum(rng.normal(size=(200, 3)), axis=0), 3, axis=0).T
     assert find_held(np.arange(600) / 100, slow).repeated.sum() == 400
@@ -123,7 +123,7 @@ def _held_depth(time: Array, rng: np.random.Generator) -> dict[str, Array]:
         (_held_depth, 100, 20.0, "good", "1.3"),
     ],
 )
-def test_further_logs(
+def test_further_logs_are_not_called_frozen(
     make: Callable[..., dict[str, Array]],
     rate: int,
     seconds: float,
@@ -149,9 +149,7 @@ def test_further_logs(
         assert low <= 0.15 <= high
 
 
-def test_a_tracker_that_stands_still_is_named_in_a_trial_and_its_samples_stay(
-    swimid: Callable[..., Ran], tmp_path: Path
-) -> None:
+def test_a_frozen_tracker_is_named_and_its_samples_stay(swimid: Callable[..., Ran], tmp_path: Path) -> None:
     for path in GAP.glob("run*.csv"):
         log = pd.read_csv(path, comment="#")
         if path.stem == "run02":

@@ -291,7 +291,7 @@ def test_order_is_mended_and_told(swimid: Run, tmp_path: Path) -> None:
         ("t_s,u_m_s\n" + "".join(f"{k},{k}\n" for k in range(20)) + "1,2,3\n" * 3, ["line 22", "3 cells"]),
     ],
 )
-def test_what_is_refused(content: str, words: list[str], swimid: Run, tmp_path: Path) -> None:
+def test_invalid_files_are_refused(content: str, words: list[str], swimid: Run, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(content)
     ran = swimid("import", tmp_path / "a.csv", "-o", tmp_path / "run.csv")
     assert ran.status == 3

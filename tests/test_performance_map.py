@@ -170,7 +170,7 @@ def test_errors_from_the_covariance(tmp_path: Path) -> None:
         ({"over": {"frequency_hz": (1.0, 2.0, 3)}, "chosen": {"K_s": -1.0}}, "negative"),
     ],
 )
-def test_what_is_refused(changed: dict[str, object], says: str) -> None:
+def test_invalid_files_are_refused(changed: dict[str, object], says: str) -> None:
     with pytest.raises(Exception, match=says) as caught:
         package.performance_map(**{**DOLPHIN, **changed})
     assert isinstance(caught.value, UsageError | NoTrustworthyResult | package.InputError)

@@ -18,7 +18,7 @@ RIG = ROOT / "sample_logs" / "rig"
 
 
 @pytest.mark.parametrize("record", [posterior.Record(3000.0, 6, 20), posterior.Record(400.0, 4, 12)])
-def test_what_is_needed_is_what_the_posterior_asks(record: posterior.Record) -> None:
+def test_the_needed_excess_agrees_with_the_posterior(record: posterior.Record) -> None:
     """A single effect that leaves nothing: there being no gap has a tenth of what the two have."""
     excess = power.needed(record, 1)
     n = record.samples
@@ -29,11 +29,11 @@ def test_what_is_needed_is_what_the_posterior_asks(record: posterior.Record) -> 
     assert found.none / (found.none + told) == pytest.approx(posterior.UNSURE, rel=1e-6)
 
 
-def test_noncentrality_is_that_of_nine_in_ten() -> None:
+def test_noncentrality_gives_ninety_percent_power() -> None:
     assert ncx2.sf(30.0, 3, power.noncentrality(30.0, 3)) == pytest.approx(0.9, abs=1e-6)
 
 
-def test_what_is_the_same_is_never_told_apart() -> None:
+def test_equal_changes_are_never_distinguished() -> None:
     record = posterior.Record(3000.0, 6, 20)
     assert not power.told_apart(record, 1.0)
     assert not power.told_apart(record, -1.0)
@@ -47,7 +47,7 @@ def of_the_rig() -> pd.DataFrame:
     return found.effects.set_index("effect")
 
 
-def test_two_names_of_one_force_are_never_told_apart(of_the_rig: pd.DataFrame) -> None:
+def test_two_effects_with_one_force_are_never_distinguished(of_the_rig: pd.DataFrame) -> None:
     """Friction in proportion to the speed, and drag; mass of water, of a pulley, of the body."""
     assert "pulley-viscous" in of_the_rig.loc["linear-drag", "alike"]
     assert {"water-ingress", "pulley-inertia"} <= set(of_the_rig.loc["added-mass", "alike"])
@@ -55,7 +55,7 @@ def test_two_names_of_one_force_are_never_told_apart(of_the_rig: pd.DataFrame) -
     assert of_the_rig.loc["linear-drag", "size"] == pytest.approx(of_the_rig.loc["pulley-viscous", "size"])
 
 
-def test_what_the_model_imitates_is_seen_when_it_is_large(of_the_rig: pd.DataFrame) -> None:
+def test_an_imitated_effect_is_detected_if_it_is_large(of_the_rig: pd.DataFrame) -> None:
     absorbed = of_the_rig["absorbed"]
     assert absorbed["added-mass"] > 0.99
     assert absorbed["start-offset"] < 0.9
@@ -76,7 +76,7 @@ def test_more_noise_hides_more(tmp_path: Path, of_the_rig: pd.DataFrame) -> None
         assert size > 1.5 * of_the_rig.loc[name, "size"]
 
 
-def test_the_file_is_read_again(tmp_path: Path) -> None:
+def test_the_power_file_is_read_back(tmp_path: Path) -> None:
     made = swimid.diagnose(
         RIG / "trials.yaml", power=True, effects=["tether"], output=tmp_path / "power.yaml"
     )

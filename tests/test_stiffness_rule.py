@@ -180,7 +180,7 @@ def test_the_cheapest_stiffness_costs_less_than_the_fastest(rule: StiffnessRule)
         ({"amplitude_deg": None}, "needs amplitude_deg"),
     ],
 )
-def test_what_is_refused(changed: dict[str, object], says: str) -> None:
+def test_invalid_files_are_refused(changed: dict[str, object], says: str) -> None:
     given = {k: v for k, v in {**SMALL, **changed}.items() if v is not None}
     with pytest.raises((UsageError, InputError), match=says):
         package.optimise_stiffness(**given)

@@ -34,7 +34,7 @@ class CommandSpec:
 
     Attributes
     ----------
-    command, section, output, argument, output_flags, required, stdout, beside, function, page
+    command, section, output, argument, output_flags, required, stdout, beside, function
         The arguments of the class.
     package, options, help : str
         The package and the name of the class; its docstring.
@@ -52,7 +52,6 @@ class CommandSpec:
     stdout: Mapping[str, Any] | None = None
     beside: tuple[str, ...] = (EVIDENCE,)
     function: str = ""
-    page: str = ""
 
     def model(self) -> type[Options]:
         """Import the class of its options."""

@@ -1,13 +1,12 @@
-"""From trials and a model to the cause of what is left between them: ``swimid diagnose``.
+"""Find the cause of the gap between trials and a model: ``swimid diagnose``.
 
-``noise_model`` whitens residuals, ``random_effects`` are what differs between trials, ``context`` fits,
-``nominal`` says which numbers are refitted, ``readings`` how the robot's source could be read otherwise,
-``folds`` what is held out together; ``candidates`` tries effects, ``crossval`` compares them on held-out
-trials, ``weighting`` learns the noise from what is left, ``search`` fits every effect and sets of them,
-``posterior`` says how likely each is, ``remainder`` and ``generic`` find what no effect explains, ``floor``
-says how large the noise is, ``dropouts`` which samples are none, ``places`` where the gap is, ``shrinkage``
-how far it closes, ``refutation`` whether held-out data contradict the causes, ``advice`` names the next
-experiment; ``power`` and ``power_file`` what trials could show.
-``judgement`` and ``answer`` say what was found, as a ``gap_file``. ``diagnose`` is the verb,
-``options`` what it can be told, ``diagnosed`` its result, with ``evidence`` and ``words``.
+``diagnose`` is the command, ``options`` has its options, ``diagnosed`` its result (with ``gap_file``,
+``evidence`` and ``words``). ``nominal`` selects the refitted coefficients and their priors, ``readings`` the
+other readings of the robot. ``noise_model`` whitens residuals, ``random_effects`` estimates the between-trial
+variation, ``weighting`` estimates both. ``context`` fits a hypothesis, ``candidates`` screens effects,
+``search`` fits effects and sets of effects, ``posterior`` computes their probabilities. ``folds``,
+``crossval``, ``shrinkage`` and ``refutation`` evaluate held-out data, ``floor`` the noise floor. ``generic``
+and ``remainder`` describe the remaining residuals, ``dropouts`` and ``dropout_cause`` failed samples,
+``places`` where the gap is. ``judgement`` and ``answer`` give the verdict, ``advice`` the next experiment.
+``power`` and ``power_file`` say what the trials could show.
 """

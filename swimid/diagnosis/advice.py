@@ -1,4 +1,4 @@
-"""The next experiment: which setting, or which sensor, would tell the rivals apart."""
+"""Find the next experiment: the setting or the sensor that would distinguish the rivals."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from swimid.diagnosis.noise_model import NoiseModel
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.problem import Problem
 
-#: Proposals reported.
+#: Maximum number of proposals in a report.
 MOST = 4
 
 
 def proposals(trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
-    """Trials that could be run next, in words and as the model would see them."""
+    """Return trials that could be run next, each with a description."""
     template = max(trials, key=lambda t: len(t.time_s))
     found: list[tuple[str, Trial]] = []
     beat = template.swim.beat
@@ -64,7 +64,7 @@ def proposals(trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
         longer = time[0] + step * np.arange(int(2.0 * span / step) + 1)
         words = f"one of the same settings, {2.0 * span:.3g} s long"
         found.append((words, replace(template, time_s=longer)))
-    # simulations are kept by the id of their trial
+    # Simulations are cached by the id of their trial.
     return [(words, replace(trial, id=f"proposed {n}")) for n, (words, trial) in enumerate(found)]
 
 
@@ -75,15 +75,16 @@ def advise(
     floors: Mapping[str, float],
     now: float,
 ) -> list[Advice]:
-    """Proposals ranked by how well they tell the first rival from the others.
+    """Rank proposed trials by how well they distinguish the first rival from the others.
 
     Parameters
     ----------
     rivals : sequence of Fit
         At least two, each the model with one rival.
     floors : mapping of channel to float
+        Noise floor, in the channel's unit.
     now : float
-        How far apart the rivals are on the trials at hand, in units of the noise.
+        Distance between the rivals on the present trials, in units of the noise.
     """
     known = information(context, rivals[0], noise_model)
 
@@ -100,7 +101,7 @@ def advise(
             continue
         size = difference(template, {name: noise}, [name])
         words = f"log {channel.meaning or name} ({name}) as well, to {noise:.2g} {channel.unit}"
-        # one joint of several stands for all
+        # One joint represents all.
         kind = name[:5]
         if kind not in sensed or size > sensed[kind][0]:
             sensed[kind] = size, words
@@ -111,18 +112,20 @@ def advise(
 
 
 def typical_noise(channel: str) -> float | None:
-    """What a common sensor of a channel gets to: an encoder 0.01 rad, a gyro 0.02 rad/s; None of others."""
+    """Return the noise of a common sensor of a channel (encoder 0.01 rad, gyro 0.02 rad/s), or None."""
     if channel.startswith("joint") and channel.endswith("_rad"):
         return 0.01
     return 0.02 if channel in ("yaw_rate_rad_s", "pitch_rate_rad_s") else None
 
 
 def information(context: FitContext, fit: Fit, noise_model: NoiseModel) -> tuple[list[str], Array]:
-    """What the trials at hand know of the shared numbers: labels and normal matrix, start states apart."""
+    """Return labels and normal matrix of the shared parameters from the present trials, start states
+    projected out.
+    """
     shared = [j for j, (_, owner) in enumerate(fit.problem.slots) if owner is None]
     normal = np.zeros((len(shared), len(shared)))
     for k, rows in enumerate(fit.rows):
-        # the last column is that of residuals, of which nothing is asked
+        # The last column is that of the residuals.
         block = np.column_stack((rows[:, shared], fit.residuals[k]))
         seen = crossval.project_out(context, fit, noise_model, k, block)[:, :-1]
         normal += seen.T @ seen
@@ -138,7 +141,9 @@ def apart(
     known: tuple[Sequence[str], Array],
     channels: Sequence[str],
 ) -> float:
-    """Predicted difference of two rivals on a trial, in units of the noise, all else refitted."""
+    """Return the predicted difference of two rivals on a trial, in units of the noise, with all else
+    refitted.
+    """
     proposed = replace(trial, measured={c: np.zeros(len(trial.time_s)) for c in channels})
 
     def posed(fit: Fit) -> Problem:

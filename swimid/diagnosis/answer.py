@@ -1,4 +1,4 @@
-"""The whole answer, from what a diagnosis tried."""
+"""Assemble the answer of a diagnosis from the fitted hypotheses."""
 
 from __future__ import annotations
 
@@ -55,11 +55,11 @@ from swimid.fitting.model import Array, Parameter, Trial
 from swimid.progress import Progress, silent
 from swimid.results.parameters import Estimate
 
-#: Chance that a parameter is said to have moved though none has.
+#: Probability that a parameter is reported as moved although none has (two-sided, all parameters together).
 MOVED = 0.05
-#: Standard deviation of the prior that holds a parameter as given, in typical sizes.
+#: Standard deviation of the prior that holds a parameter at its given value, in typical sizes.
 PINNED = 1e-6
-#: How to tell a gap from what coefficients imitate, and from chance.
+#: Advice when coefficients imitate the gap, or it may be chance.
 ANOTHER = "run another setting: what coefficients imitate at one they do not imitate at all"
 REPEAT = "repeat one setting three times: what repeats is physics, what does not is chance"
 
@@ -74,7 +74,7 @@ def answer(
     seed: int = 0,
     progress: Progress = silent,
 ) -> tuple[GapFile, list[Piece]]:
-    """Return verdict, causes, shrinkage, what remains, and the next experiment.
+    """Return verdict, causes, shrinkage, remaining residuals, and the next experiment.
 
     Parameters
     ----------
@@ -83,25 +83,25 @@ def answer(
     given : mapping of name to Estimate
         The coefficients of the parameter file.
     raw : sequence of Trial
-        The fitted trials with their failed samples still in.
+        The fitted trials, failed samples included.
     unweighed : mapping of name to Estimate
-        Those of them that other trials told, and whose change is no hypothesis.
+        Coefficients that were estimated from other trials and whose change is no hypothesis.
 
     Returns
     -------
     GapFile
-        What was diagnosed is not yet named in it.
+        Without the names of what was diagnosed.
     list of Piece
         The held-out trial with the largest errors.
 
     Raises
     ------
     NoTrustworthyResult
-        Where the model, refitted, simulates nothing like these trials.
+        If the refitted model cannot simulate these trials.
     """
     context = state.context
     if state.changed:
-        # the gap is that of the parameters as given
+        # The gap is that of the parameters as given.
         state.nominal = _as_given(state)
     nominal = state.nominal
     ranges = _ranges(context, nominal)
@@ -114,8 +114,8 @@ def answer(
     )
     floor = noise.inside
     failed = dropout_cause.misfit(state, raw, floor)
-    # what differs between trials may have stood in for a cause, or a cause for what differs: each model is
-    # fitted in the way that predicts better
+    # A random effect may have absorbed a cause, or a cause the between-trial variation. Each model is
+    # therefore fitted with and without random effects, and the fit that predicts better is used.
     fits = [(nominal, state.base), alike] if state.noise_model.random_effects else [alike]
     shipped = {p.name: p.start for p in context.parameters if not p.per_trial}
     total = len(validation) or context.folds.count
@@ -134,9 +134,9 @@ def answer(
     predicted = None
     if state.base.effects:
         predicted = compared(context, nominal, state.base, state.noise_model, validation)
-    # where there is more than noise, what a fit takes up and misses elsewhere is of that, too
+    # If structure remains, the part of it that a fit absorbs also belongs to the remainder.
     more = state.left is not None and state.left.found
-    # of trials that are not as predicted, a gap may be what seems to differ by chance
+    # In trials that are not predicted, the gap may look like between-trial variation.
     chance = {} if predicted is None or predicted.after.shown else predicted.after.chance
     levels = noise.of_held_out(chance)
     outside = shrinkage.capped(floor if more else levels, held)
@@ -147,7 +147,7 @@ def answer(
     )
     how = noise.how
     if told.verdict == "none":
-        # nothing it leaves can be told from noise and from what differs from trial to trial
+        # The residuals are indistinguishable from noise and between-trial variation.
         floor = {c: max(floor[c], rms(v)) for c, v in by_channel(nominal, gap).items()}
         how = "all that the model leaves: noise, and what differs from trial to trial"
     rows = _scores(state)
@@ -202,7 +202,7 @@ def answer(
 
 
 def _as_given(state: State) -> Fit:
-    """Return the model with the parameters as given, fitted in what each trial has for itself alone."""
+    """Return the model with the parameters as given, with only the start states of the trials fitted."""
     context, noise_model = state.context, state.noise_model
     problem = context.problem((), noise_model.random_effects)
     noise_model.install(problem)
@@ -227,9 +227,7 @@ def _insist_simulated(nominal: Fit, ranges: Mapping[str, float]) -> None:
 
 
 def _alone(state: State, fit: Fit) -> Fit:
-    """A model refitted as if trials did not differ: what differs may have stood in for a cause, and nothing
-    is known of it in a trial to come.
-    """
+    """Refit a model without random effects, which may have absorbed the cause."""
     if not state.noise_model.random_effects:
         return fit
     context, noise_model = state.context, replace(state.noise_model, random_effects=())
@@ -250,7 +248,7 @@ def _reasons(state: State) -> list[str]:
 
 
 def _ranges(context: FitContext, nominal: Fit) -> dict[str, float]:
-    """Measured range of each channel over the fitted trials, in its unit; 1 where it is none."""
+    """Return the measured range of each channel over the fitted trials, in its unit; 1 if undefined."""
     parts: dict[str, list[Array]] = {}
     for k, trial in enumerate(context.trials):
         for channel, series in split(nominal, k, nominal.residuals[k]).items():
@@ -315,7 +313,7 @@ def _causes(
 
 
 def _changed(known: Estimate, value: float, stderr: float, unit: str, *, inside: bool) -> ChangedValue:
-    """Return the new value of a parameter beside that of the file."""
+    """Return the new value of a parameter and its value in the file."""
     return ChangedValue(
         value=value,
         stderr=stderr if inside else None,
@@ -329,7 +327,9 @@ def _changed(known: Estimate, value: float, stderr: float, unit: str, *, inside:
 def _values(
     base: Fit, cause: Named, sd: Mapping[str, float], given: Mapping[str, Estimate]
 ) -> dict[str, Value | ChangedValue]:
-    """The size of a cause: parameters of its effect, those of single trials by their root mean square."""
+    """Return the size of a cause: the parameters of its effect, those of single trials as a root mean
+    square.
+    """
     effect = cause.best.tried.effect
     found: dict[str, Value | ChangedValue] = {}
     for p in cause.best.tried.parameters:
@@ -349,7 +349,8 @@ def _values(
         if p.per_trial:
             found[f"{p.name}_rms"] = Value(value=rms(np.array(values)), unit=p.unit)
             continue
-        # what its standard error does not tell from a bound is there, unless the effect vanishes at it
+        # A value within its standard error of a bound counts as at the bound, unless the effect vanishes
+        # there.
         near = sd.get(labels[0], 0.0)
         if any(b != p.start and abs(values[0] - b) <= near for b in (p.lower, p.upper)):
             found[p.name] = Value(value=values[0], unit=p.unit, status="at-bound")
@@ -376,7 +377,7 @@ def _moved(state: State, base: Fit, given: Mapping[str, Estimate]) -> dict[str, 
 
 
 def _at_bounds(context: FitContext, fit: Fit) -> dict[str, float]:
-    """The model's own shared coefficients that a fit ends with at a bound, and the bound."""
+    """Return the shared coefficients of the model that end at a bound, and the bound."""
     own = {p.name for p in context.parameters if not p.per_trial}
     ends = zip(fit.labels, fit.theta, fit.inside, strict=True)
     return {label: float(value) for label, value, inside in ends if label in own and not inside}
@@ -387,7 +388,7 @@ def _absorbed(
 ) -> list[Absorbed]:
     nominal = state.nominal
     plain = parameter_errors(state, nominal)
-    # a parameter that has changed is a cause itself
+    # A changed parameter is a cause itself.
     causes = {e.adds_to for e in base.effects}
     found = []
     for p in state.context.parameters:
@@ -410,7 +411,9 @@ def _estimate(fit: Fit, p: Parameter, errors: Mapping[str, float]) -> Value:
 
 
 def _extrapolations(state: State, base: Fit) -> dict[str, Distance]:
-    """How far the outermost frequency, amplitude or force is from what the other trials predict."""
+    """Return the distance of the outermost frequency, amplitude or force from the prediction by the other
+    trials.
+    """
     context = state.context
     if not context.folds.whole:
         return {}
@@ -444,7 +447,7 @@ def _advice(state: State, told: Judgement, left: str, floor: Mapping[str, float]
     if not told.causes:
         return _repeat(left) if told.verdict == "unexplained" else []
     first = state.rounds[0]
-    # nothing tells a changed parameter from an effect that does the same
+    # A changed parameter cannot be distinguished from an effect that changes the trials in the same way.
     names = [n for n in told.causes[0].alike if n not in first.same]
     rivals = [next(r for r in first.ranked if r.tried.effect.name == n) for n in names]
     if len(rivals) == 1:
@@ -463,7 +466,7 @@ def _repeat(left: str) -> list[Advice]:
 
 
 def _scores(state: State) -> list[Score]:
-    """How every effect did alone."""
+    """Return the score of each effect alone."""
     rows: dict[str, Score] = {}
     for r in state.singles:
         name = r.tried.effect.name
@@ -491,7 +494,7 @@ def _score(tried: Tried, gains: Array, stderr: float | None, probability: float,
 
 
 def _hypotheses(state: State) -> list[Hypothesis]:
-    """Every set of effects that was weighed, the model as it is first."""
+    """Return every hypothesis that was weighed; the first is the model without effects."""
     found = state.posterior
     return [
         Hypothesis(
@@ -508,7 +511,7 @@ def _hypotheses(state: State) -> list[Hypothesis]:
 
 
 def _stages(rows: Sequence[Score], *, gap: bool) -> dict[Stage, float]:
-    """Share of the evidence each stage of the chain has."""
+    """Return the share of the evidence for each stage."""
     applied = {row.stage for row in rows}
     shares = {stage: 0.0 for stage in STAGES if stage != "rig" or "rig" in applied}
     if not gap:
@@ -521,7 +524,7 @@ def _stages(rows: Sequence[Score], *, gap: bool) -> dict[Stage, float]:
 
 
 def _structured_share(state: State) -> float:
-    """Share of the final squared whitened residuals that a generic description still finds."""
+    """Return the share of the final squared whitened residuals that a generic description still finds."""
     left = state.left
     if left is None or not left.found:
         return 0.0
@@ -535,11 +538,10 @@ def _structured_share(state: State) -> float:
 def parameter_errors(state: State, fit: Fit) -> Mapping[str, float]:
     """Return the standard errors of a fit's parameters by label.
 
-    That of the new value of a changed parameter stands under the name of its effect.
-
-    The residuals of a few trials are correlated, be it noise or gap: the errors are larger by that.
+    The standard error of a changed parameter has the name of its effect. The residuals of a few trials are
+    correlated, by noise or by the gap: the errors are enlarged accordingly.
     """
-    # the rows that give the parameters themselves, and each changed parameter with its change
+    # Rows that select the parameters, and the sum of each changed parameter and its change.
     names, rows = list(fit.labels), list(np.eye(len(fit.labels)))
     for effect in fit.effects:
         if effect.adds_to is not None:

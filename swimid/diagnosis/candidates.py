@@ -1,4 +1,4 @@
-"""Effects tried on the trials: a cheap screen at several strengths, then a refit together with the model."""
+"""Screen effects at several sizes, then refit them together with the model."""
 
 from __future__ import annotations
 
@@ -15,34 +15,34 @@ from swimid.effects.base import Effect
 from swimid.fitting.model import Array, Parameter
 from swimid.fitting.parallel import map_in_processes
 
-#: A change smaller than this (squared, in units of the noise) is none.
+#: A squared change below this, in units of the noise, counts as zero.
 NOTHING = 1e-6
-#: One this large, in units of the noise, is a simulation that broke down.
+#: A change above this, in units of the noise, means that the simulation diverged.
 BROKEN = 3e4
-#: Share of trials that must not break down for an effect to be judged by them.
+#: Minimum share of trials that must not diverge for an effect to be evaluated.
 SOUND = 0.7
-#: Starts of a fit beyond the one the screen predicts: the sizes that help most as they are.
+#: Number of starts of a fit beyond the predicted one: the sizes at which the effect helped most.
 STARTS = 3
-#: Parts of a trial that are judged in turn where each trial has a size for itself.
+#: Number of parts of a trial for cross-validation of an effect with a value for each trial.
 PARTS = 4
 
 
 @dataclass(frozen=True)
 class Tried:
-    """One effect as the screen saw it.
+    """Screening result of one effect.
 
     Attributes
     ----------
     point : ndarray
-        Its parameters where the screen expects them.
+        Predicted values of its parameters.
     gains : ndarray, shape (folds,)
-        Predicted drop of each fold's held-out misfit.
+        Predicted decrease of the held-out squared residuals of each fold.
     absorbed : float
-        Share of the squared change that the nominal numbers imitate.
+        Share of the squared change that the coefficients of the model imitate.
     signature : list of ndarray
         Change of each trial at ``point``, weighted.
     starts : list of ndarray
-        Points at which it was tried and helped as it was: other places to begin a refit.
+        Points at which it reduced the residuals as it was: starting points of a refit.
     """
 
     effect: Effect
@@ -55,7 +55,7 @@ class Tried:
 
     @property
     def gain(self) -> float:
-        """Over all folds."""
+        """Return the gain over all folds."""
         return float(self.gains.sum())
 
 
@@ -66,7 +66,7 @@ class Refitted:
     Attributes
     ----------
     gains : ndarray, shape (folds,)
-        Drop of each fold's held-out misfit against the model without it.
+        Decrease of the held-out squared residuals of each fold against the model without the effect.
     """
 
     tried: Tried
@@ -75,19 +75,19 @@ class Refitted:
 
     @property
     def gain(self) -> float:
-        """Over all folds."""
+        """Return the gain over all folds."""
         return float(self.gains.sum())
 
     @property
     def stderr(self) -> float:
-        """Standard error of the gain, from its spread over folds."""
+        """Return the standard error of the gain, from its variation over folds."""
         n = len(self.gains)
         return float(np.sqrt(n * np.var(self.gains, ddof=1))) if n > 1 else float("nan")
 
 
 @dataclass
 class Screen:
-    """All effects tried on one base.
+    """Screening results of all effects on one base.
 
     Attributes
     ----------
@@ -102,13 +102,13 @@ class Screen:
 
 
 def within(change: Array) -> bool:
-    """Whether a change is one, and not a simulation that broke down."""
+    """Return whether a change is neither zero nor a divergence."""
     return bool(np.isfinite(change).all() and np.max(np.abs(change), initial=0.0) < BROKEN)
 
 
 @dataclass(frozen=True)
 class Trialled:
-    """What an effect changes at each of the strengths it is tried at."""
+    """Changes by an effect at each tried size."""
 
     effect: Effect
     parameters: tuple[Parameter, ...]
@@ -116,7 +116,7 @@ class Trialled:
 
 
 def simulate(context: FitContext, base: Fit, effects: Sequence[Effect]) -> list[Trialled]:
-    """The changes all effects make at several strengths."""
+    """Return the changes by all effects at several sizes."""
 
     def one(effect: Effect) -> list[tuple[Array, list[Array]]]:
         parameters = effect.parameters(context.model, context.trials)
@@ -124,7 +124,7 @@ def simulate(context: FitContext, base: Fit, effects: Sequence[Effect]) -> list[
         points = list(effect.tries(parameters))
         for point, changed in zip(points, context.changes(base, effect, points), strict=True):
             sound = [within(c) for c in changed]
-            # a trial on the verge of breaking down says nothing about the effect, the others do
+            # A trial that nearly diverges says nothing about the effect; the others do.
             if sum(sound) > SOUND * len(sound):
                 found.append(
                     (point, [c if ok else np.zeros(len(c)) for c, ok in zip(changed, sound, strict=True)])
@@ -138,7 +138,7 @@ def simulate(context: FitContext, base: Fit, effects: Sequence[Effect]) -> list[
 
 
 def screen(context: FitContext, base: Fit, noise_model: NoiseModel, simulated: Sequence[Trialled]) -> Screen:
-    """Compare all effects at all strengths, the base's numbers projected out."""
+    """Screen all effects at all sizes, with the base's parameters projected out."""
     columns = [changed for tried in simulated for _, changed in tried.points]
     inner = crossval.normal_equations(context, base, noise_model, columns)
     plain = crossval.held_out(inner)
@@ -165,18 +165,18 @@ def screen(context: FitContext, base: Fit, noise_model: NoiseModel, simulated: S
 
 
 def absorbed(left: float, whole: float) -> float:
-    """Share of a squared change that the nominal numbers imitate, from what is left of it without them."""
+    """Return the share of a squared change that the model's parameters imitate."""
     return float(np.clip(1.0 - left / whole, 0.0, 1.0)) if whole > 0 else 1.0
 
 
 def _strength(parameters: Sequence[Parameter], point: Array) -> float:
-    """Largest distance of a point from null, in typical sizes."""
+    """Return the largest distance of a point from the null value, in typical sizes."""
     sizes = (abs(v - p.start) / p.scale for v, p in zip(point, parameters, strict=True))
     return max(sizes, default=1.0) or 1.0
 
 
 def _allowed(null: Array, step: Array, factor: float, lower: Array, upper: Array) -> float:
-    """The factor of a step from null, cut where it leaves the bounds."""
+    """Return the factor of a step from the null value, limited by the bounds."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = np.array([(lower - null) / step, (upper - null) / step])
     ends = ends[:, step != 0.0]
@@ -188,23 +188,24 @@ def _allowed(null: Array, step: Array, factor: float, lower: Array, upper: Array
 def _best(
     inner: NormalEquations, tried: Trialled, first: int, plain: Array, left: Array, whole: Array
 ) -> Tried | None:
-    """The best of an effect's tries, single ones and one per parameter together.
+    """Return the best try of an effect, from single tries and from combinations of one try for each
+    parameter.
 
     Parameters
     ----------
     first : int
-        Where its columns begin among the further ones.
+        Index of its first column among the further ones.
     plain : ndarray, shape (folds,)
-        Held-out misfit without any effect.
+        Held-out squared residuals without any effect.
     left, whole : ndarray
-        Squared changes of the further columns, with and without the shared numbers projected out.
+        Squared changes of the further columns, with and without the shared parameters projected out.
     """
     parameters, points = tried.parameters, tried.points
     null = np.array([p.start for p in parameters])
     lower, upper = np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
 
     def fitted(*chosen: int) -> tuple[Array, Array]:
-        """Gains of some tries together, and the factors of their changes."""
+        """Return the gains of some tries together, and the factors of their changes."""
         prior = [(_strength(parameters, points[i][0]) / EFFECT_PRIOR) ** 2 for i in chosen]
         where = [first + i for i in chosen]
         gains = plain - crossval.held_out(inner, where, prior)
@@ -219,8 +220,8 @@ def _best(
         moved = tuple(np.flatnonzero(point != null).tolist())
         if gains.sum() > leaders.get(moved, (-np.inf, 0))[0]:
             leaders[moved] = (float(gains.sum()), i)
-        # a size out of bounds is no size: what the effect does there is what it does at the bound; and
-        # what has no size is there as a whole
+        # The effect of a size beyond its bound is that at the bound. An effect without parameters acts as a
+        # whole.
         allowed = _allowed(null, point - null, float(factors[0]), lower, upper) if parameters else 1.0
         if allowed != factors[0]:
             gains = np.minimum(gains, plain - crossval.held_out_less(inner, first + i, allowed))
@@ -249,10 +250,11 @@ def _best(
 
 
 def _apart(context: FitContext, base: Fit, noise_model: NoiseModel, tried: Trialled) -> Tried | None:
-    """The best try of an effect some of whose parameters each trial has for itself."""
+    """Return the best try of an effect that has parameters with a value for each trial."""
     single = [j for j, p in enumerate(tried.parameters) if p.per_trial]
     null = [p.start for p in tried.parameters]
-    # of tries that share the other parameters one for each of its own suffices, the change is linear in it
+    # The change is linear in the per-trial parameter, so that one try for each set of other parameters is
+    # enough.
     groups: dict[bytes, dict[tuple[int, ...], tuple[Array, list[Array]]]] = {}
     for point, changed in tried.points:
         moved = tuple(j for j in single if point[j] != null[j])
@@ -272,19 +274,19 @@ def _apart(context: FitContext, base: Fit, noise_model: NoiseModel, tried: Trial
 
 
 def alike(context: FitContext, base: Fit, noise_model: NoiseModel, first: Tried, second: Tried) -> float:
-    """Cosine between two effects' changes, the base's numbers projected out."""
+    """Return the cosine between two effects' changes, with the base's parameters projected out."""
     columns = [first.signature, second.signature]
     return cosine(crossval.projected(crossval.normal_equations(context, base, noise_model, columns)), 0, 1)
 
 
 def cosine(inner: Array, i: int, j: int) -> float:
-    """Of two columns from the inner products of all; 0 where one of them is nothing."""
+    """Return the cosine of two columns from the inner products of all; 0 if one is zero."""
     norm = np.sqrt(max(inner[i, i], 0.0) * max(inner[j, j], 0.0))
     return float(inner[i, j] / norm) if norm > 0 else 0.0
 
 
 def own(fit: Fit, name: str, scale: float) -> list[Array]:
-    """Derivatives of each trial to its own value of a parameter, per typical size."""
+    """Return derivatives of each trial with respect to its own value of a parameter, per typical size."""
     slots = enumerate(zip(fit.labels, fit.problem.slots, strict=True))
     column = {owner: j for j, (label, (_, owner)) in slots if label.split("[")[0] == name}
     return [
@@ -295,10 +297,10 @@ def own(fit: Fit, name: str, scale: float) -> list[Array]:
 def own_gains(
     context: FitContext, base: Fit, noise_model: NoiseModel, own: Sequence[Sequence[Array]]
 ) -> Array:
-    """Drop of misfit by changes whose size each trial has for itself, shape (folds,).
+    """Return the decrease of squared residuals by changes with a size for each trial, shape (folds,).
 
-    The size is estimated from three quarters of a trial and judged on the other, in turn: what fits any
-    start or any drift does not do so.
+    The size is estimated from three quarters of a trial and evaluated on the other quarter, in turn. A change
+    that only fits a start or a drift gains nothing then.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A model on its trials, fitted through a noise_model: the workbench of every step of a diagnosis."""
+"""Fit hypotheses: a model with effects and random effects on its trials, through a noise model."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.parallel import map_in_processes
 from swimid.fitting.problem import Problem, Solution
 
-#: Prior standard deviation of an effect's parameters, in their typical sizes.
+#: Prior standard deviation of an effect's parameters, in typical sizes.
 EFFECT_PRIOR = 5.0
-#: The same of the start state of a trial, about where its first samples put it.
+#: Prior standard deviation of the start state of a trial about its first samples, in typical sizes.
 START_PRIOR = 30.0
-#: Relative tolerance of a fit.
+#: Relative tolerance of the cost.
 TOLERANCE = 1e-5
-#: Of many starts the better half goes on after each step with lent derivatives, the last for so many steps;
-#: so many of them go as far with their own, and the best to the end, in so many at most. The tolerances
-#: meanwhile and there.
+#: Multistart search: number of steps with borrowed derivatives between halvings, number of finalists that use
+#: their own derivatives, maximum number of steps of the best one, and the relative tolerances meanwhile and
+#: at the end.
 HEAT, FINALISTS, STEPS, ROUGH, FINE = 4, 2, 80, 1e-3, 1e-4
-#: Two starts this near, in typical sizes of an effect and relatively in cost, are one.
+#: Distance, in typical sizes and in relative cost, below which two starts are the same.
 ALIKE = 0.1
-#: A coefficient this many prior standard deviations from what was known of it is distorted.
+#: Number of prior standard deviations from which a coefficient counts as distorted.
 DISTORTED = 2.0
 #: A prior as wide as this share of a coefficient says little.
 LOOSE = 0.3
-#: Derivatives are taken anew once the numbers have moved by this many standard errors.
+#: Number of standard errors by which parameters must move before derivatives are recomputed.
 NEAR = 0.3
 
 
-#: Names of coefficients and the correlation of what is known of them.
+#: Names of coefficients and the correlation of their priors.
 Correlation = tuple[Sequence[str], Array]
 NO_CORRELATION: Correlation = ((), np.empty((0, 0)))
-#: Added to the diagonal of a correlation, which files hold to a few digits.
+#: Added to the diagonal of a correlation, which files state to a few digits.
 ROUNDING = 1e-6
 
 
@@ -52,7 +52,7 @@ class Mixed(Problem):
     Parameters
     ----------
     random_effects : sequence of RandomEffect
-        What differs: a number of each trial.
+        Each has a value for each trial.
     """
 
     def __init__(
@@ -74,27 +74,27 @@ class Mixed(Problem):
         self._differ = {i for i, p in enumerate(self.parameters) if p.name in known}
 
     def differs(self, j: int) -> bool:
-        """Whether an estimated number is a random effect of a trial."""
+        """Return whether a parameter is a random effect of a trial."""
         return self.slots[j][0] in self._differ
 
     def begun(self, trial: int) -> list[int]:
-        """Places of a trial's start state."""
+        """Return the indices of a trial's start state."""
         return [j for j in self.own(trial) if not self.differs(j)]
 
     def differing(self, trial: int) -> list[int]:
-        """Places of a random effect of a trial."""
+        """Return the indices of a trial's random effects."""
         return [j for j in self.own(trial) if self.differs(j)]
 
 
 class Optimum(NamedTuple):
-    """What a search for an optimum ends with: a :class:`Fit` without its problem.
+    """End of a search: a :class:`Fit` without its problem.
 
     Attributes
     ----------
     theta : ndarray, shape (p,)
     cost : float
     residuals, rows : list of ndarray
-        As of a :class:`Fit`.
+        As in :class:`Fit`.
     """
 
     theta: Array
@@ -110,9 +110,9 @@ class Fit:
     Attributes
     ----------
     effects : tuple of Effect
-        Chosen ones.
+        Effects of the hypothesis.
     acting : tuple of Effect
-        Those before, after what differs from trial to trial.
+        Random effects, then effects of the hypothesis.
     labels : list of str
     theta : ndarray, shape (p,)
     cost : float
@@ -120,7 +120,8 @@ class Fit:
     residuals : list of ndarray
         Of each trial, weighted (not yet whitened), shape (n_k,).
     rows : list of ndarray
-        Derivatives of the simulated samples, weighted, shape (n_k, p): residuals fall by them.
+        Derivatives of the simulated samples, weighted, shape (n_k, p); the derivatives of the residuals are
+        their negative.
     lower, upper, scale : ndarray, shape (p,)
     """
 
@@ -136,31 +137,34 @@ class Fit:
 
     @property
     def optimum(self) -> Optimum:
-        """Its numbers alone."""
+        """Return its values without its problem."""
         return Optimum(self.theta, self.cost, self.residuals, self.rows)
 
     @property
     def inside(self) -> NDArray[np.bool_]:
-        """Which numbers are not at a bound, shape (p,)."""
+        """Return which parameters are not at a bound, shape (p,)."""
         return np.asarray((self.theta > self.problem.lower) & (self.theta < self.problem.upper))
 
     def free_of_trial(self, k: int) -> NDArray[np.intp]:
-        """Places of what trial ``k`` has for itself and is not at the end of its range."""
+        """Return the indices of the parameters of trial ``k`` that are not at a bound."""
         inside = self.inside
         return np.array([j for j in self.problem.own(k) if inside[j]], dtype=int)
 
     def own(self, k: int) -> Array:
-        """Derivatives to the start state of trial ``k``, per typical size, shape (n_k, m)."""
+        """Return the derivatives with respect to the start state of trial ``k``, per typical size, shape
+        (n_k, m).
+        """
         mine = self.problem.begun(k)
         return np.asarray(self.rows[k][:, mine] * self.scale[mine])
 
     def centre(self, without: Collection[str] = ()) -> dict[str, float]:
-        """Random effects as they are on average, by the name of its number.
+        """Return the mean of each random effect over trials, by parameter name.
 
         Parameters
         ----------
         without : collection of str
-            Effects with which it shares a number and that are none here: then it is none, too.
+            Effects whose parameter a random effect shares and that do not act here: the random effect is left
+            out as well.
         """
         null = {p.name: p.start for p in self.problem.parameters}
         apart = {kind.label for kind in self.problem.random_effects if kind.name.replace("_", "-") in without}
@@ -170,9 +174,9 @@ class Fit:
         }
 
     def scatter(self) -> dict[str, float]:
-        """How far trials are from one another in what differs by chance, by the name of its number.
+        """Return the standard deviation over trials of each random effect, by parameter name, in its unit.
 
-        Standard deviation over trials, in its unit. What all trials share is no chance but an effect.
+        A value that all trials share is an effect, not chance.
         """
         return {
             name: float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
@@ -180,7 +184,7 @@ class Fit:
         }
 
     def _differing(self) -> dict[str, list[float]]:
-        """Random effects of each trial, by the name of its number."""
+        """Return the random effects of each trial, by parameter name."""
         values: dict[str, list[float]] = {}
         for j, (index, _) in enumerate(self.problem.slots):
             if self.problem.differs(j):
@@ -188,7 +192,8 @@ class Fit:
         return values
 
     def fixed_effects_residual(self, k: int, without: Collection[str] = ()) -> Array:
-        """Residuals of trial ``k`` were it like the average trial, to first order, shape (n_k,).
+        """Return the residuals of trial ``k`` with its random effects at their mean, to first order, shape
+        (n_k,).
 
         Parameters
         ----------
@@ -202,7 +207,7 @@ class Fit:
         return np.asarray(self.residuals[k] + self.rows[k][:, mine] @ away)
 
     def marginal_residuals(self, without: Collection[str] = ()) -> list[Array]:
-        """Residuals of each trial with its random effects unknown, its start state refitted.
+        """Return the residuals of each trial with its random effects unknown and its start state refitted.
 
         Parameters
         ----------
@@ -215,20 +220,20 @@ class Fit:
         ]
 
     def value(self, label: str) -> float:
-        """An estimate by its label."""
+        """Return an estimate by its label."""
         return float(self.theta[self.labels.index(label)])
 
 
 class FitContext:
-    """A nominal model, its trials and what is known of its coefficients beforehand.
+    """A model, its trials, and the prior of its coefficients.
 
     Parameters
     ----------
     model : Model
     parameters : sequence of Parameter
-        Of the model; the free ones are refitted in every step.
+        Of the model; the free ones are refitted in every fit.
     trials : sequence of Trial
-        Those that take part in fits.
+        Trials that take part in fits.
     prior : mapping of name to (mean, sd)
         Of shared coefficients.
     correlation : tuple of sequence of str and ndarray, shape (m, m), optional
@@ -259,7 +264,7 @@ class FitContext:
         self.folds = self._folds(plain)
 
     def replaced(self, model: Model, trials: Sequence[Trial]) -> FitContext:
-        """Return the same context of another model and other trials."""
+        """Return the same context with another model and other trials."""
         more = {"correlation": self.correlation, "jobs": self.jobs}
         return FitContext(model, self.parameters, trials, self.prior, **more)  # type: ignore[arg-type]
 
@@ -275,8 +280,8 @@ class FitContext:
         return replace(found, owner=owner)
 
     def affected(self, effects: Sequence[Effect]) -> Affected:
-        """The model with effects."""
-        # their scales are read off the trials: once will do
+        """Return the model with effects."""
+        # The scales of effects depend on the trials: cache them.
         key = tuple(id(e) for e in effects)
         if key not in self._known:
             self._known[key] = Affected(self.model, effects, self.trials)
@@ -291,14 +296,14 @@ class FitContext:
         trials: Sequence[Trial] | None = None,
         known: Mapping[str, float] | None = None,
     ) -> Mixed:
-        """Residuals of the model with effects, on trials that differ by random_effects, coefficients as here.
+        """Return the residual problem of the model with effects and random effects.
 
         Parameters
         ----------
         trials : sequence of Trial, optional
-            Others than those of the context.
+            Default: those of the context.
         known : mapping of label to float, optional
-            Shared numbers that are not to be estimated.
+            Shared parameters that are held.
         """
         acting = _acting(effects, random_effects)
         model = self.affected(acting)
@@ -318,9 +323,9 @@ class FitContext:
         return problem
 
     def single(self, problem: Problem) -> NDArray[np.bool_]:
-        """Numbers that are a trial's own business in a comparison of folds, shape (p,).
+        """Return the parameters that are refitted in each held-out fold, shape (p,).
 
-        Start states always; what an effect has for each trial only where whole trials are held out.
+        These are the start states, and if whole trials are held out the per-trial values of effects.
         """
         return np.array(
             [
@@ -331,17 +336,20 @@ class FitContext:
         )
 
     def shared(self, fit: Fit) -> NDArray[np.intp]:
-        """Places of the numbers that folds share, without those at their bounds: these stay there."""
+        """Return the indices of the parameters that folds share, without those at bounds."""
         return np.flatnonzero(~self.single(fit.problem) & fit.inside)
 
     def apart(self, fit: Fit, k: int) -> NDArray[np.intp]:
-        """Places of what is trial ``k``'s own business in a comparison of folds, without those at bounds."""
+        """Return the indices of the parameters of trial ``k`` that are refitted in its fold, without those
+        at bounds.
+        """
         single = self.single(fit.problem)
         return np.array([j for j in fit.free_of_trial(k) if single[j]], dtype=int)
 
     def loosened(self, problem: Problem) -> dict[str, tuple[float, float]]:
-        """Coefficients of which less is known once the robot is read otherwise, as :attr:`prior`: what other
-        trials told of them they told of the nominal robot.
+        """Return the priors of coefficients that are less well known under another reading of the robot.
+
+        Other trials determined them for the robot as read in the robot file.
         """
         if getattr(problem.model, "model", self.model) is self.model:
             return {}
@@ -349,7 +357,7 @@ class FitContext:
         return {name: (mean, own[name]) for name, (mean, sd) in self.prior.items() if 0 < sd < own[name]}
 
     def expected(self, problem: Mixed) -> tuple[Array, Array]:
-        """Prior mean and inverse standard deviation of each number; 0 where there is none."""
+        """Return the prior mean and inverse standard deviation of each parameter; 0 without a prior."""
         mean, weight = np.array(problem.start), np.zeros(len(problem.labels))
         known = {**self.prior, **self.loosened(problem)}
         for j, (index, owner) in enumerate(problem.slots):
@@ -385,10 +393,10 @@ class FitContext:
         return np.asarray(root.T @ root)
 
     def begins(self, problem: Mixed, theta: Array) -> list[Array]:
-        """Numbers to fit from: given ones and, where their coefficients are far from what is known of them,
-        the known ones with all else as it is.
+        """Return starting points: the given ones and, if their coefficients are far from the prior, the prior
+        means.
 
-        A model distorted by what it lacks may hold an effect in a poor local optimum.
+        A model that is distorted by a missing effect may hold an effect in a poor local optimum.
         """
         plain, distorted = theta.copy(), False
         known = {**self.prior, **self.loosened(problem)}
@@ -399,7 +407,7 @@ class FitContext:
             mean, sd = known[p.name]
             size = max(abs(mean), p.scale)
             if p.known is not None and sd > LOOSE * size:
-                # the trials themselves told the prior: what lacks has distorted it, too
+                # The prior was estimated from these trials, so the missing effect biases it too.
                 mean, sd = p.known, LOOSE * max(abs(p.known), p.scale)
             plain[j] = mean
             distorted = distorted or abs(theta[j] - mean) > DISTORTED * sd
@@ -416,13 +424,13 @@ class FitContext:
         jobs: int | None = None,
         warm: Fit | None = None,
     ) -> Fit:
-        """The best optimum from several starts.
+        """Return the best optimum from several starts.
 
         Parameters
         ----------
         starts : sequence of ndarray, shape (p,)
         warm : Fit, optional
-            Take the derivatives to the numbers of this fit from it: an optimum nearby costs a fifth.
+            Fit from which derivatives are borrowed; a nearby optimum then costs a fifth.
         """
         problem = self.problem(effects, noise_model.random_effects, jobs=jobs)
         noise_model.install(problem)
@@ -441,16 +449,17 @@ class FitContext:
         finalists: int = FINALISTS,
         jobs: int = 1,
     ) -> Fit:
-        """The best optimum from many starts: all begin with the derivatives of a fit nearby, and after each
-        step the better half goes on (successive halving [1]_).
+        """Return the best optimum from many starts by successive halving [1]_.
+
+        All starts begin with the derivatives of a nearby fit. After each step the better half continues.
 
         Parameters
         ----------
         starts : sequence of ndarray, shape (p,)
         warm : Fit
-            Whose derivatives are lent.
+            Fit whose derivatives are borrowed.
         finalists : int
-            How many go on with derivatives of their own.
+            Number of starts that continue with their own derivatives.
 
         References
         ----------
@@ -466,13 +475,13 @@ class FitContext:
         def cost(found: Solution) -> float:
             return found.cost if math.isfinite(found.cost) else math.inf
 
-        # of coefficients, which any step sets anew, nothing is asked
+        # Coefficients do not distinguish two starts, because any step changes them.
         own = np.where(["/" in label for label in problem.labels], problem.scale, np.inf)
 
         def ranked(starts: Sequence[Array], tolerance: float, steps: int) -> list[Solution]:
             found: list[Solution] = []
             for ended in sorted((one(s, tolerance, steps) for s in starts), key=cost):
-                # what has come to the same point goes on once
+                # Starts that reached the same point continue once.
                 if not any(_same(ended, other, own) for other in found):
                     found.append(ended)
             return found
@@ -499,14 +508,14 @@ class FitContext:
         prior: tuple[Array, Array] | None = None,
         kept: Sequence[NDArray[np.bool_]] | None = None,
     ) -> Solution:
-        """The best optimum of a problem from several starts.
+        """Return the best optimum of a problem from several starts.
 
         Parameters
         ----------
         kept : sequence of ndarray of bool, shape (n_k,), optional
             Samples that take part; default all.
         prior : tuple of ndarray, shapes (p,) and (m, p), optional
-            What is known of the numbers: their mean, and a root of their precision; default that of a fit.
+            Mean of the parameters, and a root of their precision; default that of a fit.
         """
         problem.prior = prior or (self.expected(problem)[0], self.root(problem))
 
@@ -522,16 +531,16 @@ class FitContext:
         return min(found, key=lambda one: one.cost)
 
     def without_each(self, fit: Fit, noise_model: NoiseModel) -> list[Array]:
-        """Numbers of a fit refitted without each fold, from the fit to all on; shape (p,) each.
+        """Return the parameters of a fit refitted without each fold, shape (p,) each.
 
-        The noise model stays that of all trials. Of what a fold has for itself nothing is asked.
+        The noise model stays that of all trials. Per-trial parameters of the held-out fold are not estimated.
         """
 
         def one(f: int) -> Array:
             problem = self.problem(fit.effects, fit.problem.random_effects, jobs=1)
             noise_model.install(problem)
             kept = [owner != f for owner in self.folds.owner]
-            # first with the derivatives of the fit to all, as far as they lead
+            # The derivatives of the fit to all trials are used first, as far as they lead.
             problem.hold_derivatives(fit.labels, fit.rows)
             begun = self.search(problem, noise_model, [fit.theta], ROUGH, STEPS, kept=kept)
             problem.hold_derivatives((), ())
@@ -545,7 +554,7 @@ class FitContext:
         return found
 
     def at(self, effects: Sequence[Effect], noise_model: NoiseModel, theta: Array) -> Fit:
-        """The state of a fit at given numbers, nothing searched."""
+        """Return the state of a fit at given parameters, without a search."""
         problem = self.problem(effects, noise_model.random_effects)
         noise_model.install(problem)
         return self._at(problem, effects, theta, math.nan)
@@ -563,7 +572,7 @@ class FitContext:
         )
 
     def fitted(self, effects: Sequence[Effect], noise_model: NoiseModel, found: Optimum) -> Fit:
-        """The fit that ended with some numbers."""
+        """Return the fit that ended with some parameters."""
         problem = self.problem(effects, noise_model.random_effects)
         noise_model.install(problem)
         return self._fit(problem, effects, found)
@@ -575,7 +584,9 @@ class FitContext:
         fit: Fit,
         own: Mapping[str, float] | None = None,
     ) -> Array:
-        """Numbers for a fit with other effects or noise: those of an earlier fit, and given or null ones."""
+        """Return starting parameters for a fit with other effects or noise: those of an earlier fit, given
+        or null values.
+        """
         problem = self.problem(effects, noise_model.random_effects)
         known = dict(zip(fit.labels, fit.theta, strict=True))
         own = own or {}
@@ -587,12 +598,13 @@ class FitContext:
         )
 
     def changes(self, base: Fit, effect: Effect, points: Sequence[Array]) -> list[list[Array]]:
-        """What an effect at some strengths changes in each trial, weighted, shape (n_k,), for each of them.
+        """Return the changes by an effect at some sizes in each trial, weighted, shape (n_k,), one list for
+        each size.
 
         Parameters
         ----------
         base : Fit
-            Where its other numbers stand; its effects stay.
+            Fit with the values of the other parameters; its effects stay.
         points : sequence of ndarray
             Values of all the effect's parameters.
         """
@@ -615,7 +627,9 @@ class FitContext:
         ]
 
     def moved(self, base: Fit, index: int, step: float) -> list[Array]:
-        """What a step of one of the model's own parameters changes in each trial, weighted, shape (n_k,)."""
+        """Return the change of each trial by a step of one of the model's own parameters, weighted, shape
+        (n_k,).
+        """
         runs = []
         for k, trial in enumerate(self.trials):
             own = base.problem.vector(base.theta, k)
@@ -630,18 +644,18 @@ class FitContext:
 
 
 def _same(one: Solution, other: Solution, scale: Array) -> bool:
-    """Whether two searches are on their way to one point: in what effects have, and in cost."""
+    """Return whether two searches lead to the same point: equal effect parameters and equal cost."""
     near = np.all(np.abs(one.x - other.x) <= ALIKE * scale)
     return bool(near and abs(one.cost - other.cost) <= ALIKE * other.cost)
 
 
 def _acting(effects: Sequence[Effect], random_effects: Sequence[RandomEffect]) -> tuple[Effect, ...]:
-    """Everything that acts on the model: what differs by random_effects, then effects."""
+    """Return everything that acts on the model: random effects, then effects."""
     return (*(kind.acting for kind in random_effects if kind.acting is not None), *effects)
 
 
 def beyond(columns: Array, values: Array) -> Array:
-    """What least squares on some columns leaves of some values, shape (n,)."""
+    """Return the residuals of least squares of some values on some columns, shape (n,)."""
     scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
     return np.asarray(values - scaled @ np.linalg.lstsq(scaled, values, rcond=1e-10)[0])
 

@@ -1,9 +1,9 @@
-"""Linear algebra of held-out comparisons: approximate leave-group-out cross-validation.
+"""Approximate leave-group-out cross-validation by linear algebra.
 
-Near an optimum everything a comparison asks (refits without a fold, the misfit of that fold, what noise
-alone would do) follows from the inner products of a few columns in each fold: derivatives to shared
-numbers, changes by effects, residuals. A fold is left out by one Gauss-Newton step from the fit to all
-(Rad and Maleki 2020, J. R. Stat. Soc. B 82(4)); noise colour and spreads stay those of all trials.
+Near an optimum, refits without a fold, the squared residuals of that fold, and what noise alone would give
+follow from the inner products of a few columns in each fold: derivatives with respect to shared parameters,
+changes by effects, residuals. A fold is left out by one Gauss-Newton step from the fit to all (Rad and Maleki
+2020, J. R. Stat. Soc. B 82(4)). The noise model stays that of all trials.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ from swimid.diagnosis.context import Fit, FitContext
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.fitting.model import Array
 
-#: Where the other folds hardly tell a shared number, it leans on all of them by this share of what they
-#: tell together: left to itself it would throw the held-out fold anywhere, and hide what an effect gains.
+#: If the other folds hardly determine a shared parameter, the information of all folds enters with this
+#: weight. Without it the held-out fold would be predicted arbitrarily badly, which hides the gain of an
+#: effect.
 SHRINKAGE = 0.1
 
 
@@ -31,11 +32,11 @@ class NormalEquations:
     Attributes
     ----------
     products : ndarray, shape (folds, c, c)
-        Columns: shared numbers first (``shared`` of them), then others, the residual last.
+        Columns: shared parameters first (``shared`` of them), then others, the residual last.
     prior : ndarray, shape (shared, shared)
-        Precision of what is known of the shared numbers.
+        Prior precision of the shared parameters.
     pull : ndarray, shape (shared,)
-        Prior mean less the present value, of the shared numbers.
+        Prior mean minus present value of the shared parameters.
     samples : ndarray, shape (folds,)
     """
 
@@ -46,20 +47,20 @@ class NormalEquations:
 
     @property
     def shared(self) -> int:
-        """How many columns are shared numbers."""
+        """Return the number of columns that are shared parameters."""
         return len(self.prior)
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """Draws of what noise alone would show.
+    """Random draws of noise.
 
     Attributes
     ----------
     right : ndarray, shape (folds, c - 1, m)
-        Inner products of the columns with m other residuals.
+        Inner products of the columns with m residuals of noise.
     pull : ndarray, shape (shared, m)
-        What the prior means would be off.
+        Deviations of the prior means.
     """
 
     right: Array
@@ -75,20 +76,20 @@ def project_out(
     *,
     to: NDArray[np.intp] | None = None,
 ) -> Array:
-    """Whitened columns of a trial, what its own numbers imitate taken out of them.
+    """Return whitened columns of a trial with the trial's own parameters projected out.
 
     Parameters
     ----------
     block : ndarray, shape (n_k, c)
         Weighted; the last column is the residual.
     to : ndarray of int, optional
-        Own numbers that are taken out; default all of this trial that are free to move.
+        Own parameters that are projected out; default all of this trial that are not at a bound.
 
     Returns
     -------
     ndarray, shape (n_k + m, c)
-        The trial's samples, then the prior of its own numbers: all inner products are those of columns in the
-        noise that the numbers, unknown, add to.
+        The trial's samples, then the prior of its own parameters. All inner products are those in the noise
+        that includes the unknown own parameters.
     """
     problem = fit.problem
     mine = fit.free_of_trial(k) if to is None else to
@@ -107,7 +108,7 @@ def project_out(
 def normal_equations(
     context: FitContext, fit: Fit, noise_model: NoiseModel, columns: Sequence[Sequence[Array]] = ()
 ) -> NormalEquations:
-    """Inner products of a fit's derivatives, further columns and its residuals, fold by fold.
+    """Return inner products of a fit's derivatives, further columns and its residuals, fold by fold.
 
     Parameters
     ----------
@@ -132,7 +133,7 @@ def normal_equations(
             products[f] += seen.T @ seen
             samples[f] += len(block)
         else:
-            # of a start state the trials tell so much that what was known of it before is nothing
+            # The samples determine a start state so well that its prior has no effect.
             for f in np.unique(owner):
                 part = seen[: len(block)][owner == f]
                 products[f] += part.T @ part
@@ -147,19 +148,18 @@ def held_out(
     prior: Sequence[float] = (),
     draws: Drawn | None = None,
 ) -> Array:
-    """Misfit of each fold with everything fitted on the other folds.
+    """Return the squared residuals of each fold with all parameters fitted to the other folds.
 
-    What is known of the shared numbers from elsewhere are data, too: each fold bears its part of how far the
-    others' fit is from it.
+    The prior of the shared parameters counts as data: each fold has its share of the distance to the prior.
 
     Parameters
     ----------
     chosen : sequence of int
-        Further columns that take part, counted from the first one after the shared numbers.
+        Further columns that take part, counted from the first one after the shared parameters.
     prior : sequence of float
         Inverse variance of each of their factors.
     draws : Drawn, optional
-        Of m other residuals; the misfit is then less that of the residuals themselves.
+        Draws of m other residuals; the result is then without the squared residuals themselves.
 
     Returns
     -------
@@ -180,8 +180,9 @@ def held_out(
 
 
 def predictive(equations: NormalEquations) -> Array:
-    """Squared Mahalanobis distance of each fold in what the others predict, shape (folds,): by how much it
-    raises the squared residuals of the fit to all.
+    """Return the squared Mahalanobis distance of each fold from its prediction by the others, shape (folds,).
+
+    It is the amount by which the fold raises the squared residuals of the fit to all.
     """
     shared = equations.shared
     off = float(equations.pull @ equations.prior @ equations.pull)
@@ -196,7 +197,7 @@ def predictive(equations: NormalEquations) -> Array:
 
 
 def _without(inner: Array, ridge: Array, right: Array, pull: Array, shared: int) -> Array:
-    """Numbers fitted without each fold, shape (folds, c, m); shared ones lean on all folds by `SHRINKAGE`."""
+    """Return parameters fitted without each fold, shape (folds, c, m); see `SHRINKAGE`."""
     total, all_right = inner.sum(axis=0), right.sum(axis=0)
     whole = solved(total + ridge, all_right + pull)
     lean = np.zeros_like(total)
@@ -205,13 +206,15 @@ def _without(inner: Array, ridge: Array, right: Array, pull: Array, shared: int)
 
 
 def _strain(equations: NormalEquations, theta: Array, off: Array) -> Array:
-    """Each fold's part of how far numbers are from what is known of them, shape (folds, m)."""
+    """Return each fold's share of the distance of parameters from their prior, shape (folds, m)."""
     apart = theta[:, : equations.shared] - off
     return np.asarray(np.einsum("jk,fjm,fkm->fm", equations.prior, apart, apart) / len(theta))
 
 
 def held_out_less(equations: NormalEquations, column: int, factor: float = 1.0) -> Array:
-    """Misfit of each fold, as :func:`held_out`, once so much of a further column is off the residuals."""
+    """Return the squared residuals of each fold, as :func:`held_out`, after subtracting a multiple of a
+    further column.
+    """
     at = np.arange(equations.shared)
     c = equations.shared + column
     inner = equations.products[:, at[:, None], at[None, :]]
@@ -226,7 +229,7 @@ def held_out_less(equations: NormalEquations, column: int, factor: float = 1.0) 
 
 
 def solved(normal: Array, right: Array) -> Array:
-    """Solutions of scaled normal equations, stacked or single; directions nothing tells stay at zero.
+    """Return solutions of scaled normal equations, stacked or single; undetermined directions stay at zero.
 
     Parameters
     ----------
@@ -243,7 +246,9 @@ def solved(normal: Array, right: Array) -> Array:
 
 
 def together(equations: NormalEquations, chosen: Sequence[int], prior: Sequence[float]) -> Array:
-    """Factors of shared numbers and chosen columns fitted to all folds at once, shape (shared + chosen,)."""
+    """Return factors of shared parameters and chosen columns fitted to all folds, shape (shared +
+    chosen,).
+    """
     at = np.concatenate(
         (np.arange(equations.shared), equations.shared + np.asarray(chosen, dtype=int))
     ).astype(int)
@@ -254,7 +259,7 @@ def together(equations: NormalEquations, chosen: Sequence[int], prior: Sequence[
 
 
 def projected(equations: NormalEquations) -> Array:
-    """Inner products of the further columns and the residual with all shared numbers projected out.
+    """Return inner products of further columns and residual with all shared parameters projected out.
 
     Returns
     -------
@@ -268,7 +273,7 @@ def projected(equations: NormalEquations) -> Array:
 
 
 def noise_draws(equations: NormalEquations, rng: np.random.Generator, count: int) -> Drawn:
-    """So many draws of pure noise, and of what is known from elsewhere."""
+    """Return random draws of pure noise and of the prior."""
     found = np.empty((len(equations.products), equations.products.shape[1] - 1, count))
     for f, inner in enumerate(equations.products[:, :-1, :-1]):
         scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))

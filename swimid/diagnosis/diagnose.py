@@ -29,7 +29,7 @@ from swimid.simulation import compare_series
 from swimid.simulation.catalogue import Loaded
 from swimid.simulation.compare_series import ChannelScore
 
-#: Why no change of a parameter is looked for without a parameter file.
+#: Reason why no changed parameter is a hypothesis without a parameter file.
 NOT_GIVEN = (
     "no parameter file was given: the refit began at the values of the robot file, of which nothing is taken "
     "as known, and no change of a parameter can be named"
@@ -37,14 +37,16 @@ NOT_GIVEN = (
 
 
 def _as_given(loaded: Loaded) -> dict[str, ChannelScore]:
-    """Return the errors of the model with the parameters as given, by channel, as ``compare`` has them."""
+    """Return the errors of the model with the parameters as given, by channel, as ``compare`` computes
+    them.
+    """
     experiment, applied = loaded
     try:
         done = [
             compare_series.compared(experiment, applied, trial, refit=True) for trial in experiment.trials
         ]
     except NoTrustworthyResult:
-        # a simulation with them breaks down: there are no errors, and the refit may do better
+        # The simulation diverges with these parameters. There are no errors, and the refit may do better.
         return {}
     return compare_series.pooled(done, experiment.model)
 
@@ -59,24 +61,23 @@ def diagnose(
 ) -> Diagnosis | DetectionPower:
     """Find the effect behind the gap between a model and its trials.
 
-    Without a parameter file the robot file's values are where its refit begins, and nothing is taken as known
-    of them. The result does not depend on the number of jobs. An effect that the coefficients imitate is not
-    seen, and an explained gap does not exclude an effect outside the catalogue that acts just so.
+    Without a parameter file the refit begins at the values of the robot file, which are no prior. The result
+    does not depend on the number of jobs. An effect that the coefficients imitate is not detected. An
+    explained gap does not exclude an effect outside the catalogue that acts in the same way.
 
     Parameters
     ----------
     trials : path or TrialSet
-        Trials: a file, or what :func:`swimid.load` gives.
-        Trials of any experiment.
+        Trials of any experiment: a file, or the result of :func:`swimid.load`.
     output : path, optional
         Gap file to write; its evidence goes beside it.
     progress : Progress
-        Shows the effects tried.
+        Shows the effects that are fitted.
 
     Returns
     -------
     Diagnosis or DetectionPower
-        The second where ``power`` is asked for: what the trials could show of each effect.
+        The second with ``power=True``: the detection power of the trials.
         ``.answer`` is ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``; ``.causes`` has the
         parameters of each cause in their units; ``.shrinkage`` the errors before and after on held-out data
         (over the measured range); ``.where`` the gap of each channel against its noise floor.
@@ -86,7 +87,7 @@ def diagnose(
     InputError, UsageError
         For bad files and options.
     NoTrustworthyResult
-        When there is nothing to compare: no trial of role ``fit``, or the model cannot be simulated.
+        If there is no trial of role ``fit``, or the model cannot be simulated.
 
     References
     ----------
@@ -103,7 +104,7 @@ def diagnose(
 
     Examples
     --------
-    Four drops whose model has no friction of the pulley:
+    Four drops, with a model without pulley friction:
 
     >>> import swimid
     >>> drops = [
@@ -122,7 +123,7 @@ def diagnose(
         experiment = loaded.experiment
         model = experiment.model
         own = [e for path in options.own_effects for e in effect_catalogue.from_file(path)]
-        # the noise is what the best of all leaves, whichever are asked for
+        # The noise is estimated with the whole catalogue, whichever effects are asked for.
         known = [*effect_catalogue.catalogue(), *own]
         as_given = _as_given(loaded)
         begun = nominal.begun(loaded)

@@ -16,37 +16,38 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis(FileResult[GapFile]):
-    """The gap between trials and a model, and its causes, as ``diagnose`` gives it.
+    """The gap between trials and a model, and its causes, as ``diagnose`` returns it.
 
     Attributes
     ----------
     answer : str
         ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``.
     causes : DataFrame
-        A row for each parameter of each cause, the likeliest cause first: ``effect``, ``probability``
-        (that it or one it cannot be told from is among the causes), ``parameter``, ``value`` and
-        ``stderr`` (in ``unit``), ``status``.
+        One row for each parameter of each cause, the most probable cause first: ``effect``, ``probability``
+        (that this effect or an equivalent one is among the causes), ``parameter``, ``value`` and ``stderr``
+        (in ``unit``), ``status``.
     shrinkage : DataFrame
-        By cause and channel, the error on held-out data ``before`` and ``after``, the noise ``floor`` (all
+        By cause and channel: the error on held-out data ``before`` and ``after``, the noise ``floor`` (all
         over the measured range), and the share ``closed`` with its ``ci95``.
     where : DataFrame
-        By channel, ``nrmse`` of the model refitted, its ``floor`` and what is left ``within`` trials once
-        each has what differs from trial to trial (over the measured range), ``share`` of the whole gap,
-        ``rmse`` (in ``unit``).
+        By channel: ``nrmse`` of the refitted model, its ``floor``, the error ``within`` trials without
+        between-trial variation (all over the measured range), ``share`` of the whole gap, ``rmse`` (in
+        ``unit``).
     file : GapFile
-        What :meth:`save` writes; it also has rivals, what remains, advice and the scores of all effects.
+        The file that :meth:`save` writes. It also has rivals, remaining residuals, advice and the scores of
+        all effects.
     """
 
     file_type = GapFile
 
     @property
     def answer(self) -> str:
-        """``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``."""
+        """Return ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``."""
         return self.file.verdict
 
     @property
     def causes(self) -> pd.DataFrame:
-        """A row for each parameter of each cause, the likeliest first; of a reading one without."""
+        """Return one row for each parameter of each cause; a reading has one row without a parameter."""
         import pandas as pd
 
         none = {"": Value(value=None, unit="")}
@@ -62,7 +63,7 @@ class Diagnosis(FileResult[GapFile]):
 
     @property
     def shrinkage(self) -> pd.DataFrame:
-        """How far each cause shrinks the gap of each channel on held-out trials."""
+        """Return how far each cause shrinks the gap of each channel on held-out trials."""
         import pandas as pd
 
         rows = [{"effect": c.effect, **s.model_dump()} for c in self.file.causes for s in c.shrinkage]
@@ -70,7 +71,7 @@ class Diagnosis(FileResult[GapFile]):
 
     @property
     def where(self) -> pd.DataFrame:
-        """The gap of each channel against its noise floor."""
+        """Return the gap of each channel and its noise floor."""
         import pandas as pd
 
         return pd.DataFrame([c.model_dump() for c in self.file.where.channels])

@@ -1,4 +1,4 @@
-"""Failed samples (frozen, jumped, displaced markers) as a cause among the others."""
+"""Treat failed samples (frozen, jumped, displaced markers) as one of the causes."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from swimid.diagnosis.search import State
 from swimid.effects.sensing import MarkerDropout
 from swimid.fitting.model import Trial
 
-#: Failed samples count as a cause from this many on, and from this squared misfit.
+#: Minimum number of failed samples, and minimum squared residual in units of the noise, for a cause.
 FAILED, FAILED_MISFIT = 4, 50.0
-#: Of blind cases in which samples fail and something from outside seems to act, the share in which a marker
-#: really failed: one of two. What slips or sticks of a sudden jumps, too.
+#: Share of blind cases with failed samples and a cause outside the catalogue in which a marker had really
+#: failed (one of two). A body that slips or sticks also jumps.
 REAL = 0.5
 
 
 def misfit(state: State, raw: Sequence[Trial], floor: Mapping[str, float]) -> float:
-    """Squared misfit of the failed samples in units of the noise; 0 where they are too few to name.
+    """Return the squared residual of the failed samples in units of the noise; 0 if they are too few.
 
     Parameters
     ----------
     raw : sequence of Trial
-        The fitted trials with their failed samples still in.
+        The fitted trials, failed samples included.
     """
     if state.dropouts.count < FAILED:
         return 0.0
@@ -38,7 +38,7 @@ def misfit(state: State, raw: Sequence[Trial], floor: Mapping[str, float]) -> fl
 
 
 def _squares(state: State, raw: Sequence[Trial]) -> dict[str, tuple[float, int]]:
-    """Summed squared errors of the model at failed samples, and how many these are, by channel."""
+    """Return the sum of squared errors of the model at failed samples, and their number, by channel."""
     found: dict[str, tuple[float, int]] = {}
     simulated = state.nominal.problem.simulations(state.nominal.theta)
     for trial, run in zip(raw, simulated, strict=True):
@@ -57,12 +57,12 @@ def among(
     size: float,
     ranges: Mapping[str, float],
 ) -> list[Cause]:
-    """The causes with the failed samples among them, where their misfit puts them.
+    """Return the causes with the failed samples inserted at their rank.
 
     Parameters
     ----------
     size : float
-        That misfit.
+        Squared residual of the failed samples.
     ranges : mapping of channel to float
         Measured range, in the channel's unit.
     """

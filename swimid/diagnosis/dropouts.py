@@ -1,4 +1,4 @@
-"""Samples that are no measurements: a marker lost, frozen, or taken for another."""
+"""Detect samples that are no measurements: a marker lost, frozen, or confused with another."""
 
 from __future__ import annotations
 
@@ -12,22 +12,23 @@ from scipy.ndimage import label, median_filter
 
 from swimid.fitting.model import Array, Trial
 
-#: A change of the residual between two samples beyond this many robust deviations is a jump: no body jumps.
+#: Number of robust standard deviations of a change of the residual from which it is a jump.
 JUMP = 9.0
-#: As many equal values one after another, while the body moves by this many deviations, are frozen.
+#: Minimum number of equal consecutive values, and minimum motion in standard deviations meanwhile, of a
+#: frozen stretch.
 FROZEN, MOVED = 4, 6.0
-#: What a tracker of markers measures.
+#: Channels that a marker tracker measures.
 CAMERA = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
-#: Fewest samples in which anything is looked for.
+#: Minimum number of samples for any detection.
 FEWEST = 60
-#: A displaced stretch is flagged when its mean is off by this many robust deviations.
+#: Mean offset of a displaced stretch, in robust standard deviations.
 OFF = 6.0
-#: Samples beside a jump whose median is the level there.
+#: Number of samples beside a jump whose median is the level there.
 BESIDE = 8
 
 
 class Stretch(NamedTuple):
-    """Samples of one trial and channel that failed one after another, s; the kind is that of the first."""
+    """Consecutive failed samples of one trial and channel, s; the kind is that of the first."""
 
     trial: str
     channel: str
@@ -38,7 +39,7 @@ class Stretch(NamedTuple):
 
 @dataclass(frozen=True)
 class Dropouts:
-    """Samples that failed.
+    """Failed samples of all trials.
 
     Attributes
     ----------
@@ -51,11 +52,11 @@ class Dropouts:
 
     @property
     def count(self) -> int:
-        """Failed samples in all."""
+        """Return the number of failed samples."""
         return sum(int(m.sum()) for by in self.masks.values() for m in by.values())
 
     def confirmed(self, other: Dropouts) -> Dropouts:
-        """Those stretches that another look, with a better model, finds as well."""
+        """Return the stretches that a second detection with a better model finds as well."""
         again = {s[:2] for s in other.stretches}
         kept = [
             s
@@ -70,7 +71,7 @@ class Dropouts:
         return Dropouts(masks, kept)
 
     def without(self, trials: Sequence[Trial]) -> list[Trial]:
-        """The trials with the frames in which a marker failed blank: in a channel that shows it less, too."""
+        """Return the trials without the frames in which a marker failed, in all channels."""
         found = []
         for trial in trials:
             masks = self.masks.get(trial.id, {})
@@ -84,12 +85,12 @@ class Dropouts:
 
 
 def look(trials: Sequence[Trial], simulated: Sequence[Mapping[str, Array]]) -> Dropouts:
-    """Failed samples, told from the residuals' jumps and from values that do not change.
+    """Return failed samples, detected by jumps of the residuals and by values that do not change.
 
     Parameters
     ----------
     simulated : sequence of mappings
-        Channels of each trial as the model has them; it need not be right, only smooth.
+        Simulated channels of each trial. They need not be right, only smooth.
     """
     masks: dict[str, dict[str, NDArray[np.bool_]]] = {}
     stretches = []
@@ -110,7 +111,7 @@ def look(trials: Sequence[Trial], simulated: Sequence[Mapping[str, Array]]) -> D
 
 
 def _runs(mask: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
-    """Places of samples that follow one another."""
+    """Return runs of consecutive indices."""
     parts, count = label(mask)
     return [np.flatnonzero(parts == i) for i in range(1, count + 1)]
 
@@ -120,7 +121,7 @@ def _robust(x: Array) -> float:
 
 
 def _failed(values: Array, simulated: Array) -> NDArray[np.str_]:
-    """How each sample of one channel failed; empty where it did not."""
+    """Return how each sample of one channel failed; empty if it did not."""
     kinds = np.full(len(values), "", dtype="U9")
     there = np.flatnonzero(np.isfinite(values) & np.isfinite(simulated))
     x, r = values[there], (values - simulated)[there]
@@ -133,7 +134,7 @@ def _failed(values: Array, simulated: Array) -> NDArray[np.str_]:
     smooth = median_filter(r, size=5, mode="nearest")
     spikes = there[np.abs(r - smooth) > JUMP * max(_robust(r - smooth), size / np.sqrt(2.0))]
     kinds[spikes[kinds[spikes] == ""]] = "spike"
-    # a shift: between two jumps of the median-filtered residual, or from one to the end
+    # Detect a shift: between two jumps of the median-filtered residual, or from one to the end.
     well = kinds[there] == ""
     there, r = there[well], r[well]
     smooth = median_filter(r, size=5, mode="nearest")
@@ -141,7 +142,7 @@ def _failed(values: Array, simulated: Array) -> NDArray[np.str_]:
     jumps = np.flatnonzero(np.abs(smooth[4:] - smooth[:-4]) > JUMP * local[2:-1])
     if len(jumps):
         edges = [int(g[len(g) // 2]) + 2 for g in np.split(jumps, np.flatnonzero(np.diff(jumps) > 3) + 1)]
-        # what agrees with the last sound samples is sound again
+        # A sample that agrees with the last valid samples is valid again.
         sound = float(np.median(r[max(edges[0] - BESIDE, 0) : edges[0]]))
         for begin, end in zip(edges, [*edges[1:], len(r)], strict=True):
             level = float(np.median(r[begin : min(begin + BESIDE, end)])) if end > begin else sound

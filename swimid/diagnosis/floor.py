@@ -1,4 +1,4 @@
-"""How large the noise is, without asking the model."""
+"""Estimate the noise floor, from repeats if there are any."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MIN_SAMPLES = 20
 
 
 def split(fit: Fit, k: int, residual: Array) -> dict[str, Array]:
-    """A trial's stacked weighted residual by channel, in the channels' units; NaN where missing."""
+    """Split a trial's stacked weighted residual by channel, in the channels' units; NaN if missing."""
     found, at = {}, 0
     for i, (channel, mask) in enumerate(zip(fit.problem.channels[k], fit.problem.masks[k], strict=True)):
         count = int(mask.sum())
@@ -32,7 +32,7 @@ def split(fit: Fit, k: int, residual: Array) -> dict[str, Array]:
 def repeats(context: FitContext) -> list[list[int]]:
     """Return the trials of each setting that was repeated; a recording that is given twice is no repeat.
 
-    The setting tells a repeat, not the samples: an encoder logs the same positions in every drop, at other
+    The setting defines a repeat, not the samples: an encoder logs the same positions in every drop, at other
     times.
     """
     groups: dict[str, list[int]] = {}
@@ -48,18 +48,18 @@ def repeats(context: FitContext) -> list[list[int]]:
 
 
 def nuisance_residuals(fit: Fit, residuals: Sequence[Array], random_effects: Sequence[Array]) -> list[Array]:
-    """Weighted residuals once each trial has had its own start state, trims, gains and clock.
+    """Return weighted residuals after each trial had its own start state, trims, gains and clock.
 
     Parameters
     ----------
     residuals : sequence of ndarray, shape (n_k,)
     random_effects : sequence of ndarray, shape (n_k, q)
-        Weighted changes by what may differ from trial to trial.
+        Weighted changes by quantities that may differ between trials.
 
     Returns
     -------
     list of ndarray, shape (n_k,)
-        Of trials too short for it, the residuals as they are.
+        For trials that are too short, the residuals as they are.
     """
     found = []
     for k, r in enumerate(residuals):
@@ -69,7 +69,7 @@ def nuisance_residuals(fit: Fit, residuals: Sequence[Array], random_effects: Seq
 
 
 def by_channel(fit: Fit, residuals: Sequence[Array]) -> dict[str, Array]:
-    """Residuals of all trials together, by channel, in its unit."""
+    """Return the residuals of all trials by channel, in its unit."""
     parts: dict[str, list[Array]] = {}
     for k, r in enumerate(residuals):
         for channel, series in split(fit, k, r).items():
@@ -78,12 +78,12 @@ def by_channel(fit: Fit, residuals: Sequence[Array]) -> dict[str, Array]:
 
 
 def rms(values: Array) -> float:
-    """Root-mean-square."""
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(values**2)))
 
 
 def excess(fit: Fit, residuals: Sequence[Array], floor: Mapping[str, float]) -> dict[str, float]:
-    """Squared residuals beyond those of the noise, in units of it, by channel."""
+    """Return the squared residuals beyond those of the noise, in units of the noise, by channel."""
     found = by_channel(fit, residuals)
     more = {c: float(np.sum((v / max(floor[c], 1e-300)) ** 2 - 1.0)) for c, v in found.items()}
     return {c: m if m > 1e-9 * len(found[c]) else 0.0 for c, m in more.items()}
@@ -91,25 +91,26 @@ def excess(fit: Fit, residuals: Sequence[Array], floor: Mapping[str, float]) -> 
 
 @dataclass(frozen=True)
 class Floor:
-    """Noise of each channel.
+    """Noise floor of each channel.
 
     Attributes
     ----------
     levels : dict of channel to float
-        In its unit. What two repeats of one setting do not share, where there are repeats and they differ by
-        less than the model leaves; else the noise within trials that the model leaves, less the share that
-        has structure, and the random effects of trials. Never more than what the model leaves as if trials
-        did not differ. All but the repeats with what fitted numbers take up, :func:`taken_up`.
+        In its unit. The difference between repeats of one setting, if there are repeats and it is smaller
+        than the residuals of the model. Otherwise the noise within trials that the model leaves, without the
+        share that has structure, and the random effects. Never more than the residuals of the model without
+        random effects. Except for repeats, it includes the part that fitted parameters absorb
+        (:func:`taken_up`).
     inside : dict of channel to float
-        The same less what fitted numbers take up of it: what residuals of the fit are to be held against.
+        The levels without the part that fitted parameters absorb, for comparison with residuals of the fit.
     within : dict of channel to float
-        The levels without what differs from trial to trial.
+        The levels without between-trial variation.
     squares : dict of channel to dict of trial to (float, int)
-        What each trial adds to the squared level, up to a common factor, and its samples.
+        Contribution of each trial to the squared level, up to a common factor, and its number of samples.
     how : str
-        From what it was read.
+        Source of the floor, in words.
     repeated : bool
-        Whether that are repeats.
+        Whether the source is repeats.
     """
 
     levels: dict[str, float]
@@ -120,7 +121,7 @@ class Floor:
     repeated: bool = False
 
     def less(self, shares: Mapping[str, float]) -> Floor:
-        """The same less a share of the squared noise of some channels."""
+        """Return the floor reduced by a share of the squared noise of some channels."""
         left = {c: float(np.sqrt(1.0 - share)) for c, share in shares.items()}
         levels, inside, within = (
             {c: v * left.get(c, 1.0) for c, v in kind.items()}
@@ -129,7 +130,7 @@ class Floor:
         return replace(self, levels=levels, inside=inside, within=within)
 
     def of_held_out(self, chance: Mapping[str, float]) -> dict[str, float]:
-        """The levels of trials in which chance makes a known mean square, by channel."""
+        """Return the levels of trials with a known mean square of between-trial variation, by channel."""
         return {
             c: math.hypot(self.within[c], math.sqrt(chance[c])) if c in chance else v
             for c, v in self.levels.items()
@@ -141,10 +142,10 @@ def _mean_squares(fit: Fit, residuals: Sequence[Array]) -> dict[str, float]:
 
 
 def taken_up(context: FitContext, fit: Fit, noise_model: NoiseModel) -> dict[str, float]:
-    """What the squared errors of each channel are multiplied by for what fitted numbers take up of them.
+    """Return the factor of the squared errors of each channel for the part that fitted parameters absorb.
 
-    A fit's squared residuals are 1 - h of the noise where it leans on each fold by h, and 1 / (1 - h) where
-    the fold is held out (the deletion residual): the noise is the geometric mean.
+    With leverage h of a fold, a fit's squared residuals are 1 - h of the noise, and 1 / (1 - h) if the fold
+    is held out (the deletion residual). The noise is the geometric mean.
 
     References
     ----------
@@ -173,20 +174,20 @@ def floors(
     alike: Fit,
     noise_model: NoiseModel,
 ) -> Floor:
-    """Noise of each channel, in its unit: what no model of these trials can get below.
+    """Return the noise floor of each channel, in its unit: no model of these trials can have smaller errors.
 
     Parameters
     ----------
     last : Fit
-        The model with all that was found.
+        The model with all causes.
     residuals : sequence of ndarray, shape (n_k,)
-        What it leaves, weighted, without what differs from trial to trial.
+        Its residuals, weighted, without between-trial variation.
     share : float
-        Of its squared whitened residuals, what a generic description still finds.
+        Share of its squared whitened residuals that a generic description still finds.
     alike : Fit
-        The same model refitted as if trials did not differ.
+        The same model refitted without random effects.
     noise_model : NoiseModel
-        Through which it was.
+        Noise model of that refit.
     """
     rest = max(1.0 - share, 0.05)
     marginal_residuals = last.marginal_residuals()
@@ -216,9 +217,9 @@ def floors(
 def _between_repeats(
     context: FitContext, last: Fit, residuals: Sequence[Array]
 ) -> tuple[dict[str, float], str | None]:
-    """Return what repeats of one setting do not share, by channel, and how many repeats there are, in words.
+    """Return the difference between repeats of one setting, by channel, and the number of repeats in words.
 
-    Nothing is returned where there are no repeats, or too few samples in every trial.
+    The result is empty if there are no repeats, or too few samples in every trial.
     """
     groups = repeats(context)
     if not groups or all(len(r) < MIN_SAMPLES for r in last.residuals):

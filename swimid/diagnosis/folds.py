@@ -1,4 +1,4 @@
-"""What is held out together: repeats of one setting, runs of a table, stretches of a single log."""
+"""Divide the data into folds: repeats of one setting, runs of a table, or stretches of a single log."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ import numpy as np
 from swimid.diagnosis import settings
 from swimid.fitting.model import Array, Trial
 
-#: Fewest settings for which whole trials are held out; below, stretches of trials are.
+#: Minimum number of settings for holding out whole trials; below it, stretches of trials are held out.
 FEWEST = 4
-#: Stretches a few long trials are cut into, in all at least.
+#: Minimum total number of stretches that a few long trials are divided into.
 STRETCHES = 8
-#: Folds of a table of many runs.
+#: Number of folds of a table of many runs.
 TABLE_FOLDS = 10
 
 
 @dataclass(frozen=True)
 class Folds:
-    """Parts of the data that are left out in turn.
+    """Parts of the data that are held out in turn.
 
     Attributes
     ----------
     whole : bool
-        Whole trials are held out (their own start states are then estimated from themselves);
-        else stretches of trials.
+        Whether whole trials are held out (their own start states are then estimated from themselves), or
+        stretches of trials.
     owner : list of ndarray of int
         For each trial the fold of each of its rows, shape (n_k,).
     labels : list of str
@@ -39,18 +39,17 @@ class Folds:
 
     @property
     def count(self) -> int:
-        """Number of folds."""
+        """Return the number of folds."""
         return len(self.labels)
 
 
 def folds(trials: Sequence[Trial], rows: Sequence[int]) -> Folds:
-    """The folds of some trials.
+    """Return the folds of some trials.
 
     Parameters
     ----------
     rows : sequence of int
-        Number of rows (samples of all channels) of each trial; channel after channel of equal length
-        is not assumed: a stretch is told by :func:`stretches`.
+        Number of rows (samples of all channels) of each trial.
     """
     names = [settings.repeated(t) for t in trials]
     groups = list(dict.fromkeys(names))
@@ -61,7 +60,7 @@ def folds(trials: Sequence[Trial], rows: Sequence[int]) -> Folds:
         place = {g: i for i, g in enumerate(groups)}
         labels = [" ".join(t.id for t, n in zip(trials, names, strict=True) if n == g) for g in groups]
         if all(n == 1 for n in rows) and len(groups) > TABLE_FOLDS:
-            # a table: runs far apart in it are left out together
+            # Rows of a table that are far apart in it form one fold.
             place = {g: i % TABLE_FOLDS for i, g in enumerate(groups)}
             labels = [f"part {i + 1}" for i in range(TABLE_FOLDS)]
         return Folds(True, [np.full(n, place[name]) for n, name in zip(rows, names, strict=True)], labels)
@@ -72,7 +71,7 @@ def folds(trials: Sequence[Trial], rows: Sequence[int]) -> Folds:
 
 
 def stretches(folds: Folds, k: int, times: Sequence[Array]) -> Array:
-    """Fold of each row of trial ``k``, cut into stretches of equal duration.
+    """Return the fold of each row of trial ``k``, divided into stretches of equal duration.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Effects of no particular physics: what is left, as smooth forces, strokes and sensor terms.
+"""Describe the remaining residuals without physics: smooth forces, strokes and sensor terms.
 
-They tell whether anything is left that some effect should explain, and where it acts; they are never a
-cause themselves. After Kennedy and O'Hagan (2001): a discrepancy with its own prior.
+They show whether structure is left and where it acts. They are never a cause. After Kennedy and O'Hagan
+(2001): a model discrepancy with a prior of its own.
 """
 
 from __future__ import annotations
@@ -18,20 +18,22 @@ from swimid.effects.base import Effect, Stage
 from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks, traceable
 from swimid.fitting.model import Array, Model, Parameter, Trial
 
-#: What a residual force may depend on, in the order of the force's factors.
+#: Variables of a residual force, in the order of its factors.
 TERMS = (
     "constant", "speed", "speed squared", "sway", "yaw rate", "time", "cos phase", "sin phase", "cos 2 phase",
     "sin 2 phase", "cos phase x time", "sin phase x time",
 )  # fmt: skip
-#: A setting of a table is a level of its own where so many runs share it, within this share of it, and there
-#: are no more levels than so many.
+#: A setting of a table is a level of its own if at least this many runs share it, within this relative
+#: tolerance, and there are at most this many levels.
 SHARED, LEVEL, LEVELS = 3, 1e-3, 12
 AXES = {"surge": 0, "sway": 1, "yaw": 2}
 
 
 @traceable(on="base", constants=17)
 def smooth_force(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Axis, beat frequency (Hz), start and length of the trial, typical speed, factors."""
+    """Return a smooth force for (axis, beat frequency (Hz), start and length of the trial, typical speed,
+    factors).
+    """
     u, v, r = velocity[0] / constants[4], velocity[1] / constants[4], velocity[2]
     late = (t - constants[2]) / constants[3]
     phase = 2.0 * math.pi * constants[1] * t
@@ -40,22 +42,24 @@ def smooth_force(t, pose, velocity, constants, wrench):  # type: ignore[no-untyp
     f += constants[10] * late + constants[11] * c + constants[12] * s
     f += constants[13] * (c * c - s * s) + constants[14] * 2.0 * c * s
     f += (constants[15] * c + constants[16] * s) * late
-    # of the axes 0, 1 and 2 the one that is asked for
+    # Only the requested axis has a force.
     for axis in range(3):
         wrench[axis] += f * max(1.0 - abs(constants[0] - axis), 0.0)
 
 
-#: The same for a body of one coordinate.
+#: Variables of a residual force on a body with one coordinate.
 RIG_TERMS = (
     "constant", "speed", "speed squared", "speed cubed", "place", "place squared", "place cubed", "time",
 )  # fmt: skip
-#: What the error of a channel may depend on.
+#: Terms of the error of a channel.
 SENSOR_TERMS = ("gain", "drift", "drift squared", "cos phase", "sin phase", "quadratic")
 
 
 @cfunc(FORCE_SIGNATURE, cache=True)
 def smooth_push(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Start and length of the trial, typical speed and place, factors."""
+    """Return a smooth force on a rig for (start and length of the trial, typical speed and place,
+    factors).
+    """
     late = (t - constants[0]) / constants[1]
     u, x = velocity[0] / constants[2], pose[0] / constants[3]
     f = constants[4] + constants[5] * u + constants[6] * u * abs(u) + constants[7] * u**3
@@ -67,23 +71,23 @@ class Description(Effect):
 
     stage: ClassVar[Stage] = "fluid"
     meaning: ClassVar[str] = "what is left, without physics"
-    #: Words for where it acts.
+    #: Place where it acts, in words.
     place: str = ""
-    #: What it is made of, what their names begin with, and unit and typical size of their factors.
+    #: Terms, prefix of their names, and unit and typical size of their factors.
     terms: tuple[str, ...] = ()
     prefix: str = ""
     unit: str = "1"
     size: float
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
-        """One factor per term."""
+        """Return one factor for each term."""
         return tuple(
             Parameter(f"{self.prefix}{term}", self.unit, -math.inf, math.inf, 0.0, self.size)
             for term in self.terms
         )
 
     def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
-        """Each parameter at its typical size: the change is nearly linear."""
+        """Return each parameter at its typical size: the change is nearly linear."""
         return [np.eye(len(parameters))[k] * p.scale for k, p in enumerate(parameters)]
 
 
@@ -102,7 +106,7 @@ class ResidualForce(Description):
         self.place = f"{axis} {kind}"
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """The force of one trial."""
+        """Return the force of one trial."""
         known = [AXES[self.axis], beat_hz(trial), *_window(trial), self.speed]
         return Hooks(force=(Force(smooth_force, np.concatenate((known, values))),))
 
@@ -121,13 +125,13 @@ class ResidualPush(Description):
         self.size, self.speed, self.span = size, speed, span
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """The force of one trial."""
+        """Return the force of one trial."""
         known = [*_window(trial), self.speed, self.span]
         return Hooks(force=(Force(smooth_push, np.concatenate((known, values))),))
 
 
 class StrokeDeviation(Description):
-    """A smooth change of what the actuators do: harmonics of the command and their drift."""
+    """A smooth change of the actuator motion: harmonics of the command and their drift."""
 
     name: ClassVar[str] = "residual-stroke"
     stage: ClassVar[Stage] = "actuation"
@@ -137,7 +141,7 @@ class StrokeDeviation(Description):
     size = 0.03
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """The stroke of one trial."""
+        """Return the stroke of one trial."""
         begin, length = _window(trial)
         quarter = 0.25 / beat_hz(trial)
 
@@ -169,7 +173,7 @@ class SensorTerm(Description):
         self.place = f"sensor of {channel}"
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """The channel of one trial."""
+        """Return the channel of one trial."""
         begin, length = _window(trial)
         turn = 2.0 * math.pi * beat_hz(trial)
 
@@ -192,8 +196,8 @@ class SensorTerm(Description):
 
 
 class StrokeTable(Description):
-    """A factor on the thrust of a table of steady runs: smooth in frequency, amplitude and order, and of each
-    fin and each setting by itself.
+    """A factor on the thrust of a table of steady runs: smooth in frequency, amplitude and order, and one
+    for each fin and each setting.
     """
 
     name: ClassVar[str] = "residual-thrust"
@@ -219,7 +223,7 @@ class StrokeTable(Description):
         self.terms = (*self.curve, *each, *(f"fin {name}" for name in self.fins))
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """The thrust of one trial."""
+        """Return the thrust of one trial."""
 
         def change(stroke):  # type: ignore[no-untyped-def]
             f = np.log(stroke.frequency_hz / self.frequency_hz)
@@ -236,19 +240,19 @@ class StrokeTable(Description):
 
 
 def _levels(values: Array) -> list[float]:
-    """Settings that several runs of a table share; none where they are many."""
+    """Return settings that several runs of a table share; none if there are many."""
     rounded = np.unique(values.round(6))
     shared = [float(v) for v in rounded if np.isclose(values, v, rtol=LEVEL).sum() >= SHARED]
     return shared if 1 < len(shared) <= LEVELS else []
 
 
 def _window(trial: Trial) -> tuple[float, float]:
-    """When a trial begins, and its length."""
+    """Return the start of a trial and its length."""
     return float(trial.time_s[0]), max(float(trial.time_s[-1] - trial.time_s[0]), 1e-9)
 
 
 def beat_hz(trial: Trial) -> float:
-    """Frequency of the drive, or the slowest one the trial resolves where there is none."""
+    """Return the frequency of the drive, or the lowest one that the trial resolves without a drive."""
     drive = trial.swim.drive
     if drive is not None and drive.frequency_hz > 0:
         return float(drive.frequency_hz)
@@ -259,13 +263,13 @@ def beat_hz(trial: Trial) -> float:
 
 
 def descriptions(model: Model, trials: Sequence[Trial]) -> list[Description]:
-    """All descriptions that a model's hooks allow and its trials can tell."""
+    """Return all descriptions that the model's hooks allow and the trials can determine."""
     found: list[Description] = []
     dynamic = any(len(t.time_s) > 1 for t in trials)
     channels = sorted({c for t in trials for c in t.measured})
 
     def top(name: str, least: float) -> float:
-        """How far a channel goes from where it begins."""
+        """Return the largest distance of a channel from its start."""
         series = (t.measured[name][np.isfinite(t.measured[name])] for t in trials if name in t.measured)
         return max([least, *(float(np.max(np.abs(y - y[0]))) for y in series if len(y) > 1)])
 

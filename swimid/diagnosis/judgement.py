@@ -1,4 +1,4 @@
-"""What is told of a diagnosis: the fits say which causes, and every other test may only weaken that."""
+"""Give the verdict: the fits propose the causes, and every other test may only weaken the verdict."""
 
 from __future__ import annotations
 
@@ -22,37 +22,37 @@ from swimid.fitting import output_error
 from swimid.fitting.between_trials import MIN_TRIALS, OutlierTrial, find_outlier_trial
 from swimid.fitting.model import Array, Trial
 
-#: Causes explain a gap where they are likelier than something from outside the catalogue by four to one.
+#: Minimum probability that no cause outside the catalogue acts, for an explanation (odds of four to one).
 SURE = 0.8
-#: Minimum number of repeats, beyond the first of each setting, from which settings are said to differ by more
-#: than chance: one pair measures the difference by chance with one degree of freedom.
+#: Minimum number of repeats, beyond the first of each setting, for a statement that settings differ by more
+#: than chance. One pair determines the between-repeat variance with one degree of freedom.
 MIN_REPEATS = 2
-#: Effects that cannot be told from a cause are the fewest that with it make up so much of the probability.
+#: Probability of a cause together with its equivalents.
 CREDIBLE = 0.9
-#: Largest such set that still is an answer: of more, the likeliest are told.
+#: Maximum number of equivalents of an answer; of more, the most probable are listed.
 SET = 3
-#: Trials that differ by so many times what chance may make them do not differ by chance.
+#: Ratio of the difference between trials to the largest chance difference, from which it is not chance.
 DIFFERS = 2.0
-#: One trial is asked about where it has more of the squared gap than all the others together.
+#: A trial is examined if it has more than this share of the squared gap.
 MAJORITY = 0.5
 
 
 @dataclass(frozen=True)
 class Named:
-    """A cause, with its rivals.
+    """A cause and its rivals.
 
     Attributes
     ----------
     probability : float
-        That it, or one of its equivalents, is among what the model lacks.
+        Probability that it, or one of its equivalents, is missing in the model.
     closing : float
-        That it, or one of these, closes most of what is closed, even if only as an imitation of something
-        from outside the catalogue.
+        Probability that it, or one of these, closes most of the closed gap, even if it only imitates a cause
+        outside the catalogue.
     alone : float
-        Probability of it, and of those that change the trials just like it, against its rivals, the other
-        causes given.
+        Probability of it, and of those that change the trials in the same way, against its rivals, given the
+        other causes.
     crowded : bool
-        Whether more effects than are told cannot be told from it.
+        Whether more effects than the listed ones cannot be distinguished from it.
     """
 
     best: Refitted
@@ -64,12 +64,12 @@ class Named:
 
     @property
     def alike(self) -> tuple[str, ...]:
-        """The cause and those that cannot be told from it."""
+        """Return the cause and its equivalents."""
         return (self.best.tried.effect.name, *self.equivalent)
 
 
 def named(state: State, found: Round) -> Named:
-    """The cause of a round and those that cannot be told from it."""
+    """Return the cause of a round with its equivalents."""
     best = found.ranked[0]
     name = best.tried.effect.name
     posterior = state.posterior
@@ -91,28 +91,27 @@ def named(state: State, found: Round) -> Named:
 
 @dataclass(frozen=True)
 class Judgement:
-    """The verdict, and what is told with it.
+    """The verdict and its reasons.
 
     Attributes
     ----------
     causes : tuple of Named
-        Those that are told.
+        Reported causes.
     base : Fit
-        The model with all that was found; without any effect where held-out trials or a single trial tell
-        against that.
+        The model with all causes; without any effect if held-out trials or a single trial contradict them.
     reasons : tuple of str
-        Why the verdict is what it is.
+        Reasons for the verdict.
     unsure : tuple of str
-        Why the causes are not told for sure.
+        Reasons why the causes are not certain.
     refuted : tuple of str
         Causes with which held-out errors grow.
     odd : OutlierTrial or None
         The trial that contradicts the others.
     unpredicted : mapping of trial to float
-        Validation trials that the model with the causes does not predict, and by how many times each is off;
-        not looked for where the fitted trials show something unexplained.
+        Validation trials that the model with the causes does not predict, and the ratio of the error to the
+        expected one. It is not evaluated if the fitted trials show something unexplained.
     unreproduced : mapping of channel to float
-        Share of a black-box model's output that it reproduces, where that is less than half.
+        Share of a black-box model's output that it reproduces, if it is less than half.
     """
 
     verdict: Verdict
@@ -127,7 +126,7 @@ class Judgement:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the causes."""
+        """Return the names of the causes."""
         return tuple(c.best.tried.effect.name for c in self.causes)
 
 
@@ -140,8 +139,9 @@ def judge(
     dropout: bool,
     validation: Sequence[Trial] = (),
 ) -> tuple[Judgement, list[Array], Remaining]:
-    """The verdict on everything that was tried, the gap (what the model without effects leaves,
-    weighted, shape (n_k,) of each trial), and what is left of it.
+    """Return the verdict.
+
+    The gap is what the model without effects leaves, weighted, shape (n_k,) for each trial.
 
     Parameters
     ----------
@@ -149,16 +149,16 @@ def judge(
         Held-out predictions without and with the causes.
     noise : Floor
     predicted : Compared or None
-        Held-out data against what the model predicts without and with the effects found; None without these.
+        Held-out data against the prediction without and with the effects found; None without effects.
     dropout : bool
-        Whether failed samples are a cause: they explain what was measured where nothing else is lacking.
+        Whether failed samples are a cause: they explain the gap if nothing else is missing.
     validation : sequence of Trial
         Trials that take part in no fit.
     """
     floor = noise.inside
     told = _by_held_out(_by_fits(state), state, held, floor, predicted)
     told = _by_single_trials(told, state, floor)
-    # what a cause accounts for is none of the random effects of the model without it
+    # The part of a random effect that a cause accounts for belongs to the gap.
     gap = state.nominal.marginal_residuals([e.name for e in told.base.effects])
     left = remaining(state, told.base, gap, floor)
     if told.verdict != "none":
@@ -178,17 +178,17 @@ def judge(
         told = replace(told, verdict="explained")
     unreproduced = _unreproduced(state, told.base if told.causes else state.nominal)
     if unreproduced and told.verdict in ("none", "explained"):
-        # its level is estimated in each trial, so that a black-box model is right without describing anything
+        # The level of a black-box model is estimated in each trial, so that it can fit without describing
+        # anything.
         told = replace(told, verdict="unexplained", causes=(), base=state.nominal, unreproduced=unreproduced)
         left = Remaining(share=1.0, where=f"all of {', '.join(unreproduced)} but its mean", white=False)
     return told, gap, left
 
 
 def _unreproduced(state: State, fit: Fit) -> dict[str, float]:
-    """Return the share of each output that a black-box model reproduces, of outputs of which it is less than
-    half.
+    """Return the share of each output that a black-box model reproduces, for outputs with less than half.
 
-    The share is that of ``rwls`` and ``compare``: one less the root-mean-square error over the standard
+    The share is that of ``rwls`` and ``compare``: one minus the root-mean-square error over the standard
     deviation of the output.
     """
     if state.context.model.name != arx.NAME:
@@ -208,14 +208,15 @@ def _unreproduced(state: State, fit: Fit) -> dict[str, float]:
 
 
 def _by_fits(state: State) -> Judgement:
-    """The likeliest of no gap, the causes found, and something else."""
+    """Return the most probable of no gap, the causes, and a cause outside the catalogue."""
     posterior = state.posterior
     chosen = [] if posterior.none > UNSURE else [named(state, r) for r in state.rounds]
     inside = sum(posterior.sets.values())
     if not chosen:
         return Judgement("unexplained" if posterior.outside > posterior.none else "none", (), state.base)
     if posterior.outside > inside:
-        # beside something from outside only what closes part of it rather than not
+        # With a cause outside the catalogue, list only effects that more probably than not close a part of
+        # it.
         return Judgement("unexplained", tuple(c for c in chosen if c.closing > 0.5), state.base)
     unsure = inside < SURE * (inside + posterior.outside) or chosen[0].crowded or chosen[0].alone <= 0.5
     return Judgement("ambiguous" if unsure else "explained", tuple(chosen), state.base)
@@ -250,7 +251,7 @@ def _by_held_out(
 
 
 def _weakened(told: Judgement, why: str) -> Judgement:
-    """Return a judgement that explains nothing, and why."""
+    """Return a judgement that explains nothing, with its reason."""
     verdict = "ambiguous" if told.verdict == "explained" else told.verdict
     return replace(told, verdict=verdict, unsure=(*told.unsure, why))
 
@@ -258,9 +259,9 @@ def _weakened(told: Judgement, why: str) -> Judgement:
 def _by_prediction(
     told: Judgement, state: State, held: Sequence[Piece], floor: Mapping[str, float]
 ) -> Judgement:
-    """Return a judgement that explains nothing where a validation trial is not predicted with the causes.
+    """Return a judgement that explains nothing if a validation trial is not predicted with the causes.
 
-    They are named only where they close most of the gap of the validation trials.
+    The causes are named only if they close most of the gap of the validation trials.
     """
     trials = ", ".join(told.unpredicted)
     each, gap = shrinkage.gained(held, floor)
@@ -271,10 +272,10 @@ def _by_prediction(
 
 
 def by_coefficients(state: State) -> bool:
-    """Return whether the causes are identified mainly by what is known of the coefficients from elsewhere.
+    """Return whether mainly the prior of the coefficients identifies the causes.
 
-    Refitted without the causes these imitate them, and held-out errors are as small. The causes are then held
-    against the errors of the parameters as given.
+    If refitted coefficients imitate the causes, held-out errors are as small without them. The causes are
+    then compared with the errors of the parameters as given.
     """
     if not state.base.effects:
         return False
@@ -296,9 +297,9 @@ def _by_single_trials(told: Judgement, state: State, floor: Mapping[str, float])
 def _by_differences(
     told: Judgement, state: State, gap: Sequence[Array], noise: Floor, left: Remaining
 ) -> Judgement:
-    """Return "unexplained" in place of "none" where the trials differ by more than chance.
+    """Return "unexplained" in place of "none" if the trials differ by more than chance.
 
-    Chance is what differs in a trim or a friction, or between repeats of one setting.
+    Chance is a difference of trim or friction, or the difference between repeats of one setting.
     """
     apart = differs(state)
     if apart:
@@ -316,19 +317,19 @@ def _by_remaining(told: Judgement, state: State, left: Remaining) -> Judgement:
     if not told.causes or not (left.share or 0.0) > shrinkage.MOST:
         return told
     why = f"{left.share:.0%} of the squared gap remains with {', '.join(told.names)}: {left.where}"
-    # something from outside is at work, whatever the fits thought of that
+    # A cause outside the catalogue acts, whatever probability the fits gave it.
     beside = state.posterior.beside_outside
     causes = (replace(c, probability=beside(*c.alike)) for c in told.causes if c.closing > 0.5)
     return replace(told, verdict="unexplained", causes=tuple(causes), reasons=(*told.reasons, why))
 
 
 def remaining(state: State, base: Fit, residuals: Sequence[Array], floor: Mapping[str, float]) -> Remaining:
-    """What a model leaves of the gap.
+    """Return the residuals that a model leaves of the gap.
 
     Parameters
     ----------
     base : Fit
-        That model.
+        The model with the causes.
     residuals : sequence of ndarray, shape (n_k,)
         The gap.
     """
@@ -336,7 +337,7 @@ def remaining(state: State, base: Fit, residuals: Sequence[Array], floor: Mappin
     if left is None:
         return Remaining(share=0.0, where="", white=True, gain=0.0)
     if left.found:
-        # without the causes all of it remains
+        # Without causes the whole gap remains.
         share = state.posterior.left if base is state.base else 1.0
         return Remaining(share=share, where=_where(state), white=False, gain=left.gain)
     moving = remainder.drifting(state.low_frequency)
@@ -365,8 +366,8 @@ def _where(state: State) -> str:
 
 
 def differs(state: State) -> list[str]:
-    """In what the trials surely differ by more than chance would make them."""
-    # two standard errors of a standard deviation
+    """Return the random effects by which the trials differ significantly more than by chance."""
+    # Two standard errors of a standard deviation.
     least = 1.0 - 2.0 / np.sqrt(2.0 * len(state.context.trials))
     return [kind.name for kind in state.random_effects if least * kind.sd > DIFFERS * kind.most]
 
@@ -374,14 +375,15 @@ def differs(state: State) -> list[str]:
 def contradicting(
     context: FitContext, nominal: Fit, residuals: Sequence[Array], floor: Mapping[str, float]
 ) -> OutlierTrial | None:
-    """The trial that has most of the gap, if the others do not predict it as they predict one another.
+    """Return the trial that has most of the gap, if the others do not predict it as well as they predict one
+    another.
 
     Parameters
     ----------
     nominal : Fit
         The model without effects.
     residuals : sequence of ndarray, shape (n_k,)
-        What it leaves, weighted.
+        Its residuals, weighted.
     floor : mapping of channel to float
         Noise of each channel, in its unit.
     """
@@ -404,6 +406,8 @@ def contradicting(
 
 
 def _excess(fit: Fit, k: int, residual: Array, floor: Mapping[str, float]) -> float:
-    """Squared residuals of a trial beyond those of the noise, in units of it; none where there are fewer."""
+    """Return the squared residuals of a trial beyond those of the noise, in units of the noise; at least
+    0.
+    """
     parts = split(fit, k, residual).items()
     return max(sum(float(np.nansum((v / max(floor[c], 1e-300)) ** 2 - 1.0)) for c, v in parts), 0.0)

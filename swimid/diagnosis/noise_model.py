@@ -1,8 +1,8 @@
-"""Residuals in units of the noise: coloured measurement noise and random effects of trials.
+"""Whiten residuals: coloured measurement noise and between-trial random effects.
 
-White-noise likelihoods are absurdly sure of themselves: residuals are first weighted by the size of the
-noise of each sample, then whitened by an autoregression of each channel. What differs between trials by
-chance are numbers of each trial that every fit estimates, with the spread the trials show as their prior.
+White-noise likelihoods give far too small uncertainties. Residuals are first weighted by the noise of each
+sample, then whitened by an autoregression of each channel. Random effects are parameters of each trial that
+every fit estimates, with the between-trial standard deviation as prior.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from swimid.fitting.model import Array
 from swimid.fitting.noise import fit_autoregression, joined
 from swimid.fitting.problem import Problem
 
-#: Largest order of the autoregression, and samples each coefficient needs.
+#: Maximum order of the autoregression, and minimum number of samples for each coefficient.
 ORDER, PER_ORDER = 6, 25
-#: Noise of short memory: share of its variance with a memory, and that memory from sample to sample.
+#: Noise of short memory: correlated share of its variance, and correlation from sample to sample.
 COLOURED, POLE = 0.4, 0.8
 #: A mean square this many of its standard errors above that of rounding (two: 95 %) is more than rounding.
 ROUNDED = 2.0
@@ -40,13 +40,13 @@ class NoiseModel:
     size : mapping of channel to float
         Standard deviation of its innovations.
     whole : mapping of channel to float
-        Standard deviation of the weighted residuals themselves, that of a sample without a past.
+        Standard deviation of the weighted residuals, used for samples without a past.
     random_effects : tuple of RandomEffect
-        What differs from trial to trial.
+        Random effects of the trials.
     rounding : mapping of channel to float
         Standard deviation of the weighted rounding error, of channels read by a counter of known step.
     long_memory : NoiseModel or None
-        The same with noise of long memory, where trials are too few to tell which it is.
+        The same with noise of long memory, if the trials are too few to decide.
     """
 
     sd: list[list[Array]]
@@ -61,11 +61,11 @@ class NoiseModel:
     )
 
     def install(self, problem: Problem) -> None:
-        """Give a problem of the same trials this noise's weights."""
+        """Give a problem of the same trials the weights of this noise."""
         problem.sd = [[sd.copy() for sd in sds] for sds in self.sd]
 
     def whiten(self, problem: Problem, k: int, rows: Array) -> Array:
-        """Weighted residuals of trial ``k``, or columns of derivatives, whitened.
+        """Return weighted residuals of trial ``k``, or columns of derivatives, whitened.
 
         Parameters
         ----------
@@ -79,11 +79,11 @@ class NoiseModel:
         return np.asarray(self._whitening[key] @ rows)
 
     def _whitened(self, channel: str, mask: Array) -> coo_array:
-        """The map of one channel's weighted residuals, shape (n, n)."""
+        """Return the whitening matrix of one channel's weighted residuals, shape (n, n)."""
         a, count = self.colour.get(channel, np.empty(0)), int(np.sum(mask))
         taps = np.concatenate(([1.0], a)) / self.size.get(channel, 1.0)
         lags, first = np.arange(len(taps)), 1.0 / self.whole.get(channel, 1.0)
-        # stretches without a missing sample; the first sample of each has no past, the next too little
+        # Stretches without a missing sample. The first sample of each has no past, the next ones a short one.
         begin = np.concatenate(([0], np.flatnonzero(np.diff(np.flatnonzero(mask)) > 1) + 1))[:count]
         past = np.arange(count) - np.repeat(begin, np.diff([*begin, count]))
         whole = np.flatnonzero(past >= len(a))
@@ -98,14 +98,14 @@ class NoiseModel:
 def coloured(
     problem: Problem, residuals: Sequence[Array], noise_model: NoiseModel, *, unknowns: float = 0.0
 ) -> NoiseModel:
-    """The noise model with autoregressions and sizes as the weighted residuals show them.
+    """Return the noise model with autoregressions and sizes estimated from weighted residuals.
 
     Parameters
     ----------
     residuals : sequence of ndarray
         Of each trial, weighted by the noise model's ``sd``.
     unknowns : float
-        Numbers fitted to them, for the degrees of freedom.
+        Number of fitted parameters, for the degrees of freedom.
     """
     total = sum(len(r) for r in residuals)
     freedom = max(1.0 - unknowns / max(total, 1), 0.2)
@@ -132,11 +132,11 @@ def coloured(
 def brief(
     noise_model: NoiseModel, problem: Problem, residuals: Sequence[Array], channels: Sequence[str]
 ) -> NoiseModel:
-    """The noise model with noise of short memory in some channels: what moves slower there is no noise.
+    """Return the noise model with noise of short memory in some channels: slower motion there is not noise.
 
-    Its size is that of the second differences, to which slow motion adds little; a part of it, `COLOURED`,
-    has a memory of a few samples (`POLE`), as a tracker's has. What is left of a rounded record and no larger
-    than its rounding error is that, however slowly it moves: the error of a slow body is slow.
+    Its size is that of the second differences, to which slow motion adds little. A share of its variance,
+    `COLOURED`, is correlated over a few samples (`POLE`), as in a tracker. Residuals of a rounded record that
+    are no larger than the rounding error are rounding, however slowly they move.
     """
     colour, size, whole = dict(noise_model.colour), dict(noise_model.size), dict(noise_model.whole)
     lags = COLOURED * POLE ** np.arange(ORDER + 1.0)

@@ -1,4 +1,4 @@
-"""The nominal model on its trials: which numbers are refitted, and what was known of them before."""
+"""Prepare the model for a diagnosis: which parameters are refitted, and their priors."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from swimid.simulation.catalogue import Loaded
 #: Endings of logs among the inputs.
 LOGS = (".csv", *tabular.PARQUET)
 
-#: Prior standard deviation of a coefficient of which no other trials tell anything, as a share of its size.
+#: Prior standard deviation of a coefficient that no other trials determine, as a share of its size.
 OWN_PRIOR = 0.6
-#: Share of its value that is added to the standard error of a black-box coefficient: days differ, and one
-#: coefficient of these means nothing by itself, so that no single one is said to have changed.
+#: Share of its value that is added to the standard error of a black-box coefficient, because days differ. One
+#: such coefficient means nothing by itself, so that none is said to have changed.
 OTHER_PRIOR = 0.03
 #: A rate whose noise follows the differenced pose this closely was computed from it.
 DERIVED = 0.3
-#: First part of the names of these hypotheses; the rest is the name of the parameter.
+#: Prefix of the names of these hypotheses; the rest is the name of the parameter.
 PREFIX = "parameter:"
 #: Typical size of a change, as a share of the parameter's value.
 TYPICAL_CHANGE = 0.1
@@ -91,7 +91,7 @@ class ParameterChange(Effect):
 
 @dataclass(frozen=True)
 class Begun:
-    """What a diagnosis sets out from, its model aside.
+    """The model's trials and the prior of its coefficients, at the start of a diagnosis.
 
     Attributes
     ----------
@@ -100,11 +100,11 @@ class Begun:
     given : dict of name to Estimate
         Coefficients of the parameter file.
     own_data : bool
-        Whether that was fitted to one of these very logs.
+        Whether the file was fitted to one of these logs.
     prior : dict of name to (mean, sd)
-        Of the coefficients that are refitted.
+        Of the refitted coefficients.
     changes : list of ParameterChange
-        One hypothesis for each coefficient whose standard error other trials told: its value is another now.
+        One hypothesis for each coefficient with a standard error from other trials: its value has changed.
     correlation : tuple of list of str and ndarray, shape (m, m)
         Names of these coefficients, and the correlation of their estimates.
     """
@@ -118,18 +118,18 @@ class Begun:
 
     @property
     def unweighed(self) -> dict[str, Estimate]:
-        """Coefficients that other trials told, and whose change is no hypothesis."""
+        """Return coefficients that were estimated from other trials, and whose change is no hypothesis."""
         weighed = {e.adds_to for e in self.changes}
         return {} if self.own_data else {n: e for n, e in self.given.items() if n not in weighed}
 
 
 def begun(loaded: Loaded) -> Begun:
-    """Where a diagnosis begins; the model gets the parameters that are refitted."""
+    """Return trials and priors at the start of a diagnosis; the model gets the refitted parameters."""
     model, applied = loaded.experiment.model, loaded.applied
     given = _given(loaded)
     own = applied.fitted_per_trial()
     if len(loaded.experiment.trials) >= FEWEST:
-        # these are random effects here: free in each trial they would take up any gap
+        # They are random effects here. Free in each trial they would absorb any gap.
         own -= OWN.keys()
     model.parameters = refitted(model.parameters, given, applied.values(), own=own)
     trials = [widened(t, model.channels) for t in apart(model, loaded.experiment.trials)]
@@ -167,15 +167,15 @@ def _own_data(loaded: Loaded) -> bool:
 def refitted(
     parameters: Sequence[Parameter], given: Mapping[str, Estimate], values: Array, own: Collection[str] = ()
 ) -> tuple[Parameter, ...]:
-    """The model's parameters as the diagnosis refits them.
+    """Return the model's parameters as the diagnosis refits them.
 
-    Those the file estimated are free and start there, those it fixed stay; what each trial has for itself is
-    free where the model says so.
+    Estimated parameters of the file are free and start at their estimates. Fixed ones stay fixed. Per-trial
+    parameters are free if the model says so.
 
     Parameters
     ----------
     own : collection of str
-        Parameters of single trials that the file estimated for some.
+        Per-trial parameters that the file estimated for some trials.
     """
     found = []
     for p, value in zip(parameters, values, strict=True):
@@ -196,15 +196,15 @@ def prior(
     own_data: bool,
     exact: Collection[str] = (),
 ) -> dict[str, tuple[float, float]]:
-    """Return the mean and the standard deviation of each refitted coefficient before these trials.
+    """Return the prior mean and standard deviation of each refitted coefficient.
 
     Parameters
     ----------
     own_data : bool
-        Whether the file was fitted to these very trials: then it says nothing beyond them.
+        Whether the file was fitted to these same trials. Then it is no prior.
     exact : collection of str
-        Coefficients that are known to their standard error in the file. That one of them has changed since is
-        a hypothesis of its own.
+        Coefficients that keep the standard error of the file. A change of one of them is a hypothesis of its
+        own.
     """
     found = {}
     for p in parameters:
@@ -224,7 +224,7 @@ def prior(
 
 
 def widened(trial: Trial, channels: Sequence[Channel]) -> Trial:
-    """The trial with every logged channel that says something of its own."""
+    """Return the trial with every logged channel that is not computed from another."""
     measured = dict(trial.measured)
     joints_drive = trial.swim.joints is not None
     for channel in channels:
@@ -241,7 +241,7 @@ def widened(trial: Trial, channels: Sequence[Channel]) -> Trial:
 
 
 def _computed(name: str, values: Array, trial: Trial) -> bool:
-    """Whether a velocity was computed from the logged pose."""
+    """Return whether a velocity was computed from the logged pose."""
     source = {"yaw_rate_rad_s": "yaw_rad", "pitch_rate_rad_s": "pitch_rad"}.get(name)
     heading = next((c for c in ("yaw_rad", "pitch_rad") if c in trial.measured), None)
     time = trial.time_s
@@ -265,5 +265,5 @@ def _computed(name: str, values: Array, trial: Trial) -> bool:
 
 
 def apart(model: Model, trials: Sequence[Trial]) -> list[Trial]:
-    """Trials that are tables of runs, one trial a run; others as they are."""
+    """Return tables of runs as one trial for each run; other trials as they are."""
     return [run for trial in trials for run in model.apart(trial)]

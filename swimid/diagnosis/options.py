@@ -19,19 +19,17 @@ class DiagnoseOptions(
 ):
     """Name the unmodelled effect behind a gap between trials and simulation.
 
-    TRIALS is a trials file of any experiment; the parameter file says which model is to describe it, and
-    without one the robot file does. The model is refitted alone and with every effect that applies to it;
-    what each leaves beyond the noise says how likely it is, that there is no gap, and that the cause is
-    none of these. The answer is one effect, a combination, several that the trials cannot tell apart, or
-    none. Every answer is a result: exit status 0.
+    TRIALS is a trials file of any experiment. The parameter file says which model describes it; without one
+    the robot file does. The model is refitted without an effect, and with each effect that applies to it.
+    Each fit has a posterior probability, and so have no gap and a cause outside the catalogue. The answer is
+    one effect, a combination, several that the trials cannot distinguish, or none. Every answer is a result:
+    exit status 0.
 
     Examples:
-      swimid diagnose trials.yaml -o gap.yaml
-      swimid diagnose trials.yaml --params tfish.yaml -o gap.yaml
-      swimid diagnose trials.yaml --params tfish.yaml --effects servo-lag,servo-delay,time-offset
-      swimid diagnose trials.yaml --params drag.yaml --effect my_effect.py -o gap.yaml
-      swimid diagnose trials.yaml --params tfish.yaml --power
-      swimid report gap.yaml -o gap.html
+      swimid diagnose trials.yaml -o gap.yaml swimid diagnose trials.yaml --params tfish.yaml -o gap.yaml
+      swimid diagnose trials.yaml --params tfish.yaml --effects servo-lag,servo-delay,time-offset swimid
+      diagnose trials.yaml --params drag.yaml --effect my_effect.py -o gap.yaml swimid diagnose trials.yaml
+      --params tfish.yaml --power swimid report gap.yaml -o gap.html
     """
 
     params: Source = option(

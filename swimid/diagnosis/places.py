@@ -1,4 +1,4 @@
-"""Where the gap lies: channels, phase of the stroke, regime, time."""
+"""Locate the gap: by channel, phase of the stroke, setting and time."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from swimid.diagnosis.gap_file import Cell
 from swimid.diagnosis.generic import beat_hz
 from swimid.fitting.model import Array
 
-#: Bins of the stroke's phase, and of the time of a trial.
+#: Number of bins of the stroke's phase, and of the time of a trial.
 PHASES, TIMES = 8, 6
-#: Of more trials than this none is shown by itself.
+#: Maximum number of trials that are listed one by one.
 MOST_TRIALS = 30
-#: The start-up lasts this many beats, or this share of a trial without a beat.
+#: Duration of the start-up in beats, or as a share of a trial without a beat.
 START_BEATS, START_SHARE = 3.0, 0.2
-#: A change point must lower the squared residual by this share of the excess.
+#: Minimum reduction of the squared residual by a change point, as a share of the excess.
 CHANGED = 0.3
 
 
@@ -52,12 +52,12 @@ class Map:
             for channel, series in split(fit, k, residual).items():
                 square = (series / max(floors.get(channel, 1.0), 1e-300)) ** 2
                 parts.append(pd.DataFrame({**known, "channel": channel, "square": square}))
-        #: A row for each sample of each channel; what was not measured has no ``square``.
+        #: One row for each sample of each channel; samples without a measurement have no ``square``.
         self.samples = pd.concat(parts, ignore_index=True)
         self.total = max(float(np.sum(self.samples["square"].dropna().to_numpy() - 1.0)), 1e-12)
 
     def cells(self, kind: str, labels: pd.Series) -> list[Cell]:
-        """The gap in the samples of each label, all channels together; those without one are in none."""
+        """Return the gap in the samples of each label, all channels together."""
         return [
             Cell(
                 kind=kind,
@@ -69,12 +69,12 @@ class Map:
         ]
 
     def of_trials(self, values: Sequence[Any]) -> pd.Series:
-        """What each trial has, for each sample."""
+        """Return the value of each trial, for each sample."""
         return self.samples["trial"].map(dict(enumerate(values)))
 
 
 def _bins(share: Array, count: int) -> Array:
-    """In which of so many equal parts of a whole each share of it lies."""
+    """Return the index of the equal part that contains each share."""
     return np.minimum((share * count).astype(int), count - 1)
 
 
@@ -83,7 +83,7 @@ def _root_mean(squares: pd.Series) -> float:
 
 
 def regimes(where: Map) -> list[Cell]:
-    """The gap by what was set, and by trial."""
+    """Return the gap by setting, and by trial."""
     known = pd.DataFrame([{**settings.words(t), "trial": t.id} for t in where.trials])
     found = []
     for kind in known:
@@ -94,7 +94,7 @@ def regimes(where: Map) -> list[Cell]:
 
 
 def phases(where: Map) -> list[Cell]:
-    """The gap by phase of the stroke; empty without a drive."""
+    """Return the gap by phase of the stroke; empty without a drive."""
     if not any(t.swim.drive is not None for t in where.trials):
         return []
     edges = [round(360 * i / PHASES) for i in range(PHASES + 1)]
@@ -103,7 +103,7 @@ def phases(where: Map) -> list[Cell]:
 
 
 def times(where: Map) -> list[Cell]:
-    """Start-up against steady, and change points of single trials."""
+    """Return the gap in start-up and steady motion, and change points of single trials."""
     ends = []
     for t in where.trials:
         if len(t.time_s) < 10:
@@ -124,7 +124,7 @@ def times(where: Map) -> list[Cell]:
 
 
 def _change(where: Map, k: int) -> float | None:
-    """When a trial's residual grows at once, if it does."""
+    """Return the time at which a trial's residual grows suddenly, or None."""
     squares = where.samples["square"][where.samples["trial"] == k].to_numpy()
     x = np.sum(np.nan_to_num(squares - 1.0).reshape(-1, len(where.trials[k].time_s)), axis=0)
     n = len(x)
@@ -137,7 +137,7 @@ def _change(where: Map, k: int) -> float | None:
     between = cut * (n - cut) / n * (after - before) ** 2
     best = int(np.argmax(between))
     spread = float(np.sum((x - x.mean()) ** 2))
-    # a step, not a ramp: what grows steadily has no moment at which it began
+    # A step, not a ramp: steady growth has no change point.
     line = np.polynomial.Polynomial.fit(np.arange(n), x, 1)
     ramp = float(np.sum((line(np.arange(n)) - x.mean()) ** 2))
     step = between[best] > CHANGED * spread and between[best] > 1.3 * ramp

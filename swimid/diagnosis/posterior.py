@@ -1,18 +1,19 @@
-"""How likely is each set of causes, that there is no gap, and that the cause is none of the catalogue.
+"""Compute the posterior probability of each set of causes, of no gap, and of a cause outside the catalogue.
 
-Even a true effect has not quite the form it has in the catalogue: what a hypothesis leaves beyond the noise,
-its excess, is a discrepancy of unknown variance in some directions of each part of the data. With the
-variance at its likeliest the logarithm of the evidence falls by half of their number times that of the excess
-(a Student likelihood in place of a Gaussian one): a rival must leave several times as much, and not only a
-few samples' worth more.
-A further cause is weighed against the error of form of those before it: in what it changes like them it
-tells nothing, and elsewhere it must close nearly all that they leave, as an error of form hardly ever looks
-just so.
-Folds of trials are weighted at random (the Bayesian bootstrap): what helps in one alone is unsure.
+Even a true effect has not exactly the form that it has in the catalogue. The excess of a hypothesis (its
+squared residuals beyond the noise) is therefore treated as a discrepancy of unknown variance in some
+directions of each part of the data. At the most likely variance the log-evidence decreases by half of the
+number of directions times the logarithm of the excess (a Student likelihood in place of a Gaussian one). A
+rival must leave several times as much, not only a few samples more.
 
-A few trials do not tell slow noise from a gap. That there is one, and how much of it is closed, is then
-judged by noise of short memory, as instruments have it; which set closes it must be likely with noise of
-long memory, too: the two are pooled by their logarithms.
+A further cause is weighed against the error of form of the causes before it. Where its change is like theirs
+it gains nothing. Elsewhere it must close nearly all of the remaining excess, because an error of form hardly
+ever looks like one effect. The folds are weighted at random (Bayesian bootstrap), so that an effect that
+helps in one fold only is uncertain.
+
+A few trials do not separate slow noise from a gap. Whether there is a gap, and how much of it is closed, is
+then judged with noise of short memory. The cause must also be probable with noise of long memory. The two are
+pooled by their logarithms.
 """
 
 from __future__ import annotations
@@ -26,36 +27,36 @@ from scipy.special import logsumexp
 
 from swimid.fitting.model import Array
 
-#: A model whose error is a tenth of the noise has no gap to speak of.
+#: Model error, over the noise, that counts as no gap.
 TENTH = 0.1
-#: Odds of one more cause, before any data (measured by no one: a gap of several causes is taken to be rarer).
+#: Prior odds of one further cause (chosen: a gap of several causes is assumed to be rarer).
 FURTHER = 0.1
-#: A gap is told where that there is none is less likely than this.
+#: A gap is stated if the probability of no gap is below this.
 UNSURE = 0.1
-#: Weightings of the folds.
+#: Number of random weightings of the folds.
 WEIGHTINGS = 200
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """What is learnt from trials with known causes.
+    """Constants that are calibrated on trials with known causes.
 
     Attributes
     ----------
     directions : float
-        In each part of the data, of the discrepancy of a true effect of another form.
+        Number of directions, in each part of the data, of the discrepancy of a true effect of another form.
     form : float
-        Share of the squared gap that a true effect may leave by its form alone.
+        Share of the squared gap that a true effect may leave because of its form.
     number : float
-        Of the evidence for an effect, what each kind of its numbers costs beyond the noise's account.
+        Cost of each kind of parameter of an effect, beyond the penalty for its parameters.
     further : float
-        Directions, of the whole record, in which what a true effect leaves by its form may lie.
+        Number of directions, of the whole record, of the error of form of a true effect.
     outside, grows : float
-        Of the evidence that something from outside the catalogue is at work, too: its logarithm where nothing
-        is left, and how much it grows with that of what is.
+        Log-evidence of a cause outside the catalogue if nothing is left, and its growth with the logarithm of
+        the excess.
     acts : float
-        Of the causes from outside beside which an effect of the catalogue closes most, the share beside which
-        that effect is at work, too, and does not only imitate them.
+        Probability that an effect that closes most beside a cause outside the catalogue acts itself, and does
+        not only imitate that cause.
     """
 
     directions: float
@@ -67,30 +68,30 @@ class Calibration:
     acts: float
 
 
-#: By ``python -m tests.calibrate`` on trials made by other code, each also judged with its true effect
+#: From ``python -m tests.calibrate`` on trials made by other code, each also judged with its true effect
 #: hidden from the catalogue.
 CALIBRATED = Calibration(8.7, 0.30, 1.4, 8.0, -2.7, 4.3, 0.15)
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A hypothesis as it is judged.
+    """A hypothesis with its scores.
 
     Attributes
     ----------
     names : frozenset of str
         Of its effects.
     score : float
-        Squared residuals at its optimum, in units of the noise, and what its numbers must lower them by.
+        Squared residuals at its optimum, in units of the noise, and the penalty for its parameters.
     folds : ndarray, shape (folds,)
         Squared residuals of each fold.
     numbers : int
-        How many kinds of them its effects have; what each trial has of its own is one kind.
+        Number of kinds of parameters of its effects; the per-trial values of one parameter are one kind.
     alike : mapping of str to float
-        Of each effect of several, the largest squared cosine between what it changes and what another of them
-        does, the numbers of the model projected out.
+        For each effect of a set, the largest squared cosine between its change and that of another one, with
+        the model's parameters projected out.
     slow : float, optional
-        The score with noise of long memory, where trials are too few to tell which it is.
+        The score with noise of long memory, if the trials are too few to decide.
     """
 
     names: frozenset[str]
@@ -103,24 +104,24 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Posterior:
-    """Probabilities, which sum to one.
+    """Posterior probabilities, which sum to one.
 
     Attributes
     ----------
     sets : dict of frozenset of str to float
-        That these effects, and no others, are what the model lacks.
+        Probability that exactly these effects are missing in the model.
     none : float
-        That it lacks nothing.
+        Probability that nothing is missing.
     outside : float
-        That it lacks something else, alone or beside a set.
+        Probability of a cause outside the catalogue, alone or beside a set.
     beside : dict of frozenset of str to float
-        The same where each set closes most of what is closed; of the empty one, none does.
+        The same with each set that closes most of the closed gap; for the empty set, none does.
     excess : dict of frozenset of str to float
-        What each leaves beyond the noise, in its units; of the empty set the gap.
+        Excess of each set in units of the noise; of the empty set the gap.
     candidates : tuple of Candidate
-        What was weighed, the model as it is first.
+        All hypotheses, the model without effects first.
     acts : float
-        As of the calibration.
+        As in the calibration.
     no_evidence : float
         Excess that is no evidence against a hypothesis of exact form.
     """
@@ -136,12 +137,14 @@ class Posterior:
 
     @property
     def known(self) -> dict[frozenset[str], float]:
-        """How likely each set closes most with nothing else of the catalogue, whatever is beside it."""
+        """Return the probability that each set closes most without other effects of the catalogue,
+        whatever else acts.
+        """
         return {names: p + self.beside[names] for names, p in self.sets.items()}
 
     @property
     def best(self) -> frozenset[str]:
-        """The likeliest set, of no more effects than are likelier needed than not; empty of none tried."""
+        """Return the most probable set, with only effects that are more probably needed than not."""
         known = self.known
         total = sum(known.values())
         size, fewer = 1, 0.0
@@ -154,28 +157,32 @@ class Posterior:
         return max(mine, key=lambda names: mine[names], default=frozenset())
 
     def having(self, *names: str) -> float:
-        """Probability that one of some effects is among the causes."""
+        """Return the probability that one of some effects is among the causes."""
         within, beside = (
             sum(p for found, p in sets.items() if found & set(names)) for sets in (self.sets, self.beside)
         )
         return min(within + self.acts * beside, 1.0)
 
     def beside_outside(self, *names: str) -> float:
-        """Probability that one of some effects is at work, too, where something from outside is."""
+        """Return the probability that one of some effects acts beside a cause outside the catalogue."""
         closing = sum(p for found, p in self.beside.items() if found & set(names))
         return self.acts * closing / self.outside if self.outside > 0 else 0.0
 
     def closing(self, *names: str) -> float:
-        """Probability that one of some effects closes most of what is closed, at work or as an imitation."""
+        """Return the probability that one of some effects closes most of the closed gap, as a cause or as
+        an imitation.
+        """
         return min(sum(p for found, p in self.known.items() if found & set(names)), 1.0)
 
     def instead(self, name: str, among: frozenset[str], *, exact: bool = False) -> dict[str, float]:
-        """How likely each effect is in the place of one of a set, the others given; they sum to one.
+        """Return the probability of each effect in the place of one of a set, given the others; they sum to
+        one.
 
         Parameters
         ----------
         exact : bool
-            The effect has no other form than its own, so that none takes its place that leaves more.
+            Whether the effect has no other form than its own, so that no effect that leaves more takes its
+            place.
         """
         most = self.excess[among] + self.no_evidence if exact else math.inf
         rest = among - {name}
@@ -189,28 +196,28 @@ class Posterior:
 
     @property
     def left(self) -> float:
-        """Share of the gap's squared size that the likeliest set leaves."""
+        """Return the share of the squared gap that the most probable set leaves."""
         gap = self.excess[frozenset()]
         return min(self.excess[self.best] / gap, 1.0) if gap > 0 and self.sets else 0.0
 
 
 def prior(size: int, effects: int) -> float:
-    """Logarithm of what a set of so many effects has before any data; of no effect it is 0."""
+    """Return the prior log-odds of a set with some number of effects; 0 for no effect."""
     return math.log((1.0 - FURTHER) * FURTHER ** (size - 1) / math.comb(effects, size))
 
 
 @dataclass(frozen=True)
 class Record:
-    """How much there is to judge by.
+    """Size of the data.
 
     Attributes
     ----------
     samples : float
-        Residuals in all.
+        Number of residuals.
     parts : int
-        Folds of the cross-validation: settings, or stretches of a few trials.
+        Number of folds: settings, or stretches of a few trials.
     effects : int
-        How many apply.
+        Number of effects that apply.
     """
 
     samples: float
@@ -219,8 +226,10 @@ class Record:
 
 
 def unit(record: Record, gap: float, known: Calibration = CALIBRATED) -> float:
-    """Excess that is no evidence: a discrepancy as small as noise in all its directions, or a tenth of it, or
-    what another form of the true effect leaves of the gap.
+    """Return the excess that is no evidence.
+
+    It has three terms: a discrepancy as large as the noise in all its directions, a tenth of the noise, and
+    the error of form of a true effect.
     """
     return known.directions * record.parts + TENTH**2 * record.samples + known.form * max(gap, 0.0)
 
@@ -233,20 +242,20 @@ def _further(
     small: Array,
     directions: float,
 ) -> None:
-    """What larger sets close, from that of the likeliest smaller one within each; in place.
+    """Limit, in place, what larger sets gain over the most probable smaller one within each.
 
     Parameters
     ----------
     names : sequence of frozenset of str
         All sets, the empty one first.
     candidates : sequence of Candidate
-        All but the model as it is.
+        All but the model without effects.
     known : ndarray, shape (c,)
-        Logarithm of what each has before any data, and what its numbers cost.
+        Prior log-probability of each, and the cost of its parameters.
     closes : ndarray, shape (c, m)
-        Logarithmic evidence of each in each weighting.
+        Log-evidence of each in each weighting.
     small : ndarray, shape (c, m)
-        Logarithm of what each leaves, in units that the error of form takes no part in.
+        Logarithm of the excess of each over its unit without the error of form.
     """
     place = {n: i for i, n in enumerate(names)}
     order = sorted(range(len(candidates)), key=lambda i: len(candidates[i].names))
@@ -262,13 +271,13 @@ def _further(
 
 
 def penalty(shared: int, own: int, samples: float, trials: int) -> float:
-    """What numbers of effects must lower the cost by: the logarithm of the samples that tell each, of all
-    trials or of one [1]_.
+    """Return the penalty for parameters of effects: the logarithm of the number of samples that inform each
+    [1]_.
 
     Parameters
     ----------
     shared, own : int
-        Numbers of all trials, and those each trial has for itself, of all trials together.
+        Number of shared parameters, and of per-trial parameters of all trials.
 
     References
     ----------
@@ -279,7 +288,7 @@ def penalty(shared: int, own: int, samples: float, trials: int) -> float:
 
 
 def most(excess: float, record: Record) -> float:
-    """What a larger set may gain in logarithmic evidence at most."""
+    """Return the maximum gain in log-evidence of a larger set."""
     gained = 0.5 * CALIBRATED.further * math.log1p(max(excess, 0.0) / unit(record, 0.0))
     return gained - CALIBRATED.number
 
@@ -292,12 +301,12 @@ def posterior(
     calibration: Calibration = CALIBRATED,
     seed: int = 0,
 ) -> Posterior:
-    """Weigh all hypotheses.
+    """Return the posterior probabilities of all hypotheses.
 
     Parameters
     ----------
     null : Candidate
-        The model as it is.
+        The model without effects.
     candidates : sequence of Candidate
         At most one for each set of effects.
     record : Record
@@ -348,7 +357,9 @@ def posterior(
 
 
 def _pooled(every: Sequence[Candidate], record: Record, known: Calibration) -> Array | None:
-    """What each gains with noise of long memory, shape (candidates,); None where trials tell the noise."""
+    """Return the log-evidence with noise of long memory, shape (candidates,); None if the trials determine
+    the noise.
+    """
     slow = np.array([math.nan if c.slow is None else c.slow for c in every])
     if np.isnan(slow).any():
         return None
@@ -358,7 +369,7 @@ def _pooled(every: Sequence[Candidate], record: Record, known: Calibration) -> A
 
 
 def _spread(evidence: Array, gained: Array) -> Array:
-    """Logarithmic evidence, shape (c, m), spread over the candidates anew; its sum stays."""
+    """Redistribute log-evidence, shape (c, m), over the candidates; its sum stays."""
     if not len(evidence):
         return evidence
     moved = evidence + gained[:, None]

@@ -1,7 +1,8 @@
-"""What trials could show: the smallest size of each effect, and the effects they never tell from it.
+"""Compute the detection power of trials: the smallest detectable size of each effect, and indistinguishable
+effects.
 
-Nothing is asked of a cause here. The changes that effects make in these trials, the numbers of the model
-projected out, are held against the noise of the very trials, by the rule a diagnosis decides by.
+No cause is sought. The changes by effects in these trials, with the model's parameters projected out, are
+compared with the noise of these trials by the decision rule of a diagnosis.
 """
 
 from __future__ import annotations
@@ -23,30 +24,32 @@ from swimid.diagnosis.search import Search, context_of
 from swimid.effects.base import Effect
 from swimid.fitting.model import Array, Parameter
 
-#: How often an effect of the size told is to be seen.
+#: Probability with which an effect of the stated size is detected.
 POWER = 0.9
-#: Share of a change that is left of rounding once the model's numbers are projected out.
+#: Share of a change that remains as rounding error after the model's parameters are projected out.
 ROUNDING = 1e-9
 
 
 def needed(record: Record, kinds: int) -> float:
-    """Excess of the model without an effect from which a gap is told, the effect leaving none."""
+    """Return the excess without an effect from which a gap is stated, if the effect leaves no excess."""
     costs = CALIBRATED.number * kinds - posterior.prior(1, record.effects)
     wanted = costs + math.log((1.0 - UNSURE) / UNSURE)
     directions = CALIBRATED.directions * record.parts
     share = math.expm1(2.0 * wanted / directions)
-    # u grows with the gap: beyond so many times it nothing is enough
+    # The unit grows with the gap: beyond this share no excess is enough.
     room = 1.0 - CALIBRATED.form * share
     return share * posterior.unit(record, 0.0) / room if room > 0 else math.inf
 
 
 def noncentrality(drop: float, numbers: int) -> float:
-    """What squared change, in units of the noise, lowers the cost by so much with 90 % power."""
+    """Return the squared change, in units of the noise, that lowers the cost by some amount with 90 %
+    power.
+    """
     return float(chndtrinc(drop, numbers, 1.0 - POWER)) if math.isfinite(drop) else math.inf
 
 
 def told_apart(record: Record, cosine: float) -> bool:
-    """Whether a very large effect is told from another whose change is so like its own."""
+    """Return whether a very large effect is distinguished from another whose change is this similar."""
     left = max(1.0 - cosine**2, 0.0)
     return 0.5 * CALIBRATED.directions * record.parts * math.log1p(left / CALIBRATED.form) > math.log(
         (1.0 - UNSURE) / UNSURE
@@ -59,11 +62,11 @@ class _Line(NamedTuple):
     Attributes
     ----------
     parameter : Parameter
-        Says how large it is; the others that are not null say where and when.
+        Size of the effect. Other parameters that are not null state place and time.
     values : ndarray, shape (n,)
-        Its values tried.
+        Tried values.
     places : ndarray of int, shape (n,)
-        Of the changes they make, among all columns.
+        Indices of their changes among all columns.
     """
 
     tried: Trialled
@@ -75,21 +78,21 @@ class _Line(NamedTuple):
 def shown(
     given: FitContext, effects: Sequence[Effect], asked: Collection[str] | None, *, seed: int
 ) -> tuple[list[Row], dict[str, str]]:
-    """What trials could show of each effect, and why nothing of some.
+    """Return the detection power of each effect, and why some have none.
 
-    The noise is what the model alone and a generic description of what is left leave.
+    The noise is what the model and a generic description of its residuals leave.
 
     Parameters
     ----------
     effects : sequence of Effect
         All that apply, in every form.
     asked : collection of str or None
-        Names of those asked about; None for all.
+        Names of the requested effects; None for all.
 
     Returns
     -------
     list of Row
-        An effect each, in the order given.
+        One for each effect, in the order given.
     dict of name to reason
     """
     context, noise_model, fit, _ = context_of(given, effects)
@@ -145,7 +148,7 @@ def shown(
 
 
 def _lines(tried: Trialled, columns: list[list[Array]]) -> list[_Line]:
-    """The directions an effect is tried in; their changes are put to the columns."""
+    """Return the directions in which an effect is tried, and append their changes to the columns."""
     null = np.array([p.start for p in tried.parameters])
     groups: dict[tuple[int, ...], list[tuple[float, int]]] = {}
     for point, changed in tried.points:
@@ -160,9 +163,9 @@ def _lines(tried: Trialled, columns: list[list[Array]]) -> list[_Line]:
 
 
 def _strength(strengths: Array, squares: Array, wanted: float) -> tuple[float, int]:
-    """Distance from none at which the squared change is as wanted, and the try nearest to it.
+    """Return the distance from the null value at which the squared change is as wanted, and the nearest try.
 
-    From there it goes by the square of the size; infinite where there is none.
+    The change is taken as quadratic in the size; the distance is infinite without a change.
     """
     with np.errstate(divide="ignore"):
         reached = strengths * np.sqrt(wanted / squares)

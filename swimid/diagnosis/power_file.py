@@ -1,4 +1,4 @@
-"""The power file (``swimid-power/1``): what trials could show of each effect, whatever they do show."""
+"""The power file (``swimid-power/1``): what trials could show of each effect."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ FORMAT: Literal["swimid-power/1"] = "swimid-power/1"
 
 
 class Row(yamlio.Document):
-    """An effect."""
+    """Detection power of one effect."""
 
     effect: str
     stage: str
-    #: What says how large it is, and its smallest value that is seen with 90 % power; null where none within
-    #: its bounds is.
+    #: Parameter that states its size, and the smallest value that is detected with 90 % power; null if none
+    #: within its bounds is.
     parameter: str
     size: Number = None
     unit: str
-    #: Share of its squared change that the model's numbers imitate.
+    #: Share of its squared change that the model's parameters imitate.
     absorbed: Number = None
-    #: Effects these trials do not tell from it, however large it is.
+    #: Effects that these trials do not distinguish from it, however large it is.
     alike: list[str] = []
 
 
 class PowerFile(yamlio.ResultFile):
-    """A power file."""
+    """Content of a power file."""
 
     kind: ClassVar[str] = "power file"
     format: Literal["swimid-power/1"] = FORMAT
@@ -47,13 +47,13 @@ class PowerFile(yamlio.ResultFile):
     params: str
     trials: list[str]
     effects: list[Row]
-    #: Effects of which nothing can be said, and why.
+    #: Effects that could not be evaluated, and the reason.
     left_out: dict[str, str] = {}
     provenance: dict[str, Any] = Field(default_factory=dict)
 
 
 def evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord] = ()) -> ev.Evidence:
-    """Return the table of a power file, and how many effects could be seen."""
+    """Return the table of a power file, and the number of detectable effects."""
     blind = [r.effect for r in file.effects if r.size is None]
     twins = sum(r.size is not None and bool(r.alike) for r in file.effects)
     seen = len(file.effects) - len(blind)
@@ -101,23 +101,23 @@ def evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord] = ()) -> ev.Evi
 
 @dataclass(frozen=True, eq=False)
 class DetectionPower(FileResult[PowerFile]):
-    """What trials could show of each effect, as ``diagnose`` gives it when it is asked for its power.
+    """Detection power of trials, as ``diagnose`` returns it with ``power=True``.
 
     Attributes
     ----------
     effects : DataFrame
-        A row for each: ``effect``, ``stage``, ``parameter``, the smallest ``size`` seen with 90 % power (in
-        ``unit``; NaN where none within its bounds is), the share ``absorbed`` by the model's numbers, and
-        which effects it is never told from (``alike``).
+        One row for each effect: ``effect``, ``stage``, ``parameter``, the smallest ``size`` detected with 90
+        % power (in ``unit``; NaN if none within its bounds is), the share ``absorbed`` by the model's
+        parameters, and the effects from which it is never distinguished (``alike``).
     file : PowerFile
-        What :meth:`save` writes.
+        The file that :meth:`save` writes.
     """
 
     file_type = PowerFile
 
     @property
     def effects(self) -> pd.DataFrame:
-        """A row for each effect."""
+        """Return one row for each effect."""
         import pandas as pd
 
         return pd.DataFrame([r.model_dump() for r in self.file.effects])

@@ -1,7 +1,7 @@
-"""What differs from trial to trial: a trim, a gain, a clock, the friction of a pulley.
+"""Estimate the between-trial variation: trim, gain, clock, friction of a pulley.
 
-No effect that all trials share can explain it. Each kind is a number of its own in every trial, with the
-spread that the trials show as its prior: a mixed-effects model.
+No effect that all trials share can explain it. Each kind has one value for each trial, with the between-trial
+standard deviation as prior: a mixed-effects model.
 """
 
 from __future__ import annotations
@@ -20,20 +20,21 @@ from swimid.effects.base import Effect, Stage
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
 
-#: Numbers of single trials that a model knows and holds: they, too, may differ by chance. Typically by
-#: their scale, or by a share of a common number.
+#: Per-trial parameters that a model holds, which may also differ by chance. Their typical size is their
+#: scale, or a share of a common parameter.
 OWN: dict[str, tuple[str, float] | None] = {
     "friction_deviation": ("pulley_friction", 0.1),
     "start_offset": None,
     "initial_speed": None,
 }
-#: Fewest trials that tell a spread, and how far it must exceed the sampling error of one trial.
+#: Minimum number of trials for a standard deviation, and its minimum ratio to the sampling error of one
+#: trial.
 FEWEST, CLEAR = 3, 2.0
-#: Chance differences are at most this large, in typical sizes: beyond, they are an effect. Where settings are
-#: repeated these tell it: then at most what repeats differ by, at this level of its upper confidence bound.
+#: Maximum standard deviation by chance, in typical sizes; a larger one is an effect. If settings are
+#: repeated, the limit is this upper confidence bound of the difference between repeats.
 LARGEST_SD, LEVEL = 0.5, 0.95
-#: No trial is farther off than so many spreads; a spread that few trials tell may be this much larger, in
-#: typical sizes. Without an end random effects would take up any gap.
+#: Maximum number of standard deviations of one trial, and the possible excess, in typical sizes, of a
+#: standard deviation from few trials. Without a limit random effects would absorb any gap.
 FARTHEST, UNSURE = 3.0, 0.1
 
 
@@ -46,19 +47,19 @@ class RandomEffect:
     name : str
         In words.
     label : str
-        Of its number among the parameters of a model on which it acts.
+        Of its parameter among the parameters of a model on which it acts.
     size : float
         Typical size, in its unit.
     effect : Effect or None
-        Whose parameter it is; None of a number of the model itself.
+        Effect that has the parameter; None for a parameter of the model itself.
     place : int
-        Of the parameter in the effect, or in the model.
+        Index of the parameter in the effect, or in the model.
     null : tuple of float
         Parameters of the effect at which it vanishes.
     sd : float
-        Standard deviation between trials, in typical sizes.
+        Between-trial standard deviation, in typical sizes.
     most : float
-        The largest that may be chance.
+        Largest standard deviation that may be chance.
     """
 
     name: str
@@ -71,16 +72,16 @@ class RandomEffect:
     most: float = LARGEST_SD
 
     def scattering(self, sd: float) -> RandomEffect:
-        """The same with another spread, no larger than may be chance."""
+        """Return the same effect with another standard deviation, limited to what may be chance."""
         return replace(self, sd=min(sd, self.most))
 
     @property
     def width(self) -> float:
-        """Standard deviation between trials, in its unit."""
+        """Return the between-trial standard deviation, in its unit."""
         return self.sd * self.size
 
     def number(self, parameter: Parameter) -> Parameter:
-        """A parameter as what each trial has for itself, no farther from its start than chance is."""
+        """Return the parameter for one trial, with bounds at the largest chance deviation."""
         farthest = FARTHEST * math.hypot(self.sd, UNSURE) * self.size
         lower = max(parameter.lower, parameter.start - farthest)
         upper = min(parameter.upper, parameter.start + farthest)
@@ -88,7 +89,9 @@ class RandomEffect:
 
     @cached_property
     def acting(self) -> Effect | None:
-        """The effect with a value for each trial; one object, so that what depends on it is found again."""
+        """Return the effect with a value for each trial; always the same object, because results are
+        cached by it.
+        """
         return None if self.effect is None else TrialEffect(self, self.effect)
 
 
@@ -104,12 +107,12 @@ class TrialEffect(Effect):
         self.kind, self.effect = kind, effect
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
-        """The value of each trial."""
+        """Return the parameter of each trial."""
         p = self.effect.parameters(model, trials)[self.kind.place]
         return (replace(self.kind.number(p), name=f"{self.effect.name} {p.name}"),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """The effect with this value."""
+        """Return the hooks of the effect with this value."""
         point = np.array(self.kind.null)
         point[self.kind.place] = values[0]
         return self.effect.hooks(point, trial, model)
@@ -122,14 +125,15 @@ def kinds(
     effects: Sequence[Effect],
     value: Mapping[str, float],
 ) -> list[RandomEffect]:
-    """What may differ between trials: what scatters of the effects, and numbers of trials the model holds.
+    """Return what may differ between trials: scattering effects, and per-trial parameters that the model
+    holds.
 
     Parameters
     ----------
     parameters : sequence of Parameter
         Of the model.
     value : mapping of name to float
-        Common numbers as they are now.
+        Present values of the shared parameters.
     """
     found = []
     for effect in effects:
@@ -150,16 +154,16 @@ def kinds(
 
 
 class Spread(NamedTuple):
-    """How much trials differ by one kind, in its typical size.
+    """Between-trial variation of one kind, in its typical size.
 
     Attributes
     ----------
     sd : float
-        Standard deviation; 0 where it is not clear that they do.
+        Standard deviation; 0 if it is not significant.
     most : float
-        The largest that may be chance.
+        Largest standard deviation that may be chance.
     likelihood : float
-        Logarithm of what the residuals gain by it, of all trials but that which gains most.
+        Gain in log-likelihood of the residuals, without the trial that gains most.
     """
 
     sd: float = 0.0
@@ -177,29 +181,30 @@ def spread(
     used: int = 0,
     cautious: bool = False,
 ) -> list[Spread]:
-    """How much trials differ by random_effects, as they show it.
+    """Estimate the between-trial standard deviation of each kind.
 
     Parameters
     ----------
     whiten : callable
-        Weighted columns of a trial, shape (n_k, m), in units of the noise.
+        Returns weighted columns of a trial, shape (n_k, m), in units of the noise.
     residuals : sequence of ndarray, shape (n_k,)
-        Weighted, of simulations in which what may differ by chance is alike in all trials.
+        Weighted, of simulations with equal random effects in all trials.
     own : sequence of ndarray, shape (n_k, m)
-        Weighted derivatives to the trial's own start state, which is estimated.
+        Weighted derivatives with respect to the trial's own start state, which is estimated.
     random_effects : sequence of ndarray, shape (n_k, q)
-        Weighted derivatives to what may differ by random_effects, each per its typical size.
+        Weighted derivatives with respect to the random effects, each per its typical size.
     repeats : sequence of sequence of int
         Trials of one setting, where there are several.
     used : int
-        Numbers common to all trials that were fitted to the residuals and may have taken such differences up.
+        Number of shared parameters that were fitted to the residuals and may have absorbed such differences.
     cautious : bool
-        Of a model that may still lack much: rather too small than too large, which would hide what it lacks.
+        Whether the model may still lack much. Then estimates are rather too small than too large, because too
+        large ones would hide what it lacks.
 
     Returns
     -------
     list of Spread, length q
-        Of each kind the variance of the trials' own least-squares estimates, robustly, less its sampling
+        Of each kind the robust variance of the trials' own least-squares estimates, minus its sampling
         variance.
     """
     q = random_effects[0].shape[1] if len(random_effects) else 0
@@ -210,7 +215,7 @@ def spread(
     inner = [block.T @ block for block in seen]
     left = list(range(q))
     while left:
-        # one kind at a time, the likeliest first: together they are too much alike to be told apart
+        # One kind at a time, the most likely first, because together they are hardly distinguishable.
         sd = np.array([s.sd for s in found])
         known = np.flatnonzero(sd)
         tried = {i: _spread(_estimates(inner, i, known, sd[known], q), repeats, used, cautious) for i in left}
@@ -225,14 +230,15 @@ def spread(
 def _estimates(
     inner: Sequence[Array], i: int, known: NDArray[np.intp], sd: Array, kinds: int
 ) -> dict[int, tuple[float, float]]:
-    """Each trial's own estimate of one kind of difference, and its sampling variance, by trial.
+    """Return each trial's own estimate of one kind of difference, and its sampling variance, by trial.
 
     Parameters
     ----------
     inner : sequence of ndarray
-        Of each trial, inner products of the kinds, the residual and derivatives to the start state.
+        Of each trial, inner products of the kinds, the residual and derivatives with respect to the start
+        state.
     known, sd : ndarray
-        Kinds whose spread is known, and it.
+        Kinds with a known standard deviation, and that standard deviation.
     """
     found = {}
     for k, products in enumerate(inner):
@@ -259,12 +265,12 @@ def _spread(
     used: int,
     cautious: bool,
 ) -> Spread:
-    """Of estimates of single trials."""
+    """Return the variation from estimates of single trials."""
     n = len(estimates)
     if n < FEWEST:
         return Spread()
     b, c = (np.array(x) for x in zip(*estimates.values(), strict=True))
-    # median absolute deviation against the standard deviation: one odd trial is not the rule
+    # The median absolute deviation limits the standard deviation: one odd trial does not decide.
     middle = float(np.median(b))
     robust = 1.4826 * float(np.median(np.abs(b - middle))) * (1.0 + 0.8 / n)
     if cautious:
@@ -277,15 +283,16 @@ def _spread(
     if variance <= CLEAR * typical:
         return Spread()
     variance -= typical
-    # that estimates are of this spread and not of the sampling alone: the logarithm of their density
+    # Log-density of the estimates with this variation, minus that with the sampling error alone.
     gained = 0.5 * (b**2 / c - b**2 / (c + variance) - np.log1p(variance / c))
     return Spread(math.sqrt(variance), _most(estimates, repeats), float(gained.sum() - gained.max()))
 
 
 def _most(estimates: Mapping[int, tuple[float, float]], repeats: Sequence[Sequence[int]]) -> float:
-    """Return the largest spread that may be chance: the upper bound of what repeats of one setting differ by.
+    """Return the largest standard deviation that may be chance, from repeats of one setting.
 
-    Without repeats it is :data:`LARGEST_SD`, and with few of them no more than that or than they differ by.
+    Without repeats it is :data:`LARGEST_SD`. With few repeats it is at most the larger of that and their own
+    difference.
     """
     squares, freedom = 0.0, 0
     for group in repeats:
@@ -296,5 +303,5 @@ def _most(estimates: Mapping[int, tuple[float, float]], repeats: Sequence[Sequen
     if not freedom:
         return LARGEST_SD
     bound = math.sqrt(squares / float(special.chdtri(freedom, LEVEL)))
-    # one pair leaves the bound wide: it shows more than that only where the pair itself differs by more
+    # One pair leaves a wide bound: more than this is shown only if the pair itself differs by more.
     return min(bound, max(LARGEST_SD, math.sqrt(squares / freedom)))

@@ -1,4 +1,4 @@
-"""What a robot's file leaves open, answered otherwise: hypotheses of a diagnosis."""
+"""Other readings of a robot's source as hypotheses of a diagnosis."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.robots.file import RobotFile
 from swimid.swimmer.model import Swimmer
 
-#: Readings whose simulations differ by no more than this share of a channel's range differ in nothing.
+#: Relative difference over a channel's range below which simulations of two readings are equal.
 ALIKE = 1e-9
-#: The coefficients are compared this many typical sizes away from where they start: one at zero hides much.
+#: Distance from the start values, in typical sizes, at which coefficients are compared: a zero coefficient
+#: hides differences.
 AWAY = 0.1
-#: What a place of the robot file belongs to by the words in it, along the chain; other places are structure.
+#: Stage of a place in the robot file, by the words in it; other places belong to the structure.
 PLACES: tuple[tuple[str, Stage], ...] = (
     (".driven", "actuation"),
     (".elements.", "fluid"),
@@ -31,19 +32,19 @@ PLACES: tuple[tuple[str, Stage], ...] = (
     (".reference", "sensing"),
     (".markers.", "sensing"),
 )
-#: Places of which the trials were made when they were read.
+#: Places that the trials already contain when they are read.
 COMMANDS = (".strokes.",)
 
 
 class Reread:
-    """The models of a robot file in its several readings .
+    """The models of a robot file in its several readings.
 
     Parameters
     ----------
     path : Path
-        Of the robot file.
+        Robot file.
     nominal : Swimmer
-        The model of the robot as it is read.
+        Model of the robot as it is read.
     """
 
     def __init__(self, path: Path, nominal: Swimmer) -> None:
@@ -52,7 +53,7 @@ class Reread:
         self._lock = threading.Lock()
 
     def model(self, model: Model, question: str, option: str) -> Model:
-        """The model of the robot with one question answered so, and all others as in a model."""
+        """Return the model with one question answered differently."""
         assert model.swimmer is not None
         chosen = {key: reading.chosen for key, reading in model.swimmer.robot.readings.items()}
         key = model.swimmer.max_step, frozenset({**chosen, question: option}.items())
@@ -63,7 +64,7 @@ class Reread:
             return self._models[key]
 
     def stand(self, answers: Mapping[str, str]) -> bool:
-        """Whether some answers can be had together."""
+        """Return whether some answers can be combined."""
         model: Model = self._nominal
         try:
             for question, option in answers.items():
@@ -74,9 +75,9 @@ class Reread:
 
 
 class OtherReading(Effect):
-    """A question that a robot's source leaves open, answered otherwise than the robot file does.
+    """A question of a robot's source, answered differently than in the robot file.
 
-    The robot read so takes the place of the nominal one, and other effects act on it.
+    The robot in this reading takes the place of the nominal one, and other effects act on it.
 
     Parameters
     ----------
@@ -85,7 +86,7 @@ class OtherReading(Effect):
     meaning : str
         The question and this answer, in words.
     stage : str
-        Where in the chain the robots differ.
+        Stage in which the robots differ.
     reread : Reread
         The models of the robot in its several readings.
     """
@@ -96,58 +97,59 @@ class OtherReading(Effect):
     needs: ClassVar[frozenset[str]] = frozenset()
 
     def __init__(self, question: str, option: str, *, meaning: str, stage: Stage, reread: Reread) -> None:
-        # every robot file has its own: what of other effects belongs to the class belongs to each of these
+        # Class attributes of other effects are instance attributes here, because each robot file has its own
+        # readings.
         vars(self).update(name=f"{READING}{question}={option}", stage=stage, meaning=meaning)
         self.question, self.option = question, option
         self._reread = reread
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
-        """None: it holds or it does not."""
+        """Return no parameters."""
         return ()
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Nothing acts on the chain; the robot is another."""
+        """Return no hooks: the robot is another."""
         return NONE
 
     def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
-        """Once, as a whole."""
+        """Return one try."""
         return [np.empty(0)]
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
-        """One form."""
+        """Return its only form."""
         return [self]
 
     def joins(self, effects: Sequence[Effect]) -> bool:
-        """No question has two answers, and some answers leave no place for others."""
+        """Return whether other effects can be combined with it: no question has two answers."""
         answers = {e.question: e.option for e in effects if isinstance(e, OtherReading)}
         if self.question in answers:
             return False
         return not answers or self._reread.stand({**answers, self.question: self.option})
 
     def in_place_of(self, model: Model) -> Model:
-        """The model of the robot read so."""
+        """Return the model of the robot in this reading."""
         return self._reread.model(model, self.question, self.option)
 
     def content(self) -> bytes:
-        """Its name: it moves nothing by itself."""
+        """Return its name, which identifies it."""
         return self.name.encode()
 
 
 def others(experiment: Experiment, trials: Sequence[Trial]) -> tuple[list[OtherReading], dict[str, str]]:
-    """Every reading of the robot but one answer away from those chosen.
+    """Return every reading of the robot that differs by one answer from the chosen ones.
 
     Parameters
     ----------
     experiment : Experiment
-        Its model with the parameters that are refitted.
+        Its model with the refitted parameters.
     trials : sequence of Trial
-        What they measure must depend on the answer.
+        Their measured channels must depend on the answer.
 
     Returns
     -------
     list of OtherReading
     dict of name to reason
-        Those that are no hypotheses here.
+        Readings that are no hypotheses here.
     """
     nominal, path = experiment.model.swimmer, experiment.robot_path
     if nominal is None or path is None or not experiment.robot.readings:
@@ -181,7 +183,7 @@ def others(experiment: Experiment, trials: Sequence[Trial]) -> tuple[list[OtherR
 
 
 def asked(names: Collection[str], experiment: Experiment) -> tuple[list[str], set[str]]:
-    """Names of effects to try, apart from those of readings.
+    """Return the names of requested effects, without those of readings.
 
     Raises
     ------
@@ -201,7 +203,7 @@ def asked(names: Collection[str], experiment: Experiment) -> tuple[list[str], se
 
 
 def _stage(places: Sequence[str]) -> Stage:
-    """The part of the chain that a reading is about, of several the first."""
+    """Return the stage of a reading; of several the first."""
     stages: list[Stage] = [
         next((stage for word, stage in PLACES if word in place), "structure") for place in places
     ]
@@ -209,13 +211,13 @@ def _stage(places: Sequence[str]) -> Stage:
 
 
 def _comparable(model: Model, nominal: Model) -> bool:
-    """Whether two models have the same parameters and channels."""
+    """Return whether two models have the same parameters and channels."""
     names = [[p.name for p in m.parameters] + [c.name for c in m.channels] for m in (model, nominal)]
     return names[0] == names[1]
 
 
 def _away(model: Model) -> Array:
-    """Values of the parameters a little away from where they start, within bounds."""
+    """Return parameter values a little away from their start, within bounds."""
     return np.array(
         [
             p.start if p.per_trial else float(np.clip(p.start + AWAY * p.scale, p.lower, p.upper))
@@ -225,12 +227,12 @@ def _away(model: Model) -> Array:
 
 
 def _alike(other: Model, values: Array, trials: Sequence[Trial], seen: Sequence[Mapping[str, Array]]) -> bool:
-    """Whether another model simulates the same in all that was measured."""
+    """Return whether another model simulates the same measured channels."""
     for trial, plain in zip(trials, seen, strict=True):
         found = other.attempt(values, trial)
         for channel in trial.measured:
             span = float(np.ptp(plain[channel]))
-            # one that breaks down differs
+            # A simulation that diverges differs.
             if not np.max(np.abs(found[channel] - plain[channel]), initial=0.0) <= ALIKE * span:
                 return False
     return True

@@ -1,8 +1,8 @@
-"""Do held-out data contradict the causes?
+"""Test whether held-out data contradict the causes.
 
-A model's coefficients are known as far as the fitted trials tell them, and what they do not tell may move a
-held-out trial far off, with a cause or without. What contradicts a model is an error that no coefficients as
-likely as those leave: its distance in the predictive distribution.
+The fitted trials determine the coefficients with some uncertainty, which may move a held-out trial far off,
+with a cause or without. A model is contradicted by an error that no probable coefficients leave: the distance
+in the predictive distribution.
 """
 
 from __future__ import annotations
@@ -21,26 +21,26 @@ from swimid.diagnosis.noise_model import NoiseModel
 from swimid.diagnosis.shrinkage import MOST
 from swimid.fitting.model import Array, Trial
 
-#: Relative tolerance of the search, and steps at most.
+#: Relative tolerance of the search, and maximum number of steps.
 TOLERANCE, STEPS = 1e-3, 12
-#: Chance that of all validation trials one is called unpredicted though the model is right.
+#: Probability that one of all validation trials is called unpredicted although the model is right.
 CHANCE = 0.025
 
 
 @dataclass(frozen=True)
 class Misfit:
-    """How far held-out data are from what a model predicts.
+    """Distance of held-out data from the prediction of a model.
 
     Attributes
     ----------
     distance : float
-        Squared Mahalanobis distance: about `samples` where the model is right.
+        Squared Mahalanobis distance: about `samples` for a correct model.
     samples : int
     slow : bool
-        Whether what is left of the samples moves slower than noise, or is too short to tell.
+        Whether the residuals of these samples move slower than noise, or are too short for an answer.
     chance : dict of channel to float
-        Of validation trials, the mean square of what differs in them by chance, in the channel's unit
-        squared: its expectation given their samples.
+        Of validation trials, the mean square of their random effects, in the channel's unit squared: its
+        expectation given their samples.
     """
 
     distance: float
@@ -50,43 +50,43 @@ class Misfit:
 
     @property
     def shown(self) -> bool:
-        """Whether the greater part of it is no noise."""
+        """Return whether the greater part of the distance is not noise."""
         return self.distance > self.samples / (1.0 - MOST)
 
     @property
     def times(self) -> float:
-        """Root-mean-square over that of a model that is right."""
+        """Return the root mean square over that of a correct model."""
         return math.sqrt(max(self.distance, 0.0) / max(self.samples, 1))
 
 
 @dataclass(frozen=True)
 class Compared:
-    """How far held-out data are from what a model predicts without causes and with them."""
+    """Distances of held-out data from the predictions without and with the causes."""
 
     before: Misfit
     after: Misfit
 
     @property
     def distances(self) -> Distance:
-        """Root-mean-square, as the gap file has them."""
+        """Return the root mean squares for the gap file."""
         return Distance(before=self.before.times, after=self.after.times)
 
     @property
     def refuted(self) -> bool:
-        """Whether with the causes they are farther off, by more than the gap and than the noise."""
+        """Return whether the distance is larger with the causes, by more than the gap and than the noise."""
         farther = self.after.distance - self.before.distance
         return farther > max(self.before.distance - self.before.samples, self.before.samples)
 
     @property
     def useless(self) -> bool:
-        """Whether with the causes they are no nearer."""
+        """Return whether the distance is no smaller with the causes."""
         return self.after.distance >= self.before.distance
 
 
 def compared(
     context: FitContext, before: Fit, after: Fit, noise_model: NoiseModel, validation: Sequence[Trial]
 ) -> Compared:
-    """Held-out data against the predictions of two models.
+    """Compare held-out data with the predictions of two models.
 
     Parameters
     ----------
@@ -101,10 +101,11 @@ def compared(
 def unpredicted(
     context: FitContext, fit: Fit, noise_model: NoiseModel, validation: Sequence[Trial]
 ) -> dict[str, float]:
-    """Validation trials in whose squared distance from the prediction of a model the greater part is no
-    noise, and by how many times each is off, the largest first.
+    """Return validation trials that a model does not predict, and the ratio of the error to the expected one,
+    largest first.
 
-    A trial whose noise is larger than that of the others, and no slower, is none.
+    More than half of the squared distance of such a trial is not noise. A trial whose noise is only larger
+    than that of the others, and not slower, is left out.
     """
     inner = crossval.normal_equations(context, fit, noise_model)
     found = {}
@@ -117,7 +118,7 @@ def unpredicted(
 
 
 def misfit(context: FitContext, fit: Fit, noise_model: NoiseModel, validation: Sequence[Trial]) -> Misfit:
-    """The distance of validation trials, or of all folds each from the fit to the others, from a model."""
+    """Return the distance of validation trials, or of each fold from the fit to the others."""
     inner = crossval.normal_equations(context, fit, noise_model)
     if validation:
         return _of_trials(context, fit, noise_model, inner, validation)
@@ -141,7 +142,7 @@ def _of_trials(
     problem = context.problem(fit.effects, noise_model.random_effects, trials=validation, known=ended)
     _weigh(problem, fit, noise_model)
     begin = np.array([known.get(n, start) for n, start in zip(problem.labels, problem.start, strict=True)])
-    # what an effect has for each of the fitted trials tells a held-out one nothing
+    # The per-trial values of the fitted trials say nothing about a held-out one.
     common = np.array([label in problem.labels for label in shared], dtype=bool)
     normal = inner.products.sum(axis=0)[:-1, :-1] + inner.prior
     mixed = normal[np.ix_(~common, common)]
@@ -162,8 +163,10 @@ def _of_trials(
 
 
 def _chance(problem: Mixed, theta: Array, fit: Fit, noise_model: NoiseModel) -> dict[str, float]:
-    """Mean square of what the random effects of validation trials change, start states refitted, by channel:
-    its expectation given their samples, effects no larger than is likely.
+    """Return the expected mean square, by channel, of what random effects change in validation trials, given
+    their samples.
+
+    Start states are refitted, and random effects are limited to probable values.
     """
     if not problem.random_effects:
         return {}
@@ -179,20 +182,20 @@ def _chance(problem: Mixed, theta: Array, fit: Fit, noise_model: NoiseModel) -> 
         own = problem.begun(k)
         seen = noise_model.whiten(problem, k, np.column_stack((rows, jacobian[:, own] * scale[own])))
         seen = beyond(seen[:, len(mine) :], seen[:, : len(mine)])
-        # a root of their covariance
+        # A root of their covariance.
         root = np.linalg.inv(np.linalg.qr(np.vstack((seen, np.eye(len(mine)))), mode="r"))
         moved = beyond(jacobian[:, own] * scale[own], rows @ np.column_stack((away, root)))
         changes = np.column_stack((np.sum(moved**2, axis=1), problem.sample_weights(k) ** 2))
         for channel, _, part in problem.by_channel(k, changes):
             squared, weights = part.T
-            # of a channel that no fitted trial has, the noise is not known
+            # The noise of a channel that no fitted trial has is unknown.
             if weights.all():
                 squares.setdefault(channel, []).append(squared / weights)
     return {c: float(np.mean(np.concatenate(v))) for c, v in squares.items()}
 
 
 def _weigh(problem: Mixed, fit: Fit, noise_model: NoiseModel) -> None:
-    """Give trials the weights that those of the fit have, by channel."""
+    """Give trials the weights of the fit, by channel."""
     weights: dict[str, list[Array]] = {}
     for channels, sds in zip(fit.problem.channels, noise_model.sd, strict=True):
         for channel, sd in zip(channels, sds, strict=True):

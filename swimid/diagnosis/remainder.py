@@ -1,4 +1,4 @@
-"""Is something left that an effect should explain, and where does it act?"""
+"""Test whether the remaining residuals have structure, and where."""
 
 from __future__ import annotations
 
@@ -17,45 +17,46 @@ from swimid.fitting.model import Array
 from swimid.fitting.parallel import map_in_processes
 from swimid.fitting.problem import Problem
 
-#: Widths of the prior of a generic term tried, in its typical sizes.
+#: Tried prior standard deviations of a generic term, in its typical sizes.
 WIDTHS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
-#: A description worth more numbers than this share of the samples describes their noise.
+#: Maximum effective number of parameters of a description, as a share of the samples: beyond, it describes
+#: noise.
 MOST_USED = 0.5
-#: Ratio from which something moves that is not noise; and against the channel with the least.
+#: Ratio from which motion is slower than noise; the same against the channel with the least; ratio that is
+#: certain.
 SLOW, AGAINST, SURE = 1.45, 1.25, 2.2
 
-#: Something is left where a description gains more than this per sample.
+#: Minimum gain of a description per sample.
 PER_SAMPLE = 0.002
-#: And more than this quantile of the largest gain in so many draws of pure noise.
+#: Number of draws of pure noise, and quantile of their largest gain that a description must exceed.
 DRAWS, QUANTILE = 400, 0.975
-#: And more than this; of few samples, whose noise is read off themselves, for half their number, but
-#: never for less than the second.
+#: Minimum gain. Few samples determine their own noise: then half their number, but at least the second value.
 LEAST_GAIN, LEAST_OF_FEW = 50.0, 25.0
 
 
 def least_gain(samples: float) -> float:
-    """The gain below which nothing counts, whatever noise alone would give."""
+    """Return the minimum gain that counts."""
     return float(np.clip(0.5 * samples, LEAST_OF_FEW, LEAST_GAIN))
 
 
 @dataclass(frozen=True)
 class Left:
-    """What a generic description finds beyond a fit.
+    """Structure that a generic description finds beyond a fit.
 
     Attributes
     ----------
     gain : float
-        Held-out drop of misfit, all terms together.
+        Held-out decrease of the squared residuals, all terms together.
     threshold : float
-        What noise alone gives at most once in forty.
+        Gain that noise alone exceeds once in forty.
     places : dict of place to float
         Held-out gain of the terms of one place alone.
     columns : list of lists of ndarray
         Change of each trial by each term at its typical size, weighted.
     prior : list of float
-        Inverse variances that were best.
+        Best inverse variances.
     freedom : float
-        How many numbers fitted without a prior would take up as much of the noise as all terms do.
+        Effective number of parameters of all terms.
     """
 
     gain: float
@@ -67,14 +68,14 @@ class Left:
 
     @property
     def found(self) -> bool:
-        """Whether there is more than noise would give."""
+        """Return whether the gain is larger than that of noise."""
         return self.gain > self.threshold
 
 
 def _terms(context: FitContext, base: Fit) -> list[tuple[str, list[Array]]]:
-    """Return where each generic term acts, and what it changes in each trial at its typical size.
+    """Return the place of each generic term, and its change of each trial at its typical size.
 
-    Terms that change nothing, or with which the model breaks down, are left out.
+    Terms that change nothing, or with which the model diverges, are left out.
     """
 
     def of(description: Description) -> list[tuple[str, list[Array]]]:
@@ -90,7 +91,7 @@ def _terms(context: FitContext, base: Fit) -> list[tuple[str, list[Array]]]:
 
 
 def find(context: FitContext, base: Fit, noise_model: NoiseModel, *, rng: np.random.Generator) -> Left:
-    """What is left beyond a fit, by a generic description with a prior chosen on held-out folds."""
+    """Fit a generic description to the residuals of a fit, with a prior chosen on held-out folds."""
     terms = _terms(context, base)
     columns = [changed for _, changed in terms]
     inner = crossval.normal_equations(context, base, noise_model, columns)
@@ -121,7 +122,7 @@ def find(context: FitContext, base: Fit, noise_model: NoiseModel, *, rng: np.ran
 
 
 def _freedom(inner: crossval.NormalEquations, prior: Sequence[float]) -> float:
-    """How many numbers without a prior the generic terms are worth: the trace of their hat matrix."""
+    """Return the effective number of parameters of the generic terms: the trace of their hat matrix."""
     normal = inner.products.sum(axis=0)[:-1, :-1]
     ridge = block_diag(inner.prior, np.diag(prior))
     return float(np.trace(crossval.solved(normal + ridge, normal)[inner.shared :, inner.shared :]))
@@ -134,8 +135,8 @@ def saturated(
     columns: Sequence[Sequence[Array]],
     prior: Sequence[float],
 ) -> list[Array]:
-    """Weighted residuals with every number and column fitted to all trials: what is noise, if anything, and
-    what differs from trial to trial.
+    """Return weighted residuals with every parameter and column fitted to all trials: noise and between-trial
+    variation.
 
     Returns
     -------
@@ -163,7 +164,7 @@ def saturated(
             rest = r - own @ step
             begun = np.array([not problem.differs(j) for j in mine])
             r = r - own[:, begun] @ step[begun] + (bare - base.residuals[k])
-        # far from the base the changes no longer add up: what does not get smaller is no fit
+        # Far from the base the changes are not additive: residuals that do not decrease are no fit.
         better = float(rest @ rest) < float(base.residuals[k] @ base.residuals[k])
         found.append(r if better else bare)
     return found
@@ -171,16 +172,16 @@ def saturated(
 
 @dataclass(frozen=True)
 class LowFrequency:
-    """How much slower than its noise a channel's residual moves.
+    """Slow motion of a channel's residual against its noise.
 
     Attributes
     ----------
     ratio : float
-        Root-mean-square of what is left once each trial has had its own start state, trim, gain and clock,
-        over that of its changes from sample to sample (over the square root of two): one for white
-        noise, a little more for a tracker's coloured noise.
+        Root mean square of the residual after each trial had its own start state, trim, gain and clock, over
+        that of its changes from sample to sample (over the square root of two). It is 1 for white noise, and
+        a little more for the coloured noise of a tracker.
     share : float
-        Of its square that is beyond the least ratio of all channels, and beyond what noise may have.
+        Share of its square beyond the smallest ratio of all channels, and beyond what noise may have.
     """
 
     ratio: float
@@ -188,10 +189,10 @@ class LowFrequency:
 
 
 def low_frequency(problem: Problem, residuals: Sequence[Array]) -> dict[str, LowFrequency]:
-    """What moves slower than noise in each channel, and is no trim, gain or clock of a single trial.
+    """Return the motion slower than noise in each channel that is no trim, gain or clock of a single trial.
 
-    It does not ask whether trials share it: gusts, shed vortices at a phase of their own, a spring that
-    differs from day to day show here, and nowhere else.
+    It does not require that trials share it: gusts, vortices, or a spring that differs from day to day appear
+    here only.
 
     Parameters
     ----------
@@ -219,7 +220,7 @@ def low_frequency(problem: Problem, residuals: Sequence[Array]) -> dict[str, Low
 
 
 def drifting(found: dict[str, LowFrequency]) -> list[str]:
-    """Channels in which something moves that is not noise."""
+    """Return the channels in which something moves that is not noise."""
     if not found:
         return []
     least = max(min(s.ratio for s in found.values()), 1.0)

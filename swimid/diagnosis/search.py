@@ -1,9 +1,9 @@
-"""The hypotheses of a diagnosis: every effect, and sets of them, each fitted to its optimum.
+"""Search the hypotheses of a diagnosis: each effect, and sets of effects, fitted to their optimum.
 
-Every effect is fitted together with the model from all the sizes it is tried at; a screen orders and
-predicts, and dismisses none. Sets are fitted jointly, from what each further effect promises beside the best
-smaller ones. The noise they are judged by comes from the whole catalogue, whatever effects are asked for: a
-fit is the same alone and among others.
+Each effect is fitted together with the model from all tried sizes. A screen orders the work and predicts
+gains, and excludes no effect. Sets are fitted jointly, starting with the effects that promise most beside the
+best smaller sets. The noise model comes from the whole catalogue, whichever effects are asked for: an effect
+has the same fit alone and among others.
 """
 
 from __future__ import annotations
@@ -41,26 +41,29 @@ from swimid.fitting.parallel import map_in_processes
 from swimid.logs.sampling import white_noise_sd
 from swimid.progress import Progress, show, silent
 
-#: A longer step of integration may change a sample by this share of the range, or by a tenth of the noise.
+#: Allowed change of a sample by a doubled integration step, as a share of the range (or a tenth of the
+#: noise).
 SMALL_CHANGE = 1e-4
-#: Hypotheses beside which further effects are tried, and how many of the sets that promise most are fitted.
+#: Number of hypotheses to which further effects are added, and number of the most promising sets that are
+#: fitted.
 PARENTS, SETS = 4, 10
-#: Beside each of the others of a set, so many rivals of an effect are fitted.
+#: Number of rivals of an effect that are fitted beside each of the others of a set.
 RIVALS = 4
-#: A set this unlikely against the likeliest is fitted on in so many steps only, once the noise is known.
+#: Hypotheses with a relative posterior below the first value get at most the second number of steps, once the
+#: noise is known.
 HOPELESS, FEW = 1e-4, 2
-#: Minimum cosine between the changes by an effect and by a parameter that are the same: each leaves less than
-#: a tenth of the square of the other.
+#: Minimum cosine between the changes by an effect and by a parameter that count as equal: each leaves less
+#: than a tenth of the square of the other.
 SAME_COSINE = 0.95
-#: The noise is learnt in so many turns at most, fewer where no spread between trials, in typical sizes,
-#: changes by more than this.
+#: Maximum number of noise iterations, and the change of a between-trial standard deviation, in typical sizes,
+#: below which they end.
 TURNS, STAYS = 6, 0.02
-#: Effects in a combination at most.
+#: Maximum number of effects in one hypothesis.
 COMBINED = 3
-#: Simulations of each trial that a diagnosis takes, about, and of these with effects that bring forces or
-#: elements: 13,300 and 3,620 of each of the six of ``sample_logs/gap``.
+#: Approximate number of simulations of each trial in a diagnosis, and of those with effects that add forces
+#: or elements (13,300 and 3,620 for each of the six trials of ``sample_logs/gap``).
 RUNS, AFFECTED = 13000, 3600
-#: Simulations of each trial that a hypothesis takes, about: a share of those.
+#: Approximate number of simulations of each trial for one hypothesis.
 FITTED = 250
 
 Key = frozenset[int]
@@ -76,11 +79,11 @@ class Hypothesis:
     misfits : ndarray, shape (folds,)
         Squared residuals of each fold, held out by one Gauss-Newton step from the fit to all.
     tried : Tried or None
-        The effect fitted last, as the screen saw it beside the others; None of the model itself.
+        Screening result of the effect that was fitted last; None for the model itself.
     inside : ndarray, shape (folds,)
-        The same of the fit to all.
+        Squared residuals of each fold in the fit to all.
     score : float
-        Cost of the optimum, and what a number of the effects must lower it by to mean anything.
+        Cost of the optimum, and the penalty for the parameters of the effects.
     """
 
     fit: Fit
@@ -91,22 +94,24 @@ class Hypothesis:
 
     @property
     def key(self) -> Key:
-        """Which effects it has."""
+        """Return its effects as a key."""
         return frozenset(id(e) for e in self.fit.effects)
 
     @property
     def names(self) -> frozenset[str]:
-        """Of its effects."""
+        """Return the names of its effects."""
         return frozenset(e.name for e in self.fit.effects)
 
     @property
     def misfit(self) -> float:
-        """Over all folds."""
+        """Return the held-out squared residuals over all folds."""
         return float(self.misfits.sum())
 
     @property
     def ends(self) -> list[str]:
-        """Numbers of its effects at bounds where these could stand for others (:attr:`Effect.inside`)."""
+        """Return the parameters of its effects at bounds where these could imitate others
+        (:attr:`Effect.inside`).
+        """
         fit, problem = self.fit, self.fit.problem
         ends = {"lower": problem.lower, "upper": problem.upper}
         wanted = {f"{e.name}/{name}": end for e in fit.effects for name, end in e.inside.items()}
@@ -124,9 +129,9 @@ class Round:
     Attributes
     ----------
     ranked : list of Refitted
-        Best first; the cause itself at the head.
+        Best first; the cause itself comes first.
     same : tuple of str
-        Names of the effects that change the trials just like a changed parameter that is the cause.
+        Names of effects that change the trials in the same way as a changed parameter that is the cause.
     """
 
     ranked: list[Refitted]
@@ -135,20 +140,20 @@ class Round:
 
 @dataclass
 class State:
-    """Everything a diagnosis has found so far.
+    """Results of a diagnosis so far.
 
     Attributes
     ----------
     nominal : Fit
         The model without any effect.
     base : Fit
-        With the causes.
+        The model with the causes.
     screen : Screen
         Every effect beside the model without any.
     singles : list of Refitted
         Every effect alone, best first.
     rounds : list of Round
-        One for each cause, that with the largest share first.
+        One for each cause, the cause with the largest share first.
     """
 
     context: FitContext
@@ -165,19 +170,19 @@ class State:
     out_of_time: bool = False
     low_frequency: dict[str, LowFrequency] = field(default_factory=dict)
     nuisance_residuals: list[Array] = field(default_factory=list)
-    #: Effects that apply, and are asked for.
+    #: Number of effects that apply and are asked for.
     tried: int = 0
-    #: Why a larger set was or was not taken.
+    #: Reasons why a larger set was or was not taken.
     told: list[str] = field(default_factory=list)
 
     @property
     def changed(self) -> bool:
-        """Whether a parameter that has changed is among the causes."""
+        """Return whether a changed parameter is among the causes."""
         return any(e.adds_to is not None for e in self.base.effects)
 
 
 def coarser(model: Model, vectors: Sequence[Array], trials: Sequence[Trial]) -> Model | None:
-    """The model with twice the integration step, where that changes samples by far less than their noise.
+    """Return the model with twice the integration step, if that changes samples by far less than their noise.
 
     Parameters
     ----------
@@ -205,14 +210,14 @@ def prepared(
     *,
     share: float = 1.0,
 ) -> None:
-    """Compile a model where it pays, before it is simulated as often as in a diagnosis, or a share of it."""
+    """Compile a model if that pays for the number of simulations of a diagnosis, or a share of it."""
     lasting = share * sum(float(t.time_s[-1] - t.time_s[0]) for t in trials)
     model.prepare(progress, simulated_s=RUNS * lasting, affected_s=AFFECTED * lasting, checkpoint=checkpoint)
 
 
 @dataclass(eq=False)
 class Search:
-    """All hypotheses on one context, through one noise_model.
+    """All hypotheses on one context, through one noise model.
 
     Parameters
     ----------
@@ -221,11 +226,11 @@ class Search:
     effects : sequence of Effect
         In every form.
     scattering : sequence of Effect
-        Of which those that scatter may differ between trials.
+        Effects that may be random effects.
     step : callable
-        Called with the name of each effect fitted.
+        Called with the name of each fitted effect.
     late : callable
-        Whether the time is up.
+        Returns whether the time is up.
     """
 
     context: FitContext
@@ -242,7 +247,7 @@ class Search:
     screens: dict[Key, Screen] = field(init=False, default_factory=dict)
     #: Sets from whose optimum a smaller one has been fitted.
     returned: set[tuple[Key, Key]] = field(init=False, default_factory=set)
-    #: Fitted in a few steps only.
+    #: Hypotheses that were fitted in a few steps only.
     hopeless: set[Key] = field(init=False, default_factory=set)
     out_of_time: bool = field(init=False, default=False)
     _cosines: dict[frozenset[int], float] = field(init=False, default_factory=dict)
@@ -250,7 +255,7 @@ class Search:
     # ------------------------------------------------------------ fits
 
     def judged(self, fit: Fit, tried: Tried | None = None, parent: Hypothesis | None = None) -> Hypothesis:
-        """A hypothesis from its optimum."""
+        """Return a hypothesis from its optimum."""
         inner = crossval.normal_equations(self.context, fit, self.noise_model)
         inside = inner.products[:, -1, -1]
         score = fit.cost + self.penalty(fit)
@@ -262,25 +267,24 @@ class Search:
         return Hypothesis(fit, parent.misfits - gains, inside, score, tried)
 
     def prepared(self, acting: Iterable[Sequence[Effect]], *, share: float = 1.0) -> None:
-        """Compile the robots that some sets of effects read otherwise, before these are simulated as often as
-        in a diagnosis, or a share of it.
-        """
+        """Compile the robots that some sets of effects read differently, if that pays."""
         models = (self.context.affected(effects).model for effects in acting)
         for model in {id(m): m for m in models if m is not self.context.model}.values():
             prepared(model, self.context.trials, checkpoint=self.checkpoint, share=share)
 
     def penalty(self, fit: Fit) -> float:
-        """What the numbers of its effects must lower the cost by."""
+        """Return the penalty for the parameters of its effects."""
         samples = float(sum(len(r) for r in fit.residuals))
         mine = [label for label in fit.labels if _belongs(label, fit.effects)]
         each = sum("[" in label for label in mine)
-        # a coefficient of which less is known than of the model's own counts like a number of an effect
+        # A coefficient with a wider prior than in the model counts like a parameter of an effect.
         freed = len(self.context.loosened(fit.problem))
         return posterior.penalty(len(mine) - each + freed, each, samples, len(fit.residuals))
 
     def begin(self, start: Array) -> Hypothesis:
-        """The model itself, from known coefficients too where it has left them far behind: what a poor
-        optimum misses, some effect would seem to explain.
+        """Fit the model itself, from the prior means as well if its coefficients are far from them.
+
+        An effect would seem to explain the difference between a poor optimum and the best one.
         """
         fit = based(self.context, self.noise_model, start)
         self.null = self.judged(fit)
@@ -288,13 +292,14 @@ class Search:
         return self.null
 
     def screened(self, parent: Hypothesis) -> Screen:
-        """Every further effect beside a hypothesis, to first order at each of its sizes."""
+        """Screen every further effect beside a hypothesis, to first order at each of its sizes."""
         if parent.key not in self.screens:
             self.prepared([parent.fit.acting])
             rest = [e for e in self.effects if e.joins(parent.fit.effects)]
             found = Screen([])
             for readings in (False, True):
-                # apart: beside more columns the inner products of the others would end in other digits
+                # Readings are screened apart, so that the digits of the other inner products do not depend on
+                # them.
                 part = [e for e in rest if isinstance(e, OtherReading) == readings]
                 simulated = candidates.simulate(self.context, parent.fit, part)
                 if simulated:
@@ -306,7 +311,9 @@ class Search:
         return self.screens[parent.key]
 
     def beside(self, parents: Iterable[Hypothesis], most: int | None = None) -> list[Hypothesis]:
-        """Each parent with one more effect, fitted jointly: all, or those that promise most."""
+        """Return each parent with one more effect, fitted jointly: all effects, or those that promise
+        most.
+        """
         context = self.context
         promised: dict[Key, tuple[float, Hypothesis, Tried]] = {}
         for parent in parents:
@@ -340,14 +347,16 @@ class Search:
         return [self.pool[key] for key in keys if key in self.pool]
 
     def _name(self, effects: Sequence[Effect]) -> str:
-        """Under which an optimum is kept: effects, in their forms, and how many random effects."""
+        """Return the key of a cached optimum: effects, in their forms, and number of random effects."""
         model, trials = self.context.model, self.context.trials
         own = ("/".join((e.name, *(p.name for p in e.parameters(model, trials)))) for e in effects)
         return "+".join([*own, str(len(self.noise_model.random_effects))])
 
     def fitted(self, parent: Hypothesis, tried: Tried) -> Optimum:
-        """A parent with one more effect at their joint optimum: from the size the screen predicts, from the
-        sizes that helped as they were, and from where coefficients are known, too.
+        """Return a parent with one more effect at their joint optimum.
+
+        The starts are the size that the screen predicts, the sizes that helped as they were, and the prior
+        means of coefficients.
         """
         context, noise_model = self.context, self.noise_model
         effects = (*parent.fit.effects, tried.effect)
@@ -362,14 +371,16 @@ class Search:
             starts = [kept]
         fit = context.multistart(effects, noise_model, starts, warm=parent.fit)
         if names and not fit.cost <= parent.fit.cost:
-            # a model without the effect is the model with it at nought
+            # A model without the effect is the model with the effect at its null value.
             null = context.start(effects, noise_model, parent.fit)
             fit = context.multistart(effects, noise_model, [null], warm=parent.fit)
         return fit.optimum
 
     def without(self, h: Hypothesis, effect: Effect) -> Hypothesis:
-        """A hypothesis less one of its effects, fitted from where it and the best other larger ones end, too:
-        what a poor optimum misses, further effects would seem to explain.
+        """Return a hypothesis less one of its effects, fitted from its optimum and from that of the best
+        other larger ones.
+
+        Further effects would seem to explain the difference between a poor optimum and the best one.
         """
         context, noise_model = self.context, self.noise_model
         rest = tuple(e for e in h.fit.effects if e is not effect)
@@ -391,7 +402,7 @@ class Search:
         return self.pool[known.key]
 
     def lessened(self) -> Posterior:
-        """How likely each set is once the likeliest has come to be beside all its own parts."""
+        """Return the posterior after the most probable set has been compared with all its own parts."""
         while True:
             found = self.weighed()
             best = self.likeliest(found)
@@ -402,7 +413,7 @@ class Search:
                 return found
 
     def best(self, size: int) -> list[Hypothesis]:
-        """Hypotheses of so many effects, best first, the best form of each set."""
+        """Return hypotheses with a number of effects, best first, the best form of each set."""
         found = [h for h in self.pool.values() if len(h.fit.effects) == size and not h.ends]
         first: dict[frozenset[str], Hypothesis] = {}
         for h in sorted(found, key=lambda h: h.score):
@@ -412,14 +423,14 @@ class Search:
     # ------------------------------------------------------------ noise
 
     def learn(self, leading: Hypothesis) -> None:
-        """The noise as the leading hypothesis and a generic description together leave it; all that was
-        fitted is fitted on through it.
+        """Estimate the noise from what the leading hypothesis and a generic description leave, and refit
+        all hypotheses.
         """
         context, noise_model, fit = self.context, self.noise_model, leading.fit
         self.prepared([fit.acting])
         whole = tells_noise(context)
-        # what differs between trials first, spreads and optimum in turn until they stay, in all that the
-        # hypothesis leaves: a generic description has it, too, and comes last
+        # Between-trial variation first: standard deviations and optimum alternate until they stay. The
+        # generic description would absorb it, so it comes last.
         stays = False
         for turn in range(TURNS if whole else 2):
             left = remainder.find(context, fit, noise_model, rng=self.rng)
@@ -465,8 +476,8 @@ class Search:
             effects = h.fit.effects
             problem = context.problem(effects, noise_model.random_effects)
             sizes = {n: v for n, v in zip(h.fit.labels, h.fit.theta, strict=True) if _belongs(n, effects)}
-            # from where it was, and from where the model itself has come to: what trials have for
-            # themselves is of the noise before
+            # Starts: the previous optimum, and the optimum of the model itself, because per-trial values
+            # belong to the previous noise.
             starts = [
                 *context.begins(problem, context.start(effects, noise_model, h.fit)),
                 context.start(effects, noise_model, self.null.fit, sizes),
@@ -480,11 +491,11 @@ class Search:
 
             fit = settled(starts)
             if sizes and not fit.cost <= self.null.fit.cost:
-                # a model without the effect is the model with it at nought
+                # A model without the effect is the model with the effect at its null value.
                 fit = settled([context.start(effects, noise_model, self.null.fit)])
             return fit.optimum
 
-        # parents before those judged beside them
+        # Fit parents before the hypotheses that are judged beside them.
         old = sorted((h for h in kept if h.fit.effects), key=lambda h: len(h.fit.effects))
         self.hopeless = {h.key for h in old if h.names in far}
         for h, optimum in zip(old, map_in_processes(one, old, self.context.jobs), strict=True):
@@ -493,7 +504,7 @@ class Search:
             self._refitted(h, optimum)
 
     def finish(self) -> None:
-        """Fit to its end what was hopeless beside others and is not beside those that are left."""
+        """Complete the fits of hypotheses that were interrupted and are no longer improbable."""
         context, noise_model = self.context, self.noise_model
 
         def one(h: Hypothesis) -> Optimum:
@@ -514,7 +525,7 @@ class Search:
                 self.hopeless.discard(h.key)
 
     def _refitted(self, h: Hypothesis, optimum: Optimum) -> None:
-        """Take up a hypothesis at another optimum, judged as before."""
+        """Replace a hypothesis by one at another optimum, judged as before."""
         fit = self.context.fitted(h.fit.effects, self.noise_model, optimum)
         parent = None if h.tried is None else self.pool.get(h.key - {id(h.tried.effect)})
         self.pool[h.key] = self.judged(fit, h.tried, parent)
@@ -522,7 +533,7 @@ class Search:
         self.null = self.pool[frozenset()]
 
     def weighed(self) -> Posterior:
-        """How likely each set of effects fitted so far is."""
+        """Return the posterior probability of each set of effects fitted so far."""
         found = [h for size in range(1, COMBINED + 1) for h in self.best(size)]
         return posterior.posterior(
             self._candidate(self.null),
@@ -532,17 +543,17 @@ class Search:
 
     @property
     def count(self) -> int:
-        """How many effects there are, at least one."""
+        """Return the number of effects, at least one."""
         return max(len({e.name for e in self.effects}), 1)
 
     @property
     def record(self) -> Record:
-        """How much there is to judge by."""
+        """Return the size of the data."""
         residuals = self.null.fit.residuals
         return Record(float(sum(len(r) for r in residuals)), self.context.folds.count, self.count)
 
     def _candidate(self, h: Hypothesis) -> Candidate:
-        # what each trial has for itself is one kind: cosine and sine are one amplitude
+        # The per-trial values of one parameter are one kind; cosine and sine are one amplitude.
         mine = [n for n in h.fit.labels if _belongs(n, h.fit.effects)]
         kinds = {n.split("/")[0] if "[" in n else n for n in mine}
         slow = None
@@ -552,20 +563,22 @@ class Search:
         return Candidate(h.names, h.score, h.inside, len(kinds), slow, self._alike(h))
 
     def _alike(self, h: Hypothesis) -> dict[str, float]:
-        """How much each effect of several changes the trials like another of them does."""
+        """Return the squared cosine between the change of each effect of a set and that of another one."""
         if len(h.names) < 2:
             return {}
         screened = {id(t.effect): t for t in self.screened(self.null).tried}
         mine = [(e.name, screened.get(id(e))) for e in h.fit.effects]
         found = dict.fromkeys(sorted(h.names), 0.0)
         for (one, first), (other, second) in combinations(mine, 2):
-            # of one that changes nothing by itself nothing is known
+            # Nothing is known of an effect that changes nothing by itself.
             cosine = 0.0 if first is None or second is None else self._cosine(first, second)
             found[one], found[other] = (max(found[n], cosine**2) for n in (one, other))
         return found
 
     def _cosine(self, first: Tried, second: Tried) -> float:
-        """Of what two effects change, the model's numbers projected out; kept while the noise stays."""
+        """Return the cosine between the changes of two effects, the model's parameters projected out;
+        cached.
+        """
         pair = frozenset((id(first), id(second)))
         if pair not in self._cosines:
             fit = self.null.fit
@@ -573,11 +586,11 @@ class Search:
         return self._cosines[pair]
 
     def likeliest(self, found: Posterior) -> Hypothesis:
-        """The hypothesis of the likeliest set, the model itself where there is none."""
+        """Return the hypothesis of the most probable set, or the model itself."""
         return next((h for h in self.best(len(found.best)) if h.names == found.best), self.null)
 
     def ranked(self, base: Hypothesis, hypotheses: Sequence[Hypothesis]) -> list[Refitted]:
-        """Hypotheses of one more effect than the base, best first."""
+        """Return hypotheses of one more effect than the base, best first."""
         found = []
         for h in sorted(hypotheses, key=lambda h: h.score):
             (last,) = [e for e in h.fit.effects if id(e) not in base.key]
@@ -585,7 +598,7 @@ class Search:
         return found
 
     def _tried(self, base: Hypothesis, h: Hypothesis, effect: Effect) -> Tried:
-        """An effect of a hypothesis as the screen sees it beside the others."""
+        """Return the screening result of an effect of a hypothesis beside its others."""
         if h.tried is not None and h.tried.effect is effect and base.key not in self.screens:
             return h.tried
         found = next((t for t in self.screened(base).tried if t.effect is effect), None)
@@ -598,12 +611,12 @@ class Search:
 
 
 def _belongs(label: str, effects: Sequence[Effect]) -> bool:
-    """Whether a number is one of some effects'."""
+    """Return whether a parameter belongs to one of some effects."""
     return label.split("/")[0] in {e.name for e in effects}
 
 
 def based(context: FitContext, noise_model: NoiseModel, begin: Array) -> Fit:
-    """The model itself, from known coefficients too where the start has left them far behind."""
+    """Fit the model itself, from the prior means as well if its start is far from them."""
     return context.fit(
         (),
         noise_model,
@@ -613,7 +626,7 @@ def based(context: FitContext, noise_model: NoiseModel, begin: Array) -> Fit:
 
 
 def context_of(given: FitContext, effects: Sequence[Effect]) -> tuple[FitContext, NoiseModel, Fit, Dropouts]:
-    """The trials without failed samples, the noise as the model alone leaves it, and its fit."""
+    """Return the context without failed samples, the noise as the model alone leaves it, and its fit."""
     fine, trials = given.model, given.trials
     start = [np.array([p.start for p in given.parameters])] * len(trials)
     model = coarser(fine, start, trials) or fine
@@ -623,7 +636,7 @@ def context_of(given: FitContext, effects: Sequence[Effect]) -> tuple[FitContext
     if dropouts.count:
         context = given.replaced(model, dropouts.without(trials))
         noise_model, fit = weigh(context)
-    # a coarse step may do at the start values, and not from where trials were found to begin
+    # A coarse step may be accurate at the start values, and not at the fitted start states.
     own = [fit.problem.vector(fit.theta, k) for k in range(len(context.trials))]
     if model is not fine and coarser(fine, own, context.trials) is None:
         context = given.replaced(fine, context.trials)
@@ -643,7 +656,7 @@ def run(
     checkpoint: Checkpoint | None = None,
     progress: Progress = silent,
 ) -> State:
-    """Everything up to the choice of causes, on the trials that take part in fits.
+    """Run the search up to the choice of causes, on the trials that take part in fits.
 
     Parameters
     ----------
@@ -687,7 +700,9 @@ def run(
 def chosen(
     search: Search, dropouts: Dropouts, allowed: Collection[int], most: int, progress: Progress = silent
 ) -> State:
-    """The likeliest set of causes: larger ones are tried as long as what is left could make one likelier."""
+    """Choose the most probable set of causes; larger sets are tried as long as the excess could make one
+    more probable.
+    """
     search.pool = {key: h for key, h in search.pool.items() if key <= set(allowed)}
     told: list[str] = []
     search.finish()
@@ -697,7 +712,8 @@ def chosen(
     while 0 < len(best.names) < min(most, count) and not search.out_of_time:
         size = len(best.names)
         loses = posterior.prior(size, count) - posterior.prior(size + 1, count)
-        # noise read off the best of all has what it leaves in it: so much as the screen promises may be left
+        # The noise estimated from the best of all includes what it leaves: as much as the screen promises may
+        # be left.
         left = found.excess[best.names] + max([0.0, *(t.gain for t in search.screened(best).tried)])
         if posterior.most(left, search.record) < loses:
             break
@@ -708,7 +724,7 @@ def chosen(
         larger = search.likeliest(search.lessened())
         if len(larger.names) == size:
             break
-        # the noise is what the larger set leaves
+        # The noise is what the larger set leaves.
         keep = {h.key for n in range(1, size + 2) for h in search.best(n)[:PARENTS]}
         keep |= {larger.key - {k} for k in larger.key} | {larger.key, best.key, frozenset()}
         search.pool = {key: h for key, h in search.pool.items() if key in keep}
@@ -730,7 +746,7 @@ def chosen(
 
 
 def _told(smaller: frozenset[str], larger: frozenset[str], found: Posterior) -> str:
-    """What a larger set was worth."""
+    """Return in words the evidence for a larger set."""
     first, second = (
         f"{' with '.join(sorted(n))} ({found.sets.get(n, 0.0):.2g}, leaving {found.excess.get(n, 0.0):.3g})"
         for n in (smaller, larger)
@@ -739,7 +755,7 @@ def _told(smaller: frozenset[str], larger: frozenset[str], found: Posterior) -> 
 
 
 def rounds(search: Search, best: Hypothesis, found: Posterior, dropouts: Dropouts, told: list[str]) -> State:
-    """What was found, cause by cause: each beside the others, with its rivals there."""
+    """Arrange the result cause by cause: each beside the others, with its rivals."""
     best = in_parameters(search, best, found)
     null = search.null
     ones = search.best(1)
@@ -762,15 +778,15 @@ def rounds(search: Search, best: Hypothesis, found: Posterior, dropouts: Dropout
             if effect.adds_to is not None and _same_change(search, found, base, ranked[0].tried, r.tried)
         )
         state.rounds.append(Round(ranked, same))
-    # a changed parameter comes first, as it needs no further physics
+    # A changed parameter comes first, because it needs no further physics.
     state.rounds.sort(key=lambda r: (r.ranked[0].tried.effect.adds_to is None, -r.ranked[0].gain))
     return state
 
 
 def in_parameters(search: Search, best: Hypothesis, found: Posterior) -> Hypothesis:
-    """Return a hypothesis in which each effect that does the same as a changed parameter is that parameter.
+    """Return a hypothesis in which each effect equal to a changed parameter is replaced by that parameter.
 
-    The value of a parameter that the model has anyway needs no further physics.
+    A parameter that the model already has needs no further physics.
     """
     for effect in best.fit.effects:
         if effect.adds_to is not None:
@@ -791,7 +807,7 @@ def in_parameters(search: Search, best: Hypothesis, found: Posterior) -> Hypothe
 def _same_change(search: Search, found: Posterior, base: Hypothesis, first: Tried, second: Tried) -> bool:
     """Return whether two effects change the trials alike beside a hypothesis.
 
-    What they leave then differs by no more than noise, too.
+    Their residuals then also differ by no more than noise.
     """
     left = [found.excess.get(base.names | {t.effect.name}, np.inf) for t in (first, second)]
     if not abs(left[0] - left[1]) <= found.no_evidence:

@@ -1,4 +1,4 @@
-"""What was set in trials: in words, which of them repeat a setting, and how many settings there are."""
+"""Describe the settings of trials, and find repeats."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from swimid.logs.log import FREQUENCY_RTOL
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number that was set.
+    """A quantity that was set.
 
     Attributes
     ----------
     against : float
-        What it is small or large against: itself, a bias the amplitude about it.
+        Reference for a relative difference: the value itself, or for a bias the amplitude about it.
     digits : int
-        Worth telling.
+        Number of significant digits.
     """
 
     value: float
@@ -34,13 +34,15 @@ class Quantity:
         return f"{self.value:.{self.digits}g} {self.unit}"
 
     def same(self, other: Quantity) -> bool:
-        """Whether they differ by less than a stated beat may from that of the log."""
+        """Return whether two values differ by less than a stated beat may differ from that of the log."""
         size = max(abs(self.value), abs(other.value), self.against, other.against)
         return abs(self.value - other.value) <= FREQUENCY_RTOL * size
 
 
 def quantities(trial: Trial) -> dict[str, Quantity | str]:
-    """What was set in a trial, by its name; of joints that follow a log, the beat found in their motion."""
+    """Return the settings of a trial by name; for joints that follow a log, the beat found in their
+    motion.
+    """
     found: dict[str, Quantity | str] = {}
     swim = trial.swim
     if swim.beat is not None:
@@ -77,7 +79,7 @@ def _beaten(
 
 
 def _logged(trial: Trial) -> dict[str, Quantity | str]:
-    """Of the joint that moves most; nothing where it does not beat."""
+    """Return the beat of the joint that moves most; empty if it does not beat."""
     angles = [motion(trial.time_s)[0] for motion in trial.swim.joints or ()]
     largest = max(angles, key=lambda angle: float(np.std(angle)), default=np.zeros(0))
     beat = find_beat(trial.time_s, largest)
@@ -85,7 +87,7 @@ def _logged(trial: Trial) -> dict[str, Quantity | str]:
 
 
 def _steady(trial: Trial) -> tuple[float, float]:
-    """Frequency (Hz) and amplitude (rad) of a single run's steady beat; NaN without one."""
+    """Return frequency (Hz) and amplitude (rad) of a single run's steady beat; NaN without one."""
     frequency_hz, amplitude_rad = trial.steady
     return (
         (float(frequency_hz[0]), float(amplitude_rad[0])) if len(frequency_hz) == 1 else (math.nan, math.nan)
@@ -93,23 +95,24 @@ def _steady(trial: Trial) -> tuple[float, float]:
 
 
 def words(trial: Trial) -> dict[str, str]:
-    """What was set in a trial, in words."""
+    """Return the settings of a trial in words."""
     return {name: str(value) for name, value in quantities(trial).items()}
 
 
 def repeated(trial: Trial) -> str:
-    """What was set in a trial, the same text for repeats: runs that are alike sample by sample but for what
-    differs by chance.
+    """Return the settings of a trial as a text that is equal for repeats.
+
+    Repeats are equal sample by sample except for random effects.
     """
     swim = trial.swim
     parts = [] if swim.beat is None else [repr(swim.beat)]
     parts += [trial.cruise.fin] if trial.cruise.fin else []
     if swim.stroke is not None:
         own = swim.stroke
-        # the law is that of the robot
+        # The law is that of the robot.
         parts.append(repr((own.name, own.frequency_hz, own.scale, own.ramp_s, own.cycles, own.phase_rad)))
     if swim.joints is not None and swim.commanded:
-        # a command that was played again is the same to the last digit
+        # A command that was played again is equal to the last digit.
         parts.append(repr([motion(trial.time_s)[0].tobytes() for motion in swim.joints]))
     known = {**_drop(trial), **dict(zip(("frequency_hz", "amplitude_rad"), _steady(trial), strict=True))}
     parts += [f"{name}={value:.6g}" for name, value in known.items() if not math.isnan(value)]
@@ -119,9 +122,9 @@ def repeated(trial: Trial) -> str:
 
 
 def count(trials: Sequence[Trial]) -> int:
-    """How many settings there are: of one, nothing is tested at another.
+    """Return the number of settings.
 
-    Trials of which nothing is known that was set are a setting each, but for a command that was played again.
+    Trials without known settings count as one setting each, except for a command that was played again.
     """
     kinds: list[dict[str, Quantity | str]] = []
     unknown: set[str] = set()
@@ -139,7 +142,7 @@ def count(trials: Sequence[Trial]) -> int:
 
 
 def _drop(trial: Trial) -> dict[str, float]:
-    """Of a body that a known force pulls: that, what is moved, and its drag area."""
+    """Return force, moving mass and drag area of a body that a known force pulls."""
     rig = trial.rig
     if rig.force is None:
         return {}

@@ -1,4 +1,4 @@
-"""How far the gap shrinks on held-out data: validation trials, or by cross-validation."""
+"""Compute how far the gap shrinks on held-out data: validation trials, or cross-validation."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from swimid.fitting.model import Array, Model, Trial
 
 #: Relative tolerance of the search for a held-out trial's start state.
 TOLERANCE = 1e-4
-#: Resamples of trials for the interval.
+#: Number of bootstrap resamples of trials.
 RESAMPLES = 1000
 
-#: Of a squared gap causes close the greater part.
+#: Share of a squared gap that causes must close.
 MOST = 0.5
-#: Error of a held-out sample whose simulation broke down, in its channel's unit or in units of the noise.
+#: Error of a held-out sample whose simulation diverged, in its channel's unit or in units of the noise.
 WORST = 1e6
-#: A simulation this many times its channel's range away from a trial broke down.
+#: A simulation this many times its channel's range away from a trial has diverged.
 ASTRAY = 10.0
 
 
@@ -47,22 +47,22 @@ class Piece:
     after: Array
 
     def seen(self, values: Array) -> Array:
-        """Those of some values at which something was measured."""
+        """Return the values at measured samples."""
         return values[np.isfinite(self.measured)]
 
     def squares(self, simulated: Array, unit: float = 1.0) -> Array:
-        """Squared errors of a simulation; one that broke down is as wrong as can be."""
+        """Return squared errors of a simulation; a diverged one has the largest error."""
         errors = self.seen(self.measured - simulated) / unit
         return np.minimum(np.nan_to_num(errors**2, nan=WORST**2), WORST**2)
 
 
 def _range(found: Sequence[Piece]) -> float:
-    """Of a channel that no fitted trial has; 1 where it is none."""
+    """Return the range of a channel that no fitted trial has; 1 if undefined."""
     return float(np.ptp(np.concatenate([p.seen(p.measured) for p in found]))) or 1.0
 
 
 def by_channel(found: Sequence[Piece]) -> dict[str, list[Piece]]:
-    """The pieces of each channel."""
+    """Return the pieces of each channel."""
     parts: dict[str, list[Piece]] = {}
     for p in found:
         parts.setdefault(p.channel, []).append(p)
@@ -70,7 +70,9 @@ def by_channel(found: Sequence[Piece]) -> dict[str, list[Piece]]:
 
 
 def _own_start(model: Model, shared: Mapping[str, float], trial: Trial, sd: Mapping[str, float]) -> Array:
-    """Full parameter vector of a trial: shared numbers as given, its start state from itself."""
+    """Return the full parameter vector of a trial: shared parameters as given, its start state fitted to
+    itself.
+    """
     parameters = tuple(
         p if p.per_trial else replace(p, start=shared.get(p.name, p.start)) for p in model.parameters
     )
@@ -80,7 +82,7 @@ def _own_start(model: Model, shared: Mapping[str, float], trial: Trial, sd: Mapp
 
 
 def _numbers(fit: Fit, theta: Array, of: int | None = None) -> dict[str, float]:
-    """A fit's numbers that all trials share, or those of one trial, by name."""
+    """Return a fit's shared parameters, or those of one trial, by name."""
     return {
         label.split("[")[0]: float(v)
         for label, (_, owner), v in zip(fit.labels, fit.problem.slots, theta, strict=True)
@@ -99,12 +101,12 @@ def pieces(
     *,
     step: Callable[[], None] = lambda: None,
 ) -> list[Piece]:
-    """Held-out predictions before and after: of validation trials, else of each fold in turn.
+    """Return held-out predictions before and after: of validation trials, or of each fold in turn.
 
     Parameters
     ----------
     before, after : Fit
-        Nominal model refitted, and with its causes; on all trials of the context.
+        Refitted model without and with its causes; on all trials of the context.
     sd : mapping of channel to float
         Noise, for the start states of held-out trials.
     shipped : mapping of name to float
@@ -138,7 +140,7 @@ def pieces(
 
 
 def _average(context: FitContext, fit: Fit, without: Collection[str]) -> Model:
-    """The model of a fit for a trial of which nothing is known but that it is like the others."""
+    """Return the model of a fit for a new trial, with random effects at their mean."""
     model = copy.copy(context.affected(fit.acting))
     centre = fit.centre(without)
     model.parameters = tuple(
@@ -155,7 +157,9 @@ def _whole(
     sd: Mapping[str, float],
     near: Sequence[Trial] = (),
 ) -> list[Piece]:
-    """As given, before and after, each from the start state that fits the trial best."""
+    """Return the predictions as given, before and after, each from the start state that fits the trial
+    best.
+    """
     first, last = near or (trial, trial)
     runs = [
         m.simulate(_own_start(m, values, begun, sd), trial)
@@ -169,7 +173,7 @@ def _whole(
 
 
 def _near(trial: Trial, k: int, fit: Fit) -> Trial:
-    """The trial, with the start state a fit found for it as where a search begins."""
+    """Return the trial with the start state of a fit as the start of a search."""
     return replace(trial, starts={**trial.starts, **_numbers(fit, fit.theta, k)})
 
 
@@ -181,7 +185,7 @@ def _stretch(
     vectors: Sequence[Array],
     shipped: Mapping[str, float],
 ) -> list[Piece]:
-    """As given, before and after, in the samples of a trial that belong to a fold."""
+    """Return the predictions as given, before and after, in the samples of a trial that belong to a fold."""
     trial, inside, (nominal, model) = context.trials[k], context.folds.owner[k] == fold, models
     as_given = vectors[0].copy()
     for i, p in enumerate(nominal.parameters):
@@ -209,23 +213,23 @@ def shrinkages(
     *,
     rng: np.random.Generator,
 ) -> list[Shrinkage]:
-    """Before, after, floor and closed share of each channel, with a bootstrap interval over trials, expanded
-    as few of them need [1]_.
+    """Return before, after, floor and closed share of each channel, with a bootstrap interval over trials
+    [1]_.
 
     Parameters
     ----------
     floors : mapping of channel to float
-        Noise, in the channel's unit; of a channel that no fitted trial has it is not known.
+        Noise, in the channel's unit; unknown for a channel that no fitted trial has.
     noise : mapping of channel to mapping of trial to (float, int)
-        What each fitted trial adds to the squared noise, up to a factor, and its samples. It is resampled by
-        itself: a few trials do not tell the noise for sure, and errors are no lower where it is.
+        Contribution of each fitted trial to the squared noise, up to a factor, and its number of samples. It
+        is resampled separately, because a few trials do not determine the noise well.
     ranges : mapping of channel to float
-        Measured range of the fitted trials, in the channel's unit, which errors are given as shares of.
+        Measured range of the fitted trials, in the channel's unit, for relative errors.
 
     References
     ----------
     .. [1] T. C. Hesterberg, "What teachers should know about the bootstrap", The American Statistician 69(4),
-       2015, section 5.2: of few it is too narrow, as a normal distribution is beside Student's.
+       2015, section 5.2: with few trials it is too narrow, as a normal distribution is beside Student's.
     """
     result = []
     for channel, mine in by_channel(found).items():
@@ -242,7 +246,7 @@ def shrinkages(
         roots = np.sqrt(drawn[:, 1:3] / drawn[:, 3:]) / size
         known_noise = noise.get(channel, {})
         levels = floor * _resampled(known_noise, len(picks), len(known_noise), rng)
-        # the noise that trials really have which took part in no fit, of which that of the others tells
+        # True noise of the held-out trials, of which that of the fitted trials is an estimate.
         levels *= _resampled(known_noise, len(picks), sum(t not in known_noise for t in trials), rng)
         shares = [closed(b, a, f) for (b, a), f in zip(roots, levels, strict=True)]
         known = [s for s in shares if math.isfinite(s)] if len(trials) > 1 else []
@@ -266,8 +270,9 @@ def shrinkages(
 
 
 def widened(count: int) -> float:
-    """By how much a bootstrap interval over so many trials is too narrow: the 97.5 % point of Student's
-    distribution with its standard error, over that of a normal one.
+    """Return the factor by which a bootstrap interval over few trials is too narrow.
+
+    It is the 97.5 % point of Student's distribution with its standard error, over that of a normal one.
     """
     return float(math.sqrt(count / (count - 1)) * special.stdtrit(count - 1, 0.975) / special.ndtri(0.975))
 
@@ -275,7 +280,7 @@ def widened(count: int) -> float:
 def _resampled(
     noise: Mapping[str, tuple[float, int]], count: int, trials: int, rng: np.random.Generator
 ) -> Array:
-    """The noise of so many resampled trials over that of all, shape (count,)."""
+    """Return the noise of resampled trials over that of all, shape (count,)."""
     if len(noise) < 2 or not trials:
         return np.ones(count)
     each = np.array(list(noise.values()))
@@ -285,7 +290,7 @@ def _resampled(
 
 
 def sound(found: Sequence[Piece]) -> bool:
-    """Whether no held-out trial breaks down with the causes that did not break down without them."""
+    """Return whether no held-out trial diverges with the causes that did not diverge without them."""
     for mine in by_channel(found).values():
         values = np.concatenate([p.seen(p.measured) for p in mine])
         for p in mine:
@@ -297,12 +302,12 @@ def sound(found: Sequence[Piece]) -> bool:
 
 
 def better(found: Sequence[Sequence[Piece]], floors: Mapping[str, float]) -> list[Piece]:
-    """Of several predictions of the same samples that before which errs least, and that after.
+    """Return of several predictions of the same samples the one with the smallest error before, and after.
 
     Parameters
     ----------
     floors : mapping of channel to float
-        Noise, by which channels are weighed.
+        Noise, the weight of channels.
     """
 
     def least(which: str) -> Sequence[Piece]:
@@ -313,7 +318,9 @@ def better(found: Sequence[Sequence[Piece]], floors: Mapping[str, float]) -> lis
 
 
 def capped(floors: Mapping[str, float], found: Sequence[Piece]) -> dict[str, float]:
-    """Noise of each channel, no more than the errors without or with the causes: noise is in these, too."""
+    """Return the noise of each channel, limited by the errors without or with the causes, which contain
+    it.
+    """
     result = dict(floors)
     for channel, mine in by_channel(found).items():
         for which in ("before", "after"):
@@ -324,8 +331,9 @@ def capped(floors: Mapping[str, float], found: Sequence[Piece]) -> dict[str, flo
 
 
 def gained(found: Sequence[Piece], floors: Mapping[str, float]) -> tuple[Array, float]:
-    """Return by how much the causes lower the squared errors of each held-out trial, shape (trials,), and how
-    much of all these errors is gap, in units of the noise.
+    """Return the decrease of the squared errors of each held-out trial, shape (trials,), and the total gap.
+
+    Both are in units of the noise.
     """
     lowered: dict[str, float] = {}
     gap = 0.0
@@ -337,18 +345,18 @@ def gained(found: Sequence[Piece], floors: Mapping[str, float]) -> tuple[Array, 
 
 
 def chance(each: Array) -> float:
-    """Return what a sum over trials must exceed to be above zero at 95 % (Student); 0 of a single trial."""
+    """Return what a sum over trials must exceed to be above zero at 95 % (Student); 0 for a single trial."""
     n = len(each)
     return float(special.stdtrit(n - 1, 0.95) * np.sqrt(n * np.var(each, ddof=1))) if n > 1 else 0.0
 
 
 def _errors(piece: Piece, which: str, floors: Mapping[str, float]) -> Array:
-    """Squared errors of a prediction, in units of the noise; none where that is not known."""
+    """Return squared errors of a prediction, in units of the noise; none if the noise is unknown."""
     return piece.squares(getattr(piece, which), max(floors.get(piece.channel, math.inf), 1e-300))
 
 
 def closed(before: float, after: float, floor: float) -> float:
-    """``(before - after) / (before - floor)``; NaN where there is no gap to close."""
+    """Return ``(before - after) / (before - floor)``; NaN without a gap."""
     gap = before - floor
     return float((before - after) / gap) if gap > 0.02 * max(before, 1e-300) else math.nan
 

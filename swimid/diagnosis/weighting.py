@@ -1,4 +1,4 @@
-"""How residuals are weighted: noise, its colour, and what differs from trial to trial."""
+"""Estimate the weights of residuals: noise, its autocorrelation, and between-trial variation."""
 
 from __future__ import annotations
 
@@ -17,18 +17,19 @@ from swimid.effects.base import Effect
 from swimid.fitting import noise as sample_noise
 from swimid.fitting.model import Array
 
-#: Rounds of weighting by the residuals before anything is tried.
+#: Number of rounds of reweighting before any effect is tried.
 WEIGHTINGS = 2
-#: Relative tolerance of the cost meanwhile, and steps.
+#: Relative tolerance of the cost, and maximum number of steps, meanwhile.
 COARSE, FEW = 1e-3, 8
-#: Trials that differ by this many times their spread show that it is larger; so often it is read anew.
+#: Trials that differ by more than this many standard deviations show that it is larger; maximum number of re-
+#: estimates.
 STRAINED, SETTLINGS = 2.0, 3
-#: Trials shorter than so many samples do not tell how noise is coloured.
+#: Trials with fewer samples do not determine the autocorrelation of the noise.
 SHORT = 20
 
 
 def weigh(context: FitContext) -> tuple[NoiseModel, Fit]:
-    """The nominal model refitted with weights from its own residuals."""
+    """Refit the nominal model with weights from its own residuals."""
     problem = context.problem(())
     sample_noise.weigh_first(problem, False)
     noise_model = NoiseModel([list(sds) for sds in problem.sd])
@@ -40,7 +41,7 @@ def weigh(context: FitContext) -> tuple[NoiseModel, Fit]:
         noise_model = NoiseModel([list(sds) for sds in problem.sd])
         fit = context.fit((), noise_model, [fit.theta], tolerance=COARSE, warm=fit)
     counted = {c for t in context.trials if np.any(t.time_sd_s) for c in t.measured}
-    # weights are in multiples of the known error
+    # Weights are multiples of the known error.
     rounding = {c: 1.0 / factor for c, (factor, _) in previous.items() if c in counted and factor > 0}
     return replace(noise_model, rounding=rounding), fit
 
@@ -48,7 +49,7 @@ def weigh(context: FitContext) -> tuple[NoiseModel, Fit]:
 def random_effect_columns(
     context: FitContext, fit: Fit, effects: Sequence[Effect]
 ) -> tuple[list[Array], list[RandomEffect]]:
-    """Changes of each trial, per typical size, by what may differ from trial to trial.
+    """Return the changes of each trial by possible random effects, per typical size.
 
     Returns
     -------
@@ -88,17 +89,17 @@ def see(
     common: int | None = None,
     cautious: bool = False,
 ) -> tuple[NoiseModel, list[RandomEffect]]:
-    """The noise model as some residuals show the noise: colour first, then random effects of trials.
+    """Return the noise model of some residuals: first the autocorrelation, then random effects.
 
     Parameters
     ----------
     residuals : sequence of ndarray, shape (n_k,)
-        Weighted, with all that differs from trial to trial still in them.
+        Weighted, between-trial variation included.
     unknowns : float
-        Numbers fitted to them.
+        Number of parameters fitted to them.
     common : int, optional
-        Of these, effects that all trials share; without it random effects are left out, as they would
-        hide what no effect has yet been tried on.
+        Number of these that are effects shared by all trials. Without it random effects are left out, because
+        they would hide what no effect has been tried on yet.
     cautious : bool
         As in :func:`swimid.diagnosis.random_effects.spread`.
 
@@ -106,15 +107,17 @@ def see(
     -------
     noise_model : NoiseModel
     kinds : list of RandomEffect
-        What may differ, with the spread the trials show: the noise model has as much of it as may be chance.
+        Possible random effects with their estimated standard deviations; the noise model has as much of them
+        as may be chance.
     """
     problem = fit.problem
     plain = replace(noise_model, random_effects=(), long_memory=None)
     if not tells_noise(context):
-        # few trials do not tell what is slow in noise from a gap
+        # Few trials do not separate slow noise from a gap.
         whole = coloured(problem, residuals, plain, unknowns=unknowns)
         return replace(brief(whole, problem, residuals, list(whole.colour)), long_memory=whole), []
-    # the colour is that of what no trim, gain or clock of a single trial explains: those come after it
+    # The autocorrelation is that of what no trim, gain or clock of a single trial explains. Those come after
+    # it.
     columns, kinds = random_effect_columns(context, fit, effects)
     still = nuisance_residuals(fit, residuals, columns)
     noise_model = coloured(problem, still, plain, unknowns=unknowns + len(kinds) * len(residuals))
@@ -138,15 +141,15 @@ def see(
 
 
 def settled(context: FitContext, leading: Fit, noise_model: NoiseModel) -> NoiseModel:
-    """The noise model with spreads that hold once the model is fitted with them.
+    """Return the noise model with standard deviations that stay when the model is fitted with them.
 
-    A spread read off residuals, to first order, may be far too small: what differs between trials then goes
-    into the coefficients, and effects seem to bring them back.
+    A standard deviation estimated from residuals to first order may be far too small. Between-trial variation
+    then goes into the coefficients, and effects seem to correct them.
 
     Parameters
     ----------
     leading : Fit
-        The model with the likeliest effect.
+        The model with the most probable effect.
     """
     for _ in range(SETTLINGS):
         if not noise_model.random_effects:
@@ -163,6 +166,6 @@ def settled(context: FitContext, leading: Fit, noise_model: NoiseModel) -> Noise
 
 
 def tells_noise(context: FitContext) -> bool:
-    """Whether there are trials enough to tell what differs between them by chance."""
+    """Return whether there are enough trials to estimate the between-trial variation."""
     short = all(sum(int(m.sum()) for m in masks) < SHORT for masks in context.shape.masks)
     return context.folds.whole and len(context.trials) >= FEWEST and not short

@@ -17,7 +17,6 @@ class TrackImuOptions(
     argument="IMU",
     output="The log, CSV or Parquet by its ending.",
     required=True,
-    page="imu.md",
 ):
     """Compute velocity, position and attitude from an inertial recording, with their bands.
 

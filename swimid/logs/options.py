@@ -119,7 +119,6 @@ class PlotOptions(
     output="The picture: .html, .svg or .png.",
     required=True,
     beside=(),
-    page="import.md",
 ):
     """Draw logs: channels, track from above, spectra; several over each other.
 

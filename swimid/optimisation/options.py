@@ -48,7 +48,6 @@ class MapOptions(
     function="performance_map",
     argument="",
     output="Map file to write (YAML).",
-    page="optimise.md",
 ):
     r"""Map speed, cost of transport and turning over a grid of gaits.
 
@@ -81,7 +80,6 @@ class OptimiseStiffnessOptions(
     section="Put to work",
     argument="",
     output="Rule file to write (YAML).",
-    page="optimise.md",
 ):
     r"""Find the best stiffness of a passive joint over frequency and amplitude.
 
@@ -131,7 +129,6 @@ class OptimiseGaitOptions(
     section="Put to work",
     argument="",
     output="Gait file to write (YAML).",
-    page="optimise.md",
 ):
     r"""Find the best gait within limits.
 

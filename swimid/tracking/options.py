@@ -25,7 +25,6 @@ class TrackVideoOptions(
     output="The log, CSV or Parquet by its ending.",
     required=True,
     beside=(".evidence.json", ".png"),
-    page="tracking.md",
 ):
     """Track coloured markers in a video: a log of pose and speeds.
 
@@ -107,7 +106,6 @@ class TrackSetupOptions(
     output="The setup file to write.",
     required=True,
     beside=(".markers.png",),
-    page="tracking.md",
 ):
     """Draft a setup from a video: propose markers, draw them, write a YAML file to edit.
 
