@@ -125,7 +125,7 @@ def estimate_spread(own: OwnValues) -> Spread:
         return Spread(0.0, 0.0, 1.0)
     sd = math.sqrt(between)
     information = float(np.sum((variances + between) ** -2.0))
-    error = math.sqrt(2.0 / information) / (2.0 * sd) if information > 0 else 0.0
+    error = math.sqrt(2.0 / information) / (2.0 * sd)
     # a spread of zero is at the edge of the possible: half of a chi-square distribution (Self and Liang 1987)
     return Spread(sd, error, 0.5 * float(special.chdtrc(1, max(gain, 0.0))))
 
@@ -206,7 +206,7 @@ def fit_random_effect(
     NoTrustworthyResult
         If a fit does not converge.
     """
-    now, last = result if near is None else replace(near, trials=result.trials), 0.0
+    now, last = replace(near or result, trials=result.trials), 0.0
     found = Spread(0.0, 0.0, 1.0)
     rounds: list[FitResult] = []
     for _ in range(MAX_SPREAD_ITERATIONS):

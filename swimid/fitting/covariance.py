@@ -215,8 +215,8 @@ class Combination:
                 label = f"{label}/({self.divisors[label]})"
             factor = f"{abs(weight):.2g} ".removeprefix("1 ")
             terms += f"{' - ' if weight < 0 else ' + '}{factor}{label}"
-        first = "-" if terms.startswith(" - ") else ""
-        return f"{first}{terms[3:]} = {numbers.measured(self.value, self.stderr, self.unit)}"
+        terms = f"{terms[1]}{terms[3:]}".removeprefix("+")
+        return f"{terms} = {numbers.measured(self.value, self.stderr, self.unit)}"
 
 
 def unidentifiable(result: FitResult) -> list[str]:
@@ -270,7 +270,7 @@ def combinations(result: FitResult) -> list[Combination]:
         if not alike:
             # each is divided by its size, rounded so that the sum can be computed from its words
             short = [f"{s:.2g}" for s in size]
-            words = [t if unit == "1" else f"{t} {unit}" for t, unit in zip(short, units, strict=True)]
+            words = [f"{t} {unit}".removesuffix(" 1") for t, unit in zip(short, units, strict=True)]
             counted, divisors = np.array([float(t) for t in short]), dict(zip(group, words, strict=True))
         weights = direction * counted / size
         one = float(weights[np.argmax(np.abs(weights))])

@@ -317,7 +317,7 @@ def _outliers(result: FitResult, channel: str) -> ev.Check | None:
 
 def _whiteness(result: FitResult, channel: str) -> ev.Check:
     """Test the residuals of a channel for whiteness."""
-    test = ljung_box(_weighted(result, channel), fitted=0)
+    test = ljung_box(_weighted(result, channel))
     p = blocks.p_text(test.p_value)
     name, reason = f"white residuals, {channel}", f"residuals are not white in {channel} ({p})"
     text = "" if test.passed else "the model may miss an effect; the standard errors account for it"
@@ -362,7 +362,7 @@ def error_checks(result: FitResult, roles: Sequence[str] = ("fit", "validate")) 
     found = []
     for role in roles:
         known = {name: score for name, score in scores(result, role).items() if name in result.noise}
-        white = [name for name in known if ljung_box(_weighted(result, name, role), fitted=0).passed]
+        white = [name for name in known if ljung_box(_weighted(result, name, role)).passed]
         found += metrics.error_checks(known, fitted=result.noise, noise=white, held_out=role == "validate")
     return found
 

@@ -339,8 +339,8 @@ class _Search:
     def stay(self) -> None:
         """Take the start as the answer, and let the weights settle there."""
         noise_model.weigh_first(self.problem, self.equal)
-        for _ in range(0 if self.equal else MAX_NOISE_ITERATIONS):
-            if self._reweigh() < WEIGHT_RTOL:
+        for _ in range(MAX_NOISE_ITERATIONS):
+            if self.equal or self._reweigh() < WEIGHT_RTOL:
                 break
         self.converged, self.message = True, "no search: the point was given"
 
