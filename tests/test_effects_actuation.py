@@ -325,7 +325,7 @@ class TestAverageModels:
         model, trial = recoil()
         double = Hooks(stroke=(lambda s: Stroke(s.frequency_hz, s.amplitude_rad, 8 * s.thrust),))
         nominal = model.simulate(starts(model), trial)[SPEED]
-        # a stroke that says nothing of the fin's inertia leaves no answer
+        # without the inertia of the fin there is no answer
         assert np.isnan(model.hooked(starts(model), trial, double)[SPEED]).all()
         double = Hooks(stroke=(lambda s: replace(s, thrust=8 * s.thrust),))
         np.testing.assert_allclose(model.hooked(starts(model), trial, double)[SPEED], 2 * nominal, rtol=1e-12)

@@ -376,7 +376,7 @@ class TestBounds:
             if held.value("root") == 0.0:
                 landed += 1
                 assert held.status["root"] == "at-bound"
-        # each seed lands with probability one half
+        # each seed ends at the bound with probability one half
         assert landed > 0
 
 

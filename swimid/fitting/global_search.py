@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 from collections.abc import Callable, Sequence
@@ -76,51 +77,43 @@ def multistart(
     problem = Problem(model, parameters, [t for t in trials if t.role == "fit"])
     rng = np.random.default_rng(seed)
     low, high = problem.search_range()
-    given = [problem.start] if begins is None else list(begins)
-    best: FitResult | None = None
-    ends: list[Start] = []
-    failure: NoTrustworthyResult | None = None
+    given = list(begins or [problem.start])
     results: list[FitResult] = []
+    ends: list[Start] = []
+    failures: list[NoTrustworthyResult] = []
     with progress("starts", total=starts) as step:
         for k in range(starts):
             begin = given[k] if k < len(given) else rng.uniform(low, high)
+            found = first if k == 0 else None
             try:
-                if first is not None and k == 0:
-                    found = first
-                else:
-                    found = output_error.fit(
-                        model, trials, parameters=parameters,
-                        jobs=jobs, loss=loss, begin=begin, tested=False, unfinished=True,
-                    )  # fmt: skip
+                found = found or output_error.fit(
+                    model, trials, parameters=parameters,
+                    jobs=jobs, loss=loss, begin=begin, tested=False, unfinished=True,
+                )  # fmt: skip
             except KeyboardInterrupt:
-                if best is None:
+                if not results:
                     raise
                 break
             except NoTrustworthyResult as error:
-                failure = failure or error
+                failures.append(error)
                 ends.append(Start(begin, np.full(len(begin), np.nan), math.inf, False))
             else:
                 ends.append(Start(begin, found.estimate, found.cost, found.converged))
                 results.append(found)
-                if best is None or _is_better(found, best):
-                    best = found
                 if found.interrupted:
                     break
             step()
-            if best is not None:
-                show(step, f"least cost {best.cost:.5g}, reached {agreeing(ends)} times")
-    if best is None:
-        assert failure is not None
-        raise failure
-    threads = jobs or os.cpu_count() or 1
-    found = best
-    if best.converged:
-        found = output_error.check_by_restarts(best, jobs=threads)
+            least = min((end.cost for end in ends), default=math.inf)
+            show(step, f"least cost {least:.5g}, reached {agreeing(ends)} times")
+    if not results:
+        raise failures[0]
+    best = functools.reduce(_better, results)
     others = [r for r in results if r is not best]
-    evaluations = found.evaluations + sum(r.evaluations for r in others)
-    return replace(
-        found, evaluations=evaluations, jacobians=found.jacobians + sum(r.jacobians for r in others)
-    ), ends
+    if best.converged:
+        best = output_error.check_by_restarts(best, jobs=jobs or os.cpu_count() or 1)
+    evaluations = best.evaluations + sum(r.evaluations for r in others)
+    jacobians = best.jacobians + sum(r.jacobians for r in others)
+    return replace(best, evaluations=evaluations, jacobians=jacobians), ends
 
 
 def agreeing(ends: Sequence[Start]) -> int:
@@ -136,11 +129,11 @@ def agreeing(ends: Sequence[Start]) -> int:
     return sum(e.cost <= least * (1 + SAME) for e in ends)
 
 
-def _is_better(found: FitResult, best: FitResult) -> bool:
-    """Whether a fit is better than the best one so far: lower, or as low and converged."""
-    if max(found.cost, best.cost) <= min(found.cost, best.cost) * (1 + SAME):
-        return (not found.converged, found.cost) < (not best.converged, best.cost)
-    return found.cost < best.cost
+def _better(best: FitResult, other: FitResult) -> FitResult:
+    """Return the better of two fits: the lower one, or of the same minimum one that converged."""
+    if max(other.cost, best.cost) <= min(other.cost, best.cost) * (1 + SAME):
+        return min(best, other, key=lambda result: (not result.converged, result.cost))
+    return min(best, other, key=lambda result: result.cost)
 
 
 def select_subset(
