@@ -134,6 +134,7 @@ class Problem:
         self._simulated: dict[bytes, list[dict[str, Array]]] = {}
         self._slopes: tuple[Array, bool, list[Array]] | None = None
         self._held: dict[str, list[Array]] = {}
+        self._weights: dict[int, tuple[list[Array], Array]] = {}
         self._typical_s = math.inf
 
     @property
@@ -291,7 +292,13 @@ class Problem:
 
     def sample_weights(self, k: int) -> Array:
         """Return the factor from error to weighted residual of each sample of a trial, shape (n_k,)."""
-        return self.at_samples(k, [d / sd for d, sd in zip(self.damping[k], self.sd[k], strict=True)])
+        parts = [*self.damping[k], *self.sd[k]]
+        known = self._weights.get(k)
+        # computed again only if an array was replaced
+        if known is None or any(a is not b for a, b in zip(known[0], parts, strict=True)):
+            each = [d / sd for d, sd in zip(self.damping[k], self.sd[k], strict=True)]
+            known = self._weights[k] = parts, self.at_samples(k, each)
+        return known[1]
 
     def stacked(self, k: int, series: Mapping[str, Array]) -> Array:
         """Return the values of channels at the samples of a trial, in the order of its residuals."""
