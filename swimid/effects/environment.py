@@ -578,7 +578,9 @@ def _simulated(model: Model, trial: Trial, channel: str) -> Array:
     )
     with np.errstate(all="ignore"):
         series = model.simulate(values, trial).get(channel)
-    return series if series is not None and np.isfinite(series).all() else np.zeros(len(trial.time_s))
+    if series is None or not np.isfinite(series).all():
+        return np.zeros(len(trial.time_s))
+    return series
 
 
 def lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:

@@ -210,8 +210,10 @@ class ClockRate(Effect):
 
     def variants(self, model: Model, trials: Trials) -> Effects:
         """Return the clock of the log, and the camera's alone if it has its own."""
-        alone = [ClockRate(camera=True)] if common.has_camera_clock(model, trials) else []
-        return [*super().variants(model, trials), *alone]
+        forms = list(super().variants(model, trials))
+        if common.has_camera_clock(model, trials):
+            forms.append(ClockRate(camera=True))
+        return forms
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the share by which the log runs fast; 0.2 % are 20 ms after 10 s, a visible offset."""
@@ -387,8 +389,10 @@ class TimeOffset(Effect):
             return [self]
         if model.estimates("clock_offset"):
             return []
-        alone = [TimeOffset(camera=True)] if common.has_camera_clock(model, trials) else []
-        return [*super().variants(model, trials), *alone]
+        forms = list(super().variants(model, trials))
+        if common.has_camera_clock(model, trials):
+            forms.append(TimeOffset(camera=True))
+        return forms
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the time by which the log is late, s."""

@@ -185,7 +185,9 @@ class Hardening(Effect):
         stiffness up to there, ``1 + 3 h q^2 > 0``.
         """
         largest = _deflection(model, trials)
-        unit = common.pick_by_motion(model, "m", "rad") if model.rig is not None else "rad"
+        unit = "rad"
+        if model.rig is not None:
+            unit = model.rig.displacement.unit
         size, least = 0.2 / largest**2, -1.0 / (3.0 * largest**2)
         words = "growth of the stiffness with squared deflection"
         return (parameter(f"hardening_{unit}_2", f"{unit}^-2", size, words, least, 30.0 * size),)
