@@ -443,7 +443,7 @@ def _result(search: _Search, task: _Task) -> FitResult:
     samples = sum(int(mask.sum()) for masks in problem.masks for mask in masks)
     raw, residuals, rows = _influences(problem, theta, central=samples * len(theta) <= 50_000)
     autoregressions = noise_model.autoregressions(problem, residuals)
-    priors = problem.random_effects(theta)
+    priors = problem.random_residuals(theta)
     rows = [np.vstack((a, b * problem.scale)) for a, (_, b) in zip(rows, priors, strict=True)]
     residuals = [np.concatenate((a, b)) for a, (b, _) in zip(residuals, priors, strict=True)]
     margin = 1e-6 * np.maximum(problem.scale, np.abs(theta))

@@ -213,7 +213,7 @@ class Problem:
             for end, n, (_, numbers) in zip(ends, self._samples, self.taken, strict=True)
         ]
 
-    def random_effects(self, theta: Array) -> list[tuple[Array, Array]]:
+    def random_residuals(self, theta: Array) -> list[tuple[Array, Array]]:
         """Return residuals and derivatives of each trial's random effects, shapes (m_k,) and (m_k, p)."""
         mean, root = self.prior
         residuals = root @ (theta - mean)
