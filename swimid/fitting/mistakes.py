@@ -234,7 +234,9 @@ def misfits(trial: Trial, simulated: Mapping[str, Array]) -> dict[str, Misfit]:
     place = [name for name in ("x_m", "y_m") if name in ranges]
     found = {}
     for name in (n for n in ranges if math.isfinite(scores[n].nrmse)):
-        group = list(place) if name in place else [name]
+        group: Sequence[str] = [name]
+        if name in place:
+            group = place
         error = math.hypot(*(scores[n].rmse for n in group)) / math.hypot(*(ranges[n] for n in group))
         residual = measured[name] - simulated[name]
         found[name] = Misfit(max(scores[name].nrmse, 1e-9), max(error, 1e-9), _independent(residual))
