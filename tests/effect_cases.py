@@ -1,4 +1,4 @@
-"""Models and trials on which effects are tried."""
+"""Models and trials for tests of effects."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from swimid.effects.affected import Affected
-from swimid.effects.base import Effect
+from swimid.effects.base import Affected, Effect
 from swimid.fitting.drives import Beat, RigInput, SwimInput
 from swimid.fitting.model import Model, Trial
 from swimid.rig import model as rig
@@ -22,13 +21,13 @@ TIME = np.linspace(0.0, 4.0, 161)
 
 
 def weight_trial(**known: Any) -> Trial:
-    """A falling weight, measured as a steady run."""
+    """Return a falling weight, measured as a steady run."""
     steady = RigInput(INERTIA, FORCE, pulley=True, release_s=0.0)
     return Trial("w", "fit", TIME, {"x_m": 0.2 * TIME}, rig=replace(steady, **known))
 
 
 def weight_model(**values: float) -> rig.RigModel:
-    """A falling weight without drag, added mass or friction but for what is given."""
+    """Return a falling weight without drag, added mass or friction, except for given values."""
     model = rig.falling_weight(mass_kg=INERTIA, force_N=FORCE, area_known=False, pulley=True)
     start = {"quadratic_drag": 0.0, "added_mass": 0.0, "pulley_friction": 0.0, **values}
     model.parameters = tuple(
@@ -39,12 +38,12 @@ def weight_model(**values: float) -> rig.RigModel:
 
 
 def swimmer(name: str, **coefficients: float) -> MultilinkModel:
-    """A built-in swimmer, some of its coefficients changed."""
+    """Return a built-in swimmer, with some coefficients changed."""
     return changed(robots.read(name), lambda robot: None, **coefficients)
 
 
 def changed(robot: Robot, change: Callable[[Any], None], **coefficients: float) -> MultilinkModel:
-    """A swimmer whose robot file was changed in place by a function."""
+    """Return a swimmer whose robot file a function has changed in place."""
     robot = robot.model_copy(deep=True)
     change(robot.multilink)
     model = MultilinkModel(robot)
@@ -68,7 +67,7 @@ def swim(
     pose: tuple[float, float, float] = (0.3, -0.2, 0.7),
     duration_s: float = 3.0,
 ) -> Trial:
-    """A beat from rest, measured as the model has it."""
+    """Return a beat from rest, with the simulation as measurement."""
     time = np.arange(0.0, duration_s, 0.025)
     beat = Beat("sine", frequency_hz, amplitude_rad)
     name = f"{frequency_hz} {amplitude_rad} {pose} {duration_s}"
@@ -77,19 +76,19 @@ def swim(
 
 
 def start(model: Model, **values: float) -> np.ndarray:
-    """Start values, some replaced."""
+    """Return start values, some replaced."""
     return np.array([values.get(p.name, p.start) for p in model.parameters])
 
 
 def acted(model: Model, trial: Trial, effects: Sequence[tuple[Effect, Any]], **values: float) -> dict:
-    """What a model shows under effects with these parameter values."""
+    """Simulate a model under effects with these parameter values."""
     affected = Affected(model, [effect for effect, _ in effects], [trial])
     own = np.concatenate([np.atleast_1d(np.asarray(v, dtype=float)) for _, v in effects])
     return affected.simulate(np.concatenate([start(model, **values), own]), trial)
 
 
 def check_null(model: Model, trial: Trial, effect: Effect) -> None:
-    """Hold every variant to what the interface asks: exact null, bounds, a change at each try."""
+    """Check every variant: exact null, bounds, a change at each try."""
     values = start(model)
     plain = model.simulate(values, trial)
     variants = effect.variants(model, [trial])
@@ -116,11 +115,11 @@ def check_null(model: Model, trial: Trial, effect: Effect) -> None:
 
 
 def dry_fish() -> MultilinkModel:
-    """The tendon fish without water."""
+    """Return the tendon fish without water."""
     names = ("c_ma", "c_Ia", "c_d0", "c_d13", "c_d4", "c_f0", "c_f13", "c_f4")
     return swimmer("tfish", **dict.fromkeys(names, 0.0))
 
 
 def coasting(model: MultilinkModel) -> Trial:
-    """A straight run without a beat."""
+    """Return a straight run without a beat."""
     return swim(model, amplitude_rad=0.0, pose=(0.0, 0.0, 0.0))

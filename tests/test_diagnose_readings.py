@@ -15,8 +15,7 @@ from swimid.diagnosis.noise_model import NoiseModel
 from swimid.diagnosis.readings import OtherReading
 from swimid.diagnosis.search import Search, State
 from swimid.effects import catalogue
-from swimid.effects.affected import Affected
-from swimid.effects.base import Effect
+from swimid.effects.base import Affected, Effect
 from swimid.fitting.drives import Beat, RigInput, SwimInput
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Array, Model, Trial

@@ -18,7 +18,7 @@ from swimid.diagnosis import words
 from swimid.diagnosis.diagnosed import Diagnosis
 from swimid.diagnosis.gap_file import GapFile, HeldOut, Value
 from swimid.effects import catalogue
-from swimid.effects.affected import Affected
+from swimid.effects.base import Affected
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Model, Trial
 from swimid.results import evidence as ev

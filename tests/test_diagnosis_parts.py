@@ -38,8 +38,7 @@ from swimid.diagnosis.noise_model import NoiseModel, brief, coloured
 from swimid.diagnosis.nominal import ParameterChange
 from swimid.diagnosis.random_effects import LARGEST_SD, RandomEffect, kinds, spread
 from swimid.diagnosis.shrinkage import closed
-from swimid.effects.affected import Affected
-from swimid.effects.base import Effect, Inside
+from swimid.effects.base import Affected, Effect, Inside
 from swimid.fitting.drives import CruiseInput, RigInput, SwimInput
 from swimid.fitting.hooks import Hooks, Stroke
 from swimid.fitting.model import Model, Parameter, Trial

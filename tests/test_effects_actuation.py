@@ -1,4 +1,4 @@
-"""Actuation effects against closed forms, and the average models they and others act on."""
+"""Actuation effects against closed forms, and the average models on which they and others act."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from swimid.blackbox.difference import Orders
 from swimid.blackbox.model import ArxModel
 from swimid.effects import actuation
-from swimid.effects.affected import Affected
+from swimid.effects.base import Affected
 from swimid.fitting import drives
 from swimid.fitting.drives import CruiseInput, SurgeInput, SwimInput
 from swimid.fitting.hooks import Hooks, Stroke
@@ -89,8 +89,8 @@ def starts(model):
 class TestOperators:
     @pytest.mark.parametrize("tau", [0.004, 0.05, 0.3])
     def test_lag_of_a_sine(self, tau):
-        """1 / (1 + i w tau) once the start has died away."""
-        found = actuation.lagged(TIME, np.sin(OMEGA * TIME), tau)
+        """The gain is 1 / (1 + i w tau) after the transient."""
+        found = actuation.apply_lag(TIME, np.sin(OMEGA * TIME), tau)
         answer = np.exp(1j * OMEGA * TIME) / (1 + 1j * OMEGA * tau)
         late = 20 * tau < TIME
         np.testing.assert_allclose(found[late], answer.imag[late], atol=1e-4)
@@ -99,19 +99,19 @@ class TestOperators:
         time = np.sort(rng.uniform(0, 5, 60))
         since = time - time[0]
         expected = 2.0 * (since - 0.4 * -np.expm1(-since / 0.4)) + 1.0
-        np.testing.assert_allclose(actuation.lagged(time, 1.0 + 2.0 * since, 0.4), expected, atol=1e-12)
+        np.testing.assert_allclose(actuation.apply_lag(time, 1.0 + 2.0 * since, 0.4), expected, atol=1e-12)
 
     def test_delay(self):
-        found = actuation.delayed(TIME, np.sin(OMEGA * TIME), 0.0333)
+        found = actuation.apply_delay(TIME, np.sin(OMEGA * TIME), 0.0333)
         expected = np.where(TIME < 0.0333, 0.0, np.sin(OMEGA * (TIME - 0.0333)))
         inside = np.abs(TIME - 0.0333) > 0.01
         np.testing.assert_allclose(found[inside], expected[inside], atol=3e-5)
 
     def test_play(self):
-        """Past the first crossing: flat while the servo crosses the play, else half of it behind."""
+        """The joint rests while the servo crosses the play, then follows half of it behind."""
         width, size = 0.08, 0.3
         signal = size * np.sin(OMEGA * TIME)
-        found = actuation.play(signal, width)
+        found = actuation.apply_play(signal, width)
         assert found[0] == 0
         assert np.all(np.abs(found - signal) <= 0.5 * width + 1e-15)
         steady = TIME > 1 / 1.5
@@ -123,26 +123,26 @@ class TestOperators:
         falling = steady & (phase > 0.5 * np.pi + crossing + 0.02) & (phase < 1.5 * np.pi - 0.02)
         np.testing.assert_allclose(found[falling], signal[falling] + 0.5 * width, atol=1e-12)
 
-    def test_far_limited_sine_is_a_triangle(self):
+    def test_a_strongly_limited_sine_is_a_triangle(self):
         rate = 0.3 * OMEGA
-        found = actuation.limited(TIME, np.sin(OMEGA * TIME), rate)[TIME > 6]
+        found = actuation.limit_rate(TIME, np.sin(OMEGA * TIME), rate)[TIME > 6]
         assert np.abs(np.diff(found)).max() <= rate * 0.0025 * (1 + 1e-9)
         assert 0.5 * np.ptp(found) == pytest.approx(rate / (4 * 1.5), rel=5e-3)
 
     def test_a_limit_above_every_rate_does_nothing(self):
         signal = np.sin(OMEGA * TIME)
-        np.testing.assert_array_equal(actuation.limited(TIME, signal, OMEGA), signal)
+        np.testing.assert_array_equal(actuation.limit_rate(TIME, signal, OMEGA), signal)
 
     @pytest.mark.parametrize("ratio", [0.2, 0.5, 0.55, 0.7, 0.85, 0.97])
     def test_describing_function_is_the_fundamental(self, ratio):
         time = np.arange(80_000) / 10_000
-        found = actuation.limited(time, np.sin(2 * np.pi * time), 2 * np.pi * ratio)[40_000:]
+        found = actuation.limit_rate(time, np.sin(2 * np.pi * time), 2 * np.pi * ratio)[40_000:]
         fundamental = 2 * abs(np.mean(found * np.exp(-2j * np.pi * time[40_000:])))
-        assert float(actuation.describing(ratio)) == pytest.approx(fundamental, abs=5e-4)
+        assert float(actuation.describing_gain(ratio)) == pytest.approx(fundamental, abs=5e-4)
 
     def test_describing_function_begins_smoothly(self):
         ratio = np.linspace(0.5, 1.0, 2001)
-        gain = actuation.describing(ratio)
+        gain = actuation.describing_gain(ratio)
         assert np.all(np.diff(gain) > 0)
         assert np.abs(np.diff(gain)).max() < 2 * 4 / np.pi * (ratio[1] - ratio[0])
 
@@ -150,7 +150,7 @@ class TestOperators:
 class TestNull:
     @pytest.mark.parametrize("effect", [*EFFECTS, actuation.Slip()], ids=repr)
     @pytest.mark.parametrize("kind", ["recoil", "surge", "black box", "fish"])
-    def test_vanishes_at_its_start_and_nowhere_else(self, effect, kind, fish):
+    def test_an_effect_changes_nothing_only_at_its_start_values(self, effect, kind, fish):
         model, trial = {"recoil": recoil, "surge": surge, "black box": black_box, "fish": lambda: fish}[
             kind
         ]()
@@ -201,12 +201,12 @@ class TestFish:
         found = self.angles(fish, EFFECTS[1], [0.05])
         np.testing.assert_allclose(found[:, :-1], expected[:, :-1], atol=1e-4)
 
-    def test_trim_comes_on_gently_and_stays(self, fish):
+    def test_a_trim_sets_in_smoothly_and_stays(self, fish):
         off = self.angles(fish, EFFECTS[5], [0.03]) - self.told(fish, fish[1].time_s)
         assert np.all(np.abs(off[:, 0]) < 1e-6)
         np.testing.assert_allclose(off[:, fish[1].time_s > 0.55], 0.03, atol=1e-5)
 
-    def test_slip_of_every_joint_begins_at_its_moment(self, fish):
+    def test_slip_of_every_joint_begins_at_its_time(self, fish):
         time = fish[1].time_s
         told, found = self.told(fish, time), self.angles(fish, actuation.Slip(), [0.3, 1.6])
         ramp = actuation.RAMP / 1.5
@@ -214,8 +214,8 @@ class TestFish:
         np.testing.assert_allclose(found[:, before], told[:, before], atol=1e-9)
         np.testing.assert_allclose(found[:, after], 0.7 * told[:, after], atol=2e-4)
 
-    def test_the_moment_of_a_slip_has_a_derivative(self, fish):
-        """The change to first order is half that to both sides, also from a quarter of the trial away."""
+    def test_the_time_of_a_slip_has_a_derivative(self, fish):
+        """The change to first order is half of that to both sides, also a quarter of the trial away."""
         at = [
             self.angles(fish, actuation.Slip(), [0.3, 1.6 + step]) for step in (-2e-3, -1e-3, 0.0, 1e-3, 2e-3)
         ]
@@ -223,7 +223,7 @@ class TestFish:
         assert np.abs(one).max() > 0.05
         np.testing.assert_allclose(one, two, atol=2e-3 * np.abs(one).max())
 
-    def test_measured_joints_are_past_the_actuator(self, fish):
+    def test_actuation_does_not_change_measured_joints(self, fish):
         model, trial = fish
         joints = [lambda t: (np.sin(t), np.cos(t), -np.sin(t))] * 3
         swim = SwimInput(joints=joints, pose=(0, 0, 0))
@@ -235,7 +235,7 @@ class TestFish:
             values = np.array([p.scale for p in effect.parameters(model, [trial])])
             assert not effect.hooks(values, measured, model).command
 
-    def test_scales_are_of_the_command(self, fish):
+    def test_scales_follow_the_command(self, fish):
         model, trial = fish
         largest = max(abs(a.joint.driven.gain) for a in model.tree.driven) * 0.35
         (p,) = EFFECTS[2].parameters(model, [trial])
@@ -251,7 +251,7 @@ class TestBlackBox:
         return model.hooked(starts(model), trial, effect.hooks(np.array(values), trial, model))["u_m_s"]
 
     def test_delay_by_whole_samples_is_a_shift(self, rng):
-        """From rest, and an input that starts at rest."""
+        """The input starts at rest."""
         column = np.concatenate([np.zeros(20), rng.normal(size=180)])
         model, trial = black_box(column)
         nominal = model.simulate(starts(model), trial)["u_m_s"]
@@ -283,7 +283,7 @@ class TestBlackBox:
 
 
 class TestAverageModels:
-    """Strokes, and what acts on a body that is driven by them."""
+    """Effects on strokes, and on a body that strokes drive."""
 
     def speeds(self, effect, values, nominal=None):
         model, trial = recoil()
@@ -325,14 +325,14 @@ class TestAverageModels:
         model, trial = recoil()
         double = Hooks(stroke=(lambda s: Stroke(s.frequency_hz, s.amplitude_rad, 8 * s.thrust),))
         nominal = model.simulate(starts(model), trial)[SPEED]
-        # a stroke that says nothing of the fin's inertia leaves no answer
+        # without the inertia of the fin there is no answer
         assert np.isnan(model.hooked(starts(model), trial, double)[SPEED]).all()
         double = Hooks(stroke=(lambda s: replace(s, thrust=8 * s.thrust),))
         np.testing.assert_allclose(model.hooked(starts(model), trial, double)[SPEED], 2 * nominal, rtol=1e-12)
 
     @pytest.mark.parametrize("linear, dry", [(0.3, 0.0), (0.0, 0.004), (0.2, 0.003), (1e-9, 0.0)])
     def test_other_drag(self, linear, dry):
-        """Power balance for the terminal speed, then a run from rest under its thrust, integrated."""
+        """Compare with the power balance for the terminal speed, and with an integrated run from rest."""
         model, trial = recoil()
 
         def change(c):
@@ -403,7 +403,7 @@ class TestAverageModels:
         np.testing.assert_allclose(found, expected, atol=1e-9)
 
     def test_surge_through_waves(self):
-        """Against quadrature of the linear equation it is without quadratic drag."""
+        """Compare with quadrature of the equation, which is linear without quadratic drag."""
         model, trial = surge()
 
         def change(c):

@@ -1,4 +1,4 @@
-"""The catalogue of effects, and a user's own."""
+"""The catalogue of effects, and effects of a user's file."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_pinned_names(stage):
     assert set(PINNED[stage].split()) <= found
 
 
-def test_order_modules_and_words():
+def test_effects_have_order_stage_and_meaning():
     found = catalogue.catalogue()
     assert catalogue.names() == [e.name for e in found]
     assert found == sorted(found, key=lambda e: (STAGES.index(e.stage), e.name))
@@ -107,7 +107,7 @@ def test_own_effects_that_cannot_be_used(tmp_path, text, line, words):
     assert str(path) in str(caught.value)
 
 
-def test_own_file_that_is_none(tmp_path):
+def test_a_file_without_effects_is_an_error(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         catalogue.from_file(tmp_path / "none.py")
     (tmp_path / "own.txt").write_text("")

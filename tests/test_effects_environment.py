@@ -1,4 +1,4 @@
-"""Effects of the place the robot swims in, against closed forms and identities."""
+"""Effects of the surroundings against closed forms and identities."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_null_and_tries_of_rigs(effect: Effect) -> None:
 
 
 @pytest.mark.parametrize("effect", ALL, ids=lambda e: e.name)
-def test_nothing_flows_past_an_angle(effect: Effect) -> None:
+def test_currents_and_waves_do_not_apply_to_a_roll(effect: Effect) -> None:
     model = rig.free_decay("roll_rad", inertia=0.01, stiffness=1.0, guess=1.0, amplitude=0.3)
     trial = Trial("d", "fit", TIME, {"roll_rad": np.cos(TIME)}, rig=RigInput(inertia=0.01, x0=0.3))
     assert not effect.variants(model, [trial])
@@ -109,7 +109,7 @@ def test_a_body_on_a_rig_drifts_with_current_and_waves() -> None:
 
 @pytest.mark.parametrize("robot", ["tfish", "dolphin"])
 def test_a_wave_may_differ_from_place_to_place(robot: str) -> None:
-    """A standing wave with its node where the body is first seen, which swims through it at 0.4 m/s."""
+    """A robot swims at 0.4 m/s through a standing wave that has a node at its first place."""
     model = swimmer(robot)
     time = np.arange(0.0, 8.0, 0.04)
     across = model.axes[1]
@@ -162,7 +162,7 @@ def test_lines_of_a_track_are_found_beside_the_beat() -> None:
     assert lines(model, trials, "y") == ()
 
 
-def test_lines_the_model_has_itself_are_no_waves() -> None:
+def test_oscillations_of_the_model_are_no_waves() -> None:
     time = np.arange(0.0, 12.0, 0.04)
     own = {"x_m": 0.01 * np.sin(2 * np.pi * 0.4 * time)}
     model = Toy(lambda values, time: own, (), ("x_m",))
@@ -180,7 +180,7 @@ def test_a_tether_is_a_spring() -> None:
     np.testing.assert_allclose(seen["x_m"], 0.2 / rate * np.sin(rate * TIME), atol=1e-7)
 
 
-def test_a_slack_tether_pulls_only_when_it_is_out() -> None:
+def test_a_slack_tether_pulls_only_beyond_its_slack() -> None:
     k, slack = 5.0, 0.3
     seen = acted(
         weight_model(), weight_trial(force=0.0), [(Tether(), (k, slack, 0.0)), (InitialSpeed(), 0.2)]
@@ -191,7 +191,7 @@ def test_a_slack_tether_pulls_only_when_it_is_out() -> None:
     np.testing.assert_allclose(energy, 0.5 * INERTIA * 0.04, rtol=1e-3)
 
 
-def test_a_tether_pulls_home_whatever_the_heading() -> None:
+def test_a_tether_pulls_to_its_anchor_at_any_heading() -> None:
     wrench = np.zeros(3)
     pull_back._pyfunc(
         0.0, np.array([1.3, 2.4, 0.5]), np.zeros(3), np.array([2.0, 0.1, 0.0, 1.0, 2.0]), wrench
@@ -201,7 +201,7 @@ def test_a_tether_pulls_home_whatever_the_heading() -> None:
     np.testing.assert_allclose(world, -2.0 * (0.5 - 0.1) * np.array([0.6, 0.8]), rtol=1e-12)
 
 
-def test_a_line_from_behind_the_start_pulls_from_the_beginning() -> None:
+def test_an_anchor_behind_the_start_pulls_from_the_begin() -> None:
     """A robot that coasts along its heading swings about the anchor."""
     model = dry_fish()
     mass, k, behind = 2.133 + 3 * 0.081 + 0.096, 30.0, 0.4
@@ -211,7 +211,7 @@ def test_a_line_from_behind_the_start_pulls_from_the_beginning() -> None:
     np.testing.assert_allclose(seen["x_m"], swing, atol=1e-7)
 
 
-def test_a_line_paid_out_drags() -> None:
+def test_the_line_of_a_tether_has_drag() -> None:
     c, v0 = 2.0, 0.2
     seen = acted(weight_model(), weight_trial(force=0.0), [(Tether(), (0.0, 0.0, c)), (InitialSpeed(), v0)])
     # M v dv/dx = -c x v^2
@@ -241,7 +241,7 @@ def test_blockage_before_a_wall_in_closed_form() -> None:
 
 
 @pytest.mark.parametrize("outwards", [(1, 0), (-1, 0), (0, 1), (0, -1)])
-def test_a_wall_pushes_off_and_fades(outwards: tuple[int, int]) -> None:
+def test_the_push_of_a_wall_decays_with_distance(outwards: tuple[int, int]) -> None:
     def push(distance: float) -> np.ndarray:
         wrench, heading = np.zeros(3), 0.8
         place = (2.0 - distance) * np.array(outwards, dtype=float)
@@ -254,7 +254,7 @@ def test_a_wall_pushes_off_and_fades(outwards: tuple[int, int]) -> None:
     np.testing.assert_allclose(push(0.5), -0.3 * np.exp(-2.0) * np.array(outwards), atol=1e-12)
 
 
-def test_walls_stand_at_the_extremes_of_the_tracks() -> None:
+def test_walls_are_at_the_extremes_of_the_tracks() -> None:
     model = swimmer("tfish")
     trial = swim(model)
     found = {wall.side: wall.extreme_m for wall in Wall().variants(model, [trial])}  # type: ignore[attr-defined]
@@ -263,7 +263,7 @@ def test_walls_stand_at_the_extremes_of_the_tracks() -> None:
     assert len(found) == 4
 
 
-def test_breaching_costs_the_weight_of_the_water() -> None:
+def test_a_hull_above_the_surface_loses_buoyancy() -> None:
     wrench = np.zeros(3)
     sink._pyfunc(0.0, np.array([0.0, 0.5, 0.3]), np.zeros(3), np.array([40.0, 0.4, 0.0, 0.0, 0.0]), wrench)
     world = np.sin(0.3) * wrench[0] + np.cos(0.3) * wrench[1]
@@ -276,7 +276,7 @@ def test_breaching_costs_the_weight_of_the_water() -> None:
     wrench[:] = 0.0
     sink._pyfunc(0.0, np.array([0.0, 0.3, 0.3]), np.zeros(3), np.array([40.0, 0.4, 0.0, 0.0, 0.0]), wrench)
     assert np.abs(wrench).max() < 1e-3
-    # the end that is out is pulled down, half of it
+    # half of the force pulls down the end that is above the surface
     sink._pyfunc(0.0, np.array([0.0, 0.4, 0.3]), np.zeros(3), np.array([40.0, 0.4, 0.0, 0.0, 0.2]), wrench)
     out = 0.2 * np.sin(0.3)
     assert np.hypot(wrench[0], wrench[1]) == pytest.approx(20.0 * out, rel=2e-2)
@@ -296,7 +296,7 @@ def test_buoyancy_is_a_force_of_the_robot_file() -> None:
         np.testing.assert_allclose(seen[name], expected[name], atol=1e-9)
 
 
-def test_righting_moment_rights() -> None:
+def test_the_righting_moment_levels_the_body() -> None:
     wrench = np.zeros(3)
     rise._pyfunc(0.0, np.array([0.0, 0.0, 0.3]), np.zeros(3), np.array([0.0, 2.0]), wrench)
     np.testing.assert_allclose(wrench, [0.0, 0.0, -2.0 * np.sin(0.3)])

@@ -65,7 +65,7 @@ def test_linear_drag_of_a_coasting_fish_brakes_exponentially() -> None:
     np.testing.assert_allclose(seen["u_m_s"], 0.3 * np.exp(-0.8 / mass * time), rtol=1e-7)
 
 
-def test_linear_drag_of_a_cruise_takes_its_share_of_the_power() -> None:
+def test_linear_drag_of_a_cruise_takes_a_share_of_the_power() -> None:
     model = RecoilModel(drag_area_kg_m=2.4, moving_mass_kg=1.9, fins={"a": 1e-4})
     inputs = {
         "frequency_hz": np.array([2.0, 3.0]),
@@ -116,7 +116,7 @@ def test_drag_of_a_coasting_fish_that_changes_with_speed_in_closed_form() -> Non
 
 
 def test_drag_that_changes_from_trial_to_trial_is_that_of_the_robot_file() -> None:
-    """A trial at twice the reference speed, all coefficients by ``2^-n``."""
+    """At twice the reference speed all coefficients change by ``2^-n``."""
     names = ("c_d0", "c_d13", "c_d4", "c_f0", "c_f13", "c_f4")
     model = swimmer("tfish")
     trial = swim(model)
@@ -129,8 +129,8 @@ def test_drag_that_changes_from_trial_to_trial_is_that_of_the_robot_file() -> No
         np.testing.assert_allclose(seen[name], expected[name], atol=1e-10)
 
 
-def test_of_trials_at_one_speed_no_change_from_trial_to_trial_is_told() -> None:
-    """Repeats differ in speed by chance: an exponent of many times its size would follow that."""
+def test_drag_does_not_change_between_trials_at_one_speed() -> None:
+    """The speeds of repeats differ by chance, which would give a large exponent."""
     model = swimmer("tfish")
     one, slower, other = (swim(model, frequency_hz=f) for f in (1.2, 1.19, 1.6))
     for trials, told in (([one, slower], False), ([one, slower, other], True)):
@@ -172,7 +172,7 @@ def test_added_mass_of_a_swimmer_is_that_of_the_robot_file() -> None:
         np.testing.assert_allclose(seen[name], expected[name], atol=1e-10)
 
 
-def test_added_mass_of_a_rig_weighs() -> None:
+def test_added_mass_slows_a_rig() -> None:
     seen = acted(weight_model(), weight_trial(), [(AddedMass(), 0.6)])
     np.testing.assert_allclose(seen["x_m"], 0.5 * 0.2 / (INERTIA + 0.6) * TIME**2, atol=1e-12)
 
@@ -207,7 +207,7 @@ def test_quadratic_drag_adds_to_the_models_own() -> None:
     np.testing.assert_allclose(seen["x_m"], both["x_m"], rtol=1e-12)
 
 
-def test_quadratic_damping_of_a_decay_loses_as_much_as_it_must() -> None:
+def test_quadratic_damping_of_a_decay_has_the_closed_form_loss() -> None:
     """Slowly varying amplitude (Krylov and Bogoliubov): ``dA/dt = -4 c omega A^2 / (3 pi I)``."""
     inertia, stiffness, amplitude, c = 0.5, 8.0, 0.3, 0.02
     model = rig.free_decay(
@@ -245,7 +245,7 @@ def _held(model: rig.RigModel) -> rig.RigModel:
 
 
 def test_lift_of_the_links_is_that_of_plates_in_the_robot_file() -> None:
-    """With lift and drag of a plate that has no force along it; shared as its drag across is."""
+    """The reference has lift and drag of a plate without force along it, distributed as its drag across."""
 
     def plates(body: Any) -> None:
         known = {name: c.value for name, c in body.coefficients.items()}
@@ -273,8 +273,8 @@ def test_lift_of_the_links_is_that_of_plates_in_the_robot_file() -> None:
         np.testing.assert_allclose(seen[name], expected[name], atol=1e-10)
 
 
-def test_lift_acts_across_a_link_alone() -> None:
-    """``-k V w`` of a glide at an angle: the polar of the added plates has no part along them."""
+def test_lift_acts_only_across_a_link() -> None:
+    """In a glide at an angle ``-k V w`` is the force of the added plates, which have no part along them."""
     body = swimmer("tfish").body
     tables = body.tables()
     plain = len(tables["foil"])

@@ -1,4 +1,4 @@
-"""An effect that alone is asked for is found, and its size, in trials of other code and of another form."""
+"""An effect is found alone, with its size, in trials of other code and of another form."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.generators import gap_trials
 def found(
     folder: Path, effect: str, params: str = "params.yaml", answer: str = "explained"
 ) -> dict[str, tuple[float, float]]:
-    """Value and standard error of its parameters, where it alone is tried and is the cause."""
+    """Return value and standard error of the parameters of an effect that is tried alone and is the cause."""
     gap = swimid.diagnose(folder / "trials.yaml", params=folder / params, effects=[effect])
     assert isinstance(gap, Diagnosis)
     assert gap.answer == answer, gap.summary()
@@ -30,7 +30,7 @@ def found(
 def rig(
     folder: Path, robot: str, effect: str, size: float, seed: int, answer: str = "explained"
 ) -> dict[str, tuple[float, float]]:
-    """The same of a blind case with a calibration of another day."""
+    """Return the same for a blind case with a calibration of another day."""
     label = rigs.make_case(folder, robot=robot, effect=effect, size=size, rng=np.random.default_rng(seed))
     assert label["prior"]
     return found(folder, effect, "params_prior.yaml", answer)
@@ -39,7 +39,7 @@ def rig(
 @pytest.mark.slow
 @pytest.mark.parametrize("size, seed", [(1.0, 5), (3.0, 6)])
 def test_friction_of_a_pulley_that_falls_with_speed(tmp_path: Path, size: float, seed: int) -> None:
-    """An algebraic fall is not a Gaussian one: a tenth."""
+    """The true friction falls algebraically, the fitted one as a Gaussian: a tenth is allowed."""
     cause = rig(tmp_path, "falling-weight", "stribeck", size, seed)
     assert cause["rise_N"][0] == pytest.approx(900.0e-5 * size, rel=0.1)
     assert 0.03 <= cause["stribeck_m_s"][0] <= 0.09
@@ -47,7 +47,7 @@ def test_friction_of_a_pulley_that_falls_with_speed(tmp_path: Path, size: float,
 
 @pytest.mark.slow
 def test_friction_of_a_pulley_under_load(tmp_path: Path) -> None:
-    # another drag and added mass imitate it: only what is known of both from another day tells it
+    # drag and added mass imitate it; only their calibration of another day shows the difference
     cause = rig(tmp_path, "falling-weight", "load-friction", 3.0, 6, answer="ambiguous")
     value, stderr = cause["share"]
     assert value == pytest.approx(0.12, abs=3 * stderr)
@@ -56,13 +56,13 @@ def test_friction_of_a_pulley_under_load(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("size, seed", [(1.0, 5), pytest.param(3.0, 6, marks=pytest.mark.slow)])
 def test_a_moment_that_is_not_proportional_to_the_roll(tmp_path: Path, size: float, seed: int) -> None:
-    """A sine and a hyperbolic sine against their cubic terms: 15 %."""
+    """The true moments are a sine and a hyperbolic sine, the fitted ones cubic: 15 % are allowed."""
     value, _ = rig(tmp_path, "free-decay", "hardening", size, seed)["hardening_rad_2"]
     assert abs(value) == pytest.approx(0.2 * size / np.radians(20.0) ** 2, rel=0.15)
 
 
 def test_friction_of_a_bearing_that_falls_with_speed(tmp_path: Path) -> None:
-    """A Gaussian fall, of which little is left at twice the Stribeck speed, against a tail that is."""
+    """The true friction has a tail at twice the Stribeck speed, where a Gaussian is nearly zero."""
     cause = rig(tmp_path, "free-decay", "stribeck", 3.0, 6)
     hull = yaml.safe_load((tmp_path / "hull.yaml").read_text())
     rise = np.radians(0.4) * 3.0 * hull["rig"]["roll_stiffness_N_m_rad"]
@@ -71,28 +71,29 @@ def test_friction_of_a_bearing_that_falls_with_speed(tmp_path: Path) -> None:
 
 
 def clock(act: Act) -> dict[str, tuple[float, float]]:
-    """Over 10 s, after which a clock that warms up is a little less ahead."""
+    """Return an error of the clock over 10 s, whose rate falls slightly as it warms up."""
     assert act.clock is not None
     trial = gap_trials.plan("tfish", gap_trials.SETTINGS, 10.0, 25.0, 1)[0]
     return {"rate": (float(10.0 - act.clock(trial, np.array([10.0]))[0]) / 10.0, 0.1)}
 
 
 def lift(act: Act) -> dict[str, tuple[float, float]]:
-    """Of published drag across the links, from which this animal's differs by up to a quarter."""
+    """Return the lift as a share of the published drag across the links."""
     return {"lift_N_s2_m2": (act.facts["slope"] * float(swim_body.of("tfish", {}).across.sum()), 0.25)}
 
 
-#: Sizes that are hidden and the relative errors that other forms make of them.
+#: Hidden sizes, and relative errors allowed for the other form.
 HIDDEN: dict[str, Callable[[Act], dict[str, tuple[float, float]]]] = {
     "clock-rate": clock,
     "hardening": lambda act: {"hardening_rad_2": (act.facts["hardening_rad_2"], 0.3)},
     "slip": lambda act: {"loss": (act.facts["loss"], 0.1), "begin_s": (10.0 * act.facts["share"], 0.05)},
     "stribeck": lambda act: {
         "stick_rad": (act.facts["stick_rad"], 0.25),
-        # the generator's friction has a longer tail than a Gaussian: a rate of the same order
+        # the friction of the generator has a longer tail than a Gaussian, so that the rate has the same order
+        # only
         "stribeck_rad_s": (act.facts["slow"], 0.6),
     },
-    # the generator's torques are those of the published coefficients, too
+    # the torques of the generator follow from the published coefficients too
     "load-friction": lambda act: {"held_rad_N_m": (act.facts["held_rad_N_m"], 0.35)},
     "lift-damping": lift,
 }

@@ -1,4 +1,4 @@
-"""Effects of the test rig, and the rig's kernel with forces and moving water, against closed forms."""
+"""Effects of the test rig, and the kernel of the rig with forces and moving water, against closed forms."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from swimid.effects.rig import (
     oscillation,
 )
 from swimid.fitting.drives import RigInput
-from swimid.fitting.hooks import Hooks
+from swimid.fitting.hooks import Force, Hooks, no_force
 from swimid.fitting.model import Trial
 from swimid.propulsion.model import RecoilModel
 from swimid.rig import model as rig
@@ -50,7 +50,7 @@ def test_what_the_model_estimates_itself_is_no_effect() -> None:
     assert PulleyFriction().variants(decay, [])
 
 
-def test_friction_takes_from_the_force() -> None:
+def test_friction_reduces_the_force() -> None:
     seen = acted(weight_model(), weight_trial(), [(PulleyFriction(), 0.05)])
     np.testing.assert_allclose(seen["x_m"], 0.5 * (FORCE - 0.05) / INERTIA * TIME**2, atol=1e-12)
 
@@ -65,7 +65,7 @@ def test_friction_of_a_slide_where_no_trial_has_a_pulley() -> None:
     np.testing.assert_allclose(seen["x_m"], 0.5 * FORCE / INERTIA * TIME**2, atol=1e-12)
 
 
-def test_friction_may_be_less_than_the_models() -> None:
+def test_friction_may_be_less_than_that_of_the_model() -> None:
     model = weight_model(pulley_friction=0.08)
     (own,) = PulleyFriction().parameters(model, [weight_trial()])
     assert own.lower == -0.08
@@ -73,7 +73,7 @@ def test_friction_may_be_less_than_the_models() -> None:
     np.testing.assert_allclose(seen["x_m"], 0.5 * FORCE / INERTIA * TIME**2, atol=1e-12)
 
 
-def test_pulley_inertia_weighs() -> None:
+def test_pulley_inertia_slows_the_body() -> None:
     seen = acted(weight_model(), weight_trial(), [(PulleyInertia(), 0.3)])
     np.testing.assert_allclose(seen["x_m"], 0.5 * FORCE / (INERTIA + 0.3) * TIME**2, atol=1e-12)
 
@@ -83,13 +83,13 @@ def test_viscous_pulley_brakes_exponentially() -> None:
     np.testing.assert_allclose(seen["u_m_s"], 0.3 * np.exp(-0.7 / INERTIA * TIME), rtol=1e-8)
 
 
-def test_start_offset_shifts_and_initial_speed_carries_on() -> None:
+def test_start_offset_and_initial_speed_change_the_start() -> None:
     seen = acted(weight_model(), weight_trial(), [(StartOffset(), 0.02), (InitialSpeed(), -0.1)])
     expected = 0.02 - 0.1 * TIME + 0.5 * FORCE / INERTIA * TIME**2
     np.testing.assert_allclose(seen["x_m"], expected, atol=1e-10)
 
 
-def test_string_rings_as_an_oscillator_under_a_constant_pull() -> None:
+def test_a_string_oscillates_under_a_constant_pull() -> None:
     omega, zeta, pull = 7.0, 0.2, -1.3
     time = np.sort(np.random.default_rng(1).uniform(0, 3, 200))
     time[0] = 0.0
@@ -101,7 +101,7 @@ def test_string_rings_as_an_oscillator_under_a_constant_pull() -> None:
     np.testing.assert_allclose(oscillation(time, np.full(200, pull), omega, zeta, 0.0), expected, atol=1e-12)
 
 
-def test_stiff_string_is_stretched_by_what_the_weight_lacks() -> None:
+def test_a_stiff_string_is_stretched_in_proportion_to_acceleration() -> None:
     compliance = 0.02
     seen = acted(weight_model(), weight_trial(), [(StringStretch(), (compliance, 0.0, 0.5))])
     settled = TIME > 1.0
@@ -131,7 +131,7 @@ def test_forced_kernel_is_the_nominal_one_in_still_water() -> None:
     np.testing.assert_array_equal(forced["roll_rad"], plain["roll_rad"])
 
 
-def test_late_clock_shows_what_was() -> None:
+def test_a_late_clock_shows_earlier_states() -> None:
     model = weight_model()
     late = model.hooked(start(model), weight_trial(), Hooks(clock_s=0.5))
     before = np.maximum(TIME - 0.5, 0.0)
@@ -149,8 +149,6 @@ def test_late_clock_under_a_measured_force_delays_the_motion_not_the_force() -> 
 
 
 def test_more_forces_than_the_kernel_takes_are_refused() -> None:
-    from swimid.fitting.hooks import Force, no_force
-
     model = weight_model()
     many = Hooks(force=(Force(no_force, np.zeros(1)),) * 5)
     with pytest.raises(ValueError, match="at most 4"):

@@ -1,4 +1,4 @@
-"""Sensing effects against what they mean, and where they apply."""
+"""Sensing effects against their definitions, and the models to which they apply."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.optimize import fsolve
 from swimid.blackbox.difference import Orders
 from swimid.blackbox.model import ArxModel
 from swimid.effects import sensing
-from swimid.effects.affected import Affected
+from swimid.effects.base import Affected
 from swimid.fitting import drives
 from swimid.fitting.drives import CruiseInput, RigInput, SurgeInput, SwimInput
 from swimid.fitting.model import Trial
@@ -89,7 +89,7 @@ def black_box(output):
 
 
 def seen(case, effect, *values):
-    """What the log shows, without and with the effect."""
+    """Return the channels of the log without and with the effect."""
     model, trial = case
     both = Affected(model, [effect], [trial])
     return model.simulate(starts(model), trial), both.simulate(
@@ -131,7 +131,7 @@ class TestWhereTheyApply:
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=repr)
-def test_vanish_at_their_start_and_nowhere_else(effect, fish):
+def test_sensing_changes_nothing_only_at_its_start_values(effect, fish):
     for case in (fish, weight(), cruise(), surge(), black_box("u_m_s"), black_box("yaw_rate_rad_s")):
         model, trial = case
         for variant in effect.variants(model, [trial]):
@@ -149,7 +149,7 @@ def test_vanish_at_their_start_and_nowhere_else(effect, fish):
                 assert any(np.nanmax(np.abs(moved[n] - nominal[n])) > 0 for n in nominal)
 
 
-def test_lost_markers_are_no_simulation(fish):
+def test_lost_markers_apply_to_no_model(fish):
     model, trial = fish
     assert LOST.variants(model, [trial]) == []
     assert LOST.parameters(model, [trial]) == ()
@@ -166,7 +166,7 @@ class TestCamera:
             np.testing.assert_array_equal(found[name], plain[name])
 
     def test_scale_that_changes_towards_the_edge(self, fish):
-        """Places seen through a lens: two bodies at known places, one of them where the trial begins."""
+        """Two bodies at known places are seen through a lens, one of them at the start of the trial."""
         model, trial = fish
         lens = next(v for v in SCALE.variants(model, [trial]) if v is not SCALE)
         centre, error, bent = complex(0.2, -0.3), 0.07, -0.02
@@ -218,7 +218,7 @@ class TestCamera:
 
 class TestMarkers:
     def test_tracked_point_is_fixed_to_the_body(self, fish):
-        """Against the reference point it keeps its place in the body's axes; its velocity is its motion's."""
+        """The point keeps its place in the axes of the body, and has the velocity of its motion."""
         model, trial = fish
         fine = replace(
             trial, time_s=np.arange(0.0, 1.6, 0.0005), measured={n: np.arange(3200.0) for n in trial.measured}
@@ -245,7 +245,7 @@ class TestMarkers:
 
 class TestClock:
     def test_late_log_of_a_swimmer(self, fish):
-        """What happened two samples ago."""
+        """The log shows the state two samples earlier."""
         plain, found = seen(fish, LATE, 0.08)
         for name in plain:
             np.testing.assert_allclose(found[name][2:], plain[name][:-2], atol=1e-9)
@@ -275,7 +275,7 @@ class TestGyroscope:
 
 
 def test_the_cameras_clock_alone() -> None:
-    """Poses late, the gyroscope not; before the first sample the robot rests."""
+    """Poses are late and the gyroscope is not; before the first sample the robot rests."""
     model = effect_cases.swimmer("tfish")
     trial = effect_cases.swim(model)
     variants = sensing.TimeOffset().variants(model, [trial])
@@ -290,8 +290,8 @@ def test_the_cameras_clock_alone() -> None:
     np.testing.assert_array_equal(seen["yaw_rate_rad_s"], plain["yaw_rate_rad_s"])
 
 
-def test_a_run_that_broke_down_is_missing_at_other_times_too(fish):
-    """A late camera of a simulation that diverged shows nothing; it does not stop the comparison."""
+def test_a_broken_simulation_stays_missing_under_a_late_camera(fish):
+    """A simulation that diverged shows nothing, and does not stop the comparison."""
     model, trial = fish
     late = next(v for v in LATE.variants(model, [trial]) if v.camera)
     hooks = late.hooks(np.array([0.02]), trial, model)
@@ -311,8 +311,8 @@ def shown(model, trial, effect, value):
 
 
 @pytest.mark.parametrize("rate", [0.05, -0.05])
-def test_a_fast_clock_shows_what_was_before(fish, rate):
-    """A slow one what comes after the last sample, too."""
+def test_a_fast_clock_shows_earlier_states(fish, rate):
+    """A slow clock shows later states, also after the last sample."""
     model, trial = fish
     seen = shown(model, trial, RATE, rate)
     expected = model.simulate(starts(model), replace(trial, time_s=trial.time_s / (1 + rate)))
@@ -322,7 +322,7 @@ def test_a_fast_clock_shows_what_was_before(fish, rate):
 
 
 def test_a_fast_clock_agrees_with_the_drive_where_that_begins():
-    """On a rig at the release, of a recorded input at its first sample."""
+    """On a rig this is the release, and for a recorded input its first sample."""
     known = RigInput(1.2, 0.2, pulley=True, release_s=1.0)
     time = np.linspace(0.0, 4.0, 101)
     weight = effect_cases.weight_model()
@@ -341,8 +341,8 @@ def test_a_fast_clock_agrees_with_the_drive_where_that_begins():
     np.testing.assert_allclose(shown(model, run, RATE, 0.02)["u_m_s"], np.interp(then, time, plain))
 
 
-def test_a_fast_clock_is_no_late_one(fish):
-    """No offset imitates it: their changes are at an angle in every channel of a pose."""
+def test_no_offset_imitates_a_fast_clock(fish):
+    """The changes by both are not proportional in any channel of a pose."""
     model, trial = fish
     plain = model.simulate(starts(model), trial)
     fast, late = shown(model, trial, RATE, 0.01), shown(model, trial, LATE, 0.01)

@@ -80,7 +80,7 @@ def test_null_and_tries_of_swimmers(effect: Effect, robot: str) -> None:
 
 
 def _like(robot: str, change: Callable[[Any], None], effect: Effect, values: Any) -> None:
-    """An effect moves a robot as the change of its file does."""
+    """Check that an effect moves a robot as the change of its file does."""
     model, built = swimmer(robot), changed(robots.read(robot), change)
     trial = swim(model)
     seen, expected = acted(model, trial, [(effect, values)]), built.simulate(start(built), trial)
@@ -91,7 +91,7 @@ def _like(robot: str, change: Callable[[Any], None], effect: Effect, values: Any
 
 
 @pytest.mark.parametrize("along", [0.0, -0.05])
-def test_water_is_mass_where_it_collects(along: float) -> None:
+def test_water_is_a_mass_at_its_place(along: float) -> None:
     def flooded(body: Any) -> None:
         head, water = body.links[0], 0.3
         mass, com = 2.133 + water, 0.192 - water * along / (2.133 + water)
@@ -104,7 +104,7 @@ def test_water_is_mass_where_it_collects(along: float) -> None:
     _like("tfish", flooded, WaterIngress(), (0.3, along))
 
 
-def test_water_in_a_rig_weighs_and_in_a_cruise_delays() -> None:
+def test_water_slows_a_rig_and_a_cruise() -> None:
     seen = acted(weight_model(), weight_trial(), [(WaterIngress(), 0.2)])
     np.testing.assert_allclose(seen["x_m"], 0.5 * 0.2 / (INERTIA + 0.2) * TIME**2, atol=1e-12)
     light, heavy = (RecoilModel(drag_area_kg_m=2.4, moving_mass_kg=m, fins={"a": 1e-4}) for m in (1.9, 2.2))
@@ -203,7 +203,8 @@ def test_a_bent_fin_pushes_forwards_with_less_load(w: float) -> None:
     bent_fin._pyfunc(0.0, np.zeros(3), np.array([0.0, w, 0.0]), np.array([compliance, gain, 0.0]), wrench)
     load = gain * w * w
     assert wrench[0] == pytest.approx(compliance * load**2, rel=1e-2)
-    # the speed across the bent chord falls as its cosine, the force as the square, its part across once more
+    # the speed across the bent chord is reduced by its cosine, the force by its square, its part across by
+    # another
     angle = compliance * load
     assert wrench[1] * np.sign(w) == pytest.approx(1.5 * angle**2 * load, rel=2e-2)
 
@@ -250,7 +251,7 @@ def test_a_spring_that_hardens_is_the_cubic_one_of_the_robot_file() -> None:
 
 
 def test_a_decay_that_hardens_swings_in_duffings_period() -> None:
-    """From the energy: ``T = 4 int dphi / sqrt(1 + h/2 A^2 (1 + sin^2 phi)) / omega`` over a quarter."""
+    """The period follows from the energy: ``T = 4 int dphi / sqrt(1 + h/2 A^2 (1 + sin^2 phi)) / omega``."""
     h, size = 4.0, 0.3
     period = 0.4 * quad(lambda p: 1 / np.sqrt(1 + 0.5 * h * size**2 * (1 + np.sin(p) ** 2)), 0, np.pi / 2)[0]
     time = period * np.arange(7)
@@ -262,17 +263,17 @@ def test_a_decay_that_hardens_swings_in_duffings_period() -> None:
 # ---------------------------------------------------------------- friction
 
 
-def test_stribeck_friction_holds_what_pulls_less_and_lets_go_of_the_rest() -> None:
+def test_stribeck_friction_holds_a_body_until_the_pull_exceeds_it() -> None:
     rest = acted(weight_model(), weight_trial(), [(Stribeck(), (FORCE * 1.01, 0.05))])
     np.testing.assert_array_equal(rest["x_m"], 0.0)
-    # far beyond the Stribeck speed as without friction: the speed lags by the impulse lost meanwhile
+    # far beyond the Stribeck speed there is no friction, and the speed lags by the impulse lost before
     seen = acted(weight_model(), weight_trial(), [(Stribeck(), (0.1, 0.02))])
     late = TIME > 2.0
     assert np.ptp((seen["u_m_s"] - FORCE / INERTIA * TIME)[late]) < 1e-9
 
 
-def test_stribeck_friction_takes_the_energy_it_says() -> None:
-    """Coasting from v0 to v1: ``x = int M v / (rise exp(-(v / v_s)^2)) dv``, in closed form."""
+def test_stribeck_friction_dissipates_the_closed_form_energy() -> None:
+    """Coasting from v0 to v1 covers ``x = int M v / (rise exp(-(v / v_s)^2)) dv``, in closed form."""
     rise, slow, v0 = 0.05, 0.1, 0.08
     seen = acted(weight_model(), weight_trial(force=0.0), [(Stribeck(), (rise, slow)), (InitialSpeed(), v0)])
     gone = 0.5 * INERTIA * slow**2 / rise * (np.exp((v0 / slow) ** 2) - np.exp((seen["u_m_s"] / slow) ** 2))
@@ -281,38 +282,38 @@ def test_stribeck_friction_takes_the_energy_it_says() -> None:
 
 
 def test_friction_in_a_current_is_against_the_ground() -> None:
-    """A body at rest on its slide stays there, whatever water passes by."""
+    """A body at rest on its slide stays there in any current."""
     model, trial = weight_model(), weight_trial(force=0.0)
     seen = acted(model, trial, [(Stribeck(), (0.1, 0.05)), (Current(), 0.3)])
     np.testing.assert_allclose(seen["x_m"], 0.0, atol=1e-12)
 
 
-def test_friction_under_load_takes_its_share_of_the_pull() -> None:
+def test_friction_under_load_is_a_share_of_the_pull() -> None:
     seen = acted(weight_model(), weight_trial(), [(LoadFriction(), 0.1)])
     np.testing.assert_allclose(seen["x_m"], 0.5 * 0.9 * FORCE / INERTIA * TIME**2, atol=1e-12)
     free = acted(weight_model(), weight_trial(pulley=False), [(LoadFriction(), 0.1)])
     np.testing.assert_allclose(free["x_m"], 0.5 * FORCE / INERTIA * TIME**2, atol=1e-12)
     still = {"quadratic_drag": 0.0, "added_mass": 0.0}
     towed = acted(TOW, TOWED, [(LoadFriction(everywhere=True), 0.1)], **still)
-    # while the body is slower than 2 % of its speed the rounded sign lets some of the friction go
+    # below 2 % of the typical speed the rounded sign reduces the friction
     np.testing.assert_allclose(towed["x_m"], 0.9 * 0.1 * TIME**3 / (6 * INERTIA), atol=1e-3)
     assert np.ptp(towed["x_m"]) > 0.7
 
 
-def test_friction_under_the_load_of_a_spring_leaves_a_share_of_each_swing() -> None:
-    """Reid: the spring is ``1 - mu`` as stiff on the way in and ``1 + mu`` on the way out."""
+def test_friction_under_the_load_of_a_spring_damps_each_swing_by_a_share() -> None:
+    """The spring is ``1 - mu`` times as stiff on the way in and ``1 + mu`` on the way out (Reid)."""
     mu, time = 0.03, np.linspace(0.0, 4.0, 4001)
     trial = replace(RELEASED, time_s=time, measured={"roll_rad": 0.3 * np.cos(10 * time)})
     seen = acted(ROLL, trial, [(LoadFriction(everywhere=True), mu)], **UNDAMPED)["roll_rad"]
     turns = np.flatnonzero(np.diff(np.sign(np.diff(seen)))) + 1
     assert len(turns) == 12
     left = ((1 - mu) / (1 + mu)) ** (0.5 * np.arange(1, 13))
-    # the sign is rounded off: each turn keeps half a per mille more
+    # the rounded sign leaves half a per mille more at each turn
     np.testing.assert_allclose(np.abs(seen[turns]) / 0.3, left, rtol=0.006)
 
 
-def test_a_servo_carries_what_is_behind_it() -> None:
-    """The tail of the fish without water, and a plate in water, about the first joint."""
+def test_the_load_of_a_servo_is_that_of_the_links_behind_it() -> None:
+    """The cases are the tail of the fish without water, and a plate in water, about the first joint."""
     body = dry_fish().body
     masses, places = (0.081, 0.081, 0.081, 0.096), (0.016, 0.048, 0.080, 0.123)
     inertia = 2.3e-4 + 2.3e-4 + 2.1e-4 + 8.0e-5 + np.dot(masses, np.square(places))
@@ -323,7 +324,7 @@ def test_a_servo_carries_what_is_behind_it() -> None:
 
 
 def servo(effect: Effect, values: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rate of a joint's command, how far it is held back along that, its greatest angle over that told."""
+    """Return the rate of a joint's command, its lag along it, and the ratio of its largest angles."""
     model = swimmer("tfish")
     trial = swim(model, duration_s=4.0)
     told = model.simulate(start(model), trial)["joint2_rad"]
@@ -338,14 +339,14 @@ def test_a_servo_sticks_where_its_command_turns_round() -> None:
     fast, slow = (
         np.abs(back[m]).mean() for m in (abs(rate) > 0.8 * rate.max(), abs(rate) < 0.2 * rate.max())
     )
-    # in full motion all but nothing is left of it: exp(-(0.8 w / w_s)^2) with w / w_s = 3.3
+    # at full speed nearly nothing of it remains: exp(-(0.8 w / w_s)^2) with w / w_s = 3.3
     assert fast < 5e-4
     assert slow > 0.005
     assert 0.8 < top < 0.95
 
 
 def test_a_servo_under_load_is_held_back_by_its_torque() -> None:
-    """In full motion the torque is that of drag, ``D q'^2``; just before and after inertia adds and takes."""
+    """At full speed the torque is that of drag, ``D q'^2``; before and after, inertia adds or reduces it."""
     share, body = 0.4, swimmer("tfish").body
     _, drag = body.carried(body.tables(), 1)
     rate, back, top = servo(LoadFriction(), share)

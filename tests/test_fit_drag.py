@@ -8,14 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import optimize
 from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
 from swimid.fitting import output_error
 from swimid.fitting.drives import RigInput
 from swimid.fitting.model import Trial
-from swimid.fitting.problem import BRIEF, CREEPING, PATIENCE, Solution, Unnoticed, minimise
 from swimid.fitting.restarts import profile_interval
 from swimid.results import evidence, parameters
 from swimid.rig import derived
@@ -125,144 +123,6 @@ class TestModel:
         x, v = equation.falling_weight_closed_form(np.array([0.0, 5.0]), 0.0, 1.9, 2.4, -0.01)
         assert not x.any()
         assert not v.any()
-
-
-class TestLevenberg:
-    @pytest.mark.parametrize("corrected", [False, True])
-    @pytest.mark.parametrize("carried", [False, True])
-    @pytest.mark.parametrize("seed", range(8))
-    def test_same_optimum_as_scipy(self, seed: int, carried: bool, corrected: bool) -> None:
-        """Also with derivatives carried from step to step by Broyden's update, of which fewer are taken, and
-        with steps corrected for curvature.
-        """
-        rng = np.random.default_rng(seed)
-        t = np.linspace(0, 4, 60)
-        y = 2.0 * np.exp(-0.7 * t) + 0.5 + rng.normal(0, 0.05, 60)
-
-        def residuals(p: np.ndarray) -> np.ndarray:
-            return p[0] * np.exp(-p[1] * t) + p[2] - y
-
-        def jacobian(p: np.ndarray) -> np.ndarray:
-            return np.column_stack((np.exp(-p[1] * t), -p[0] * t * np.exp(-p[1] * t), np.ones(60)))
-
-        # in half of the cases the last parameter's optimum lies outside its bound
-        upper = np.array([10.0, 10.0, 0.3 if seed % 2 else 5.0])
-        start = rng.uniform([0.1, 0.1, 0.0], [5.0, 3.0, 0.3])
-        taken = [0, 0]
-
-        def counted(p: np.ndarray) -> np.ndarray:
-            taken[0] += 1
-            return jacobian(p)
-
-        def broyden(rows: np.ndarray, off: np.ndarray, step: np.ndarray, weights: np.ndarray) -> np.ndarray:
-            taken[1] += 1
-            return rows + np.outer(off, step * weights) / (step * weights @ step)
-
-        ours = minimise(
-            residuals, counted, start, lower=np.zeros(3), upper=upper, scale=np.ones(3),
-            secant=broyden if carried else None, corrected=corrected,
-        )  # fmt: skip
-        assert (taken[1] > 0) is carried
-        if carried:
-            assert taken[0] < ours.iterations
-        scipys = optimize.least_squares(
-            residuals, start, jac=jacobian, bounds=(np.zeros(3), upper), xtol=1e-14, ftol=1e-14, gtol=1e-14
-        )
-        assert ours.success
-        assert ours.cost <= 2 * scipys.cost * (1 + 1e-9)
-        assert ours.x == pytest.approx(scipys.x, abs=1e-5)
-
-    def test_along_a_curved_valley_corrected_steps_need_fewer_derivatives(self) -> None:
-        """Rosenbrock's valley a hundred times as steep (More, Garbow and Hillstrom 1981, problem 1)."""
-
-        def search(corrected: bool) -> tuple[Solution, int]:
-            taken = [0]
-
-            def jacobian(p: np.ndarray) -> np.ndarray:
-                taken[0] += 1
-                return np.array([[-2000.0 * p[0], 1000.0], [-1.0, 0.0]])
-
-            found = minimise(
-                lambda p: np.array([1000.0 * (p[1] - p[0] ** 2), 1.0 - p[0]]),
-                jacobian,
-                np.array([-1.2, 1.0]),
-                lower=np.full(2, -10.0),
-                upper=np.full(2, 10.0),
-                scale=np.ones(2),
-                corrected=corrected,
-            )
-            return found, taken[0]
-
-        (found, few), (_, many) = search(corrected=True), search(corrected=False)
-        assert found.success
-        assert found.x == pytest.approx([1.0, 1.0], abs=1e-6)
-        assert few < 0.5 * many
-
-    def test_gives_up_honestly(self) -> None:
-        never = minimise(
-            lambda p: np.array([np.exp(-p[0])]),
-            lambda p: np.array([[-np.exp(-p[0])]]),
-            np.array([0.0]),
-            lower=np.array([-np.inf]),
-            upper=np.array([np.inf]),
-            scale=np.ones(1),
-            max_iterations=5,
-        )
-        assert not never.success
-
-    def test_creeping_ends_once_it_is_below_the_noise(self) -> None:
-        """Derivatives ten times too large take a tenth of each step."""
-
-        def search(enough: float) -> Solution:
-            free = np.array([np.inf])
-            return minimise(
-                lambda p: p,
-                lambda p: np.array([[10.0]]),
-                np.array([10.0]),
-                lower=-free,
-                upper=free,
-                scale=np.ones(1),
-                tolerance=0.0,
-                enough=enough,
-            )
-
-        patient, long = search(1e-3), search(0.0)
-        assert patient.success
-        assert PATIENCE < patient.iterations < long.iterations
-        assert patient.cost - long.cost < 1e-3
-
-    def test_a_search_ends_where_noise_hides_what_it_does(self) -> None:
-        """Not before the estimates that count stand still, however little the cost falls."""
-
-        def search(move: float) -> Solution:
-            free = np.array([np.inf])
-            return minimise(
-                lambda p: np.append(p, 1e3), lambda p: np.array([[10.0], [0.0]]), np.array([1.0]),
-                lower=-free, upper=free, scale=np.ones(1), tolerance=0.0,
-                unnoticed=Unnoticed(10.0, np.array([move])),
-            )  # fmt: skip
-
-        loose, strict = search(np.inf), search(1e-3)
-        assert loose.iterations == BRIEF
-        assert strict.iterations > loose.iterations
-        assert abs(strict.x[0]) < abs(loose.x[0])
-
-    def test_a_search_that_creeps_says_so(self) -> None:
-        """Derivatives ten times too large, far from the optimum: the search is ended, not called done."""
-        free = np.array([np.inf])
-        found = minimise(
-            lambda p: np.append(p, 1e6),
-            lambda p: np.array([[10.0], [0.0]]),
-            np.array([1e4]),
-            lower=-free,
-            upper=free,
-            scale=np.ones(1),
-            little=1e-6,
-        )
-        assert found.success
-        assert found.stalled
-        assert CREEPING < found.iterations < 200
-        assert found.x[0] > 10.0
 
 
 class TestEncoder:

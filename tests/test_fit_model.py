@@ -1,4 +1,4 @@
-"""``fit_model``: any model, any trials, in memory, with all the evidence of a fit."""
+"""``fit_model``: any model and any trials in memory, with all the evidence of a fit."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def swings(model: Toy, rng: np.random.Generator) -> list[Trial]:
     return trials(model, TRUTH, NOISE, rng)
 
 
-def test_the_truth_comes_back_with_its_evidence(model: Toy, swings: list[Trial]) -> None:
+def test_a_fit_recovers_the_truth_with_its_evidence(model: Toy, swings: list[Trial]) -> None:
     fitted = fit_model(model, swings)
     for parameter, truth in zip(DECAY, TRUTH, strict=True):
         estimate = fitted[parameter.name]
@@ -71,7 +71,9 @@ def test_nothing_is_written_unless_asked(
     assert Fitted.load(tmp_path / "toy.yaml").parameters.equals(written.parameters)
 
 
-def test_what_cannot_be_fitted(model: Toy, swings: list[Trial], rng: np.random.Generator) -> None:
+def test_errors_of_fits_that_cannot_be_made(
+    model: Toy, swings: list[Trial], rng: np.random.Generator
+) -> None:
     with pytest.raises(UsageError, match="there is no trial to fit"):
         fit_model(model, [])
     with pytest.raises(UsageError, match="there is no parameter 'rat'"):

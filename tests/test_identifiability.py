@@ -1,4 +1,4 @@
-"""Which parameters the trials determine, and which only together."""
+"""Parameters that the trials determine alone, and those that they determine only in combination."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def result() -> FitResult:
 
 
 class TestThreeFrictions:
-    def test_one_at_its_bound_by_chance_is_no_less_confounded(self, result: FitResult) -> None:
+    def test_a_parameter_at_its_bound_by_chance_stays_confounded(self, result: FitResult) -> None:
         assert result.value("c_f4") == 0.0
         assert idn.unidentifiable(result) == list(FRICTIONS)
         assert result.status["thrust"] == "estimated"
@@ -45,16 +45,17 @@ class TestThreeFrictions:
             f"c_f0, c_f13 and c_f4 cannot be told apart from these trials; known is {sum_.text}"
         ]
 
-    def test_its_error_is_that_of_repeated_experiments(self) -> None:
+    def test_the_error_of_the_sum_is_that_of_repeated_experiments(self) -> None:
         repeats = 100
         sums = [idn.combinations(_fit(seed))[0] for seed in range(repeats)]
         values = np.array([s.value for s in sums])
         stderr = np.median([s.stderr for s in sums])
-        # a sample deviation is known to 1 / sqrt(2 n), a mean to 1 / sqrt(n); four times each
+        # errors are 1 / sqrt(2 n) for a sample deviation and 1 / sqrt(n) for a mean; four times each is
+        # allowed
         assert np.std(values) == pytest.approx(stderr, rel=4 / np.sqrt(2 * repeats))
         assert np.mean(values) == pytest.approx(TOTAL, abs=4 * stderr / np.sqrt(repeats))
 
-    def test_its_error_is_that_of_the_shared_coefficient(self, result: FitResult) -> None:
+    def test_the_error_of_the_sum_is_that_of_a_shared_coefficient(self, result: FitResult) -> None:
         tied = Tied(Toy(friction, FRICTION), {"c_f": FRICTIONS})
         shared = output_error.fit(tied, result.trials)
         (sum_,) = idn.combinations(result)
@@ -93,7 +94,7 @@ def _pairs(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def test_a_member_that_happens_to_look_known_stays_in_its_group() -> None:
-    """Confounded with the others, its estimate strays to where half of it exceeds its standard error."""
+    """The estimate of a confounded parameter may be so large that half of it exceeds its standard error."""
     for seed in range(40):
         model = Toy(
             lambda v, t: {"y": v[0] * t + v[1] * (t + 0.1 * np.sin(t))},
@@ -113,7 +114,7 @@ def test_a_member_that_happens_to_look_known_stays_in_its_group() -> None:
 class TestGroups:
     parameters = tuple(parameter(name, 1.0) for name in ("a", "b", "c", "d", "unseen"))
 
-    def test_pairs_are_kept_apart_and_the_unseen_alone(self, rng: np.random.Generator) -> None:
+    def test_pairs_stay_separate_and_an_unseen_parameter_alone(self, rng: np.random.Generator) -> None:
         model = Toy(_pairs, self.parameters)
         result = output_error.fit(model, trials(model, (1.0, 2.0, 3.0, 1.0, 0.0), {"y": 0.1}, rng))
         assert idn.unidentifiable(result) == ["a", "b", "c", "d", "unseen"]
@@ -128,7 +129,7 @@ class TestGroups:
         assert said[-1] == "unseen is not identifiable from these trials"
         assert result.stderr("unseen") is None
 
-    def test_what_depends_on_other_parameters_is_counted_so(self, rng: np.random.Generator) -> None:
+    def test_the_error_of_a_sum_includes_correlated_parameters(self, rng: np.random.Generator) -> None:
         """The error of a sum includes that of an identified parameter it is correlated with."""
 
         def formula(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
@@ -141,10 +142,10 @@ class TestGroups:
         t = np.concatenate([s.time_s for s in result.series])
         sd = result.noise["y"].value_sd
         expected = sd / np.sqrt(np.sum((t - t.mean()) ** 2)) / abs(sum_.weights["a"]) ** -1
-        # the noise's size: 2 of 600 samples
+        # two of 600 degrees of freedom in the size of the noise
         assert sum_.stderr == pytest.approx(expected, rel=1e-2)
 
-    def test_nothing_to_say_where_all_is_known(self, rng: np.random.Generator) -> None:
+    def test_no_sentences_if_all_parameters_are_identifiable(self, rng: np.random.Generator) -> None:
         model = Toy(lambda v, t: {"y": v[0] * t + v[1]}, [parameter("a", 1.0), parameter("b", 1.0)])
         result = output_error.fit(model, trials(model, (1.0, 2.0), {"y": 0.1}, rng))
         assert idn.sentences(result) == []
@@ -153,12 +154,12 @@ class TestGroups:
         assert subset is result
         assert fixed == []
 
-    def test_without_the_information_only_the_status_speaks(self, result: FitResult) -> None:
+    def test_without_the_information_matrix_only_the_status_counts(self, result: FitResult) -> None:
         bare = replace(result, information_root=np.empty((0, 0)))
         assert idn.combinations(bare) == idn.ranked(bare) == []
         assert idn.sentences(bare) == [f"{name} is not identifiable from these trials" for name in FRICTIONS]
 
-    def test_numbers_of_single_trials_are_accounted_for(self, rng: np.random.Generator) -> None:
+    def test_parameters_of_single_trials_are_accounted_for(self, rng: np.random.Generator) -> None:
         """A common offset that each trial's own offset can imitate has no share of its own."""
 
         def formula(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:

@@ -1,4 +1,4 @@
-"""Small, noisy and impossible falling-weight experiments: a fit, a refusal, never a breakdown."""
+"""Small, noisy and impossible falling-weight experiments end with a fit or an error message."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FACTOR = int(os.environ.get("SWIMID_FUZZ", "1"))
 
 
 def drop(time: np.ndarray, pulling_kg: float, moving_kg: float, drag: float) -> np.ndarray:
-    """Displacement of a body pulled from rest against quadratic drag."""
+    """Return the displacement of a body pulled from rest against quadratic drag."""
     terminal = np.sqrt(pulling_kg * GRAVITY / drag)
     rate = np.sqrt(pulling_kg * GRAVITY * drag) / moving_kg
     # log cosh without overflow
@@ -97,7 +97,7 @@ def test_any_small_rig_experiment_ends_in_order(swimid: Callable[..., Ran], fold
             )
         (folder / "trials.yaml").write_text("\n".join(lines) + "\n")
         with warnings.catch_warnings():
-            # numpy's complaints are swimid's to deal with, not the user's
+            # warnings of numpy must not reach the user
             warnings.simplefilter("error")
             warnings.simplefilter("always", SwimidWarning)
             ran = swimid("fit-drag", folder / "trials.yaml", "--json", "-o", folder / "drag.yaml", *words)

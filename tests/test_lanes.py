@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from swimid.effects import catalogue as effect_catalogue
-from swimid.effects.affected import Affected
+from swimid.effects.base import Affected
 from swimid.fitting import drives
 from swimid.fitting.drives import SwimInput
 from swimid.fitting.model import Tied, Trial

@@ -15,8 +15,7 @@ import pytest
 
 from swimid.diagnosis.generic import AXES, ResidualForce
 from swimid.effects import catalogue
-from swimid.effects.affected import Affected
-from swimid.effects.base import Effect
+from swimid.effects.base import Affected, Effect
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting import drives
 from swimid.fitting.drives import SwimInput

@@ -1,4 +1,4 @@
-"""Errors of a simulation against closed forms and a plain dynamic programme."""
+"""Errors of a simulation against closed forms and a direct dynamic programme."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from swimid.fitting import metrics
 
 
 def warped(a: np.ndarray, b: np.ndarray, band: int) -> float:
-    """Least cost of a warping path, cell by cell."""
+    """Return the least cost of a warping path, cell by cell."""
     cost = np.full((len(a) + 1, len(b) + 1), np.inf)
     cost[0, 0] = 0.0
     for i in range(1, len(a) + 1):

@@ -14,7 +14,7 @@ from tests.toy_models import FRICTION, FRICTION_TRUTH, Toy, friction, parameter,
 
 
 def well(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
-    """Depends on x through x^3 - 3x: two minima where the data lie beyond its hump at -1."""
+    """Return x^3 - 3x: the cost has two minima if the data lie beyond the hump of this at -1."""
     return {"y": (values[0] ** 3 - 3 * values[0]) * np.ones_like(t)}
 
 
@@ -26,7 +26,7 @@ class TestTwoMinima:
     def test_the_global_one_is_found(self, rng: np.random.Generator) -> None:
         model = Toy(well, WELL)
         data = trials(model, [TRUTH], {"y": 0.1}, rng)
-        # one search, not held against restarts around its end
+        # one search, without restarts around its end
         single = output_error.fit(model, data, tested=False)
         assert single.value("x") == pytest.approx(-1.0, abs=1e-3)
         best, ends = multistart(model, data, starts=8, seed=1)
@@ -42,7 +42,7 @@ class TestTwoMinima:
         again = multistart(model, data, starts=8, seed=1)[1]
         assert [e.start[0] for e in again] == [e.start[0] for e in ends]
 
-    def test_failed_starts_cost(self, rng: np.random.Generator) -> None:
+    def test_failed_starts_have_infinite_cost(self, rng: np.random.Generator) -> None:
         def breaks(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
             return {"y": well(values, t)["y"] if values[0] > 0 else np.full(len(t), np.nan)}
 
@@ -56,14 +56,14 @@ class TestTwoMinima:
         assert all(np.isinf(e.cost) and np.isnan(e.end).all() for e in failed)
         assert agreeing(ends) == sum(e.start[0] > 1 for e in ends)
 
-    def test_nowhere_to_start(self, rng: np.random.Generator) -> None:
+    def test_no_start_that_can_be_simulated_is_an_error(self, rng: np.random.Generator) -> None:
         data = trials(Toy(well, WELL), [TRUTH], {"y": 0.1}, rng)
         model = Toy(lambda v, t: {"y": np.full(len(t), np.nan)}, WELL)
         with pytest.raises(NoTrustworthyResult, match="breaks down"):
             multistart(model, data, starts=3)
 
 
-def test_equal_minima_may_differ_where_nothing_is_known(rng: np.random.Generator) -> None:
+def test_equal_minima_may_differ_in_parameters_without_influence(rng: np.random.Generator) -> None:
     model = Toy(friction, FRICTION)
     _, ends = multistart(model, trials(model, FRICTION_TRUTH, {"y": 0.05}, rng), starts=5)
     assert agreeing(ends) == 5

@@ -1,4 +1,4 @@
-"""Residual tests against hand formulas, simulated truth and their own error rates."""
+"""Tests of residual tests: formulas by hand, simulated truth and rates of false alarms."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_ljung_box_equals_the_textbook_formula_without_gaps():
 
 @pytest.mark.parametrize("missing", [0.0, 0.2])
 def test_ljung_box_false_alarm_rate(missing):
-    """White noise is rejected at 5 % in about 5 % of 400 series, gaps or not."""
+    """White noise is rejected at 5 % in about 5 % of 400 series, with and without gaps."""
     rng = np.random.default_rng(3)
     p = []
     for _ in range(400):
@@ -49,7 +49,7 @@ def test_ljung_box_detects_weak_colour():
     assert not rt.ljung_box(x).passed
 
 
-def test_constant_and_empty_series_are_not_accused():
+def test_constant_and_empty_series_pass():
     assert rt.ljung_box(np.zeros(100)).p_value == 1.0
     assert rt.ljung_box(np.empty(0)).p_value == 1.0
     assert rt.ljung_box(np.full(50, np.nan)).p_value == 1.0
@@ -68,7 +68,7 @@ def test_cross_correlation_finds_the_missed_delay():
 
 @pytest.mark.parametrize("colour", [0.0, 0.9])
 def test_independence_false_alarm_rate(colour):
-    """Coloured residuals against a coloured source: still about 5 % of 400 rejected at 5 %."""
+    """Coloured residuals and a coloured source are rejected at 5 % in about 5 % of 400 pairs."""
     rng = np.random.default_rng(6)
     p, outside = [], []
     for _ in range(400):
@@ -114,14 +114,14 @@ def test_autoregression_refuses_too_little():
 
 
 def test_long_run_covariance_gives_the_variance_of_a_mean():
-    """Repeated sums of an AR(1) series against the estimate from each."""
+    """Compare sums of repeated AR(1) series with the estimate from each."""
     rng = np.random.default_rng(12)
     sums, guesses = [], []
     for _ in range(300):
         x = lfilter([1.0], [1.0, -0.6], rng.normal(size=2100))[100:]
         sums.append(x.sum())
         guesses.append(rt.long_run_covariance(x[:, None])[0, 0])
-    # 300 sums know their variance to 8 %; the Bartlett window underestimates a little.
+    # the variance of 300 sums has an error of 8 %; the Bartlett window underestimates a little
     assert np.mean(guesses) == pytest.approx(np.var(sums), rel=0.25)
 
 
@@ -132,7 +132,7 @@ def test_long_run_covariance_is_positive_semidefinite_with_gaps():
     assert np.linalg.eigvalsh(rt.long_run_covariance(s)).min() > -1e-9
 
 
-def test_joined_keeps_records_apart():
+def test_joined_records_stay_separate():
     parts = [np.ones(3), np.ones(2)]
     both = rt.joined(parts, gap=4)
     assert np.flatnonzero(np.isfinite(both)).tolist() == [0, 1, 2, 7, 8]

@@ -1,4 +1,4 @@
-"""Whether the answer of a search is a minimum: starts around it must lead back to it."""
+"""Tests whether the answer of a search is a minimum: starts around it must lead back to it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Run = Callable[..., Ran]
 
 
 class Terrace(Model):
-    """A line whose slope acts in steps: between them the cost is flat, and no derivative leads on."""
+    """A line whose slope acts in steps, between which the cost is flat."""
 
     name = "terrace"
     channels = (Channel("x_m", "m"),)
@@ -41,7 +41,7 @@ class Terrace(Model):
 
 
 class Valley(Model):
-    """A cost whose valley is bent, as smooth as any: two standard errors along it lead far up its side."""
+    """A smooth cost with a bent valley: two standard errors along it lead far up its side."""
 
     name = "valley"
     channels = (Channel("x_m", "m"),)
@@ -57,7 +57,7 @@ def _line(rng: np.random.Generator) -> list[Trial]:
     return [Trial("a", "fit", time, {"x_m": 2.0 * time + 0.5 + rng.normal(0, 0.05, 200)})]
 
 
-def test_a_search_caught_on_a_step_goes_on_from_beside_it(rng: np.random.Generator) -> None:
+def test_a_search_stuck_on_a_step_is_restarted_beside_it(rng: np.random.Generator) -> None:
     trials = _line(rng)
     alone = output_error.fit(Terrace(0.05), trials, tested=False)
     with pytest.warns(SwimidWarning, match="SWM073"):
@@ -66,22 +66,22 @@ def test_a_search_caught_on_a_step_goes_on_from_beside_it(rng: np.random.Generat
     assert found.cost < 0.9 * alone.cost
 
 
-def test_corners_are_told_from_bends(rng: np.random.Generator) -> None:
-    """Stairs are searched with derivatives of their own from many starts; a bend is not taken for them."""
+def test_kinks_are_distinguished_from_bends(rng: np.random.Generator) -> None:
+    """Stairs are searched with their own derivatives from many starts, and a bend is not."""
     time = np.linspace(0.0, 1.0, 200)
     measured = Valley().simulate(np.array([0.8, 0.6]), Trial("a", "fit", time, {}))["x_m"]
     data = [Trial("a", "fit", time, {"x_m": measured + rng.normal(0, 2.0, 200)})]
     bent = output_error.fit(Valley(), data, tested=False)
     stairs = output_error.fit(Terrace(0.05), _line(rng), tested=False)
     for seed in range(5):
-        around = restarts.held(bent, seed=seed)
+        around = restarts.search_around(bent, seed=seed)
         assert not around.rough
         assert around.evaluations < 60
-        assert restarts.held(stairs, seed=seed).rough
+        assert restarts.search_around(stairs, seed=seed).rough
 
 
-def test_all_that_a_fit_simulates_is_counted(rng: np.random.Generator) -> None:
-    """Searches begun again as well, and the tests of each answer."""
+def test_every_simulation_of_a_fit_is_counted(rng: np.random.Generator) -> None:
+    """Count also searches after a restart, and the tests of each answer."""
     counted = [0]
 
     class Counting(Terrace):
@@ -99,7 +99,7 @@ def test_all_that_a_fit_simulates_is_counted(rng: np.random.Generator) -> None:
 
 
 def test_a_smooth_fit_is_tested_at_a_small_cost(samples: Path) -> None:
-    """Its answer stays to the last digit of its error, and the test costs less than the search did."""
+    """The answer is unchanged, and the test needs fewer simulations than the search."""
     experiment = rig_experiment.load(samples / "rig" / "trials.yaml")
     counted = [0]
 
@@ -124,7 +124,7 @@ def test_a_smooth_fit_is_tested_at_a_small_cost(samples: Path) -> None:
 
 @pytest.mark.parametrize("seed", range(2))
 def test_dry_friction_in_a_driven_slide(tmp_path: Path, seed: int) -> None:
-    """The likelihood at the answer is not below that at the truth, and the truth within four errors."""
+    """The likelihood of the answer is at least that of the truth, which is within four standard errors."""
     experiment = rig_experiment.load(generator.write_slide(tmp_path, np.random.default_rng(seed)))
     choices = chosen(
         experiment.model.parameters,
@@ -137,7 +137,7 @@ def test_dry_friction_in_a_driven_slide(tmp_path: Path, seed: int) -> None:
         error = found.stderr(name)
         assert error is not None
         assert abs(found.value(name) - true) < 4 * error, name
-    # the log's first sample, from which the start is counted, has noise
+    # the start offset refers to the first sample of the log, which has noise
     first = experiment.trials[0].rig.x0
     known = {**truth, "start_offset[slide.csv]": -first, "initial_speed[slide.csv]": 0.0}
     point = np.array([known[label] for label in found.labels])
@@ -159,21 +159,21 @@ def test_the_answer_does_not_depend_on_where_the_friction_starts(tmp_path: Path)
         ends.append(output_error.fit(experiment.model, experiment.trials, parameters=begun))
     least = min(end.cost for end in ends)
     for end in ends:
-        # twice the log-likelihood, against the two it may lose per standard error
+        # twice the log-likelihood may differ by two, less than for two standard errors
         assert end.samples * np.log(end.cost / least) < 2.0
 
 
-def test_a_body_gets_loose_between_two_steps() -> None:
-    """A force that grows by 1 N/s on 1 kg held by 0.505 N: it moves as (t - 0.505)^3 / 6 from then on."""
+def test_a_body_breaks_away_between_two_steps() -> None:
+    """A force that grows by 1 N/s on 1 kg held by 0.505 N moves it as (t - 0.505)^3 / 6 from then on."""
     time = np.linspace(0.0, 1.0, 11)
     x, _ = model.integrate(time, 0.0, 0.01, time, 0.0, 0.0, (1.0, 0.0, 0.0, 0.505, 0.0, 0.0, 0.0, 0.0))
     assert x == pytest.approx(np.maximum(time - 0.505, 0.0) ** 3 / 6, abs=1e-12)
 
 
 def test_a_decay_that_sticks(swimid: Run, tmp_path: Path) -> None:
-    """Analytic between turning points: dry friction shifts the middle of each half swing, until it sticks.
+    """The solution is analytic between turning points: dry friction shifts the middle of each half swing.
 
-    For every number of half swings before it sticks there is a minimum of its own.
+    Every number of half swings before the body sticks has a minimum of its own.
     """
     inertia, stiffness, linear, dry = 3.5, 150.0, 1.0, 0.6
     (tmp_path / "buoy.yaml").write_text(
@@ -209,10 +209,10 @@ def test_a_decay_that_sticks(swimid: Run, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_real_drive_with_dry_friction(real_data: Path, tmp_path: Path) -> None:
-    """The positioning system of Janot and others, raw at 100 Hz: the published friction from any start.
+    """The published friction of a positioning system (Janot and others) is found from any start.
 
-    Published are 95.1 kg, 203.5 N s/m and 20.4 N, from the force, not the position: three standard errors and
-    a tenth are allowed.
+    The log is raw at 100 Hz. Published are 95.1 kg, 203.5 N s/m and 20.4 N, from the force and not from the
+    position. Three standard errors and a tenth are allowed.
     """
     time, position, force = real_logs.read_screw_drive(real_data)
     rows = np.c_[time, force, position][::10]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from swimid.fitting.between_trials import Own, spread, trend
+from swimid.fitting.between_trials import OwnValues, estimate_spread, estimate_trend
 from tests.conftest import Ran
 from tests.generators import rig as generator
 
@@ -34,15 +34,17 @@ class TestRandomEffect:
     def test_spread_of_known_scatter(self, seed: int) -> None:
         """40 numbers scattered by 2 and measured to 1: the spread comes out within three errors of 2."""
         rng = np.random.default_rng(seed)
-        own = Own(tuple(map(str, range(40))), rng.normal(5, 2, 40) + rng.normal(0, 1, 40), np.eye(40))
-        found = spread(own)
+        own = OwnValues(tuple(map(str, range(40))), rng.normal(5, 2, 40) + rng.normal(0, 1, 40), np.eye(40))
+        found = estimate_spread(own)
         assert found.p_value < 1e-3
         assert abs(found.sd - 2.0) < 3 * found.stderr
 
     def test_no_spread_in_errors_alone(self) -> None:
         """Half of the seeds have none at all; the test of none errs at its level."""
         found = [
-            spread(Own(tuple("abcdefg"), np.random.default_rng(seed).normal(0, 1, 7), np.eye(7)))
+            estimate_spread(
+                OwnValues(tuple("abcdefg"), np.random.default_rng(seed).normal(0, 1, 7), np.eye(7))
+            )
             for seed in range(400)
         ]
         assert 0.4 < np.mean([f.sd == 0 for f in found]) < 0.75
@@ -51,17 +53,17 @@ class TestRandomEffect:
     def test_a_direction_that_is_not_known_says_nothing(self) -> None:
         """Numbers far apart along what the shared parameters imitate are no spread."""
         along = np.arange(7.0) - 3.0
-        own = Own(tuple("abcdefg"), 50 * along, np.eye(7) + 1e6 * np.outer(along, along))
-        assert spread(own).sd == 0.0
-        assert trend(own, along).p_value > 0.5
+        own = OwnValues(tuple("abcdefg"), 50 * along, np.eye(7) + 1e6 * np.outer(along, along))
+        assert estimate_spread(own).sd == 0.0
+        assert estimate_trend(own, along).p_value > 0.5
 
     def test_trend_is_told_from_one_odd_number(self) -> None:
         rng = np.random.default_rng(1)
         mass = np.arange(7.0)
-        grows = Own(tuple("abcdefg"), 0.5 * mass + rng.normal(0, 0.2, 7), 1e-4 * np.eye(7))
-        assert trend(grows, mass).p_value < 1e-3
-        odd = Own(tuple("abcdefg"), np.array([0.0, 0, 0, 0, 0, 0, 3]), 1e-4 * np.eye(7))
-        assert trend(odd, mass).p_value > 0.05
+        grows = OwnValues(tuple("abcdefg"), 0.5 * mass + rng.normal(0, 0.2, 7), 1e-4 * np.eye(7))
+        assert estimate_trend(grows, mass).p_value < 1e-3
+        odd = OwnValues(tuple("abcdefg"), np.array([0.0, 0, 0, 0, 0, 0, 3]), 1e-4 * np.eye(7))
+        assert estimate_trend(odd, mass).p_value > 0.05
 
 
 @pytest.mark.parametrize("weight, friction", [(20, 40.0), (40, 60.0), (10, 25.0)])

@@ -13,7 +13,7 @@ import pytest
 
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files.checkpoint import Checkpoint
-from swimid.fitting.parallel import in_threads
+from swimid.fitting.parallel import map_in_threads
 from swimid.results import evidence
 from swimid.sensitivity_analysis import indices, sensitivity
 from swimid.sensitivity_analysis.evidence import SensitivityFile
@@ -161,7 +161,7 @@ def test_evaluations_do_not_begin_after_an_interrupt() -> None:
         yield from range(200, 400)
 
     got = []
-    with pytest.raises(KeyboardInterrupt), in_threads(work, items(), 1) as results:
+    with pytest.raises(KeyboardInterrupt), map_in_threads(work, items(), 1) as results:
         got.extend(results)
     assert begun == [0, 1, 2, 3, 4, 5]
     assert got == [0, 1, 2, 3, 4]

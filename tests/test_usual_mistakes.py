@@ -1,4 +1,4 @@
-"""Usual mistakes in trials are named when a fit or a comparison is bad, and nothing is changed."""
+"""Usual mistakes in trials are named if a fit or a comparison is bad; nothing is changed."""
 
 from __future__ import annotations
 

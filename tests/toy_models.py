@@ -1,4 +1,4 @@
-"""Closed-form models to try estimators on, and noisy trials of them."""
+"""Closed-form models for tests of estimators, and noisy trials of them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Formula = Callable[[np.ndarray, np.ndarray], dict[str, np.ndarray]]
 
 
 class Toy(Model):
-    """Channels as a formula of the parameter values and the time."""
+    """A model whose channels are a formula of the parameter values and the time."""
 
     name = "toy"
 
@@ -61,7 +61,7 @@ def trials(
 
 
 def decay(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
-    """Size, rate and frequency of a decaying swing, with its speed as second channel."""
+    """Return a decaying oscillation from size, rate and frequency, with its speed as second channel."""
     size, rate, frequency = values
     y = size * np.exp(-rate * t) * np.cos(frequency * t)
     speed = -rate * y - size * frequency * np.exp(-rate * t) * np.sin(frequency * t)
@@ -78,7 +78,7 @@ WEIGHTS = (1.0, 0.31, 0.08)
 
 
 def friction(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
-    """Thrust less three frictions of which only the weighted sum matters."""
+    """Return thrust less three frictions, of which only the weighted sum matters."""
     total = np.dot(WEIGHTS, values[1:4])
     return {"y": values[0] * np.sin(3 * t) - total * t * np.exp(-0.3 * t)}
 

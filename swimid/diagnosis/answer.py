@@ -173,7 +173,7 @@ def answer(
         causes=causes,
         remaining=left,
         advice=_advice(state, told, left.where, floor),
-        odd_trial={told.odd.trial: told.odd.times} if told.odd else {},
+        odd_trial={told.odd.trial: told.odd.error_ratio} if told.odd else {},
         refuted=list(told.refuted),
         unpredicted=dict(told.unpredicted),
         setting_count=settings.count([*context.trials, *validation]),

@@ -13,7 +13,7 @@ from swimid.diagnosis.crossval import NormalEquations
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.effects.base import Effect
 from swimid.fitting.model import Array, Parameter
-from swimid.fitting.parallel import mapped
+from swimid.fitting.parallel import map_in_processes
 
 #: A squared change below this, in units of the noise, counts as zero.
 NOTHING = 1e-6
@@ -133,7 +133,7 @@ def simulate(context: FitContext, base: Fit, effects: Sequence[Effect]) -> list[
 
     return [
         Trialled(effect, effect.parameters(context.model, context.trials), points)
-        for effect, points in zip(effects, mapped(one, effects, context.jobs), strict=True)
+        for effect, points in zip(effects, map_in_processes(one, effects, context.jobs), strict=True)
     ]
 
 

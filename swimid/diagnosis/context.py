@@ -14,11 +14,10 @@ from swimid.diagnosis.folds import Folds, folds, stretches
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.diagnosis.nominal import OWN_PRIOR
 from swimid.diagnosis.random_effects import RandomEffect
-from swimid.effects.affected import Affected
-from swimid.effects.base import Effect
+from swimid.effects.base import Affected, Effect
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.fitting.parallel import mapped
-from swimid.fitting.problem import Problem, Solution, minimise
+from swimid.fitting.parallel import map_in_processes
+from swimid.fitting.problem import Problem, Solution
 
 #: Prior standard deviation of an effect's parameters, in typical sizes.
 EFFECT_PRIOR = 5.0
@@ -437,11 +436,8 @@ class FitContext:
         noise_model.install(problem)
         if warm is not None:
             problem.hold_derivatives(warm.labels, warm.rows)
-        try:
-            best = self.search(problem, noise_model, starts, tolerance, iterations)
-            return self._at(problem, effects, best.x, best.cost)
-        finally:
-            problem.close()
+        best = self.search(problem, noise_model, starts, tolerance, iterations)
+        return self._at(problem, effects, best.x, best.cost)
 
     def multistart(
         self,
@@ -490,20 +486,17 @@ class FitContext:
                     found.append(ended)
             return found
 
-        try:
-            if len(starts) > finalists:
-                problem.hold_derivatives(warm.labels, warm.rows)
-                while len(starts) > finalists:
-                    steps = 1 if len(starts) > 2 * finalists else HEAT
-                    left = ranked(starts, ROUGH, steps)[: max(len(starts) // 2, finalists)]
-                    starts = [found.x for found in left]
-                problem.hold_derivatives((), ())
-            found = ranked(starts, ROUGH, HEAT)[:1] if len(starts) > 1 else []
-            found.append(one(found[0].x if found else starts[0], FINE, STEPS))
-            best = min(found, key=cost)
-            return self._at(problem, effects, best.x, best.cost)
-        finally:
-            problem.close()
+        if len(starts) > finalists:
+            problem.hold_derivatives(warm.labels, warm.rows)
+            while len(starts) > finalists:
+                steps = 1 if len(starts) > 2 * finalists else HEAT
+                left = ranked(starts, ROUGH, steps)[: max(len(starts) // 2, finalists)]
+                starts = [found.x for found in left]
+            problem.hold_derivatives((), ())
+        found = ranked(starts, ROUGH, HEAT)[:1] if len(starts) > 1 else []
+        found.append(one(found[0].x if found else starts[0], FINE, STEPS))
+        best = min(found, key=cost)
+        return self._at(problem, effects, best.x, best.cost)
 
     def search(
         self,
@@ -524,53 +517,18 @@ class FitContext:
         prior : tuple of ndarray, shapes (p,) and (m, p), optional
             Mean of the parameters, and a root of their precision; default that of a fit.
         """
-        mean, root = prior or (self.expected(problem)[0], self.root(problem))
+        problem.prior = prior or (self.expected(problem)[0], self.root(problem))
 
-        def whitened(k: int, rows: Array) -> Array:
+        def whiten(k: int, rows: Array) -> Array:
             seen = noise_model.whiten(problem, k, rows)
             return seen if kept is None else (seen.T * kept[k]).T
 
-        def residuals(theta: Array) -> Array:
-            parts = [whitened(k, problem.trial_residuals(theta, k)) for k in range(len(problem.trials))]
-            return np.concatenate([*parts, root @ (theta - mean)])
-
-        own: list[tuple[slice, NDArray[np.intp]]] = []
-        for k, masks in enumerate(problem.masks):
-            begin = own[-1][0].stop if own else 0
-            own.append((slice(begin, begin + sum(int(m.sum()) for m in masks)), problem.taken[k][1]))
-        count = own[-1][0].stop if own else 0
-
-        def jacobian(theta: Array) -> Array:
-            found = np.zeros((count + len(root), len(theta)))
-            found[count:] = root
-            for k, rows in enumerate(problem.own_jacobians(theta)):
-                found[own[k]] = whitened(k, rows)
-            return found
-
-        def secant(rows: Array, off: Array, step: Array, weights: Array) -> Array:
-            # The rows of a trial do not depend on the parameters of another.
-            for part, columns in own:
-                along = step[columns] * weights[columns]
-                length = float(along @ step[columns])
-                if length > 0:
-                    rows[part, columns] += np.outer(off[part], along / length)
-            return rows
-
-        def one(start: Array) -> Solution:
-            return minimise(
-                residuals,
-                jacobian,
-                np.clip(start, problem.lower, problem.upper),
-                lower=problem.lower,
-                upper=problem.upper,
-                scale=problem.scale,
-                tolerance=tolerance,
-                max_iterations=iterations,
-                secant=secant,
-                corrected=True,
-            )
-
-        return min(map(one, starts), key=lambda found: found.cost)
+        problem.whiten = whiten
+        found = [
+            problem.solve(start, tolerance=tolerance, max_iterations=iterations, secant=True)
+            for start in starts
+        ]
+        return min(found, key=lambda one: one.cost)
 
     def without_each(self, fit: Fit, noise_model: NoiseModel) -> list[Array]:
         """Return the parameters of a fit refitted without each fold, shape (p,) each.
@@ -591,7 +549,7 @@ class FitContext:
         for known, through, found in self._without:
             if known is fit and through is noise_model:
                 return found
-        found = list(mapped(one, range(self.folds.count), self.jobs))
+        found = list(map_in_processes(one, range(self.folds.count), self.jobs))
         self._without.append((fit, noise_model, found))
         return found
 
@@ -599,10 +557,7 @@ class FitContext:
         """Return the state of a fit at given parameters, without a search."""
         problem = self.problem(effects, noise_model.random_effects)
         noise_model.install(problem)
-        try:
-            return self._at(problem, effects, theta, math.nan)
-        finally:
-            problem.close()
+        return self._at(problem, effects, theta, math.nan)
 
     def _at(self, problem: Mixed, effects: Sequence[Effect], theta: Array, cost: float) -> Fit:
         rows = [-r for r in problem.trial_jacobians(theta)]

@@ -19,7 +19,7 @@ from swimid.diagnosis.search import Round, State
 from swimid.diagnosis.shrinkage import Piece
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error
-from swimid.fitting.between_trials import MIN_TRIALS, Odd, odd_trial
+from swimid.fitting.between_trials import MIN_TRIALS, OutlierTrial, find_outlier_trial
 from swimid.fitting.model import Array, Trial
 
 #: Minimum probability that no cause outside the catalogue acts, for an explanation (odds of four to one).
@@ -105,7 +105,7 @@ class Judgement:
         Reasons why the causes are not certain.
     refuted : tuple of str
         Causes with which held-out errors grow.
-    odd : Odd or None
+    odd : OutlierTrial or None
         The trial that contradicts the others.
     unpredicted : mapping of trial to float
         Validation trials that the model with the causes does not predict, and the ratio of the error to the
@@ -120,7 +120,7 @@ class Judgement:
     reasons: tuple[str, ...] = ()
     unsure: tuple[str, ...] = ()
     refuted: tuple[str, ...] = ()
-    odd: Odd | None = None
+    odd: OutlierTrial | None = None
     unpredicted: Mapping[str, float] = field(default_factory=dict)
     unreproduced: Mapping[str, float] = field(default_factory=dict)
 
@@ -374,7 +374,7 @@ def differs(state: State) -> list[str]:
 
 def contradicting(
     context: FitContext, nominal: Fit, residuals: Sequence[Array], floor: Mapping[str, float]
-) -> Odd | None:
+) -> OutlierTrial | None:
     """Return the trial that has most of the gap, if the others do not predict it as well as they predict one
     another.
 
@@ -398,7 +398,9 @@ def contradicting(
         for p in context.parameters
     ]
     try:
-        return odd_trial(output_error.fit(context.model, context.trials, parameters=here, tested=False))
+        return find_outlier_trial(
+            output_error.fit(context.model, context.trials, parameters=here, tested=False)
+        )
     except NoTrustworthyResult:
         return None
 

@@ -154,12 +154,9 @@ def _of_trials(
     root = np.zeros((len(places) + len(begin), len(begin)))
     root[: len(places), places] = np.sqrt(np.maximum(sizes, 0.0))[:, None] * vectors.T
     root[len(places) :] = np.diag(weight)
-    try:
-        found = context.search(problem, noise_model, [begin], TOLERANCE, STEPS, (mean, root))
-        left = [problem.trial_residuals(found.x, k) for k in range(len(validation))]
-        chance = _chance(problem, found.x, fit, noise_model)
-    finally:
-        problem.close()
+    found = context.search(problem, noise_model, [begin], TOLERANCE, STEPS, (mean, root))
+    left = [problem.trial_residuals(found.x, k) for k in range(len(validation))]
+    chance = _chance(problem, found.x, fit, noise_model)
     moving = remainder.low_frequency(problem, left)
     slow = not moving or any(channel.ratio > remainder.SLOW for channel in moving.values())
     return Misfit(float(found.cost), sum(len(r) for r in left), slow, chance)

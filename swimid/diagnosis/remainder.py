@@ -14,7 +14,7 @@ from swimid.diagnosis.context import Fit, FitContext
 from swimid.diagnosis.generic import Description, descriptions
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.fitting.model import Array
-from swimid.fitting.parallel import mapped
+from swimid.fitting.parallel import map_in_processes
 from swimid.fitting.problem import Problem
 
 #: Tried prior standard deviations of a generic term, in its typical sizes.
@@ -86,7 +86,7 @@ def _terms(context: FitContext, base: Fit) -> list[tuple[str, list[Array]]]:
             if all(within(c) for c in changed) and sum(float(c @ c) for c in changed) > 1e-9
         ]
 
-    found = mapped(of, descriptions(context.model, context.trials), context.jobs)
+    found = map_in_processes(of, descriptions(context.model, context.trials), context.jobs)
     return [term for of_each in found for term in of_each]
 
 

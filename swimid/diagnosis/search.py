@@ -37,7 +37,7 @@ from swimid.diagnosis.weighting import random_effect_columns, see, settled, tell
 from swimid.effects.base import Effect
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.model import Array, Model, Trial
-from swimid.fitting.parallel import mapped
+from swimid.fitting.parallel import map_in_processes
 from swimid.logs.sampling import white_noise_sd
 from swimid.progress import Progress, show, silent
 
@@ -333,7 +333,7 @@ class Search:
         def one(item: tuple[Hypothesis, Tried]) -> Optimum | None:
             return None if self.late() and item is not new[0] else self.fitted(*item)
 
-        for (parent, tried), found in zip(new, mapped(one, new, self.context.jobs), strict=True):
+        for (parent, tried), found in zip(new, map_in_processes(one, new, self.context.jobs), strict=True):
             if found is None:
                 self.out_of_time = True
                 continue
@@ -498,7 +498,7 @@ class Search:
         # Fit parents before the hypotheses that are judged beside them.
         old = sorted((h for h in kept if h.fit.effects), key=lambda h: len(h.fit.effects))
         self.hopeless = {h.key for h in old if h.names in far}
-        for h, optimum in zip(old, mapped(one, old, self.context.jobs), strict=True):
+        for h, optimum in zip(old, map_in_processes(one, old, self.context.jobs), strict=True):
             if h.tried is not None:
                 self.step(h.tried.effect.name)
             self._refitted(h, optimum)
@@ -520,7 +520,7 @@ class Search:
             ]
             if not wanted:
                 return
-            for h, optimum in zip(wanted, mapped(one, wanted, self.context.jobs), strict=True):
+            for h, optimum in zip(wanted, map_in_processes(one, wanted, self.context.jobs), strict=True):
                 self._refitted(h, optimum)
                 self.hopeless.discard(h.key)
 

@@ -1,6 +1,6 @@
-"""The catalogue of effects: what a model may leave out.
+"""The catalogue of effects that a model may lack.
 
-One module for each stage of the chain holds the effects that act there: ``actuation``, ``structure``,
-``fluid``, ``environment``, ``sensing``, ``rig``. ``base`` is what an effect is, ``affected`` a model with
-effects on it, ``catalogue`` finds them all, ``common`` holds what several of them are made of.
+Each stage of the simulation has a module with its effects: ``actuation``, ``structure``, ``fluid``,
+``environment``, ``sensing``, ``rig``. ``base`` defines an effect and a model with effects, ``catalogue``
+lists all effects and reads those of a user, ``common`` holds what several effects share.
 """

@@ -1,4 +1,4 @@
-"""Effects between the command and what the actuator does."""
+"""Effects between the command and the output of the actuator."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from scipy.interpolate import Akima1DInterpolator
 from scipy.optimize import brentq
 
 from swimid.effects import common
-from swimid.effects.base import Array, Effects, Hooks, Model, Parameter, Parameters, Trial, Trials
+from swimid.effects.base import Array, Hooks, Model, Parameter, Parameters, Trial, Trials
 from swimid.effects.common import parameter
 from swimid.fitting.drives import eased
 from swimid.fitting.hooks import Stroke
+from swimid.fitting.model import typical
 
 
 class AmplitudeLoss(common.Actuation):
@@ -28,26 +29,26 @@ class AmplitudeLoss(common.Actuation):
     scatters = True
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """The share that is lost."""
-        return (parameter("loss", "1", 0.05, "share of the amplitude lost", lower=-0.5, upper=0.95),)
+        """Return the share that is lost."""
+        return (parameter("loss", "1", 0.05, "share of the amplitude lost", -0.5, 0.95),)
 
-    def followed(self, value: float, time_s: Array, angle: Array) -> Array:
-        """Less of the command."""
+    def follow(self, value: float, time_s: Array, angle: Array) -> Array:
+        """Return the reduced command."""
         return (1.0 - value) * angle
 
     def amplitude(self, value: float, stroke: Stroke) -> Array:
-        """Less of the amplitude."""
+        """Return the reduced amplitude."""
         return stroke.amplitude_rad * (1.0 - value)
 
 
-#: A trim comes on over this time, s: a joint that jumped at the start would throw the body.
+#: Time over which a trim sets in, s, because a jump of the joints at the start would throw the body.
 EASE_S = 0.5
 
 
 class AmplitudeOffset(common.Actuation):
     """A trim added to the angle of each driven joint; for a steady beat, the amplitude less a constant.
 
-    The latter is ``theta_off`` of the recoil law, and applies where that is not estimated.
+    The latter is ``theta_off`` of the recoil law. It applies to models that do not estimate it.
     """
 
     name = "amplitude-offset"
@@ -56,32 +57,35 @@ class AmplitudeOffset(common.Actuation):
     smooth = True
     scatters = True
 
-    def variants(self, model: Model, trials: Trials) -> Effects:
-        """Nothing where the model estimates its own offset."""
-        return [] if model.estimates("amplitude_offset_deg") else super().variants(model, trials)
+    def applies(self, model: Model, trials: Trials) -> bool:
+        """Whether a command drives the model and it does not estimate its own offset."""
+        return super().applies(model, trials) and not model.estimates("amplitude_offset_deg")
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """The angle, of each driven joint, in the unit of its command."""
-        size = common.amplitude(model, trials)
+        """Return the angle of each driven joint, in the unit of its command."""
+        size = common.typical_amplitude(model, trials)
         most, words = 0.9 * size, "constant angle off"
-        return (parameter("offset_rad", "rad", 0.05 * size, words, lower=-most, upper=most),)
+        return (parameter("offset_rad", "rad", 0.05 * size, words, -most, most),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """The command with the trim; less amplitude of a steady beat."""
+        """Add the trim to the command, and reduce the amplitude of a steady beat."""
         offset = float(values[0])
-        driven = model.body.driven if model.body is not None else []
-        moved = [axis.driven is not None and axis.driven.gain != 0 for axis in driven]
+        still: list[int] = []
+        if model.body is not None:
+            laws = [axis.driven for axis in model.body.driven]
+            still = [k for k, law in enumerate(laws) if law is None or law.gain == 0]
         begin = model.onset(trial)
-
-        trimmed = common.every_joint(lambda time, angle: angle + offset * eased(time - begin, EASE_S))
+        trimmed = common.for_every_joint(lambda time, angle: angle + offset * eased(time - begin, EASE_S))
 
         def command(time_s: Array, angle: Array, joint: int) -> Array:
-            return angle if moved and not moved[joint] else trimmed(time_s, angle, joint)
+            if joint in still:
+                return angle
+            return trimmed(time_s, angle, joint)
 
         def beaten(stroke: Stroke) -> Stroke:
             return replace(stroke, amplitude_rad=np.maximum(stroke.amplitude_rad - offset, 0.0))
 
-        return Hooks(command=(command,) if model.commanded(trial) else (), stroke=(beaten,))
+        return replace(common.on_command(model, trial, command), stroke=(beaten,))
 
 
 #: Ratio of limit to largest commanded rate below which a limited sine is a triangle,
@@ -90,10 +94,10 @@ TRIANGLE = 1.0 / math.hypot(1.0, 0.5 * math.pi)
 
 
 class RateLimit(common.Actuation):
-    """The joint follows its command no faster than a limit; the fastest command is where it begins to act.
+    """The joint follows its command no faster than a limit.
 
-    A steady beat of the average models keeps the fundamental of the limited sine (its describing
-    function: :func:`describing`).
+    The limit has no influence if it is the rate of the fastest command. A steady beat of the average models
+    keeps the fundamental of the limited sine (its describing function: :func:`describing_gain`).
     """
 
     name = "rate-limit"
@@ -101,24 +105,24 @@ class RateLimit(common.Actuation):
     sources = ("tendon fish, section IV.A (the speed of the servomotor is limited)",)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """The limit, rad/s; it vanishes at the trials' largest commanded rate."""
-        largest = common.fastest(model, trials)
+        """Return the limit, rad/s, which has no influence at the trials' largest commanded rate."""
+        largest = common.largest_rate(model, trials)
         bounds, words = (0.02 * largest, largest), "largest rate of the servos"
         return (Parameter("rate_limit_rad_s", "rad/s", *bounds, largest, 0.2 * largest, meaning=words),)
 
-    def followed(self, value: float, time_s: Array, angle: Array) -> Array:
-        """The limited command."""
-        return np.asarray(limited(time_s, angle, value))
+    def follow(self, value: float, time_s: Array, angle: Array) -> Array:
+        """Return the limited command."""
+        return np.asarray(limit_rate(time_s, angle, value))
 
     def amplitude(self, value: float, stroke: Stroke) -> Array:
-        """The fundamental of the limited sine."""
+        """Return the fundamental of the limited sine."""
         rate = 2.0 * math.pi * np.asarray(stroke.frequency_hz) * stroke.amplitude_rad
-        return stroke.amplitude_rad * describing(value / np.maximum(rate, 1e-12))
+        return stroke.amplitude_rad * describing_gain(value / np.maximum(rate, 1e-12))
 
 
 @numba.njit(cache=True, nogil=True)
-def limited(time, signal, limit):  # type: ignore[no-untyped-def]
-    """A signal followed no faster than a limit.
+def limit_rate(time, signal, limit):  # type: ignore[no-untyped-def]
+    """Follow a signal no faster than a limit.
 
     Parameters
     ----------
@@ -126,7 +130,7 @@ def limited(time, signal, limit):  # type: ignore[no-untyped-def]
         Increasing.
     signal : ndarray, shape (n,)
     limit : float
-        Of its rate, per second.
+        Largest rate, per second.
 
     Returns
     -------
@@ -141,15 +145,15 @@ def limited(time, signal, limit):  # type: ignore[no-untyped-def]
     return output
 
 
-def describing(ratio: Array | float) -> Array:
-    """Size of the fundamental of a rate-limited sine, over that of the sine.
+def describing_gain(ratio: Array | float) -> Array:
+    """Return the amplitude of the fundamental of a rate-limited sine, over that of the sine.
 
     Parameters
     ----------
     ratio : ndarray or float
         Limit over the sine's largest rate; from one on nothing is lost.
 
-    >>> [round(float(v), 6) for v in describing(np.array([0.0, 0.5, 1.0, 2.0]))]
+    >>> [round(float(v), 6) for v in describing_gain(np.array([0.0, 0.5, 1.0, 2.0]))]
     [0.0, 0.63662, 1.0, 1.0]
     """
     nodes, gains = _middle()
@@ -159,12 +163,12 @@ def describing(ratio: Array | float) -> Array:
 
 @functools.cache
 def _middle() -> tuple[Array, Array]:
-    """The gain between triangle and sine, on nodes of the ratio.
+    """Return the gain between triangle and sine, on nodes of the ratio.
 
     Notes
     -----
-    Half a period from where ``-cos(theta)`` reaches the limit (``sin(theta) = ratio``): a straight
-    line until it meets the sine again, then the sine.
+    Half a period, from where ``-cos(theta)`` reaches the limit (``sin(theta) = ratio``), is a straight line
+    until it meets the sine again, and then the sine.
     """
     ratios = 1.0 - (1.0 - TRIANGLE) * np.linspace(1.0, 0.0, 200)
     gains = np.ones_like(ratios)
@@ -185,7 +189,7 @@ def _middle() -> tuple[Array, Array]:
 
 
 class ServoBacklash(common.Actuation):
-    """The play operator: the joint rests until the servo has crossed the play, then is carried along.
+    """The play operator: the joint rests until the servo has crossed the play, and then moves with it.
 
     A steady beat of the average models loses half the play.
     """
@@ -195,22 +199,21 @@ class ServoBacklash(common.Actuation):
     sources = ("boxfish, section 5.3 (about 2 deg of the amplitude offset)",)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """The whole width of the play, of each joint, in the unit of its command."""
-        size = common.amplitude(model, trials)
-        words = "whole width of the play"
-        return (parameter("backlash_rad", "rad", 0.1 * size, words, lower=0.0, upper=1.9 * size),)
+        """Return the whole width of the play of each joint, in the unit of its command."""
+        size = common.typical_amplitude(model, trials)
+        return (parameter("backlash_rad", "rad", 0.1 * size, "whole width of the play", 0.0, 1.9 * size),)
 
-    def followed(self, value: float, time_s: Array, angle: Array) -> Array:
-        """Play in the command."""
-        return play(angle, value)
+    def follow(self, value: float, time_s: Array, angle: Array) -> Array:
+        """Return the command after the play."""
+        return apply_play(angle, value)
 
     def amplitude(self, value: float, stroke: Stroke) -> Array:
-        """Half the play less."""
+        """Return the amplitude less half the play."""
         return np.maximum(stroke.amplitude_rad - 0.5 * value, 0.0)
 
 
-def play(signal: Array, width: float) -> Array:
-    """Output of a play of the given whole width that starts in its middle.
+def apply_play(signal: Array, width: float) -> Array:
+    """Return the output of a play of a given whole width that starts in its middle.
 
     Parameters
     ----------
@@ -221,11 +224,11 @@ def play(signal: Array, width: float) -> Array:
     -------
     ndarray, shape (n,)
     """
-    return common.held_back(signal, np.full(len(signal), 0.5 * width))
+    return common.hold_back(signal, np.full(len(signal), 0.5 * width))
 
 
 class ServoDelay(common.Actuation):
-    """A pure delay of the command; it changes nothing in a steady beat's average."""
+    """A pure delay of the command; it changes nothing in the average of a steady beat."""
 
     name = "servo-delay"
     meaning = "The joints move a constant time after their command."
@@ -234,23 +237,22 @@ class ServoDelay(common.Actuation):
     smooth = True
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """The delay, s."""
-        beat = common.period(model, trials)
-        words = "delay of the joints' commands"
-        return (parameter("delay_s", "s", 0.04 * beat, words, lower=0.0, upper=beat),)
+        """Return the delay, s."""
+        beat = common.typical_period(model, trials)
+        return (parameter("delay_s", "s", 0.04 * beat, "delay of the joints' commands", 0.0, beat),)
 
-    def followed(self, value: float, time_s: Array, angle: Array) -> Array:
-        """The command as it was a delay ago."""
-        return delayed(time_s, angle, value)
+    def follow(self, value: float, time_s: Array, angle: Array) -> Array:
+        """Return the delayed command."""
+        return apply_delay(time_s, angle, value)
 
 
-def delayed(time_s: Array, signal: Array, delay_s: float) -> Array:
-    """A signal a constant time later; before its first sample it rests there.
+def apply_delay(time_s: Array, signal: Array, delay_s: float) -> Array:
+    """Return a signal a constant time later; before its first sample it rests there.
 
     Parameters
     ----------
     time_s, signal : ndarray, shape (n,)
-        Without missing samples; Akima's curve lies between them.
+        Without missing samples; Akima's curve interpolates between them.
     delay_s : float
     """
     if delay_s == 0.0 or len(time_s) < 3:
@@ -271,24 +273,23 @@ class ServoLag(common.Actuation):
     smooth = True
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """The time constant, s."""
-        beat = common.period(model, trials)
-        words = "time constant of the servos"
-        return (parameter("time_constant_s", "s", 0.04 * beat, words, lower=0.0, upper=beat),)
+        """Return the time constant, s."""
+        beat = common.typical_period(model, trials)
+        return (parameter("time_constant_s", "s", 0.04 * beat, "time constant of the servos", 0.0, beat),)
 
-    def followed(self, value: float, time_s: Array, angle: Array) -> Array:
-        """The command with a lag."""
-        return np.asarray(lagged(time_s, angle, value))
+    def follow(self, value: float, time_s: Array, angle: Array) -> Array:
+        """Return the command after the lag."""
+        return np.asarray(apply_lag(time_s, angle, value))
 
     def amplitude(self, value: float, stroke: Stroke) -> Array:
-        """The gain of the lag at the beat's frequency."""
+        """Return the amplitude after the lag at the beat's frequency."""
         gain = 1.0 / np.sqrt(1.0 + (2.0 * math.pi * stroke.frequency_hz * value) ** 2)
         return np.asarray(stroke.amplitude_rad * gain)
 
 
 @numba.njit(cache=True, nogil=True)
-def lagged(time, signal, tau):  # type: ignore[no-untyped-def]
-    """First-order lag of a signal, exact where the signal is straight between its samples.
+def apply_lag(time, signal, tau):  # type: ignore[no-untyped-def]
+    """Apply a first-order lag to a signal, exactly if the signal is straight between its samples.
 
     Parameters
     ----------
@@ -314,19 +315,19 @@ def lagged(time, signal, tau):  # type: ignore[no-untyped-def]
     return output
 
 
-#: The loss comes on over this share of a beat, and over so many samples at least. A beat does not tell to
-#: better than a quarter when its amplitude has changed; a jump between two samples would have no derivative.
+#: Time over which the loss sets in, as a share of a beat and in samples (the longer counts). A beat shows a
+#: change of amplitude to no better than a quarter; a jump between two samples would have no derivative.
 RAMP, SAMPLES = 0.25, 4.0
-#: Shares of a trial at which the loss is tried: from a quarter of the trial away a refit finds the moment.
+#: Shares of a trial at which the loss is tried. From a quarter of the trial away a fit finds the time.
 MOMENTS = (0.125, 0.375, 0.625, 0.875)
 
 
 class Slip(common.Actuation):
-    """``1 - loss s(t)`` times the command, ``s`` a quintic step from 0 to 1 about the moment it sets in.
+    """``1 - loss s(t)`` times the command, with a quintic step ``s`` from 0 to 1 about the time it sets in.
 
-    A tendon that slips on its pulley, a horn on its shaft: the joints move by less of their command from that
-    moment on, counted from the first sample, in every trial. An average over beats does not show when
-    its amplitude was lost: models of steady beats have ``amplitude-loss`` only.
+    A tendon slips on its pulley, or a horn on its shaft. From that time on, counted from the first sample,
+    the joints move by less than their command, in every trial. An average over beats does not show when its
+    amplitude was lost: models of steady beats have ``amplitude-loss`` only.
     """
 
     name = "slip"
@@ -338,34 +339,32 @@ class Slip(common.Actuation):
     needs = frozenset({"command"})
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """The share lost, and when half of that is lost, s after the first sample.
+        """Return the share lost, and the time at which half of it is lost, s after the first sample.
 
-        A tenth is twice what one begins to see when it is lost throughout (``amplitude-loss``), since it is
-        lost for a part of each trial.
+        The scale of the loss is a tenth, twice the smallest visible loss over a whole trial
+        (``amplitude-loss``), because it lasts for a part of each trial.
         """
         lasting = model.scales(trials).duration
         longest = max(float(t.time_s[-1] - t.time_s[0]) for t in trials) or lasting
         when = "time after the first sample at which half of it is lost"
         return (
-            parameter("loss", "1", 0.1, "share of the command lost", lower=0.0, upper=0.95),
-            parameter("begin_s", "s", 0.1 * lasting, when, lower=0.0, upper=longest, start=0.5 * lasting),
+            parameter("loss", "1", 0.1, "share of the command lost", 0.0, 0.95),
+            parameter("begin_s", "s", 0.1 * lasting, when, 0.0, longest, start=0.5 * lasting),
         )
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """A loss, to which the change is nearly proportional, from several moments on."""
+        """Return a loss, to which the change is nearly proportional, from several times on."""
         loss, begin = parameters
         return [np.array([2.0 * loss.scale, 2.0 * share * begin.start]) for share in MOMENTS]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """The commands less what is lost by then."""
+        """Reduce the commands by the loss."""
         loss, begin = (float(v) for v in values)
-        samples = np.diff(trial.time_s)
-        ramp = RAMP * common.period(model, [trial])
-        if len(samples):
-            ramp = max(ramp, SAMPLES * float(np.median(samples)))
+        ramp = RAMP * common.typical_period(model, [trial])
+        ramp = max(ramp, SAMPLES * typical(np.diff(trial.time_s).tolist(), 0.0))
         first = float(trial.time_s[0]) + begin - 0.5 * ramp
 
         def command(time_s: Array, angle: Array) -> Array:
             return angle * (1.0 - loss * eased(time_s - first, ramp))
 
-        return Hooks(command=(common.every_joint(command),) if model.commanded(trial) else ())
+        return common.on_command(model, trial, common.for_every_joint(command))

@@ -1,4 +1,4 @@
-"""The effects there are: those of the modules of this package, and those of a user's own file."""
+"""The list of effects: those of the modules of this package, and those of a user's own file."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from swimid.effects.base import STAGES, Effect
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.fitting.model import Model, Trial
 
-#: What an effect may hook into.
+#: Hooks that an effect may use.
 PLACES = frozenset({"command", "stroke", "tables", "coefficients", "force", "flow", "output", "clock"})
-#: What every effect states about itself.
+#: Attributes that every effect must have.
 STATED = ("name", "stage", "meaning", "needs")
 
 
 def catalogue() -> list[Effect]:
-    """Every effect of the catalogue, along the chain, by name within a stage.
+    """Return every effect of this package in the order of the stages, by name within a stage.
 
     Raises
     ------
     ValueError
-        When two effects have one name.
+        If two effects have one name.
     """
     return list(_catalogue())
 
@@ -48,17 +48,17 @@ def _catalogue() -> tuple[Effect, ...]:
 
 
 def names() -> list[str]:
-    """Names of the catalogue, in its order."""
+    """Return the names of the effects, in the order of :func:`catalogue`."""
     return [effect.name for effect in catalogue()]
 
 
 def chosen(names: Iterable[str]) -> list[Effect]:
-    """Effects by name, each once.
+    """Return effects by name, each once.
 
     Raises
     ------
     UsageError
-        For a name that the catalogue does not have.
+        For a name that there is not.
     """
     known = {effect.name: effect for effect in catalogue()}
     wanted = list(dict.fromkeys(names))
@@ -69,24 +69,24 @@ def chosen(names: Iterable[str]) -> list[Effect]:
 
 
 def applicable(effects: Iterable[Effect], model: Model, trials: Sequence[Trial]) -> list[Effect]:
-    """The effects in every form in which they apply to a model and its trials."""
+    """Return the effects in every form in which they apply to a model and its trials."""
     return [variant for effect in effects for variant in effect.variants(model, trials)]
 
 
 def from_file(path: str | Path) -> list[Effect]:
-    """The effects that a Python file defines.
+    """Return the effects that a Python file defines.
 
     Parameters
     ----------
     path : path
-        It is run. Classes derived from :class:`Effect` that leave nothing abstract are effects;
-        they are made without arguments.
+        The file is run. Its classes derived from :class:`Effect` without abstract methods are effects; they
+        are created without arguments.
 
     Raises
     ------
     InputError
-        With the file and the line, when it cannot be run, defines no effect, or one that is
-        incomplete, at a stage that there is not, or of a name that is taken.
+        With the file and the line: if it cannot be run, or defines no effect, or one that is incomplete, of
+        an unknown stage, or of a name that is taken.
     """
     path = Path(path)
     module = _run(path)
@@ -116,7 +116,7 @@ def from_file(path: str | Path) -> list[Effect]:
 
 
 def _kinds(module: ModuleType) -> list[type[Effect]]:
-    """Subclasses of Effect that a module itself defines, in its order; a private one is a form of another."""
+    """Return the subclasses of Effect that a module defines, in its order, without private ones."""
     return [
         kind
         for name, kind in vars(module).items()
@@ -128,6 +128,7 @@ def _kinds(module: ModuleType) -> list[type[Effect]]:
 
 
 def _run(path: Path) -> ModuleType:
+    """Run a Python file as a module; raise errors with file and line."""
     if not path.is_file():
         raise InputError("there is no such file", file=path)
     name = f"swimid_effects_of_{path.stem}_{abs(hash(path.resolve()))}"
@@ -148,12 +149,13 @@ def _run(path: Path) -> ModuleType:
 
 
 def _raised(error: Exception, path: Path) -> int | None:
-    """The last line of a file on the way to an error."""
+    """Return the last line of a file on the way to an error."""
     lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == str(path)]
     return lines[-1] if lines else None
 
 
 def _line(kind: type[Effect]) -> int | None:
+    """Return the line at which a class begins, if it is known."""
     try:
         return inspect.getsourcelines(kind)[1]
     except (OSError, TypeError):
@@ -161,7 +163,7 @@ def _line(kind: type[Effect]) -> int | None:
 
 
 def _check(kind: type[Effect], path: Path) -> None:
-    """A user's effect states what it must."""
+    """Raise an error if a user's effect lacks an attribute, or has a wrong one."""
     problem, hint = None, None
     missing = [name for name in STATED if not hasattr(kind, name)]
     unwritten = sorted(kind.__abstractmethods__)

@@ -1,4 +1,4 @@
-"""What several effects are made of: their parameters, what they ask of a model, and hooks of one kind."""
+"""Parts of several effects: parameters, properties of models, and hooks of one kind."""
 
 from __future__ import annotations
 
@@ -6,27 +6,29 @@ import math
 from abc import ABC
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numba
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameter, Trial, Trials
+from swimid.effects.base import Array, Effect, Hooks, Model, Parameter, Trial, Trials
 from swimid.fitting.hooks import Command, Force, Stroke
-from swimid.fitting.model import MEAN_SPEED, POSITIONS
+from swimid.fitting.model import MEAN_SPEED, POSITIONS, typical
 
 if TYPE_CHECKING:
     from swimid.swimmer.planar.model import Body
 
-#: Where no command says how large: an angle a servo turns, rad.
+Choice = TypeVar("Choice")
+
+#: Amplitude of a servo or of a joint, rad, that is assumed if nothing states it.
 USUAL_ANGLE = 0.3
 SPEEDS = ("u_m_s", "v_m_s", "w_m_s", MEAN_SPEED)
-#: What a camera, or an encoder on a rig, measures as a length.
+#: Channels whose unit contains a length.
 LENGTHS = (*POSITIONS, *SPEEDS)
-#: What a camera tells of a swimmer's pose.
+#: Channels of a swimmer's pose that a camera measures.
 POSES = (*POSITIONS, "yaw_rad", "pitch_rad")
-#: What a gyroscope in the body measures.
+#: Channels of a gyroscope in the body.
 TURN_RATES = ("roll_rate_rad_s", "pitch_rate_rad_s", "yaw_rate_rad_s")
 
 
@@ -35,41 +37,41 @@ def parameter(
     unit: str,
     scale: float,
     meaning: str,
-    *,
     lower: float = -math.inf,
     upper: float = math.inf,
+    *,
     start: float = 0.0,
     per_trial: bool = False,
 ) -> Parameter:
-    """A parameter of an effect; most vanish at zero."""
+    """Return a parameter of an effect; most have no influence at zero."""
     return Parameter(name, unit, lower, upper, start, scale, per_trial=per_trial, meaning=meaning)
 
 
 # ---------------------------------------------------------------- models
 
 
-def rotates(model: Model) -> bool:
-    """Whether it has one coordinate, and that is an angle."""
-    return model.rig is not None and model.rig.rotation
+def pick_by_motion(model: Model, along: Choice, about: Choice) -> Choice:
+    """Return ``about`` for a model with one coordinate that is an angle, else ``along``."""
+    return about if model.rig is not None and model.rig.rotation else along
 
 
-def pulled(model: Model) -> bool:
-    """Whether it is a body on a rig that is pulled from place to place."""
+def is_pulled(model: Model) -> bool:
+    """Whether a model is a body on a rig that is pulled from place to place."""
     return model.rig is not None and not model.rig.swings
 
 
-def with_pulley(trials: Trials) -> bool:
+def has_pulley(trials: Trials) -> bool:
     """Whether some trial has a pulley."""
     return any(trial.rig.pulley for trial in trials)
 
 
 def free_body(model: Model) -> Body | None:
-    """Its links where the base moves."""
+    """Return the links of a swimmer whose base moves; None for other models."""
     return model.body if model.body is not None and model.body.free else None
 
 
-def links(model: Model) -> Body:
-    """Its links, for an effect that applies to nothing else."""
+def require_links(model: Model) -> Body:
+    """Return the links, for an effect that applies to nothing else."""
     assert model.body is not None
     return model.body
 
@@ -77,8 +79,8 @@ def links(model: Model) -> Body:
 # ---------------------------------------------------------------- hooks
 
 
-def more(coefficient: str, value: float) -> Hooks:
-    """More of one coefficient of a model's equation."""
+def add_to_coefficient(coefficient: str, value: float) -> Hooks:
+    """Return hooks that add a value to a coefficient of a model's equation."""
 
     def change(coefficients: dict[str, float]) -> None:
         coefficients[coefficient] += value
@@ -86,23 +88,23 @@ def more(coefficient: str, value: float) -> Hooks:
     return Hooks(coefficients=(change,))
 
 
-def at_hull(body: Body, function: Any, constants: Array) -> Force:
-    """A force at the centre of mass of the heaviest link."""
+def force_at_hull(body: Body, function: Any, constants: Array) -> Force:
+    """Return a force at the centre of mass of the heaviest link."""
     x, y = body.centre(body.hull)
     return Force(function, constants, body.hull, x, y)
 
 
 class RigCoefficient(Effect, ABC):
-    """More of one coefficient of a rig's equation, where the model does not estimate it.
+    """An addition to one coefficient of a rig's equation that the model does not estimate.
 
     Attributes
     ----------
     coefficient : str
-        In the model's equation.
+        Name in the model's equation.
     own : tuple of str
-        Parameters of the model that stand for the same.
+        Parameters of the model with the same meaning.
     pulley : bool
-        Whether it acts only in trials that have one.
+        It acts only in trials with a pulley.
     """
 
     needs = frozenset({"coefficients"})
@@ -111,59 +113,63 @@ class RigCoefficient(Effect, ABC):
     own: ClassVar[tuple[str, ...]] = ()
     pulley: bool = False
 
-    def variants(self, model: Model, trials: Trials) -> Effects:
-        """Rigs whose model does not estimate it, of a pulley's those with one."""
-        applies = model.rig is not None and not model.estimates(*self.own)
-        return [self] if applies and (not self.pulley or with_pulley(trials)) else []
+    def applies(self, model: Model, trials: Trials) -> bool:
+        """Whether the model is a rig that does not estimate it, for a pulley's with a pulley."""
+        known = model.rig is None or model.estimates(*self.own)
+        return not known and (not self.pulley or has_pulley(trials))
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Adds to the coefficient."""
-        acts = trial.rig.pulley or not self.pulley
-        return more(self.coefficient, values[0]) if acts else Hooks()
+        """Add to the coefficient."""
+        if self.pulley and not trial.rig.pulley:
+            return Hooks()
+        return add_to_coefficient(self.coefficient, values[0])
 
 
 # ---------------------------------------------------------------- commands
 
 
 class Actuation(Effect, ABC):
-    """An effect of the actuator; it applies where a command, not a measured joint angle, drives the model.
+    """An effect of the actuator, where a command drives the model and not a measured joint angle.
 
-    Of one parameter, the same for every driven joint, an effect says what it makes of a command and, where it
-    ``needs`` the stroke, of a steady beat's amplitude.
+    An effect of one parameter, the same for every driven joint, defines :meth:`follow`, and
+    :meth:`amplitude` if it ``needs`` the stroke.
     """
 
     needs = frozenset({"command", "stroke"})
 
-    def variants(self, model: Model, trials: Trials) -> Effects:
-        """The effect itself where some trial is driven by a command."""
-        return [self] if self.needs & model.offers and any(model.commanded(t) for t in trials) else []
+    def applies(self, model: Model, trials: Trials) -> bool:
+        """Whether a command drives some trial."""
+        return super().applies(model, trials) and any(model.commanded(t) for t in trials)
 
-    def followed(self, value: float, time_s: Array, angle: Array) -> Array:
-        """What a joint does on a command, shape (n,), without missing samples."""
+    def follow(self, value: float, time_s: Array, angle: Array) -> Array:
+        """Return the motion of a joint under a command, shape (n,), without missing samples."""
         raise NotImplementedError
 
     def amplitude(self, value: float, stroke: Stroke) -> Array:
-        """What is left of the amplitude of a steady beat, rad."""
+        """Return the amplitude that remains of a steady beat, rad."""
         raise NotImplementedError
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """What becomes of the commands, and of a steady beat."""
+        """Change the commands, and a steady beat."""
         value = float(values[0])
 
         def command(time_s: Array, angle: Array) -> Array:
-            return bridged(lambda time, whole: self.followed(value, time, whole), time_s, angle)
+            return bridge_missing(lambda time, whole: self.follow(value, time, whole), time_s, angle)
 
         def beaten(stroke: Stroke) -> Stroke:
             return replace(stroke, amplitude_rad=self.amplitude(value, stroke))
 
-        return Hooks(
-            command=(every_joint(command),) if model.commanded(trial) else (),
-            stroke=(beaten,) if "stroke" in self.needs else (),
-        )
+        hooks = on_command(model, trial, for_every_joint(command))
+        return replace(hooks, stroke=(beaten,)) if "stroke" in self.needs else hooks
 
 
-def every_joint(change: Callable[[Array, Array], Array]) -> Command:
-    """A hook that does the same to every joint: joints that are told the same cost it once."""
+def on_command(model: Model, trial: Trial, change: Command) -> Hooks:
+    """Return hooks that change the commands of a trial; none if no command drives it."""
+    return Hooks(command=(change,)) if model.commanded(trial) else Hooks()
+
+
+def for_every_joint(change: Callable[[Array, Array], Array]) -> Command:
+    """Return a hook that changes every joint alike, computed once for joints with one command."""
     last: tuple[Array, Array, Array] | None = None
 
     def command(time_s: Array, angle: Array, joint: int) -> Array:
@@ -177,16 +183,16 @@ def every_joint(change: Callable[[Array, Array], Array]) -> Command:
     return command
 
 
-def held_back(signal: Array, half: Array) -> Array:
-    """What follows a signal only where it is farther away than friction holds: the play operator.
+def hold_back(signal: Array, half: Array) -> Array:
+    """Follow a signal only where it is further away than friction holds: the play operator.
 
-    A position servo of stiffness k against a dry friction T stands still while ``k |command - angle| < T``.
+    A position servo of stiffness k with a dry friction T stands still while ``k |command - angle| < T``.
 
     Parameters
     ----------
     signal : ndarray, shape (n,)
     half : ndarray, shape (n,)
-        The distance ``T / k``; it may change in time.
+        The distance ``T / k``, which may change in time.
 
     Returns
     -------
@@ -204,8 +210,8 @@ def _play(signal, half):  # type: ignore[no-untyped-def]
     return output
 
 
-def bridged(change: Callable[[Array, Array], Array], time_s: Array, signal: Array) -> Array:
-    """``change`` of a signal whose missing samples are bridged by straight lines, and missing again after."""
+def bridge_missing(change: Callable[[Array, Array], Array], time_s: Array, signal: Array) -> Array:
+    """Change a signal whose missing samples are interpolated before, and missing again after."""
     there = np.isfinite(signal)
     if there.all():
         return change(time_s, signal)
@@ -216,30 +222,28 @@ def bridged(change: Callable[[Array, Array], Array], time_s: Array, signal: Arra
 
 
 def _signals(model: Model, trials: Trials) -> Iterator[tuple[Array, Array, float]]:
-    """Time, command and its fastest known rate, of each driven joint of each trial."""
+    """Yield time, command and its largest known rate, of each driven joint of each trial."""
     for trial in trials:
         if model.commanded(trial):
             yield from model.commands(trial)
 
 
 def _strokes(trials: Trials) -> tuple[Array, Array]:
-    """Frequency (Hz) and amplitude (rad) of every steady beat."""
+    """Return frequency (Hz) and amplitude (rad) of every steady beat."""
     beats = [np.zeros((2, 0)), *(np.stack(trial.steady) for trial in trials)]
     frequency, amplitude = np.concatenate(beats, axis=1)
     there = np.isfinite(frequency) & np.isfinite(amplitude) & (frequency > 0) & (amplitude > 0)
     return frequency[there], amplitude[there]
 
 
-def amplitude(model: Model, trials: Trials) -> float:
-    """Typical amplitude of a driven joint, rad (or the unit of a black box's input)."""
+def typical_amplitude(model: Model, trials: Trials) -> float:
+    """Return the typical amplitude of a driven joint, rad (or the unit of a black box's input)."""
     sizes = [0.5 * float(np.ptp(s)) for _, s, _ in _signals(model, trials) if len(s) and np.ptp(s) > 0]
-    if not sizes:
-        sizes = list(_strokes(trials)[1])
-    return float(np.median(sizes)) if sizes else USUAL_ANGLE
+    return typical(sizes or list(_strokes(trials)[1]), USUAL_ANGLE)
 
 
-def fastest(model: Model, trials: Trials) -> float:
-    """Largest commanded rate, rad/s (or the unit of a black box's input, per second)."""
+def largest_rate(model: Model, trials: Trials) -> float:
+    """Return the largest commanded rate, rad/s (or the unit of a black box's input, per second)."""
     rates = [r for _, _, r in _signals(model, trials)]
     for time, signal, _ in _signals(model, trials):
         if len(time) > 1:
@@ -249,32 +253,31 @@ def fastest(model: Model, trials: Trials) -> float:
     return float(max(rates, default=0.0)) or 1.0
 
 
-def period(model: Model, trials: Trials) -> float:
-    """Typical period of the beat, s; one second where none is known."""
-    beats = [f for f in (*model.beats(trials), *_strokes(trials)[0]) if f > 0]
-    return 1.0 / float(np.median(beats)) if beats else 1.0
+def typical_period(model: Model, trials: Trials) -> float:
+    """Return the typical period of the beat, s; one second if unknown."""
+    return 1.0 / typical([f for f in (*model.beats(trials), *_strokes(trials)[0]) if f > 0], 1.0)
 
 
 # ---------------------------------------------------------------- channels
 
 
-def measured(names: Sequence[str], trials: Trials) -> list[str]:
-    """Those of the channels that some trial has samples of."""
+def select_measured(names: Sequence[str], trials: Trials) -> list[str]:
+    """Return those of the channels that some trial has samples of."""
     return [n for n in names if any(n in t.measured and np.isfinite(t.measured[n]).any() for t in trials)]
 
 
-def clocks_apart(model: Model, trials: Trials) -> bool:
-    """Whether a camera's poses stand beside the robot's own turn rates, each with a clock of its own."""
+def has_camera_clock(model: Model, trials: Trials) -> bool:
+    """Whether the logs hold poses of a camera beside turn rates of the robot, each with its own clock."""
     measured = {c for t in trials for c in t.measured}
     rates = any(c.endswith("_rate_rad_s") for c in measured)
     return "output" in model.offers and rates and bool(measured & set(POSES))
 
 
-def poses_at(trial: Trial, happened: Callable[[Array], Array]) -> Hooks:
-    """Poses of a camera whose clock is not the robot's: at each time those of when it ``happened``."""
+def shift_poses(trial: Trial, happened: Callable[[Array], Array]) -> Hooks:
+    """Return hooks for the poses of a camera with another clock: they are those of when they ``happened``."""
 
     def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
-        # a cubic carries on for two samples beyond the run, not for more
+        # a cubic spline extrapolates well for two samples, and not for more
         end = time_s[-1] + 2.0 * np.median(np.diff(time_s))
         then = np.clip(happened(time_s), time_s[0], end)
         poses = [c for c in POSES if c in channels]
@@ -285,23 +288,24 @@ def poses_at(trial: Trial, happened: Callable[[Array], Array]) -> Hooks:
         shifted[:, sound] = CubicSpline(time_s, values[:, sound])(then)
         return {**channels, **dict(zip(poses, shifted.T, strict=True))}
 
-    return Hooks(output=(seen,) if len(trial.time_s) > 3 else ())
+    return Hooks(output=(seen,)) if len(trial.time_s) > 3 else Hooks()
 
 
 class Sensing(Effect, ABC):
-    """An effect on each of some channels by itself; it applies where one of them is measured."""
+    """An effect on some channels, each by itself, where one of them is measured."""
 
     needs = frozenset({"output"})
     channels: ClassVar[tuple[str, ...]]
 
-    def variants(self, model: Model, trials: Trials) -> Effects:
-        """The effect itself where such a channel is measured."""
-        return super().variants(model, trials) if measured(self.channels, trials) else []
+    def applies(self, model: Model, trials: Trials) -> bool:
+        """Whether such a channel is measured."""
+        return super().applies(model, trials) and bool(select_measured(self.channels, trials))
 
-    def shown(self, change: Callable[[str, Array], Array]) -> Hooks:
-        """The hooks of ``change(name, simulated)``, the same for every channel."""
+    def show(self, change: Callable[[str, Array], Array]) -> Hooks:
+        """Return the hooks of ``change(name, simulated)``, the same for every channel."""
 
         def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
-            return {n: change(n, v) if n in self.channels else v for n, v in channels.items()}
+            mine = {n: change(n, v) for n, v in channels.items() if n in self.channels}
+            return {**channels, **mine}
 
         return Hooks(output=(seen,))

@@ -1,4 +1,4 @@
-"""Effects of the place the robot swims in."""
+"""Effects of the water and the pool around the robot."""
 
 from __future__ import annotations
 
@@ -27,11 +27,12 @@ from swimid.effects.base import (
 )
 from swimid.effects.common import parameter
 from swimid.fitting.hooks import FORCE_SIGNATURE, Force, traceable
+from swimid.fitting.model import typical
 
 
 @traceable(on="hull", constants=2)
 def rise(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """A force upwards and a righting moment; constants force and moment per sine of pitch."""
+    """Add a force upwards and a righting moment; constants force, and moment per sine of pitch."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     wrench[0] += constants[0] * s
     wrench[1] += constants[0] * c
@@ -47,16 +48,15 @@ class Buoyancy(Effect):
     needs = frozenset({"force", "coefficients"})
     smooth = True
 
-    def variants(self, model: Model, trials: Trials) -> Effects:
-        """Free swimmers in the vertical plane; rigs along z whose rest position is known."""
+    def applies(self, model: Model, trials: Trials) -> bool:
+        """Whether a free swimmer moves in the vertical plane, or a rig along z with a known rest position."""
         if model.rig is not None:
-            known = not model.estimates("rest_position")
-            return [self] if model.axes == ("z",) and known else []
+            return model.axes == ("z",) and not model.estimates("rest_position")
         body = common.free_body(model)
-        return [self] if body is not None and body.vertical else []
+        return body is not None and body.vertical
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Force upwards, N, and righting moment, N m."""
+        """Return the force upwards, N, and for a swimmer the righting moment, N m."""
         size = 0.03 * model.scales(trials).force
         force = parameter("force_N", "N", size, "buoyancy beyond weight")
         body = model.body
@@ -66,11 +66,11 @@ class Buoyancy(Effect):
         return force, parameter("righting_N_m", "N m", moment, "righting moment per sine of pitch")
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """A constant force, and a moment."""
+        """Add a constant force, and a moment."""
         body = model.body
         if body is not None:
-            return Hooks(force=(common.at_hull(body, rise, np.array(values, dtype=float)),))
-        return common.more("force", values[0])
+            return Hooks(force=(common.force_at_hull(body, rise, np.array(values, dtype=float)),))
+        return common.add_to_coefficient("force", values[0])
 
 
 #: Largest current, in typical speeds of the robot.
@@ -78,7 +78,7 @@ MOST_CURRENT = 3.0
 
 
 class Current(Effect):
-    """Water that moves evenly and steadily in the world; along the track where the model has one axis."""
+    """Water that moves at a constant velocity in the world; along the track for a model with one axis."""
 
     name = "current"
     meaning = "steady current of the water"
@@ -86,21 +86,21 @@ class Current(Effect):
     needs = frozenset({"flow"})
     smooth = True
 
-    def variants(self, model: Model, trials: Trials) -> Effects:
-        """Models of a body that moves from place to place."""
-        return super().variants(model, trials) if model.axes else []
+    def applies(self, model: Model, trials: Trials) -> bool:
+        """Whether a body moves from place to place."""
+        return super().applies(model, trials) and bool(model.axes)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Its components in the world, m/s."""
+        """Return the components of the velocity in the world, m/s."""
         size = model.scales(trials).speed
         most, words = MOST_CURRENT * size, "velocity of the water along"
         return tuple(
-            parameter(f"c{axis}_m_s", "m/s", 0.1 * size, f"{words} {axis}", lower=-most, upper=most)
+            parameter(f"c{axis}_m_s", "m/s", 0.1 * size, f"{words} {axis}", -most, most)
             for axis in model.axes
         )
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Water that moves."""
+        """Move the water."""
         velocity = np.zeros(2)
         velocity[: len(values)] = values
 
@@ -116,7 +116,7 @@ ROUND = 0.002
 
 @traceable(on="hull", constants=5)
 def sink(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Weight of what has left the water; constants force per height, level, place of the point, lever."""
+    """Add the weight of what has left the water; constants force per height, level, point, lever."""
     s, c = math.sin(pose[2]), math.cos(pose[2])
     middle = pose[1] + constants[2] * s + constants[3] * c - constants[1]
     for side in (-1.0, 1.0):
@@ -128,9 +128,9 @@ def sink(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
 
 
 class SurfaceBreach(Effect):
-    """Above a level the hull is pulled down by the weight of the water it no longer displaces.
+    """The weight of the water that the hull no longer displaces above a level pulls it down.
 
-    Half of it acts a quarter of the hull's length ahead of its centre of mass, half as far behind.
+    Half of it acts a quarter of the hull's length ahead of its centre of mass, and half as far behind.
     """
 
     name = "surface-breach"
@@ -139,11 +139,11 @@ class SurfaceBreach(Effect):
     needs = frozenset({"force"})
 
     def __init__(self, levels_m: tuple[float, ...] = (0.0,)) -> None:
-        """Take the levels at which it is tried."""
+        """Set the levels at which it is tried."""
         self.levels_m = levels_m
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Free swimmers in the vertical plane whose height is measured."""
+        """Return the form for free swimmers in the vertical plane whose height is measured."""
         heights = [t.measured["z_m"] for t in trials if "z_m" in t.measured]
         body = common.free_body(model)
         if body is None or not body.vertical or not heights:
@@ -152,7 +152,7 @@ class SurfaceBreach(Effect):
         return [SurfaceBreach(tuple(float(q) for q in np.nanquantile(values, (0.85, 0.5, 0.97))))]
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Force per height, N/m, and level of the reference point, m."""
+        """Return the force per height, N/m, and the level of the reference point, m."""
         size = 0.2 * model.scales([_heights(t) for t in trials]).span
         slope = 0.1 * model.scales(trials).force / size
         words = "height of the reference point above which buoyancy is lost"
@@ -162,40 +162,42 @@ class SurfaceBreach(Effect):
         )
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Sizes of the force at each level."""
+        """Return sizes of the force at each level."""
         return [np.array([s * parameters[0].scale, level]) for level in self.levels_m for s in SIZES[1:]]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """A force and its moment on the heaviest link."""
-        body = common.links(model)
+        """Add a force and its moment to the heaviest link."""
+        body = common.require_links(model)
         hull = body.hull
         x, y = body.centre(hull)
-        a, b = body.reference_m if hull == 0 else (x, y)
+        a, b = x, y
+        if hull == 0:
+            a, b = body.reference_m
         quarter = 0.25 * body.lengths_m[hull]
         constants = np.array([*values, x - a, y - b, quarter])
-        return Hooks(force=(common.at_hull(body, sink, constants),))
+        return Hooks(force=(common.force_at_hull(body, sink, constants),))
 
 
 def _heights(trial: Trial) -> Trial:
-    """The trial with its height alone."""
+    """Return the trial with its height alone."""
     measured = {name: value for name, value in trial.measured.items() if name == "z_m"}
     return Trial(trial.id, trial.role, trial.time_s, measured)
 
 
-#: Less than any distance that can be told from none, m.
+#: Distance, m, below which there is no direction; it avoids a division by zero.
 TINY = 1e-30
 
 
 @traceable(on="base", constants=5)
 def pull_back(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """A spring to a point of the world and a line that drags; stiffness, slack, line drag, the point."""
+    """Add a spring to a point of the world, and a line with drag; stiffness, slack, line drag, the point."""
     dx, dy = pose[0] - constants[3], pose[1] - constants[4]
     distance = math.sqrt(dx * dx + dy * dy)
     u, v = velocity[0], velocity[1]
     drag = constants[2] * distance * math.sqrt(u * u + v * v)
     wrench[0] -= drag * u
     wrench[1] -= drag * v
-    # at the anchor itself there is no direction, and no pull
+    # there is no pull at the anchor itself
     pull = constants[0] * max(distance - constants[1], 0.0) / max(distance, TINY)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     wrench[0] -= pull * (c * dx + s * dy)
@@ -203,10 +205,11 @@ def pull_back(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-
 
 
 class Tether(Effect):
-    """``-k (d - slack)`` towards its anchor, d the distance from it, once d exceeds the slack.
+    """A pull ``-k (d - slack)`` towards an anchor at the distance d, if d exceeds the slack.
 
-    The anchor is where the run starts; that of a swimmer may lie behind it, so that the line pulls from the
-    beginning. The line paid out drags, ``-c d v |v|``. A cruise feels the mean of the pull over the run.
+    The anchor is where the run starts. That of a swimmer may lie behind the start, so that the line pulls
+    from the begin. The line in the water has the drag ``-c d v |v|``. In a cruise the mean of the pull over
+    the run acts.
     """
 
     name = "tether"
@@ -214,19 +217,21 @@ class Tether(Effect):
     sources = ("dolphin paper, section 1",)
     needs = frozenset({"force", "coefficients"})
 
-    def variants(self, model: Model, trials: Trials) -> Effects:
-        """Falling weights, towed bodies, cruises and free swimmers."""
-        return [self] if common.pulled(model) or model.timed_runs or common.free_body(model) else []
+    def applies(self, model: Model, trials: Trials) -> bool:
+        """Whether the model is a pulled body, a cruise or a free swimmer."""
+        return common.is_pulled(model) or model.timed_runs or common.free_body(model) is not None
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Stiffness, N/m, slack, m; drag of the line, N s2/m3, for what moves in time; for a swimmer the
-        distance of the anchor behind the start, m.
+        """Return stiffness, N/m, and slack, m, and what the motion shows beyond them.
+
+        For a motion in time this is the drag of the line, N s2/m3; for a swimmer also the distance of the
+        anchor behind the start, m.
         """
         scales, size = model.scales(trials), _reach(model, trials)
         stiffness = 0.3 * scales.force / size
         pull = (
             parameter("stiffness_N_m", "N/m", stiffness, "pull of the tether per length", lower=0.0),
-            parameter("slack_m", "m", 0.2 * size, "length before it pulls", lower=0.0, upper=size),
+            parameter("slack_m", "m", 0.2 * size, "length before it pulls", 0.0, size),
         )
         if model.timed_runs:
             return pull
@@ -236,10 +241,10 @@ class Tether(Effect):
         if model.body is None:
             return (*pull, line)
         words = "distance of the anchor behind the start"
-        return (*pull, line, parameter("behind_m", "m", 0.2 * size, words, lower=0.0, upper=size))
+        return (*pull, line, parameter("behind_m", "m", 0.2 * size, words, 0.0, size))
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """A stiffness, without slack and with, or an anchor behind the start; a drag of the line."""
+        """Return a stiffness, without slack and with, or an anchor behind the start; a drag of the line."""
         scale = np.array([p.scale for p in parameters])
         steps = [(SIZES[1],), (SIZES[1], 2.0), (0.0, 0.0, SIZES[1]), (SIZES[1], 0.0, 0.0, 2.0)]
         return [
@@ -247,11 +252,11 @@ class Tether(Effect):
         ]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """A force on the base, or on the mean of a run."""
+        """Add a force on the base, or on the mean of a run."""
         if model.timed_runs:
             way = np.asarray(trial.inputs["distance_m"], dtype=float)
             mean = float(np.mean(0.5 * values[0] * np.maximum(way - values[1], 0.0) ** 2 / way))
-            return common.more("dry", mean)
+            return common.add_to_coefficient("dry", mean)
         if model.body is not None:
             *line, behind = values
             start_x, start_y, heading = trial.swim.posed()
@@ -263,20 +268,19 @@ class Tether(Effect):
 
 
 def _reach(model: Model, trials: Trials) -> float:
-    """Typical distance from the start, m."""
+    """Return the typical distance from the start, m."""
     if model.timed_runs:
-        ways = [w for t in trials for w in np.atleast_1d(t.inputs["distance_m"])]
-        return float(np.median(ways)) or 1.0
+        return typical([w for t in trials for w in np.atleast_1d(t.inputs["distance_m"])], 1.0)
     return model.scales(trials).span
 
 
-#: Largest exponent: a start beyond the extreme of the measured tracks is not far beyond.
+#: Largest exponent, because a start is never far beyond the extreme of the measured tracks.
 STEEPEST = 2.0
 
 
 @traceable(on="hull", constants=5)
 def push_off(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """A force along a world axis; constants force, decay length, direction to the wall, extreme along it."""
+    """Add a force along a world axis; constants force, decay length, direction to the wall, extreme."""
     along, across = constants[2], constants[3]
     gap = constants[4] - (along * pose[0] + across * pose[1])
     push = constants[0] * math.exp(min(-gap / constants[1], STEEPEST))
@@ -287,23 +291,24 @@ def push_off(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-d
 
 @cfunc(FORCE_SIGNATURE, cache=True)
 def blockage(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """More drag towards the end of a run; constants drag, gain, decay length and end."""
+    """Add drag towards the end of a run; constants drag, gain, decay length and end."""
     grown = constants[1] * math.exp(min(-(constants[3] - pose[0]) / constants[2], STEEPEST))
     wrench[0] -= constants[0] * grown * velocity[0] * abs(velocity[0])
 
 
 class Wall(Effect):
-    """A wall at one side of the pool, felt as ``exp(-d / l)``, d the distance from the tracks' extreme.
+    """A wall at one side of the pool.
 
-    A swimmer is pushed away from it (drawn to it where the force is negative); the quadratic drag of a
-    body on a rig grows towards it by the factor ``1 + gain exp(-d / l)``.
+    Its influence is ``exp(-d / l)``, d the distance from the tracks' extreme. A swimmer is pushed away from
+    it (drawn to it if the force is negative). The quadratic drag of a body on a rig grows towards it by the
+    factor ``1 + gain exp(-d / l)``.
 
     Parameters
     ----------
     side : str
         ``x_max``, ``x_min``, ``y_max`` and so on.
     extreme_m : float
-        The tracks' extreme coordinate on that side.
+        Extreme coordinate of the tracks on that side.
     """
 
     name = "wall"
@@ -316,26 +321,24 @@ class Wall(Effect):
         self.extreme_m = extreme_m
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """One per side for free swimmers; the far end for falling weights and towed bodies."""
-        names = tuple(f"{axis}_m" for axis in model.axes)
-        if common.free_body(model):
-            ends: tuple[str, ...] = ("max", "min")
-        elif common.pulled(model):
-            ends = ("max",)
-        else:
-            return []
+        """Return one form per side for free swimmers, and the far end for pulled bodies."""
+        free = common.free_body(model) is not None
         walls: list[Effect] = []
-        for name in names:
-            values = np.concatenate([np.zeros(0), *(t.measured[name] for t in trials if name in t.measured)])
+        for axis in model.axes if free or common.is_pulled(model) else ():
+            series = [t.measured[f"{axis}_m"] for t in trials if f"{axis}_m" in t.measured]
+            values = np.concatenate([np.zeros(0), *series])
             values = values[np.isfinite(values)]
-            for end in ends if len(values) else ():
-                extreme = float(values.max() if end == "max" else values.min())
-                kind = _Push if common.free_body(model) else Wall
-                walls.append(kind(f"{name.removesuffix('_m')}_{end}", extreme))
+            if len(values) and free:
+                walls += [
+                    _Push(f"{axis}_max", float(values.max())),
+                    _Push(f"{axis}_min", float(values.min())),
+                ]
+            elif len(values):
+                walls.append(Wall(f"{axis}_max", float(values.max())))
         return walls
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Force at the tracks' extreme, N (gain of the drag on a rig), and its decay length, m."""
+        """Return the force at the tracks' extreme, N (the gain of drag on a rig), and its decay length, m."""
         if model.body is not None:
             length = sum(model.body.lengths_m)
             size = 0.05 * model.scales(trials).force
@@ -347,22 +350,21 @@ class Wall(Effect):
             first = parameter(f"{self.side}_gain", "1", 1.0, words, lower=0.0)
         lower, upper, start, size = (share * length for share in (0.1, 3.0, 0.5, 0.2))
         words = "length over which it decays"
-        name = f"{self.side}_decay_m"
-        return first, parameter(name, "m", size, words, lower=lower, upper=upper, start=start)
+        return first, parameter(f"{self.side}_decay_m", "m", size, words, lower, upper, start=start)
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """The force, in which the change is nearly linear, at two decay lengths."""
+        """Return the force, in which the change is nearly linear, at two decay lengths."""
         force, decay = parameters
         return [np.array([SIZES[1] * force.scale, share * decay.start]) for share in (0.5, 1.5)]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """A force at the centre of mass of the heaviest link."""
+        """Add a force at the centre of mass of the heaviest link, or drag."""
         body = model.body
         if body is not None:
             axis, end = self.side.split("_")
-            side = 1.0 if end == "max" else -1.0
-            place = [side if axis == "x" else 0.0, 0.0 if axis == "x" else side, side * self.extreme_m]
-            return Hooks(force=(common.at_hull(body, push_off, np.array([*values, *place])),))
+            side = {"max": 1.0, "min": -1.0}[end]
+            place = [side * (axis == "x"), side * (axis != "x"), side * self.extreme_m]
+            return Hooks(force=(common.force_at_hull(body, push_off, np.array([*values, *place])),))
         constants = np.array([0.0, *values, self.extreme_m])
 
         def take(c: dict[str, float]) -> None:
@@ -372,40 +374,41 @@ class Wall(Effect):
 
 
 class _Push(Wall):
-    """Of a free swimmer: a push felt three lengths of its body away could stand for any slow force."""
+    """The wall of a free swimmer: with a decay length of three bodies it would imitate any slow force."""
 
     inside: ClassVar[Inside] = {f"{axis}_{end}_decay_m": "upper" for axis in "xyz" for end in ("min", "max")}
 
 
-#: Frequencies looked at, Hz.
+#: Frequencies of waves that are tried, Hz.
 LOWEST, HIGHEST = 0.15, 3.0
-#: A wave has so many periods in a trial: of fewer nothing tells it from a force that changes slowly.
+#: Minimum number of periods in a trial; with fewer, waves cannot be told from a slow force.
 PERIODS = 1.5
-#: Lines of the tracks' spectrum that are tried, and the order of the slow course taken out before.
+#: Maximum number of lines of the tracks' spectrum that are tried, and order of the slow course removed
+#: before.
 LINES, ORDER = 4, 5
-#: Most frequencies looked at.
+#: Maximum number of frequencies.
 FINEST = 120
-#: Lines that are tried with an amplitude that differs from place to place.
+#: Number of lines that are tried with an amplitude that differs between places.
 TRAVELLED = 1
-#: A shallow pool, m.
+#: Depth of a shallow pool, m.
 DEPTH = 0.5
-#: An oscillation makes more than this share of the variance of a track.
+#: Share of the variance of a track above which it is an oscillation.
 MOST = 0.5
 
 
 class Waves(Effect):
     """Orbital velocity ``a cos(2 pi f t) + b sin(2 pi f t)`` along one axis of the world.
 
-    The frequency is common; amplitude and phase, counted from the start, are each trial's own. The cosine
-    sets in with ``1 - exp(-2 pi f t)``: a body that floats at the start moves with the water. It is
-    tried at the strongest lines in what the model leaves of the track that are no harmonics of the beat.
+    The frequency is common. Amplitude and phase, counted from the start, are each trial's own. The cosine
+    sets in with ``1 - exp(-2 pi f t)``, because a body that floats at the start moves with the water. The
+    effect is tried at the strongest lines of the track that neither the model nor the beat explains.
 
     Parameters
     ----------
     axis : str
         ``x``, ``y`` or ``z``.
     frequency_hz : float
-        Where it is tried.
+        Frequency at which it is tried.
     """
 
     name = "waves"
@@ -419,12 +422,14 @@ class Waves(Effect):
         self.frequency_hz = frequency_hz
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """One per axis and line of the track, for a body that moves in time from place to place."""
+        """Return one form per axis and line of the track, for a body that moves in time."""
+        # an average over beats or runs has no motion within a wave's period
         if "force" not in model.offers:
-            return []  # an average over beats or runs has no motion within a wave's period
+            return []
         found: list[Waves] = []
-        along = f"{model.axes[0]}_m" if len(model.axes) == 2 else ""
-        tracked = all(along in t.measured and np.isfinite(t.measured[along]).sum() > ORDER for t in trials)
+        tracked = len(model.axes) == 2 and all(
+            np.isfinite(t.measured.get(f"{model.axes[0]}_m", math.nan)).sum() > ORDER for t in trials
+        )
         for axis in model.axes:
             strongest = lines(model, trials, axis)
             found += [Waves(axis, line) for line in strongest]
@@ -433,11 +438,11 @@ class Waves(Effect):
         return found
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Frequency, Hz, and each trial's cosine and sine amplitudes, m/s."""
+        """Return the frequency, Hz, and each trial's cosine and sine amplitudes, m/s."""
         scales, along = model.scales(trials), f"amplitude of the water's velocity along {self.axis}"
         size = 0.1 * scales.speed
         near, words = 0.2 / scales.duration, "frequency of the waves"
-        # within its scale of a bound it is no hypothesis
+        # an estimate within its scale of a bound is no hypothesis
         least = max(0.5 * LOWEST, PERIODS / scales.duration - near)
         band = least, max(2.0 * HIGHEST, 2.0 * least)
         return (
@@ -449,17 +454,18 @@ class Waves(Effect):
         )
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """The scale of each amplitude: the answer is linear in these, and nothing without them."""
+        """Return the scale of each amplitude, in which the change is linear."""
         frequency, size = parameters[0].start, parameters[1].scale
         return [np.array([frequency, *part]) for part in ((size, 0.0), (0.0, size))]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Water that moves."""
+        """Move the water."""
         frequency, a, b = (float(v) for v in values)
         omega = 2.0 * math.pi * frequency
-        column = 0 if self.axis == "x" else 1
-        release = trial.rig.release_s
-        begin = float(trial.time_s[0]) if release is None else release
+        column = int(self.axis != "x")
+        begin = trial.rig.release_s
+        if begin is None:
+            begin = float(trial.time_s[0])
 
         def flow(time_s: Array) -> tuple[Array, Array]:
             moved, velocity = np.zeros((len(time_s), 2)), np.zeros((len(time_s), 2))
@@ -473,21 +479,21 @@ class Waves(Effect):
 
 
 class _Travelling(Waves):
-    """The same with another amplitude and phase in each place: a travelling, standing or reflected wave.
+    """Waves whose amplitude and phase differ between places: travelling, standing or reflected.
 
-    Orbital velocity ``(a cos(k s) + c sin(k s)) cos(2 pi f t) + (b cos(k s) + d sin(k s)) sin(2 pi f t)``,
-    *s* the place along the wave where the log has the body. The wave runs in a direction of its own where the
-    body moves in a horizontal plane, along x where that is vertical.
+    The orbital velocity is ``(a cos(k s) + c sin(k s)) cos(2 pi f t) + (b cos(k s) + d sin(k s)) sin(2 pi f
+    t)``, with *s* the measured place of the body along the wave. In a horizontal plane the wave has a
+    direction of its own; in a vertical plane it runs along x.
     """
 
     meaning = "oscillatory (orbital) flow that differs from place to place: waves or their reflections"
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """None but those of the effect itself."""
+        """Return none: it is a form of another effect."""
         return []
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Frequency (Hz), wavenumber (rad/m), of a horizontal plane direction (rad); amplitudes, m/s."""
+        """Return frequency (Hz), wavenumber (rad/m), direction in a horizontal plane (rad), amplitudes."""
         frequency, cosine, sine = super().parameters(model, trials)
         deep, shallow = wavenumbers(self.frequency_hz)
         track = [t.measured[f"{model.axes[0]}_m"] for t in trials]
@@ -495,12 +501,10 @@ class _Travelling(Waves):
         size = min(0.5 / max(long, 1e-3), deep)
         shared = [
             frequency,
-            parameter(
-                "wavenumber_rad_m", "rad/m", size, "wavenumber", lower=0.0, upper=4.0 * shallow, start=deep
-            ),
+            parameter("wavenumber_rad_m", "rad/m", size, "wavenumber", 0.0, 4.0 * shallow, start=deep),
         ]
         if model.axes[1] == "y":
-            toward = 0.0 if self.axis == "x" else 0.5 * math.pi
+            toward = 0.5 * math.pi * (self.axis != "x")
             shared.append(parameter("direction_rad", "rad", 0.2, "direction of the waves", start=toward))
         where = ("", "_quarter")
         return (
@@ -509,7 +513,7 @@ class _Travelling(Waves):
         )
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """The scale of each amplitude, in deep water and in shallow."""
+        """Return the scale of each amplitude, in deep water and in shallow."""
         found = []
         for wavenumber in wavenumbers(self.frequency_hz):
             for j, p in enumerate(parameters):
@@ -520,16 +524,16 @@ class _Travelling(Waves):
         return found
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Water that moves, each place in its own way."""
+        """Move the water, each place in its own way."""
         frequency, wavenumber, *direction = (float(v) for v in values[:-4])
         omega = 2.0 * math.pi * frequency
         first, second = (trial.measured.get(f"{axis}_m") for axis in model.axes)
         time = np.linspace(trial.time_s[0], trial.time_s[-1], max(len(trial.time_s), 2))
-        place = _along(trial, first, time) * (math.cos(direction[0]) if direction else 1.0)
-        unit = np.array([1.0, 0.0] if self.axis == "x" else [0.0, 1.0])
+        place = _along(trial, first, time)
+        unit = np.array([float(self.axis == "x"), float(self.axis != "x")])
         if direction:
             unit = np.array([math.cos(direction[0]), math.sin(direction[0])])
-            place = place + _along(trial, second, time) * unit[1]
+            place = place * unit[0] + _along(trial, second, time) * unit[1]
         phase = omega * (time - time[0])
         c, s, onset = np.cos(phase), np.sin(phase), np.exp(-phase)
         a, b, quarter_a, quarter_b = values[-4:]
@@ -546,7 +550,9 @@ class _Travelling(Waves):
 
 
 def wavenumbers(frequency_hz: float) -> tuple[float, float]:
-    """Of surface waves in deep water and in water of `DEPTH`, rad/m, the latter to some 5 % (Eckart [1]_).
+    """Return the wavenumbers of surface waves in deep water and in water of `DEPTH`, rad/m.
+
+    The latter is accurate to about 5 % (Eckart [1]_).
 
     References
     ----------
@@ -558,7 +564,7 @@ def wavenumbers(frequency_hz: float) -> tuple[float, float]:
 
 
 def _along(trial: Trial, series: Array | None, time_s: Array) -> Array:
-    """Where the log has the body at some times; zero where it does not say."""
+    """Return the measured place of the body at some times; zero if unknown."""
     if series is None or not np.isfinite(series).any():
         return np.zeros(len(time_s))
     there = np.isfinite(series)
@@ -566,21 +572,23 @@ def _along(trial: Trial, series: Array | None, time_s: Array) -> Array:
 
 
 def _simulated(model: Model, trial: Trial, channel: str) -> Array:
-    """A channel as the model has it at its start values; nothing where it cannot be simulated."""
+    """Return a channel of the model at its start values; zeros if it cannot be simulated."""
     values = np.array(
         [trial.starts.get(p.name, p.start) if p.per_trial else p.start for p in model.parameters]
     )
     with np.errstate(all="ignore"):
         series = model.simulate(values, trial).get(channel)
-    return series if series is not None and np.isfinite(series).all() else np.zeros(len(trial.time_s))
+    if series is None or not np.isfinite(series).all():
+        return np.zeros(len(trial.time_s))
+    return series
 
 
 def lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
-    """The strongest lines along an axis that neither the model nor the beat explains, Hz.
+    """Return the strongest lines along an axis that neither the model nor the beat explains, Hz.
 
-    What the model leaves of each trial's track is freed of its slow course and its beat by least squares;
-    the power of each frequency is its sum over the trials for whose beat it is no harmonic. The beat of a rig
-    is the oscillation it is driven at: friction has harmonics of it, too.
+    The slow course and the beat are removed by least squares from the residuals of each trial's track. The
+    power of each frequency is its sum over the trials of whose beat it is no harmonic. The beat of a rig is
+    the oscillation that drives it, because friction has harmonics of it too.
     """
     name = f"{axis}_m"
     use = [t for t in trials if name in t.measured and np.isfinite(t.measured[name]).sum() > 4 * ORDER]
@@ -596,7 +604,7 @@ def lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
         width = 1.0 / max(float(time[-1]), 1e-9)
         beat = trial.swim.beat
         simulated = _simulated(model, trial, name)[there]
-        base = float(beat.frequency_hz) if beat is not None else oscillation(time, simulated)
+        base = oscillation(time, simulated) if beat is None else float(beat.frequency_hz)
         harmonics = [k * base for k in (1, 2, 3) if base > 0.0]
         slow = np.polynomial.legendre.legvander(2.0 * time * width - 1.0, ORDER)
         waves = [f(2.0 * math.pi * h * time) for h in harmonics for f in (np.cos, np.sin)]
@@ -622,16 +630,18 @@ def lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
 
 
 def oscillation(time_s: Array, series: Array) -> float:
-    """Frequency of the oscillation that makes most of a series, Hz; 0 where none does."""
+    """Return the frequency of the oscillation that makes most of a series, Hz; 0 if none does."""
     from scipy.signal import lombscargle
 
     centred = series - series.mean()
     if len(series) < 2 * ORDER or not centred.any():
         return 0.0
-    # less than two periods may as well be a slow course
+    # less than two periods may be a slow course
     lasting = float(time_s[-1] - time_s[0])
     highest = 0.5 / float(np.median(np.diff(time_s)))
     grid = np.arange(2.0, max(lasting * min(2.0 * HIGHEST, highest), 2.5), 0.25) / lasting
     share = lombscargle(time_s, centred, 2.0 * np.pi * grid, normalize=True)
     best = int(np.argmax(share))
-    return float(grid[best]) if share[best] > MOST else 0.0
+    if share[best] <= MOST:
+        return 0.0
+    return float(grid[best])

@@ -1,4 +1,4 @@
-"""Effects of the test rig: pulley, string and how the run was started."""
+"""Effects of the test rig: pulley, string and release."""
 
 from __future__ import annotations
 
@@ -22,17 +22,16 @@ class InitialSpeed(common.RigCoefficient):
     scatters = True
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """The speed, m/s or rad/s."""
-        assert model.rig is not None
-        name = "speed_rad_s" if common.rotates(model) else "speed_m_s"
-        return (parameter(name, model.rig.speed.unit, 0.1 * model.scales(trials).speed, self.meaning),)
+        """Return the speed, m/s or rad/s."""
+        name, unit = common.pick_by_motion(model, ("speed_m_s", "m/s"), ("speed_rad_s", "rad/s"))
+        return (parameter(name, unit, 0.1 * model.scales(trials).speed, self.meaning),)
 
 
 class PulleyFriction(common.RigCoefficient):
-    """``F - f_c sgn(v)`` of a rig, on top of the model's own (boxfish, Eq 7).
+    """Dry friction ``F - f_c sgn(v)`` of a rig, beyond that of the model (boxfish, Eq 7).
 
-    On a falling-weight rig it is the pulley's, and acts in the trials that have one; where none has, it is
-    that of the slide the body moves on.
+    On a falling-weight rig it is the friction of the pulley, in the trials that have one. If no trial has
+    one, it is that of the slide on which the body moves.
     """
 
     name = "pulley-friction"
@@ -45,22 +44,22 @@ class PulleyFriction(common.RigCoefficient):
         self.pulley = not everywhere
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Rigs whose model does not estimate it."""
-        form = PulleyFriction(everywhere=not common.with_pulley(trials))
+        """Return the form for the pulley or the slide, for rigs whose model does not estimate it."""
+        form = PulleyFriction(everywhere=not common.has_pulley(trials))
         return common.RigCoefficient.variants(form, model, trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Friction beyond the model's, N (N m for an angle)."""
-        name, unit = ("friction_N_m", "N m") if common.rotates(model) else ("friction_N", "N")
+        """Return the friction beyond that of the model, N (N m for an angle)."""
+        name, unit = common.pick_by_motion(model, ("friction_N", "N"), ("friction_N_m", "N m"))
         words = "dry friction beyond the model's"
         size = model.scales(trials).brake
         return (parameter(name, unit, size, words, lower=-model.start(*self.own)),)
 
 
 class PulleyInertia(common.RigCoefficient):
-    """The pulley's moment of inertia over its radius squared, added to M of the boxfish paper's Eq 8.
+    """The pulley's moment of inertia over its radius squared, added to M in Eq 8 of the boxfish paper.
 
-    In one body of water it cannot be told from added mass; trials with and without a pulley tell.
+    In one body of water it cannot be told from added mass; trials with and without a pulley show it.
     """
 
     name = "pulley-inertia"
@@ -70,14 +69,14 @@ class PulleyInertia(common.RigCoefficient):
     pulley = True
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Equivalent mass, kg."""
+        """Return the equivalent mass, kg."""
         size = 0.05 * model.scales(trials).inertia
         words = "inertia of the pulley over its radius squared"
         return (parameter("inertia_kg", "kg", size, words, lower=0.0),)
 
 
 class PulleyViscous(common.RigCoefficient):
-    """Friction that grows with the pulley's speed, ``-b v``: a lubricated bearing."""
+    """Friction in proportion to the pulley's speed, ``-b v``: a lubricated bearing."""
 
     name = "pulley-viscous"
     meaning = "friction of the pulley that grows with its speed"
@@ -87,7 +86,7 @@ class PulleyViscous(common.RigCoefficient):
     pulley = True
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Force per speed, N s/m."""
+        """Return the force per speed, N s/m."""
         scales, least = model.scales(trials), -model.start(*self.own)
         size = 0.1 * scales.force / scales.speed
         return (parameter("viscous_N_s_m", "N s/m", size, "friction of the pulley per speed", lower=least),)
@@ -103,19 +102,18 @@ class StartOffset(common.RigCoefficient):
     scatters = True
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """The displacement, m or rad."""
-        assert model.rig is not None
-        unit = model.rig.displacement.unit
+        """Return the displacement, m or rad."""
+        unit = common.pick_by_motion(model, "m", "rad")
         return (parameter(f"offset_{unit}", unit, 0.01 * model.scales(trials).span, self.meaning),)
 
 
-#: Gravity that turns a pulling force into the mass of the weight, m/s2.
+#: Gravity in the pulling forces of trials, m/s2.
 GRAVITY = 9.81
 
 
 @numba.njit(cache=True, nogil=True)
 def oscillation(time, pull, omega, damping, start):  # type: ignore[no-untyped-def]
-    """Answer of ``s'' + 2 zeta omega s' + omega^2 s = pull(t)`` from ``start``, at rest there.
+    """Solve ``s'' + 2 zeta omega s' + omega^2 s = pull(t)`` from rest at ``start``.
 
     Parameters
     ----------
@@ -152,13 +150,13 @@ def oscillation(time, pull, omega, damping, start):  # type: ignore[no-untyped-d
 
 
 class StringStretch(Effect):
-    """The weight swings on the string while the body is pulled.
+    """The weight oscillates on the string while it pulls the body.
 
-    With the body's acceleration ``a``, the stretch against that under the weight at rest obeys
-    ``s'' + 2 zeta omega s' + omega^2 s = -a``, ``omega^2 = 1 / (compliance m_w)``; in the long run
-    ``s = -compliance m_w a``. A string that did not carry the whole weight before the release starts
-    at ``s_0 = -unloaded compliance m_w g``. The pulley shows ``x + s - s_0``. What the swinging does to
-    the body is smaller by the weight over the body, and left out.
+    With the acceleration ``a`` of the body, the stretch beyond that under the resting weight obeys
+    ``s'' + 2 zeta omega s' + omega^2 s = -a``, ``omega^2 = 1 / (compliance m_w)``. In the long run
+    ``s = -compliance m_w a``. A string that did not carry the whole weight before the release starts at
+    ``s_0 = -unloaded compliance m_w g``. The pulley shows ``x + s - s_0``. The force of the oscillation on
+    the body is smaller by the ratio of weight to body, and is neglected.
     """
 
     name = "string-stretch"
@@ -166,24 +164,24 @@ class StringStretch(Effect):
     sources = ("boxfish paper, section 3.3",)
     needs = frozenset({"coefficients"})
 
-    def variants(self, model: Model, trials: Trials) -> Effects:
-        """Falling weights on a pulley."""
-        return [self] if common.pulled(model) and common.with_pulley(trials) else []
+    def applies(self, model: Model, trials: Trials) -> bool:
+        """Whether a weight pulls over a pulley."""
+        return common.is_pulled(model) and common.has_pulley(trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Compliance, m/N, share of the weight taken up after the release, damping ratio."""
+        """Return compliance, m/N, share of the weight taken up after the release, and damping ratio."""
         scales = model.scales(trials)
         scale = 0.01 * scales.span / scales.force
         words = "share of the weight that the string did not carry at release"
         string, ratio = "compliance of the string", "damping ratio of the weight on it"
         return (
-            parameter("compliance_m_N", "m/N", scale, string, lower=0.0, upper=100 * scale),
-            parameter("unloaded", "1", 0.5, words, lower=0.0, upper=1.0, start=1.0),
-            parameter("damping", "1", 0.2, ratio, lower=0.02, upper=0.95, start=0.2),
+            parameter("compliance_m_N", "m/N", scale, string, 0.0, 100 * scale),
+            parameter("unloaded", "1", 0.5, words, 0.0, 1.0, start=1.0),
+            parameter("damping", "1", 0.2, ratio, 0.02, 0.95, start=0.2),
         )
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Sizes of the compliance, of a string that was slack and one that was taut."""
+        """Return sizes of the compliance, for a slack and for a taut string."""
         compliance, _, damping = parameters
         return [
             np.array([size * compliance.scale, unloaded, damping.start])
@@ -192,7 +190,7 @@ class StringStretch(Effect):
         ]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Adds the stretch to the displacement the pulley shows."""
+        """Add the stretch to the displacement that the pulley shows."""
         compliance, unloaded, damping = (float(v) for v in values)
         weight = trial.rig.pull / GRAVITY
         if compliance <= 0 or weight <= 0 or not trial.rig.pulley:

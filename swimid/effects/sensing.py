@@ -1,4 +1,4 @@
-"""Effects between what the robot does and what the log shows of it."""
+"""Effects between the motion of the robot and its log."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from swimid.fitting.model import MEAN_SPEED
 
 
 class CameraRotation(Effect):
-    """Positions turned about where the trial starts, the heading as it is."""
+    """Positions that are turned about the start of the trial; the heading is unchanged."""
 
     name = "camera-rotation"
     meaning = "The axes of the measured positions are turned against those of the measured heading."
@@ -23,27 +23,26 @@ class CameraRotation(Effect):
     needs = frozenset({"output"})
     smooth = True
 
-    def variants(self, model: Model, trials: Trials) -> Effects:
-        """The effect itself where both positions are measured and the model does not estimate it."""
+    def applies(self, model: Model, trials: Trials) -> bool:
+        """Whether both positions are measured and the model does not estimate it."""
         if model.body is None or model.estimates("camera_rotation"):
-            return []
-        both = len(common.measured(model.body.pose[:2], trials)) == 2
-        return super().variants(model, trials) if both else []
+            return False
+        return super().applies(model, trials) and _both_measured(model, trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """The angle, rad."""
+        """Return the angle, rad."""
         words = "axes of the positions against those of the heading"
-        return (parameter("angle_rad", "rad", 0.03, words, lower=-math.pi, upper=math.pi),)
+        return (parameter("angle_rad", "rad", 0.03, words, -math.pi, math.pi),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Turned positions."""
+        """Turn the positions."""
         angle = float(values[0])
-        first, second, _ = common.links(model).pose
+        first, second, _ = common.require_links(model).pose
         origin = model.origin(trial)
 
         def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
             a, b = channels[first] - origin[first], channels[second] - origin[second]
-            # minus the unturned, so that no angle changes nothing at all
+            # the difference to the unturned, so that a zero angle changes nothing
             c, s = math.cos(angle) - 1.0, math.sin(angle)
             return {
                 **channels,
@@ -54,15 +53,20 @@ class CameraRotation(Effect):
         return Hooks(output=(seen,))
 
 
-#: Steps in which a place is found from where it is seen.
+def _both_measured(model: Model, trials: Trials) -> bool:
+    """Whether both coordinates of the position of a planar robot are measured."""
+    return len(common.select_measured(common.require_links(model).pose[:2], trials)) == 2
+
+
+#: Number of Newton steps from the picture of a place to the place.
 ITERATIONS = 8
 
 
 class CameraScale(common.Sensing):
-    """Displacements and speeds times ``1 + scale_error``, about where the trial starts.
+    """Displacements and speeds times ``1 + scale_error``, about the start of the trial.
 
-    On a rig it is the circumference of the encoder's pulley, on a cruising run the length of the
-    course or the rate of the clock.
+    On a rig it is the circumference of the encoder's pulley. On a cruising run it is the length of the course
+    or the rate of the clock.
     """
 
     name = "camera-scale"
@@ -76,29 +80,27 @@ class CameraScale(common.Sensing):
     smooth = True
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """The same everywhere, and of a swimmer in a plane changing towards the edge of the picture."""
+        """Return the constant scale, and for a swimmer in a plane one with the distortion of a lens."""
         found = super().variants(model, trials)
-        body = model.body
-        if not found or body is None or not body.free:
-            return found
-        both = len(common.measured(body.pose[:2], trials)) == 2
-        return [*found, _Lens()] if both else found
+        if found and common.free_body(model) and _both_measured(model, trials):
+            return [*found, _Lens()]
+        return found
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """The relative error of the scale."""
-        return (parameter("scale_error", "1", 0.03, "relative error of the lengths", lower=-0.5, upper=1.0),)
+        """Return the relative error of the scale."""
+        return (parameter("scale_error", "1", 0.03, "relative error of the lengths", -0.5, 1.0),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Scaled positions and speeds."""
+        """Scale positions and speeds."""
         error, origin = float(values[0]), model.origin(trial)
-        return self.shown(lambda name, length: length + error * (length - origin.get(name, 0.0)))
+        return self.show(lambda name, length: length + error * (length - origin.get(name, 0.0)))
 
 
 class _Lens(CameraScale):
-    """A scale that changes towards the edge: a picture whose lens is not, or wrongly, rectified.
+    """A scale that changes towards the edge of the picture: a lens that is not, or wrongly, rectified.
 
-    A body that is at *p* is seen at ``c + (1 + e) (p - c) (1 + k |p - c|^2)``: radial distortion of the first
-    order about the centre *c* [1]_.
+    A body at *p* is seen at ``c + (1 + e) (p - c) (1 + k |p - c|^2)``: radial distortion of the first order
+    about the centre *c* [1]_.
 
     References
     ----------
@@ -108,49 +110,49 @@ class _Lens(CameraScale):
     meaning = "The measured lengths are too long or too short, more so far from the centre of the picture."
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """None but those of the effect itself."""
+        """Return none: it is a form of another effect."""
         return []
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """The relative error at the centre, the distortion (1/m2) and the centre (m)."""
+        """Return the relative error at the centre, the distortion (1/m2) and the centre (m)."""
         places = np.concatenate([_places(model, t) for t in trials])
         places = places[np.isfinite(places)]
         middle = complex(np.mean(places)) if len(places) else 0j
         reach = max(float(np.max(np.abs(places - middle), initial=0.0)), 1e-3)
         (scale,) = super().parameters(model, trials)
-        first, second = common.links(model).pose[:2]
+        first, second = common.require_links(model).pose[:2]
         return (
             scale,
             parameter(
                 "distortion_1_m2", "1/m^2", 0.03 / reach**2, "radial distortion of the picture",
-                lower=-0.2 / reach**2, upper=0.5 / reach**2,
+                -0.2 / reach**2, 0.5 / reach**2,
             ),
             *(
                 parameter(
                     f"centre_{name}", "m", 0.5 * reach, "centre of the picture",
-                    lower=at - 3.0 * reach, upper=at + 3.0 * reach, start=at,
+                    at - 3.0 * reach, at + 3.0 * reach, start=at,
                 )
                 for name, at in ((first, middle.real), (second, middle.imag))
             ),
         )  # fmt: skip
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Both errors, of both signs; the centre alone changes nothing."""
+        """Return both errors, with both signs; the centre alone changes nothing."""
         return [point for point in super().tries(parameters) if point[0] or point[1]]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Positions as the lens shows them, and speeds scaled as at its centre."""
+        """Show positions as the lens does, and speeds with the scale of its centre."""
         error, bent, centre = 1.0 + float(values[0]), float(values[1]), complex(values[2], values[3])
-        first, second = common.links(model).pose[:2]
+        first, second = common.require_links(model).pose[:2]
         origin = model.origin(trial)
         begin = complex(origin[first], origin[second])
 
         def moved(place: Any) -> Any:
-            """How far from its place something is seen."""
+            """Return the distance between a place and its picture."""
             off = place - centre
             return off * (error * (1.0 + bent * np.abs(off) ** 2) - 1.0)
 
-        # where the body is that is first seen at its origin, from there: Newton's method for its distance
+        # the place that is first seen at the origin of the trial, by Newton's method for its distance
         off = begin - centre
         shown = abs(off) / error
         distance = shown
@@ -170,28 +172,28 @@ class _Lens(CameraScale):
 
 
 def _places(model: Model, trial: Trial) -> Array:
-    """Where the log has the body, its two axes as one complex number; nothing where it does not say."""
-    first, second = (trial.measured.get(name) for name in common.links(model).pose[:2])
+    """Return the measured places of the body, with two axes as one complex number; none if unknown."""
+    first, second = (trial.measured.get(name) for name in common.require_links(model).pose[:2])
     if first is None or second is None:
         return np.empty(0, dtype=complex)
     return np.asarray(first + 1j * second)
 
 
-#: Largest error that is looked for, either way: RC oscillators that nobody calibrated are 10 % off.
+#: Largest relative error of a clock, either way: RC oscillators without calibration are 10 % off.
 LARGEST = 0.1
 
 
 class ClockRate(Effect):
-    """A stamp ``t`` of the log shows what happened at ``t_0 + (t - t_0) / (1 + rate)``.
+    """A stamp ``t`` of the log shows the event at ``t_0 + (t - t_0) / (1 + rate)``.
 
     The clocks of log and drive agree at ``t_0``, where the drive or the run begins (the first sample of a
-    recorded command or input); how far they are apart there is ``time-offset``. Where a log holds turn rates
-    beside poses, the camera's clock alone may run at another rate than the robot's.
+    recorded command or input). Their difference there is ``time-offset``. If a log holds turn rates beside
+    poses, the clock of the camera alone may run at another rate than that of the robot.
 
     Parameters
     ----------
     camera : bool
-        Whether only poses are stamped by that clock.
+        The clock stamps only the poses.
     """
 
     name = "clock-rate"
@@ -207,25 +209,30 @@ class ClockRate(Effect):
         self.camera = camera
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Where there is a clock; the camera's alone beside it."""
-        alone = [ClockRate(camera=True)] if common.clocks_apart(model, trials) else []
-        return [*super().variants(model, trials), *alone]
+        """Return the clock of the log, and the camera's alone if it has its own."""
+        forms = list(super().variants(model, trials))
+        if common.has_camera_clock(model, trials):
+            forms.append(ClockRate(camera=True))
+        return forms
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """The share by which the log runs fast; 0.2 % are 20 ms after 10 s, an offset one begins to see."""
+        """Return the share by which the log runs fast; 0.2 % are 20 ms after 10 s, a visible offset."""
         name = "camera_rate" if self.camera else "rate"
         words = "share by which the clock of the log is fast"
-        return (parameter(name, "1", 0.002, words, lower=-LARGEST, upper=LARGEST),)
+        return (parameter(name, "1", 0.002, words, -LARGEST, LARGEST),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """A clock that drifts from where the run begins."""
+        """Let the clock drift from the begin of the run."""
         rate = float(values[0])
-        onset = model.onset(trial)
-        begin = onset if math.isfinite(onset) else float(trial.time_s[0])
+        begin = model.onset(trial)
+        if not math.isfinite(begin):
+            begin = float(trial.time_s[0])
         drift = rate / (1.0 + rate)
-        if self.camera and rate != 0.0:
-            return common.poses_at(trial, lambda time_s: time_s - drift * (time_s - begin))
-        return Hooks() if self.camera else Hooks(clock_s=-drift * begin, clock_drift=drift)
+        if not self.camera:
+            return Hooks(clock_s=-drift * begin, clock_drift=drift)
+        if rate == 0.0:
+            return Hooks()
+        return common.shift_poses(trial, lambda time_s: time_s - drift * (time_s - begin))
 
 
 class ImuBias(common.Sensing):
@@ -238,16 +245,16 @@ class ImuBias(common.Sensing):
     smooth = True
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """The bias, rad/s."""
-        return (parameter("bias_rad_s", "rad/s", 0.02, "turn rate shown at rest", lower=-1.0, upper=1.0),)
+        """Return the bias, rad/s."""
+        return (parameter("bias_rad_s", "rad/s", 0.02, "turn rate shown at rest", -1.0, 1.0),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Turn rates with the bias."""
-        return self.shown(lambda name, rate: rate + float(values[0]))
+        """Add the bias to the turn rates."""
+        return self.show(lambda name, rate: rate + float(values[0]))
 
 
 class ImuTilt(common.Sensing):
-    """The turn rate in the plane of motion times the cosine of the tilt."""
+    """The turn rate in the plane of motion times the cosine of a tilt."""
 
     name = "imu-tilt"
     meaning = "The inertial sensor is tilted: its axis sees only part of the turn rate."
@@ -255,19 +262,19 @@ class ImuTilt(common.Sensing):
     channels = common.TURN_RATES
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """The tilt, rad."""
-        return (parameter("tilt_rad", "rad", 0.2, "tilt of the gyroscope's axis", lower=0.0, upper=1.4),)
+        """Return the tilt, rad."""
+        return (parameter("tilt_rad", "rad", 0.2, "tilt of the gyroscope's axis", 0.0, 1.4),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Smaller turn rates."""
-        return self.shown(lambda name, rate: math.cos(float(values[0])) * rate)
+        """Reduce the turn rates."""
+        return self.show(lambda name, rate: math.cos(float(values[0])) * rate)
 
 
 class MarkerDropout(Effect):
-    """Stretches in which the tracker froze, jumped to something else or strayed.
+    """Intervals in which the tracker stopped, jumped to another object or strayed.
 
-    No simulation contains it: it is found in the samples themselves, by their being frozen,
-    displaced or far outside the noise.
+    No simulation contains it. It is found in the samples, which are constant, displaced or far outside the
+    noise.
     """
 
     name = "marker-dropout"
@@ -279,23 +286,23 @@ class MarkerDropout(Effect):
     needs = frozenset()
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """None: nothing is simulated, so that it applies to no model."""
+        """Return none: nothing is simulated, so that it applies to no model."""
         return ()
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """None."""
+        """Return none."""
         return NONE
 
 
-#: Farthest a marker may be off, m.
+#: Largest offset of a marker, m.
 FARTHEST_M = 0.5
 
 
 class MarkerOffset(Effect):
-    """The tracked point lies beside the reference point, the tracked direction beside the heading.
+    """The tracked point lies beside the reference point, and the tracked direction beside the heading.
 
-    ``x + R(yaw) (along, across)`` less its value at the first sample, ``yaw + misalignment``, and
-    the velocity of that point in the axes of that direction.
+    The position is ``x + R(yaw) (along, across)`` less its value at the first sample, the heading is
+    ``yaw + misalignment``, and the velocity is that of the point in the axes of that direction.
     """
 
     name = "marker-offset"
@@ -304,18 +311,17 @@ class MarkerOffset(Effect):
     needs = frozenset({"output"})
     smooth = True
 
-    def variants(self, model: Model, trials: Trials) -> Effects:
-        """The effect itself where a pose or a velocity of the body is measured."""
+    def applies(self, model: Model, trials: Trials) -> bool:
+        """Whether a pose or a velocity of the body is measured."""
         body = common.free_body(model)
-        if body is None:
-            return []
-        seen = common.measured((*body.pose, *body.velocity[:2]), trials)
-        return super().variants(model, trials) if seen else []
+        if body is None or not super().applies(model, trials):
+            return False
+        return bool(common.select_measured((*body.pose, *body.velocity[:2]), trials))
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Place of the tracked point ahead of the reference point and to its side, m; its direction, rad."""
+        """Return the tracked point ahead of and beside the reference point, m, and its direction, rad."""
         return tuple(
-            parameter(name, unit, size, words, lower=-most, upper=most)
+            parameter(name, unit, size, words, -most, most)
             for name, unit, size, words, most in (
                 ("along_m", "m", 0.01, "tracked point ahead of the reference", FARTHEST_M),
                 ("across_m", "m", 0.01, "tracked point beside the reference", FARTHEST_M),
@@ -324,8 +330,8 @@ class MarkerOffset(Effect):
         )
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Pose and velocity of the tracked point."""
-        body = common.links(model)
+        """Show pose and velocity of the tracked point."""
+        body = common.require_links(model)
         along, across, turn = (float(v) for v in values)
         (first, second, heading), (ahead, beside, rate) = body.pose, body.velocity
 
@@ -334,7 +340,7 @@ class MarkerOffset(Effect):
             c, s = np.cos(yaw), np.sin(yaw)
             a, b = along * c - across * s, along * s + across * c
             u, v = channels[ahead] - across * r, channels[beside] + along * r
-            # minus the unturned, so that no angle changes nothing at all
+            # the difference to the unturned, so that a zero angle changes nothing
             cosine, sine = math.cos(turn) - 1.0, math.sin(turn)
             return {
                 **channels,
@@ -348,19 +354,20 @@ class MarkerOffset(Effect):
         return Hooks(output=(seen,))
 
 
-#: Largest offset that is looked for, s.
+#: Largest offset of a clock, s.
 LARGEST_S = 2.0
 
 
 class TimeOffset(Effect):
-    """The log shows what happened a constant time earlier; a timed run takes that much longer.
+    """The log shows events a constant time earlier; a timed run takes longer by that time.
 
-    Where a log holds turn rates beside poses, the camera's clock alone may be late against that of the robot.
+    If a log holds turn rates beside poses, the clock of the camera alone may be late against that of the
+    robot.
 
     Parameters
     ----------
     camera : bool
-        Whether only poses are late.
+        Only poses are late.
     """
 
     name = "time-offset"
@@ -377,25 +384,29 @@ class TimeOffset(Effect):
         self.camera = camera
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Where there is a clock the model does not estimate; the camera's alone beside it."""
+        """Return the clock that the model does not estimate, and the camera's alone if it has its own."""
         if model.timed_runs:
             return [self]
         if model.estimates("clock_offset"):
             return []
-        alone = [TimeOffset(camera=True)] if common.clocks_apart(model, trials) else []
-        return [*super().variants(model, trials), *alone]
+        forms = list(super().variants(model, trials))
+        if common.has_camera_clock(model, trials):
+            forms.append(TimeOffset(camera=True))
+        return forms
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """The time by which the log is late, s."""
-        name, typical = "camera_offset_s" if self.camera else "offset_s", 0.1 if model.timed_runs else 0.03
-        words = "time by which the log is late"
-        return (parameter(name, "s", typical, words, lower=-LARGEST_S, upper=LARGEST_S),)
+        """Return the time by which the log is late, s."""
+        name = "camera_offset_s" if self.camera else "offset_s"
+        typical = 0.1 if model.timed_runs else 0.03
+        return (parameter(name, "s", typical, "time by which the log is late", -LARGEST_S, LARGEST_S),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """A late clock; longer times of cruising runs."""
+        """Delay the clock, or lengthen the times of cruising runs."""
         offset = float(values[0])
+        if self.camera and offset != 0.0:
+            return common.shift_poses(trial, lambda time_s: time_s - offset)
         if self.camera:
-            return common.poses_at(trial, lambda time_s: time_s - offset) if offset != 0.0 else Hooks()
+            return Hooks()
         if not model.timed_runs:
             return Hooks(clock_s=offset)
         distance = trial.inputs["distance_m"]
@@ -403,7 +414,7 @@ class TimeOffset(Effect):
         def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
             speed = channels[MEAN_SPEED]
             with np.errstate(divide="ignore"):
-                # no watch reads less than a tenth of the run
+                # a stopwatch shows at least a tenth of the run
                 longer = np.maximum(1.0 + offset * speed / distance, 0.1)
             return {**channels, MEAN_SPEED: speed / longer}
 

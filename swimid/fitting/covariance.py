@@ -1,6 +1,6 @@
-"""Covariance of output-error estimates, and which parameters the trials determine, alone or together.
+"""Covariance of output-error estimates, and the parameters that the trials determine, alone or combined.
 
-The covariance allows for coloured residuals and for trials that scatter more than their noise.
+The covariance allows for coloured residuals and for trials that differ by more than their noise.
 Identifiability follows from the inverse of the covariance, the information matrix, which stays finite where
 the covariance does not.
 """
@@ -23,17 +23,17 @@ from swimid.fitting.model import Array
 from swimid.fitting.problem import Problem
 from swimid.results import numbers
 
-#: Trials are called inconsistent below this p-value.
+#: Significance level of the test that the trials agree.
 HETEROGENEITY = 1e-3
 
 
 def _autocorrelation(coefficients: Array, lags: int) -> Array:
-    """Autocorrelation of an autoregression at lags 0 .. lags, shape (lags + 1,)."""
+    """Return the autocorrelation of an autoregression at lags 0 .. lags, shape (lags + 1,)."""
     if len(coefficients) == 0:
         return np.eye(1, lags + 1)[0]
     from scipy.signal import lfilter
 
-    # impulse response of 1 / A, long enough to have died out, correlated with itself
+    # correlation of the impulse response of 1 / A, long enough to have died out, with itself
     length = lags + 1 + min(20000, max(2000, 10 * lags))
     response = lfilter([1.0], np.concatenate(([1.0], coefficients)), np.eye(1, length)[0])
     spectrum = np.fft.rfft(response, 2 * length)
@@ -42,9 +42,9 @@ def _autocorrelation(coefficients: Array, lags: int) -> Array:
 
 
 def _correlated(problem: Problem, rows: list[Array], autoregressions: dict[str, Array]) -> list[Array]:
-    """R times the rows of each trial, R the residuals' correlation matrix under their autoregressions.
+    """Multiply the rows of each trial by the correlation matrix of the residuals under their autoregressions.
 
-    Rows beyond a trial's samples, of random effects, are white.
+    Rows beyond the samples of a trial, of random effects, are white.
     """
     longest = max(len(t.time_s) for t in problem.trials)
     rho = {c: _autocorrelation(a, longest - 1) for c, a in autoregressions.items()}
@@ -62,7 +62,7 @@ def _correlated(problem: Problem, rows: list[Array], autoregressions: dict[str, 
 
 
 def orthogonal_part(others: Array, columns: Array, floor: float) -> Array:
-    """The part of columns orthogonal to all others: what no combination of those can imitate.
+    """Return the part of columns that no combination of other columns can imitate.
 
     Directions in which the others have less than the share ``floor`` of their largest are not counted.
     """
@@ -73,44 +73,44 @@ def orthogonal_part(others: Array, columns: Array, floor: float) -> Array:
 
 @dataclass(frozen=True)
 class Sandwich:
-    """Covariance of least-squares estimates, and what it was made of."""
+    """Covariance of least-squares estimates, and its parts."""
 
-    #: Shape (p, p): ``H^-1 M H^-1``, enlarged by the square of the scatter factor; rows and columns of
-    #: parameters the data do not see are NaN.
+    #: Covariance ``H^-1 M H^-1``, enlarged by the square of the scatter, shape (p, p). Rows and columns of
+    #: parameters that the data do not see are NaN.
     covariance: Array
-    #: Shape (p,): parameters the data do not see.
+    #: Parameters that the data do not see, shape (p,).
     null: NDArray[np.bool_]
-    #: Shape (p, p): square root of the information: ``root' root`` is the inverse of the covariance, and
+    #: Square root of the information, shape (p, p): ``root' root`` is the inverse of the covariance, and
     #: stays accurate where that is singular.
     root: Array
-    #: Shape (p,): the Gauss-Newton step from here to the minimum without bounds.
+    #: Gauss-Newton step to the minimum without bounds, shape (p,).
     step: Array
-    #: Sum of squares that one parameter, fitted to noise alone, takes up on average: 1 for white noise of
-    #: unit variance, and as much more as noise is coloured along the parameters and the trials scatter.
+    #: Mean sum of squares that one parameter takes up when fitted to noise alone. It is 1 for white noise of
+    #: unit variance, and larger for coloured noise and for trials that disagree.
     gain: float
-    #: At least 1.
+    #: Factor by which trials differ more than their noise allows, at least 1.
     scatter: float
-    #: Of the test that the trials agree: their scores, each zero on average at the common optimum, against
-    #: their own covariance.
+    #: p-value of the test that the trials agree. At the common optimum the score of each trial is zero on
+    #: average, and is compared with its covariance.
     scatter_p: float
 
 
 def sandwich(
     problem: Problem, jacobians: list[Array], residuals: list[Array], autoregressions: dict[str, Array]
 ) -> Sandwich:
-    """Covariance of the estimates under coloured residuals and scattering trials.
+    """Compute the covariance of estimates under coloured residuals and trials that disagree.
 
     Parameters
     ----------
     jacobians, residuals : list of ndarray, each shape (n_k, p) and (n_k,)
-        Weighted, of each trial; columns scaled to parameters of like size.
+        Weighted, of each trial; columns scaled to parameters of similar size.
     autoregressions : dict of channel name to ndarray
-        Of the weighted residuals.
+        Autoregressions of the weighted residuals.
 
     Notes
     -----
-    With ``J = U S V'`` the middle ``U' R U`` is computed from the orthogonal U, so that a
-    direction the data hardly see has a large variance, not the rounding error of a small one.
+    With ``J = U S V'`` the middle ``U' R U`` is computed from the orthogonal U. A direction that the data
+    hardly see has then a large variance, and not the rounding error of a small one.
     """
     j = np.concatenate(jacobians)
     samples, unknowns = j.shape
@@ -118,8 +118,8 @@ def sandwich(
     null = size == 0
     size = np.where(null, 1.0, size)
     u, singular, vt = np.linalg.svd(j / size, full_matrices=False)
-    good = singular > 1e-8 * singular[0] if singular[0] > 0 else np.zeros(len(singular), bool)
-    # a parameter with a part in a direction the data do not see is not identifiable
+    good = (singular > 1e-8 * singular[0]) & (singular[0] > 0)
+    # a parameter with a part in a direction that the data do not see is not identifiable
     null |= (np.abs(vt[~good]) > 1e-3).any(axis=0)
     ends = np.cumsum([0, *(len(r) for r in residuals)])
     directions = [u[a:b] for a, b in itertools.pairwise(ends)]
@@ -143,7 +143,7 @@ def sandwich(
         null=null,
         root=(vectors / np.sqrt(values)).T @ back / max(spread, 1e-30),
         step=-outer @ (u[:, good].T @ r),
-        # the mean of r' U U' r over noise r of correlation R, for each of the columns of U
+        # mean of r' U U' r over noise r of correlation R, for each column of U
         gain=spread**2 * float(np.trace(middle[np.ix_(good, good)])) / max(int(good.sum()), 1),
         scatter=scatter,
         scatter_p=p_value,
@@ -153,12 +153,12 @@ def sandwich(
 def _scatter(
     jacobians: list[Array], correlated: list[Array], residuals: list[Array], variance: float, degrees: int
 ) -> tuple[float, float]:
-    """Factor by which trials scatter more than their noise, and the p-value that they do not."""
+    """Return the factor by which trials differ more than their noise, and the p-value that they do not."""
     if len(jacobians) < 3:
         return 1.0, 1.0
     statistic = 0.0
     for whole, whole_b, r in zip(jacobians, correlated, residuals, strict=True):
-        # numbers of other trials have nothing to say here, and their rounding errors would
+        # unknowns of other trials have no part in this score; their rounding errors would count
         own = np.linalg.norm(whole, axis=0) > 0
         a, b = whole[:, own], whole_b[:, own]
         score = a.T @ r
@@ -172,37 +172,38 @@ def _scatter(
     if degrees < 1:
         return 1.0, 1.0
     p_value = float(special.chdtrc(degrees, statistic))
-    return (max(math.sqrt(statistic / degrees), 1.0) if p_value < HETEROGENEITY else 1.0), p_value
+    if p_value >= HETEROGENEITY:
+        return 1.0, p_value
+    return max(math.sqrt(statistic / degrees), 1.0), p_value
 
 
 # ---------------------------------------------------------------- identifiability
 
 
-#: A standard error above this share of a parameter's size makes it unidentifiable.
+#: Standard error, as a share of a parameter's size, above which the parameter is not identifiable.
 UNIDENTIFIABLE = 0.5
-#: Directions seen less than this, relatively to the one seen best, are not seen.
+#: Share of the best determined direction below which a direction counts as not seen.
 UNSEEN = 1e-7
-#: A standard error above this share of a parameter's size lets it be part of a confounded group.
+#: Standard error, as a share of its size, above which a parameter may belong to a confounded group.
 VAGUE = 0.5 * UNIDENTIFIABLE
-#: Weights of a combination below this share of the largest are left out.
+#: Share of the largest weight below which a weight of a combination is left out.
 NEGLIGIBLE = 0.01
 
 
 @dataclass(frozen=True)
 class Combination:
-    """A weighted sum of parameters that is known though its members are not."""
+    """A weighted sum of parameters that is known although its members are not."""
 
-    #: Dict of label to float: the largest is 1, where units differ that of the most important; those of the
-    #: parameters over :attr:`divisors` then.
+    #: Weight of each label, relative to the largest; with different units, weights of the parameters over
+    #: their :attr:`divisors`, relative to the most important one.
     weights: dict[str, float]
-    #: The confounded parameters it belongs to, those of negligible weight too.
+    #: Labels of the confounded parameters of its group, also those of negligible weight.
     members: tuple[str, ...]
     value: float
     stderr: float
-    #: Of the member whose weight is 1; none where units differ.
+    #: Unit of the member whose weight is 1; ``"1"`` if units differ.
     unit: str
-    #: Dict of label to str: where units differ, what each member is divided by to have none: its size, with
-    #: its unit.
+    #: For different units: the size of each member, with its unit, by which it is divided.
     divisors: dict[str, str] = field(default_factory=dict)
 
     @property
@@ -210,25 +211,25 @@ class Combination:
         """The sum in words, ``c_f0 + 0.31 c_f13 = 0.0123 ± 0.0002``."""
         terms = ""
         for label, weight in self.weights.items():
-            divisor = self.divisors.get(label, "")
-            label = f"{label}/({divisor})" if divisor else label
+            if label in self.divisors:
+                label = f"{label}/({self.divisors[label]})"
             factor = f"{abs(weight):.2g} ".removeprefix("1 ")
-            sign = ("-" if weight < 0 else "") if not terms else (" - " if weight < 0 else " + ")
-            terms += f"{sign}{factor}{label}"
+            terms += f"{' - ' if weight < 0 else ' + '}{factor}{label}"
+        terms = f"{terms[1]}{terms[3:]}".removeprefix("+")
         return f"{terms} = {numbers.measured(self.value, self.stderr, self.unit)}"
 
 
 def unidentifiable(result: FitResult) -> list[str]:
-    """Labels of the numbers the trials do not determine."""
+    """Return the labels of the unknowns that the trials do not determine."""
     return [label for label in result.labels if result.status[label] == "unidentifiable"]
 
 
 def confounded(result: FitResult) -> list[tuple[str, ...]]:
-    """Groups of parameters that the trials cannot tell apart.
+    """Return groups of parameters that the trials cannot tell apart.
 
-    Each has an unidentifiable member and one that all trials share; others belong to it when they
-    share its uncertainty and are themselves not known to :data:`VAGUE` of their size. A parameter
-    the trials do not see at all is in no group, nor is a random effect.
+    Each group has a member that is not identifiable and one that all trials share. Others belong to it if
+    they share its uncertainty and are not known to :data:`VAGUE` of their size. A parameter that the trials
+    do not see at all is in no group, nor is a random effect.
     """
     index = [i for i in _usable(result) if math.isinf(result.parameter(result.labels[i]).spread)]
     vague = [i for i in index if np.linalg.norm(_marginal(result, [i])) * VAGUE < 1.0]
@@ -247,10 +248,10 @@ def confounded(result: FitResult) -> list[tuple[str, ...]]:
 
 
 def combinations(result: FitResult) -> list[Combination]:
-    """For each group of confounded parameters, the weighted sum the trials determine best.
+    """Return for each group of confounded parameters the weighted sum that the trials determine best.
 
-    Groups no sum of which is known are left out. The sum is the eigenvector of the group's
-    information, all other parameters free, with parameters scaled to their sizes.
+    A group without a known sum is left out. The sum is the eigenvector of the group's information, with all
+    other parameters free and all parameters scaled to their sizes.
     """
     found = []
     for group in confounded(result):
@@ -260,15 +261,16 @@ def combinations(result: FitResult) -> list[Combination]:
         if singular[0] * UNIDENTIFIABLE < 1.0:
             continue
         kept = np.where(np.abs(vt[0]) < NEGLIGIBLE * np.abs(vt[0]).max(), 0.0, vt[0])
-        direction = kept if _sd(kept, singular, vt) * singular[0] <= 1.1 else vt[0]
+        direction = vt[0]
+        if _sd(kept, singular, vt) * singular[0] <= 1.1:
+            direction = kept
         units = [result.parameter(g).unit for g in group]
         alike = len(set(units)) == 1
         counted, divisors = np.ones(len(group)), {}
         if not alike:
-            # quantities of different units cannot be added: each is then counted in its own size, to two
-            # digits, so that the sum can be computed from its words
+            # each is divided by its size, rounded so that the sum can be computed from its words
             short = [f"{s:.2g}" for s in size]
-            words = [t if unit == "1" else f"{t} {unit}" for t, unit in zip(short, units, strict=True)]
+            words = [f"{t} {unit}".removesuffix(" 1") for t, unit in zip(short, units, strict=True)]
             counted, divisors = np.array([float(t) for t in short]), dict(zip(group, words, strict=True))
         weights = direction * counted / size
         one = float(weights[np.argmax(np.abs(weights))])
@@ -287,7 +289,7 @@ def combinations(result: FitResult) -> list[Combination]:
 
 
 def sentences(result: FitResult) -> list[str]:
-    """What the trials cannot tell, and what they tell instead, for the report."""
+    """Return sentences for the report: parameters that are not identifiable, and the sums that are."""
     known = {c.members: c for c in combinations(result)}
     said, grouped = [], set()
     for group in confounded(result):
@@ -306,19 +308,22 @@ def sentences(result: FitResult) -> list[str]:
 
 
 def ranked(result: FitResult) -> list[tuple[str, float]]:
-    """Shared parameters from the best to the least identifiable, by pivoted QR decomposition.
+    """Rank the shared parameters by their identifiability, best first, with a pivoted QR decomposition.
 
     Returns
     -------
     list of (label, share)
-        ``share`` is the part of the residuals' sensitivity to a parameter that those ranked
-        before it, and the numbers of single trials, cannot imitate: 1 for one all of its own,
-        0 for one wholly confounded. Parameters their bound holds are left out.
+        ``share`` is the part of the residuals' sensitivity to a parameter that those ranked before it, and
+        the unknowns of single trials, cannot imitate: 1 for a parameter that acts like no other, 0 for one
+        that is confounded entirely. Parameters that their bound holds are left out.
 
     Notes
     -----
-    On the sensitivities scaled by the parameters' sizes (Lund and Foss, "Parameter ranking by
-    orthogonalization", Automatica 2008).
+    Sensitivities are scaled by the parameters' sizes [1]_.
+
+    References
+    ----------
+    .. [1] B. F. Lund, B. A. Foss, "Parameter ranking by orthogonalization", Automatica 44 (2008), 278-281.
     """
     index = [i for i in _usable(result) if "[" not in result.labels[i]]
     if not index:
@@ -327,26 +332,24 @@ def ranked(result: FitResult) -> list[tuple[str, float]]:
     r, order = linalg.qr(_marginal(result, index), mode="r", pivoting=True)
     own = np.zeros(len(index))
     own[: min(r.shape)] = np.abs(np.diag(r))
-    return [
-        (result.labels[index[j]], float(own[k] / whole[j]) if whole[j] > 0 else 0.0)
-        for k, j in enumerate(order)
-    ]
+    shares = own / np.where(whole[order] > 0, whole[order], np.inf)
+    return [(result.labels[index[j]], float(share)) for j, share in zip(order, shares, strict=True)]
 
 
 def _sizes(result: FitResult) -> Array:
-    """Size of each number: its value, or its parameter's scale where that is larger."""
+    """Return the size of each unknown: its value, or the scale of its parameter if that is larger."""
     return np.maximum(np.abs(result.estimate), [result.parameter(label).scale for label in result.labels])
 
 
 def _usable(result: FitResult) -> list[int]:
-    """Numbers not held by their bound; none where a result was rewritten without its information."""
+    """Return the indices of unknowns that no bound holds; none for a result without information matrix."""
     if result.information_root.shape[1] != len(result.labels):
         return []
     return [int(i) for i in np.flatnonzero(np.isfinite(result.information_root).all(axis=0))]
 
 
 def _marginal(result: FitResult, index: Sequence[int]) -> Array:
-    """Square root of the information about some numbers, all others free, scaled by size."""
+    """Return the root of the information about some unknowns, all others free, scaled by size."""
     scaled = result.information_root * _sizes(result)
     others = [i for i in _usable(result) if i not in index]
     chosen = scaled[:, list(index)]
@@ -354,7 +357,7 @@ def _marginal(result: FitResult, index: Sequence[int]) -> Array:
 
 
 def _sd(direction: Array, singular: Array, vt: Array) -> float:
-    """Standard error of a sum of scaled parameters under the information ``vt' s^2 vt``."""
+    """Return the standard error of a sum of scaled parameters under the information ``vt' s^2 vt``."""
     parts = vt @ direction
     floor = np.maximum(singular, UNSEEN * singular[0])
     return float(np.linalg.norm(parts / floor))

@@ -1,6 +1,6 @@
-"""Inputs of trials: beats and strokes of joints, and known quantities by the family of the experiment.
+"""Inputs of trials: beats and strokes of joints, and known quantities of each kind of experiment.
 
-Every trial has an input of each family; the defaults of its fields say that nothing is known.
+Every trial has an input of each kind. The defaults of its fields mean that nothing is known.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Motion = tuple[Array, Array, Array]
 
 
 def eased(time_s: Array, ramp_s: float) -> Array:
-    """Quintic ease-in from 0 to 1 over ``ramp_s`` > 0."""
+    """Return the quintic ease-in from 0 to 1 over ``ramp_s`` > 0."""
     found = np.array(np.clip(time_s / ramp_s, 0.0, 1.0))
     rising = (found > 0.0) & (found < 1.0)
     s = found[rising]
@@ -31,7 +31,7 @@ def eased(time_s: Array, ramp_s: float) -> Array:
 
 
 def smoothstep(time_s: Array, ramp_s: float) -> Motion:
-    """The ease-in of :func:`eased` with its first two derivatives; a step where ``ramp_s`` is zero."""
+    """Return the ease-in of :func:`eased` with its first two derivatives; a step if ``ramp_s`` is zero."""
     if ramp_s <= 0:
         on = (time_s >= 0).astype(float)
         return on, np.zeros_like(on), np.zeros_like(on)
@@ -44,36 +44,38 @@ def smoothstep(time_s: Array, ramp_s: float) -> Motion:
 
 
 def straight(time_s: Array) -> Motion:
-    """A joint that does not move."""
+    """Return the motion of a joint that stays straight."""
     zero = np.zeros_like(time_s)
     return zero, zero, zero
 
 
-def _ramped(time_s: Array, ramp_s: float, motion: Motion) -> Motion:
-    """A motion eased in from time zero on."""
+def _ramped(drive: Beat | Cycle, time_s: Array, motion: Motion) -> Motion:
+    """Return a motion that is eased in from time zero on; unchanged if it is steady."""
+    if drive.steady:
+        return motion
     value, rate, bend = motion
-    ease, slope, curve = smoothstep(time_s, ramp_s)
+    ease, slope, curve = smoothstep(time_s, drive.ramp_s)
     return value * ease, rate * ease + value * slope, bend * ease + 2.0 * rate * slope + value * curve
 
 
 @dataclass(frozen=True)
 class Beat:
-    """A commanded tail beat, in SI."""
+    """A commanded tail beat, in SI units."""
 
     #: ``sine``, ``hopf`` or ``a-cpg``.
     waveform: str
     frequency_hz: float
     amplitude_rad: float
     bias_rad: float = 0.0
-    #: h_a of Eq 10; the half-beat with rising angle lasts (1 - h) / 2 of a period.
+    #: h_a of Eq 10: the half-beat with a rising angle lasts (1 - h) / 2 of a period.
     asymmetry: float = 0.0
-    #: The whole command is eased in by a quintic smoothstep over this time.
+    #: Time over which a quintic smoothstep eases in the whole command.
     ramp_s: float = 1.0
     #: Phase at time zero.
     phase_rad: float = 0.0
-    #: Phase by which each driven joint lags the one before it, beyond what the robot file says.
+    #: Phase lag of each driven joint behind the one before it, beyond that of the robot file.
     lag_rad: float = 0.0
-    #: The beat has always gone on: it has no ramp and no beginning.
+    #: The beat has no begin and no ramp.
     steady: bool = False
 
     def motion(
@@ -85,18 +87,18 @@ class Beat:
         phase_rad: float = 0.0,
         cell_s: Array | None = None,
     ) -> Motion:
-        """Angle, rate and acceleration of a joint, rad, rad/s and rad/s2, shape (n,) each.
+        """Return angle, rate and acceleration of a joint, rad, rad/s and rad/s2, shape (n,) each.
 
         Parameters
         ----------
         time_s : ndarray, shape (n,)
-            Zero is where the drive starts, with phase zero; the joint is straight before.
+            The drive starts at zero, with phase zero; before that the joint is straight.
         gain, bias_gain : float
             The joint's share of amplitude and bias.
         phase_rad : float
-            Phase ahead of the drive's.
+            Phase ahead of the drive.
         cell_s : ndarray, shape (n,), optional
-            Where the acceleration jumps (a-cpg), give its mean over such a stretch around each time
+            If the acceleration jumps (a-cpg), return its mean over such an interval around each time
             (:func:`cells`).
         """
         phase = self.phase_rad + phase_rad
@@ -105,8 +107,7 @@ class Beat:
             ends = [self._wave(time_s + side * cell_s, phase)[1] for side in (-0.5, 0.5)]
             bend = (ends[1] - ends[0]) / cell_s
         a, b = gain * self.amplitude_rad, bias_gain * self.bias_rad
-        whole = (a * value + b, a * rate, a * bend)
-        return whole if self.steady else _ramped(time_s, self.ramp_s, whole)
+        return _ramped(self, time_s, (a * value + b, a * rate, a * bend))
 
     def _wave(self, time_s: Array, phase_rad: float) -> Motion:
         omega = 2.0 * math.pi * self.frequency_hz
@@ -119,17 +120,17 @@ class Beat:
 
 
 def cells(time_s: Array) -> Array:
-    """Stretches around the times of a half-step grid that Runge-Kutta's weights tile the time with.
+    """Return the intervals around the times of a half-step grid that Runge-Kutta's weights assign to them.
 
-    A third of a step at its ends, two thirds in its middle: an acceleration averaged over them adds up to
-    the right rate, wherever it jumps.
+    They are a third of a step at the ends of a step and two thirds in its middle. An acceleration that is
+    averaged over them adds up to the right rate, wherever it jumps.
     """
     half = float(time_s[1] - time_s[0])
     return np.where(np.arange(len(time_s)) % 2 == 0, 2.0 / 3.0 * half, 4.0 / 3.0 * half)
 
 
 def hopf(time_s: Array, frequency_hz: float, asymmetry: float, phase_rad: float = 0.0) -> Motion:
-    """Output alpha of the (asymmetric) Hopf oscillator on its limit cycle of radius one.
+    """Return the output alpha of the (asymmetric) Hopf oscillator on its limit cycle of radius one.
 
     Parameters
     ----------
@@ -140,11 +141,11 @@ def hopf(time_s: Array, frequency_hz: float, asymmetry: float, phase_rad: float 
 
     Notes
     -----
-    Tendon fish, Eq 10, with two corrections: the bias belongs to the output (as printed it drops
-    out of alpha), and the radius is one with the amplitude as a gain (as printed it would be the
-    square root of A, reached at a rate that depends on the unit of A). On the limit cycle
-    ``alpha = sin(psi)`` and ``psi' = omega / (1 - h sgn(alpha'))``: the period stays, the angle
-    rises in (1 - h) / 2 of it and falls in (1 + h) / 2; the acceleration jumps at the turns.
+    Eq 10 of the tendon fish paper, with two corrections. The bias belongs to the output: as printed it drops
+    out of alpha. The radius is one with the amplitude as a gain: as printed it would be the square root of A,
+    reached at a rate that depends on the unit of A. On the limit cycle ``alpha = sin(psi)`` and ``psi' =
+    omega / (1 - h sgn(alpha'))``. The period is unchanged, the angle rises in (1 - h) / 2 of it and falls in
+    (1 + h) / 2, and the acceleration jumps at the turns.
 
     >>> value, rate, _ = hopf(np.array([0.0, 0.25]), 1.0, 0.0)
     >>> [round(float(v), 12) for v in value]
@@ -166,28 +167,28 @@ def hopf(time_s: Array, frequency_hz: float, asymmetry: float, phase_rad: float 
 
 @dataclass(frozen=True)
 class Cycle:
-    """A stroke as it is commanded in a trial."""
+    """A stroke as commanded in a trial."""
 
     name: str
-    #: Of the robot file.
+    #: Stroke of the robot file.
     law: Stroke
-    #: Cycles a second.
+    #: Cycles per second.
     frequency_hz: float
-    #: What the angles are multiplied with, about those at the start of the cycle.
+    #: Factor on the angles, about those at the start of the cycle.
     scale: float = 1.0
-    #: The motion is eased in over this time.
+    #: Time over which the motion is eased in.
     ramp_s: float = 0.0
-    #: After so many the hinges stay where the cycle begins; infinite: they go on.
+    #: Number of cycles, after which the hinges stay where the cycle begins; infinite for no end.
     cycles: float = math.inf
     #: Phase at time zero.
     phase_rad: float = 0.0
-    #: The stroke has always gone on: it has no ramp, no beginning and no end.
+    #: The stroke has no begin, no ramp and no end.
     steady: bool = False
 
     def motion(self, hinge: str, time_s: Array, *, phase_rad: float = 0.0) -> Motion:
-        """Angle, rate and acceleration of a hinge; those the stroke does not name stay straight.
+        """Return angle, rate and acceleration of a hinge; hinges that the stroke does not name stay straight.
 
-        The stroke begins at time zero; before, the hinge holds its first angle.
+        The stroke begins at time zero. Before, the hinge holds its first angle.
         """
         from scipy import interpolate
 
@@ -197,15 +198,16 @@ class Cycle:
         angles = np.radians(self.law.angles_deg[hinge])
         spline = interpolate.CubicSpline(knots, angles, bc_type="periodic")
         begun = self.frequency_hz * time_s
-        first_cycle, last_cycle = (-math.inf, math.inf) if self.steady else (0.0, self.cycles)
+        first_cycle, last_cycle = 0.0, self.cycles
+        if self.steady:
+            first_cycle, last_cycle = -math.inf, math.inf
         share = np.clip(begun, first_cycle, last_cycle) + (self.phase_rad + phase_rad) / (2.0 * math.pi)
         at = np.mod(share, 1.0)
         f = self.frequency_hz * ((begun >= first_cycle) & (begun <= last_cycle))
         first = float(angles[0])
         value = self.scale * (spline(at) - first)
         rate, bend = self.scale * f * spline(at, 1), self.scale * f**2 * spline(at, 2)
-        whole = (value, rate, bend)
-        angle, rate, bend = whole if self.steady else _ramped(time_s, self.ramp_s, whole)
+        angle, rate, bend = _ramped(self, time_s, (value, rate, bend))
         return first + angle, rate, bend
 
 
@@ -214,51 +216,51 @@ class Cycle:
 
 @dataclass(frozen=True)
 class RigInput:
-    """A body on a test rig."""
+    """Known quantities of a body on a test rig."""
 
-    #: Known part, kg or kg m2, pulling mass and pulley included; NaN where none is known.
+    #: Known part, kg or kg m2, with pulling mass and pulley; NaN if unknown.
     inertia: float = math.nan
     #: Constant known force, N.
     force: float | None = None
-    #: A pulley's friction acts.
+    #: The friction of a pulley acts.
     pulley: bool = False
-    #: ``rho A / 2``, kg/m; 0 where the quadratic coefficient itself is estimated.
+    #: ``rho A / 2``, kg/m; 0 if the quadratic coefficient itself is estimated.
     area_factor: float = 0.0
-    #: Time of release; zero where none is stated.
+    #: Time of release; None means zero.
     release_s: float | None = None
     #: Displacement at release, m or rad.
     x0: float = 0.0
 
     @property
     def pull(self) -> float:
-        """The constant force, N; 0 where there is none."""
-        return 0.0 if self.force is None else self.force
+        """Constant force, N; 0 if there is none."""
+        return self.force or 0.0
 
     @property
     def begin_s(self) -> float:
         """Time of release, s."""
-        return 0.0 if self.release_s is None else self.release_s
+        return self.release_s or 0.0
 
 
 @dataclass(frozen=True)
 class SwimInput:
-    """A robot with links."""
+    """Drive and start of a robot with links."""
 
     beat: Beat | None = None
     stroke: Cycle | None = None
-    #: Of each driven joint, in place of a drive: its motion at given times, s.
+    #: Motion of each driven joint at given times, s, instead of a drive.
     joints: Sequence[Callable[[Array], Motion]] | None = None
-    #: The joints' motions are what they were told, not what was measured of them.
+    #: The motions of the joints are commands, and not measured.
     commanded: bool = False
-    #: Of the reference point at the first sample, from which the start offsets count.
+    #: Pose of the reference point at the first sample, to which the start offsets are added.
     pose: tuple[float, ...] | None = None
-    #: Those that were set otherwise in this trial.
+    #: Coefficients that were set otherwise in this trial.
     coefficients: Mapping[str, float] | None = None
 
     @property
     def drive(self) -> Beat | Cycle | None:
-        """The beat or the stroke; None where measured joints, or nothing, move it."""
-        return self.stroke if self.beat is None else self.beat
+        """Beat or stroke; None if measured joints, or nothing, move the robot."""
+        return self.beat or self.stroke
 
     @property
     def steady(self) -> bool:
@@ -275,22 +277,22 @@ class SwimInput:
 
     @property
     def measured(self) -> bool:
-        """Measured joints move it: they are what the actuators did."""
+        """Whether measured joints move the robot: they are the output of the actuators."""
         return self.joints is not None and not self.commanded
 
     def posed(self, count: int = 3) -> tuple[float, ...]:
-        """The start pose; at the origin where none is known."""
-        return (0.0,) * count if self.pose is None else self.pose
+        """Return the start pose; the origin if unknown."""
+        return self.pose or (0.0,) * count
 
 
 @dataclass(frozen=True)
 class CruiseInput:
-    """Timed runs of one fin."""
+    """Known quantities of timed runs with one fin."""
 
     fin: str = ""
-    #: Hydrodynamic inertia of the fin, where it is known.
+    #: Hydrodynamic inertia of the fin, if known.
     inertia_kg_m2: float | None = None
-    #: Frequency (Hz) and amplitude (rad) about which the exponents of the law count.
+    #: Frequency (Hz) and amplitude (rad) to which the exponents of the law refer.
     middle: tuple[float, float] = (1.0, 1.0)
     #: Rows of the table.
     rows: NDArray[np.intp] | None = None
@@ -298,9 +300,9 @@ class CruiseInput:
 
 @dataclass(frozen=True)
 class SurgeInput:
-    """A steady beat of which only the mean over each beat is looked at."""
+    """A steady beat of a run of which only the mean over each beat is used."""
 
-    #: NaN where there is no such beat.
+    #: NaN if there is no such beat.
     frequency_hz: float = math.nan
     amplitude_rad: float = math.nan
     #: Time of the first sample.

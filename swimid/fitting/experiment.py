@@ -20,40 +20,40 @@ from swimid.logs.trials import Trials
 from swimid.notices import warn
 from swimid.robots.file import Robot, locate
 
-#: What a camera may show beside a position.
+#: Angles that a camera may measure beside a position.
 ANGLES = ("yaw_rad", "pitch_rad", "roll_rad")
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """A model with the trials that tell its parameters."""
+    """A model with the trials from which its parameters are estimated."""
 
-    #: The trials file's ``experiment``.
+    #: ``experiment`` of the trials file.
     name: str
     robot: Robot
     model: Model
     trials: list[Trial]
-    #: Every file read: trials file, robot file, logs; and what was in memory.
+    #: Every file that was read (trials file, robot file, logs), and inputs in memory.
     inputs: list[Input]
-    #: Other readings of the same logs, between which the data decide (how an encoder rounds, say); empty
-    #: where there is only one.
+    #: Other interpretations of the same logs, between which the data decide (how an encoder rounds, for
+    #: example); empty if there is only one.
     variants: Mapping[str, list[Trial]] = field(default_factory=dict)
-    #: What was found while reading, for the report.
+    #: Facts found while reading, for the report.
     facts: Mapping[str, Any] = field(default_factory=dict)
-    #: The robot file, where a result refers to it.
+    #: Robot file, if the result refers to it.
     robot_path: Path | None = None
 
 
 def inputs_of(path: Path, entries: Trials, logs: Sequence[Input]) -> list[Input]:
-    """Trials file, robot file and logs, for the provenance."""
-    listing = [] if entries._in_memory else [path]
-    return [*listing, locate(entries.robot, path.parent), *logs]
+    """Return trials file, robot file and logs, for the provenance."""
+    files = [locate(entries.robot, path.parent), *logs]
+    return files if entries._in_memory else [path, *files]
 
 
 def read_log(
     entry: TrialEntry, folder: Path, *, required: tuple[str, ...], optional: tuple[str, ...] = ()
 ) -> Log:
-    """A trial's log, cut to the stretch its entry asks for, without pictures that repeat the one before."""
+    """Read the log of a trial, cut to the interval of its entry, without samples that repeat a picture."""
     if entry._held is not None:
         log = entry._held.chosen(required, optional)
     else:
@@ -74,12 +74,12 @@ def read_log(
 
 
 def _measured_anew(log: Log) -> Log:
-    """The log with empty cells where positions only repeat the picture before."""
+    """Return the log with empty cells where positions only repeat the picture before."""
     places = [name for name in POSITIONS if name in log]
     held = find_held(log.time_s, [log[name] for name in places])
     repeats = held.repeated.copy()
     for first, end in log_format.runs(repeats):
-        # a camera or tracker that stood still is a fault of the recording: the residuals must show it
+        # a camera or tracker that stopped is a fault of the recording, which the residuals must show
         if log.time_s[end - 1] - log.time_s[first] > LONG_HOLD * held.period_s:
             repeats[first:end] = False
     for name, (start, stop) in find_frozen(log.time_s, {name: log[name] for name in places}).items():
@@ -91,19 +91,19 @@ def _measured_anew(log: Log) -> Log:
     def repeated(values: Array) -> bool:
         return bool((values[at] == values[at - 1]).all())
 
-    # a heading of the same picture repeats with it
+    # the heading of a repeated picture repeats too
     shown = [*places, *(n for n in ANGLES if n in log and repeated(log[n]))]
     warn(
         "SWM058",
         f"{log.path.name}: {len(at)} of {len(log)} samples repeat the position before and are left out: the "
         "log is written faster than it is measured",
     )
-    masked = {n: np.where(repeats, np.nan, v) if n in shown else v for n, v in log.columns.items()}
-    return replace(log, columns=masked)
+    masked = {n: np.where(repeats, np.nan, log[n]) for n in shown}
+    return replace(log, columns={**log.columns, **masked})
 
 
 def warn_mass(name: str, value: float, against: float, file: Path) -> None:
-    """Warn when a mass looks like grams."""
+    """Warn if a mass looks like grams."""
     if against > 0 and value >= against:
         warn(
             "SWM002",

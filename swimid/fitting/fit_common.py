@@ -1,4 +1,4 @@
-"""Parameter file, checks and figures of every fit, and :func:`fit_model` for a model of one's own."""
+"""Parameter file, checks and figures of every fit, and :func:`fit_model` for a model of your own."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from swimid.fitting.covariance import HETEROGENEITY, combinations, sentences
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Channel, Model, Parameter, Trial, chosen
-from swimid.fitting.noise import autocorrelation, joined, ljung_box
+from swimid.fitting.noise import SIGNIFICANCE, autocorrelation, joined, ljung_box
 from swimid.fitting.output_error import STEP_ERROR
 from swimid.logs.log import FREQUENCY_RTOL
 from swimid.notices import recorded, warn
@@ -29,23 +29,23 @@ from swimid.results import evidence as ev
 from swimid.results.fitted import Fitted
 from swimid.results.parameters import Correlation, Estimate, Fit, ParameterFile
 
-#: Correlations above this are named.
+#: Correlation above which two parameters are named.
 STRONG = 0.95
-#: A validation error above this multiple of the fit error is a warning.
+#: Ratio of the held-out error to the fit error above which a check warns.
 VALIDATION_RATIO = 2.0
 #: Sentence of the methods section.
 COVARIANCE = "Standard errors follow from the Jacobian at the optimum and account for coloured residuals."
-#: Residuals beyond this many robust standard deviations are outliers.
+#: Number of robust standard deviations beyond which a residual is an outlier.
 OUTLIER = 8.0
 
 
 def estimates(
     result: FitResult, profiles: Mapping[str, tuple[float | None, float | None]]
 ) -> dict[str, Estimate]:
-    """Every parameter of the model as the parameter file holds it.
+    """Return every parameter of the model as the parameter file holds it.
 
-    Parameters of single trials (start offsets, say) appear as ``name[trial]`` where they were
-    estimated, and are left out where they were fixed.
+    Parameters of single trials (start offsets, for example) appear as ``name[trial]`` if they were estimated,
+    and are left out if they were fixed.
     """
     found: dict[str, Estimate] = {}
     for p in result.parameters:
@@ -65,7 +65,7 @@ def estimates(
 
 
 def _correlation(result: FitResult) -> Correlation | None:
-    """Correlation matrix of the shared parameters that were estimated, with some error each."""
+    """Return the correlation matrix of the shared parameters that have a standard error."""
     keep = [i for i, label in enumerate(result.labels) if "[" not in label and result.stderr(label)]
     if len(keep) < 2:
         return None
@@ -75,7 +75,7 @@ def _correlation(result: FitResult) -> Correlation | None:
 
 
 def _identifiability(result: FitResult, correlation: Correlation | None) -> list[str]:
-    """What the trials cannot tell, in words, and the combination they can; warns of each."""
+    """Return sentences on parameters that the trials do not determine; warn of each."""
     said = sentences(result)
     for sentence in said:
         warn("SWM010", sentence)
@@ -83,20 +83,19 @@ def _identifiability(result: FitResult, correlation: Correlation | None) -> list
         if status == "at-bound":
             bounds = numbers.bounds_text(result.parameter(label).bounds)
             warn("SWM012", f"{label} lies at its bound ({bounds}): the data ask for a value outside")
-    names = correlation.names if correlation else []
-    for (i, first), (j, second) in itertools.combinations(enumerate(names), 2):
-        rho = correlation.matrix[i][j] if correlation else 0.0
+    if correlation is None:
+        return said
+    for (i, first), (j, second) in itertools.combinations(enumerate(correlation.names), 2):
+        rho = correlation.matrix[i][j]
         if abs(rho) > STRONG and result.status[first] == result.status[second] == "estimated":
-            said.append(
-                f"{first} and {second} are hard to tell apart (correlation {rho:+.3f}): "
-                f"{_combination(result, first, second)}"
-            )
+            product = _best_product(result, first, second)
+            said.append(f"{first} and {second} are hard to tell apart (correlation {rho:+.3f}): {product}")
             warn("SWM011", said[-1])
     return said
 
 
-def _combination(result: FitResult, first: str, second: str) -> str:
-    """The product of powers of two parameters that is known best."""
+def _best_product(result: FitResult, first: str, second: str) -> str:
+    """Return the product of powers of two parameters that is known best, in words."""
     indices = [result.labels.index(first), result.labels.index(second)]
     values = result.estimate[indices]
     if np.any(values <= 0):
@@ -109,7 +108,7 @@ def _combination(result: FitResult, first: str, second: str) -> str:
 
 
 def scores(result: FitResult, role: str, trials: Sequence[str] | None = None) -> dict[str, metrics.Score]:
-    """Errors of each measured channel over all trials of a role, or over some of them."""
+    """Return the errors of each measured channel over all trials of a role, or over some of them."""
     ids = [t.id for t in result.trials if t.role == role and (trials is None or t.id in trials)]
     pose = metrics.pose_channels(result.model)
     found: dict[str, list[tuple[Array, Array]]] = {}
@@ -128,13 +127,13 @@ def scores(result: FitResult, role: str, trials: Sequence[str] | None = None) ->
 
 
 def _listed(result: FitResult, role: str) -> dict[str, dict[str, Any]]:
-    """Errors of each measured channel for the parameter file."""
+    """Return the errors of each measured channel for the parameter file."""
     units = {c.name: c.unit for c in result.model.channels}
     return {name: score.as_dict(units[name]) for name, score in scores(result, role).items()}
 
 
 def refuse_interrupted(result: FitResult) -> None:
-    """Raise :class:`Interrupted` for a fit whose search was stopped, where that is of no use."""
+    """Raise :class:`Interrupted` for a fit whose search was stopped, if its result is of no use."""
     if result.interrupted:
         raise Interrupted(f"{result.message}; nothing was written")
 
@@ -150,11 +149,12 @@ def parameter_file(
     method: str = "maximum likelihood",
     unfinished: bool = False,
 ) -> ParameterFile:
-    """The parameter file of a fit; of one that was interrupted, too, where that may be ``unfinished``.
+    """Return the parameter file of a fit; of an interrupted one only if it may be ``unfinished``.
 
     Raises
     ------
     Interrupted
+        If the search was stopped and the result must be finished.
     """
     if not unfinished:
         refuse_interrupted(result)
@@ -203,12 +203,12 @@ def prepare(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     also: Sequence[Path] = (),
 ) -> tuple[Parameter, ...]:
-    """The parameters to fit (the model's own by default) with the user's choices.
+    """Return the parameters to fit, by default those of the model, with the choices of the user.
 
     Parameters
     ----------
     output, also : Path
-        What must be writable, and must replace neither an input of the experiment nor these.
+        ``output`` must be writable, and must replace neither an input of the experiment nor one of ``also``.
 
     Raises
     ------
@@ -222,77 +222,53 @@ def prepare(
 
 
 def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
-    """Test a fit against its limits; warn of each test that fails."""
+    """Check a fit against its limits; warn of each check that does not pass."""
+    done, message = result.converged, result.message
+    reason = f"the fit did not converge: {message}"
     found = [
-        ev.check(
-            "converged",
-            numbers.number(result.converged),
-            result.converged,
-            "yes",
-            result.message,
-            otherwise="fail",
-            reason=f"the fit did not converge: {result.message}",
-        )
+        ev.check("converged", numbers.number(done), done, "yes", message, otherwise="fail", reason=reason)
     ]
     if result.restarts is not None:
-        after = f", after {result.restarts} restarts" if result.restarts else ""
-        found.append(
-            ev.check(
-                "starts near the answer lead back to it",
-                numbers.number(result.settled) + after,
-                result.settled,
-                "yes",
-                "points and short searches around it",
-                reason="starts near the answer still lead to better ones",
-            )
-        )
+        value = numbers.number(result.settled)
+        if result.restarts:
+            value += f", after {result.restarts} restarts"
+        name, text = "starts near the answer lead back to it", "points and short searches around it"
+        reason = "starts near the answer still lead to better ones"
+        found.append(ev.check(name, value, result.settled, "yes", text, reason=reason))
     status = {label: result.status[label] for label in result.shared}
     unknown = [label for label, s in status.items() if s == "unidentifiable"]
     at_bound = [label for label, s in status.items() if s == "at-bound"]
     mostly = list(status.values()).count("estimated") >= len(unknown)
+    names = ", ".join(unknown)
     found.append(
         ev.check(
             "identifiable",
-            f"not: {', '.join(unknown)}" if unknown else "all",
+            f"not: {names}" if unknown else "all",
             not unknown,
             "every estimated parameter",
             "standard errors are below half of the sizes of identifiable parameters",
             otherwise="warn" if mostly else "fail",
-            reason=f"not identifiable: {', '.join(unknown)}",
+            reason=f"not identifiable: {names}",
         )
     )
     if at_bound:
-        names = ", ".join(at_bound)
-        reason = f"at a bound: {names}"
-        found.append(ev.check("inside bounds", names, False, "no parameter at a bound", reason=reason))
+        names, limit = ", ".join(at_bound), "no parameter at a bound"
+        found.append(ev.check("inside bounds", names, False, limit, reason=f"at a bound: {names}"))
     found += [_whiteness(result, channel) for channel in result.noise]
     if sum(t.role == "fit" for t in result.trials) > 2:
-        p = blocks.p_text(result.scatter_p)
+        p, passed, text = blocks.p_text(result.scatter_p), result.scatter_p >= HETEROGENEITY, ""
+        reason = f"the trials scatter {result.scatter:.2f} times more than their noise allows ({p})"
+        if result.scatter > 1:
+            text = f"standard errors are enlarged by {result.scatter:.2f}"
         found.append(
-            warned_check(
-                "SWM014",
-                "trials agree",
-                p,
-                result.scatter_p >= HETEROGENEITY,
-                f"p ≥ {HETEROGENEITY:g}",
-                f"standard errors are enlarged by {result.scatter:.2f}" if result.scatter > 1 else "",
-                f"the trials scatter {result.scatter:.2f} times more than their noise allows ({p})",
-            )
+            warned_check("SWM014", "trials agree", p, passed, f"p ≥ {HETEROGENEITY:g}", text, reason)
         )
     found += [check for channel in result.noise if (check := _outliers(result, channel))]
     if result.step_error:
-        size = f"{result.step_error:.2g} sd"
-        found.append(
-            warned_check(
-                "SWM016",
-                "integration step",
-                size,
-                result.step_error <= STEP_ERROR,
-                f"≤ {STEP_ERROR:g} sd",
-                "largest change of a simulated sample when the step is halved",
-                f"halving the integration step changes samples by {size} of their noise",
-            )
-        )
+        size, passed = f"{result.step_error:.2g} sd", result.step_error <= STEP_ERROR
+        limit, text = f"≤ {STEP_ERROR:g} sd", "largest change of a simulated sample when the step is halved"
+        reason = f"halving the integration step changes samples by {size} of their noise"
+        found.append(warned_check("SWM016", "integration step", size, passed, limit, text, reason))
     held_out = [c for c in result.model.channels if result.series_of(c.name, "validate")]
     return found + [_validation(result, c) for c in held_out if c.name in result.noise]
 
@@ -308,7 +284,7 @@ def warned_check(
     *,
     failed: bool = False,
 ) -> ev.Check:
-    """Return a check; warn with its reason where it does not pass."""
+    """Return a check; warn with its reason if it does not pass."""
     if not passed:
         warn(code, f"{reason}; {text}" if text else reason)
     otherwise: Literal["warn", "fail"] = "fail" if failed else "warn"
@@ -340,17 +316,12 @@ def _outliers(result: FitResult, channel: str) -> ev.Check | None:
 
 
 def _whiteness(result: FitResult, channel: str) -> ev.Check:
-    test = ljung_box(_weighted(result, channel), fitted=0)
+    """Test the residuals of a channel for whiteness."""
+    test = ljung_box(_weighted(result, channel))
     p = blocks.p_text(test.p_value)
-    return warned_check(
-        "SWM013",
-        f"white residuals, {channel}",
-        p,
-        test.passed,
-        "p ≥ 0.01",
-        "" if test.passed else "the model may miss an effect; the standard errors account for it",
-        f"residuals are not white in {channel} ({p})",
-    )
+    name, reason = f"white residuals, {channel}", f"residuals are not white in {channel} ({p})"
+    text = "" if test.passed else "the model may miss an effect; the standard errors account for it"
+    return warned_check("SWM013", name, p, test.passed, f"p ≥ {SIGNIFICANCE:g}", text, reason)
 
 
 def _validation(result: FitResult, channel: Channel) -> ev.Check:
@@ -369,18 +340,20 @@ def _validation(result: FitResult, channel: Channel) -> ev.Check:
         f"≤ {VALIDATION_RATIO:g} × fit error ({numbers.number(fitted, 3, channel.unit)})",
         f"root-mean-square error on trials that were not fitted, largest in {worst.trial}",
         f"the held-out error of {channel.name} is {ratio:.1f} times that of fitted trials",
-        # nearer to the error of a constant than to the fit's, on the scale of logarithms
+        # on a logarithmic scale it is closer to the error of a constant than to that of the fit
         failed=error > math.sqrt(fitted * constant),
     )
 
 
 def _rms(parts: Sequence[Array]) -> float:
+    """Return the root mean square of several series; 0 without samples."""
     values = np.concatenate(parts)
     values = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
 
 
 def _weighted(result: FitResult, channel: str, role: str = "fit") -> Array:
+    """Return the weighted residuals of a channel as one series."""
     return joined([s.weighted for s in result.series_of(channel, role)], gap=30)
 
 
@@ -389,13 +362,13 @@ def error_checks(result: FitResult, roles: Sequence[str] = ("fit", "validate")) 
     found = []
     for role in roles:
         known = {name: score for name, score in scores(result, role).items() if name in result.noise}
-        white = [name for name in known if ljung_box(_weighted(result, name, role), fitted=0).passed]
+        white = [name for name in known if ljung_box(_weighted(result, name, role)).passed]
         found += metrics.error_checks(known, fitted=result.noise, noise=white, held_out=role == "validate")
     return found
 
 
 def beat_check(found: Mapping[str, Mapping[str, Any] | None]) -> ev.Check:
-    """Check that the beat in each log is the one its metadata state (:mod:`swimid.logs.beat`)."""
+    """Check that the beat in each log is that of its metadata (:mod:`swimid.logs.beat`)."""
     known = {name: b for name, b in found.items() if b is not None and b["found_hz"] is not None}
     wrong = [
         name
@@ -413,7 +386,7 @@ def beat_check(found: Mapping[str, Mapping[str, Any] | None]) -> ev.Check:
 
 
 def figures(result: FitResult) -> list[ev.Figure]:
-    """Draw measured and simulated series of each channel, and its residuals with their autocorrelation."""
+    """Return figures of measured and simulated series of each channel, and of its residuals."""
     found = []
     for channel in (c for c in result.model.channels if c.name in result.noise):
         series = result.series_of(channel.name)
@@ -473,45 +446,45 @@ def fit_model(
 ) -> Fitted:
     """Estimate the parameters of any model from trials in memory, with all the evidence of a fit.
 
-    A search that converged says nothing of the model: see ``.verdict``, and ``.checks()`` for its residuals.
+    Convergence does not show that the model is right: see ``.verdict``, and ``.checks()`` for the residuals.
 
     Parameters
     ----------
     model : Model
         Simulates a trial from parameter values.
     trials : sequence of Trial
-        Those of role ``validate`` are held out: simulated and scored, not fitted.
+        Trials of role ``validate`` are held out: simulated and scored, not fitted.
     fixed : mapping of name to float, optional
         Parameters held at a value, in their units.
     freed : sequence of str
-        Parameters estimated that are fixed by default.
+        Parameters to estimate that are fixed by default.
     bounds : mapping of name to (lower, upper), optional
-        In the place of the model's own, in the parameters' units.
+        Bounds instead of the model's own, in the parameters' units.
     robot : str
-        Whose parameters they are, for the parameter file.
+        Name of the robot, for the parameter file.
     inputs : sequence of Path or Held
-        What the trials were made of, for the provenance: ``log.source`` of each log.
+        Sources of the trials for the provenance: ``log.source`` of each log.
     output : path, optional
-        Parameter file to write, its evidence beside it; nothing is written without.
+        Parameter file to write, with its evidence beside it; nothing is written without.
     verb : str
-        The command this is the fit of, for the evidence.
+        Name of the command, for the evidence.
     progress : Progress
         Shows the search.
 
     Returns
     -------
     Fitted
-        ``.parameters`` has value, standard error and 95 % interval of each, in its unit; ``.correlation``,
-        ``.converged`` and ``.verdict`` say how far to trust them.
+        ``.parameters`` has value, standard error and 95 % interval of each parameter, in its unit.
+        ``.correlation``, ``.converged`` and ``.verdict`` show how far they can be trusted.
 
     Raises
     ------
     UsageError
         For a parameter that the model does not have, or no trial to fit.
     InputError
-        When the output cannot be written.
+        If the output cannot be written.
     NoTrustworthyResult
-        When the search does not converge, or nothing can be identified.
+        If the search does not converge, or nothing can be identified.
 
     See Also
     --------
@@ -524,7 +497,7 @@ def fit_model(
 
     Examples
     --------
-    A body that coasts from 1 m/s against a quadratic drag:
+    A body coasts from 1 m/s against a quadratic drag:
 
     >>> import numpy as np
     >>> from swimid import Channel, Model, Parameter, Trial

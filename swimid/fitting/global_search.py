@@ -1,7 +1,8 @@
-"""Searches beyond one start: many starts, subsets of the parameters, and Pareto fronts by NSGA-II."""
+"""Searches from many starts, over subsets of the parameters, and for Pareto fronts by NSGA-II."""
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 from collections.abc import Callable, Sequence
@@ -19,12 +20,12 @@ from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.problem import Problem
 from swimid.progress import Progress, show, silent
 
-#: Two ends whose costs differ by less than this, relatively, are the same minimum.
+#: Relative difference of costs below which two ends are the same minimum.
 SAME = 1e-3
 
 
 class Start(NamedTuple):
-    """One start and where it led, shape (p,) each: to NaN, at infinite cost, where the search failed."""
+    """A start and the end of its search, shape (p,) each; NaN at infinite cost if the search failed."""
 
     start: Array
     end: Array
@@ -45,86 +46,80 @@ def multistart(
     first: FitResult | None = None,
     progress: Progress = silent,
 ) -> tuple[FitResult, list[Start]]:
-    """Fit from several starts and keep the best.
+    """Fit from several starts, and keep the best fit.
 
     Parameters
     ----------
     model, trials, parameters, jobs, loss
-        As :func:`swimid.fitting.output_error.fit` takes them.
+        As in :func:`swimid.fitting.output_error.fit`.
     starts : int
-        The first are ``begins``; the others are uniform within the bounds, or within one scale of
-        the start on a side without a bound.
+        Number of starts. The first are ``begins``; the others are uniform within the bounds, or within one
+        scale of the start on a side without a bound.
     begins : sequence of ndarray, each shape (p,), optional
-        Default the parameters' own start alone.
+        By default the start of the parameters alone.
     first : FitResult, optional
-        Fit from the first start, where it is known.
+        Fit from the first start, if it is known.
 
     Returns
     -------
     best : FitResult
-        Of the fit with the least cost; a converged one where both are the same minimum (:data:`SAME`). A
-        converged one is tested as :func:`swimid.fitting.output_error.held_to_restarts` does.
+        Fit of the least cost; a converged one if two are the same minimum (:data:`SAME`). A converged one is
+        tested as in :func:`swimid.fitting.output_error.check_by_restarts`.
     ends : list of Start
-        In the order they were run. After Ctrl-C those still to come are left out.
+        In the order they were run. After Ctrl-C the remaining ones are left out.
 
     Raises
     ------
     NoTrustworthyResult
-        When no start leads anywhere: the first start's error.
+        If no start leads anywhere: the error of the first start.
     """
     parameters = tuple(parameters or model.parameters)
     problem = Problem(model, parameters, [t for t in trials if t.role == "fit"])
     rng = np.random.default_rng(seed)
-    low, high = problem.box()
-    given = [problem.start] if begins is None else list(begins)
-    best: FitResult | None = None
-    ends: list[Start] = []
-    failure: NoTrustworthyResult | None = None
+    low, high = problem.search_range()
+    given = list(begins or [problem.start])
     results: list[FitResult] = []
+    ends: list[Start] = []
+    failures: list[NoTrustworthyResult] = []
     with progress("starts", total=starts) as step:
         for k in range(starts):
             begin = given[k] if k < len(given) else rng.uniform(low, high)
+            found = first if k == 0 else None
             try:
-                if first is not None and k == 0:
-                    found = first
-                else:
-                    found = output_error.fit(
-                        model, trials, parameters=parameters,
-                        jobs=jobs, loss=loss, begin=begin, tested=False, unfinished=True,
-                    )  # fmt: skip
+                found = found or output_error.fit(
+                    model, trials, parameters=parameters,
+                    jobs=jobs, loss=loss, begin=begin, tested=False, unfinished=True,
+                )  # fmt: skip
             except KeyboardInterrupt:
-                if best is None:
+                if not results:
                     raise
                 break
             except NoTrustworthyResult as error:
-                failure = failure or error
+                failures.append(error)
                 ends.append(Start(begin, np.full(len(begin), np.nan), math.inf, False))
             else:
                 ends.append(Start(begin, found.estimate, found.cost, found.converged))
                 results.append(found)
-                if best is None or _is_better(found, best):
-                    best = found
                 if found.interrupted:
                     break
             step()
-            if best is not None:
-                show(step, f"least cost {best.cost:.5g}, reached {agreeing(ends)} times")
-    if best is None:
-        assert failure is not None
-        raise failure
-    threads = jobs or os.cpu_count() or 1
-    found = output_error.held_to_restarts(best, jobs=threads) if best.converged else best
+            least = min((end.cost for end in ends), default=math.inf)
+            show(step, f"least cost {least:.5g}, reached {agreeing(ends)} times")
+    if not results:
+        raise failures[0]
+    best = functools.reduce(_better, results)
     others = [r for r in results if r is not best]
-    evaluations = found.evaluations + sum(r.evaluations for r in others)
-    return replace(
-        found, evaluations=evaluations, jacobians=found.jacobians + sum(r.jacobians for r in others)
-    ), ends
+    if best.converged:
+        best = output_error.check_by_restarts(best, jobs=jobs or os.cpu_count() or 1)
+    evaluations = best.evaluations + sum(r.evaluations for r in others)
+    jacobians = best.jacobians + sum(r.jacobians for r in others)
+    return replace(best, evaluations=evaluations, jacobians=jacobians), ends
 
 
 def agreeing(ends: Sequence[Start]) -> int:
-    """Number of starts that reached the lowest cost.
+    """Return the number of starts that reached the lowest cost.
 
-    Directions the data do not see may differ between equal minima, so parameters are not compared.
+    Directions that the data do not see may differ between equal minima, so that parameters are not compared.
 
     >>> where = np.zeros(1)
     >>> agreeing([Start(where, where, cost, True) for cost in (1.0, 1.0005, 2.0)])
@@ -134,25 +129,31 @@ def agreeing(ends: Sequence[Start]) -> int:
     return sum(e.cost <= least * (1 + SAME) for e in ends)
 
 
-def _is_better(found: FitResult, best: FitResult) -> bool:
-    """Whether a fit takes the place of the best one so far: lower, or as low and converged."""
-    if max(found.cost, best.cost) <= min(found.cost, best.cost) * (1 + SAME):
-        return (not found.converged, found.cost) < (not best.converged, best.cost)
-    return found.cost < best.cost
+def _better(best: FitResult, other: FitResult) -> FitResult:
+    """Return the better of two fits: the lower one, or of the same minimum one that converged."""
+    if max(other.cost, best.cost) <= min(other.cost, best.cost) * (1 + SAME):
+        return min(best, other, key=lambda result: (not result.converged, result.cost))
+    return min(best, other, key=lambda result: result.cost)
 
 
 def select_subset(
     result: FitResult, *, jobs: int | None = None, progress: Progress = silent
 ) -> tuple[FitResult, list[str]]:
-    """Fix the least identifiable parameters until the trials determine all the others; with their names.
+    """Fix the least identifiable parameters until the trials determine all others.
 
-    One at a time the lowest ranked of those not identifiable is fixed at its start value and
-    the others are fitted again.
+    One at a time, the parameter of the lowest rank among those that are not identifiable is fixed at its
+    start value, and the others are fitted again.
+
+    Returns
+    -------
+    result : FitResult
+    fixed : list of str
+        Names of the parameters that were fixed.
 
     Raises
     ------
     NoTrustworthyResult
-        When a fit does not converge.
+        If a fit does not converge.
     """
     fixed: list[str] = []
     while not result.interrupted:
@@ -176,9 +177,9 @@ def select_subset(
 # ---------------------------------------------------------------- several objectives
 
 
-#: The sea lion paper's settings (section II).
+#: Size, number of generations and probability of crossover in section II of the sea lion paper.
 POPULATION, GENERATIONS, CROSSOVER = 80, 50, 0.8
-#: An objective of a simulation that broke down.
+#: Objective of a simulation that broke down.
 BROKEN_OBJECTIVE = 1e9
 
 
@@ -186,19 +187,20 @@ BROKEN_OBJECTIVE = 1e9
 class Front:
     """The points of which none is better than another in every objective."""
 
-    #: Shape (n, d): in the order of the first objective.
+    #: Points in the order of the first objective, shape (n, d).
     points: Array
     #: Shape (n, m).
     objectives: Array
-    #: Shape (generations, m): smallest value of each objective in the population of each generation.
+    #: Smallest value of each objective in the population of each generation, shape (generations, m).
     history: Array
     evaluations: int
 
 
 def knee(objectives: Array) -> int:
-    """The point nearest to the best of every objective, shape (n, m), each over its range on the front.
+    """Return the point nearest to the best of every objective, each over its range on the front.
 
-    The ideal-point rule (Miettinen 1999, Nonlinear Multiobjective Optimization, section 2.2).
+    The objectives have the shape (n, m). This is the ideal-point rule (Miettinen 1999, Nonlinear
+    Multiobjective Optimization, section 2.2).
 
     >>> knee(np.array([[0.0, 1.0], [0.2, 0.2], [1.0, 0.0]]))
     1
@@ -209,7 +211,7 @@ def knee(objectives: Array) -> int:
 
 
 def least_worst(objectives: Array) -> int:
-    """The point whose worst objective, over the least of that objective on the front, is smallest.
+    """Return the point whose worst objective, relative to its least value on the front, is smallest.
 
     >>> least_worst(np.array([[1.0, 9.0], [2.0, 4.0], [8.0, 2.0]]))
     1
@@ -233,21 +235,21 @@ def nsga2(
     name: str = "front",
     advance: Callable[[], Any] = lambda: None,
 ) -> Front:
-    """The front by NSGA-II (Deb et al. 2002, doi:10.1109/4235.996017).
+    """Search for the Pareto front by NSGA-II (Deb et al. 2002, doi:10.1109/4235.996017).
 
     Parameters
     ----------
     evaluate : callable
         Objectives, shape (n, m), of points, shape (n, d), within finite bounds, shape (d,).
     objectives : int
-        m.
+        Number of objectives, m.
     population, generations, crossover, seed
-        Size, number of generations, probability of crossover; the same seed gives the same front.
+        Size, number of generations, probability of crossover. The same seed gives the same front.
     first : ndarray, shape (d,), optional
-        A point that takes part from the beginning.
+        A point of the first population.
     checkpoint : Checkpoint, optional
-        Keeps the objectives of every generation under ``name``: a search that was stopped is repeated with
-        them up to there and goes on as if nothing had happened.
+        Keeps the objectives of every generation under ``name``. A search that was stopped repeats its
+        generations from them, and goes on as if it had not been stopped.
     advance : callable
         Called after each generation.
     """
@@ -290,7 +292,7 @@ def nsga2(
 
 
 def _kept(checkpoint: Checkpoint, label: str, points: Array, objectives: int) -> Array | None:
-    """Objectives an earlier search found for just these points."""
+    """Return the objectives that an earlier search found for just these points; None if there are none."""
     known = checkpoint.get(label)
     if known is None or len(known) != points.size + len(points) * objectives:
         return None

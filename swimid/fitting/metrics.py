@@ -1,9 +1,9 @@
-"""Result of an output-error fit, and the errors of any simulation against a measurement with their limits.
+"""Result of an output-error fit, and errors of any simulation against a measurement, with their limits.
 
-:class:`FitResult` holds estimates, covariance, noise, and every series beside its simulation. The errors are
-the same for every command. A pose has no natural origin and no natural axes: errors of a pose are relative
-to each trial's own motion. Positions in the horizontal plane are turned into the trial's mean heading
-(:func:`own_axes`), and ranges and variances are those about each trial's own mean (:func:`score_trials`).
+:class:`FitResult` holds estimates, covariance, noise, and every measured series with its simulation. All
+commands use the same errors. A pose has no natural origin and no natural axes, so that its errors are
+relative to each trial's own motion. Positions in the horizontal plane are turned into the trial's mean
+heading (:func:`own_axes`). Ranges and variances are those about each trial's own mean (:func:`score_trials`).
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ Loss = Literal["linear", "huber"]
 class Noise:
     """Noise of one channel."""
 
-    #: Standard deviation of the measured value, in the channel's unit (root mean square where it differs from
-    #: sample to sample).
+    #: Standard deviation of the measured value, in the channel's unit; the root mean square if it differs
+    #: between samples.
     value_sd: float
-    #: Standard deviation of the time stamps, s; 0 where they are taken as exact.
+    #: Standard deviation of the time stamps, s; 0 if they are exact.
     time_sd_s: float
-    #: Shape (p,): coefficients of the weighted residuals' autoregression; empty where they are white.
+    #: Coefficients of the autoregression of the weighted residuals, shape (p,); empty if they are white.
     autoregression: Array
 
 
 @dataclass(frozen=True)
 class Series:
-    """Measured against simulated for one channel of one trial."""
+    """Measured and simulated series of one channel of one trial."""
 
     trial: str
     role: str
     channel: str
-    #: Shape (n,) each: ``sd`` is the standard deviation the noise model gives each sample.
+    #: Shape (n,) each. ``sd`` is the standard deviation of each sample in the noise model.
     time_s: Array
     measured: Array
     simulated: Array
@@ -51,7 +51,7 @@ class Series:
 
     @property
     def residual(self) -> Array:
-        """Measured minus simulated, shape (n,), NaN where missing."""
+        """Measured minus simulated, shape (n,), NaN for missing samples."""
         return self.measured - self.simulated
 
     @property
@@ -62,79 +62,77 @@ class Series:
 
 @dataclass(frozen=True)
 class FitResult:
-    """Estimates, their covariance and all that judges them."""
+    """Estimates of a fit, with their covariance and its evidence."""
 
     model: Model
-    #: As fitted, the user's choices applied.
+    #: As fitted, with the choices of the user.
     parameters: tuple[Parameter, ...]
     trials: tuple[Trial, ...]
-    #: One per estimated number; a per-trial parameter appears as ``name[trial]``.
+    #: One label for each unknown: the name of its parameter, or ``name[trial]`` if each trial has its own.
     labels: list[str]
-    #: Shape (p,).
+    #: Estimates, shape (p,).
     estimate: Array
-    #: Shape (p, p): rows of parameters at a bound, and of those the trials do not see at all, are NaN.
+    #: Shape (p, p); NaN for parameters at a bound, and for those that the trials do not see at all.
     covariance: Array
-    #: Dict of label to str: ``estimated``, ``at-bound`` or ``unidentifiable``.
+    #: By label: ``estimated``, ``at-bound`` or ``unidentifiable``.
     status: dict[str, str]
-    #: Fitted and validation trials.
+    #: Series of fitted and validation trials.
     series: list[Series]
-    #: Dict of channel name to Noise.
+    #: Noise by channel.
     noise: dict[str, Noise]
-    #: Factor by which the trials scatter more than their noise (1 where they agree); already in the
-    #: covariance.
+    #: Factor by which the trials differ more than their noise allows (1 if they agree). The covariance
+    #: includes it.
     scatter: float
-    #: p-value of the test that they agree.
+    #: p-value of the test that the trials agree.
     scatter_p: float
     samples: int
     converged: bool
     message: str
-    #: Simulations of single trials, in all searches and tests that led to the answer; rates of change at
-    #: uncertain stamps are not counted.
+    #: Number of simulations of single trials in all searches and tests that led to the answer, without those
+    #: for rates of change at uncertain stamps.
     evaluations: int
     #: Largest change of a simulated sample when the integration step is halved, in standard deviations of its
     #: noise.
     step_error: float = 0.0
-    #: The search was stopped early; the estimate is the best it had come to.
+    #: The user stopped the search; the estimate is the best one so far.
     interrupted: bool = False
     #: Mean squared residual, averaged geometrically over channels of different units: the exponential of
-    #: twice the negative log-likelihood per sample, less one. It can be compared between fits of the same
-    #: samples, whatever their weights.
+    #: twice the negative log-likelihood per sample, less one. Fits of the same samples can be compared by it,
+    #: whatever their weights.
     cost: float = math.nan
     #: Shape (q, p): ``information_root' information_root`` is the inverse of the covariance, also where that
-    #: is singular; columns of parameters that their bound holds are NaN.
+    #: is singular. Columns of parameters that their bound holds are NaN.
     information_root: Array = field(default_factory=lambda: np.empty((0, 0)))
     #: ``linear`` or ``huber``.
     loss: Loss = "linear"
-    #: Derivatives of all residuals taken in them.
+    #: Number of derivatives of all residuals in these searches and tests.
     jacobians: int = 0
-    #: Mapping of label to float: per-trial parameters of validation trials, estimated from them with the
-    #: shared ones held.
+    #: Per-trial parameters of validation trials by label, estimated from them with the shared ones held.
     start_states: Mapping[str, float] = field(default_factory=dict)
-    #: How often a start near the answer led to a better one, which then took its place; None where that was
-    #: not tested.
+    #: Number of restarts near the answer that led to a better one; None if that was not tested.
     restarts: int | None = None
-    #: Whether in the end none did any more.
+    #: Whether the last restart led to no better answer.
     settled: bool = True
 
     @property
     def shared(self) -> list[str]:
-        """The labels that all trials share."""
+        """Labels of the unknowns that all trials share."""
         return [label for label in self.labels if "[" not in label]
 
     def parameter(self, label: str) -> Parameter:
-        """The parameter of an estimated number."""
+        """Return the parameter of an unknown."""
         return next(p for p in self.parameters if p.name == label.split("[")[0])
 
     def series_of(self, channel: str, role: str | None = None) -> list[Series]:
-        """A channel's series, of all trials or of those of one role."""
+        """Return the series of a channel, of all trials or of those of one role."""
         return [s for s in self.series if s.channel == channel and role in (None, s.role)]
 
     def at_estimates(self) -> tuple[Parameter, ...]:
-        """The parameters, those that all trials share starting at their estimates."""
-        return tuple(p if p.per_trial else replace(p, start=self.value(p.name)) for p in self.parameters)
+        """Return the parameters; shared ones start at their estimates."""
+        return tuple(replace(p, start=self.value(p.name)) for p in self.parameters)
 
     def stderr(self, label: str) -> float | None:
-        """Standard error of one estimate, or None where there is none."""
+        """Return the standard error of an estimate, or None if it has none."""
         if label not in self.labels:
             return None
         index = self.labels.index(label)
@@ -142,25 +140,25 @@ class FitResult:
         return math.sqrt(variance) if math.isfinite(variance) and variance >= 0 else None
 
     def value(self, name: str, trial: str | None = None) -> float:
-        """Value of a parameter, estimated or fixed; of one trial where it is per trial."""
-        label = name if trial is None else f"{name}[{trial}]"
-        if label in self.labels:
-            return float(self.estimate[self.labels.index(label)])
-        if label in self.start_states:
-            return self.start_states[label]
+        """Return the value of a parameter, estimated or fixed; of one trial if it is per trial."""
+        for label in (f"{name}[{trial}]", name):
+            if label in self.labels:
+                return float(self.estimate[self.labels.index(label)])
+            if label in self.start_states:
+                return self.start_states[label]
         return next(p.start for p in self.parameters if p.name == name)
 
     def values(self, trial: str) -> Array:
-        """Full parameter vector of one trial."""
-        return np.array([self.value(p.name, trial if p.per_trial else None) for p in self.parameters])
+        """Return the values of all parameters in one trial."""
+        return np.array([self.value(p.name, trial) for p in self.parameters])
 
 
 # ---------------------------------------------------------------- errors
 
 
-#: Largest error over the measured range of a channel that is described well, and of a usable one.
+#: Largest error over the measured range of a channel that is described well, and of one that is usable.
 GOOD, USABLE = 0.15, 0.30
-#: The same for the mean speeds of the trials, over those measured.
+#: The same limits for the mean speeds of trials, over the measured speeds.
 GOOD_SPEED, USABLE_SPEED = 0.10, 0.25
 
 
@@ -170,8 +168,8 @@ class Score:
 
     #: Root-mean-square error, in the channel's unit.
     rmse: float
-    #: RMSE over the measured range (maximum minus minimum);
-    #: of a pose the root mean square of the trials' own.
+    #: Root-mean-square error over the measured range (maximum minus minimum); of a pose, the root mean square
+    #: of the trials' own.
     nrmse: float
     #: Variance accounted for, ``1 - var(error) / var(measured)``.
     vaf: float
@@ -182,12 +180,12 @@ class Score:
     samples: int
 
     def as_dict(self, unit: str) -> dict[str, Any]:
-        """The score as a parameter file holds it."""
+        """Return the score as a parameter file holds it."""
         return {**asdict(self), "unit": unit}
 
 
 def score(measured: Array, simulated: Array) -> Score:
-    """Compare two series, shape (n,), leaving out samples missing in either; NaN where nothing is left.
+    """Compare two series, shape (n,), without samples missing in either; NaN if nothing is left.
 
     >>> score(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 2.0])).fit_percent
     100.0
@@ -200,16 +198,23 @@ def score(measured: Array, simulated: Array) -> Score:
 
 
 def _scored(error: Array, span: float, variance: float, missed: float) -> Score:
-    """Return the score of errors by the range and the variance of the measurement, and their own variance."""
+    """Return the score of errors, from range and variance of the measurement and variance of the errors."""
     rmse = float(np.sqrt(np.mean(error**2)))
     return Score(
         rmse=rmse,
-        nrmse=rmse / span if span > 0 else np.nan,
-        vaf=1.0 - missed / variance if variance > 0 else np.nan,
-        fit_percent=100.0 * (1.0 - rmse / math.sqrt(variance)) if variance > 0 else np.nan,
+        nrmse=_ratio(rmse, span),
+        vaf=1.0 - _ratio(missed, variance),
+        fit_percent=100.0 * (1.0 - _ratio(rmse, math.sqrt(variance))),
         bias=float(np.mean(error)),
         samples=len(error),
     )
+
+
+def _ratio(value: float, size: float) -> float:
+    """Return a value over a size; NaN unless the size is positive."""
+    if size > 0:
+        return value / size
+    return math.nan
 
 
 def score_trials(parts: Sequence[tuple[Array, Array]], *, own_motion: bool) -> Score:
@@ -247,9 +252,10 @@ def score_trials(parts: Sequence[tuple[Array, Array]], *, own_motion: bool) -> S
 
 
 def pose_channels(model: Model) -> tuple[str, ...]:
-    """Channels of the pose of a robot that moves freely; none of any other model."""
-    swimmer = model.swimmer
-    return tuple(swimmer.pose) if swimmer is not None and swimmer.free_base else ()
+    """Return the channels of the pose of a robot that moves freely; none for any other model."""
+    if model.swimmer is None or not model.swimmer.free_base:
+        return ()
+    return tuple(model.swimmer.pose)
 
 
 def own_axes(
@@ -260,13 +266,13 @@ def own_axes(
     Parameters
     ----------
     measured, simulated : mapping of channel name to ndarray, each shape (n,)
-        The axes are along and across the mean measured heading. Where no heading was measured, the first
-        axis points from the first to the last measured position.
+        The axes are along and across the mean measured heading. Without a measured heading the first axis
+        points from the first to the last measured position.
 
     Returns
     -------
     measured, simulated : dict of channel name to ndarray
-        ``x_m`` is the coordinate along, ``y_m`` the one across. Without both, the series as they were.
+        ``x_m`` is the coordinate along, ``y_m`` the one across. Without both, the series are unchanged.
 
     Examples
     --------
@@ -295,9 +301,9 @@ def own_axes(
 
 
 def peak_error(measured: Array, simulated: Array) -> tuple[float, float]:
-    """Difference of the largest magnitudes, and that over the measured one (Eq 14 of the T-Fish paper).
+    """Compute the difference of the largest magnitudes, and its ratio to the measured one.
 
-    Of series of shape (n,), samples missing in either left out: in the channel's unit, and without one.
+    This is Eq 14 of the T-Fish paper. Samples missing in either series, shape (n,), are left out.
 
     >>> peak_error(np.array([0.0, -4.0, 2.0]), np.array([1.0, 3.0, 0.0]))
     (1.0, 0.25)
@@ -307,24 +313,24 @@ def peak_error(measured: Array, simulated: Array) -> tuple[float, float]:
         return np.nan, np.nan
     peak = float(np.max(np.abs(y)))
     error = abs(peak - float(np.max(np.abs(z))))
-    return error, error / peak if peak > 0 else np.nan
+    return error, _ratio(error, peak)
 
 
 def dtw_distance(measured: Array, simulated: Array, *, band: int) -> float:
-    """Dynamic-time-warping distance per sample: the RMSE left when time may be stretched a little.
+    """Compute the dynamic-time-warping distance per sample: the error if time may be stretched.
 
     Parameters
     ----------
     measured, simulated : ndarray, shape (n,) or (n, d)
-        On one clock of even steps; d series are warped as one. Samples missing in either are left out.
+        On one clock of constant steps; d series are warped as one. Samples missing in either are left out.
     band : int
-        By how many samples the two may be shifted at most (Sakoe and Chiba, 1978). With 0 the
-        distance is the RMSE; it never exceeds it.
+        Maximum shift between the two, in samples (Sakoe and Chiba, 1978). With 0 the distance is the
+        root-mean-square error, which it never exceeds.
 
     Returns
     -------
     float
-        In the channel's unit: root of the least sum of squares over n.
+        Root of the least sum of squares over n, in the channel's unit.
 
     >>> late = np.array([0.0, 0.0, 1.0, 0.0])
     >>> dtw_distance(np.array([0.0, 1.0, 0.0, 0.0]), late, band=1)
@@ -340,20 +346,20 @@ def dtw_distance(measured: Array, simulated: Array, *, band: int) -> float:
 
 
 def phase_error(measured: Array, simulated: Array, time_s: Array, *, frequency_hz: float) -> float:
-    """Phase of the simulation ahead of the measurement at one frequency.
+    """Compute the phase of the simulation ahead of the measurement at one frequency.
 
     Parameters
     ----------
     measured, simulated, time_s : ndarray, shape (n,)
         Samples missing in either are left out; the time steps may be uneven.
     frequency_hz : float
-        The beat's. A sine of this frequency, a constant and a trend are fitted to both.
+        Frequency of the beat. A sine of this frequency, a constant and a trend are fitted to both.
 
     Returns
     -------
     float
-        Radian, in (-pi, pi]; positive where the simulation is early. NaN where a series
-        has no part at that frequency, or fewer than five samples.
+        Phase in (-pi, pi], rad; positive if the simulation is early. NaN if a series has no part at that
+        frequency, or fewer than five samples.
 
     >>> t = np.linspace(0.0, 4.0, 200)
     >>> early = 0.3 * np.sin(2 * np.pi * t + 0.5)
@@ -376,6 +382,7 @@ def phase_error(measured: Array, simulated: Array, time_s: Array, *, frequency_h
 
 
 def _both(measured: Array, simulated: Array) -> tuple[Array, Array]:
+    """Return two series without the samples that are missing in either."""
     there = np.isfinite(measured) & np.isfinite(simulated)
     if there.ndim > 1:
         there = np.asarray(there.all(axis=1))
@@ -386,8 +393,8 @@ def _both(measured: Array, simulated: Array) -> tuple[Array, Array]:
 def warping_cost(a: Array, b: Array, band: int) -> float:
     """Return the least sum of squared distances along a warping path, shape (n, d) both.
 
-    Two rows of the cost matrix are kept; in each the path may lie ``band`` cells off the diagonal at most
-    (Sakoe and Chiba, 1978).
+    Two rows of the cost matrix are kept. The path lies at most ``band`` cells off the diagonal (Sakoe and
+    Chiba, 1978).
     """
     n = len(a)
     before = np.full(n + 1, np.inf)
@@ -418,29 +425,29 @@ def error_checks(
 
     Parameters
     ----------
-    scores : mapping of channel name to Score, or to what has ``nrmse`` and ``vaf``
+    scores : mapping of channel name to Score, or to an object with ``nrmse`` and ``vaf``
         Errors over all trials.
     fitted : iterable of str
-        Channels that the parameters were fitted to: a negative variance accounted for fails there.
+        Channels that the parameters were fitted to. There a negative variance accounted for is a failure.
     noise : iterable of str
-        Channels whose residuals are white: their errors are noise, however large it is over the range.
+        Channels whose residuals are white. Their errors are noise, however large.
     held_out : bool
         The trials were held out.
     """
-    where = "held-out error" if held_out else "error"
+    where = "held-out " if held_out else ""
     found = []
     for name, score in scores.items():
-        check = share_check(f"{where} of {name}", score.nrmse, GOOD, USABLE, "measured range")
+        check = share_check(f"{where}error of {name}", score.nrmse, GOOD, USABLE, "measured range")
         if name in set(noise) and check.verdict != "pass":
             text = "the residuals are white: noise alone is left"
             check = ev.check(check.name, check.value, None, text=text)
         found.append(check)
-    for name in fitted:
-        vaf = scores[name].vaf if name in scores else None
+    for name in (name for name in fitted if name in scores):
+        vaf = scores[name].vaf
         if vaf is not None and vaf < 0.0:
             found.append(
                 ev.check(
-                    f"{'held-out ' if held_out else ''}variance accounted for, {name}",
+                    f"{where}variance accounted for, {name}",
                     numbers.percent(vaf),
                     False,
                     "≥ 0 %",

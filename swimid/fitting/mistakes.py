@@ -1,8 +1,8 @@
 """Usual mistakes in trials: transformations of the data or of the drive after which the model may fit.
 
 Examples are a heading from the tail, a mirrored axis, a unit and a sign. Such a mistake in one trial, or in
-all, makes every fit bad and looks like a missing effect. Each is undone in turn, and the model is compared
-with the trial again. Nothing is changed: the result is a sentence.
+all, makes every fit bad and looks like a missing effect. Each one is undone in turn, and the model is
+compared with the trial again. Nothing is changed: the result is a sentence.
 """
 
 from __future__ import annotations
@@ -25,13 +25,27 @@ from swimid.notices import recorded
 from swimid.results import evidence as ev
 from swimid.results import numbers
 
-#: Units of length and of angle that are mixed up.
+#: Factors between units of length that are confused.
 FACTORS = (10.0, 100.0, 1000.0, 0.1, 0.01, 0.001)
 DEGREE = math.pi / 180.0
+#: Factors on the amplitude of a drive, and on the motion of all driven joints.
+AMPLITUDES = {
+    "twice the amplitude of the drive": 2.0,
+    "half the amplitude of the drive": 0.5,
+    "the amplitude of the drive taken as radians": 1.0 / DEGREE,
+    "the amplitude of the drive multiplied by pi/180": DEGREE,
+}
+JOINTS = {
+    "the signs of all driven joints changed": -1.0,
+    "the driven joints taken as degrees": DEGREE,
+    "the driven joints multiplied by 180/pi": 1.0 / DEGREE,
+    "the driven joints multiplied by 2": 2.0,
+    "the driven joints multiplied by 0.5": 0.5,
+}
 #: Twice the logarithm of a Bayes factor that is decisive (Kass and Raftery, J. Am. Stat. Assoc. 90, 1995).
 #: Twice the logarithm of the number of alternatives comes on top.
 DECISIVE = 10.0
-#: Candidates that are fitted again.
+#: Maximum number of mistakes that are tested by a new fit.
 MAX_REFITS = 4
 #: Relative tolerance of start states while mistakes are tried.
 START_TOLERANCE = 1e-3
@@ -126,37 +140,18 @@ def catalogue(model: Model, trials: Sequence[Trial]) -> list[Mistake]:
     for name in (n for n in names if units.get(n) == "rad"):
         found.append(_changed(model, f"{name} taken as degrees", {name: DEGREE}))
         found.append(_changed(model, f"{name} multiplied by 180/pi", {name: 1.0 / DEGREE}))
-    groups = [tuple(place)] if place else []
-    groups += [(name,) for name in names if name in units and name not in place]
-    for group in groups:
-        if units[group[0]] != "rad":
-            found += [
-                _changed(
-                    model, f"{' and '.join(group)} multiplied by {factor:g}", dict.fromkeys(group, factor)
-                )
-                for factor in FACTORS
-            ]
-    amplitudes = {
-        "twice the amplitude of the drive": 2.0,
-        "half the amplitude of the drive": 0.5,
-        "the amplitude of the drive taken as radians": 1.0 / DEGREE,
-        "the amplitude of the drive multiplied by pi/180": DEGREE,
-    }
-    found += [Mistake(says, partial(_driven, factor=factor)) for says, factor in amplitudes.items()]
+    groups = [tuple(place), *((name,) for name in names if name in units and name not in place)]
+    for group in (group for group in groups if group and units[group[0]] != "rad"):
+        for factor in FACTORS:
+            says = f"{' and '.join(group)} multiplied by {factor:g}"
+            found.append(_changed(model, says, dict.fromkeys(group, factor)))
+    found += [Mistake(says, partial(_driven, factor=factor)) for says, factor in AMPLITUDES.items()]
     joints = max((len(t.swim.joints) for t in trials if t.swim.joints is not None), default=0)
     for k in range(joints):
-        found.append(
-            Mistake(f"the sign of driven joint {k + 1} changed", partial(_joint, factor=-1.0, number=k))
-        )
+        says = f"the sign of driven joint {k + 1} changed"
+        found.append(Mistake(says, partial(_joint, factor=-1.0, number=k)))
     if joints:
-        factors = {
-            "the signs of all driven joints changed": -1.0,
-            "the driven joints taken as degrees": DEGREE,
-            "the driven joints multiplied by 180/pi": 1.0 / DEGREE,
-            "the driven joints multiplied by 2": 2.0,
-            "the driven joints multiplied by 0.5": 0.5,
-        }
-        found += [Mistake(says, partial(_joint, factor=factor)) for says, factor in factors.items()]
+        found += [Mistake(says, partial(_joint, factor=factor)) for says, factor in JOINTS.items()]
     swimmer = model.swimmer
     if swimmer is not None and not swimmer.in_space:
         found.append(Mistake("a start in steady swimming (start_state: steady)", _steady))
@@ -166,7 +161,7 @@ def catalogue(model: Model, trials: Sequence[Trial]) -> list[Mistake]:
 def _changed(
     model: Model, says: str, factors: Mapping[str, float], offsets: Mapping[str, float] | None = None
 ) -> Mistake:
-    """A change of channels, ``factor * value + offset``, and of the start pose with them."""
+    """Return a mistake that changes channels to ``factor * value + offset``, and the start pose too."""
     offsets = offsets or {}
     pose = metrics.pose_channels(model)
     changes = {**dict.fromkeys(offsets, 1.0), **factors}
@@ -194,6 +189,7 @@ def _changed(
 
 
 def _driven(trial: Trial, *, factor: float) -> Trial | None:
+    """Return the trial with another amplitude of its beat; None without a beat."""
     beat = trial.swim.beat
     if beat is None or not beat.amplitude_rad:
         return None
@@ -202,6 +198,7 @@ def _driven(trial: Trial, *, factor: float) -> Trial | None:
 
 
 def _joint(trial: Trial, *, factor: float, number: int | None = None) -> Trial | None:
+    """Return the trial with the motion of one joint, or of all, times a factor; None without joints."""
     if trial.swim.joints is None:
         return None
 
@@ -217,6 +214,7 @@ def _joint(trial: Trial, *, factor: float, number: int | None = None) -> Trial |
 
 
 def _steady(trial: Trial) -> Trial | None:
+    """Return the trial with a start in steady swimming; None if it has one, or no drive."""
     if trial.swim.drive is None or trial.swim.steady:
         return None
     return replace(trial, swim=trial.swim.begun())
@@ -226,7 +224,7 @@ def _steady(trial: Trial) -> Trial | None:
 
 
 def misfits(trial: Trial, simulated: Mapping[str, Array]) -> dict[str, Misfit]:
-    """Errors of the measured channels of one trial, each relative to the trial's own motion."""
+    """Compute the errors of the measured channels of a trial, relative to the trial's own motion."""
     measured, simulated = metrics.own_axes(trial.measured, simulated)
     known = [name for name in measured if name in simulated]
     scores = {name: metrics.score(measured[name], simulated[name]) for name in known}
@@ -236,7 +234,9 @@ def misfits(trial: Trial, simulated: Mapping[str, Array]) -> dict[str, Misfit]:
     place = [name for name in ("x_m", "y_m") if name in ranges]
     found = {}
     for name in (n for n in ranges if math.isfinite(scores[n].nrmse)):
-        group = place if name in place else [name]
+        group: Sequence[str] = [name]
+        if name in place:
+            group = place
         error = math.hypot(*(scores[n].rmse for n in group)) / math.hypot(*(ranges[n] for n in group))
         residual = measured[name] - simulated[name]
         found[name] = Misfit(max(scores[name].nrmse, 1e-9), max(error, 1e-9), _independent(residual))
@@ -244,9 +244,9 @@ def misfits(trial: Trial, simulated: Mapping[str, Array]) -> dict[str, Misfit]:
 
 
 def _independent(residual: Array) -> float:
-    """Number of samples that the variance of a coloured series is worth, ``n / (1 + 2 sum rho_k^2)``.
+    """Return the number of independent samples in a coloured series, ``n / (1 + 2 sum rho_k^2)``.
 
-    Bartlett's formula for the variance of a sample variance, over lags up to a quarter of the record.
+    This is Bartlett's formula for the variance of a sample variance, over lags up to a quarter of the record.
     """
     count = int(np.isfinite(residual).sum())
     if count < 8 or not np.nanvar(residual) > 0.0:
@@ -258,7 +258,7 @@ def _independent(residual: Array) -> float:
 
 
 def gain(before: Errors, after: Errors) -> float:
-    """Twice the logarithm of the likelihood ratio of a trial, from the independent samples that remain."""
+    """Return twice the logarithm of a trial's likelihood ratio, from the independent samples that remain."""
     shared = [name for name in after if name in before]
     return float(
         sum(2.0 * after[n].independent * math.log(before[n].relative / after[n].relative) for n in shared)
@@ -305,7 +305,7 @@ def explained(
     before: Mapping[str, Errors],
     after: Mapping[str, Errors],
 ) -> Explanation | None:
-    """The explanation where the errors fall decisively, and to what a good model leaves; else None.
+    """Return the explanation, if the errors fall decisively and to those of a good model; else None.
 
     Parameters
     ----------
@@ -334,7 +334,7 @@ def explained(
 
 
 def check(found: Explanation | None, count: int) -> ev.Check:
-    """Report the search among a number of usual mistakes."""
+    """Report the search for usual mistakes, ``count`` of which were tried."""
     if found is None:
         return ev.check("usual mistakes", f"none of {count} found", None)
     text = f"{found.sentence} Check how these data were recorded; nothing was changed"

@@ -1,8 +1,8 @@
-"""The one interface of every model.
+"""The interface of every model.
 
-A model is a robot plus an experiment: it has parameters with unit and bounds, output
-channels, and it simulates a trial from parameter values. Fitting, comparing, diagnosing and
-reporting are written once against this interface; a new model is one new file here.
+A model is a robot with an experiment. It has parameters with units and bounds, output channels, and a
+function that simulates a trial from parameter values. Fits, comparisons, diagnoses and reports use only this
+interface, so that a new model is one new class.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ from swimid.fitting.hooks import NONE, Hooks
 from swimid.progress import Progress, silent
 
 Array = NDArray[np.float64]
-#: Columns that hold a position, and the one of a timed run's mean speed.
+#: Channels of a position.
 POSITIONS = ("x_m", "y_m", "z_m")
+#: Channel of the mean speed of a timed run.
 MEAN_SPEED = "mean_speed_m_s"
-#: Stretches into which a track is cut to find its speed, so that noise does not lengthen it.
+#: Number of segments into which a track is cut to find its speed, so that noise does not lengthen it.
 STRETCHES = 12
 Entry = TypeVar("Entry")
 Outcome = TypeVar("Outcome")
@@ -36,33 +37,32 @@ Outcome = TypeVar("Outcome")
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number a fit may estimate.
+    """A parameter that a fit may estimate.
 
     Attributes
     ----------
     name, unit : str
-        Unit in SI, ``"1"`` where there is none.
+        Unit in SI, ``"1"`` if there is none.
     lower, upper : float
-        Bounds; infinite where there is none.
+        Bounds; infinite if there is none.
     start : float
-        Where the search starts, and the value while it is fixed.
+        Start of the search, and the value of a fixed parameter.
     scale : float
-        A typical size: sets finite-difference steps, and how large an uncertainty is still
-        called an estimate where the value is near zero.
+        Typical size. It sets the steps of finite differences, and the uncertainty that still counts as an
+        estimate if the value is near zero.
     free : bool
-        Estimated unless the user says otherwise.
+        Estimated, unless the user says otherwise.
     per_trial : bool
-        Each trial has a value of its own (a start offset, say).
+        Each trial has a value of its own (a start offset, for example).
     meaning, source : str
         For the report.
     known : float, optional
-        What it was elsewhere: published, or measured otherwise.
+        Value from elsewhere: published, or measured in another way.
     spread : float
-        A number of each trial that differs by chance is a random effect: normal about the start with this
-        standard deviation. Infinite where nothing is known of it beforehand.
+        Standard deviation between trials of a random effect, which is normal about the start. Infinite if the
+        parameter is no random effect.
     kinked : bool
-        The motion has corners in it (a body that sticks and slips), so that searches are begun from several
-        sizes.
+        The motion has kinks in it (a body that sticks and slips), so that searches start from several sizes.
     """
 
     name: str
@@ -81,16 +81,14 @@ class Parameter:
 
     @property
     def bounds(self) -> tuple[float | None, float | None]:
-        """Bounds with None for infinity, as files hold them."""
-        return (
-            self.lower if math.isfinite(self.lower) else None,
-            self.upper if math.isfinite(self.upper) else None,
-        )
+        """Bounds as files hold them, None for infinity."""
+        lower, upper = (b if math.isfinite(b) else None for b in (self.lower, self.upper))
+        return lower, upper
 
 
 @dataclass(frozen=True)
 class Channel:
-    """One measured and simulated quantity.
+    """A measured and simulated quantity.
 
     Attributes
     ----------
@@ -114,7 +112,7 @@ class Channel:
 
 @dataclass(frozen=True)
 class Trial:
-    """One recorded trial as a model sees it.
+    """A recorded trial, as a model uses it.
 
     Attributes
     ----------
@@ -123,22 +121,22 @@ class Trial:
         ``"fit"`` or ``"validate"``.
     time_s : ndarray, shape (n,)
     measured : dict of channel name to ndarray, each shape (n,)
-        NaN where missing.
+        NaN for missing samples.
     inputs : dict of name to ndarray
-        Measured inputs on the same samples.
+        Measured inputs at the same samples.
     rig, swim, cruise, surge : RigInput, SwimInput, CruiseInput, SurgeInput
-        What is known of it beside its samples (a pulling force, a beat), resolved against the robot.
+        Known quantities beside the samples (a pulling force, a beat), resolved for the robot.
     starts : dict of parameter name to float
-        Where the search for its own parameters begins, where its log suggests that.
+        Starts of its own parameters, as its log suggests.
     held : tuple of str
-        Parameters of single trials that are not estimated in this one.
+        Per-trial parameters that are not estimated in this trial.
     value_sd : dict of channel name to ndarray or float
-        Known shape of the measurement error (its overall size is still estimated). Without it
-        and without ``time_sd_s`` the error is taken as constant over each channel.
+        Known shape of the measurement error, whose size is still estimated. Without it and without
+        ``time_sd_s`` the error of a channel is constant.
     time_sd_s : float
         Known standard deviation of the time stamps.
     stamps_uncertain : bool
-        The stamps carry an error of unknown size: value and stamp errors are both estimated.
+        The stamps have an error of unknown size, which is estimated beside that of the values.
     """
 
     id: str
@@ -173,9 +171,9 @@ class Rig:
     ----------
     displacement, speed : Channel
     rotation : bool
-        It turns about the coordinate, otherwise it moves along it.
+        The body turns about the coordinate; otherwise it moves along it.
     swings : bool
-        A restoring force brings it back (free decay), otherwise it is pulled from place to place.
+        A restoring force brings the body back (free decay); otherwise it is pulled from place to place.
     """
 
     displacement: Channel
@@ -185,30 +183,34 @@ class Rig:
 
 
 class Model(ABC):
-    """What a fit, a comparison and a diagnosis need of a model.
+    """A model, as fits, comparisons and diagnoses use it.
 
-    What models differ in beyond that they say themselves: whether they move on a :attr:`rig` or have a
-    :attr:`body` of links, along which :attr:`axes`, on which :meth:`scales` and by which :meth:`commands`.
-    One of your own needs ``name``, ``parameters``, ``channels`` and :meth:`simulate`.
+    A model also states how it differs from others: its coordinate on a :attr:`rig`, its :attr:`body` of
+    links, its :attr:`axes`, its :meth:`scales` and its :meth:`commands`. A model of your own needs ``name``,
+    ``parameters``, ``channels`` and :meth:`simulate`.
 
     Attributes
     ----------
     name : str
-        In the parameter file.
+        Name in the parameter file.
     parameters : tuple of Parameter
-        What may be estimated, in the order of the values :meth:`simulate` is given.
+        In the order of the values that :meth:`simulate` takes.
     channels : tuple of Channel
-        What it simulates.
+        Channels that it simulates.
     abscissa : str
-        What a trial's ``time_s`` counts, for axes.
+        Label of the axis of a trial's ``time_s`` in figures.
     offers : frozenset of str
-        Hooks (:class:`swimid.fitting.hooks.Hooks`) that :meth:`hooked` obeys.
+        Hooks (:class:`swimid.fitting.hooks.Hooks`) that :meth:`hooked` supports.
     force_unit : str
-        Unit of the forces in its equation: N, N m of an angle, m/s^2 where it is per mass.
-    timed_runs, has_gaps, in_space : bool
-        Its trials are tables of timed runs; its output may be missing by design; it moves in space.
+        Unit of the forces in its equation: N, N m of an angle, m/s^2 per mass.
+    timed_runs : bool
+        Its trials are tables of runs timed over ``distance_m``, and its one channel is their mean speed.
+    has_gaps : bool
+        Its output is missing where its input is.
+    in_space : bool
+        It is a robot with links that moves in space, stroke by stroke, and not in a plane.
     groups : mapping of str to tuple of str
-        Parameters that share one value, by the name of that.
+        Names of shared parameters (:class:`Tied`), and the parameters that share each.
 
     Examples
     --------
@@ -224,38 +226,30 @@ class Model(ABC):
     [0.0, 0.25, 0.5]
     """
 
-    #: Name in the parameter file.
     name: str
     parameters: tuple[Parameter, ...]
     channels: tuple[Channel, ...]
-    #: What a trial's ``time_s`` counts, for axes.
     abscissa: str = "time (s)"
-    #: Hooks (:class:`swimid.fitting.hooks.Hooks`) that :meth:`hooked` obeys.
     offers: frozenset[str] = frozenset({"output", "clock"})
-    #: Unit of the forces in its equation: N, N m of an angle, m/s^2 where it is per mass.
     force_unit: str = "N"
-    #: Its trials are tables of runs timed over ``distance_m``; the one channel is their mean speed.
     timed_runs: bool = False
-    #: Its output may be missing by design, where the input is.
     has_gaps: bool = False
-    #: Parameters that share one value, by the name of that (:class:`Tied`).
     groups: Mapping[str, tuple[str, ...]] = MappingProxyType({})
-    #: A robot with links that moves in space, stroke by stroke, not in a plane.
     in_space: bool = False
 
     @property
     def rig(self) -> Rig | None:
-        """The one coordinate it has on a test rig; None elsewhere."""
+        """Coordinate on a test rig; None for other models."""
         return None
 
     @property
     def body(self) -> Any:
-        """The links of a planar robot (:class:`swimid.swimmer.planar.model.Body`); None elsewhere."""
+        """Links of a planar robot (:class:`swimid.swimmer.planar.model.Body`); None for other models."""
         return None
 
     @property
     def swimmer(self) -> Any:
-        """Itself where it is a robot with links (:class:`swimid.swimmer.model.Swimmer`); None elsewhere."""
+        """The model itself if it is a robot with links (:class:`swimid.swimmer.model.Swimmer`); else None."""
         return None
 
     @property
@@ -264,43 +258,45 @@ class Model(ABC):
         return ("x",)
 
     def scales(self, trials: Sequence[Trial]) -> Scales:
-        """Typical sizes of trials."""
+        """Return typical sizes of trials."""
         return Scales(self, trials)
 
     def origin(self, trial: Trial) -> dict[str, float]:
-        """Where a trial's positions start, by channel; at zero for those that are not named."""
+        """Return the start of a trial's positions by channel; channels that are not named start at zero."""
         return {}
 
     def stated(self) -> dict[str, float]:
-        """What a robot file says of its parameters; a fit starts elsewhere."""
+        """Return the values of parameters that the robot file states, where a fit does not start."""
         return {}
 
     # -------------------------------------------------------- what drives it
 
     def commanded(self, trial: Trial) -> bool:
-        """Whether a trial's actuators follow a command; a measured joint angle is past them already."""
+        """Whether the actuators follow a command in a trial; a measured joint angle is their output."""
         return True
 
     def commands(self, trial: Trial) -> Iterator[tuple[Array, Array, float]]:
-        """Time (s), command and its fastest known rate (per s) of each actuator that follows one."""
+        """Yield time (s), command and largest known rate (per s) of each actuator that follows a command."""
         return iter(())
 
     def onset(self, trial: Trial) -> float:
-        """When the run begins, s: a drive at time zero, a recorded command with its log."""
-        return float(trial.time_s[0]) if trial.swim.drive is None else 0.0
+        """Return the begin of the run, s: zero with a drive, else the first sample of the log."""
+        if trial.swim.drive is not None:
+            return 0.0
+        return float(trial.time_s[0])
 
     def beats(self, trials: Sequence[Trial]) -> list[float]:
-        """Frequencies of the drive as far as they are known, Hz."""
+        """Return the known frequencies of the drive, Hz."""
         return [float(t.swim.drive.frequency_hz) for t in trials if t.swim.drive is not None]
 
     def given(self, trial: Trial) -> list[str]:
-        """Channels that a trial's run is driven by as they were measured: it does not predict them."""
+        """Return the channels that drive a trial as measured, and that the model does not predict."""
         return []
 
     # -------------------------------------------------------- simulation
 
     def at_own_level(self, values: Array, trial: Trial) -> tuple[Model, dict[str, float]]:
-        """The model at the working point of one trial, and what was estimated for it; itself without one."""
+        """Return the model at the working point of a trial, and the estimates for it; itself without one."""
         return self, {}
 
     def prepare(  # noqa: B027
@@ -311,17 +307,17 @@ class Model(ABC):
         affected_s: float = 0.0,
         checkpoint: Checkpoint | None = None,
     ) -> None:
-        """Compile what it needs to be fast, under a bar that says so.
+        """Compile the simulation, if that pays, with a progress bar.
 
         Parameters
         ----------
         simulated_s : float, s
-            How much time of all trials together is about to be simulated: what compiling may cost.
+            Time to be simulated, over all trials: it limits the time for compiling.
         affected_s : float, s
-            How much of that with effects that bring forces, or elements that the model does not have; their
-            modules have been imported, a user's own too.
+            The part of it with effects that bring forces, or with elements that the model does not have. The
+            modules of the effects have been imported, also those of the user.
         checkpoint : Checkpoint, optional
-            A run that is taken up again goes on with what it began with.
+            A run that is resumed continues with the choice of its first part.
         """
 
     @abstractmethod
@@ -331,8 +327,8 @@ class Model(ABC):
         Parameters
         ----------
         values : ndarray, shape (len(self.parameters),)
-            One value per parameter, in the order of :attr:`parameters`; per-trial
-            parameters hold this trial's value.
+            One value per parameter, in the order of :attr:`parameters`; per-trial parameters have the value
+            of this trial.
         trial : Trial
 
         Returns
@@ -347,26 +343,26 @@ class Model(ABC):
             return self.simulate(values, trial)
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-        """Simulate one trial with what else acts on the chain.
+        """Simulate one trial with effects.
 
-        A model that offers more than sensing and a late clock overrides this.
+        A model that offers more hooks than those of sensing and of the clock overrides this.
         """
         late = replace(trial, time_s=hooks.happened(trial.time_s)) if hooks.late else trial
         return hooks.seen(self.simulate(values, late), trial.time_s)
 
     def simulate_many(self, runs: Sequence[tuple[Array, Trial]]) -> list[dict[str, Array]]:
-        """Simulate several runs, each as :meth:`simulate`; NaN throughout where one breaks down."""
+        """Simulate several runs, each as :meth:`simulate`; NaN throughout for a run that breaks down."""
         return self.hooked_many([(values, trial, NONE) for values, trial in runs])
 
     @property
     def together(self) -> int:
-        """How many runs take no longer than one."""
+        """Number of runs that take no longer than one."""
         return 1
 
     def hooked_many(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> list[dict[str, Array]]:
-        """The same with what else acts on the chain of each.
+        """Simulate several runs, each with its effects.
 
-        A model that runs faster side by side overrides this.
+        A model that simulates batches faster overrides this.
         """
 
         def simulated(values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
@@ -378,11 +374,11 @@ class Model(ABC):
         ]
 
     def broken_down(self, trial: Trial) -> dict[str, Array]:
-        """The channels of a simulation that came to nothing."""
+        """Return the channels of a simulation that broke down."""
         return {c.name: np.full(len(trial.time_s), np.nan) for c in self.channels}
 
     def sensitivity_to_time(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Rate of change of each channel with time, for trials whose stamps are uncertain."""
+        """Return the rate of change of each channel with time, for trials whose stamps are uncertain."""
         step = 1e-4
         late = self.simulate(values, replace(trial, time_s=trial.time_s + step))
         early = self.simulate(values, replace(trial, time_s=np.maximum(trial.time_s - step, 0)))
@@ -390,26 +386,26 @@ class Model(ABC):
         return {name: (late[name] - early[name]) / width for name in late}
 
     def refined(self) -> Model | None:
-        """The same model integrated with half the step; None where nothing is integrated."""
+        """Return the model with half the integration step; None if nothing is integrated."""
         return None
 
     def coarser(self) -> Model | None:
-        """The same model integrated with twice the step, for searches; None where that gains nothing."""
+        """Return the model with twice the integration step, for searches; None if that is no faster."""
         return None
 
     def apart(self, trial: Trial) -> list[Trial]:
-        """A trial that is a table of runs as one trial for each of them; others as they are."""
+        """Return one trial for each run of a table of runs; the trial itself otherwise."""
         return [trial]
 
     # -------------------------------------------------------- parameters
 
     def start(self, *names: str) -> float:
-        """Start value of the first of these parameters that it has; 0 where it has none."""
+        """Return the start value of the first of these parameters that the model has; 0 if it has none."""
         found = {p.name: p.start for p in self.parameters}
         return next((found[name] for name in names if name in found), 0.0)
 
     def expanded(self, entries: Mapping[str, Entry]) -> dict[str, Entry]:
-        """What is known by parameter name or ``name[trial]``, each member of :attr:`groups` with its own."""
+        """Return entries by parameter name or ``name[trial]``, repeated for each member of :attr:`groups`."""
         return dict(entries)
 
     def estimates(self, *names: str) -> bool:
@@ -417,12 +413,12 @@ class Model(ABC):
         return any(p.name in names and p.free for p in self.parameters)
 
     def index(self, name: str) -> int:
-        """Position of a parameter by name.
+        """Return the position of a parameter by name.
 
         Raises
         ------
         UsageError
-            With the nearest name, when there is none.
+            If there is none, with the nearest name.
         """
         names = [p.name for p in self.parameters]
         if name not in names:
@@ -432,9 +428,7 @@ class Model(ABC):
 
 
 def unless_broken(compute: Callable[..., Outcome], runs: Iterable[tuple[Any, ...]]) -> list[Outcome | None]:
-    """What a function computes of each run's arguments, without numpy's warnings; None where that run breaks
-    down in it.
-    """
+    """Compute a function of each run's arguments without numpy's warnings; None if it breaks down."""
 
     def one(arguments: tuple[Any, ...]) -> Outcome | None:
         try:
@@ -453,7 +447,13 @@ def chosen(
     freed: tuple[str, ...] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None,
 ) -> tuple[Parameter, ...]:
-    """The parameters with the user's choices applied: some fixed, some freed, some bounded."""
+    """Return the parameters with the choices of the user: fixed, freed, bounded.
+
+    Raises
+    ------
+    UsageError
+        For a name that there is not, bounds in the wrong order, or a fixed value outside the bounds.
+    """
     fixed = dict(fixed or {})
     bounds = dict(bounds or {})
     names = [p.name for p in parameters]
@@ -482,7 +482,9 @@ def chosen(
 
 
 class Scales:
-    """Typical sizes of a model's trials; a model that knows more of its forces and masses overrides them.
+    """Typical sizes in the trials of a model.
+
+    A model that knows more of its forces and masses overrides them.
 
     Parameters
     ----------
@@ -500,30 +502,23 @@ class Scales:
 
     @property
     def duration(self) -> float:
-        """Median length of a trial, s; 1 where that is not known."""
-        found = [float(t.time_s[-1] - t.time_s[0]) for t in self.trials if len(t.time_s) > 1]
-        return float(np.median(found)) or 1.0 if found else 1.0
+        """Median duration of a trial, s; 1 if unknown."""
+        return typical([float(t.time_s[-1] - t.time_s[0]) for t in self.trials if len(t.time_s) > 1], 1.0)
 
     @property
     def speed(self) -> float:
-        """Typical speed, m/s (rad/s for an angle); 0.1 where nothing tells."""
-        found = [v for t in self.trials if (v := _speed(t)) is not None]
-        return float(np.median(found)) or 0.1 if found else 0.1
+        """Typical speed, m/s (rad/s for an angle); 0.1 if unknown."""
+        return typical([v for t in self.trials if (v := _speed(t)) is not None], 0.1)
 
     @property
     def span(self) -> float:
-        """Typical extent of the motion, m (rad for an angle); 1 where nothing tells."""
-        found = [
-            float(np.nanmax(t.measured[name]) - np.nanmin(t.measured[name]))
-            for t in self.trials
-            for name in self.places
-            if name in t.measured and np.isfinite(t.measured[name]).any()
-        ]
-        return float(np.median(found)) or 1.0 if found else 1.0
+        """Typical extent of the motion, m (rad for an angle); 1 if unknown."""
+        series = [t.measured[name] for t in self.trials for name in self.places if name in t.measured]
+        return typical([float(np.nanmax(s) - np.nanmin(s)) for s in series if np.isfinite(s).any()], 1.0)
 
     @property
     def inertia(self) -> float:
-        """What has to be accelerated: kg, kg m2 for an angle; 1 where nothing tells."""
+        """Inertia that is accelerated, kg (kg m2 for an angle); 1 if unknown."""
         return 1.0
 
     @property
@@ -533,16 +528,24 @@ class Scales:
 
     @property
     def brake(self) -> float:
-        """Size of a drag or friction that one begins to see: a tenth of what moves the robot."""
+        """Smallest drag or friction that is worth a test: a tenth of the force that moves the robot."""
         return 0.1 * self.force
 
     @property
     def quadratic(self) -> float:
-        """The quadratic drag the model has, the least of all trials; 0 where it has no such coefficient."""
+        """Least quadratic drag of the model over all trials; 0 if it has no such coefficient."""
         return 0.0
 
 
+def typical(values: Sequence[float], otherwise: float) -> float:
+    """Return the median of values, or another value if there is none or the median is zero."""
+    if not len(values):
+        return otherwise
+    return float(np.median(values)) or otherwise
+
+
 def _speed(trial: Trial) -> float | None:
+    """Return the typical speed of a trial, m/s; None if unknown."""
     for name in ("u_m_s", MEAN_SPEED):
         if name in trial.measured:
             return float(np.sqrt(np.nanmean(trial.measured[name] ** 2)))
@@ -555,7 +558,7 @@ def _speed(trial: Trial) -> float | None:
 
 
 def _track(trial: Trial) -> tuple[Array, Array]:
-    """Times and positions where all measured coordinates are there, shapes (n,) and (n, coordinates)."""
+    """Return times and positions where all measured coordinates exist, shapes (n,) and (n, coordinates)."""
     names = [name for name in POSITIONS if name in trial.measured]
     if not names:
         return np.zeros(0), np.zeros((0, 1))
@@ -565,22 +568,22 @@ def _track(trial: Trial) -> tuple[Array, Array]:
 
 
 class Tied(Model):
-    """A model in which each group of parameters is replaced by one they share.
+    """A model in which each group of parameters is replaced by one shared parameter.
 
-    The shared parameter stands where the group's first member stood. It starts at the
-    members' mean, its bounds are what all members' bounds allow, its scale is the largest.
+    The shared parameter has the place of the group's first member. It starts at the mean of the members. Its
+    bounds are those that all members allow, and its scale is the largest.
 
     Parameters
     ----------
     model : Model
     groups : mapping of name to sequence of str
-        The shared parameter's name, and the members it stands for.
+        Name of each shared parameter, and its members.
 
     Raises
     ------
     UsageError
-        For an unknown member, one in two groups, a group of one, a name already taken, and
-        members of different unit or with no common value.
+        For an unknown member, one in two groups, a group of one, a name that is taken, and members of
+        different unit or without a common value.
     """
 
     def __init__(self, model: Model, groups: Mapping[str, Sequence[str]]) -> None:
@@ -612,49 +615,48 @@ class Tied(Model):
 
     @property
     def body(self) -> Any:
-        """The links of the untied model."""
+        """Links of the untied model."""
         return self.model.body
 
     @property
     def swimmer(self) -> Any:
-        """The untied model where it is a robot with links."""
+        """The untied model if it is a robot with links."""
         return self.model.swimmer
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Simulate with every member at its group's value (see :meth:`Model.simulate`)."""
+        """Simulate with every member at the value of its group (see :meth:`Model.simulate`)."""
         return self.model.simulate(self.members(values), trial)
 
     @property
     def together(self) -> int:
-        """As of the untied model."""
+        """Number of runs that the untied model simulates in the time of one."""
         return self.model.together
 
     def hooked_many(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> list[dict[str, Array]]:
-        """Several runs (see :meth:`Model.hooked_many`)."""
+        """Simulate several runs (see :meth:`Model.hooked_many`)."""
         return self.model.hooked_many([(self.members(values), trial, hooks) for values, trial, hooks in runs])
 
     def prepare(self, progress: Progress = silent, **how: Any) -> None:
-        """As the untied model (see :meth:`Model.prepare`)."""
+        """Prepare the untied model (see :meth:`Model.prepare`)."""
         self.model.prepare(progress, **how)
 
     def sensitivity_to_time(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Rate of change of each channel (see :meth:`Model.sensitivity_to_time`)."""
+        """Return the rate of change of each channel (see :meth:`Model.sensitivity_to_time`)."""
         return self.model.sensitivity_to_time(self.members(values), trial)
 
     def refined(self) -> Tied | None:
-        """The same with half the integration step; None where nothing is integrated."""
+        """Return the same with half the integration step; None if nothing is integrated."""
         finer = self.model.refined()
         return None if finer is None else Tied(finer, self.groups)
 
     def members(self, values: Array) -> Array:
-        """Values of the untied model's parameters, shape (len(self.model.parameters),)."""
+        """Return the values of the untied model's parameters, shape (len(self.model.parameters),)."""
         return np.asarray(values, dtype=float)[self._places]
 
     def expanded(self, entries: Mapping[str, Entry]) -> dict[str, Entry]:
-        """What is known of each parameter, by the names of the untied model.
+        """Return entries of shared parameters for every member, by the names of the untied model.
 
-        A shared one is repeated for every member; its standard error is each member's, all of them fully
-        correlated.
+        The standard error of a shared parameter is that of each member, all of them fully correlated.
         """
         found: dict[str, Entry] = {}
         for label, entry in entries.items():
@@ -664,6 +666,7 @@ class Tied(Model):
         return found
 
     def _shared(self, name: str) -> Parameter:
+        """Return the parameter that the members of a group share."""
         members = [self.model.parameters[self.model.index(m)] for m in self.groups[name]]
         first = members[0]
         for other in members[1:]:
@@ -689,12 +692,12 @@ class Tied(Model):
 
 
 def groups_by_prefix(model: Model, prefix: str) -> dict[str, tuple[str, ...]]:
-    """The group of all parameters whose name is the prefix followed by digits.
+    """Return the group of all parameters whose name is the prefix followed by digits.
 
     Raises
     ------
     UsageError
-        With the nearest prefix, when fewer than two parameters have it.
+        If fewer than two parameters have it, with the nearest prefix.
     """
     members = tuple(p.name for p in model.parameters if re.fullmatch(re.escape(prefix) + r"\d+", p.name))
     if len(members) < 2:

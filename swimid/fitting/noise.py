@@ -1,13 +1,13 @@
 """The noise of residuals: its model, estimated by a fit, and tests of whiteness and independence.
 
-A measured value is off by a constant error, by a known shape times a factor, or (where time stamps are free)
-by the speed times the stamp's error; what is left is an autoregression.
+The error of a measured value is constant, or a known shape times a factor, or (with uncertain time stamps)
+the speed times the error of the stamp. The residuals divided by it follow an autoregression.
 
-The tests are functions of arrays. A residual series is one array at a constant rate in which NaN marks
-samples that are missing or belong to no record; several records go in as one array with a stretch of NaN
-between them (:func:`joined`). A pair of samples counts only where both are there, so that gaps neither bias
-nor break a test. Tests of statsmodels have the same formulas but count all samples of a series: with a fifth
-of the samples missing its Ljung-Box test rejects 0.8 % of white series at the 5 % level, the one here 5.4 %.
+The tests are functions of arrays. A residual series is one array at a constant rate, in which NaN marks
+missing samples. Several records are joined with NaN between them (:func:`joined`). A pair of samples counts
+only if both exist, so that gaps do not bias a test. The tests of statsmodels have the same formulas, but
+count all samples of a series: with a fifth of the samples missing its Ljung-Box test rejects 0.8 % of white
+series at the 5 % level, and the one here 5.4 %.
 
 References
 ----------
@@ -17,6 +17,8 @@ References
 .. [3] W. K. Newey, K. D. West, "A simple, positive semi-definite, heteroskedasticity and
    autocorrelation consistent covariance matrix", Econometrica 55 (1987), 703-708.
    doi:10.2307/1913610
+.. [4] P. J. Huber, "Robust estimation of a location parameter", Annals of Mathematical Statistics 35
+   (1964), 73-101.
 """
 
 from __future__ import annotations
@@ -32,9 +34,9 @@ from scipy.linalg import toeplitz
 from swimid.fitting.model import Array
 from swimid.fitting.problem import Problem
 
-#: Huber's corner in standard deviations: 95 % efficient where the noise is normal after all.
+#: Residual, in standard deviations, beyond which Huber's loss is linear: 95 % efficient for normal noise.
 CORNER = 1.345
-#: Mean square of standard normal noise clipped at the corner.
+#: Mean square of standard normal noise that is clipped at the corner.
 CLIPPED = float(
     special.erf(CORNER / math.sqrt(2))
     - CORNER * math.sqrt(2 / math.pi) * math.exp(-(CORNER**2) / 2)
@@ -43,7 +45,7 @@ CLIPPED = float(
 
 
 def weigh_first(problem: Problem, even: bool) -> None:
-    """First weights: each channel by its own size, known error shapes as they are; all equal if ``even``."""
+    """Set the first weights: a channel by its own size, known error shapes as they are; none if ``even``."""
     if even:
         return
     for k, trial in enumerate(problem.trials):
@@ -60,23 +62,23 @@ def weigh_first(problem: Problem, even: bool) -> None:
 def estimate(
     problem: Problem, theta: Array, previous: dict[str, tuple[float, float]], *, robust: bool = False
 ) -> dict[str, tuple[float, float]]:
-    """Size of value and stamp errors by channel, from the residuals; sets the problem's weights.
+    """Estimate the sizes of value and stamp errors by channel, and set the weights of the problem.
 
     Parameters
     ----------
     theta : ndarray, shape (p,)
+        Where the residuals are taken.
     previous : dict of channel name to (float, float)
-        The sizes of the round before; empty in the first.
+        Sizes of the iteration before; empty in the first.
     robust : bool
-        Sizes from the median absolute deviation, and weights of Huber's loss
-        ("Robust estimation of a location parameter", 1964): a sample farther off than
-        :data:`CORNER` standard deviations counts by its side, not by its distance.
+        Estimate the sizes from the median absolute deviation, and weight with Huber's loss [4]_: beyond
+        :data:`CORNER` standard deviations only the sign of a residual counts.
 
     Returns
     -------
     dict of channel name to (value, stamp)
-        Standard deviation in the channel's unit (a factor where the shape of the error is
-        known) and in seconds.
+        Standard deviations in the channel's unit (a factor if the shape of the error is known) and in
+        seconds.
     """
     found: dict[str, tuple[float, float]] = {}
     simulations = problem.simulations(theta)
@@ -102,7 +104,7 @@ def estimate(
             if np.any(shape > 0):
                 sd = np.maximum(shape, 0.05 * np.median(shape)) * (constant or 1e-15)
             else:
-                sd = np.sqrt(constant**2 + (stamp * rate) ** 2) if free else np.full(len(rate), constant)
+                sd = np.sqrt(constant**2 + (free * stamp * rate) ** 2)
             largest = np.nanmax(np.abs(problem.trials[k].measured[channel]))
             problem.sd[k][i] = np.maximum(sd, 1e-12 * max(1e-6, largest))
             if robust:
@@ -111,16 +113,16 @@ def estimate(
 
 
 def huber_damping(residuals: Array) -> Array:
-    """Factors of weighted residuals: what it makes of one, squared, pulls by it as Huber's loss does."""
+    """Return factors of weighted residuals whose squares then pull as under Huber's loss."""
     far = np.maximum(np.abs(np.nan_to_num(residuals, nan=0.0)) / CORNER, 1.0)
     return np.asarray(1.0 / np.sqrt(far))
 
 
 def influence(problem: Problem, residuals: list[Array]) -> tuple[list[Array], list[Array]]:
-    """Each trial's residuals as if from least squares, and factors of the rows of their derivatives.
+    """Return each trial's residuals as those of a least-squares fit, and factors for their derivatives.
 
-    A robust loss lets a sample pull by at most its corner; its curvature vanishes beyond. With the linear
-    loss these are the same residuals, and ones.
+    A robust loss limits the pull of a sample, and has no curvature beyond its corner. With the linear loss
+    the residuals are unchanged, and the factors are ones.
     """
     inside: dict[str, list[Array]] = {}
     for k, dampings in enumerate(problem.damping):
@@ -138,12 +140,12 @@ def influence(problem: Problem, residuals: list[Array]) -> tuple[list[Array], li
 
 
 def weights(problem: Problem) -> list[Array]:
-    """Weight of every sample of each trial, each shape (n_k,)."""
+    """Return the weights of the samples of each trial, shape (n_k,) each."""
     return [problem.sample_weights(k) for k in range(len(problem.trials))]
 
 
 def largest_change(problem: Problem, before: list[Array]) -> float:
-    """Largest relative change of a sample's weight since ``before``, against those of all together."""
+    """Return the largest relative change of a sample's weight since ``before``, relative to their median."""
     every = np.concatenate(weights(problem)) / np.concatenate(before)
     return float(np.max(np.abs(every / np.median(every) - 1.0), initial=0.0))
 
@@ -156,7 +158,7 @@ def _components(
     previous: tuple[float, float] | None,
     robust: bool,
 ) -> tuple[float, float]:
-    """Standard deviations of value and stamp; the first is a factor where the shape is known."""
+    """Return the standard deviations of value and stamp; the first is a factor if the shape is known."""
     r = np.concatenate(residuals)
     there = np.isfinite(r)
     shape = np.concatenate(shapes)
@@ -180,22 +182,23 @@ def _components(
     norm = np.linalg.norm(design, axis=0)
     norm[norm == 0] = 1.0
     parts = optimize.nnls(design / norm, square / variance)[0] / norm
-    # neither part may vanish altogether: a sample with no error would outweigh all others
+    # the value's part must not vanish: a sample without error would outweigh all others
     least = 1e-4 * float(np.mean(square))
     return math.sqrt(max(float(parts[0]), least)), math.sqrt(max(float(parts[1]), 0.0))
 
 
 def _size(errors: Array) -> float:
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(errors**2)))
 
 
 def _robust_size(errors: Array) -> float:
-    """Standard deviation of the middle: that of normal noise with this median absolute size."""
+    """Return the standard deviation of normal noise with the median absolute size of these errors."""
     return float(np.median(np.abs(errors)) / special.ndtri(0.75)) or _size(errors)
 
 
 def value_sd(problem: Problem, channel: str, constant: float) -> float:
-    """Root mean square of the samples' standard deviations, stamps apart where they are free."""
+    """Return the root mean square of the samples' standard deviations, without uncertain stamps."""
     owners = [k for k, names in enumerate(problem.channels) if channel in names]
     if any(problem.trials[k].stamps_uncertain for k in owners):
         return constant
@@ -207,7 +210,7 @@ def value_sd(problem: Problem, channel: str, constant: float) -> float:
 
 
 def autoregressions(problem: Problem, residuals: list[Array]) -> dict[str, Array]:
-    """Autoregression of the trials' weighted residuals by channel, pooled over trials; empty where white."""
+    """Fit an autoregression to the weighted residuals of each channel over all trials; empty if white."""
     found = {}
     for channel, series in problem.series(residuals).items():
         x = joined(series, gap=30)
@@ -222,7 +225,7 @@ def autoregressions(problem: Problem, residuals: list[Array]) -> dict[str, Array
 # ---------------------------------------------------------------- tests of residuals
 
 
-#: Below this p-value a residual series is called not white (or not independent of the input).
+#: p-value below which a residual series is called not white, or not independent of the input.
 SIGNIFICANCE = 0.01
 
 
@@ -230,13 +233,13 @@ SIGNIFICANCE = 0.01
 class Correlation:
     """A correlation function with its band under the null hypothesis; fields of shape (m,)."""
 
-    #: In samples.
+    #: Lags in samples.
     lags: np.ndarray
-    #: Correlation coefficients, NaN where no pair of samples exists.
+    #: Correlation coefficients, NaN if no pair of samples exists.
     values: np.ndarray
     #: Half-width of the 95 % band around zero.
     bound: np.ndarray
-    #: Number of sample pairs behind each value.
+    #: Number of sample pairs of each value.
     pairs: np.ndarray
 
 
@@ -249,12 +252,12 @@ class TestResult:
     statistic: float
     #: Degrees of freedom.
     degrees: int
-    #: Probability of a statistic at least this large when the hypothesis holds.
+    #: Probability of a statistic at least this large if the hypothesis holds.
     p_value: float
 
     @property
     def passed(self) -> bool:
-        """Whether the hypothesis survives at :data:`SIGNIFICANCE`."""
+        """Whether the hypothesis is not rejected at :data:`SIGNIFICANCE`."""
         return self.p_value >= SIGNIFICANCE
 
 
@@ -262,19 +265,19 @@ class TestResult:
 class AutoregressiveFit:
     """An autoregression ``x(k) + a1 x(k-1) + ... + ap x(k-p) = e(k)``."""
 
-    #: Shape (p,): a1 .. ap; empty for a white series.
+    #: Coefficients a1 .. ap, shape (p,); empty for a white series.
     coefficients: np.ndarray
     #: Variance of e.
     variance: float
 
     @property
     def long_run_variance(self) -> float:
-        """Spectral density at frequency zero: variance of a sum of n samples over n, n large."""
+        """Spectral density at frequency zero: the variance of a sum of n samples over n, for large n."""
         return self.variance / (1.0 + float(np.sum(self.coefficients))) ** 2
 
 
 def joined(parts: Sequence[np.ndarray], *, gap: int) -> np.ndarray:
-    """Several series as one, with ``gap`` samples of NaN between them: at least the largest lag asked for.
+    """Join several series with ``gap`` samples of NaN between them, at least the largest lag in use.
 
     >>> joined([np.array([1.0]), np.array([2.0])], gap=2)
     array([ 1., nan, nan,  2.])
@@ -284,12 +287,12 @@ def joined(parts: Sequence[np.ndarray], *, gap: int) -> np.ndarray:
 
 
 def default_lags(samples: int) -> int:
-    """Number of lags to test by default: 25, less for short series (a fifth of the samples)."""
+    """Return the number of lags to test: 25, or a fifth of the samples of a short series."""
     return max(1, min(25, samples // 5))
 
 
 def _centred(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Give x without its mean and with NaN set to zero, and where it is finite."""
+    """Return x without its mean and with zeros for NaN, and where it is finite."""
     x = np.asarray(x, dtype=float)
     there = np.isfinite(x)
     if not np.any(there):
@@ -300,7 +303,7 @@ def _centred(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _lagged_means(
     x: np.ndarray, x_there: np.ndarray, y: np.ndarray, y_there: np.ndarray, lags: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean of x(k) y(k - lag) over the pairs that exist, and their number."""
+    """Return the mean of x(k) y(k - lag) over the pairs that exist, and their number."""
     n = len(x)
     means = np.full(len(lags), np.nan)
     pairs = np.zeros(len(lags), dtype=int)
@@ -316,14 +319,14 @@ def _lagged_means(
 
 
 def autocorrelation(x: np.ndarray, *, max_lag: int | None = None) -> Correlation:
-    """Autocorrelation of a series, lags 0 .. max_lag, with the band of white noise, 1.96 / sqrt(pairs).
+    """Compute the autocorrelation at lags 0 .. max_lag, with the band of white noise, 1.96 / sqrt(pairs).
 
-    Each lag is the mean over its own pairs, not the sum over n: with gaps the pairs differ.
+    Each lag is the mean over its own pairs, because with gaps their number differs.
 
     Parameters
     ----------
     x : ndarray, shape (n,)
-        NaN where there is no sample. The mean is removed; all NaN for a constant series.
+        NaN for missing samples. The mean is removed; the result is NaN for a constant series.
     max_lag : int, optional
         Default :func:`default_lags`.
 
@@ -339,28 +342,27 @@ def autocorrelation(x: np.ndarray, *, max_lag: int | None = None) -> Correlation
 
 
 def ljung_box(x: np.ndarray, *, lags: int | None = None, fitted: int = 0) -> TestResult:
-    """Ljung-Box test of whiteness.
+    """Test a series for whiteness (Ljung-Box).
 
     Parameters
     ----------
     x : ndarray, shape (n,)
-        Residuals, NaN where there is none.
+        Residuals, NaN for missing samples.
     lags : int, optional
         Number of lags tested together, default :func:`default_lags`.
     fitted : int
-        Number of noise parameters (autoregressive and moving-average) estimated from the same
-        data; taken from the degrees of freedom.
+        Number of noise parameters (autoregressive and moving-average) that were estimated from the same data.
+        It is subtracted from the degrees of freedom.
 
     Returns
     -------
     TestResult
-        p-value 1 for a series that is constant or shorter than two samples: nothing speaks
-        against whiteness.
+        The p-value is 1 for a series that is constant or shorter than two samples.
 
     Notes
     -----
-    Without gaps this is ``n (n + 2) sum r_k^2 / (n - k)`` of [1]_. With gaps ``n - k`` becomes
-    the number of pairs at lag k and r_k their mean product.
+    Without gaps the statistic is ``n (n + 2) sum r_k^2 / (n - k)`` of [1]_. With gaps ``n - k`` becomes the
+    number of pairs at lag k, and r_k their mean product.
     """
     correlation = autocorrelation(x, max_lag=lags)
     n = int(correlation.pairs[0]) if len(correlation.pairs) else 0
@@ -376,26 +378,26 @@ def ljung_box(x: np.ndarray, *, lags: int | None = None, fitted: int = 0) -> Tes
 def cross_correlation(
     residuals: np.ndarray, source: np.ndarray, *, max_lag: int | None = None
 ) -> Correlation:
-    """Correlation of residuals e(k) with a source u(k - lag), lags -max_lag .. max_lag.
+    """Compute the correlation of residuals e(k) with a source u(k - lag), at lags -max_lag .. max_lag.
 
     Parameters
     ----------
     residuals, source : ndarray, shape (n,)
-        At the same rate; NaN where there is no sample.
+        At the same rate; NaN for missing samples.
     max_lag : int, optional
         Default :func:`default_lags`.
 
     Returns
     -------
     Correlation
-        A value at a positive lag outside its band says that the model misses a part of what the
-        source did ``lag`` samples before; at a negative lag feedback from the output to the source shows.
+        A value outside the band at a positive lag shows an effect of the source, ``lag`` samples before, that
+        the model lacks. At a negative lag it shows feedback from the output to the source.
 
     Notes
     -----
-    Band: for independent series the variance of the correlation is
-    ``sum_j r_e(j) r_u(j) / pairs`` (Bartlett; [2]_, eq. 16.68 f.), so that a narrow-band source
-    with coloured residuals does not raise a false alarm.
+    For independent series the variance of the correlation is ``sum_j r_e(j) r_u(j) / pairs`` (Bartlett; [2]_,
+    eq. 16.68 f.). The band follows from it, so that a source of one frequency raises no false alarm with
+    coloured residuals.
     """
     e, e_there = _centred(residuals)
     u, u_there = _centred(source)
@@ -411,48 +413,48 @@ def cross_correlation(
 
 
 def _deviation(values: np.ndarray, there: np.ndarray) -> float:
+    """Return the standard deviation of centred values where they exist."""
     return float(np.sqrt(np.mean(values[there] ** 2))) if np.any(there) else 0.0
 
 
 def _bartlett_factor(e: np.ndarray, u: np.ndarray) -> float:
-    """Sum over j of r_e(j) r_u(j), over the lags at which the residuals correlate at all."""
+    """Return the sum over j of r_e(j) r_u(j), over the lags at which the residuals correlate."""
     top = default_lags(int(np.count_nonzero(np.isfinite(e))))
     re, ru = autocorrelation(e, max_lag=top), autocorrelation(u, max_lag=top)
     r = np.where(np.abs(re.values) > re.bound, re.values, 0.0) * np.nan_to_num(ru.values)
     r = np.nan_to_num(r)
-    # Sampling error may make the sum small or negative; white residuals give exactly 1.
+    # sampling errors may make the sum small or negative; it is 1 for white residuals
     return max(float(r[0] + 2.0 * np.sum(r[1:])), 1.0) if len(r) else 1.0
 
 
 def independence(
     residuals: np.ndarray, source: np.ndarray, *, lags: int | None = None, first: int = 0
 ) -> TestResult:
-    """Chi-square test that residuals are independent of a source's past.
+    """Test with a chi-square statistic that residuals are independent of the past of a source.
 
     Parameters
     ----------
     residuals, source : ndarray, shape (n,)
-        NaN where there is no sample.
+        NaN for missing samples.
     lags : int, optional
-        Number of lags ``first .. first + lags - 1`` tested together, default
-        :func:`default_lags`.
+        Number of lags ``first .. first + lags - 1`` tested together, default :func:`default_lags`.
 
     Returns
     -------
     TestResult
-        Degrees of freedom are the numerical rank of the source's covariance: a single sine
-        gives two, however many lags are asked for.
+        The degrees of freedom are the numerical rank of the source's covariance: two for a single sine,
+        whatever the number of lags.
 
     Notes
     -----
-    ``n r' P^-1 r`` with r the vector of cross-covariances and
-    ``P = sum_j R_e(j) R_u(j)``, R_u(j) the shifted Toeplitz covariance of the source ([2]_,
-    section 16.6). Residual covariances inside the band of white noise are taken as zero.
+    The statistic is ``n r' P^-1 r`` with r the vector of cross-covariances and ``P = sum_j R_e(j) R_u(j)``,
+    R_u(j) the shifted Toeplitz covariance of the source ([2]_, section 16.6). Residual covariances inside the
+    band of white noise are set to zero.
     """
     e, e_there = _centred(residuals)
     u, u_there = _centred(source)
     top = default_lags(int(np.count_nonzero(e_there)))
-    number = top if lags is None else lags
+    number = lags or top
     means, pairs = _lagged_means(e, e_there, u, u_there, np.arange(first, first + number))
     if not np.all(pairs) or _deviation(e, e_there) == 0 or _deviation(u, u_there) == 0:
         return TestResult(0.0, number, 1.0)
@@ -481,21 +483,21 @@ def independence(
 def fit_autoregression(
     x: np.ndarray, *, max_order: int | None = None, order: int | None = None
 ) -> AutoregressiveFit:
-    """Autoregression of a series by Burg's method, always stable, over all its stretches.
+    """Fit an autoregression to all segments of a series by Burg's method, which is always stable.
 
     Parameters
     ----------
     x : ndarray, shape (n,)
-        NaN where there is no sample. The mean is removed.
+        NaN for missing samples. The mean is removed.
     max_order : int, optional
-        Largest order tried, default :func:`default_lags`; BIC chooses.
+        Largest order, default :func:`default_lags`; the BIC selects the order.
     order : int, optional
-        Take this order instead of choosing one.
+        Order to use instead.
 
     Raises
     ------
     ValueError
-        When fewer than three samples are finite.
+        If fewer than three samples are finite.
     """
     values, there = _centred(x)
     n = int(np.count_nonzero(there))
@@ -527,7 +529,7 @@ def fit_autoregression(
 
 
 def long_run_covariance(scores: np.ndarray) -> np.ndarray:
-    """Covariance of a sum of correlated vectors (Newey and West): the meat of a sandwich.
+    """Estimate the covariance of a sum of correlated vectors (Newey and West).
 
     Parameters
     ----------
@@ -537,11 +539,10 @@ def long_run_covariance(scores: np.ndarray) -> np.ndarray:
     Returns
     -------
     ndarray, shape (p, p)
-        ``G_0 + sum_l (1 - l / (L + 1)) (G_l + G_l')``, ``G_l = sum_k s_k s_(k-l)'`` [3]_.
-        Positive semi-definite. With J the derivative of the model and J'J invertible, the
-        covariance of a least-squares estimate is ``(J'J)^-1 M (J'J)^-1``. The bandwidth L of the
-        Bartlett window is ``floor(4 (n / 100)^(2/9))`` but at least twice the lag at which the
-        scores still correlate.
+        ``G_0 + sum_l (1 - l / (L + 1)) (G_l + G_l')``, ``G_l = sum_k s_k s_(k-l)'`` [3]_. It is positive
+        semi-definite. With J the derivative of the model and J'J invertible, the covariance of a
+        least-squares estimate is ``(J'J)^-1 M (J'J)^-1``. The bandwidth L of the Bartlett window is ``floor(4
+        (n / 100)^(2/9))``, but at least twice the lag at which the scores still correlate.
     """
     scores = np.atleast_2d(np.asarray(scores, dtype=float))
     there = np.all(np.isfinite(scores), axis=1)
@@ -550,7 +551,7 @@ def long_run_covariance(scores: np.ndarray) -> np.ndarray:
     for column in np.where(there[:, None], scores, np.nan).T:
         correlation = autocorrelation(column)
         outside = np.abs(correlation.values[1:]) > correlation.bound[1:]
-        memory = max(memory, len(outside) if np.all(outside) else int(np.argmin(outside)))
+        memory = max(memory, int(np.argmin(np.append(outside, False))))
     lags = max(int(4 * (max(n, 1) / 100) ** (2 / 9)), 2 * memory)
     rows = np.where(there[:, None], scores, 0.0)
     covariance = rows.T @ rows

@@ -1,10 +1,8 @@
 """Output-error identification: maximum likelihood over all samples of all trials.
 
-The simulated channels are compared with the measured ones; what is left over is weighted by
-a noise model estimated from the residuals themselves, and the uncertainty of the estimates
-accounts for coloured residuals and for trials that scatter more than their noise.
-
-Works for every :class:`swimid.fitting.model.Model`.
+The simulated channels are compared with the measured ones. The residuals are weighted by a noise model that
+is estimated from them. The covariance of the estimates allows for coloured residuals, and for trials that
+differ by more than their noise. The estimator works for every :class:`swimid.fitting.model.Model`.
 """
 
 from __future__ import annotations
@@ -25,37 +23,36 @@ from swimid.fitting import restarts
 from swimid.fitting.covariance import UNIDENTIFIABLE, Sandwich, sandwich
 from swimid.fitting.metrics import FitResult, Loss, Noise, Series
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.fitting.problem import KINKED, LITTLE, STRIDE, Problem, Unnoticed
+from swimid.fitting.problem import KINKED, MIN_DECREASE, STALLED, STRIDE, Patience, Problem
 from swimid.notices import warn
 from swimid.progress import Progress, show, silent
 
-#: Rounds of weighting by the noise model, at most, and the change of weights that ends them.
-ROUNDS = 12
-SETTLED = 0.01
-#: Relative tolerance of the cost while the weights still change, and at the end.
-COARSE, FINE = 1e-3, 1e-10
-#: A move by this share of a standard error is no news: the root of :data:`problem.IMMATERIAL`.
-SLIGHT = 0.03
-#: Iterations of one search over all its rounds, and where what it came to is wanted unfinished: three times
-#: what fits of right models take (6 to 25; 52 where simulations break down at the start).
-MAX_ITERATIONS, BUDGET = 200, 75
-#: The integration step is halved until halving it changes no sample by more than this many
-#: standard deviations of its noise, at most so many times.
+#: Maximum number of noise iterations, and the relative change of the weights that ends them.
+MAX_NOISE_ITERATIONS = 12
+WEIGHT_RTOL = 0.01
+#: Relative tolerance of the cost while the weights still change, and in the last search.
+COARSE_RTOL, FINE_RTOL = 1e-3, 1e-10
+#: Change of an estimate, in standard errors, that is not worth another step.
+NEGLIGIBLE_MOVE = 0.03
+#: Maximum number of iterations of a fit, and of one that may be returned unfinished: three times what fits of
+#: right models take (6 to 25; 52 if simulations break down at the start).
+MAX_ITERATIONS, UNFINISHED_ITERATIONS = 200, 75
+#: Largest change of a sample, in standard deviations of its noise, when the integration step is halved.
 STEP_ERROR = 0.1
+#: Maximum number of halvings of the integration step.
 MAX_REFINEMENTS = 6
 #: Relative tolerance of the search for the start state of a trial.
 START_TOLERANCE = 1e-8
-#: Restarts near an answer, at most, and how much they raise twice the log-likelihood to have been needed: as
-#: much as one standard error.
-RESTARTS, ANOTHER = 6, 1.0
-#: Where the cost has no corners, restarts end with one that raised that by less than this, which a third of a
-#: standard error does; and none is begun once they have taken this share of the first search.
-TRIFLE, SHARE = 0.1, 1.0
+#: Maximum number of restarts near an answer.
+MAX_RESTARTS = 6
+#: Gain in twice the log-likelihood that shows a restart to have been needed (one standard error), and the
+#: gain below which no further one follows where the cost is smooth (a third of a standard error).
+NEEDED_GAIN, SMALL_GAIN = 1.0, 0.1
 
 
 @dataclass(frozen=True)
 class _Task:
-    """What is fitted, and how."""
+    """Model, trials and settings of a fit."""
 
     model: Model
     trials: tuple[Trial, ...]
@@ -83,61 +80,59 @@ def fit(
     ----------
     model : Model
     trials : sequence of Trial
-        Those of role ``validate`` are simulated and scored, not fitted.
+        Trials of role ``validate`` are simulated and scored, not fitted.
     parameters : sequence of Parameter, optional
-        The model's with the user's choices applied
-        (:func:`swimid.fitting.model.chosen`); default the model's own.
+        The parameters of the model with the choices of the user
+        (:func:`swimid.fitting.model.chosen`); by default those of the model.
     jobs : int, optional
-        Threads for simulations that take long, by default one per processor. The result does
-        not depend on it. ``model.simulate`` must then be safe to call from several at once.
+        Number of threads for long simulations, by default one for each processor. The result does not depend
+        on it. ``model.simulate`` must then be safe to call from several threads at once.
     loss : {"linear", "huber"}
-        Huber's loss keeps outliers from pulling the estimate; the size of the noise is then
-        the median absolute deviation.
+        Huber's loss limits the pull of outliers. The size of the noise is then the median absolute deviation.
     begin : ndarray, shape (p,), optional
-        Where the search starts, one number per label of the result; default the parameters'
-        start values.
+        Start of the search, one value for each label of the result; by default the start values of the
+        parameters.
     tested : bool
-        Whether the answer is held against points and short searches around it, and the search begun again
-        where one of them lies lower (:mod:`swimid.fitting.restarts`).
+        Compare the answer with points and short searches around it, and search again from a better one
+        (:mod:`swimid.fitting.restarts`).
     unfinished : bool
-        Return what a search came to that does not converge within :data:`BUDGET` iterations, marked so; else
-        that is an error.
+        Return a result that is marked as not converged, instead of an error, if the search does not converge
+        within :data:`UNFINISHED_ITERATIONS`.
 
     Returns
     -------
     FitResult
-        Ctrl-C during the search stops it: the result is then the best point so far, not
-        converged, and ``message`` says why. A second Ctrl-C raises KeyboardInterrupt.
+        Ctrl-C stops the search: the result is then the best point so far, not converged, and ``message``
+        says why. A second Ctrl-C raises KeyboardInterrupt.
 
     Raises
     ------
     NoTrustworthyResult
-        When the search does not converge, the model cannot be simulated, or there are fewer samples than
+        If the search does not converge, the model cannot be simulated, or there are fewer samples than
         unknowns.
 
     Notes
     -----
-    Weighted nonlinear least squares by a bounded Levenberg-Marquardt method, reweighted by the
-    estimated noise until the weights settle. The search ends where five steps together neither lower
-    the squared residuals by more than one parameter takes up of noise alone (:attr:`Sandwich.gain`; half
-    a unit of log likelihood where noise is white) nor move a shared estimate by :data:`SLIGHT` of its
-    standard error: what a model misses leaves a valley along which smaller steps would go on for ever.
-    Covariance ``H^-1 M H^-1`` with ``H = J'J``
-    and ``M = sum_trials J_k' R J_k``, R the correlation of the weighted residuals under an
-    autoregression chosen by BIC; multiplied by the trials' scatter where they disagree. A
-    parameter that its bound may hold by noise alone counts as free in it.
+    Weighted nonlinear least squares by a bounded Levenberg-Marquardt method. The weights follow from the
+    estimated noise, and the search is repeated until they settle. It ends if five steps together neither
+    lower the squared residuals by more than one parameter takes up of noise alone (:attr:`Sandwich.gain`) nor
+    move a shared estimate by :data:`NEGLIGIBLE_MOVE` of its standard error.
+
+    The covariance is ``H^-1 M H^-1`` with ``H = J'J`` and ``M = sum_trials J_k' R J_k``. R is the correlation
+    of the weighted residuals under an autoregression whose order the BIC selects. If trials disagree, the
+    covariance is multiplied by their scatter. A parameter that noise alone may hold at its bound counts as
+    free in it.
     """
     threads = jobs or os.cpu_count() or 1
     task = _Task(model, tuple(trials), tuple(parameters or model.parameters), threads, loss, progress)
     result = _refined(task, begin, unfinished)
-    # what did not converge is no answer yet
-    return held_to_restarts(result, jobs=threads) if tested and result.converged else result
+    return check_by_restarts(result, jobs=threads) if tested and result.converged else result
 
 
-def held_to_restarts(result: FitResult, *, jobs: int) -> FitResult:
-    """The answer of a fit, or a better one that restarts around it lead to; warns of that.
+def check_by_restarts(result: FitResult, *, jobs: int) -> FitResult:
+    """Return a fit, or a better one that a restart near its answer leads to; warn of the latter.
 
-    With :attr:`FitResult.restarts` and :attr:`FitResult.settled`.
+    The result states :attr:`FitResult.restarts` and :attr:`FitResult.settled`.
     """
     first, count, settled = result, 0, True
     spent, taken, gain = result.evaluations, result.jacobians, 0.0
@@ -145,13 +140,14 @@ def held_to_restarts(result: FitResult, *, jobs: int) -> FitResult:
         return result
     try:
         while True:
-            if spent > (1.0 + SHARE) * first.evaluations and not restarts.kinked(result):
-                settled = gain <= ANOTHER
+            # restarts take no more simulations than the first search, unless the cost has kinks
+            if spent > 2 * first.evaluations and not restarts.kinked(result):
+                settled = gain <= NEEDED_GAIN
                 break
             with threadpool_limits(limits=1, user_api="blas"):
-                near = restarts.held(result, jobs=jobs, seed=count)
+                near = restarts.search_around(result, jobs=jobs, seed=count)
             spent, taken = spent + near.evaluations, taken + near.jacobians
-            if near.point is None or count == RESTARTS:
+            if near.point is None or count == MAX_RESTARTS:
                 settled = near.point is None
                 break
             task = _Task(result.model, result.trials, result.parameters, jobs, result.loss)
@@ -161,39 +157,41 @@ def held_to_restarts(result: FitResult, *, jobs: int) -> FitResult:
             if not gain > 0.0:
                 break
             result, count, settled = again, count + 1, again.converged
-            if not settled or (gain < TRIFLE and not near.rough):
+            if not settled or (gain < SMALL_GAIN and not near.rough):
                 break
     except KeyboardInterrupt:
         return replace(result, interrupted=True, converged=False, message="interrupted while it was tested")
-    result = replace(result, restarts=count, settled=settled)
-    if _objective(first) - _objective(result) > ANOTHER:
+    result = replace(result, restarts=count, settled=settled, evaluations=spent, jacobians=taken)
+    if _objective(first) - _objective(result) > NEEDED_GAIN:
+        plural = "s" if count > 1 else ""
+        doubt = "" if settled else ", and the last still did: the answer may not be the best one"
         warn(
             "SWM073",
-            f"the search had stopped short of the best fit: {count} restart{'s' if count > 1 else ''} near "
-            f"its answer lowered the mean squared residual by {100 * (1 - result.cost / first.cost):.3g} %"
-            + ("" if result.settled else ", and the last still did: the answer may not be the best one"),
+            f"the search had stopped short of the best fit: {count} restart{plural} near its answer lowered "
+            f"the mean squared residual by {100 * (1 - result.cost / first.cost):.3g} %{doubt}",
         )
-    return replace(result, evaluations=spent, jacobians=taken)
+    return result
 
 
 def _objective(result: FitResult) -> float:
-    """Twice the negative log-likelihood but for a constant, that of random effects included."""
-    chance = 0.0
+    """Return twice the negative log-likelihood without its constant, including random effects."""
+    effects = 0.0
     for p in result.parameters:
         if math.isfinite(p.spread):
             mine = [j for j, label in enumerate(result.labels) if result.parameter(label) is p]
-            chance += float(np.sum(((result.estimate[mine] - p.start) / p.spread) ** 2))
-    return result.samples * math.log(max(result.cost, 1e-300)) + chance
+            effects += float(np.sum(((result.estimate[mine] - p.start) / p.spread) ** 2))
+    return result.samples * math.log(max(result.cost, 1e-300)) + effects
 
 
 def _refined(task: _Task, begin: Array | None, unfinished: bool, near: FitResult | None = None) -> FitResult:
-    """The fit, with the integration step halved until that changes nothing.
+    """Fit, and halve the integration step until that changes nothing.
 
-    With a fit ``near`` the weights begin as that one's.
+    The weights begin as those of the fit ``near``, if there is one.
     """
     spent = taken = 0
+    budget = UNFINISHED_ITERATIONS if unfinished else MAX_ITERATIONS
     for _ in range(MAX_REFINEMENTS):
-        result = _fit_once(task, begin, budget=BUDGET if unfinished else MAX_ITERATIONS, near=near)
+        result = _fit_once(task, begin, budget=budget, near=near)
         spent, taken = spent + result.evaluations, taken + result.jacobians
         result = replace(result, evaluations=spent, jacobians=taken)
         if not (result.converged or result.interrupted or unfinished):
@@ -220,47 +218,45 @@ def at(
     parameters: Sequence[Parameter] | None = None,
     jobs: int | None = None,
 ) -> FitResult:
-    """What :func:`fit` would say of a point if its search ended there.
+    """Return the result that :func:`fit` would give if its search ended at a point.
 
-    The covariance is that of the model made linear at the point; the misfit there counts as noise.
+    The covariance is that of the model made linear at the point. The residuals there count as noise.
 
     Parameters
     ----------
     point : ndarray, shape (p,)
-        One number per label of the result.
+        One value for each label of the result.
 
     Raises
     ------
     NoTrustworthyResult
-        When the model cannot be simulated there, or there are fewer samples than unknowns.
+        If the model cannot be simulated there, or there are fewer samples than unknowns.
     """
     task = _Task(model, tuple(trials), tuple(parameters or model.parameters), jobs or os.cpu_count() or 1)
-    result = _fit_once(task, point, search=False)
+    result = _fit_once(task, point)
     finer = model.refined()
-    return result if finer is None else replace(result, step_error=_step_error(result, finer))
+    if finer is None:
+        return result
+    return replace(result, step_error=_step_error(result, finer))
 
 
 def _step_error(result: FitResult, finer: Model) -> float:
+    """Return the largest change of a sample with half the integration step, in units of its noise."""
     worst = 0.0
     for trial in result.trials:
         fine = finer.simulate(result.values(trial.id), trial)
-        for s in result.series:
-            if s.trial == trial.id:
-                change = np.abs(fine[s.channel] - s.simulated) / s.sd
-                worst = max(worst, float(np.max(change[np.isfinite(change)], initial=0.0)))
+        for s in (s for s in result.series if s.trial == trial.id):
+            change = np.abs(fine[s.channel] - s.simulated) / s.sd
+            worst = max(worst, float(np.max(change[np.isfinite(change)], initial=0.0)))
     return worst
 
 
-# the matrices here are small: BLAS threads would only take the cores from the simulations
+# the matrices here are small: threads of BLAS would only take the processors from the simulations
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def _fit_once(
-    task: _Task,
-    begin: Array | None,
-    *,
-    search: bool = True,
-    budget: int = 0,
-    near: FitResult | None = None,
+    task: _Task, begin: Array | None, *, budget: int | None = None, near: FitResult | None = None
 ) -> FitResult:
+    """Fit with one integration step; without a budget of iterations, evaluate the fit at the start."""
     fitted = [t for t in task.trials if t.role == "fit"]
     if not fitted:
         raise NoTrustworthyResult("no trial has the role 'fit'")
@@ -272,70 +268,67 @@ def _fit_once(
             f"{samples} samples cannot determine {len(start)} unknowns",
             hint="give longer logs or more trials, or fix some parameters",
         )
-    try:
-        path = _Search(problem, start, task.loss, budget, near)
-        if search:
-            path.run(task.progress)
-        else:
-            path.stay()
-        if not np.isfinite(path.theta).all():
-            raise NoTrustworthyResult(
-                f"the fit did not converge: {path.message}", hint="check units and trial settings"
-            )
-        _insist_unbroken(problem, path.theta)
-        if path.stalled:
-            warn(
-                "SWM026",
-                f"the search converged slowly along a flat valley and was ended after {path.iterations} "
-                f"iterations: ten of them together lowered the squared residuals by less than {LITTLE:.0e} "
-                "of their sum",
-            )
-        path.estimate_noise()
-        result = _result(path, task)
-        why = None if path.interrupted or not search else _unfinished(path, result)
-        return result if why is None else replace(result, converged=False, message=why)
-    finally:
-        problem.close()
+    search = _Search(problem, start, task.loss, near)
+    if budget is None:
+        search.stay()
+    else:
+        search.run(budget, task.progress)
+    if not np.isfinite(search.theta).all():
+        raise NoTrustworthyResult(
+            f"the fit did not converge: {search.message}", hint="check units and trial settings"
+        )
+    _insist_unbroken(problem, search.theta)
+    if search.message == STALLED:
+        warn(
+            "SWM026",
+            f"the search converged slowly along a flat valley and was ended after {search.iterations} "
+            f"iterations: {STRIDE} of them together lowered the squared residuals by less than "
+            f"{MIN_DECREASE:.0e} of their sum",
+        )
+    search.estimate_noise()
+    result = _result(search, task)
+    if search.interrupted or budget is None:
+        return result
+    reason = _unfinished(search, result)
+    return result if reason is None else replace(result, converged=False, message=reason)
 
 
-@dataclass
 class _Search:
-    """The search for the minimum, reweighted by the noise until the weights settle."""
+    """A search for the minimum, repeated with the weights of the estimated noise until these settle."""
 
-    problem: Problem
-    theta: Array
-    loss: Loss
-    budget: int
-    near: FitResult | None = None
-    converged: bool = False
-    interrupted: bool = False
-    stalled: bool = False
-    message: str = ""
-    iterations: int = 0
-    lowered: float = math.inf
-    moved: Array | None = None
-
-    def __post_init__(self) -> None:
+    def __init__(self, problem: Problem, theta: Array, loss: Loss, near: FitResult | None) -> None:
+        self.problem = problem
+        self.theta = theta
+        self.loss = loss
+        self.near = near
         self.noise: dict[str, tuple[float, float]] = {}
+        self.patience = Patience()
+        self.converged = self.interrupted = False
+        self.message = ""
+        self.iterations = 0
+        # with one channel of constant error all weights stay equal, and one search is enough
+        self.equal = (
+            loss == "linear"
+            and not problem.random.any()
+            and len({c for names in problem.channels for c in names}) == 1
+            and not any(t.stamps_uncertain or np.any(t.time_sd_s) or t.value_sd for t in problem.trials)
+        )
 
-    def run(self, progress: Progress) -> None:
-        """Search until done or interrupted once there is a point to keep."""
-        even = self._even()
-        rounds = 1 if even else ROUNDS
-        known = self.near is not None and not even
-        if known:
-            assert self.near is not None
-            restarts.weigh(self.problem, self.near)
+    def run(self, budget: int, progress: Progress) -> None:
+        """Search until the weights settle, or the user interrupts once there is a point to keep."""
+        rounds = 1 if self.equal else MAX_NOISE_ITERATIONS
+        known = self.near is not None and not self.equal
+        if self.near is not None and known:
+            restarts.set_weights(self.problem, self.near)
         else:
-            noise_model.weigh_first(self.problem, even)
+            noise_model.weigh_first(self.problem, self.equal)
         try:
             with progress("fitting", total=rounds) as step:
-                for round_ in range(rounds):
-                    again = round_ > 0 or known
-                    settled = round_ == rounds - 1 or (again and self._reweigh() < SETTLED)
-                    self._solve(settled, lambda text: show(step, text))
+                for k in range(rounds):
+                    last = k == rounds - 1 or ((k > 0 or known) and self._reweigh() < WEIGHT_RTOL)
+                    self._solve(last, budget, lambda text: show(step, text))
                     step()
-                    if settled:
+                    if last:
                         break
         except KeyboardInterrupt:
             if not self.message:
@@ -344,91 +337,88 @@ class _Search:
             self.message = f"interrupted after {self.iterations} iterations"
 
     def stay(self) -> None:
-        """Take the point as the end, and settle the weights there."""
-        even = self._even()
-        noise_model.weigh_first(self.problem, even)
-        for _ in range(0 if even else ROUNDS):
-            if self._reweigh() < SETTLED:
+        """Take the start as the answer, and let the weights settle there."""
+        noise_model.weigh_first(self.problem, self.equal)
+        for _ in range(MAX_NOISE_ITERATIONS):
+            if self.equal or self._reweigh() < WEIGHT_RTOL:
                 break
         self.converged, self.message = True, "no search: the point was given"
 
-    def _even(self) -> bool:
-        """Whether all samples weigh the same and go on doing so: one round is then enough."""
-        fitted = self.problem.trials
-        return (
-            self.loss == "linear"
-            and not self.problem.random.any()
-            and len({c for names in self.problem.channels for c in names}) == 1
-            and not any(t.stamps_uncertain or np.any(t.time_sd_s) or t.value_sd for t in fitted)
-        )
-
     def _reweigh(self) -> float:
-        """Estimate the noise anew; the largest relative change of a weight."""
+        """Estimate the noise at the present point; return the largest relative change of a weight."""
         _insist_unbroken(self.problem, self.theta)
         before = noise_model.weights(self.problem)
         self.estimate_noise()
         return noise_model.largest_change(self.problem, before)
 
     def estimate_noise(self) -> None:
-        """The size of the noise at the present point, and the weights that follow."""
+        """Estimate the noise at the present point, and set the weights that follow from it."""
         self.noise = noise_model.estimate(self.problem, self.theta, self.noise, robust=self.loss == "huber")
 
-    def _unnoticed(self) -> Unnoticed:
-        """What the last steps of a search may still do without being noticed."""
+    def _noise_limits(self) -> Patience:
+        """Return the rule that ends a search once noise hides its steps."""
         problem, theta = self.problem, self.theta
         _insist_unbroken(problem, theta)
         _, residuals, rows = _influences(problem, theta)
         found = sandwich(problem, rows, residuals, noise_model.autoregressions(problem, residuals))
         errors = np.sqrt(np.maximum(np.diag(found.covariance), 0.0)) * problem.scale
         shared = np.array([owner is None for _, owner in problem.slots])
-        # numbers of single trials (start states) are no answer: they may go on converging slowly
+        # unknowns of single trials (start states) are no result, so that they need not stand still
         known = shared & (errors <= UNIDENTIFIABLE * np.maximum(np.abs(theta), problem.scale))
-        return Unnoticed(found.gain, np.where(known, SLIGHT * errors, math.inf))
+        return Patience(found.gain, np.where(known, NEGLIGIBLE_MOVE * errors, math.inf))
 
-    def _solve(self, last: bool, tell: Callable[[str], None]) -> None:
+    def _solve(self, last: bool, budget: int, tell: Callable[[str], None]) -> None:
+        """Search with the present weights."""
         done = self.iterations
+        patience = Patience()
+        if last and (done or self.near is not None):
+            patience = self._noise_limits()
+        self.patience = patience
 
-        def watch(x: Array, cost: float, iteration: int) -> None:
+        def watch(x: Array, cost: float, iteration: int) -> str | None:
             self.theta, self.iterations, self.message = x, done + iteration, "searching"
             tell(f"iteration {self.iterations}, cost {cost:.5g}")
+            return patience(x, cost, iteration)
 
         solution = self.problem.solve(
             self.theta,
-            tolerance=FINE if last else COARSE,
-            unnoticed=self._unnoticed() if last and (done or self.near is not None) else None,
-            max_iterations=max(self.budget - done, 1),
+            tolerance=FINE_RTOL if last else COARSE_RTOL,
+            max_iterations=max(budget - done, 1),
             watch=watch,
         )
         self.theta, self.iterations = solution.x, done + solution.iterations
-        self.converged, self.message, self.stalled = solution.success, solution.message, solution.stalled
-        self.lowered, self.moved = solution.lowered, solution.moved
+        self.converged, self.message = solution.success, solution.message
 
 
 def _unfinished(search: _Search, result: FitResult) -> str | None:
-    """Why the end of a search is no minimum, in words; None where it is one as far as noise tells."""
+    """Return the reason why the end of a search is no minimum; None if it is one to within noise."""
     moving = {}
-    if search.moved is not None and not (search.converged and not search.stalled):
-        for label, move in zip(result.labels, search.moved, strict=True):
+    lowered, moved = search.patience.last(STRIDE)
+    if not search.converged or search.message == STALLED:
+        for label, move in zip(result.labels, moved, strict=False):
             error = result.stderr(label)
             if "[" not in label and result.status[label] == "estimated" and error:
                 moving[label] = abs(float(move)) / error
     worst = max(moving, key=lambda label: moving[label], default=None)
-    still = worst is not None and moving[worst] > STRIDE * SLIGHT
+    still = worst is not None and moving[worst] > STRIDE * NEGLIGIBLE_MOVE
     if search.converged and not still:
         return None
     if search.message == KINKED:
         said = f"kinks: after {search.iterations} iterations no step lowers the cost as its slope promises"
-    elif search.lowered <= LITTLE * result.samples:
+    elif lowered <= MIN_DECREASE * result.samples:
         said = f"a flat valley: after {search.iterations} iterations steps hardly lower the cost"
     else:
         said = f"after {search.iterations} iterations steps still lower the cost"
     if still and worst is not None and math.isfinite(moving[worst]):
         said += f", and the last {STRIDE} moved {worst} by {moving[worst]:.2g} standard errors"
-    bound = [label for label in result.labels if "[" not in label and result.status[label] == "at-bound"]
-    return said + (f"; {', '.join(bound)} at a bound" if bound else "")
+    bound = [label for label in result.shared if result.status[label] == "at-bound"]
+    if bound:
+        said += f"; {', '.join(bound)} at a bound"
+    return said
 
 
 def _insist_unbroken(problem: Problem, theta: Array) -> None:
+    """Raise an error if a trial cannot be simulated at a point."""
     broken = problem.broken(theta)
     if broken:
         raise NoTrustworthyResult(
@@ -440,7 +430,7 @@ def _insist_unbroken(problem: Problem, theta: Array) -> None:
 def _influences(
     problem: Problem, theta: Array, *, central: bool = False
 ) -> tuple[list[Array], list[Array], list[Array]]:
-    """Each trial's weighted residuals, what they become for the covariance, and so the scaled derivatives."""
+    """Return each trial's weighted residuals, and residuals and scaled derivatives for the covariance."""
     raw = [problem.trial_residuals(theta, k) for k in range(len(problem.trials))]
     residuals, factors = noise_model.influence(problem, raw)
     jacobians = problem.trial_jacobians(theta, central=central)
@@ -448,37 +438,36 @@ def _influences(
 
 
 def _result(search: _Search, task: _Task) -> FitResult:
+    """Return estimates, covariance and status at the end of a search."""
     problem, theta = search.problem, search.theta
     samples = sum(int(mask.sum()) for masks in problem.masks for mask in masks)
     raw, residuals, rows = _influences(problem, theta, central=samples * len(theta) <= 50_000)
     autoregressions = noise_model.autoregressions(problem, residuals)
-    priors = problem.priors(theta)
+    priors = problem.random_residuals(theta)
     rows = [np.vstack((a, b * problem.scale)) for a, (_, b) in zip(rows, priors, strict=True)]
     residuals = [np.concatenate((a, b)) for a, (b, _) in zip(residuals, priors, strict=True)]
     margin = 1e-6 * np.maximum(problem.scale, np.abs(theta))
     outward = np.where(theta - problem.lower < margin, -1.0, 0.0)
     outward[problem.upper - theta < margin] = 1.0
-    free, found = _by_noise(problem, rows, residuals, autoregressions, outward)
+    free, found = _free_in_noise(problem, rows, residuals, autoregressions, outward)
     covariance = np.full((len(theta), len(theta)), np.nan)
     root = np.full((int(free.sum()), len(theta)), np.nan)
     null = np.zeros(len(theta), dtype=bool)
+    scatter, scatter_p = 1.0, 1.0
     if found is not None:
         scale = problem.scale[free]
-        # Student's t for few samples: the standard error is that whose 1.96-fold covers 95 %
+        # Student's t for few samples: 1.96 of these standard errors cover 95 %
         few = float(special.stdtrit(max(samples - int(free.sum()), 1), 0.975) / special.ndtri(0.975))
         covariance[np.ix_(free, free)] = few**2 * found.covariance * np.outer(scale, scale)
         root[:, free] = found.root / few / scale
         null[free] = found.null
-    status = {}
-    for j, label in enumerate(problem.labels):
-        variance = covariance[j, j]
-        limit = UNIDENTIFIABLE * max(abs(theta[j]), problem.scale[j])
-        known = not null[j] and math.isfinite(variance) and math.sqrt(max(variance, 0.0)) <= limit
-        if outward[j] and (known or not free[j]):
-            status[label] = "at-bound"
-        else:
-            status[label] = "estimated" if known else "unidentifiable"
-    held = np.array([status[label] == "at-bound" for label in problem.labels], dtype=bool)
+        scatter, scatter_p = found.scatter, found.scatter_p
+    # the comparison is false for an unknown variance
+    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    known = ~null & (errors <= UNIDENTIFIABLE * np.maximum(np.abs(theta), problem.scale))
+    held = (outward != 0) & (known | ~free)
+    status = dict(zip(problem.labels, np.where(known, "estimated", "unidentifiable").tolist(), strict=True))
+    status.update({label: "at-bound" for label, h in zip(problem.labels, held, strict=True) if h})
     covariance[held] = covariance[:, held] = np.nan
     result = FitResult(
         model=problem.model,
@@ -493,8 +482,8 @@ def _result(search: _Search, task: _Task) -> FitResult:
             c: Noise(noise_model.value_sd(problem, c, v), t, autoregressions[c])
             for c, (v, t) in search.noise.items()
         },
-        scatter=1.0 if found is None else found.scatter,
-        scatter_p=1.0 if found is None else found.scatter_p,
+        scatter=scatter,
+        scatter_p=scatter_p,
         samples=samples,
         converged=search.converged,
         message=search.message,
@@ -508,18 +497,18 @@ def _result(search: _Search, task: _Task) -> FitResult:
     return replace(result, series=_series(problem, result))
 
 
-def _by_noise(
+def _free_in_noise(
     problem: Problem,
     rows: list[Array],
     residuals: list[Array],
     autoregressions: dict[str, Array],
     outward: Array,
 ) -> tuple[NDArray[np.bool_], Sandwich | None]:
-    """The parameters to take as free, and their covariance.
+    """Return the unknowns that count as free, and their covariance.
 
-    Those whose minimum without bounds lies well beyond the bound they are at are held by it.
-    The others at a bound may be there by noise alone: leaving them out would make what they
-    are confounded with look well known.
+    A bound holds an unknown if the minimum without bounds is more than two standard errors beyond it. The
+    others at a bound may be there by noise alone. Leaving them out would make the unknowns that they are
+    confounded with look well known.
     """
     free = np.ones(len(outward), dtype=bool)
     while free.any():
@@ -527,7 +516,6 @@ def _by_noise(
         sd = np.sqrt(np.maximum(np.diag(found.covariance), 1e-300))
         beyond = np.where(np.isfinite(sd) & (outward[free] != 0), outward[free] * found.step / sd, 0.0)
         worst = int(np.argmax(beyond))
-        # within two standard errors a bound may hold it by noise alone
         if beyond[worst] <= 2.0:
             return free, found
         free[np.flatnonzero(free)[worst]] = False
@@ -535,11 +523,11 @@ def _by_noise(
 
 
 def _cost(problem: Problem, residuals: list[Array]) -> float:
-    """See :attr:`FitResult.cost`; ``residuals`` as weighted by the final noise model."""
+    """Return :attr:`FitResult.cost` of residuals with the weights of the final noise model."""
     total, count = 0.0, 0
     for k, values in enumerate(residuals):
         sds, dampings = problem.at_samples(k, problem.sd[k]), problem.at_samples(k, problem.damping[k])
-        # under Huber's loss a far residual costs 2 c |r| - c^2; linear losses have no damping
+        # Huber's loss of a far residual is 2 c |r| - c^2; the linear loss has no damping
         squares = np.where(dampings < 1, 2 * values**2 - noise_model.CORNER**2, values**2)
         total += float(np.sum(2 * np.log(sds) + squares))
         count += len(values)
@@ -547,16 +535,19 @@ def _cost(problem: Problem, residuals: list[Array]) -> float:
 
 
 def _series(problem: Problem, result: FitResult) -> list[Series]:
-    places = {t.id: k for k, t in enumerate(problem.trials)}
-    known = problem.simulations(result.estimate)
+    """Return measured and simulated series of every trial and channel."""
     series = []
+    fitted = dict(zip((t.id for t in problem.trials), problem.simulations(result.estimate), strict=True))
+    sds = {
+        (trial.id, channel): sd
+        for trial, channels, of_trial in zip(problem.trials, problem.channels, problem.sd, strict=True)
+        for channel, sd in zip(channels, of_trial, strict=True)
+    }
     for trial in result.trials:
-        k = places.get(trial.id)
-        simulated = problem.model.simulate(result.values(trial.id), trial) if k is None else known[k]
+        simulated = fitted.get(trial.id) or problem.model.simulate(result.values(trial.id), trial)
         for channel in (c.name for c in problem.model.channels if c.name in trial.measured):
-            if k is not None and channel in problem.channels[k]:
-                sd = problem.sd[k][problem.channels[k].index(channel)]
-            else:
+            sd = sds.get((trial.id, channel))
+            if sd is None:
                 size = result.noise[channel].value_sd if channel in result.noise else np.nan
                 sd = np.full(len(trial.time_s), size)
             measured = trial.measured[channel]
@@ -577,37 +568,38 @@ def estimate_start(
     *,
     tolerance: float = START_TOLERANCE,
 ) -> dict[str, float]:
-    """Estimate per-trial parameters of one trial by label, ``name[trial]``, with the shared ones held.
+    """Estimate the per-trial parameters of one trial, with the shared ones held.
 
-    A held-out trial has its own start pose, speed and clock. They are no part of what it tests.
+    A held-out trial has its own start pose, speed and clock, which are no part of the test.
 
     Parameters
     ----------
     parameters : tuple of Parameter
-        Shared ones with their values as ``start``; of the others those that are free are estimated.
+        Shared ones are held at ``start``. Free per-trial ones are estimated.
     sd : mapping of channel name to float
-        Noise of each channel, for the weights; channels that are not in it are not used.
+        Noise of each channel, for the weights. Other channels are not used.
+
+    Returns
+    -------
+    dict of str to float
+        Estimates by label, ``name[trial]``.
     """
     held = [replace(p, free=p.free and p.per_trial) for p in parameters]
     used = {c: v for c, v in trial.measured.items() if c in sd}
     problem = Problem(model, held, [replace(trial, role="fit", measured=used)])
-    try:
-        if not problem.labels:
-            return {}
-        for i, channel in enumerate(problem.channels[0]):
-            problem.sd[0][i] = np.full(len(trial.time_s), sd[channel])
-        begin = problem.start
-        if problem.broken(begin):
-            # known from other coefficients, with which it did not diverge
-            begin = np.clip([held[i].start for i, _ in problem.slots], problem.lower, problem.upper)
-        solution = problem.solve(begin, tolerance=tolerance)
-        return {label: float(v) for label, v in zip(problem.labels, solution.x, strict=True)}
-    finally:
-        problem.close()
+    if not problem.labels:
+        return {}
+    problem.sd[0] = [np.full(len(trial.time_s), sd[channel]) for channel in problem.channels[0]]
+    begin = problem.start
+    if problem.broken(begin):
+        # the start was estimated with other coefficients, with which the simulation did not diverge
+        begin = np.clip([held[i].start for i, _ in problem.slots], problem.lower, problem.upper)
+    solution = problem.solve(begin, tolerance=tolerance, watch=Patience())
+    return {label: float(v) for label, v in zip(problem.labels, solution.x, strict=True)}
 
 
 def with_held_out(result: FitResult) -> FitResult:
-    """The result with each validation trial simulated from its own start state."""
+    """Return the result with each validation trial simulated from its own start state."""
     waiting = [t for t in result.trials if t.role == "validate"]
     if not any(p.free and p.per_trial for p in result.parameters):
         return result
@@ -618,7 +610,6 @@ def with_held_out(result: FitResult) -> FitResult:
     result = replace(result, start_states=found)
     simulated = {t.id: result.model.simulate(result.values(t.id), t) for t in waiting}
     series = [
-        replace(s, simulated=simulated[s.trial][s.channel]) if s.trial in simulated else s
-        for s in result.series
+        replace(s, simulated=simulated.get(s.trial, {}).get(s.channel, s.simulated)) for s in result.series
     ]
     return replace(result, series=series)

@@ -1,4 +1,4 @@
-"""Work on many items shared among threads or processes."""
+"""Computation of many items in threads or processes."""
 
 from __future__ import annotations
 
@@ -12,18 +12,17 @@ from typing import Any, TypeVar
 Item = TypeVar("Item")
 Made = TypeVar("Made")
 
-#: What the processes of a pool compute: they inherit it, nothing of it is sent.
+#: Function and items of a pool of processes, which inherit them.
 _work: tuple[Callable[[Any], Any], list[Any]] | None = None
 
 
-def mapped(function: Callable[[Item], Made], items: Iterable[Item], jobs: int) -> Iterator[Made]:
+def map_in_processes(function: Callable[[Item], Made], items: Iterable[Item], jobs: int) -> Iterator[Made]:
     """Yield the results of a function in the order of its items, each as soon as it is there.
 
-    Much of a simulation is Python, which threads do not run side by side.
-
-    On Linux the items are shared among forked processes, which begin with all that is in memory here; only
-    results are sent, and what else the function changes is lost. Elsewhere, where forking is not safe, they
-    are shared among threads.
+    On Linux the items are shared among forked processes, because most of a simulation is Python, which
+    threads do not run at the same time. The processes begin with everything in memory. Only results are sent
+    back, and other changes that the function makes are lost. Elsewhere forking is not safe, and threads are
+    used.
     """
     global _work
     items = list(items)
@@ -31,8 +30,8 @@ def mapped(function: Callable[[Item], Made], items: Iterable[Item], jobs: int) -
         yield from map(function, items)
         return
     if sys.platform != "linux":
-        with ThreadPoolExecutor(jobs) as threads:
-            yield from threads.map(function, items)
+        with map_in_threads(function, items, jobs) as results:
+            yield from results
         return
     _work = function, items
     try:
@@ -50,28 +49,30 @@ def _one(index: int) -> Any:
 
 
 @contextmanager
-def in_threads(work: Callable[[Item], Made], items: Iterable[Item], jobs: int) -> Iterator[Iterator[Made]]:
-    """Results of work on items, in the items' order.
+def map_in_threads(
+    work: Callable[[Item], Made], items: Iterable[Item], jobs: int
+) -> Iterator[Iterator[Made]]:
+    """Compute a function of many items in threads.
 
     Parameters
     ----------
     work : callable
-        Called with one item, in any thread. The first failure, an interrupt too, is that of every item
-        which has not begun by then.
+        Called with one item, in any thread. After the first failure, also an interrupt, it is called with no
+        further item.
     items : iterable
-        What to work on.
     jobs : int
-        Threads; at least one.
+        Number of threads, at least one.
 
     Yields
     ------
     iterator
-        Waits for each result. What has not begun when the block is left is cancelled.
+        Results in the order of the items; waits for each. Items that have not begun when the block ends are
+        cancelled.
     """
     failures: list[BaseException] = []
 
     def one(item: Item) -> Made:
-        # Whoever waits for the results may hear of a failure late, and the queue would go on till then.
+        # the caller may notice a failure late, and the queue would go on until then
         if failures:
             raise failures[0]
         try:

@@ -1,7 +1,8 @@
-"""Is the answer of a search a minimum? Points around it, and short searches from some, must not lie lower.
+"""Tests whether the answer of a search is a minimum, and profile-likelihood intervals.
 
-A search stops where its own model of the cost promises nothing more. Where the cost has corners, as with
-dry friction, or a bound keeps a parameter from leaving, that is no minimum.
+Points around the answer, and short searches from some of them, must not reach a lower cost. A search stops
+where its own model of the cost promises no decrease. That is no minimum if the cost has kinks, as with dry
+friction, or if a bound keeps a parameter from leaving.
 """
 
 from __future__ import annotations
@@ -14,65 +15,64 @@ from scipy import optimize, special
 from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Parameter
 from swimid.fitting.noise import huber_damping
-from swimid.fitting.problem import IMMATERIAL, Problem, minimise
+from swimid.fitting.problem import Patience, Problem, minimise
 
-#: Pairs of points tried around the answer, and their distance in standard errors under white noise.
-PAIRS, PAIR_DISTANCE = 3, 2.0
-#: A cost of a pair of points that is off by more than this share of what curvature predicts (or of a standard
-#: error's worth) has corners.
-ROUGH = 0.5
-#: Distances, in the same standard errors, from which short searches start, and those where it has corners.
-FAR, FAR_ROUGH = (10.0,), (3.0, 10.0, 30.0, 100.0, 3.0, 10.0, 30.0, 100.0)
-#: Iterations of such a search, and of the two that came lowest where the cost has corners.
-SHORT, LONG = 3, 10
-#: Sizes a parameter with corners is tried at: in its scale, where the search may have gone far astray, and in
-#: its estimate, since a decay that sticks has a minimum for every number of half swings it may take.
-SIZES, FACTORS = (0.25, 1.0, 3.0), (0.6, 0.8, 0.9, 1.1, 1.25, 1.6)
-#: How far inside a parameter at its bound is tried, in its scale.
+#: Number of pairs of points around the answer, and their distance in standard errors under white noise.
+N_PAIRS, PAIR_DISTANCE = 3, 2.0
+#: Deviation of the cost of a pair from the prediction by curvature, as a share of it, that shows kinks.
+KINK_SHARE = 0.5
+#: Distances, in the same standard errors, from which short searches start: for a smooth cost, and with kinks.
+SMOOTH_DISTANCES = (10.0,)
+KINK_DISTANCES = (3.0, 10.0, 30.0, 100.0, 3.0, 10.0, 30.0, 100.0)
+#: Number of iterations of a short search, and of the two best ones where the cost has kinks.
+SHORT_ITERATIONS, LONG_ITERATIONS = 3, 10
+#: Values at which a parameter with kinks is tried: multiples of its scale, because the search may have gone
+#: far astray, and of its estimate. A decay that sticks has a minimum for every number of half swings.
+SCALES, FACTORS = (0.25, 1.0, 3.0), (0.6, 0.8, 0.9, 1.1, 1.25, 1.6)
+#: Distance from its bound, in its scale, at which a parameter at a bound is tried.
 INSIDE = 1.0
-#: Relative size beyond which a step along a direction the data hardly see does not go.
-LARGEST = 0.5
+#: Largest relative step along a direction that the data hardly determine.
+MAX_STEP = 0.5
+#: Decrease of the squared residuals, in variances, that moves an estimate by a thirtieth of its error.
+IMMATERIAL = 1e-3
 
 
 @dataclass(frozen=True)
-class Tested:
-    """What points around an answer came to."""
+class Surroundings:
+    """Result of a test of an answer."""
 
-    #: With a lower cost than the answer, shape (p,); None where none was found.
+    #: Point with a lower cost than the answer, shape (p,); None if there is none.
     point: Array | None
-    #: Simulations of single trials it took, and derivatives.
+    #: Number of simulations of single trials, and of derivatives.
     evaluations: int
     jacobians: int
-    #: The cost has corners: a parameter says so, or it is not as its curvature says.
+    #: The cost has kinks: a parameter says so, or the cost differs from the prediction by its curvature.
     rough: bool
 
 
-def held(result: FitResult, *, jobs: int = 1, seed: int = 0) -> Tested:
-    """Hold the answer of a fit against points near it.
+def search_around(result: FitResult, *, jobs: int = 1, seed: int = 0) -> Surroundings:
+    """Search for a lower cost around the answer of a fit.
 
-    Where the cost is smooth, the derivatives at the answer serve all starts: a step that leads at least
-    half the way back to it, as the data measure ways, ends a start. Only what leads elsewhere is searched
-    with derivatives of its own.
+    If the cost is smooth, the derivatives at the answer serve all starts. A start is done with if a step
+    leads at least half of the way back to the answer, measured in residuals. Other starts are searched with
+    derivatives of their own.
     """
     if not len(result.labels):
-        return Tested(None, 0, 0, False)
+        return Surroundings(None, 0, 0, False)
     problem = weighted(result, jobs=jobs)
-    try:
-        point, rough = _better(problem, result, np.random.default_rng(seed))
-        return Tested(point, problem.evaluations, problem.jacobians, rough)
-    finally:
-        problem.close()
+    point, rough = _better(problem, result, np.random.default_rng(seed))
+    return Surroundings(point, problem.evaluations, problem.jacobians, rough)
 
 
 def weighted(result: FitResult, parameters: tuple[Parameter, ...] | None = None, *, jobs: int = 1) -> Problem:
-    """The fit's problem with its final weights, also for other choices of parameters."""
+    """Return the problem of a fit with its final weights, also for other choices of parameters."""
     fitted = [t for t in result.trials if t.role == "fit"]
     problem = Problem(result.model, parameters or result.parameters, fitted, jobs=jobs)
-    weigh(problem, result)
+    set_weights(problem, result)
     return problem
 
 
-def weigh(problem: Problem, result: FitResult) -> None:
+def set_weights(problem: Problem, result: FitResult) -> None:
     """Give a problem the final weights of a fit of its trials."""
     known = {(s.trial, s.channel): s for s in result.series}
     for k, trial in enumerate(problem.trials):
@@ -83,60 +83,63 @@ def weigh(problem: Problem, result: FitResult) -> None:
 
 
 def _better(problem: Problem, result: FitResult, rng: np.random.Generator) -> tuple[Array | None, bool]:
-    """A point with a lower cost, if there is one, and whether the cost has corners."""
+    """Return a point with a lower cost, if there is one, and whether the cost has kinks."""
     theta = np.asarray(result.estimate, dtype=float)
     here = _cost(problem, theta)
     rows = problem.jacobian(theta)
     variance = here / max(result.samples - len(theta), 1)
     steps = _standard_steps(problem, theta, rows, variance)
     material = max(IMMATERIAL * here / max(result.samples, 1), 1e-9 * here)
-    tried: list[tuple[float, Array]] = []
+    ends: list[tuple[float, Array]] = []
     rough = kinked(result)
-    for _ in range(PAIRS):
+    for _ in range(N_PAIRS):
         step = PAIR_DISTANCE * steps @ _unit(rng, len(theta))
         pair = [np.clip(theta + sign * step, problem.lower, problem.upper) for sign in (1.0, -1.0)]
         costs = [_cost(problem, point) for point in pair]
-        tried += list(zip(costs, pair, strict=True))
+        ends += list(zip(costs, pair, strict=True))
         inside = (np.allclose(point, theta + sign * step) for point, sign in zip(pair, (1, -1), strict=True))
         if all(inside) and not rough:
             predicted = float(np.sum((rows @ step) ** 2))
             off = 0.5 * sum(costs) - here - predicted
-            rough = abs(off) > ROUGH * max(predicted, variance) and not _smooth(
+            rough = abs(off) > KINK_SHARE * max(predicted, variance) and not _smooth(
                 problem, theta, rows, step, off
             )
+    distances = KINK_DISTANCES if rough else SMOOTH_DISTANCES
     starts = [
         np.clip(theta + far * steps @ _unit(rng, len(theta)), problem.lower, problem.upper)
-        for far in (FAR_ROUGH if rough else FAR)
+        for far in distances
     ]
     starts += _inside(problem, result, theta, rough)
     tolerance = 0.1 * material / max(here, 1e-300)
     if rough:
-        ends = _searched(problem, starts, SHORT, tolerance)
-        lowest = [point for _, point in sorted(ends, key=lambda end: end[0])[:2]]
-        ends += _searched(problem, lowest, LONG, tolerance)
+        found = _searched(problem, starts, SHORT_ITERATIONS, tolerance)
+        lowest = [point for _, point in sorted(found, key=lambda end: end[0])[:2]]
+        ends += found + _searched(problem, lowest, LONG_ITERATIONS, tolerance)
     else:
-        ends = []
         for start in starts:
-            end = _stepped(problem, start, rows)
-            ends.append(end)
-            if end[0] >= here - material and not _back(rows, theta, start, end[1]):
-                ends += _searched(problem, [end[1]], SHORT, tolerance)
-    tried += ends
-    cost, point = min(tried, key=lambda pair: pair[0])
-    return (point if cost < here - material else None), rough
+            step_only = minimise(problem.residuals, lambda _: rows, start, problem.box, max_iterations=1)
+            cost = step_only.cost if np.isfinite(step_only.cost) else np.inf
+            ends.append((cost, step_only.x))
+            before, after = (float(np.linalg.norm(rows @ (p - theta))) for p in (start, step_only.x))
+            if cost >= here - material and after > 0.5 * before:
+                ends += _searched(problem, [step_only.x], SHORT_ITERATIONS, tolerance)
+    cost, point = min(ends, key=lambda pair: pair[0])
+    if cost >= here - material:
+        return None, rough
+    return point, rough
 
 
 def _smooth(problem: Problem, theta: Array, rows: Array, step: Array, off: float) -> bool:
-    """Whether what the cost is off by vanishes as in a bent valley, with the fourth power of the step.
+    """Whether the deviation from the predicted cost vanishes with the fourth power of the step.
 
-    That of corners goes as the step, and that of stairs as its square.
+    It does so in a bent valley. With kinks it falls as the step, and with stairs as the square of the step.
     """
     here = _cost(problem, theta)
     for _ in range(2):
         step = step / 4.0
         predicted = float(np.sum((rows @ step) ** 2))
         nearer = 0.5 * (_cost(problem, theta + step) + _cost(problem, theta - step)) - here - predicted
-        # 1/256 is left of a bend at a quarter of the distance, 1/16 of stairs
+        # at a quarter of the distance 1/256 is left of a bend, and 1/16 of stairs
         if abs(nearer) < 1.0 / 32.0 * abs(off):
             return True
         off = nearer
@@ -144,34 +147,15 @@ def _smooth(problem: Problem, theta: Array, rows: Array, step: Array, off: float
 
 
 def kinked(result: FitResult) -> bool:
-    """Whether an estimated parameter puts corners into the cost."""
+    """Whether an estimated parameter puts kinks into the cost."""
     return any(p.kinked and p.free for p in result.parameters)
 
 
-def _stepped(problem: Problem, start: Array, rows: Array) -> tuple[float, Array]:
-    """One Gauss-Newton step with derivatives as they are at the answer, in bounds; its cost and end."""
-    end = minimise(
-        problem.residuals,
-        lambda _: rows,
-        start,
-        lower=problem.lower,
-        upper=problem.upper,
-        scale=problem.scale,
-        max_iterations=1,
-    )
-    return end.cost if np.isfinite(end.cost) else np.inf, end.x
-
-
-def _back(rows: Array, theta: Array, start: Array, end: Array) -> bool:
-    """Whether an end is on the way back to the answer, ways measured by what they change in the residuals."""
-    before, after = (float(np.linalg.norm(rows @ (point - theta))) for point in (start, end))
-    return after <= 0.5 * before
-
-
 def _searched(
-    problem: Problem, starts: list[Array], most: int, tolerance: float
+    problem: Problem, starts: list[Array], iterations: int, tolerance: float
 ) -> list[tuple[float, Array]]:
-    found = [problem.solve(start, tolerance=tolerance, max_iterations=most) for start in starts]
+    """Return costs and ends of short searches."""
+    found = [problem.solve(start, tolerance=tolerance, max_iterations=iterations) for start in starts]
     return [(solution.cost, solution.x) for solution in found if np.isfinite(solution.cost)]
 
 
@@ -181,25 +165,26 @@ def _cost(problem: Problem, theta: Array) -> float:
 
 
 def _unit(rng: np.random.Generator, size: int) -> Array:
+    """Return a random direction."""
     direction = rng.normal(size=size)
     return np.asarray(direction / np.linalg.norm(direction))
 
 
 def _standard_steps(problem: Problem, theta: Array, rows: Array, variance: float) -> Array:
-    """Columns that move by one standard error under white noise, independent of each other, shape (p, p)."""
+    """Return independent steps of one standard error under white noise, as columns, shape (p, p)."""
     rows = rows * problem.scale
     at_bound = (theta <= problem.lower) | (theta >= problem.upper)
     rows[:, at_bound] = 0.0
     values, vectors = np.linalg.eigh(rows.T @ rows)
     sizes = np.sqrt(variance / np.maximum(values, 1e-300))
-    largest = LARGEST * np.max(np.maximum(np.abs(theta), problem.scale) / problem.scale)
+    largest = MAX_STEP * np.max(np.maximum(np.abs(theta), problem.scale) / problem.scale)
     steps = vectors * np.minimum(sizes, largest)
     steps[at_bound] = 0.0
     return np.asarray(problem.scale[:, None] * steps)
 
 
 def _inside(problem: Problem, result: FitResult, theta: Array, rough: bool) -> list[Array]:
-    """The answer with parameters at their bounds moved inside, and those with corners to other sizes."""
+    """Return starts with a parameter moved away from its bound, or with kinks to another value."""
     kinked = {p.name for p in result.parameters if p.kinked}
     found = []
     margin = 1e-3 * problem.scale
@@ -207,12 +192,16 @@ def _inside(problem: Problem, result: FitResult, theta: Array, rough: bool) -> l
         name, per_trial = label.split("[")[0], "[" in label
         values: list[float] = []
         if name in kinked and not per_trial:
-            values = [size * problem.scale[j] for size in SIZES] + [f * theta[j] for f in FACTORS if theta[j]]
+            values = [size * problem.scale[j] for size in SCALES] + [
+                f * theta[j] for f in FACTORS if theta[j]
+            ]
         elif theta[j] - problem.lower[j] < margin[j]:
             values = [problem.lower[j] + INSIDE * problem.scale[j]]
         elif problem.upper[j] - theta[j] < margin[j]:
             values = [problem.upper[j] - INSIDE * problem.scale[j]]
-        for value in values if not per_trial or rough else []:
+        if per_trial and not rough:
+            continue
+        for value in values:
             point = theta.copy()
             point[j] = np.clip(value, problem.lower[j], problem.upper[j])
             found.append(point)
@@ -222,12 +211,12 @@ def _inside(problem: Problem, result: FitResult, theta: Array, rough: bool) -> l
 def profile_interval(
     result: FitResult, name: str, *, level: float = 0.95
 ) -> tuple[float | None, float | None]:
-    """Profile-likelihood interval of one shared parameter.
+    """Return the profile-likelihood interval of one shared parameter.
 
-    The parameter is held at values ever farther from its estimate, all others are refitted,
-    and the interval ends where the fit is worse by the chi-square quantile. Coloured residuals
-    and scattering trials widen it by the same factor as they widen the standard error. An
-    end is None where the interval runs into a bound or does not end within some ten standard errors.
+    The parameter is held at values further and further from its estimate, and all others are fitted again.
+    The interval ends where the fit is worse by the quantile of the chi-square distribution. Coloured
+    residuals and trials that disagree widen it by the factor by which they widen the standard error. An end
+    is None if the interval reaches a bound, or does not end within some ten standard errors.
     """
     stderr = result.stderr(name)
     if stderr is None:
@@ -242,12 +231,14 @@ def profile_interval(
     inflation = stderr**2 / white if white > 0 else 1.0
     limit = float(special.chdtri(1, 1.0 - level)) * variance * inflation
     centre, others = float(result.estimate[j]), np.delete(result.estimate, j)
+    parameter = result.parameter(name)
 
     def excess(value: float) -> float:
-        held = tuple(replace(p, start=value, free=False) if p.name == name else p for p in result.parameters)
-        return weighted(result, held).solve(others, tolerance=1e-8).cost - cost - limit
+        held = list(result.parameters)
+        held[held.index(parameter)] = replace(parameter, start=value, free=False)
+        problem = weighted(result, tuple(held))
+        return problem.solve(others, tolerance=1e-8, watch=Patience()).cost - cost - limit
 
-    parameter = result.parameter(name)
     ends: list[float | None] = []
     for side, bound in ((-1.0, parameter.lower), (1.0, parameter.upper)):
         near, end = centre, None

@@ -13,7 +13,7 @@ import numpy as np
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.fitting.drives import Beat, SwimInput
 from swimid.fitting.model import Array
-from swimid.fitting.parallel import in_threads
+from swimid.fitting.parallel import map_in_threads
 from swimid.logs.trials import StrokeDrive
 from swimid.optimisation.options import GaitOptions
 from swimid.simulation import catalogue, swim_quantities
@@ -232,7 +232,7 @@ class Performance:
         def one(part: slice) -> Array:
             return self.table(points[part], given[part])
 
-        with in_threads(one, parts, jobs) as results:
+        with map_in_threads(one, parts, jobs) as results:
             return np.concatenate(list(results))
 
     def with_errors(self, point: Point) -> Array:

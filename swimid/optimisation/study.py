@@ -10,7 +10,7 @@ from typing import Any, Literal
 from swimid.files import provenance, yamlio
 from swimid.files.provenance import Input
 from swimid.fitting.model import Array
-from swimid.fitting.parallel import in_threads
+from swimid.fitting.parallel import map_in_threads
 from swimid.notices import Notice
 from swimid.optimisation.options import GaitOptions
 from swimid.optimisation.performance import Performance
@@ -96,7 +96,7 @@ def in_parallel(
     done = []
     with (
         progress(label, total=len(numbers)) as step,
-        in_threads(work, numbers, jobs or os.cpu_count() or 1) as results,
+        map_in_threads(work, numbers, jobs or os.cpu_count() or 1) as results,
     ):
         for found in results:
             done.append(found)

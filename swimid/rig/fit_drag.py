@@ -213,7 +213,7 @@ def _from_starts(first: FitResult, progress: Progress) -> tuple[FitResult, list[
         begins=[first.estimate],
         progress=progress,
     )
-    if lack_of_fit.compute_evidence(first, best) > output_error.ANOTHER:
+    if lack_of_fit.compute_evidence(first, best) > output_error.NEEDED_GAIN:
         change = 100 * (1 - best.cost / first.cost)
         warn(
             "SWM073",

@@ -26,7 +26,7 @@ from scipy import special
 
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import between_trials, fit_common, output_error, restarts
-from swimid.fitting.between_trials import ODD, TIMES, Odd, odd_trial
+from swimid.fitting.between_trials import MIN_ERROR_RATIO, OUTLIER_P_VALUE, OutlierTrial, find_outlier_trial
 from swimid.fitting.covariance import HETEROGENEITY
 from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Parameter, Trial, chosen
@@ -271,7 +271,7 @@ def explain_trials(
     plain: FitResult,
     choices: tuple[Parameter, ...],
     pulling_kg: Mapping[str, float | None],
-    odd: Odd | None,
+    odd: OutlierTrial | None,
     *,
     insist: bool,
 ) -> Explained:
@@ -287,7 +287,7 @@ def explain_trials(
     choices : tuple of Parameter
         The user's.
     pulling_kg : mapping of trial to mass
-    odd : Odd or None
+    odd : OutlierTrial or None
         The trial that contradicts the others.
     insist : bool
         The user frees the friction of each trial, so that nothing else is tried.
@@ -327,13 +327,13 @@ def explain_trials(
     return Explained(best, {"start_state": reason}, checks=omission_checks(best, omitted_parameters(best)))
 
 
-def odd_one(plain: FitResult) -> Odd | None:
+def odd_one(plain: FitResult) -> OutlierTrial | None:
     """The trial that contradicts the others, where residuals give reason to look for one."""
     coloured = any(len(n.autoregression) for n in plain.noise.values())
-    return odd_trial(plain) if coloured or plain.scatter_p < HETEROGENEITY else None
+    return find_outlier_trial(plain) if coloured or plain.scatter_p < HETEROGENEITY else None
 
 
-def odd_check(result: FitResult, odd: Odd) -> ev.Check:
+def odd_check(result: FitResult, odd: OutlierTrial) -> ev.Check:
     """Return the check that one trial contradicts the others; warn of it."""
     units = {p.name: p.unit for p in result.parameters}
     without = "; ".join(
@@ -343,9 +343,9 @@ def odd_check(result: FitResult, odd: Odd) -> ev.Check:
     return fit_common.warned_check(
         "SWM071",
         "no trial contradicts the others",
-        f"{odd.trial}: {numbers.number(odd.times, 2)} times the others' error",
+        f"{odd.trial}: {numbers.number(odd.error_ratio, 2)} times the others' error",
         False,
-        f"below {TIMES:g} times, or p ≥ {ODD:g}",
+        f"below {MIN_ERROR_RATIO:g} times, or p ≥ {OUTLIER_P_VALUE:g}",
         f"without it: {without}. Check its entry in the trials file (pulling mass, force, unit), or leave it "
         "out of the fit with role: validate",
         f"{odd.trial} contradicts the other trials",
@@ -356,25 +356,25 @@ def odd_check(result: FitResult, odd: Odd) -> ev.Check:
 # ------------------------------------------------------------ friction by chance
 
 
-def _friction(plain: FitResult, odd: Odd | None) -> tuple[FitResult, between_trials.Spread]:
+def _friction(plain: FitResult, odd: OutlierTrial | None) -> tuple[FitResult, between_trials.Spread]:
     """The fit with a friction that differs by chance; raises where these trials do not tell it."""
     pulled = [t for t in plain.trials if t.role == "fit" and t.rig.pulley]
     reason = ""
-    if not any(p.name == FRICTION for p in plain.parameters) or len(pulled) < between_trials.FEWEST:
-        reason = f"it takes at least {between_trials.FEWEST} trials with a pulley"
+    if not any(p.name == FRICTION for p in plain.parameters) or len(pulled) < between_trials.MIN_TRIALS:
+        reason = f"it takes at least {between_trials.MIN_TRIALS} trials with a pulley"
     elif COMMON not in plain.labels:
         reason = f"{COMMON} is held"
     if reason:
         raise NoTrustworthyResult(f"{FRICTION} cannot be estimated: {reason}")
     # where the others agree the model is nearly linear; pulled off by an odd one it is not
     near = odd.others if odd is not None and COMMON in odd.others.labels else None
-    return between_trials.fit(plain, FRICTION, COMMON, near=near)
+    return between_trials.fit_random_effect(plain, FRICTION, COMMON, near=near)
 
 
 def _by_chance(
     plain: FitResult,
     pulling_kg: Mapping[str, float | None],
-    odd: Odd | None,
+    odd: OutlierTrial | None,
     chance: FitResult,
     spread: between_trials.Spread,
 ) -> Explained:
@@ -384,8 +384,10 @@ def _by_chance(
     checks = omission_checks(chance, omitted_parameters(chance))
     # an odd trial has a reason of its own: it neither makes a trend nor hides one
     others = chance if odd is None else odd.others
-    own = between_trials.own_numbers(others, FRICTION, COMMON)
-    trend = between_trials.trend(own, np.array([pulling_kg.get(name) or math.nan for name in own.trials]))
+    own = between_trials.estimate_own_values(others, FRICTION, COMMON)
+    trend = between_trials.estimate_trend(
+        own, np.array([pulling_kg.get(name) or math.nan for name in own.trials])
+    )
     refused = ""
     if trend.p_value < TREND:
         slope = numbers.measured(trend.slope, trend.stderr, "N/kg")

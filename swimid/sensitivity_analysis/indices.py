@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.model import Array
-from swimid.fitting.parallel import in_threads
+from swimid.fitting.parallel import map_in_threads
 from swimid.progress import Progress, silent
 
 #: Maximum share of the evaluations that may break down.
@@ -193,7 +193,7 @@ class Evaluations:
         work = [(labels[i : i + BATCH], points[i : i + BATCH]) for i in parts]
         with (
             self.progress("sensitivity", total=len(points)) as step,
-            in_threads(self._some, work, self.jobs) as results,
+            map_in_threads(self._some, work, self.jobs) as results,
         ):
             for outputs, point in zip(chain.from_iterable(results), points, strict=True):
                 self.done += 1

@@ -143,7 +143,7 @@ class Profiles:
         self.band = band
         self._shared = [j for j, (_, owner) in enumerate(self.problem.slots) if owner is None]
         self.labels = [self.problem.labels[j] for j in self._shared]
-        low, high = self.problem.box()
+        low, high = self.problem.search_range()
         self.lower, self.upper = low[self._shared], high[self._shared]
         self.start = self.problem.start[self._shared]
         of = [profiles[t.id] for t in self.problem.trials]
@@ -222,10 +222,6 @@ class Profiles:
         channels, scales = self._groups[k][kind]
         measured = self.problem.trials[k].measured
         return distance(measured, simulated[k], channels, scales, band=self.band)
-
-    def close(self) -> None:
-        """End the threads."""
-        self.problem.close()
 
 
 #: How a point of the front is chosen, and what the rule is called.
@@ -319,7 +315,6 @@ def fit(
     with suppress(NoTrustworthyResult):
         stages[UNTUNED] = output_error.with_held_out(at(profiles.start))
     stages[CHOSEN] = output_error.with_held_out(result)
-    profiles.close()
     return replace(found, stages=stages), result
 
 
