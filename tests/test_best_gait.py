@@ -1,4 +1,4 @@
-"""``swimid optimise gait``: the search against closed forms and scans, limits, intervals, resumption."""
+"""``swimid optimise gait``: searches against closed forms and scans, limits, intervals, resumption."""
 
 from __future__ import annotations
 
@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 import swimid as package
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.fitting.model import Array
-from swimid.optimisation import problem
 from swimid.optimisation.optimise_gait import BestGait
 from swimid.optimisation.performance import Performance
-from swimid.optimisation.problem import drawn
+from swimid.optimisation.problem import descend, drawn
 from swimid.simulation.catalogue import Applied
-from tests.conftest import Ran
+from tests.conftest import Ran, interrupting
 
 DOLPHIN = {"robot": "dolphin", "amplitude_deg": 27.0, "duration_s": 6.0}
 TABLE_3 = {
@@ -51,7 +50,7 @@ class TestDescent:
             away = x - middle
             return np.einsum("ni,ij,nj->n", away, matrix, away)[:, None]
 
-        found = problem.descend(bowl, np.full((1, 3), 0.5), steps=60)
+        found = descend(bowl, np.full((1, 3), 0.5), steps=60)
         assert found.points[0] == pytest.approx(middle, abs=0.01)
 
     def test_a_limit_that_cuts_across(self) -> None:
@@ -61,25 +60,23 @@ class TestDescent:
             gain = x[:, 0] + 2.0 * x[:, 1]
             return np.column_stack([-gain, 10.0 * (np.hypot(*(x - 0.5).T) / 0.3 - 1.0)])
 
-        found = problem.descend(parts, np.array([[0.5, 0.5], [0.1, 0.9]]), steps=60)
+        found = descend(parts, np.array([[0.5, 0.5], [0.1, 0.9]]), steps=60)
         expected = 0.5 + 0.3 * np.array([1.0, 2.0]) / math.sqrt(5.0)
         assert found.points == pytest.approx(np.tile(expected, (2, 1)), abs=5e-3)
 
-    def test_faces_and_holes(self) -> None:
-        """A minimum on a face; a region where nothing can be computed is walked round."""
+    def test_minimum_on_a_face_beside_a_region_without_values(self) -> None:
+        """The search goes round the region."""
 
         def parts(x: Array, _owner: NDArray[np.int64]) -> Array:
             value = (x[:, 0] + 0.2) ** 2 + (x[:, 1] - 0.7) ** 2
             return np.where(np.hypot(x[:, 0] - 0.5, x[:, 1]) < 0.2, np.nan, value)[:, None]
 
-        found = problem.descend(parts, np.array([[0.9, 0.1], [0.5, 0.1]]))
+        found = descend(parts, np.array([[0.9, 0.1], [0.5, 0.1]]))
         assert found.points[found.best] == pytest.approx([0.0, 0.7], abs=5e-3)
 
     def test_each_search_has_its_own_function(self) -> None:
         places = np.array([0.2, 0.5, 0.9])
-        found = problem.descend(
-            lambda x, owner: ((x[:, 0] - places[owner]) ** 2)[:, None], np.full((3, 1), 0.4)
-        )
+        found = descend(lambda x, owner: ((x[:, 0] - places[owner]) ** 2)[:, None], np.full((3, 1), 0.4))
         assert found.points[:, 0] == pytest.approx(places, abs=2e-3)
 
 
@@ -95,7 +92,7 @@ def test_the_best_gait_is_that_of_a_scan() -> None:
 
 
 @pytest.mark.slow
-def test_limits_are_kept_to_and_named() -> None:
+def test_limits_are_kept_and_the_active_one_is_named() -> None:
     given = {**DOLPHIN, "vary": {"frequency_hz": (2.0, 4.0), "K_s": (0.1, 2.0)}}
     found = package.optimise_gait(limits={"torque_N_m": 1.2, "battery_W": 20.0}, efficiency=0.4, **given).file
     assert found.optimum.quantities["peak_torque_N_m"] <= 1.2 * 1.0011
@@ -222,7 +219,7 @@ def test_draws_from_a_corner_of_the_bounds(tmp_path: Path) -> None:
         assert away[:, k].std() / 0.004 == pytest.approx(sd, rel=4.0 / math.sqrt(400))
 
 
-def test_draws_of_what_cannot_be(tmp_path: Path) -> None:
+def test_impossible_coefficients_cannot_be_drawn(tmp_path: Path) -> None:
     """An estimate far beyond its upper bound: draws at the bound would be those of another robot."""
     performance = Performance.of_options(
         package.optimise_gait.options.of(
@@ -255,33 +252,18 @@ def test_intervals_and_the_robust_gait(tmp_path: Path) -> None:
     assert len(found.drawn) == found.draws == 60
 
 
-def test_interrupted_and_taken_up_it_is_the_same_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_search_continues_to_the_same_file(tmp_path: Path) -> None:
     given = {
         "params": parameters(tmp_path, c_d2=1.0), "amplitude_deg": 27.0, "duration_s": 4.0, "starts": 2,
-        "frequency_hz": 3.0, "vary": {"K_s": (0.1, 2.0)}, "draws": 20, "generations": 3, "population": 8,
+        "frequency_hz": 3.0, "vary": {"K_s": (0.1, 2.0)}, "draws": 20,
     }  # fmt: skip
     whole, parted = tmp_path / "whole.yaml", tmp_path / "parted.yaml"
     package.optimise_gait(output=whole, **given)
-    many, calls = Performance.many, 0
-
-    def stopping(self: Performance, *args: object, **more: object) -> Array:
-        nonlocal calls
-        calls += 1
-        if calls == 8:
-            raise KeyboardInterrupt
-        return many(self, *args, **more)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(Performance, "many", stopping)
     with pytest.raises(KeyboardInterrupt):
-        package.optimise_gait(output=parted, **given)
-    before = calls
+        package.optimise_gait(output=parted, progress=interrupting(8), **given)
+    assert (tmp_path / "parted.yaml.partial").exists()
     package.optimise_gait(output=parted, **given)
-    taken_up = calls - before
     assert parted.read_bytes() == whole.read_bytes()
-    package.optimise_gait(output=tmp_path / "again.yaml", **given)
-    assert calls - before - taken_up == taken_up + 7
 
 
 def test_the_command(swimid: Callable[..., Ran], tmp_path: Path) -> None:
@@ -318,7 +300,7 @@ def test_the_command(swimid: Callable[..., Ran], tmp_path: Path) -> None:
         ({"robot": "boxfish"}, "multilink"),
     ],
 )
-def test_what_is_refused(changed: dict[str, object], says: str) -> None:
+def test_wrong_options_are_refused(changed: dict[str, object], says: str) -> None:
     given = {"vary": {"K_s": (0.1, 1.0)}, "frequency_hz": 3.0, **DOLPHIN, **changed}
     with pytest.raises((UsageError, InputError), match=says):
         package.optimise_gait(**{k: v for k, v in given.items() if v is not None})

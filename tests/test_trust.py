@@ -103,7 +103,7 @@ class TestRule:
         ("changed", "says"),
         [({"draws": 5}, "20 or more"), ({"coefficient": "c_d2"}, "no passive joint's law")],
     )
-    def test_what_is_refused(self, changed: dict[str, object], says: str) -> None:
+    def test_wrong_options_are_refused(self, changed: dict[str, object], says: str) -> None:
         with pytest.raises(UsageError, match=says):
             package.optimise_stiffness(robot="dolphin", **{**RULE, **changed})
 
