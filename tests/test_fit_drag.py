@@ -268,23 +268,23 @@ class TestLevenberg:
 class TestEncoder:
     def test_clicks_are_told_from_samples(self, clicks: dict[int, np.ndarray]) -> None:
         times = clicks[20]
-        assert rig_trials.understand(times, np.arange(len(times)) * STEP).kind == "clicks"
+        assert rig_trials.read_encoder(times, np.arange(len(times)) * STEP).kind == "clicks"
         t = np.arange(0, times[-1], 0.01)
         x = np.interp(t, times, np.arange(len(times)) * STEP)
-        sampled = rig_trials.understand(t, np.floor(x / STEP) * STEP)
+        sampled = rig_trials.read_encoder(t, np.floor(x / STEP) * STEP)
         assert sampled.kind == "sampled"
         assert sampled.resolution == pytest.approx(STEP, rel=1e-6)
-        assert rig_trials.understand(t, x).kind == "continuous"
+        assert rig_trials.read_encoder(t, x).kind == "continuous"
 
     def test_a_noisy_rounded_record_is_no_encoder(self, rng: np.random.Generator) -> None:
         t = np.arange(0, 5, 0.01)
         x = np.round(0.05 * t**2 + rng.normal(0, 2e-3, len(t)), 3)
-        assert rig_trials.understand(t, x).kind == "continuous"
+        assert rig_trials.read_encoder(t, x).kind == "continuous"
 
     def test_a_step_is_as_sure_as_the_samples_around_it_are_near(self) -> None:
         """A log written at clicks of another counter has long intervals where the body is slow."""
         t = np.cumsum(np.r_[0.0, np.geomspace(0.4, 0.02, 120)])
-        record = rig_trials.understand(t, np.floor(0.002 * t**2 / STEP) * STEP)
+        record = rig_trials.read_encoder(t, np.floor(0.002 * t**2 / STEP) * STEP)
         assert record.kind == "sampled"
         gaps = np.diff(t)[np.searchsorted(t, record.time_s) - 1]
         np.testing.assert_allclose(record.time_sd_s, gaps / np.sqrt(12.0), rtol=1e-12)
@@ -294,7 +294,7 @@ class TestEncoder:
         t = np.arange(0, 10, 0.001)
         x = 0.1 * t
         count = {"floor": np.floor, "nearest": np.round, "ceil": np.ceil}[rounding](x / STEP + 1e-9)
-        record = rig_trials.understand(t, count * STEP)
+        record = rig_trials.read_encoder(t, count * STEP)
         true = rig_trials.true_position(record, rounding)
         assert np.max(np.abs(true - 0.1 * record.time_s)) < 0.1 * 0.001
 
@@ -324,7 +324,7 @@ def _measure(clicks: dict[int, np.ndarray], kind: str, rng: np.random.Generator)
             else:
                 t = t + rng.uniform(0, 0.02)
                 x = np.floor(path(np.minimum(t, exact[-1])) / STEP) * STEP
-        record = rig_trials.understand(t, x, STEP)
+        record = rig_trials.read_encoder(t, x, STEP)
         use = slice(1, None) if record.kind == "clicks" else slice(None)
         trials.append(
             Trial(

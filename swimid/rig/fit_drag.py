@@ -3,8 +3,8 @@
 The two-point method of the paper uses speeds at two displacements (Eqs 13-19). At a fixed displacement the
 squared speed is linear in the pulling mass. The slopes at two displacements give ``a1`` (Eq 18), and hence
 drag coefficient and added mass. Slope and intercept give the pulley friction (Eq 17). The method assumes the
-same moving mass for all pulling weights. Its bias is its error on noise-free data simulated at its own answer;
-the stated error contains the bias. The output-error fit makes no such assumption.
+same moving mass for all pulling weights. Its bias is its error on noise-free data simulated at its own
+answer; the stated error contains the bias. The output-error fit makes no such assumption.
 """
 
 from __future__ import annotations
