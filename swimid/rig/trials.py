@@ -184,9 +184,9 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
 
 
 def _without_standstill(log: Log, time: Array, position: Array) -> tuple[Array, Array]:
-    """Cut off the end of a drop in which the body stands still, at the wall or with the weight on the floor."""
+    """Cut off the end of a drop in which the body stands still, because it has reached the wall."""
     span = float(position.max() - position.min())
-    noise = float(np.median(np.abs(np.diff(position, 2)))) if len(position) > 4 else 0.0
+    noise = float(np.median(np.abs(np.diff(position, 2))))
     arrived = position.max() - max(0.01 * span, 6.0 * noise)
     before = np.flatnonzero(position < arrived)
     if not len(before) or len(position) - before[-1] < 6:
