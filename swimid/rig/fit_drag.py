@@ -223,10 +223,10 @@ def _search_from_starts(first: FitResult, progress: Progress) -> tuple[FitResult
 
     White residuals leave nothing that a better minimum could explain.
     """
-    from swimid.fitting.global_search import agreeing, multistart
-
     if first.interrupted or not any(len(noise.autoregression) for noise in first.noise.values()):
         return first, []
+    from swimid.fitting.global_search import agreeing, multistart
+
     best, ends = multistart(
         first.model,
         first.trials,
