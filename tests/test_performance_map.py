@@ -79,7 +79,7 @@ def test_recorded_trials_beside_the_map(swimid: Swimid, samples: Path, tmp_path:
         "--over", "amplitude_deg=15:35:3", "-o", tmp_path / "map.yaml", "--json",
     )  # fmt: skip
     file = MapFile.read(tmp_path / "map.yaml")
-    # of the trials without bias that the map holds; the region is that of all fitted ones
+    # trials without bias are on the map; the region is that of all fitted trials
     assert {m.trial for m in file.measured} >= {"f10a20", "f14a25", "f14a20"}
     assert file.identified["frequency_hz"] == (1.0, 1.8)
     one = next(m for m in file.measured if m.trial == "f14a25")
