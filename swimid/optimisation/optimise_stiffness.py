@@ -588,7 +588,7 @@ def answer(file: RuleFile) -> str:
     text += f"{trend} frequency"
     if file.objective == "speed":
         ruled, fixed = _largest_speeds(file)
-        gain = numbers.number(100 * (ruled / fixed - 1), 3)
+        gain = f"{100 * (ruled / fixed - 1):+.3g}".replace("-", "−")
         text += (
             f"; highest speed {numbers.number(ruled, 3, 'm/s')} against {numbers.number(fixed, 3, 'm/s')} "
             f"with {numbers.number(file.reference, 3, file.unit)} ({gain} %)"

@@ -390,34 +390,21 @@ def _inertia(entry: RigTrial, robot: Robot, axis: str, rotation: bool, path: Pat
     return float(inertia)
 
 
-@dataclass(frozen=True)
-class _Swings:
-    """Half swings of a decay: parts of the record on alternate sides of the rest position.
+def _swings(values: Array, noise: float, log: Log, name: str) -> tuple[Array, Array]:
+    """Return the half swings of a record, which are its parts on alternate sides of the rest position.
 
-    Attributes
-    ----------
+    Returns
+    -------
     crossings : ndarray, shape (n - 1,)
         Index of the first sample of each half swing but the first.
     extremes : ndarray, shape (n,)
         Most distant value of each half swing.
-    noise : float
-        Standard deviation of the noise.
-    """
-
-    crossings: Array
-    extremes: Array
-    noise: float
-
-
-def _swings(values: Array, log: Log, name: str) -> _Swings:
-    """Return the half swings of a record without missing samples.
 
     Raises
     ------
     InputError
-        If the record has fewer than three.
+        If the record has fewer than three half swings.
     """
-    noise = third_difference_sd(values)
     found = None
     # most records end at rest; the middle of the range is the second choice
     for level in (float(np.median(values[len(values) * 3 // 4 :])), 0.5 * float(values.max() + values.min())):
@@ -425,7 +412,7 @@ def _swings(values: Array, log: Log, name: str) -> _Swings:
             crossings, extremes = _half_swings(values, level, noise)
             if len(extremes) < 3:
                 break
-            found = _Swings(crossings, extremes, noise)
+            found = crossings, extremes
             # the error of this mean over two swings is of second order in the decrement
             level = float(extremes[-3:] @ (0.25, 0.5, 0.25))
         if found is not None:
@@ -467,19 +454,20 @@ def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
     """
     there = np.isfinite(log[name])
     time, values = log.time_s[there], log[name][there]
-    swings = _swings(values, log, name)
-    heights = np.abs(np.diff(swings.extremes))
+    noise = third_difference_sd(values)
+    crossings, extremes = _swings(values, noise, log, name)
+    heights = np.abs(np.diff(extremes))
     largest = float(heights.max())
-    slack = max(EXTREME_RTOL * largest, 3.0 * math.sqrt(2.0) * swings.noise)
+    slack = max(EXTREME_RTOL * largest, 3.0 * math.sqrt(2.0) * noise)
     first = int(np.argmax(heights >= largest - slack))
     begin = 0
     if first:
-        begin = int(swings.crossings[first - 1])
-    period = _period(time, swings.crossings[first:])
+        begin = int(crossings[first - 1])
+    period = _period(time, crossings[first:])
     amplitude = 0.5 * float(heights[first])
-    end = int(swings.crossings[first])
-    part, extreme = values[begin:end], float(swings.extremes[first])
-    margin = max(EXTREME_RTOL * amplitude, 3.0 * swings.noise)
+    end = int(crossings[first])
+    part, extreme = values[begin:end], float(extremes[first])
+    margin = max(EXTREME_RTOL * amplitude, 3.0 * noise)
     near = np.flatnonzero(np.abs(part - extreme) <= margin)
     held = time[begin + near[-1]] - time[begin + near[0]] > HELD_PERIODS * period
     still = np.flatnonzero(np.abs(part - part[0]) > margin)
