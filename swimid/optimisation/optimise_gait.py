@@ -472,8 +472,10 @@ def _checks(file: GaitFile) -> list[ev.Check]:
     if file.inside is None:
         return [*checks, studies.unknown_check("uncertainty of the gait")]
     checks.append(studies.draws_check(file.inside))
-    shares = {"best gait": optimum.kept_in_draws, "robust gait": file.robust and file.robust.kept_in_draws}
-    known = {word: share for word, share in shares.items() if share is not None}
+    gaits = {"best gait": optimum}
+    if file.robust is not None:
+        gaits["robust gait"] = file.robust
+    known = {word: g.kept_in_draws for word, g in gaits.items() if g.kept_in_draws is not None}
     if known:
         value = ", ".join(f"{word} {numbers.percent(share, 2)}" for word, share in known.items())
         text = "take the robust gait, leave more room to the limits, or fit better"
@@ -557,7 +559,7 @@ def _front_figure(file: GaitFile) -> ev.Figure:
         ev.Trace(x=values[:, 0], y=values[:, 1], style="points", label="front", y_error=error),  # type: ignore[arg-type]
         ev.Trace(x=best[:1], y=best[1:], style="points", label="best gait"),
     ]
-    panels = [blocks.panel(*labels, traces)]
+    panels = [blocks.panel(labels[0], labels[1], traces)]
     for k, name in enumerate(file.vary):
         trace = ev.Trace(x=values[:, 0], y=table[:, k], style="points")
         panels.append(blocks.panel(labels[0], _axis_label(file, name), [trace]))

@@ -462,7 +462,7 @@ def _assess(performance: Performance, file: RuleFile, jobs: int) -> None:
         ruled = file.stiffness_for(**beat, outside="hold")
         gaits += [{**beat, file.coefficient: k} for k in (one.stiffness, ruled, file.reference)]
     table = performance.many(gaits, jobs=jobs).reshape(len(file.optima), 3, -1)
-    table = np.where(np.isfinite(table), table, None)
+    table = np.array(yamlio.plain(table, finite=True), dtype=object)
     columns = {name: table[:, :, k] for k, name in enumerate(performance.units)}
     turn = f"{performance.turn}_rate_range_rad_s"
     for k, one in enumerate(file.optima):

@@ -458,12 +458,11 @@ def two_point(
         for d, weight in zip(drops, masses, strict=True)
     ]
     bias = solve(speeds(perfect)[0] ** 2)[0] - answer
-    named = [
+    values, stderr, bias_of = (
         dict(zip(NAMES, v.tolist(), strict=True)) for v in (answer, np.hypot(np.sqrt(variance), bias), bias)
-    ]
-    return TwoPointResult(
-        *named, (float(points[0]), float(points[1])), masses, squared, squared_sd, slopes, intercepts
     )
+    at_points = (float(points[0]), float(points[1]))
+    return TwoPointResult(values, stderr, bias_of, at_points, masses, squared, squared_sd, slopes, intercepts)
 
 
 def solve_a1(ratio: float, points_m: tuple[float, float]) -> float:

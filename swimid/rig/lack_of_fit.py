@@ -351,8 +351,9 @@ def explain_trials(
 
 def find_odd(plain: FitResult) -> Odd | None:
     """Return the trial that contradicts the others; search only if the residuals give a reason."""
-    coloured = any(len(n.autoregression) for n in plain.noise.values())
-    return odd_trial(plain) if coloured or plain.scatter_p < HETEROGENEITY else None
+    if plain.scatter_p < HETEROGENEITY or any(len(n.autoregression) for n in plain.noise.values()):
+        return odd_trial(plain)
+    return None
 
 
 def odd_check(result: FitResult, odd: Odd) -> ev.Check:
@@ -465,9 +466,10 @@ def squared_error(result: FitResult) -> float:
 
 def _list_values(result: FitResult, name: str) -> str:
     """List the values of a parameter of each trial."""
-    own = [(label, value) for label, value in zip(result.labels, result.estimate, strict=True)]
     return ", ".join(
-        f"{label[len(name) + 1 : -1]} {value:+.3g}" for label, value in own if label.startswith(f"{name}[")
+        f"{label[len(name) + 1 : -1]} {value:+.3g}"
+        for label, value in zip(result.labels, result.estimate, strict=True)
+        if label.startswith(f"{name}[")
     )
 
 
@@ -497,7 +499,10 @@ def _sign_check(result: FitResult) -> ev.Check:
     # at the start values, because a fit to the wrong sign makes the body so heavy that no force moves it
     start = np.array([p.start for p in result.model.parameters])
     suspects = [t.id for t in fitted if mean_square(turned(t), start) < mean_square(t, start)]
-    trials = [turned(t) if t.id in suspects else t for t in result.trials]
+    trials = list(result.trials)
+    for k, trial in enumerate(trials):
+        if trial.id in suspects:
+            trials[k] = turned(trial)
     found = None
     if suspects:
         with suppress(NoTrustworthyResult), recorded():
@@ -559,7 +564,7 @@ def _count_still(trial: Trial) -> int:
             return 0
         first = float(np.median(x[:MIN_SAMPLES]))
         away = np.flatnonzero(np.abs(x - first) > MOVED_SD * third_difference_sd(x))
-        counts.append(int(there[away[0]]) if len(away) else 0)
+        counts.append(int(there[away[0]] if len(away) else 0))
     return min(counts, default=0) // 2
 
 

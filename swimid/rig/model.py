@@ -91,7 +91,9 @@ class RigScales(Scales):
     @property
     def brake(self) -> float:
         """Tenth of the force; hundredth in a free decay, where losses add up over many swings."""
-        return (0.01 if self.model.rig.swings else 0.1) * self.force
+        if self.model.rig.swings:
+            return 0.01 * self.force
+        return 0.1 * self.force
 
     @property
     def quadratic(self) -> float:
@@ -265,7 +267,9 @@ class RigModel(Model):
     def sensitivity_to_time(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Return the rate of each channel: the speed, and the difference quotient of the speed."""
         simulated = self.simulate(values, trial)
-        rate = np.gradient(simulated[self.speed], trial.time_s) if len(trial.time_s) > 1 else np.zeros(1)
+        rate = np.zeros(1)
+        if len(trial.time_s) > 1:
+            rate = np.gradient(simulated[self.speed], trial.time_s)
         return {self.coordinate: simulated[self.speed], self.speed: rate}
 
 
@@ -433,10 +437,10 @@ def breakaway(push, slope, dry, left):  # type: ignore[no-untyped-def]
     (0.25, 1.0)
     """
     if abs(push) > dry:
-        return 0.0, (1.0 if push > 0 else -1.0)
+        return 0.0, math.copysign(1.0, push)
     if slope == 0.0:
         return left, 0.0
-    side = 1.0 if slope > 0 else -1.0
+    side = math.copysign(1.0, slope)
     after = (side * dry - push) / slope
     return (after, side) if after < left else (left, 0.0)
 
@@ -515,7 +519,7 @@ def _with_friction(t, x, v, h, f0, f1, w0, dw, c, extra):  # type: ignore[no-unt
             done += after
             f, w = f0 + slope * done, w0 + dw * done
         else:
-            side = 1.0 if v > 0 else -1.0
+            side = math.copysign(1.0, v)
         left = h - done
         x1, v1 = _rk4(t + done, x, v, side, left, f, f1, w, dw, c, extra)
         if v1 * side >= 0.0:
