@@ -89,7 +89,7 @@ class TestRule:
         _, rule = made
         found = checks(rule)
         assert found["inside the range of the identification trials"] == "warn"
-        assert found["what the rule loses in nine of ten draws of the coefficients"] == "pass"
+        assert found["loss of the rule in nine of ten draws of the coefficients"] == "pass"
         assert rule.verdict == "caution"
         assert rule.file.draws == 20
         assert all(len(curve.drawn) == 20 for curve in rule.file.curves)

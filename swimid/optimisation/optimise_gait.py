@@ -289,7 +289,7 @@ def _choose_starts(problem: Problem, options: OptimiseGaitOptions) -> Array:
 def _file(problem: Problem, study: Study, optimum: Array, **found: Any) -> GaitFile:
     units = problem.performance.axes
     return GaitFile(
-        **study.said,
+        **study.head,
         vary={n: Varied(unit=units[n], low=low, high=high) for n, (low, high) in problem.vary.items()},
         goals={goal: (q, problem.performance.units[q]) for goal, q, _ in problem.goals},
         limits=dict(problem.limits),

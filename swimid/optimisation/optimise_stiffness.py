@@ -330,7 +330,7 @@ def optimise_stiffness(
         fronts = in_parallel(front, range(len(points)), options.jobs, "fronts", progress)
         optima = [_optimum(one, found.reshape(-1, 3)) for one, found in zip(problems, fronts, strict=True)]
         file = RuleFile(
-            **study.said,
+            **study.head,
             coefficient=coefficient,
             unit=performance.axes[coefficient],
             between=between,
@@ -552,7 +552,7 @@ def _checks(file: RuleFile) -> list[ev.Check]:
     name, text = "optima within the range searched", "a better stiffness may lie beyond the range"
     checks = [studies.count_check(name, inside, count, text)]
     text = "the optima do not follow a quadratic function there"
-    checks.append(_loss_check("what the rule loses against its own optima", np.nanmax(_loss(file)), text))
+    checks.append(_loss_check("loss of the rule against its own optima", np.nanmax(_loss(file)), text))
     if file.objective == "speed":
         ruled, fixed = _column(file, "rule_speed_m_s"), _column(file, "reference_speed_m_s")
         name = f"the rule is as fast as {numbers.number(file.reference, 3, file.unit)}"
@@ -568,7 +568,7 @@ def _checks(file: RuleFile) -> list[ev.Check]:
         return [*checks, studies.unknown_check("uncertainty of the rule")]
     worst = max(one.loss_90 or 0.0 for one in file.optima)
     text = "the fit does not determine the best stiffness: see its intervals"
-    name = "what the rule loses in nine of ten draws of the coefficients"
+    name = "loss of the rule in nine of ten draws of the coefficients"
     return [*checks, studies.draws_check(file.inside), _loss_check(name, worst, text)]
 
 

@@ -226,9 +226,9 @@ def performance_map(
         units = list(performance.units)
         speed = values[:, units.index("mean_speed_m_s")]
         change = values[:, units.index("speed_change_per_beat_m_s")]
-        study.said["identified"] |= region
+        study.head["identified"] |= region
         file = MapFile(
-            **study.said,
+            **study.head,
             axes=[Axis(name=n, unit=performance.axes[n], values=v) for n, v in axes.items()],
             quantities=quantities,
             broken=int((~np.isfinite(values)).all(axis=1).sum()),

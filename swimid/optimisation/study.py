@@ -63,13 +63,13 @@ class Study:
         Files that were read.
     origin : dict
         Provenance with the time and the command.
-    said : dict
+    head : dict
         First keys of the file. Its provenance has no time, so that the same study gives the same bytes.
     """
 
     inputs: list[Input]
     origin: dict[str, Any]
-    said: dict[str, Any]
+    head: dict[str, Any]
 
     @property
     def key(self) -> list[Any]:
@@ -93,7 +93,7 @@ def study_of(performance: Performance, options: GaitOptions, more: Sequence[Inpu
     drive: dict[str, Any] = {"stroke": performance.stroke, **performance.drive}
     if performance.stroke is None:
         drive = {"waveform": performance.waveform, **performance.drive, "ramp_s": performance.ramp_s}
-    said = {
+    head = {
         "verdict": "caution",
         "robot": performance.model.robot.name,
         "model": performance.model.name,
@@ -103,7 +103,7 @@ def study_of(performance: Performance, options: GaitOptions, more: Sequence[Inpu
         "identified": performance.identified,
         "provenance": {key: origin[key] for key in ("version", "inputs", "settings")},
     }
-    return Study(inputs, origin, said)
+    return Study(inputs, origin, head)
 
 
 def in_parallel(
