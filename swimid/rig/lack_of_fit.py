@@ -420,8 +420,8 @@ def _explain_friction(
         warn(
             "SWM070",
             f"the friction of each trial {refused} (p = {trend.p_value:.1g}). This is not a random variation "
-            "but a force that the model lacks, such as another law of drag or a bearing under load: let "
-            "'swimid diagnose' find it",
+            "but a force that the model lacks, such as another law of drag or a bearing under load. Find it "
+            "with: swimid diagnose TRIALS --params FILE",
         )
     elif spread.sd > others.value(COMMON_FRICTION):
         refused = "varies by more than its mean, so that it would push in some trials"
