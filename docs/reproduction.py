@@ -14,7 +14,7 @@ import re
 import textwrap
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -25,13 +25,14 @@ from scipy.optimize import minimize_scalar
 
 from swimid.fitting.drives import Beat, SwimInput
 from swimid.fitting.model import Trial
-from swimid.optimisation.optimise_stiffness import StiffnessRule, optimise_stiffness
+from swimid.optimisation.optimise_stiffness import RuleFile, StiffnessRule, optimise_stiffness
+from swimid.optimisation.performance import Performance
 from swimid.optimisation.performance_map import performance_map
-from swimid.optimisation.rule import RuleFile
 from swimid.results import blocks, drawing
 from swimid.results.evidence import Figure, Panel, Trace
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
+from swimid.simulation.swim_quantities import PER_BEAT, Steady
 from swimid.swimmer.planar.model import MultilinkModel
 
 SAMPLE_RATE_HZ = 100
@@ -419,17 +420,52 @@ RULE_HZ, RULE_DEG = (0.6, 2.0, 8), (15.0, 35.0, 5)
 PUBLISHED_GAIN = (0.32, 0.45)
 
 
+RULE = {"robot": "tfish", "over": {"frequency_hz": RULE_HZ, "amplitude_deg": RULE_DEG}}
+
+
 @cache
 def stiffness_rule() -> StiffnessRule:
     """The rule of Algorithm 1, as ``swimid optimise stiffness`` gives it."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return optimise_stiffness(robot="tfish", over={"frequency_hz": RULE_HZ, "amplitude_deg": RULE_DEG})
+        return optimise_stiffness(**RULE)
 
 
 def rule() -> RuleFile:
     """The rule itself."""
     return stiffness_rule().file
+
+
+def sweep(file: RuleFile, amplitude_deg: float) -> tuple[float, float, float]:
+    """Swim once through all frequencies of the rule without a stop.
+
+    Returns the way with the rule, the way with the best fixed pretension, and that pretension, m. Each step
+    lasts whole beats and begins with the motion with which the last one ended.
+    """
+    performance = Performance.of_options(optimise_stiffness.options.of(RULE))
+    model = performance.model
+    frequencies = [float(f) for f in np.linspace(*RULE_HZ)]
+    ruled = [file.stiffness_for(f, amplitude_deg, outside="hold") for f in frequencies]
+    fixed = sorted({*np.linspace(min(ruled), max(ruled), 9).tolist(), file.reference})
+    stiffness = np.vstack([ruled, np.tile(np.array(fixed)[:, None], len(ruled))])
+    states, ways = [performance.values.copy() for _ in stiffness], np.zeros(len(stiffness))
+    for number, frequency in enumerate(frequencies):
+        ramp_s = 0.0 if number else performance.ramp_s
+        point = {"frequency_hz": frequency, "amplitude_deg": amplitude_deg}
+        swim, _ = replace(performance, ramp_s=ramp_s).swim(point)
+        duration_s = math.ceil(performance.duration_s * frequency - 1e-9) / frequency
+        run = Steady.driven(model, f"sweep {number}", swim, frequency, duration_s)
+        for values, k in zip(states, stiffness[:, number], strict=True):
+            values[model.index(file.coefficient)] = k
+        columns = model.simulate_many([(values, run.trial) for values in states])
+        paths = np.array([[column[name][::PER_BEAT] for name in model.pose[:2]] for column in columns])
+        ways += np.hypot(*np.diff(paths, axis=2).transpose(1, 0, 2)).sum(axis=1)
+        for values, seen in zip(states, columns, strict=True):
+            for name, value in model.final_state(seen).items():
+                values[model.index(name)] = value
+        model.forget([run.trial])
+    best = int(np.argmax(ways[1:]))
+    return float(ways[0]), float(ways[1 + best]), fixed[best]
 
 
 def tfish_rule() -> str:
@@ -443,14 +479,14 @@ def tfish_rule() -> str:
         over = [
             100 * (float(o.rule_speed_m_s or 0.0) / float(o.reference_speed_m_s or 1.0) - 1) for o in optima
         ]
-        sweep = next(s for s in file.sweeps if s.amplitude_deg == curve.amplitude_deg)
+        with_rule, with_fixed, pretension = sweep(file, curve.amplitude_deg)
         gains.append(
             [
                 f"{curve.amplitude_deg:g}°",
                 *(f"{v:+.0f} %".replace("-", "−") for v in over[2:]),
-                f"{sweep.rule_m:.1f}",
-                f"{max(sweep.fixed_m):.1f}",
-                f"{1e3 * sweep.fixed[int(np.argmax(sweep.fixed_m))]:.0f} mm",
+                f"{with_rule:.1f}",
+                f"{with_fixed:.1f}",
+                f"{1e3 * pretension:.0f} mm",
             ]
         )
     ruled = max(float(o.rule_speed_m_s or 0.0) for o in file.optima)

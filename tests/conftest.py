@@ -7,6 +7,7 @@ import os
 import re
 import signal
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -90,3 +91,16 @@ def real_data() -> Path:
 def rng() -> np.random.Generator:
     """A seeded source of random numbers."""
     return np.random.default_rng(12345)
+
+
+def interrupting(steps: int) -> Callable[..., Any]:
+    """Return a progress display that raises KeyboardInterrupt, as Ctrl-C does, after a number of steps."""
+    count = 0
+
+    def step(amount: int = 1) -> None:
+        nonlocal count
+        count += amount
+        if count == steps:
+            raise KeyboardInterrupt
+
+    return lambda _description, total=None: nullcontext(step)

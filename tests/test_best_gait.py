@@ -1,4 +1,4 @@
-"""``swimid optimise gait``: the search against closed forms and scans, limits, intervals, resumption."""
+"""``swimid optimise gait``: searches against closed forms and scans, limits, intervals, resumption."""
 
 from __future__ import annotations
 
@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 import swimid as package
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.fitting.model import Array
-from swimid.optimisation import problem
 from swimid.optimisation.optimise_gait import BestGait
 from swimid.optimisation.performance import Performance
-from swimid.optimisation.problem import drawn
+from swimid.optimisation.problem import descend, drawn
 from swimid.simulation.catalogue import Applied
-from tests.conftest import Ran
+from tests.conftest import Ran, interrupting
 
 DOLPHIN = {"robot": "dolphin", "amplitude_deg": 27.0, "duration_s": 6.0}
 TABLE_3 = {
@@ -29,7 +28,7 @@ TABLE_3 = {
 
 
 def parameters(folder: Path, other: Mapping[str, float] | None = None, /, **stderr: float) -> Path:
-    """A parameter file of the dolphin with its published values, or others, and these standard errors."""
+    """Write a parameter file of the dolphin: published or other values, and standard errors."""
     rows = [
         f"  {name}: {{value: {value}, stderr: {stderr.get(name, 'null')}, unit: '1', status: estimated}}"
         for name, value in (TABLE_3 | dict(other or {})).items()
@@ -42,7 +41,7 @@ def parameters(folder: Path, other: Mapping[str, float] | None = None, /, **stde
 class TestDescent:
     @pytest.mark.parametrize("seed", range(5))
     def test_quadratic_bowls(self, seed: int) -> None:
-        """Turned and stretched by ten: within a hundredth of the range of the minimum."""
+        """The bowls are rotated, with curvatures from 1 to 10."""
         rng = np.random.default_rng(seed)
         turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
         matrix, middle = turn @ np.diag([1.0, 3.0, 10.0]) @ turn.T, rng.uniform(0.2, 0.8, 3)
@@ -51,39 +50,37 @@ class TestDescent:
             away = x - middle
             return np.einsum("ni,ij,nj->n", away, matrix, away)[:, None]
 
-        found = problem.descend(bowl, np.full((1, 3), 0.5), steps=60)
+        found = descend(bowl, np.full((1, 3), 0.5), steps=60)
         assert found.points[0] == pytest.approx(middle, abs=0.01)
 
     def test_a_limit_that_cuts_across(self) -> None:
-        """Of ``x + 2 y`` on the disc of radius 0.5 about 0.5: the point where the circle faces (1, 2)."""
+        """Maximise ``x + 2 y`` on a disc: the maximum is on the circle in the direction (1, 2)."""
 
         def parts(x: Array, _owner: NDArray[np.int64]) -> Array:
             gain = x[:, 0] + 2.0 * x[:, 1]
             return np.column_stack([-gain, 10.0 * (np.hypot(*(x - 0.5).T) / 0.3 - 1.0)])
 
-        found = problem.descend(parts, np.array([[0.5, 0.5], [0.1, 0.9]]), steps=60)
+        found = descend(parts, np.array([[0.5, 0.5], [0.1, 0.9]]), steps=60)
         expected = 0.5 + 0.3 * np.array([1.0, 2.0]) / math.sqrt(5.0)
         assert found.points == pytest.approx(np.tile(expected, (2, 1)), abs=5e-3)
 
-    def test_faces_and_holes(self) -> None:
-        """A minimum on a face; a region where nothing can be computed is walked round."""
+    def test_minimum_on_a_face_beside_a_region_without_values(self) -> None:
+        """The search goes round the region."""
 
         def parts(x: Array, _owner: NDArray[np.int64]) -> Array:
             value = (x[:, 0] + 0.2) ** 2 + (x[:, 1] - 0.7) ** 2
             return np.where(np.hypot(x[:, 0] - 0.5, x[:, 1]) < 0.2, np.nan, value)[:, None]
 
-        found = problem.descend(parts, np.array([[0.9, 0.1], [0.5, 0.1]]))
+        found = descend(parts, np.array([[0.9, 0.1], [0.5, 0.1]]))
         assert found.points[found.best] == pytest.approx([0.0, 0.7], abs=5e-3)
 
     def test_each_search_has_its_own_function(self) -> None:
         places = np.array([0.2, 0.5, 0.9])
-        found = problem.descend(
-            lambda x, owner: ((x[:, 0] - places[owner]) ** 2)[:, None], np.full((3, 1), 0.4)
-        )
+        found = descend(lambda x, owner: ((x[:, 0] - places[owner]) ** 2)[:, None], np.full((3, 1), 0.4))
         assert found.points[:, 0] == pytest.approx(places, abs=2e-3)
 
 
-def test_the_best_gait_is_that_of_a_scan() -> None:
+def test_the_best_gait_agrees_with_a_scan() -> None:
     """The answer is within a hundredth of the range of the scan's maximum, from several starts."""
     found = package.optimise_gait(vary={"K_s": (0.1, 2.0)}, frequency_hz=3.0, **DOLPHIN)
     scan = package.performance_map(over={"K_s": (0.1, 2.0, 77)}, frequency_hz=3.0, **DOLPHIN).frame
@@ -95,12 +92,12 @@ def test_the_best_gait_is_that_of_a_scan() -> None:
 
 
 @pytest.mark.slow
-def test_limits_are_kept_to_and_named() -> None:
+def test_limits_are_kept_and_the_active_one_is_named() -> None:
     given = {**DOLPHIN, "vary": {"frequency_hz": (2.0, 4.0), "K_s": (0.1, 2.0)}}
     found = package.optimise_gait(limits={"torque_N_m": 1.2, "battery_W": 20.0}, efficiency=0.4, **given).file
     assert found.optimum.quantities["peak_torque_N_m"] <= 1.2 * 1.0011
     assert found.optimum.held_by == ["torque_N_m"]
-    # a scan over what is allowed finds nothing faster
+    # a scan within the limits finds nothing faster
     scan = package.performance_map(
         over={"frequency_hz": (2.0, 4.0, 21), "K_s": (0.1, 1.0, 19)}, **DOLPHIN
     ).frame.query("peak_torque_N_m <= 1.2 and mean_positive_power_W <= 8.0")
@@ -118,7 +115,7 @@ def test_the_cheapest_gait_that_is_fast_enough() -> None:
 
 
 def test_the_tightest_turn_within_a_basin() -> None:
-    """Radius by bias and asymmetry; the basin leaves room for the path and the body."""
+    """The basin holds the path and the body."""
     given = {
         "robot": "tfish", "waveform": "a-cpg", "goal": ["radius"], "frequency_hz": 1.0, "amplitude_deg": 35.0,
         "vary": {"bias_deg": (0.0, 35.0), "asymmetry": (0.0, 0.6)}, "generations": 6, "starts": 3,
@@ -141,7 +138,7 @@ def test_two_goals_give_a_front() -> None:
 
 
 def test_draws_have_the_covariance(tmp_path: Path) -> None:
-    """Of two coefficients one of which is cut off at its bound; the rest stays as it is given."""
+    """One of two uncertain coefficients is truncated at its bound; the others do not vary."""
     path = parameters(tmp_path, c_d1=0.3, c_f0=0.039)
     text = path.read_text() + "correlation: {names: [c_d1, c_f0], matrix: [[1.0, 0.6], [0.6, 1.0]]}\n"
     path.write_text(text)
@@ -153,7 +150,7 @@ def test_draws_have_the_covariance(tmp_path: Path) -> None:
     draws = drawn(applied, 4000, 1)
     table = np.array(draws.vectors)
     drag, friction = (table[:, applied.model.index(n)] for n in ("c_d1", "c_f0"))
-    # friction has no values below zero, one standard error away: its normal distribution is cut there
+    # the bound of friction, zero, is one standard error away
     assert friction.min() >= 0.0
     share = 0.5 * math.erfc(1.0 / math.sqrt(2.0))
     assert 1.0 - draws.inside == pytest.approx(share, abs=4 * math.sqrt(share / 4000))
@@ -162,8 +159,8 @@ def test_draws_have_the_covariance(tmp_path: Path) -> None:
     assert np.ptp(table[:, applied.model.index("c_m0")]) == 0.0
 
 
-def test_draws_of_coefficients_hardly_known(tmp_path: Path) -> None:
-    """Standard errors far beyond the bounds, strongly correlated: hardly an independent draw is inside."""
+def test_draws_of_coefficients_with_large_errors(tmp_path: Path) -> None:
+    """The standard errors exceed the bounds and are correlated, so that few draws are inside."""
     path = parameters(tmp_path, c_d1=300.0, c_f0=30.0)
     path.write_text(
         path.read_text() + "correlation: {names: [c_d1, c_f0], matrix: [[1.0, 0.6], [0.6, 1.0]]}\n"
@@ -191,7 +188,7 @@ def test_draws_of_coefficients_hardly_known(tmp_path: Path) -> None:
 
 
 def test_draws_from_a_corner_of_the_bounds(tmp_path: Path) -> None:
-    """Two estimates at their lower bounds and one at its upper, all alike: hardly a draw is inside."""
+    """Two estimates are at their lower bounds and one at its upper, so that few draws are inside."""
     path = parameters(tmp_path, c_f0=0.004, c_f1=0.004, c_f2=0.004)
     performance = Performance.of_options(
         package.optimise_gait.options.of({"params": path, "vary": {"K_s": (0.1, 1.0)}})
@@ -222,8 +219,8 @@ def test_draws_from_a_corner_of_the_bounds(tmp_path: Path) -> None:
         assert away[:, k].std() / 0.004 == pytest.approx(sd, rel=4.0 / math.sqrt(400))
 
 
-def test_draws_of_what_cannot_be(tmp_path: Path) -> None:
-    """An estimate far beyond its upper bound: draws at the bound would be those of another robot."""
+def test_impossible_coefficients_cannot_be_drawn(tmp_path: Path) -> None:
+    """The estimate is far beyond its upper bound."""
     performance = Performance.of_options(
         package.optimise_gait.options.of(
             {"params": parameters(tmp_path, {"c_f0": 50.0}, c_f0=0.001), "vary": {"K_s": (0.1, 1.0)}}
@@ -236,7 +233,7 @@ def test_draws_of_what_cannot_be(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_intervals_and_the_robust_gait(tmp_path: Path) -> None:
-    """One uncertain coefficient: the interval runs from the best gait at one of its ends to the other's."""
+    """The ends of the interval are the best gaits at the ends of the only uncertain coefficient."""
     given = {"amplitude_deg": 27.0, "duration_s": 4.0, "frequency_hz": 3.0, "vary": {"K_s": (0.1, 2.0)}}
     path = parameters(tmp_path, c_d2=1.2)
     found = package.optimise_gait(params=path, draws=60, starts=2, generations=6, **given).file
@@ -246,7 +243,7 @@ def test_intervals_and_the_robust_gait(tmp_path: Path) -> None:
     ]
     low, high = found.optimum.at_ci95["K_s"]
     width = abs(ends[1] - ends[0])
-    # of 60 draws the ends of the interval scatter by a quarter of its half
+    # the ends of an interval of 60 draws vary by a quarter of its half width
     assert sorted((low, high)) == pytest.approx(sorted(ends), abs=0.25 * width)
     assert low < found.optimum.at["K_s"] < high
     assert found.robust is not None
@@ -255,36 +252,21 @@ def test_intervals_and_the_robust_gait(tmp_path: Path) -> None:
     assert len(found.drawn) == found.draws == 60
 
 
-def test_interrupted_and_taken_up_it_is_the_same_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_search_continues_to_the_same_file(tmp_path: Path) -> None:
     given = {
         "params": parameters(tmp_path, c_d2=1.0), "amplitude_deg": 27.0, "duration_s": 4.0, "starts": 2,
-        "frequency_hz": 3.0, "vary": {"K_s": (0.1, 2.0)}, "draws": 20, "generations": 3, "population": 8,
+        "frequency_hz": 3.0, "vary": {"K_s": (0.1, 2.0)}, "draws": 20,
     }  # fmt: skip
     whole, parted = tmp_path / "whole.yaml", tmp_path / "parted.yaml"
     package.optimise_gait(output=whole, **given)
-    many, calls = Performance.many, 0
-
-    def stopping(self: Performance, *args: object, **more: object) -> Array:
-        nonlocal calls
-        calls += 1
-        if calls == 8:
-            raise KeyboardInterrupt
-        return many(self, *args, **more)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(Performance, "many", stopping)
     with pytest.raises(KeyboardInterrupt):
-        package.optimise_gait(output=parted, **given)
-    before = calls
+        package.optimise_gait(output=parted, progress=interrupting(8), **given)
+    assert (tmp_path / "parted.yaml.partial").exists()
     package.optimise_gait(output=parted, **given)
-    taken_up = calls - before
     assert parted.read_bytes() == whole.read_bytes()
-    package.optimise_gait(output=tmp_path / "again.yaml", **given)
-    assert calls - before - taken_up == taken_up + 7
 
 
-def test_the_command(swimid: Callable[..., Ran], tmp_path: Path) -> None:
+def test_the_command_writes_a_gait_file(swimid: Callable[..., Ran], tmp_path: Path) -> None:
     out = tmp_path / "gait.yaml"
     ran = swimid(
         "optimise", "gait", "--params", parameters(tmp_path, c_d2=1.0), "--amplitude-deg", "27",
@@ -318,7 +300,7 @@ def test_the_command(swimid: Callable[..., Ran], tmp_path: Path) -> None:
         ({"robot": "boxfish"}, "multilink"),
     ],
 )
-def test_invalid_files_are_refused(changed: dict[str, object], says: str) -> None:
+def test_wrong_options_are_refused(changed: dict[str, object], says: str) -> None:
     given = {"vary": {"K_s": (0.1, 1.0)}, "frequency_hz": 3.0, **DOLPHIN, **changed}
     with pytest.raises((UsageError, InputError), match=says):
         package.optimise_gait(**{k: v for k, v in given.items() if v is not None})

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.interpolate import make_interp_spline
 from scipy.signal import lfilter
 
 from swimid.fitting import output_error
@@ -83,8 +84,8 @@ class TestModel:
         assert np.max(np.abs(x - run.y[0])) < 1e-8
         assert np.max(np.abs(v - run.y[1])) < 1e-7
 
-    def test_dry_friction_lets_an_oscillator_lose_equal_steps_and_stick(self) -> None:
-        """Analytic: each half swing loses 2 dry / stiffness, until the spring cannot pull loose."""
+    def test_an_oscillator_with_dry_friction_loses_equal_amplitudes_and_sticks(self) -> None:
+        """Each half swing loses 2 dry / stiffness, until the spring force is below the friction."""
         time = np.linspace(0, 30, 3001)
         coefficients = (1.0, 0.0, 0.0, 0.1, 4.0, 0.0, 0.0, 0.0)
         x, v = equation.integrate(time, 0.0, 0.01, np.array([0.0]), 0.52, 0.0, coefficients)
@@ -95,7 +96,7 @@ class TestModel:
         assert abs(x[-1]) <= 0.025
         assert v[-1] == 0.0
 
-    def test_closed_form_is_the_integral(self) -> None:
+    def test_the_closed_form_agrees_with_the_integration(self) -> None:
         time = np.linspace(0, 12, 200)
         x, v = equation.falling_weight_closed_form(time, 0.0, 1.921, AREA_FACTOR * 0.705, 0.165)
         coefficients = (1.921, AREA_FACTOR * 0.705, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -119,48 +120,48 @@ class TestModel:
             assert v[-1] == pytest.approx(speed, abs=6e-4)
             assert np.interp(1.15, x, np.linspace(0, 60, 60001)) == pytest.approx(duration, abs=0.06)
 
-    def test_a_weight_lighter_than_the_friction_moves_nothing(self) -> None:
+    def test_a_weight_below_the_friction_does_not_move_the_body(self) -> None:
         x, v = equation.falling_weight_closed_form(np.array([0.0, 5.0]), 0.0, 1.9, 2.4, -0.01)
         assert not x.any()
         assert not v.any()
 
 
 class TestEncoder:
-    def test_clicks_are_told_from_samples(self, clicks: dict[int, np.ndarray]) -> None:
+    def test_clicks_and_samples_are_distinguished(self, clicks: dict[int, np.ndarray]) -> None:
         times = clicks[20]
-        assert rig_trials.understand(times, np.arange(len(times)) * STEP).kind == "clicks"
+        assert rig_trials.read_encoder(times, np.arange(len(times)) * STEP).kind == "clicks"
         t = np.arange(0, times[-1], 0.01)
         x = np.interp(t, times, np.arange(len(times)) * STEP)
-        sampled = rig_trials.understand(t, np.floor(x / STEP) * STEP)
+        sampled = rig_trials.read_encoder(t, np.floor(x / STEP) * STEP)
         assert sampled.kind == "sampled"
         assert sampled.resolution == pytest.approx(STEP, rel=1e-6)
-        assert rig_trials.understand(t, x).kind == "continuous"
+        assert rig_trials.read_encoder(t, x).kind == "continuous"
 
     def test_a_noisy_rounded_record_is_no_encoder(self, rng: np.random.Generator) -> None:
         t = np.arange(0, 5, 0.01)
         x = np.round(0.05 * t**2 + rng.normal(0, 2e-3, len(t)), 3)
-        assert rig_trials.understand(t, x).kind == "continuous"
+        assert rig_trials.read_encoder(t, x).kind == "continuous"
 
-    def test_a_step_is_as_sure_as_the_samples_around_it_are_near(self) -> None:
-        """A log written at clicks of another counter has long intervals where the body is slow."""
+    def test_the_time_error_of_a_step_follows_the_sampling_interval(self) -> None:
+        """A log with irregular samples has long intervals at the start of a drop."""
         t = np.cumsum(np.r_[0.0, np.geomspace(0.4, 0.02, 120)])
-        record = rig_trials.understand(t, np.floor(0.002 * t**2 / STEP) * STEP)
+        record = rig_trials.read_encoder(t, np.floor(0.002 * t**2 / STEP) * STEP)
         assert record.kind == "sampled"
         gaps = np.diff(t)[np.searchsorted(t, record.time_s) - 1]
         np.testing.assert_allclose(record.time_sd_s, gaps / np.sqrt(12.0), rtol=1e-12)
 
     @pytest.mark.parametrize("rounding", rig_trials.ROUNDINGS)
-    def test_positions_behind_the_counts(self, rounding: str) -> None:
+    def test_true_positions_from_rounded_counts(self, rounding: str) -> None:
         t = np.arange(0, 10, 0.001)
         x = 0.1 * t
         count = {"floor": np.floor, "nearest": np.round, "ceil": np.ceil}[rounding](x / STEP + 1e-9)
-        record = rig_trials.understand(t, count * STEP)
+        record = rig_trials.read_encoder(t, count * STEP)
         true = rig_trials.true_position(record, rounding)
         assert np.max(np.abs(true - 0.1 * record.time_s)) < 0.1 * 0.001
 
 
 def _measure(clicks: dict[int, np.ndarray], kind: str, rng: np.random.Generator) -> list[Trial]:
-    """Seven drops as an encoder or a camera sees them, from the independent integrator's times."""
+    """Return seven drops as an encoder or a camera records them, from the independent integrator."""
     trials = []
     for w, exact in clicks.items():
         x = np.arange(len(exact)) * STEP
@@ -172,8 +173,6 @@ def _measure(clicks: dict[int, np.ndarray], kind: str, rng: np.random.Generator)
             t = np.sort(exact + np.r_[0, late[1:]])
         else:
             # a quintic through the exact clicks, mirrored at the start where the speed is zero
-            from scipy.interpolate import make_interp_spline
-
             path = make_interp_spline(np.r_[-exact[:0:-1], exact], np.r_[x[:0:-1], x], k=5)
             t = np.arange(0.02, exact[-1], 0.02)
             x = path(t)
@@ -184,7 +183,7 @@ def _measure(clicks: dict[int, np.ndarray], kind: str, rng: np.random.Generator)
             else:
                 t = t + rng.uniform(0, 0.02)
                 x = np.floor(path(np.minimum(t, exact[-1])) / STEP) * STEP
-        record = rig_trials.understand(t, x, STEP)
+        record = rig_trials.read_encoder(t, x, STEP)
         use = slice(1, None) if record.kind == "clicks" else slice(None)
         trials.append(
             Trial(
@@ -239,7 +238,7 @@ def test_profile_interval_matches_the_standard_error_of_a_nearly_linear_fit(
 def test_trials_that_disagree_enlarge_the_standard_errors(clicks: dict[int, np.ndarray]) -> None:
     trials = _measure(clicks, "white", np.random.default_rng(2))
     agreed = output_error.fit(_model(), trials)
-    # the third drop's weight was 5 % heavier than written down
+    # the weight of the third drop is 5 % above the stated one
     odd = [replace(t, rig=replace(t.rig, force=t.rig.pull / 1.05)) if t.id == "w20" else t for t in trials]
     scattered = output_error.fit(_model(), odd)
     assert agreed.scatter == 1.0
@@ -248,8 +247,7 @@ def test_trials_that_disagree_enlarge_the_standard_errors(clicks: dict[int, np.n
     assert scattered.stderr("added_mass") > 2 * agreed.stderr("added_mass")  # type: ignore[operator]
 
 
-def test_a_slow_drag_dominated_drop_cannot_tell_the_added_mass(rng: np.random.Generator) -> None:
-    """At terminal speed inertia no longer shows: added mass must come out as unidentifiable."""
+def test_added_mass_is_not_identifiable_at_terminal_speed(rng: np.random.Generator) -> None:
     t = np.arange(20.0, 30.0, 0.1)
     inertia, drag, force = 0.05, 400.0, 1.0
     x = force and np.sqrt(force / drag) * t + rng.normal(0, 1e-3, len(t))
@@ -262,7 +260,7 @@ def test_a_slow_drag_dominated_drop_cannot_tell_the_added_mass(rng: np.random.Ge
 
 
 class TestTwoPoint:
-    def test_within_its_own_error(self, clicks: dict[int, np.ndarray]) -> None:
+    def test_errors_are_within_the_stated_ones(self, clicks: dict[int, np.ndarray]) -> None:
         inside = 0
         for seed in range(40):
             rng = np.random.default_rng(seed)
@@ -279,16 +277,16 @@ class TestTwoPoint:
                 points_m=(0.293, 0.584),
             )
             inside += all(abs(found.values[n] - v) < 2 * found.stderr[n] for n, v in TRUTH.items())
-        # three correlated 2-sigma statements hold together in about nine of ten
+        # three correlated 2-sigma intervals all contain the truth in about nine of ten cases
         assert inside >= 32
 
-    def test_twice_the_displacement_has_a_closed_form(self) -> None:
+    def test_the_closed_form_for_twice_the_displacement(self) -> None:
         ratio = np.expm1(-2 * 1.3 * 0.3) / np.expm1(-2 * 1.3 * 0.6)
-        assert drag_module._a1(ratio, (0.3, 0.6)) == pytest.approx(1.3)
-        assert drag_module._a1(ratio, (0.3, 0.6 + 1e-7)) == pytest.approx(1.3, rel=1e-5)
+        assert drag_module.solve_a1(ratio, (0.3, 0.6)) == pytest.approx(1.3)
+        assert drag_module.solve_a1(ratio, (0.3, 0.6 + 1e-7)) == pytest.approx(1.3, rel=1e-5)
 
 
-def test_theory_estimates() -> None:
+def test_added_mass_of_a_prism() -> None:
     # DNV-RP-C205: a cube moving along an edge has the coefficient 0.68
     assert derived.prism_added_mass(0.1, 0.1, 0.1, 1000.0) == pytest.approx(0.68)
 
@@ -332,7 +330,7 @@ class TestCommand:
             assert abs(e["value"] - true) < 2 * e["stderr"]
 
     @pytest.mark.parametrize("rounding", ["floor", "round"])
-    def test_a_sampled_encoder_finds_its_own_rounding(
+    def test_the_rounding_of_a_sampled_encoder_is_found(
         self, swimid: Callable[..., Ran], tmp_path: Path, clicks: dict[int, np.ndarray], rounding: str
     ) -> None:
         lines = ["format: swimid-trials/1", "experiment: falling-weight", "robot: boxfish", "trials:"]
@@ -357,7 +355,7 @@ class TestCommand:
         # linear interpolation between clicks is good to a tenth of a step
         assert result["parameters"]["added_mass"]["value"] == pytest.approx(0.685, abs=0.005)
 
-    def test_a_late_release_is_noticed(
+    def test_a_late_release_is_estimated(
         self, swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator
     ) -> None:
         lines = ["format: swimid-trials/1", "experiment: falling-weight", "robot: boxfish", "trials:"]

@@ -96,7 +96,9 @@ class TestPublishedFigures:
 
 
 class TestCruise:
-    def test_samples(self, swimid: Callable[..., Ran], samples: Path, drag: Path, tmp_path: Path) -> None:
+    def test_the_sample_gives_the_published_values(
+        self, swimid: Callable[..., Ran], samples: Path, drag: Path, tmp_path: Path
+    ) -> None:
         out = tmp_path / "propulsion.yaml"
         ran = swimid("fit-propulsion", samples / "cruise" / "trials.yaml", "--drag", drag, "-o", out)
         assert ran.status == 0, ran.err
@@ -105,8 +107,8 @@ class TestCruise:
         assert efficiency.value == pytest.approx(cruise.EFFICIENCY, abs=0.02)
         assert offset.value == pytest.approx(5.4, abs=0.4)
         assert abs(offset.value - cruise.OFFSET_DEG) < 3 * offset.stderr  # type: ignore[operator]
-        # The drag file's errors carry over. eta ~ C_d / R_v^3, and by the paper's 1.05 % for 3.5 %
-        # d ln R_v / d ln b1 = 0.30: C_d nearly cancels, the mass enters with 0.9.
+        # The errors of the drag file contribute: eta ~ C_d / R_v^3 and d ln R_v / d ln b1 = 0.30 (the paper's
+        # 1.05 % for 3.5 %), so that C_d nearly cancels and the mass has the exponent 0.9.
         from_drag = np.hypot(0.1 * 0.0165 / 0.705, 0.9 * 0.0185 / 1.881)
         assert efficiency.stderr == pytest.approx(0.341 * from_drag, rel=0.3)
         assert file.derived["velocity_ratio"].value == pytest.approx(0.688, abs=5e-4)
@@ -114,7 +116,7 @@ class TestCruise:
         point = next(
             p for p in extra["operating_points"] if (p["fin"], p["frequency_hz"]) == ("3825Rect", 4.0)
         )
-        # the stop watch's 0.05 s on 11.9 s are 0.8 % of the force
+        # the error of the stop watch, 0.05 s of 11.9 s, is 0.8 % of the force
         assert 1e3 * point["propulsive_force_N"] == pytest.approx(48.4, rel=0.03)
         assert [d["frequency_hz"] for d in extra["departures"]] == [4.0]
         assert "SWM030" in ran.err
@@ -156,10 +158,10 @@ class TestCruise:
         # 40 draws at 95 % give at least 33 with 99 % probability
         assert np.all(hits >= 33), hits
 
-    def test_a_law_that_does_not_hold_is_said(
+    def test_an_exponent_other_than_that_of_the_law_is_reported(
         self, swimid: Callable[..., Ran], drag: Path, tmp_path: Path, rng: np.random.Generator
     ) -> None:
-        """Speeds growing with the 0.8th power of frequency: the exponent of power is 2.4, not 3."""
+        """Speeds grow with frequency to the power 0.8, so that the exponent of the power is 2.4, not 3."""
         rows = []
         for fin, f, a in cruise.settings():
             t = cruise.swim_time(cruise.fin_inertia(*cruise.FINS[fin]), 2.5, a) * (f / 2.5) ** -0.8
@@ -188,7 +190,7 @@ class TestCruise:
             ),
         ],
     )
-    def test_bad_tables(
+    def test_errors_of_a_table_name_their_place(
         self, swimid: Callable[..., Ran], drag: Path, tmp_path: Path, table: str, words: list[str]
     ) -> None:
         (tmp_path / "speeds.csv").write_text(table)
@@ -200,12 +202,12 @@ class TestCruise:
         for word in words:
             assert word in ran.err
 
-    def test_needs_a_drag_file(self, swimid: Callable[..., Ran], samples: Path) -> None:
+    def test_a_cruise_needs_a_drag_file(self, swimid: Callable[..., Ran], samples: Path) -> None:
         ran = swimid("fit-propulsion", samples / "cruise" / "trials.yaml")
         assert ran.status == 3
         assert "run fit-drag first" in ran.err
 
-    def test_one_run_is_no_result(self, swimid: Callable[..., Ran], drag: Path, tmp_path: Path) -> None:
+    def test_one_run_identifies_nothing(self, swimid: Callable[..., Ran], drag: Path, tmp_path: Path) -> None:
         cruise.write_table(tmp_path / "speeds.csv", [("3825Rect", 2.0, 16.0, 1.15, 20.0)])
         (tmp_path / "trials.yaml").write_text(
             "format: swimid-trials/1\nexperiment: cruise\nrobot: boxfish\ntable: speeds.csv\n"
@@ -234,7 +236,7 @@ class TestBeat:
 class TestBeatAverages:
     @staticmethod
     def _log(heading: float) -> log.Log:
-        """Six seconds at 0.2 m/s along a heading, yaw beating at 2 Hz and wrapped into -pi .. pi."""
+        """Return six seconds at 0.2 m/s along a heading, with a yaw of 2 Hz wrapped into -pi .. pi."""
         t = np.arange(0, 6, 0.02)
         yaw = heading + 0.3 * np.sin(4 * np.pi * t)
         yaw = (yaw + np.pi) % (2 * np.pi) - np.pi
@@ -247,17 +249,17 @@ class TestBeatAverages:
         return log.Log(Path("swim.csv"), {}, columns)
 
     @pytest.mark.parametrize("heading", [0.0, np.pi, -3.0])
-    def test_heading_across_the_wrap(self, heading: float) -> None:
+    def test_the_heading_may_wrap(self, heading: float) -> None:
         _, speed = beat_averages(self._log(heading), 0.5)
         assert speed == pytest.approx(0.2, rel=1e-3)
 
-    def test_beats_the_log_does_not_resolve(self) -> None:
+    def test_beats_that_the_log_does_not_resolve_are_an_error(self) -> None:
         with pytest.raises(InputError, match="a beat needs at least 2"):
             beat_averages(self._log(0.0), 0.01)
 
 
 def write_real_fish(folder: Path, data: Path, *, frequency_hz: float, own_speed: bool = True) -> Path:
-    """The straight runs of the tail-actuated fish as swimid logs with a trials file."""
+    """Write the straight runs of the tail-actuated fish as logs with a trials file."""
     lines = ["format: swimid-trials/1", "experiment: free-swim", "robot: fish.yaml", "trials:"]
     (folder / "fish.yaml").write_text("format: swimid-robot/1\nname: tail-fish\n")
     for amplitude in (15, 20, 30):
@@ -301,7 +303,7 @@ class TestRealFish:
             assert drag["value"] == pytest.approx(0.66, rel=0.10)
         assert "SWM032" not in ran.err
 
-    def test_wrong_beat_in_the_metadata_is_flagged(
+    def test_a_wrong_stated_beat_is_reported(
         self, swimid: Callable[..., Ran], real_data: Path, tmp_path: Path
     ) -> None:
         ran = swimid("fit-propulsion", write_real_fish(tmp_path, real_data, frequency_hz=1.0), "--json")
@@ -347,7 +349,9 @@ def write_straight_runs(folder: Path, *, held_out_speed_m_s: float) -> Path:
 
 
 class TestStartStates:
-    def test_held_out_trials_start_where_they_start(self, swimid: Callable[..., Ran], tmp_path: Path) -> None:
+    def test_the_start_speed_of_held_out_trials_is_estimated(
+        self, swimid: Callable[..., Ran], tmp_path: Path
+    ) -> None:
         ran = swimid("fit-propulsion", write_straight_runs(tmp_path, held_out_speed_m_s=0.6), "--json")
         fit = ran.json["result"]["fit"]
         assert ran.json["result"]["parameters"]["surge_drag"]["value"] == pytest.approx(1.1, rel=0.03)
@@ -355,7 +359,7 @@ class TestStartStates:
         assert held_out < 1.5 * fit["channels"]["u_m_s"]["rmse"]
         assert "SWM015" not in ran.err
 
-    def test_from_rest_where_the_user_says_so(self, swimid: Callable[..., Ran], tmp_path: Path) -> None:
+    def test_trials_start_at_rest_on_request(self, swimid: Callable[..., Ran], tmp_path: Path) -> None:
         trials = write_straight_runs(tmp_path, held_out_speed_m_s=0.6)
         ran = swimid("fit-propulsion", trials, "--start-state", "rest", "--json")
         assert "initial_speed[fast]" not in ran.json["result"]["parameters"]
@@ -369,7 +373,7 @@ class TestStartStates:
 
 
 class TestStatedRamp:
-    def test_beats_within_it_are_left_out(self, swimid: Callable[..., Ran], tmp_path: Path) -> None:
+    def test_beats_within_a_ramp_are_left_out(self, swimid: Callable[..., Ran], tmp_path: Path) -> None:
         path = write_straight_runs(tmp_path, held_out_speed_m_s=0.0)
         whole = swimid("fit-propulsion", path, "--json").json["result"]["fit"]["samples"]
         path.write_text(path.read_text().replace("amplitude_deg", "ramp_s: 3.0, amplitude_deg"))

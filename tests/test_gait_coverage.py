@@ -1,4 +1,4 @@
-"""From noisy trials to the best gait, forty times: does its interval hold the true one?
+"""Coverage of the interval of the best gait, over forty fits of noisy trials.
 
 The trials are made by ``tests/generators/swimmer.py``, which shares no code with the package.
 """
@@ -33,7 +33,7 @@ HELD = {name: swimmer.SAMPLE[name] for name in ("c_Ia", "c_d13", "c_f0", "c_f13"
 
 
 def repeats(folder: Path) -> Iterator[tuple[int, package.Fitted]]:
-    """The fits of as many repeats as are wanted; one that is refused has no covariance to carry along."""
+    """Yield the fits of REPEATS repeats, without those that fail."""
     runs = [
         swimmer.Run(f"run{k}", dict(drive), swimmer.simulate("tfish", swimmer.SAMPLE, drive, 6.0))
         for k, drive in enumerate(DRIVES)
@@ -54,15 +54,15 @@ def repeats(folder: Path) -> Iterator[tuple[int, package.Fitted]]:
 
 
 def cost(frequency_hz: float) -> float:
-    """Power of the true fish, with ten times its size for what the speed falls short by."""
+    """Return the power of the true fish, with a penalty if it is too slow."""
     run = package.simulate(robot="tfish", chosen=dict(swimmer.SAMPLE), frequency_hz=frequency_hz, **BEAT)
     power, speed = (run.quantities[n].value for n in ("mean_positive_power_W", "mean_speed_m_s"))
     return float(power + 10 * 0.1 * max(0.0, 1.0 - speed / 0.25))
 
 
 @pytest.mark.slow
-def test_the_interval_holds_the_true_optimum(tmp_path: Path) -> None:
-    """In 36 of 40 or more; in the worst tenth of repeats the true fish loses less by the robust gait."""
+def test_the_interval_covers_the_true_optimum(tmp_path: Path) -> None:
+    """It does in 36 of 40 repeats, and the robust gait loses less in the worst tenth of them."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", package.SwimidWarning)
         place = package.optimise_gait(robot="tfish", chosen=dict(swimmer.SAMPLE), **SPRING).at["d_p"]

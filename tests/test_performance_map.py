@@ -1,4 +1,4 @@
-"""``swimid map``: its points are those of single runs; resumption, trials beside it, refusals."""
+"""``swimid map``: points against single simulations, resumption, trials beside the map, wrong options."""
 
 from __future__ import annotations
 
@@ -13,17 +13,16 @@ import pytest
 import swimid as package
 from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files.checkpoint import Checkpoint
-from swimid.optimisation import performance_map
 from swimid.optimisation.performance import Performance
-from swimid.optimisation.performance_map import MapFile, MeasuredPoint
-from tests.conftest import Ran
+from swimid.optimisation.performance_map import MapFile, MeasuredPoint, fit_efficiency
+from tests.conftest import Ran, interrupting
 
 Swimid = Callable[..., Ran]
 DOLPHIN = {"robot": "dolphin", "amplitude_deg": 27.0, "duration_s": 8.0}
 
 
-def test_a_point_is_what_simulate_gives() -> None:
-    """Another path through the code: one run with the coefficient set, sampled at 50 Hz."""
+def test_a_point_agrees_with_simulate() -> None:
+    """Compare with one run at these values, sampled at 50 Hz."""
     made = package.performance_map(over={"frequency_hz": (2.0, 3.0, 2), "K_s": (0.3, 0.9, 3)}, **DOLPHIN)
     row = made.frame.query("frequency_hz == 3.0 and K_s > 0.8").iloc[0]
     alone = package.simulate(frequency_hz=3.0, chosen={"K_s": 0.9}, **DOLPHIN).quantities
@@ -52,34 +51,21 @@ def test_steering_over_bias_and_asymmetry() -> None:
     assert {"yaw_range_in_beat_rad", "max_yaw_rate_rad_s", "mean_yaw_rate_rad_s"} <= set(made.frame)
 
 
-def test_interrupted_and_taken_up_it_is_the_same_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_map_continues_to_the_same_file(tmp_path: Path) -> None:
     over = {"frequency_hz": (2.0, 4.0, 5), "K_s": (0.2, 1.0, 5)}
     whole, parted = tmp_path / "whole.yaml", tmp_path / "parted.yaml"
     package.performance_map(over=over, output=whole, jobs=1, **DOLPHIN)
-    table, calls = Performance.table, 0
-
-    def stopping(self: Performance, *args: object) -> np.ndarray:
-        nonlocal calls
-        calls += 1
-        if calls == 3:
-            raise KeyboardInterrupt
-        return table(self, *args)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(Performance, "table", stopping)
     with pytest.raises(KeyboardInterrupt):
-        package.performance_map(over=over, output=parted, jobs=1, **DOLPHIN)
+        package.performance_map(over=over, output=parted, jobs=1, progress=interrupting(2), **DOLPHIN)
     assert not parted.exists()
-    before = calls
+    assert (tmp_path / "parted.yaml.partial").exists()
     package.performance_map(over=over, output=parted, jobs=1, **DOLPHIN)
-    assert calls - before == 4 - 2
     assert parted.read_bytes() == whole.read_bytes()
     assert not list(tmp_path.glob("*.partial"))
 
 
-def test_trials_beside_the_map(swimid: Swimid, samples: Path, tmp_path: Path) -> None:
-    """Their speeds with residuals, the region they cover, and electrical power with an efficiency."""
+def test_recorded_trials_beside_the_map(swimid: Swimid, samples: Path, tmp_path: Path) -> None:
+    """The map shows their speeds, the region they cover, and electrical power with an efficiency."""
     folder = tmp_path / "tfish"
     shutil.copytree(samples / "tfish", folder)
     log = folder / "f14a25.csv"
@@ -93,7 +79,7 @@ def test_trials_beside_the_map(swimid: Swimid, samples: Path, tmp_path: Path) ->
         "--over", "amplitude_deg=15:35:3", "-o", tmp_path / "map.yaml", "--json",
     )  # fmt: skip
     file = MapFile.read(tmp_path / "map.yaml")
-    # of the trials without bias that the map holds; the region is that of all fitted ones
+    # trials without bias are on the map; the region is that of all fitted trials
     assert {m.trial for m in file.measured} >= {"f10a20", "f14a25", "f14a20"}
     assert file.identified["frequency_hz"] == (1.0, 1.8)
     one = next(m for m in file.measured if m.trial == "f14a25")
@@ -115,22 +101,22 @@ def point(mechanical: float, electrical: float) -> MeasuredPoint:
     )
 
 
-def test_efficiency_of_trials_that_scatter() -> None:
+def test_efficiency_and_its_error_from_trials_that_scatter() -> None:
     rng = np.random.default_rng(4)
     electrical = rng.uniform(5.0, 40.0, 200)
     given = zip(0.3 * electrical + rng.normal(0.0, 0.5, 200), electrical, strict=True)
-    found = performance_map.efficiency([point(mechanical, logged) for mechanical, logged in given])
+    found = fit_efficiency([point(mechanical, logged) for mechanical, logged in given])
     assert found is not None
     assert found.stderr is not None
     assert found.value == pytest.approx(0.3, abs=3 * found.stderr)
     assert found.stderr == pytest.approx(0.5 / math.sqrt(float(electrical @ electrical)), rel=0.15)
-    exact = performance_map.efficiency([point(1.0, 4.0), point(2.0, 8.0), point(3.0, 12.0)])
+    exact = fit_efficiency([point(1.0, 4.0), point(2.0, 8.0), point(3.0, 12.0)])
     assert exact is not None
     assert (exact.value, exact.stderr, exact.trials) == (0.25, 0.0, 3)
-    assert performance_map.efficiency([point(math.nan, 1.0)]) is None
+    assert fit_efficiency([point(math.nan, 1.0)]) is None
 
 
-def test_errors_from_the_covariance(tmp_path: Path) -> None:
+def test_standard_deviations_follow_the_covariance(tmp_path: Path) -> None:
     """One uncertain coefficient: the deviation of the speed is its slope times the standard error."""
     text = "\n".join(
         [
@@ -170,7 +156,7 @@ def test_errors_from_the_covariance(tmp_path: Path) -> None:
         ({"over": {"frequency_hz": (1.0, 2.0, 3)}, "chosen": {"K_s": -1.0}}, "negative"),
     ],
 )
-def test_invalid_files_are_refused(changed: dict[str, object], says: str) -> None:
+def test_wrong_options_are_refused(changed: dict[str, object], says: str) -> None:
     with pytest.raises(Exception, match=says) as caught:
         package.performance_map(**{**DOLPHIN, **changed})
     assert isinstance(caught.value, UsageError | NoTrustworthyResult | package.InputError)
@@ -186,7 +172,7 @@ def test_a_robot_in_space_over_its_stroke() -> None:
 
 
 def test_lag_delays_each_joint_behind_the_one_before() -> None:
-    """Without a ramp joint k is told ``A/3 sin(2 pi f t - k lag)``; speed is a smooth function of the lag."""
+    """Without a ramp the command of joint k is ``A/3 sin(2 pi f t - k lag)``."""
     options = package.performance_map.options.of(
         {"robot": "tfish", "over": {"lag_deg": (0.0, 40.0, 2)}, "frequency_hz": 1.0, "amplitude_deg": 30.0,
          "ramp_s": 0.0}
@@ -200,12 +186,12 @@ def test_lag_delays_each_joint_behind_the_one_before() -> None:
         assert told == pytest.approx(expected, abs=1e-12)
 
 
-def test_nothing_is_kept_without_an_output() -> None:
+def test_there_is_no_checkpoint_without_an_output() -> None:
     assert Checkpoint.beside(None, []).path is None
 
 
 def test_a_robot_that_rests_throughout_is_no_map_rule_or_gait() -> None:
-    """No beat, no motion: refused, where zeros everywhere passed every check."""
+    """Without a beat there is no motion, and no result."""
     rest = {**DOLPHIN, "amplitude_deg": 0.0}
     with pytest.raises(NoTrustworthyResult, match="rests"):
         package.performance_map(over={"frequency_hz": (1, 3, 2)}, **rest)

@@ -1,4 +1,4 @@
-"""Rig recordings as they come: clocks that run on, stops, holds, friction that wanders."""
+"""Recordings of the rig with a running clock, stops, holds, and friction that differs between trials."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def _near_truth(ran: Ran, sigmas: float = 4.0) -> None:
 
 @pytest.mark.parametrize("clock", [0.0, 5.0, 1234.5])
 def test_clicks_on_a_clock_that_runs_on(swimid: Run, tmp_path: Path, clicks: dict, clock: float) -> None:
-    """The first row is the first click, not the release, and the clock is anybody's."""
+    """The first row is the first click, not the release, and the clock has any origin."""
     rng = np.random.default_rng(1)
     logs = {
         w: (clock + t[1:] + rng.normal(0, 1e-4, len(t) - 1), STEP * np.arange(1, len(t)))
@@ -92,7 +92,7 @@ def test_a_decay_that_is_held_before_its_release(swimid: Run, tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_friction_that_wanders_from_trial_to_trial(swimid: Run, tmp_path: Path) -> None:
+def test_intervals_cover_the_truth_if_friction_differs_between_trials(swimid: Run, tmp_path: Path) -> None:
     """5 % scatter of the friction: 95 % intervals of 12 repeats hold the truth in at least 9 for each."""
     hits = dict.fromkeys(TRUTH, 0)
     for seed in range(12):
@@ -121,7 +121,7 @@ def test_an_encoder_other_than_the_robots(swimid: Run, tmp_path: Path, clicks: d
     assert ran.json["result"]["parameters"]["added_mass"]["value"] == pytest.approx(0.685, abs=0.02)
 
 
-def test_a_linear_drag_is_suggested_not_taken_for_a_moving_start(swimid: Run, tmp_path: Path) -> None:
+def test_a_linear_drag_is_suggested_and_no_moving_start(swimid: Run, tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     logs = {}
     for w in WEIGHTS:

@@ -1,4 +1,4 @@
-"""What follows from a rig's parameters, and whether it is possible."""
+"""Quantities derived from the parameters of a rig, and the limits of what a body can have."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ def _decay(folder: Path, *, linear: float, quadratic: float, rng: np.random.Gene
 
 
 @pytest.mark.parametrize("linear, quadratic", [(0.04, 0.0), (0.0, 0.3), (0.04, 0.1)])
-def test_damping_ratio_of_all_damping_is_that_of_the_swing(
+def test_the_damping_ratio_agrees_with_the_energy_of_a_swing(
     swimid: Run, tmp_path: Path, rng: np.random.Generator, linear: float, quadratic: float
 ) -> None:
-    """Against the energy that a swing of the stated amplitude loses, by quadrature."""
+    """Compare with the energy that a swing of the stated amplitude loses, by quadrature."""
     ran = swimid("fit-drag", _decay(tmp_path, linear=linear, quadratic=quadratic, rng=rng), "--json")
     found = ran.json["result"]["derived"]
     amplitude, rate = found["first_swing"]["value"], math.sqrt(4.0 / 0.7)
@@ -55,7 +55,7 @@ def test_damping_ratio_of_all_damping_is_that_of_the_swing(
     assert abs(small["value"] - linear / (2 * 0.7 * rate)) < 4 * (small["stderr"] or 1e-12)
 
 
-def test_what_depends_on_nothing_estimated_is_fixed(
+def test_a_function_of_fixed_parameters_is_fixed(
     swimid: Run, tmp_path: Path, rng: np.random.Generator
 ) -> None:
     trials = _decay(tmp_path, linear=0.04, quadratic=0.1, rng=rng)
@@ -67,7 +67,7 @@ def test_what_depends_on_nothing_estimated_is_fixed(
         assert e["status"] != "estimated" or e["stderr"] > 0, name
 
 
-def test_what_a_bound_holds_is_not_estimated(swimid: Run, tmp_path: Path) -> None:
+def test_a_function_of_a_parameter_at_its_bound_has_no_error(swimid: Run, tmp_path: Path) -> None:
     trials = generator.write_falls(tmp_path, np.random.default_rng(0))
     ran = swimid("fit-drag", trials, "--bounds", "drag_coefficient=0,0.5", "--json")
     derived = ran.json["result"]["derived"]
@@ -75,8 +75,8 @@ def test_what_a_bound_holds_is_not_estimated(swimid: Run, tmp_path: Path) -> Non
     assert derived["terminal_speed[w20]"]["stderr"] is None
 
 
-def test_a_known_sum_of_unlike_parameters_is_one_of_ratios(swimid: Run, tmp_path: Path) -> None:
-    """No unit is added to another, and the words give the number that stands behind them."""
+def test_a_known_combination_is_a_sum_of_dimensionless_ratios(swimid: Run, tmp_path: Path) -> None:
+    """No unit is added to another, and the terms add up to the stated value."""
     trials = generator.write_falls(tmp_path, np.random.default_rng(0), stated_g={20: 120.0})
     result = swimid("fit-drag", trials, "--json").json["result"]
     (words,) = [name for name in result["derived"] if "/(" in name]
@@ -95,7 +95,7 @@ def test_a_known_sum_of_unlike_parameters_is_one_of_ratios(swimid: Run, tmp_path
 class TestPossible:
     @pytest.mark.parametrize("stated, level", [(1.0, "GOOD"), (3.0, "CAUTION"), (10.0, "BAD"), (1e3, "BAD")])
     def test_added_mass_of_a_bead(self, swimid: Run, tmp_path: Path, stated: float, level: str) -> None:
-        """A bead of 35 mg in water, its weight given rightly, too large by a factor, or in millinewtons."""
+        """The weight of a bead of 35 mg in water is right, too large by a factor, or in millinewtons."""
         mass, radius, density = 3.5e-5, 1e-3, 997.0
         displaced, area = density * 4 / 3 * np.pi * radius**3, np.pi * radius**2
         force = (mass - displaced) * 9.81
@@ -130,7 +130,7 @@ class TestPossible:
     def test_every_pulling_weight_ten_times_too_large(
         self, swimid: Run, tmp_path: Path, factor: float
     ) -> None:
-        """All trials agree with each other; what they come to no body has."""
+        """All trials agree with each other, but no body has the estimates."""
         weights = tuple(range(10, 41, 5))
         trials = generator.write_falls(
             tmp_path,
@@ -171,7 +171,7 @@ class TestPossible:
             0.5 * displaced, rel=0.05
         )
 
-    def test_drag_of_discs_and_balls_is_below_the_most(self) -> None:
+    def test_discs_and_balls_have_less_drag_than_the_limit(self) -> None:
         """Clift, Grace and Weber (1978), tables 5.1 and 6.2: balls and discs across the flow."""
         for reynolds, ball, disc in (
             (0.1, 245.0, 207.0),
@@ -179,28 +179,27 @@ class TestPossible:
             (10.0, 4.26, 4.1),
             (100.0, 1.09, 1.8),
         ):
-            assert max(ball, disc) < derived.most_drag_coefficient(reynolds)
-        assert derived.most_drag_coefficient(1e5) < 3.01
-        # of oil the viscosity is not known
-        assert math.isnan(derived.most_drag_coefficient(derived.reynolds(1.0, 0.1, 880.0)))
+            assert max(ball, disc) < derived.max_drag_coefficient(reynolds)
+        assert derived.max_drag_coefficient(1e5) < 3.01
+        # the viscosity of oil is unknown
+        assert math.isnan(derived.max_drag_coefficient(derived.reynolds(1.0, 0.1, 880.0)))
 
-    def test_bounds_hold_what_is_known(self) -> None:
-        """Spheres, discs, cubes and long prisms have less added mass than their bound."""
+    def test_known_bodies_have_less_added_mass_than_the_limit(self) -> None:
         density = 1000.0
         # a sphere of 1 m: half its water; discs of radius 1 m, 8/3 of it cubed, thicker than a tenth
         ball = density * np.pi / 6
-        assert 0.5 * ball < derived.most_added_mass(ball, np.pi / 4, density)
+        assert 0.5 * ball < derived.max_added_mass(ball, np.pi / 4, density)
         for thick in (0.1, 0.5, 2.0):
             water = density * np.pi * thick
-            assert 8 / 3 * density < derived.most_added_mass(water, None, density)
-            assert 8 / 3 * density < derived.most_added_mass(water, np.pi, density)
+            assert 8 / 3 * density < derived.max_added_mass(water, None, density)
+            assert 8 / 3 * density < derived.max_added_mass(water, np.pi, density)
         for length in (1.0, 2.0, 5.0, 10.0):
             prism = derived.prism_added_mass(length, 1.0, 1.0, density)
-            assert prism < derived.most_added_mass(density * length, 1.0, density)
-            assert prism < derived.most_added_mass_in_box(length, 1.0, 1.0, density, along=True)
+            assert prism < derived.max_added_mass(density * length, 1.0, density)
+            assert prism < derived.max_added_mass_in_box(length, 1.0, 1.0, density, along=True)
         # a cylinder across its axis has as much as its own water
         cylinder = density * np.pi / 4 * 3.0
-        assert cylinder < derived.most_added_mass_in_box(3.0, 1.0, 1.0, density, along=False)
+        assert cylinder < derived.max_added_mass_in_box(3.0, 1.0, 1.0, density, along=False)
         # a spheroid of axes 2 and 1 turning end over end: 0.15 of its own water's (Lamb, section 115)
         spheroid = density * np.pi / 6 * 2.0 * (1.0 + 0.25) / 5.0
-        assert 0.15 * spheroid < derived.most_added_inertia(2.0, 1.0, 1.0, density)
+        assert 0.15 * spheroid < derived.max_added_inertia(2.0, 1.0, 1.0, density)

@@ -1,4 +1,4 @@
-"""Effects and faults that the default model of a rig lacks are named; a decay is kept whole."""
+"""Effects and faults that the default model of a rig lacks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Run = Callable[..., Ran]
 
 
 @pytest.mark.slow
-def test_a_pitching_pendulum_of_unknown_stiffness(swimid: Run, tmp_path: Path) -> None:
+def test_gravity_is_suggested_for_a_pitching_pendulum(swimid: Run, tmp_path: Path) -> None:
     trials = generator.pitch_pendulum(tmp_path)
     assert "--free gravity_stiffness --fix stiffness=0" in swimid("fit-drag", trials).err
     ran = swimid("fit-drag", trials, "--free", "gravity_stiffness", "--fix", "stiffness=0", "--json")
@@ -24,7 +24,7 @@ def test_a_pitching_pendulum_of_unknown_stiffness(swimid: Run, tmp_path: Path) -
 
 
 @pytest.mark.slow
-def test_a_mooring_that_hardens(swimid: Run, tmp_path: Path) -> None:
+def test_a_cubic_stiffness_is_suggested_for_a_hardening_mooring(swimid: Run, tmp_path: Path) -> None:
     trials = generator.hard_heave(tmp_path)
     ran = swimid("fit-drag", trials)
     assert verdict(ran) == "BAD"
@@ -35,13 +35,13 @@ def test_a_mooring_that_hardens(swimid: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_torsion_wire_that_rubs(swimid: Run, tmp_path: Path) -> None:
+def test_dry_friction_is_suggested_for_a_rubbing_torsion_wire(swimid: Run, tmp_path: Path) -> None:
     ran = swimid("fit-drag", generator.rubbing_yaw(tmp_path))
     assert verdict(ran) == "BAD"
     assert "--free dry_friction" in ran.err
 
 
-def test_a_decay_that_a_blow_starts_is_kept_whole(swimid: Run, tmp_path: Path) -> None:
+def test_all_samples_of_a_decay_from_a_blow_are_used(swimid: Run, tmp_path: Path) -> None:
     ran = swimid("fit-drag", generator.pushed_roll(tmp_path), "--json")
     assert "SWM018" not in ran.err
     assert "SWM024" not in ran.err
@@ -50,7 +50,7 @@ def test_a_decay_that_a_blow_starts_is_kept_whole(swimid: Run, tmp_path: Path) -
 
 
 @pytest.mark.slow
-def test_a_stated_gravity_stiffness_restores(swimid: Run, tmp_path: Path) -> None:
+def test_a_stated_gravity_stiffness_is_used(swimid: Run, tmp_path: Path) -> None:
     trials = generator.pitch_pendulum(tmp_path)
     robot = tmp_path / "robot.yaml"
     robot.write_text(robot.read_text() + "rig: {pitch_gravity_stiffness_N_m_rad: 2.4}\n")
@@ -59,7 +59,7 @@ def test_a_stated_gravity_stiffness_restores(swimid: Run, tmp_path: Path) -> Non
     assert parameter(ran, "added_inertia")["value"] == pytest.approx(0.0, abs=1e-3)
 
 
-def test_a_tow_without_fault_is_not_accused(swimid: Run, tmp_path: Path) -> None:
+def test_a_sound_tow_gives_no_warning(swimid: Run, tmp_path: Path) -> None:
     ran = swimid("fit-drag", generator.towed(tmp_path), "--json")
     assert not {"SWM024", "SWM110", "SWM111"} & {w["code"] for w in ran.json["warnings"]}
     assert near(ran, "quadratic_drag", 12.0)
@@ -69,14 +69,16 @@ def test_a_tow_without_fault_is_not_accused(swimid: Run, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     "fault, option", [({"tare": -0.4}, "--free force_offset"), ({"drift": 0.03}, "--free force_drift")]
 )
-def test_a_force_that_is_not_zero_at_rest(swimid: Run, tmp_path: Path, fault: dict, option: str) -> None:
+def test_an_offset_or_drift_of_the_force_at_rest_is_found(
+    swimid: Run, tmp_path: Path, fault: dict, option: str
+) -> None:
     ran = swimid("fit-drag", generator.towed(tmp_path, **fault))
     assert verdict(ran) == "BAD"
     assert option in ran.err
 
 
 @pytest.mark.parametrize("turned, where", [(("tow1",), "tow1"), (("tow0", "tow1", "tow2"), "all trials")])
-def test_a_force_with_the_wrong_sign(
+def test_the_wrong_sign_of_a_force_is_found(
     swimid: Run, tmp_path: Path, turned: tuple[str, ...], where: str
 ) -> None:
     ran = swimid("fit-drag", generator.towed(tmp_path, turned=turned))

@@ -1,4 +1,4 @@
-"""What differs between the trials of a rig: friction by chance, a force left out, a mistake in one trial."""
+"""Differences between trials of a rig: random friction, an omitted force, a mistake in one trial."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WEIGHTS = tuple(range(10, 41, 5))
 
 
 def _verdict(ran: Ran) -> str:
-    """The level of the verdict, which is the last paragraph of the summary."""
+    """Return the level of the verdict, which is in the last paragraph of the summary."""
     return ran.out.strip().split("\n\n")[-1].split(":")[0]
 
 
@@ -32,15 +32,15 @@ def _inside(ran: Ran, names: tuple[str, ...], sigmas: float = 3.0) -> None:
 class TestRandomEffect:
     @pytest.mark.parametrize("seed", range(4))
     def test_spread_of_known_scatter(self, seed: int) -> None:
-        """40 numbers scattered by 2 and measured to 1: the spread comes out within three errors of 2."""
+        """40 values with a spread of 2 and errors of 1: the estimate is within three standard errors of 2."""
         rng = np.random.default_rng(seed)
         own = OwnValues(tuple(map(str, range(40))), rng.normal(5, 2, 40) + rng.normal(0, 1, 40), np.eye(40))
         found = estimate_spread(own)
         assert found.p_value < 1e-3
         assert abs(found.sd - 2.0) < 3 * found.stderr
 
-    def test_no_spread_in_errors_alone(self) -> None:
-        """Half of the seeds have none at all; the test of none errs at its level."""
+    def test_errors_alone_give_no_spread(self) -> None:
+        """Half of the estimates are zero, and the test has its nominal level."""
         found = [
             estimate_spread(
                 OwnValues(tuple("abcdefg"), np.random.default_rng(seed).normal(0, 1, 7), np.eye(7))
@@ -50,14 +50,14 @@ class TestRandomEffect:
         assert 0.4 < np.mean([f.sd == 0 for f in found]) < 0.75
         assert np.mean([f.p_value < 0.05 for f in found]) < 0.09
 
-    def test_a_direction_that_is_not_known_says_nothing(self) -> None:
-        """Numbers far apart along what the shared parameters imitate are no spread."""
+    def test_an_unknown_direction_does_not_count(self) -> None:
+        """Values that differ only along a direction with a large error have no spread."""
         along = np.arange(7.0) - 3.0
         own = OwnValues(tuple("abcdefg"), 50 * along, np.eye(7) + 1e6 * np.outer(along, along))
         assert estimate_spread(own).sd == 0.0
         assert estimate_trend(own, along).p_value > 0.5
 
-    def test_trend_is_told_from_one_odd_number(self) -> None:
+    def test_a_trend_is_not_one_odd_value(self) -> None:
         rng = np.random.default_rng(1)
         mass = np.arange(7.0)
         grows = OwnValues(tuple("abcdefg"), 0.5 * mass + rng.normal(0, 0.2, 7), 1e-4 * np.eye(7))
@@ -67,10 +67,10 @@ class TestRandomEffect:
 
 
 @pytest.mark.parametrize("weight, friction", [(20, 40.0), (40, 60.0), (10, 25.0)])
-def test_one_odd_friction_beside_a_linear_drag(
+def test_one_odd_friction_is_named_beside_a_linear_drag(
     swimid: Run, tmp_path: Path, weight: int, friction: float
 ) -> None:
-    """The friction of other trials does not move with the odd one's, and the odd one is named."""
+    """The estimates are right in spite of the odd trial."""
     trials = generator.write_falls(
         tmp_path, np.random.default_rng(0), linear_N_s_m=0.06, odd={weight: {"friction_mN": friction}}
     )
@@ -80,13 +80,13 @@ def test_one_odd_friction_beside_a_linear_drag(
     assert ran.json["result"]["parameters"]["added_mass"]["value"] > 0.5
     assert f"w{weight} contradicts the other trials" in ran.err
     size = ran.json["result"]["derived"]["friction_spread"]
-    # one of seven trials is off by the difference
+    # standard deviation of seven values, one of which differs
     expected = abs(friction - 30.8) * 1e-3 * np.sqrt((1 / 7) * (6 / 7) * 7 / 6)
     assert size["value"] == pytest.approx(expected, rel=0.3)
 
 
-def test_a_log_written_twice_as_fast_as_it_is_measured(swimid: Run, tmp_path: Path) -> None:
-    """Every sample stands for the next one, too: half of them say nothing, and say so late."""
+def test_repeated_samples_of_a_log_are_left_out(swimid: Run, tmp_path: Path) -> None:
+    """The log is written at twice the rate of the measurement."""
     trials = generator.write_falls(tmp_path, np.random.default_rng(3))
     for path in tmp_path.glob("w*.csv"):
         lines = path.read_text().splitlines()
@@ -115,8 +115,8 @@ def test_held_out_trials_are_predicted_despite_an_odd_one(swimid: Run, tmp_path:
     _inside(ran, tuple(TRUTH))
 
 
-def test_a_friction_that_grows_with_the_pulling_mass_is_no_chance(swimid: Run, tmp_path: Path) -> None:
-    """A linear drag left out and one odd trial: the trend is named, and the answer is not to be relied on."""
+def test_a_friction_that_grows_with_the_pulling_mass_is_no_random_effect(swimid: Run, tmp_path: Path) -> None:
+    """The model lacks a linear drag, and one trial is odd: the trend is named, and the verdict is bad."""
     trials = generator.write_falls(
         tmp_path, np.random.default_rng(0), linear_N_s_m=0.06, odd={20: {"friction_mN": 40.0}}
     )
@@ -128,7 +128,7 @@ def test_a_friction_that_grows_with_the_pulling_mass_is_no_chance(swimid: Run, t
     assert "friction_deviation" not in ran.out
 
 
-def test_a_drag_left_out_that_moves_the_answer_is_bad(swimid: Run, tmp_path: Path) -> None:
+def test_an_omitted_drag_that_changes_the_estimates_is_bad(swimid: Run, tmp_path: Path) -> None:
     trials = generator.write_falls(tmp_path, np.random.default_rng(0), linear_N_s_m=0.06)
     assert _verdict(swimid("fit-drag", trials)) == "BAD"
     assert _verdict(swimid("fit-drag", trials, "--free", "linear_drag")) == "GOOD"
@@ -136,7 +136,7 @@ def test_a_drag_left_out_that_moves_the_answer_is_bad(swimid: Run, tmp_path: Pat
 
 @pytest.mark.parametrize("stated, level", [(25.0, "CAUTION"), (120.0, "BAD")])
 def test_a_mislabelled_weight_is_named(swimid: Run, tmp_path: Path, stated: float, level: str) -> None:
-    """A quarter too much could be friction; six times as much could not, and no friction takes it up."""
+    """An error of a quarter could be friction; an error of a factor of six could not."""
     trials = generator.write_falls(tmp_path, np.random.default_rng(0), stated_g={20: stated})
     ran = swimid("fit-drag", trials)
     assert "w20 contradicts the other trials" in ran.err
@@ -144,7 +144,7 @@ def test_a_mislabelled_weight_is_named(swimid: Run, tmp_path: Path, stated: floa
     assert ("the pulley friction differs from trial to trial" in ran.err) is (level == "CAUTION")
 
 
-def test_a_force_in_another_unit_is_named_in_towing(swimid: Run, tmp_path: Path) -> None:
+def test_a_tow_with_another_gain_of_its_force_is_named(swimid: Run, tmp_path: Path) -> None:
     """Five tows of a body of 4 kg in all, 5 N s2/m2; the force of one is logged with another gain."""
     (tmp_path / "hull.yaml").write_text("format: swimid-robot/1\nname: hull\nbody: {inertial_mass_kg: 3.0}\n")
     rng, time = np.random.default_rng(0), np.arange(0, 15, 0.03)
@@ -165,10 +165,8 @@ def test_a_force_in_another_unit_is_named_in_towing(swimid: Run, tmp_path: Path)
 
 
 @pytest.mark.parametrize("stated, level", [(20.0, "GOOD"), (20.2, "CAUTION"), (60.0, "BAD")])
-def test_a_model_that_says_nothing_of_held_out_trials_is_bad(
-    swimid: Run, tmp_path: Path, stated: float, level: str
-) -> None:
-    """Held-out errors of 1, some 5 and 250 times the fit's."""
+def test_a_large_held_out_error_is_bad(swimid: Run, tmp_path: Path, stated: float, level: str) -> None:
+    """The held-out errors are 1, about 5 and 250 times that of the fit."""
     trials = generator.write_falls(tmp_path, np.random.default_rng(0), stated_g={20: stated}, held_out=(20,))
     ran = swimid("fit-drag", trials)
     assert _verdict(ran) == level
@@ -178,7 +176,7 @@ def test_a_model_that_says_nothing_of_held_out_trials_is_bad(
 def test_friction_of_each_trial_on_request_is_a_random_effect(swimid: Run, tmp_path: Path) -> None:
     trials = generator.write_falls(tmp_path, np.random.default_rng(0))
     ran = swimid("fit-drag", trials, "--free", "friction_deviation", "--json")
-    # no trial differs: there is no spread, and no number of its own for any of them
+    # no trial differs, so that there is no spread and no friction of single trials
     assert not any("friction_deviation[" in name for name in ran.json["result"]["parameters"])
     few = generator.write_falls(tmp_path / "few", np.random.default_rng(0), (10, 20, 30))
     ran = swimid("fit-drag", few, "--free", "friction_deviation")
@@ -186,7 +184,7 @@ def test_friction_of_each_trial_on_request_is_a_random_effect(swimid: Run, tmp_p
     assert "at least 4 trials" in ran.err
 
 
-def test_the_two_point_method_without_an_answer_says_so(swimid: Run, tmp_path: Path) -> None:
+def test_the_two_point_method_without_an_answer_is_an_error(swimid: Run, tmp_path: Path) -> None:
     trials = generator.write_falls(tmp_path, np.random.default_rng(0), stated_g={20: 120.0})
     ran = swimid("fit-drag", trials, "--method", "two-point")
     assert ran.status == 4
@@ -194,8 +192,8 @@ def test_the_two_point_method_without_an_answer_says_so(swimid: Run, tmp_path: P
     assert "The two-point method has no answer" in swimid("fit-drag", trials).out
 
 
-def test_late_releases_do_not_hide_a_drag_left_out(swimid: Run, tmp_path: Path) -> None:
-    """Both are there: the release of each trial is estimated, and the missing drag named."""
+def test_late_releases_do_not_hide_an_omitted_drag(swimid: Run, tmp_path: Path) -> None:
+    """The release of each trial is estimated, and the omitted drag is named."""
     rng = np.random.default_rng(0)
     lines = ["format: swimid-trials/1", "experiment: falling-weight", "robot: boxfish", "trials:"]
     for w, idle in zip(WEIGHTS, rng.uniform(0.3, 1.0, len(WEIGHTS)), strict=True):

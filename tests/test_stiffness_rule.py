@@ -1,4 +1,4 @@
-"""``swimid optimise stiffness``: optima against scans, the rule in Python, C and CSV, the sweep it drives."""
+"""``swimid optimise stiffness``: optima against scans, the rule in Python and in C, resumption."""
 
 from __future__ import annotations
 
@@ -14,11 +14,8 @@ import pytest
 
 import swimid as package
 from swimid.errors import InputError, UsageError
-from swimid.fitting.model import Array
-from swimid.optimisation import optimise_stiffness
-from swimid.optimisation.optimise_stiffness import StiffnessRule
-from swimid.optimisation.rule import RuleFile
-from tests.conftest import Ran
+from swimid.optimisation.optimise_stiffness import RuleFile, StiffnessRule
+from tests.conftest import Ran, interrupting
 
 DOLPHIN = {"robot": "dolphin", "amplitude_deg": 27.0, "duration_s": 6.0, "between": (0.1, 2.0)}
 SMALL = {**DOLPHIN, "over": {"frequency_hz": (2.0, 4.0, 5)}, "population": 16, "generations": 8}
@@ -47,8 +44,7 @@ def two() -> RuleFile:
     )  # fmt: skip
 
 
-def test_optima_are_those_of_a_scan(rule: StiffnessRule) -> None:
-    """Mean surge from rest over 96 stiffnesses."""
+def test_the_optima_agree_with_a_scan_over_the_stiffness(rule: StiffnessRule) -> None:
     scan = np.linspace(0.1, 2.0, 96)
     for one in rule.file.optima[1:4:2]:
         made = package.performance_map(
@@ -77,39 +73,21 @@ def test_the_rule_follows_its_optima(rule: StiffnessRule) -> None:
     assert rule.file.curves[0].coefficients == pytest.approx(np.polyfit(f, stiff, 2)[::-1], abs=1e-9)
 
 
-def test_a_sweep_with_the_rule_beats_every_fixed_stiffness(rule: StiffnessRule) -> None:
-    (sweep,) = rule.file.sweeps
-    assert len(sweep.fixed) >= 9
-    assert sweep.rule_m > max(sweep.fixed_m)
-
-
-def test_same_seed_same_bytes_also_after_an_interrupt(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_same_seed_gives_the_same_bytes_also_after_an_interrupt(tmp_path: Path) -> None:
     given = {**SMALL, "generations": 3, "jobs": 1}
     whole, parted, other = (tmp_path / f"{name}.yaml" for name in ("whole", "parted", "other"))
     package.optimise_stiffness(output=whole, **given)
-    front, calls = optimise_stiffness.front_at, 0
-
-    def stopping(*args: object) -> Array:
-        nonlocal calls
-        calls += 1
-        if calls == 3:
-            raise KeyboardInterrupt
-        return front(*args)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(optimise_stiffness, "front_at", stopping)
     with pytest.raises(KeyboardInterrupt):
-        package.optimise_stiffness(output=parted, **given)
+        package.optimise_stiffness(output=parted, progress=interrupting(3), **given)
+    assert list(tmp_path.glob("parted.yaml.partial"))
     package.optimise_stiffness(output=parted, **given)
-    assert calls == 3 + 3
     assert parted.read_bytes() == whole.read_bytes()
     package.optimise_stiffness(output=other, **{**given, "seed": 1, "jobs": 2})
     assert other.read_bytes() != whole.read_bytes()
 
 
-def test_between_curves_by_straight_lines(two: RuleFile) -> None:
-    """By hand: at 1 Hz the curves say 0.006, 0.010 and 0.029."""
+def test_the_rule_interpolates_linearly_between_amplitudes(two: RuleFile) -> None:
+    """Compare with values by hand: at 1 Hz the curves say 0.006, 0.010 and 0.029."""
     assert two.stiffness_for(1.0, 15.0) == pytest.approx(0.006)
     assert two.stiffness_for(1.0, 20.0) == pytest.approx(0.008)
     assert two.stiffness_for(1.0, 30.0) == pytest.approx(0.0195)
@@ -124,8 +102,8 @@ def test_between_curves_by_straight_lines(two: RuleFile) -> None:
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
-def test_the_c_header_says_the_same(two: RuleFile, rule: StiffnessRule, tmp_path: Path) -> None:
-    """In single precision, and held at its ends outside."""
+def test_the_c_header_gives_the_same_stiffness(two: RuleFile, rule: StiffnessRule, tmp_path: Path) -> None:
+    """Compare in single precision; outside its range the header holds the nearest end."""
     for number, file in enumerate((two, rule.file)):
         (tmp_path / "rule.h").write_text(file.header())
         code = '#include "rule.h"\nfloat call(float f, float a) { return swimid_stiffness_for(f, a); }\n'
@@ -180,7 +158,7 @@ def test_the_cheapest_stiffness_costs_less_than_the_fastest(rule: StiffnessRule)
         ({"amplitude_deg": None}, "needs amplitude_deg"),
     ],
 )
-def test_invalid_files_are_refused(changed: dict[str, object], says: str) -> None:
+def test_wrong_options_are_refused(changed: dict[str, object], says: str) -> None:
     given = {k: v for k, v in {**SMALL, **changed}.items() if v is not None}
     with pytest.raises((UsageError, InputError), match=says):
         package.optimise_stiffness(**given)

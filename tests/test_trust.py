@@ -89,7 +89,7 @@ class TestRule:
         _, rule = made
         found = checks(rule)
         assert found["inside the range of the identification trials"] == "warn"
-        assert found["what the rule loses in nine of ten draws of the coefficients"] == "pass"
+        assert found["loss of the rule in nine of ten draws of the coefficients"] == "pass"
         assert rule.verdict == "caution"
         assert rule.file.draws == 20
         assert all(len(curve.drawn) == 20 for curve in rule.file.curves)
@@ -103,7 +103,7 @@ class TestRule:
         ("changed", "says"),
         [({"draws": 5}, "20 or more"), ({"coefficient": "c_d2"}, "no passive joint's law")],
     )
-    def test_invalid_files_are_refused(self, changed: dict[str, object], says: str) -> None:
+    def test_wrong_options_are_refused(self, changed: dict[str, object], says: str) -> None:
         with pytest.raises(UsageError, match=says):
             package.optimise_stiffness(robot="dolphin", **{**RULE, **changed})
 

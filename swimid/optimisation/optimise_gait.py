@@ -1,4 +1,4 @@
-"""``optimise gait``: the best gait within limits, how sure it is, and a robust one beside it."""
+"""``optimise gait``: the best gait within limits, its uncertainty, and a robust gait."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from scipy.stats import qmc
 
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, yamlio
@@ -24,7 +25,16 @@ from swimid.notices import Notice, recorded
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import OptimiseGaitOptions
 from swimid.optimisation.performance import BEAT, STROKE, Performance
-from swimid.optimisation.problem import DRAW_STEPS, STEPS, Limit, Problem, descend, drawn, merit
+from swimid.optimisation.problem import (
+    DRAW_STEPS,
+    MAX_STEPS,
+    Limit,
+    Problem,
+    descend,
+    drawn,
+    interval95,
+    merit,
+)
 from swimid.optimisation.study import Study, StudyFile, study_of
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -32,9 +42,23 @@ from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results.result import FileResult
 
+#: A gait is at its bound within this share of the range; a limit is active within this share of the limit.
+BOUND_TOL, ACTIVE_RTOL = 0.005, 0.01
+#: First radius, last radius and number of steps of the search for the robust gait.
+ROBUST_RADIUS, ROBUST_LAST, ROBUST_STEPS = 0.05, 0.005, 10
+#: Share of draws that counts as the worst.
+WORST = 0.1
+#: Two starts of the search agree if their values differ by less than this share.
+AGREE_RTOL = 0.005
+#: Smallest share of draws of the coefficients in which a gait must keep its limits.
+MIN_KEPT = 0.9
+#: Number of points of the Sobol sequence for each start of the search.
+N_POINTS_PER_START = 4
+NO_GAIT = "no gait keeps to the limits"
+
 
 class Varied(yamlio.Document):
-    """What may be changed."""
+    """Range of a varied parameter."""
 
     unit: str
     low: float
@@ -42,81 +66,70 @@ class Varied(yamlio.Document):
 
 
 class Gait(yamlio.Document):
-    """A gait, with what the robot comes to."""
+    """Gait, with the quantities of its simulation in SI units."""
 
     at: dict[str, float]
-    #: At an end of its range: a better gait may lie beyond.
+    #: Parameters at an end of their range: a better gait may lie beyond.
     at_bound: list[str] = []
-    #: Limits that hold it back.
+    #: Active limits.
     held_by: list[str] = []
-    #: Of each goal; SI units.
     goals: dict[str, Number]
     quantities: dict[str, Number] = {}
-    #: 95 % interval of each goal at this gait, from the coefficients' covariance.
+    #: 95 % interval of each goal of this gait over draws of the coefficients.
     goals_ci95: dict[str, Pair] = {}
-    #: 95 % interval of the best gait: where it lies in draws of the coefficients.
+    #: 95 % interval of the best gait over draws of the coefficients.
     at_ci95: dict[str, Pair] = {}
-    #: What it loses against the best gait of each draw (in the goal's unit): in nine of ten draws at most,
-    #: and on the average of the worst tenth; over draws that were not used to find it.
+    #: Loss against the best gait of each draw, in the unit of the goal: its 90 % quantile, and the mean of
+    #: the worst tenth, over draws that were not used to find the gait.
     loss_90: Number = None
     loss_worst_tenth: Number = None
-    #: Share of draws in which it keeps to its limits; missing where it has none.
+    #: Share of draws in which the gait keeps its limits; None without limits.
     kept_in_draws: Number = None
 
 
 class GaitFile(StudyFile):
-    """A gait file."""
+    """Gait file."""
 
     kind: ClassVar[str] = "gait file"
     format: Literal["swimid-gait/2"] = "swimid-gait/2"
     vary: dict[str, Varied]
-    #: In the words of the options, and the quantity and unit of each.
+    #: Quantity and unit of each goal.
     goals: dict[str, tuple[str, str]]
     limits: dict[str, Limit] = {}
-    #: Value of the goal, with the penalties of the limits, at which the search from each start ended; the
-    #: best first; empty for two goals.
+    #: Goal with penalties at the end of each search, the best first; empty for two goals.
     ends: list[float] = []
     optimum: Gait
-    #: The gait that loses least in the worst tenth of draws; the best one where no other loses less.
+    #: Gait with the least loss in the worst tenth of draws; the best gait if no other has a smaller loss.
     robust: Gait | None = None
-    #: Number of draws of the coefficients, and the share of draws within the coefficients' bounds.
+    #: Number of draws of the coefficients, and the share of draws within their bounds.
     draws: int = 0
     inside: Number = None
-    #: Best gait of each draw, in the order of ``vary``; none for two goals.
+    #: Best gait of each draw, in the order of ``vary``; empty for two goals.
     drawn: Rows = []
-    #: Of two goals: the front, what is varied and then the goals; and the 95 % interval of each goal of each
-    #: of these gaits, low and high.
+    #: Pareto front of two goals: the varied parameters and then the goals.
     front: Rows = []
+    #: Low and high end of the 95 % interval of each goal of each gait of the front.
     front_ci95: Rows = []
     provenance: dict[str, Any] = Field(default_factory=dict)
 
 
-#: A gait lies at an end of its range within this share of the range; a limit holds a gait back within this
-#: share of the limit.
-BOUND_TOL, LIMIT_TOL = 0.005, 0.01
-#: First radius, last radius and number of steps of the search for the robust gait.
-ROBUST_RADIUS, ROBUST_LAST, ROBUST_STEPS = 0.05, 0.005, 10
-#: Share of draws that counts as the worst.
-WORST = 0.1
-
-
 @dataclass(frozen=True, eq=False)
 class BestGait(FileResult[GaitFile]):
-    """The best gait, as ``optimise gait`` gives it.
+    """Best gait, the result of ``optimise gait``.
 
     Attributes
     ----------
     at : dict of str to float
-        The best gait: what was varied.
+        Varied parameters at the best gait.
     file : GaitFile
-        What :meth:`save` writes; it also has intervals, the robust gait and the searches.
+        Also has intervals, the robust gait and the ends of the searches; :meth:`save` writes it.
     """
 
     file_type = GaitFile
 
     @property
     def at(self) -> dict[str, float]:
-        """What was varied, at the best gait."""
+        """Varied parameters at the best gait."""
         return dict(self.file.optimum.at)
 
 
@@ -124,17 +137,16 @@ class BestGait(FileResult[GaitFile]):
 def optimise_gait(
     *, options: OptimiseGaitOptions, output: Path | None = None, progress: Progress = silent
 ) -> BestGait:
-    """The best gait of a robot within limits, with the uncertainty of its coefficients.
+    """Find the best gait of a robot within limits, with the uncertainty of its coefficients.
 
-    One goal is searched by differences from several starts, two goals by NSGA-II. With a parameter file that
-    has standard errors the search is repeated in draws of the coefficients: they say where the best gait may
-    lie, and how much the one that was found loses. The robust gait loses least on the average of the worst
-    tenth of draws.
+    One goal is minimised by finite differences from several starts, two goals by NSGA-II. If the parameter
+    file has standard errors, the search is repeated in draws of the coefficients. They give the interval of
+    the best gait and its loss. The robust gait has the least mean loss in the worst tenth of draws.
 
     Parameters
     ----------
     output : path, optional
-        Gait file to write; its evidence goes beside it.
+        Gait file to write; its evidence is written beside it.
     progress : Progress
         Shows the searches.
 
@@ -148,14 +160,14 @@ def optimise_gait(
     UsageError, InputError
         For bad options and files.
     NoTrustworthyResult
-        When every run breaks down, or no gait keeps to the limits.
+        If every simulation breaks down, or no gait keeps the limits.
 
     References
     ----------
     .. [1] "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin".
        Section IV: gait and stiffness.
     .. [2] Deb, Pratap, Agarwal, Meyarivan (2002), doi:10.1109/4235.996017: NSGA-II.
-    .. [3] Rockafellar, Uryasev (2000), doi:10.21314/JOR.2000.038: the average of the worst share of outcomes.
+    .. [3] Rockafellar, Uryasev (2000), doi:10.21314/JOR.2000.038: the mean of the worst share of outcomes.
 
     Examples
     --------
@@ -174,13 +186,15 @@ def optimise_gait(
         problem = _problem(performance, options, keep)
         known = bool(performance.applied.uncertain()[0])
         performance.model.prepare(progress, simulated_s=_simulated_s(options, known), checkpoint=keep)
-        single = len(options.goals) == 1
-        file = (_one if single else _front)(problem, options, study, progress)
+        find, carry = _find_one, _carry_one
+        if len(options.goals) == 2:
+            find, carry = _find_front, _carry_front
+        file = find(problem, options, study, progress)
         if known:
             performance.applied.warn_without_error("the intervals")
             draws = drawn(performance.applied, options.draws, options.seed)
             file.draws, file.inside = len(draws.vectors), draws.inside
-            (_one_in_draws if single else _front_in_draws)(problem, file, draws.vectors, progress)
+            carry(problem, file, draws.vectors, progress)
     evidence = evidence_of(file, notices, study.origin)
     file.verdict = evidence.verdict.level
     saved = BestGait.of(file, evidence).saved(output)
@@ -188,20 +202,19 @@ def optimise_gait(
     return saved
 
 
-# ------------------------------------------------------------ what is asked
+# ------------------------------------------------------------ the problem
 
 
 def _simulated_s(options: OptimiseGaitOptions, uncertain: bool) -> float:
-    stencil = 2 * len(options.vary) + 1
+    """Return the expected duration of all simulations, s."""
+    points = 2 * len(options.vary) + 1
+    runs = (options.starts * MAX_STEPS + options.draws * (DRAW_STEPS + ROBUST_STEPS) * uncertain) * points
     if len(options.goals) == 2:
         runs = options.population * (options.generations + options.draws * uncertain)
-    else:
-        runs = (options.starts * STEPS + options.draws * (DRAW_STEPS + ROBUST_STEPS) * uncertain) * stencil
     return runs * options.duration_s
 
 
 def _problem(performance: Performance, options: OptimiseGaitOptions, keep: Checkpoint) -> Problem:
-    """The problem the options describe."""
     if not options.vary:
         raise UsageError("say what may be varied: --vary NAME=LOW,HIGH")
     performance.check(options.vary, "--vary")
@@ -227,14 +240,9 @@ def _problem(performance: Performance, options: OptimiseGaitOptions, keep: Check
             raise UsageError(f"--limit {name} is not for this robot")
     if options.goals == ("power",) and options.reach_speed_m_s is None:
         raise UsageError("the least power is that of no motion", hint="give the speed: --reach-speed-m-s")
+    jobs = options.jobs or os.cpu_count() or 1
     return Problem(
-        performance,
-        options.vary,
-        goals,
-        limits,
-        efficiency=options.efficiency,
-        jobs=options.jobs or os.cpu_count() or 1,
-        checkpoint=keep,
+        performance, options.vary, goals, limits, efficiency=options.efficiency, jobs=jobs, checkpoint=keep
     )
 
 
@@ -266,12 +274,9 @@ def _limits(performance: Performance, options: OptimiseGaitOptions) -> dict[str,
 # ------------------------------------------------------------ searches
 
 
-def _begun(problem: Problem, options: OptimiseGaitOptions) -> Array:
-    """Starts of the search: the best of a Sobol sequence in the cube; sets the goal's size."""
-    from scipy.stats import qmc
-
-    # four points for each start, in a whole power of two as the sequence asks
-    exponent = math.ceil(math.log2(4 * options.starts))
+def _choose_starts(problem: Problem, options: OptimiseGaitOptions) -> Array:
+    """Return the best points of a Sobol sequence as starts of the search; set the scale of the goal."""
+    exponent = math.ceil(math.log2(N_POINTS_PER_START * options.starts))
     points = qmc.Sobol(len(problem.vary), seed=options.seed).random_base2(exponent)
     table = problem.table(points)
     problem.performance.insist(table)
@@ -282,13 +287,10 @@ def _begun(problem: Problem, options: OptimiseGaitOptions) -> Array:
 
 
 def _file(problem: Problem, study: Study, optimum: Array, **found: Any) -> GaitFile:
-    """The gait file of what was found."""
+    units = problem.performance.axes
     return GaitFile(
-        **study.said,
-        vary={
-            name: Varied(unit=problem.performance.axes[name], low=low, high=high)
-            for name, (low, high) in problem.vary.items()
-        },
+        **study.head,
+        vary={n: Varied(unit=units[n], low=low, high=high) for n, (low, high) in problem.vary.items()},
         goals={goal: (q, problem.performance.units[q]) for goal, q, _ in problem.goals},
         limits=dict(problem.limits),
         optimum=_gait(problem, optimum),
@@ -296,22 +298,22 @@ def _file(problem: Problem, study: Study, optimum: Array, **found: Any) -> GaitF
     )
 
 
-def _one(problem: Problem, options: OptimiseGaitOptions, study: Study, progress: Progress) -> GaitFile:
-    """The best gait for one goal."""
-    starts = _begun(problem, options)
-    with progress("search", total=STEPS) as step:
+def _find_one(problem: Problem, options: OptimiseGaitOptions, study: Study, progress: Progress) -> GaitFile:
+    """Find the best gait for one goal."""
+    starts = _choose_starts(problem, options)
+    with progress("search", total=MAX_STEPS) as step:
         found = problem.minimise(starts, advance=step)
     ends = np.sort(found.values) * problem.signs[0]
     return _file(problem, study, found.points[found.best], ends=ends.tolist())
 
 
-def _front(problem: Problem, options: OptimiseGaitOptions, study: Study, progress: Progress) -> GaitFile:
-    """The Pareto front of two goals, and the point on it that is nearest to the best of both."""
-    _begun(problem, options)
+def _find_front(problem: Problem, options: OptimiseGaitOptions, study: Study, progress: Progress) -> GaitFile:
+    """Find the Pareto front of two goals, and its point nearest to the best of both."""
+    _choose_starts(problem, options)
     with progress("NSGA-II", total=options.generations) as step:
         front = problem.front(options.population, options.generations, options.seed, advance=step)
     if not len(front):
-        raise NoTrustworthyResult("no gait keeps to the limits", hint="widen what is varied, or the limits")
+        raise NoTrustworthyResult(NO_GAIT, hint="widen what is varied, or the limits")
     points, values = front[:, :-2], front[:, -2:]
     gaits = np.array([list(problem.at(x).values()) for x in points])
     rows = np.hstack([gaits, values * problem.signs])
@@ -319,87 +321,75 @@ def _front(problem: Problem, options: OptimiseGaitOptions, study: Study, progres
 
 
 def _gait(problem: Problem, x: Array) -> Gait:
-    """A point of the cube as a gait, with what the robot comes to there."""
+    """Simulate a point of the cube."""
     table = problem.table(x[None])
-    if not problem.keeps(table).all():
-        raise NoTrustworthyResult("no gait keeps to the limits", hint="widen what is varied, or the limits")
+    if not problem.keeps_limits(table).all():
+        raise NoTrustworthyResult(NO_GAIT, hint="widen what is varied, or the limits")
     values = problem.goal_values(table)[0]
     if not np.isfinite(values).all():
         raise NoTrustworthyResult("the goal has no value anywhere: a robot that does not turn has no radius")
     at = problem.at(x)
-    violations = np.abs(problem.passed(table)[0])
+    violations = np.abs(problem.violations(table)[0])
     return Gait(
         at=at,
         at_bound=[n for n, v in zip(at, x, strict=True) if min(v, 1.0 - v) < BOUND_TOL],
-        held_by=[n for n, v in zip(problem.limits, violations, strict=True) if v < LIMIT_TOL],
+        held_by=[n for n, v in zip(problem.limits, violations, strict=True) if v < ACTIVE_RTOL],
         goals={goal: float(v) for (goal, _, _), v in zip(problem.goals, values, strict=True)},
         quantities={name: float(v) for name, v in zip(problem.performance.units, table[0], strict=True)},
     )
 
 
-# ------------------------------------------------------------ how sure it is
+# ------------------------------------------------------------ uncertainty
 
 
-def _interval(values: Array) -> Array:
-    """Ends of the 95 % interval over draws, shape (2, ...)."""
-    return np.asarray(np.nanquantile(values, [0.025, 0.975], axis=0, method="weibull"))
-
-
-def _front_in_draws(problem: Problem, file: GaitFile, vectors: Sequence[Array], progress: Progress) -> None:
-    """What the gaits of a front come to in draws of the coefficients.
-
-    The front itself is that of the estimates.
-    """
-    width, best = len(problem.vary), list(file.optimum.at.values())
+def _carry_front(problem: Problem, file: GaitFile, vectors: Sequence[Array], progress: Progress) -> None:
+    """Set the interval of both goals of every gait of a front."""
+    best = list(file.optimum.at.values())
     with progress("front in draws", total=len(file.front)) as step:
-        for row in file.front:
-            gait = dict(zip(problem.vary, row[:width], strict=True))
-            table, _ = problem.costs(problem.place(gait), vectors)  # type: ignore[arg-type]
-            ends = _interval(problem.goal_values(table)).T
-            file.front_ci95.append([*ends.ravel().tolist()])
-            if row[:width] == best:
-                _tell(problem, file.optimum, table)
+        for row in np.array(file.front, dtype=float):
+            gait = dict(zip(problem.vary, row[: len(problem.vary)].tolist(), strict=True))
+            table, _ = problem.costs(problem.place(gait), vectors)
+            file.front_ci95.append([*interval95(problem.goal_values(table)).T.ravel().tolist()])
+            if list(gait.values()) == best:
+                _set_draws(problem, file.optimum, table)
             step()
 
 
-def _tell(problem: Problem, gait: Gait, table: Array) -> None:
-    """What a gait comes to in draws, and in how many of them it keeps to the limits."""
-    ends = _interval(problem.goal_values(table)).T.tolist()
+def _set_draws(problem: Problem, gait: Gait, table: Array, lost: Array | None = None) -> None:
+    """Set the intervals of a gait over draws, and its losses in those that were not used to find it."""
+    ends = interval95(problem.goal_values(table)).T.tolist()
     gait.goals_ci95 = {goal: (a, b) for (goal, _, _), (a, b) in zip(problem.goals, ends, strict=True)}
     if problem.limits:
-        gait.kept_in_draws = float(problem.keeps(table).mean())
+        gait.kept_in_draws = float(problem.keeps_limits(table).mean())
+    if lost is not None:
+        gait.loss_90 = float(np.quantile(lost, 1.0 - WORST))
+        gait.loss_worst_tenth = worst_tenth(lost)
 
 
-def _one_in_draws(problem: Problem, file: GaitFile, vectors: Sequence[Array], progress: Progress) -> None:
-    """Intervals from draws of the coefficients, and the robust gait."""
+def _carry_one(problem: Problem, file: GaitFile, vectors: Sequence[Array], progress: Progress) -> None:
+    """Set intervals and losses over draws of the coefficients, and find the robust gait."""
     nominal = problem.place(file.optimum.at)
     with progress("gaits of draws", total=DRAW_STEPS) as step:
         best = problem.minimise_in_draws(vectors, nominal, step)
     file.drawn = [list(problem.at(x).values()) for x in best.points]
-    ends = _interval(np.array(file.drawn, dtype=float)).T.tolist()
+    ends = interval95(np.array(file.drawn, dtype=float)).T.tolist()
     file.optimum.at_ci95 = {name: (a, b) for name, (a, b) in zip(problem.vary, ends, strict=True)}
-    # the robust gait is chosen with one half of the draws, and tried with the other
-    robust = _robust(problem, vectors[::2], best.points[::2], best.values[::2], nominal, progress)
-    (table, cost), (robust_table, robust_cost) = (problem.costs(x, vectors) for x in (nominal, robust))
+    # one half of the draws selects the robust gait, the other half gives its loss
+    robust = _find_robust(problem, vectors[::2], best.points[::2], best.values[::2], nominal, progress)
+    table, cost = problem.costs(nominal, vectors)
+    robust_table, robust_cost = problem.costs(robust, vectors)
     least = np.minimum(best.values, np.minimum(cost, robust_cost))
     lost, robust_lost = (cost - least)[1::2], (robust_cost - least)[1::2]
-    _lose(problem, file.optimum, table, lost)
+    _set_draws(problem, file.optimum, table, lost)
     file.robust = file.optimum.model_copy(update={"at_ci95": {}})
-    keeps = problem.keeps(problem.table(robust[None])).all()
-    if keeps and worst_tenth(robust_lost) < worst_tenth(lost):
+    kept = problem.keeps_limits(problem.table(robust[None])).all()
+    if kept and worst_tenth(robust_lost) < worst_tenth(lost):
         file.robust = _gait(problem, robust)
-        _lose(problem, file.robust, robust_table, robust_lost)
-
-
-def _lose(problem: Problem, gait: Gait, table: Array, lost: Array) -> None:
-    """What a gait comes to in draws, and what it loses in those it was not chosen with."""
-    _tell(problem, gait, table)
-    gait.loss_90 = float(np.quantile(lost, 1.0 - WORST))
-    gait.loss_worst_tenth = worst_tenth(lost)
+        _set_draws(problem, file.robust, robust_table, robust_lost)
 
 
 def worst_tenth(lost: Array) -> float:
-    """Average of the worst tenth of losses.
+    """Return the mean of the worst tenth of losses.
 
     >>> worst_tenth(np.arange(20.0))
     18.5
@@ -408,7 +398,7 @@ def worst_tenth(lost: Array) -> float:
     return float(np.sort(lost)[-count:].mean())
 
 
-def _robust(
+def _find_robust(
     problem: Problem,
     vectors: Sequence[Array],
     points: Array,
@@ -416,7 +406,7 @@ def _robust(
     nominal: Array,
     progress: Progress,
 ) -> Array:
-    """The point that loses least in the worst tenth of draws, whose best points and values are given."""
+    """Find the gait with the least loss in the worst tenth of draws, given the best gait of each draw."""
 
     def losses(x: Array, _owner: NDArray[np.int64]) -> Array:
         table = problem.table(np.repeat(x, len(vectors), axis=0), list(vectors) * len(x))
@@ -431,10 +421,7 @@ def _robust(
     return found.points[found.best]
 
 
-#: Two starts of the search end at the same value within this share of it.
-AGREE_RTOL = 0.005
-#: Smallest share of draws of the coefficients in which the limits are kept.
-MIN_KEPT = 0.9
+# ------------------------------------------------------------ evidence
 
 
 def evidence_of(file: GaitFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
@@ -443,42 +430,38 @@ def evidence_of(file: GaitFile, notices: Sequence[Notice], origin: dict[str, Any
         f"{name} {numbers.number(limit.at_most or limit.at_least, 4, limit.unit)}"
         for name, limit in file.limits.items()
     ]
+    facts = {
+        "Goal": ", ".join(file.goals),
+        "Varied": ", ".join(file.vary),
+        "Limits": ", ".join(limits) or "none",
+        "Draws": str(file.draws or "none"),
+    }
+    figures, notes = [], []
+    if file.front:
+        figures.append(_front_figure(file))
+        notes = [
+            f"The front has {len(file.front)} gaits; shown is the one nearest to the best of both goals."
+        ]
+    if file.drawn:
+        figures.append(_draws_figure(file))
     return studies.evidence(
-        file,
-        "optimise gait",
-        answer(file),
-        _checks(file),
-        {
-            "Goal": ", ".join(file.goals),
-            "Varied": ", ".join(file.vary),
-            "Limits": ", ".join(limits) or "none",
-            "Draws": str(file.draws or "none"),
-        },
-        notices,
-        origin,
-        tables=[_gaits(file), _quantities(file)],
-        figures=[
-            *([_front_figure(file)] if file.front else []),
-            *([_drawn_figure(file)] if file.drawn else []),
-        ],
-        notes=[f"The front has {len(file.front)} gaits; shown is the one nearest to the best of both goals."]
-        * bool(file.front),
+        file, "optimise gait", answer(file), _checks(file), facts, notices, origin,
+        tables=[_gait_table(file), _quantity_table(file)], figures=figures, notes=notes,
         methods=_methods(file),
-    )
+    )  # fmt: skip
 
 
 def _checks(file: GaitFile) -> list[ev.Check]:
     optimum = file.optimum
     checks = []
     if file.ends:
-        best = file.ends[0]
-        agree = sum(abs(end - best) <= AGREE_RTOL * abs(best) for end in file.ends)
+        agree = sum(abs(end - file.ends[0]) <= AGREE_RTOL * abs(file.ends[0]) for end in file.ends)
         text = "" if agree > 1 else "a better gait may be elsewhere: look for more with --starts"
         value = f"{agree} of {len(file.ends)}"
         name, reason = "starts that end at the best gait", f"{value} starts end at it"
         checks.append(ev.check(name, value, agree > 1, "two or more", text, reason=reason))
     bound = ", ".join(optimum.at_bound)
-    text = f"a better gait may lie beyond the range of {bound}" if bound else ""
+    text = f"a better gait may lie beyond the range of {bound}" * bool(bound)
     checks.append(ev.check("gait within its ranges", bound or "yes", not bound, "inside", text, reason=text))
     checks += studies.forwards_check([optimum.quantities.get("mean_surge_from_start_m_s")])
     change, speed = (optimum.quantities.get(n) for n in ("speed_change_per_beat_m_s", "mean_speed_m_s"))
@@ -488,46 +471,41 @@ def _checks(file: GaitFile) -> list[ev.Check]:
     checks.append(studies.region_check(file.identified, [{**drive, **optimum.at}]))
     if file.inside is None:
         return [*checks, studies.unknown_check("uncertainty of the gait")]
-    return [*checks, studies.draws_check(file.inside), *_kept_check(file)]
-
-
-def _kept_check(file: GaitFile) -> list[ev.Check]:
-    """Whether a gait that is told keeps to its limits whatever the coefficients are."""
-    shares = [gait.kept_in_draws for gait in (file.optimum, file.robust) if gait is not None]
-    known = [share for share in shares if share is not None]
-    if not known:
-        return []
-    text = ""
-    if known[0] < MIN_KEPT:
+    checks.append(studies.draws_check(file.inside))
+    gaits = {"best gait": optimum}
+    if file.robust is not None:
+        gaits["robust gait"] = file.robust
+    known = {word: g.kept_in_draws for word, g in gaits.items() if g.kept_in_draws is not None}
+    if known:
+        value = ", ".join(f"{word} {numbers.percent(share, 2)}" for word, share in known.items())
         text = "take the robust gait, leave more room to the limits, or fit better"
-    value = ", ".join(
-        f"{word} {numbers.percent(share, 2)}"
-        for word, share in zip(("best gait", "robust gait"), known, strict=False)
-    )
-    limit = f"≥ {numbers.percent(MIN_KEPT)} of one"
-    name = "draws in which the limits are kept to"
-    return [ev.check(name, value, max(known) >= MIN_KEPT, limit, text)]
+        text *= next(iter(known.values())) < MIN_KEPT
+        name, limit = "draws in which the limits are kept", f"≥ {numbers.percent(MIN_KEPT)} of one"
+        checks.append(ev.check(name, value, max(known.values()) >= MIN_KEPT, limit, text))
+    return checks
 
 
-# ------------------------------------------------------------ in words
-
-
-def _goal(file: GaitFile, goal: str, value: float | None) -> str:
+def _goal_text(file: GaitFile, goal: str, value: float | None) -> str:
     factor, unit = numbers.in_degrees(file.goals[goal][1])
     return numbers.number(None if value is None else factor * value, 4, unit)
 
 
-def _where(file: GaitFile, gait: Gait) -> str:
-    return ", ".join(f"{name} {numbers.number(v, 4, file.vary[name].unit)}" for name, v in gait.at.items())
-
-
-def _span(ends: Sequence[str]) -> str:
-    """Both ends in words; one where they are the same."""
+def _range_text(ends: Sequence[str]) -> str:
+    """Join both ends of an interval; return one if they look the same."""
     return " … ".join(dict.fromkeys(ends))
 
 
-def _rows(file: GaitFile) -> list[dict[str, blocks.Cell]]:
-    """A row for each of best and robust gait, with intervals and losses where they are known."""
+def answer(file: GaitFile) -> str:
+    """Return the best gait as a sentence."""
+    gait = file.optimum
+    place = ", ".join(f"{n} {numbers.number(v, 4, file.vary[n].unit)}" for n, v in gait.at.items())
+    goals = ", ".join(f"{goal} {_goal_text(file, goal, value)}" for goal, value in gait.goals.items())
+    held = f", limited by {', '.join(gait.held_by)}" if gait.held_by else ""
+    return f"Best gait: {place}; {goals}{held}."
+
+
+def _gait_table(file: GaitFile) -> ev.Table:
+    """Return the best and the robust gait, with intervals and losses."""
     rows = []
     for word, gait in (("best gait", file.optimum), ("robust gait", file.robust)):
         if gait is None:
@@ -535,36 +513,24 @@ def _rows(file: GaitFile) -> list[dict[str, blocks.Cell]]:
         row: dict[str, blocks.Cell] = {"gait": word}
         for name, value in gait.at.items():
             row[name] = numbers.number(value, 4, file.vary[name].unit)
-            row[f"{name}, 95 %"] = _span([numbers.number(e) for e in gait.at_ci95.get(name, ())])
+            row[f"{name}, 95 %"] = _range_text([numbers.number(e) for e in gait.at_ci95.get(name, ())])
         for goal, reached in gait.goals.items():
-            row[goal] = _goal(file, goal, reached)
-            row[f"{goal}, 95 %"] = _span([_goal(file, goal, e) for e in gait.goals_ci95.get(goal, ())])
+            ends = [_goal_text(file, goal, e) for e in gait.goals_ci95.get(goal, ())]
+            row[goal] = _goal_text(file, goal, reached)
+            row[f"{goal}, 95 %"] = _range_text(ends)
         if gait.loss_90 is not None:
-            row["loss in 90 % of draws, at most"] = _goal(file, next(iter(file.goals)), gait.loss_90)
-            row["loss, worst tenth"] = _goal(file, next(iter(file.goals)), gait.loss_worst_tenth)
+            goal = next(iter(file.goals))
+            row["loss, 90 % of draws"] = f"≤ {_goal_text(file, goal, gait.loss_90)}"
+            row["loss, worst tenth"] = _goal_text(file, goal, gait.loss_worst_tenth)
         rows.append(row)
-    return rows
-
-
-def answer(file: GaitFile) -> str:
-    """Return the best gait as a sentence."""
-    goals = ", ".join(f"{goal} {_goal(file, goal, value)}" for goal, value in file.optimum.goals.items())
-    held = f", held back by {', '.join(file.optimum.held_by)}" if file.optimum.held_by else ""
-    return f"Best gait: {_where(file, file.optimum)}; {goals}{held}."
-
-
-# ------------------------------------------------------------ tables and figures
-
-
-def _gaits(file: GaitFile) -> ev.Table:
     caption = (
-        "Intervals and losses are over draws of the coefficients; losses are against the best gait of each "
-        "draw that the robust gait was not chosen with."
+        "Intervals and losses are over draws of the coefficients. Losses are against the best gait of each "
+        "draw, over the draws that did not select the robust gait."
     )
-    return blocks.table("gaits", "Gaits", _rows(file), caption if file.draws else "")
+    return blocks.table("gaits", "Gaits", rows, caption * bool(file.draws))
 
 
-def _quantities(file: GaitFile) -> ev.Table:
+def _quantity_table(file: GaitFile) -> ev.Table:
     rows: list[dict[str, blocks.Cell]] = []
     for name, value in file.optimum.quantities.items():
         if value is not None:
@@ -572,50 +538,45 @@ def _quantities(file: GaitFile) -> ev.Table:
             factor, shown = numbers.in_degrees(unit)
             text = numbers.number(factor * value, 4, shown)
             rows.append({"quantity": bare.replace("_", " "), "value": text})
-    return blocks.table("quantities", "What the robot comes to with the best gait", rows)
+    return blocks.table("quantities", "Quantities of the best gait", rows)
 
 
-def _title(file: GaitFile, name: str) -> str:
-    unit = numbers.unit_text(file.vary[name].unit)
-    return f"{name} ({unit})" if unit else name
+def _axis_label(file: GaitFile, name: str) -> str:
+    return f"{name} ({numbers.unit_text(file.vary[name].unit) or '1'})"
 
 
 def _front_figure(file: GaitFile) -> ev.Figure:
-    table, width = np.array(file.front, dtype=float), len(file.vary)
-    labels, columns, best = [], [], []
-    for k, (goal, (_, unit)) in enumerate(file.goals.items()):
-        factor, shown = numbers.in_degrees(unit)
-        labels.append(f"{goal} ({numbers.unit_text(shown)})")
-        columns.append(factor * table[:, width + k])
-        best.append(factor * (file.optimum.goals[goal] or np.nan))
+    width = len(file.vary)
+    factors, shown = zip(*(numbers.in_degrees(unit) for _, unit in file.goals.values()), strict=True)
+    table = np.array(file.front, dtype=float)
+    values = table[:, width:] * factors
+    best = np.array(list(file.optimum.goals.values()), dtype=float) * factors
+    labels = [f"{g} ({numbers.unit_text(u)})" for g, u in zip(file.goals, shown, strict=True)]
     error = None
     if file.front_ci95:
-        factor, _ = numbers.in_degrees(list(file.goals.values())[1][1])
-        error = 0.5 * factor * np.ptp(np.array(file.front_ci95, dtype=float)[:, 2:], axis=1)
+        error = 0.5 * factors[1] * np.ptp(np.array(file.front_ci95, dtype=float)[:, 2:], axis=1)
     traces = [
-        ev.Trace(x=columns[0], y=columns[1], style="points", label="front", y_error=error),  # type: ignore[arg-type]
-        ev.Trace(x=best[:1], y=best[1:], style="points", label="told"),
+        ev.Trace(x=values[:, 0], y=values[:, 1], style="points", label="front", y_error=error),  # type: ignore[arg-type]
+        ev.Trace(x=best[:1], y=best[1:], style="points", label="best gait"),
     ]
     panels = [blocks.panel(labels[0], labels[1], traces)]
     for k, name in enumerate(file.vary):
-        trace = ev.Trace(x=columns[0], y=table[:, k], style="points")
-        panels.append(blocks.panel(labels[0], _title(file, name), [trace]))
+        trace = ev.Trace(x=values[:, 0], y=table[:, k], style="points")
+        panels.append(blocks.panel(labels[0], _axis_label(file, name), [trace]))
     caption = "No gait is better in both goals than one of these; bars are 95 % intervals over draws."
-    return blocks.panels("front", "Pareto front of two goals", caption, panels, columns=2)
+    return blocks.panels("front", "Pareto front of two goals", caption, panels)
 
 
-def _drawn_figure(file: GaitFile) -> ev.Figure:
-    table, names = np.array(file.drawn, dtype=float), list(file.vary)
-    gaits = {"best gait": file.optimum, **({"robust gait": file.robust} if file.robust else {})}
+def _draws_figure(file: GaitFile) -> ev.Figure:
+    gaits = {"best gait": file.optimum, "robust gait": file.robust}
     panels = []
-    for k, name in enumerate(names):
-        x = np.sort(table[:, k])
-        share = (np.arange(len(x)) + 0.5) / len(x)
-        marks = [ev.Mark(at=gait.at[name], axis="x", label=label) for label, gait in gaits.items()]
-        trace = ev.Trace(x=x, y=share, style="step", label="share of draws below")
-        panels.append(blocks.panel(_title(file, name), "share of draws", [trace], marks=marks))
-    caption = "The best gait of each draw of the coefficients: a steep step is a gait that is well known."
-    return blocks.panels("draws", "How sure the best gait is", caption, panels, columns=2)
+    for name, column in zip(file.vary, np.array(file.drawn, dtype=float).T, strict=True):
+        share = (np.arange(len(column)) + 0.5) / len(column)
+        marks = [ev.Mark(at=gait.at[name], axis="x", label=word) for word, gait in gaits.items() if gait]
+        trace = ev.Trace(x=np.sort(column), y=share, style="step", label="share of draws below")
+        panels.append(blocks.panel(_axis_label(file, name), "share of draws", [trace], marks=marks))
+    caption = "Distribution of the best gait over draws of the coefficients; a steep step is a certain gait."
+    return blocks.panels("draws", "Uncertainty of the best gait", caption, panels)
 
 
 def _methods(file: GaitFile) -> list[str]:
@@ -623,7 +584,7 @@ def _methods(file: GaitFile) -> list[str]:
         f"{name} ({numbers.number(v.low)} to {numbers.number(v.high, 4, v.unit)})"
         for name, v in file.vary.items()
     )
-    search = "by differences from several starts"
+    search = "by finite differences from several starts"
     if file.front:
         search = "by NSGA-II (Deb et al. 2002, as implemented in pymoo)"
     sentences = [
@@ -636,7 +597,7 @@ def _methods(file: GaitFile) -> list[str]:
         )
     if file.robust is not None:
         sentences.append(
-            "The robust gait minimises the average of the worst tenth of losses against the best gait of each"
-            " draw (Rockafellar and Uryasev 2000), over half of the draws; losses are told over the others."
+            "The robust gait minimises the mean of the worst tenth of losses against the best gait of each "
+            "draw (Rockafellar and Uryasev 2000) over half of the draws; losses are over the other half."
         )
     return sentences

@@ -1,63 +1,256 @@
-"""``optimise stiffness``: the rule by which a controller sets the stiffness of a passive joint."""
+"""``optimise stiffness``: the rule by which a controller sets the stiffness of a passive joint.
+
+The search, the rule file (``swimid-rule/2``), and the evidence of the rule.
+"""
 
 from __future__ import annotations
 
+import bisect
 import math
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import numpy as np
+from jinja2 import Environment, PackageLoader
+from pydantic import Field, model_validator
 
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
-from swimid.files import atomic
+from swimid.files import atomic, yamlio
 from swimid.files.checkpoint import Checkpoint
+from swimid.files.yamlio import Number, Pair, Rows
 from swimid.fitting.model import Array
-from swimid.logs.kinematics import PER_CYCLE
 from swimid.notices import Notice, recorded
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import OptimiseStiffnessOptions
 from swimid.optimisation.performance import BEAT, Performance, points_of
-from swimid.optimisation.problem import Problem, drawn
-from swimid.optimisation.rule import DEGREE, Curve, Optimum, RuleFile, Swept, fit_curve
-from swimid.optimisation.study import in_parallel, study_of
+from swimid.optimisation.problem import Problem, drawn, interval95
+from swimid.optimisation.study import StudyFile, in_parallel, study_of
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results.result import FileResult
-from swimid.simulation.swim_quantities import SwimRun
 
-#: First and last radius of the search about the best end of a front.
-RADIUS, LAST = 0.01, 5e-4
-#: A stiffness lies at an end of its range within this share of the range.
+#: Highest power of the frequency in a curve of the rule (tendon fish, Algorithm 1).
+DEGREE = 2
+#: First and last radius of the final search about the best end of a front, as a share of the range.
+SEARCH_RADIUS, MIN_RADIUS = 0.01, 5e-4
+#: A stiffness is at its bound within this share of the range.
 BOUND_TOL = 1e-3
-#: Smallest number of draws of the coefficients, and the number of runs for each draw and point.
-MIN_DRAWS, DRAW_RUNS = 20, 12
+#: Minimum number of draws of the coefficients, and the number of simulations for each draw and point.
+MIN_DRAWS, N_DRAW_RUNS = 20, 12
+#: Largest relative loss of speed, or rise of cost, of the rule against its own optima.
+MAX_LOSS = 0.02
+#: Maximum number of amplitudes in the figure of speeds.
+MAX_PANELS = 6
+
+Outside = Literal["refuse", "hold"]
+
+
+class Curve(yamlio.Document):
+    """Rule at one amplitude: ``c0 + c1 f + c2 f^2`` with the frequency f in Hz."""
+
+    amplitude_deg: float
+    coefficients: tuple[float, float, float]
+    #: Standard errors of the coefficients; None without degrees of freedom.
+    stderr: tuple[float, float, float] | None = None
+    #: Root-mean-square of the residuals of the optima.
+    rms: float
+    #: Coefficients of the curve in each draw of the robot's coefficients.
+    drawn: Rows = []
+
+
+class Optimum(yamlio.Document):
+    """Best stiffness at one frequency and amplitude."""
+
+    frequency_hz: float
+    amplitude_deg: float
+    stiffness: float
+    #: 95 % interval over draws of the robot's coefficients.
+    stiffness_ci95: Pair = (None, None)
+    #: 90 % quantile of the relative loss of the rule over draws.
+    loss_90: Number = None
+    at_bound: bool = False
+    #: Mean speed (m/s) and cost of transport (J/m) with this stiffness, the rule, and the reference.
+    speed_m_s: Number = None
+    rule_speed_m_s: Number = None
+    reference_speed_m_s: Number = None
+    cost_of_transport_J_m: Number = None
+    rule_cost_of_transport_J_m: Number = None
+    #: Range of the turning rate with this stiffness and with the reference, rad/s.
+    turn_rate_range_rad_s: Number = None
+    reference_turn_rate_range_rad_s: Number = None
+    settling_time_s: Number = None
+    #: Pareto front: stiffness, and both objectives as they are minimised.
+    front: Rows = []
+
+
+class RuleFile(StudyFile):
+    """Rule file."""
+
+    kind: ClassVar[str] = "rule file"
+    format: Literal["swimid-rule/2"] = "swimid-rule/2"
+    coefficient: str
+    unit: str
+    between: tuple[float, float]
+    objective: Literal["speed", "cost-of-transport"]
+    objectives: tuple[str, str]
+    #: Stiffness of the parameter file, with which the rule is compared.
+    reference: float
+    #: Range of the rule.
+    frequency_hz: tuple[float, float]
+    amplitude_deg: tuple[float, float]
+    curves: list[Curve]
+    optima: list[Optimum]
+    #: Number of draws of the coefficients, and the share of draws within their bounds.
+    draws: int = 0
+    inside: Number = None
+    provenance: dict[str, Any] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _check_amplitudes(self) -> RuleFile:
+        amplitudes = [curve.amplitude_deg for curve in self.curves]
+        if not amplitudes or amplitudes != sorted(set(amplitudes)):
+            raise ValueError("'curves' need rising amplitudes, and at least one")
+        return self
+
+    def stiffness_for(
+        self, frequency_hz: float, amplitude_deg: float | None = None, *, outside: Outside = "refuse"
+    ) -> float:
+        """Return the stiffness at a frequency and an amplitude, by linear interpolation between the curves.
+
+        Parameters
+        ----------
+        frequency_hz, amplitude_deg : float
+            The amplitude may be omitted if the rule has only one.
+        outside : {"refuse", "hold"}
+            Beyond the range of the rule: raise an error, or use the nearest end, as the C header does.
+
+        Returns
+        -------
+        float
+            Stiffness in :attr:`unit`, within :attr:`between`.
+
+        Raises
+        ------
+        UsageError
+            Outside the range of the rule, unless ``outside`` is "hold".
+        """
+        curves = [np.array(curve.coefficients) for curve in self.curves]
+        return float(self._interpolate(frequency_hz, amplitude_deg, outside, curves))
+
+    def interval_for(
+        self, frequency_hz: float, amplitude_deg: float | None = None, *, outside: Outside = "refuse"
+    ) -> tuple[float, float] | None:
+        """Return the 95 % interval of the stiffness over draws of the robot's coefficients.
+
+        The interval says nothing about effects that the model lacks.
+
+        Parameters
+        ----------
+        frequency_hz, amplitude_deg, outside
+            As for :meth:`stiffness_for`.
+
+        Returns
+        -------
+        tuple of float, or None
+            Ends in :attr:`unit`; None without draws.
+        """
+        if not self.draws:
+            return None
+        curves = [np.array(curve.drawn, dtype=float).T for curve in self.curves]
+        low, high = interval95(self._interpolate(frequency_hz, amplitude_deg, outside, curves))
+        return float(low), float(high)
+
+    def _interpolate(
+        self, frequency_hz: float, amplitude_deg: float | None, outside: Outside, curves: Sequence[Array]
+    ) -> Any:
+        """Evaluate curves with the coefficients c0, c1, c2 and interpolate between their amplitudes."""
+        amplitudes = [curve.amplitude_deg for curve in self.curves]
+        if amplitude_deg is None:
+            if len(amplitudes) > 1:
+                raise UsageError("this rule depends on the amplitude: give amplitude_deg")
+            amplitude_deg = amplitudes[0]
+        f = _within(frequency_hz, self.frequency_hz, "frequency_hz", outside)
+        a = _within(amplitude_deg, self.amplitude_deg, "amplitude_deg", outside)
+
+        def value(k: int) -> Any:
+            c0, c1, c2 = curves[k]
+            return np.clip(c0 + f * (c1 + f * c2), *self.between)
+
+        if len(amplitudes) == 1:
+            return value(0)
+        after = min(max(bisect.bisect_left(amplitudes, a), 1), len(amplitudes) - 1)
+        share = (a - amplitudes[after - 1]) / (amplitudes[after] - amplitudes[after - 1])
+        return (1.0 - share) * value(after - 1) + share * value(after)
+
+    def header(self) -> str:
+        """Return the rule as a C header: a single-precision function that needs no library."""
+        environment = Environment(
+            loader=PackageLoader("swimid.optimisation"), trim_blocks=True, keep_trailing_newline=True
+        )
+        environment.filters["single"] = _as_single
+        return environment.get_template("rule.h").render(rule=self)
+
+
+def _within(value: float, ends: tuple[float, float], name: str, outside: Outside) -> float:
+    low, high = ends
+    slack = 1e-9 * max(abs(low), abs(high))
+    if not math.isfinite(value) or (outside == "refuse" and not low - slack <= value <= high + slack):
+        raise UsageError(f"{name} {value:g} is outside the rule, {low:g} to {high:g}")
+    return min(max(value, low), high)
+
+
+def _as_single(value: float) -> str:
+    """Return a number as a single-precision literal of C."""
+    text = f"{value:.9g}"
+    if not any(mark in text for mark in ".e"):
+        text += ".0"
+    return f"{text}f"
+
+
+def fit_curve(amplitude_deg: float, frequency_hz: Array, stiffness: Array) -> Curve:
+    """Fit the quadratic function of the frequency by least squares (tendon fish, Algorithm 1).
+
+    >>> made = fit_curve(20.0, np.array([1.0, 2.0, 3.0]), np.array([3.0, 9.0, 19.0]))
+    >>> [round(c, 6) for c in made.coefficients]
+    [1.0, 0.0, 2.0]
+    """
+    design = np.vander(frequency_hz, DEGREE + 1, increasing=True)
+    found, *_ = np.linalg.lstsq(design, stiffness)
+    residuals = stiffness - design @ found
+    freedom = len(frequency_hz) - DEGREE - 1
+    stderr = None
+    if freedom > 0:
+        variances = np.diag(np.linalg.inv(design.T @ design)) * float(residuals @ residuals) / freedom
+        stderr = np.sqrt(variances).tolist()
+    rms = float(np.sqrt(np.mean(residuals**2)))
+    return Curve(amplitude_deg=amplitude_deg, coefficients=tuple(found.tolist()), stderr=stderr, rms=rms)
 
 
 @dataclass(frozen=True, eq=False)
 class StiffnessRule(FileResult[RuleFile]):
-    """A stiffness rule, as ``optimise stiffness`` gives it.
+    """Stiffness rule, the result of ``optimise stiffness``.
 
     Attributes
     ----------
     file : RuleFile
-        What :meth:`save` writes: curves, optima with their Pareto fronts, sweeps; ``.header()`` is the rule
-        in C.
+        Curves, and optima with their Pareto fronts; :meth:`save` writes it. ``.header()`` is the rule in C.
     """
 
     file_type = RuleFile
 
     @property
     def stiffness_for(self) -> Callable[..., float]:
-        """From frequency_hz and amplitude_deg to the stiffness (see :meth:`RuleFile.stiffness_for`)."""
+        """Function of frequency_hz and amplitude_deg (see :meth:`RuleFile.stiffness_for`)."""
         return self.file.stiffness_for
 
     @property
     def interval_for(self) -> Callable[..., tuple[float, float] | None]:
-        """The 95 % interval of that (see :meth:`RuleFile.interval_for`)."""
+        """95 % interval of the stiffness (see :meth:`RuleFile.interval_for`)."""
         return self.file.interval_for
 
 
@@ -69,31 +262,31 @@ def optimise_stiffness(
     allow: Callable[[Path], object] = atomic.check_writable,
     progress: Progress = silent,
 ) -> StiffnessRule:
-    """The best stiffness of a passive joint over frequency and amplitude, as a rule for a controller.
+    """Find the best stiffness of a passive joint over frequency and amplitude, as a rule for a controller.
 
-    At every frequency and amplitude NSGA-II searches the Pareto front of two objectives over the stiffness;
-    the stiffness chosen on it is fitted by a quadratic function of the frequency for each amplitude.
+    NSGA-II searches the Pareto front of two objectives over the stiffness at every frequency and amplitude.
+    A quadratic function of the frequency for each amplitude is fitted to the best values of the first one.
 
     Parameters
     ----------
     output : path, optional
-        Rule file to write; its evidence goes beside it.
+        Rule file to write; its evidence is written beside it.
     allow : callable
-        Called with every file before it is written; raises where that must not be.
+        Called with every file before it is written; raises if the file must not be written.
     progress : Progress
         Shows the points of the grid.
 
     Returns
     -------
     StiffnessRule
-        ``.stiffness_for(frequency_hz, amplitude_deg)`` in the coefficient's unit; the file has the fronts.
+        ``.stiffness_for(frequency_hz, amplitude_deg)`` in the coefficient's unit.
 
     Raises
     ------
     UsageError, InputError
         For bad options and files.
     NoTrustworthyResult
-        When every run breaks down or rests.
+        If every simulation breaks down, or the robot rests in every one.
 
     References
     ----------
@@ -116,10 +309,10 @@ def optimise_stiffness(
         performance = Performance.of_options(options)
         problem = _problem(performance, options)
         (coefficient,), (between,) = problem.vary, problem.vary.values()
-        axes = {name: [float(v) for v in np.linspace(*axis)] for name, axis in options.over.items()}
-        if "amplitude_deg" not in axes:
-            axes["amplitude_deg"] = [performance.drive["amplitude_deg"]]
-        points = points_of({name: axes[name] for name in ("amplitude_deg", "frequency_hz")})
+        axes = {"amplitude_deg": [performance.drive.get("amplitude_deg", math.nan)]}
+        axes |= {name: np.linspace(*axis).tolist() for name, axis in options.over.items()}
+        frequencies, amplitudes = axes["frequency_hz"], axes["amplitude_deg"]
+        points = points_of({"amplitude_deg": amplitudes, "frequency_hz": frequencies})
         problems = [replace(problem, fixed=point) for point in points]
         study = study_of(performance, options)
         for place in (output, options.header):
@@ -127,21 +320,17 @@ def optimise_stiffness(
                 allow(atomic.check_writable(place, inputs=study.inputs))
         keep = Checkpoint.beside(output, study.key)
         known = bool(options.draws and performance.applied.uncertain()[0])
-        runs = len(points) * (options.population * options.generations + known * options.draws * DRAW_RUNS)
+        runs = len(points) * (options.population * options.generations + known * options.draws * N_DRAW_RUNS)
         performance.model.prepare(progress, simulated_s=runs * options.duration_s, checkpoint=keep)
         reference = float(performance.values[performance.model.index(coefficient)])
 
         def front(k: int) -> Array:
-            return keep.kept(f"front {k}", lambda: front_at(problems[k], k, reference, options).ravel())
+            return keep.kept(f"front {k}", lambda: _front_at(problems[k], k, reference, options).ravel())
 
-        fronts = [
-            found.reshape(-1, 3)
-            for found in in_parallel(front, range(len(points)), options.jobs, "fronts", progress)
-        ]
-        optima = [_optimum(one, found) for one, found in zip(problems, fronts, strict=True)]
-        frequencies, amplitudes = axes["frequency_hz"], axes["amplitude_deg"]
+        fronts = in_parallel(front, range(len(points)), options.jobs, "fronts", progress)
+        optima = [_optimum(one, found.reshape(-1, 3)) for one, found in zip(problems, fronts, strict=True)]
         file = RuleFile(
-            **study.said,
+            **study.head,
             coefficient=coefficient,
             unit=performance.axes[coefficient],
             between=between,
@@ -153,20 +342,20 @@ def optimise_stiffness(
             curves=[_curve(optima, amplitude) for amplitude in amplitudes],
             optima=optima,
         )
-        _assess(performance, file, options.jobs or 1)
-        performance.insist_motion(np.array(largest_speeds(file)))
+        _assess(performance, file, options.jobs or os.cpu_count() or 1)
+        performance.insist_motion(np.array(_largest_speeds(file)))
         if known:
             performance.applied.warn_without_error("the intervals")
             draws = drawn(performance.applied, options.draws, options.seed)
             file.draws, file.inside = len(draws.vectors), draws.inside
 
-            def redone(k: int) -> Array:
-                return keep.kept(f"draws {k}", lambda: _redone(problems[k], file, k, draws.vectors).ravel())
+            def search(k: int) -> Array:
+                return keep.kept(
+                    f"draws {k}", lambda: _search_in_draws(problems[k], file, k, draws.vectors).ravel()
+                )
 
-            tables = in_parallel(redone, range(len(optima)), options.jobs, "rule in draws", progress)
-            _carry(file, [table.reshape(2, -1) for table in tables])
-        if options.objective == "speed":
-            file.sweeps = [_swept(performance, file, frequencies, a) for a in amplitudes]
+            tables = in_parallel(search, range(len(optima)), options.jobs, "rule in draws", progress)
+            _set_intervals(file, [table.reshape(2, -1) for table in tables])
     evidence = evidence_of(file, notices, study.origin)
     file.verdict = evidence.verdict.level
     with atomic.together():
@@ -179,9 +368,9 @@ def optimise_stiffness(
 
 
 def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> Problem:
-    """What is searched at every point of the grid, as far as the options go together."""
+    """Return the problem at every point of the grid; refuse options that do not go together."""
     if options.stroke is not None or performance.model.in_space:
-        raise UsageError("a stiffness rule is one of a tail beat in a plane")
+        raise UsageError("a stiffness rule is for a tail beat in a plane")
     if not set(options.over) <= {"frequency_hz", "amplitude_deg"} or "frequency_hz" not in options.over:
         raise UsageError("--over takes frequency_hz, and amplitude_deg where the rule depends on it")
     performance.check({name: axis[:2] for name, axis in options.over.items()}, "--over")
@@ -198,22 +387,21 @@ def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> Pro
     if not (math.isfinite(low) and math.isfinite(high)):
         raise UsageError(f"{name} has no bounds", hint="give them: --between LOW,HIGH")
     performance.check({name: (low, high)}, "--between")
-    goals, signs = {
-        "speed": (("mean_surge_from_start_m_s", f"{performance.turn}_rate_range_rad_s"), (-1.0, 1.0)),
-        "cost-of-transport": (("cost_of_transport_J_m", "mean_speed_m_s"), (1.0, -1.0)),
-    }[options.objective]
-    return Problem(performance, {name: (low, high)}, list(zip(goals, goals, signs, strict=True)), {})
+    goals = [("cost_of_transport_J_m", 1.0), ("mean_speed_m_s", -1.0)]
+    if options.objective == "speed":
+        goals = [("mean_surge_from_start_m_s", -1.0), (f"{performance.turn}_rate_range_rad_s", 1.0)]
+    return Problem(performance, {name: (low, high)}, [(goal, goal, sign) for goal, sign in goals], {})
 
 
 def _coefficient(performance: Performance, options: OptimiseStiffnessOptions) -> str:
-    """The coefficient that is the stiffness."""
+    """Return the name of the stiffness."""
     name, found = options.coefficient, performance.model.yielding()
     if name is None and len(found) == 1:
         return found[0]
     if name is None:
         known = ", ".join(found) or "no coefficient"
         raise UsageError(
-            f"which stiffness is to be found? in passive joints' laws stands {known}",
+            f"the passive joints' laws contain {known}; one of them must be the stiffness",
             hint="name it: --coefficient NAME",
         )
     if name not in found:
@@ -223,16 +411,16 @@ def _coefficient(performance: Performance, options: OptimiseStiffnessOptions) ->
     return name
 
 
-# ------------------------------------------------------------ the optima
+# ------------------------------------------------------------ search
 
 
-def front_at(problem: Problem, number: int, reference: float, options: OptimiseStiffnessOptions) -> Array:
-    """Search the Pareto front at a point of the grid, its best end by differences.
+def _front_at(problem: Problem, number: int, reference: float, options: OptimiseStiffnessOptions) -> Array:
+    """Search the Pareto front at a point of the grid, and refine its best end by finite differences.
 
     Returns
     -------
     ndarray, shape (n, 3)
-        Stiffness and both objectives, as they are minimised; the best in the first objective first.
+        Stiffness and both objectives as they are minimised; the best in the first objective first.
     """
     ((low, high),) = problem.vary.values()
     first = np.array([(reference - low) / (high - low)])
@@ -240,10 +428,10 @@ def front_at(problem: Problem, number: int, reference: float, options: OptimiseS
     if len(front):
         front = front[np.argsort(front[:, 1], kind="stable")]
         problem.scale = float(abs(front[0, 1]))
-        closer = problem.minimise(front[:1, :1], first=RADIUS, last=LAST).points
-        found = np.hstack([closer, problem.wanted(problem.table(closer))])
+        refined = problem.minimise(front[:1, :1], first=SEARCH_RADIUS, last=MIN_RADIUS).points
+        found = np.hstack([refined, problem.wanted(problem.table(refined))])
         if found[0, 1] < front[0, 1]:
-            # points that are worse in both objectives leave the front
+            # remove the points that are worse in both objectives
             front = np.vstack([found, front[front[:, 2] < found[0, 2]]])
     front[:, 0] = low + front[:, 0] * (high - low)
     return front
@@ -262,44 +450,36 @@ def _optimum(problem: Problem, front: Array) -> Optimum:
 
 
 def _curve(optima: Sequence[Optimum], amplitude: float) -> Curve:
-    """The quadratic function of the frequency at an amplitude."""
     at = [(one.frequency_hz, one.stiffness) for one in optima if one.amplitude_deg == amplitude]
     return fit_curve(amplitude, *np.array(at).T)
 
 
 def _assess(performance: Performance, file: RuleFile, jobs: int) -> None:
-    """Speeds and costs with the stiffness found, with the rule's and with the reference."""
-    gaits, owners = [], []
+    """Set speed and cost of every optimum: with its stiffness, with the rule, and with the reference."""
+    gaits = []
     for one in file.optima:
-        ruled = file.stiffness_for(one.frequency_hz, one.amplitude_deg, outside="hold")
-        for prefix, k in (("", one.stiffness), ("rule_", ruled), ("reference_", file.reference)):
-            beat = {"frequency_hz": one.frequency_hz, "amplitude_deg": one.amplitude_deg}
-            gaits.append({**beat, file.coefficient: k})
-            owners.append((one, prefix))
-    told = {
-        "speed_m_s": "mean_speed_m_s",
-        "cost_of_transport_J_m": "cost_of_transport_J_m",
-        "turn_rate_range_rad_s": f"{performance.turn}_rate_range_rad_s",
-        "settling_time_s": "settling_time_s",
-    }
-    units = list(performance.units)
-    for (one, prefix), row in zip(owners, performance.many(gaits, jobs=jobs), strict=True):
-        for name, quantity in told.items():
-            value = float(row[units.index(quantity)])
-            if prefix + name in Optimum.model_fields and math.isfinite(value):
-                setattr(one, prefix + name, value)
+        beat = {"frequency_hz": one.frequency_hz, "amplitude_deg": one.amplitude_deg}
+        ruled = file.stiffness_for(**beat, outside="hold")
+        gaits += [{**beat, file.coefficient: k} for k in (one.stiffness, ruled, file.reference)]
+    table = performance.many(gaits, jobs=jobs).reshape(len(file.optima), 3, -1)
+    table = np.array(yamlio.plain(table, finite=True), dtype=object)
+    columns = {name: table[:, :, k] for k, name in enumerate(performance.units)}
+    turn = f"{performance.turn}_rate_range_rad_s"
+    for k, one in enumerate(file.optima):
+        speeds, costs = columns["mean_speed_m_s"][k], columns["cost_of_transport_J_m"][k]
+        one.speed_m_s, one.rule_speed_m_s, one.reference_speed_m_s = speeds
+        one.cost_of_transport_J_m, one.rule_cost_of_transport_J_m, _ = costs
+        one.turn_rate_range_rad_s, _, one.reference_turn_rate_range_rad_s = columns[turn][k]
+        one.settling_time_s = columns["settling_time_s"][k, 0]
 
 
-# ------------------------------------------------------------ how sure they are
-
-
-def _redone(problem: Problem, file: RuleFile, number: int, vectors: Sequence[Array]) -> Array:
-    """An optimum in draws of the coefficients.
+def _search_in_draws(problem: Problem, file: RuleFile, number: int, vectors: Sequence[Array]) -> Array:
+    """Search an optimum again in each draw of the coefficients.
 
     Returns
     -------
     ndarray, shape (2, draws)
-        The stiffness, and the relative loss of the rule against it.
+        Stiffness, and the relative loss of the rule against it.
     """
     one, (name,) = file.optima[number], problem.vary
     ruled = file.stiffness_for(one.frequency_hz, one.amplitude_deg, outside="hold")
@@ -309,11 +489,10 @@ def _redone(problem: Problem, file: RuleFile, number: int, vectors: Sequence[Arr
     return np.array([stiffness, (cost - best.values) / np.abs(best.values)])
 
 
-def _carry(file: RuleFile, tables: Sequence[Array]) -> None:
-    """Carry optima in draws of the coefficients into the intervals, losses and curves of a rule."""
+def _set_intervals(file: RuleFile, tables: Sequence[Array]) -> None:
+    """Set intervals and losses of the optima, and the curves of each draw."""
     for one, (stiffness, lost) in zip(file.optima, tables, strict=True):
-        low, high = np.quantile(stiffness, [0.025, 0.975], method="weibull")
-        one.stiffness_ci95 = (float(low), float(high))
+        one.stiffness_ci95 = tuple(interval95(stiffness).tolist())
         one.loss_90 = max(float(np.quantile(lost, 0.9, method="higher")), 0.0)
     for curve in file.curves:
         at = [k for k, one in enumerate(file.optima) if one.amplitude_deg == curve.amplitude_deg]
@@ -322,126 +501,63 @@ def _carry(file: RuleFile, tables: Sequence[Array]) -> None:
             curve.drawn.append([*fit_curve(curve.amplitude_deg, f, column).coefficients])
 
 
-# ------------------------------------------------------------ a frequency sweep in one run
-
-
-def sweep(
-    performance: Performance,
-    frequencies_hz: Sequence[float],
-    amplitude_deg: float,
-    coefficient: str,
-    stiffness: Array,
-) -> Array:
-    """Swim through frequencies without a stop, each for the performance's duration.
-
-    Parameters
-    ----------
-    stiffness : ndarray, shape (runs, frequencies)
-
-    Returns
-    -------
-    ndarray, shape (runs,)
-        Way made in all, m.
-
-    Notes
-    -----
-    A step lasts whole beats and begins with the motion the last one ended with; the drive goes on at the same
-    phase.
-    """
-    model = performance.model
-    states = [performance.values.copy() for _ in stiffness]
-    ways = np.zeros(len(stiffness))
-    for number, frequency in enumerate(frequencies_hz):
-        point = {"frequency_hz": frequency, "amplitude_deg": amplitude_deg}
-        ramp_s = 0.0 if number else performance.ramp_s
-        swim, _ = replace(performance, ramp_s=ramp_s).swim(point)
-        duration_s = math.ceil(performance.duration_s * frequency - 1e-9) / frequency
-        run = SwimRun.driven(model, f"sweep {number} {point!r}", swim, frequency, duration_s)
-        for values, k in zip(states, stiffness[:, number], strict=True):
-            values[model.index(coefficient)] = k
-        columns = model.simulate_many([(values, run.trial) for values in states])
-        paths = np.array([[column[name][::PER_CYCLE] for name in model.pose[:2]] for column in columns])
-        ways += np.hypot(*np.diff(paths, axis=2).transpose(1, 0, 2)).sum(axis=1)
-        for values, seen in zip(states, columns, strict=True):
-            for name, value in model.final_state(seen).items():
-                values[model.index(name)] = value
-        model.forget([run.trial])
-    return ways
-
-
-def _swept(performance: Performance, file: RuleFile, frequencies: Sequence[float], amplitude: float) -> Swept:
-    """A frequency sweep with the rule and with fixed stiffnesses over the range of what it says."""
-    ruled = [file.stiffness_for(f, amplitude, outside="hold") for f in frequencies]
-    fixed = sorted({*np.linspace(min(ruled), max(ruled), 9).tolist(), file.reference})
-    stiffness = np.vstack([ruled, np.tile(np.array(fixed)[:, None], len(ruled))])
-    ways = sweep(performance, frequencies, amplitude, file.coefficient, stiffness).tolist()
-    return Swept(amplitude_deg=amplitude, rule_m=ways[0], fixed=fixed, fixed_m=ways[1:])
-
-
-#: Largest loss of speed, or rise of cost, of the rule against its own optima.
-MAX_LOSS = 0.02
-
-
-def evidence_of(file: RuleFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
-    """Return the evidence of a rule."""
-    first, second = (name.replace("_", " ") for name in file.objectives)
-    return studies.evidence(
-        file,
-        "optimise stiffness",
-        answer(file),
-        _checks(file),
-        {
-            "Stiffness": f"{file.coefficient}, {numbers.interval(*file.between, None, file.unit)}",
-            "Objective": file.objective,
-            "Frequency": numbers.interval(*file.frequency_hz, None, "Hz"),
-            "Amplitude": numbers.interval(*file.amplitude_deg, None, "deg"),
-        },
-        notices,
-        origin,
-        tables=[_curves(file), _optima(file)],
-        figures=[_rule(file), _speeds(file)],
-        methods=[
-            f"At {len(file.optima)} points of frequency and amplitude the Pareto front of {first} and "
-            f"{second} over {file.coefficient} was searched by NSGA-II (Deb et al. 2002, as implemented in "
-            f"pymoo); each run of {file.duration_s:g} s began at rest. The best values of the first were "
-            "fitted by a quadratic function of the frequency for each amplitude. Intervals, where known, are "
-            f"percentiles of the same over {file.draws} draws of the coefficients from their covariance."
-        ],
-    )
-
-
-# ------------------------------------------------------------ what it comes to
+# ------------------------------------------------------------ evidence
 
 
 def _column(file: RuleFile, name: str) -> Array:
-    """A number of every optimum, NaN where there is none."""
     return np.array([getattr(one, name) for one in file.optima], dtype=float)
 
 
-def loss(file: RuleFile) -> Array:
-    """Return what the rule loses against its own optima: a share of speed, or of cost where that counts."""
+def _loss(file: RuleFile) -> Array:
+    """Return the relative loss of the rule against its own optima, of speed or of cost, shape (optima,)."""
     with np.errstate(invalid="ignore", divide="ignore"):
         if file.objective == "speed":
             return np.asarray(1.0 - _column(file, "rule_speed_m_s") / _column(file, "speed_m_s"))
-        own, ruled = (_column(file, f"{p}cost_of_transport_J_m") for p in ("", "rule_"))
-        return np.asarray(ruled / own - 1.0)
+        costs = _column(file, "rule_cost_of_transport_J_m") / _column(file, "cost_of_transport_J_m")
+        return np.asarray(costs - 1.0)
 
 
-def largest_speeds(file: RuleFile) -> tuple[float, float]:
+def _largest_speeds(file: RuleFile) -> tuple[float, float]:
     """Return the highest speed with the rule and with the reference, m/s (tendon fish, section V.C)."""
     ruled, fixed = (np.nanmax(_column(file, f"{p}_speed_m_s")) for p in ("rule", "reference"))
     return float(ruled), float(fixed)
 
 
+def evidence_of(file: RuleFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
+    """Return the evidence of a rule."""
+    first, second = (name.replace("_", " ") for name in file.objectives)
+    facts = {
+        "Stiffness": f"{file.coefficient}, {numbers.interval(*file.between, None, file.unit)}",
+        "Objective": file.objective,
+        "Frequency": numbers.interval(*file.frequency_hz, None, "Hz"),
+        "Amplitude": numbers.interval(*file.amplitude_deg, None, "deg"),
+    }
+    methods = [
+        f"At {len(file.optima)} points of frequency and amplitude NSGA-II (Deb et al. 2002, as implemented "
+        f"in pymoo) searched the Pareto front of {first} and {second} over {file.coefficient}; each run of "
+        f"{file.duration_s:g} s began at rest. A quadratic function of the frequency for each amplitude was "
+        "fitted to the best values of the first objective. Intervals, where known, are percentiles "
+        f"over {file.draws} draws of the coefficients from their covariance."
+    ]
+    return studies.evidence(
+        file, "optimise stiffness", answer(file), _checks(file), facts, notices, origin,
+        tables=[_curve_table(file), _optima_table(file)],
+        figures=[_rule_figure(file), _speed_figure(file)],
+        methods=methods,
+    )  # fmt: skip
+
+
 def _checks(file: RuleFile) -> list[ev.Check]:
     count, inside = len(file.optima), sum(not one.at_bound for one in file.optima)
-    text = "" if inside == count else "the rest lie at an end: a better stiffness may lie beyond it"
-    name = "optima within the range searched"
-    checks = [ev.check(name, f"{inside} of {count}", inside == count, "all", text)]
-    worst = float(np.nanmax(loss(file)))
-    name, text = "what the rule loses against its own optima", "the optima are no quadratic function there"
-    checks.append(_at_most(name, worst, text))
+    name, text = "optima within the range searched", "a better stiffness may lie beyond the range"
+    checks = [studies.count_check(name, inside, count, text)]
+    text = "the optima do not follow a quadratic function there"
+    checks.append(_loss_check("loss of the rule against its own optima", np.nanmax(_loss(file)), text))
     if file.objective == "speed":
+        ruled, fixed = _column(file, "rule_speed_m_s"), _column(file, "reference_speed_m_s")
+        name = f"the rule is as fast as {numbers.number(file.reference, 3, file.unit)}"
+        as_fast = int((ruled >= (1.0 - MAX_LOSS) * fixed).sum())
+        checks.append(studies.count_check(name, as_fast, count, "use the fixed stiffness at the others"))
         surge = [-min(row[1] for row in o.front if row[1] is not None) for o in file.optima]
         checks += studies.forwards_check(surge)
     checks.append(studies.steady_check(sum(one.settling_time_s is not None for one in file.optima), count))
@@ -449,33 +565,20 @@ def _checks(file: RuleFile) -> list[ev.Check]:
     grid = [{**drive, "frequency_hz": o.frequency_hz, "amplitude_deg": o.amplitude_deg} for o in file.optima]
     checks.append(studies.region_check(file.identified, grid))
     if file.inside is None:
-        checks.append(studies.unknown_check("uncertainty of the rule"))
-    else:
-        worst = max(one.loss_90 or 0.0 for one in file.optima)
-        text = "the best stiffness depends on what the fit left open: see its intervals"
-        name = "what the rule loses in nine of ten draws of the coefficients"
-        checks += [studies.draws_check(file.inside), _at_most(name, worst, text)]
-    if file.sweeps:
-        won = sum(s.rule_m >= max(s.fixed_m) for s in file.sweeps)
-        name = "a frequency sweep with the rule is faster than with any fixed stiffness"
-        value = f"at {won} of {len(file.sweeps)} amplitudes"
-        checks.append(ev.check(name, value, won == len(file.sweeps), "all"))
-    return checks
+        return [*checks, studies.unknown_check("uncertainty of the rule")]
+    worst = max(one.loss_90 or 0.0 for one in file.optima)
+    text = "the fit does not determine the best stiffness: see its intervals"
+    name = "loss of the rule in nine of ten draws of the coefficients"
+    return [*checks, studies.draws_check(file.inside), _loss_check(name, worst, text)]
 
 
-def _at_most(name: str, worst: float, text: str) -> ev.Check:
-    """Check that a loss is small everywhere."""
-    sound = worst <= MAX_LOSS
+def _loss_check(name: str, worst: float, text: str) -> ev.Check:
     value, limit = f"at most {numbers.percent(worst, 2)}", f"≤ {numbers.percent(MAX_LOSS)}"
-    return ev.check(name, value, sound, limit, "" if sound else text)
-
-
-def _signed(value: float, digits: int = 4) -> str:
-    return f"{'−' if value < 0 else '+'} {numbers.number(abs(value), digits)}"
+    return ev.check(name, value, worst <= MAX_LOSS, limit, text * bool(worst > MAX_LOSS))
 
 
 def answer(file: RuleFile) -> str:
-    """Return what the rule says and gains as a sentence."""
+    """Return the range of the rule and its gain in speed as a sentence."""
     stiffness, f = _column(file, "stiffness"), _column(file, "frequency_hz")
     low, high = float(stiffness.min()), float(stiffness.max())
     trend = "over"
@@ -484,36 +587,32 @@ def answer(file: RuleFile) -> str:
     text = f"{file.coefficient} {numbers.number(low, 3)} to {numbers.number(high, 3, file.unit)}, "
     text += f"{trend} frequency"
     if file.objective == "speed":
-        ruled, fixed = largest_speeds(file)
+        ruled, fixed = _largest_speeds(file)
+        gain = f"{100 * (ruled / fixed - 1):+.3g}".replace("-", "−")
         text += (
             f"; highest speed {numbers.number(ruled, 3, 'm/s')} against {numbers.number(fixed, 3, 'm/s')} "
-            f"with {numbers.number(file.reference, 3, file.unit)} ({_signed(100 * (ruled / fixed - 1), 3)} %)"
+            f"with {numbers.number(file.reference, 3, file.unit)} ({gain} %)"
         )
     return f"{text}."
 
 
-# ------------------------------------------------------------ tables
-
-
-def _curves(file: RuleFile) -> ev.Table:
+def _curve_table(file: RuleFile) -> ev.Table:
     rows = []
     for c in file.curves:
         named = zip(("c0", "c1", "c2"), c.coefficients, c.stderr or (None, None, None), strict=True)
         row: dict[str, blocks.Cell] = {"amplitude": numbers.number(c.amplitude_deg, 3, "deg")}
         row |= {name: numbers.measured(value, error) for name, value, error in named}
-        row["rms left"] = numbers.number(c.rms, 2, file.unit)
-        rows.append(row)
+        rows.append({**row, "RMS of residuals": numbers.number(c.rms, 2, file.unit)})
     caption = (
         f"{file.coefficient} = c0 + c1 f + c2 f², f in Hz, held within {numbers.interval(*file.between)}; "
-        "between amplitudes by straight lines."
+        "linear interpolation between amplitudes."
     )
     return blocks.table("rule", "The rule", rows, caption)
 
 
-def _optima(file: RuleFile) -> ev.Table:
-    rows = []
-    for o, lost in zip(file.optima, loss(file), strict=True):
-        row: dict[str, blocks.Cell] = {
+def _optima_table(file: RuleFile) -> ev.Table:
+    rows: list[dict[str, blocks.Cell]] = [
+        {
             "frequency": numbers.number(o.frequency_hz, 3, "Hz"),
             "amplitude": numbers.number(o.amplitude_deg, 3, "deg"),
             file.coefficient: numbers.number(o.stiffness, 3, file.unit),
@@ -525,45 +624,39 @@ def _optima(file: RuleFile) -> ev.Table:
             "cost": numbers.number(o.cost_of_transport_J_m, 3, "J/m"),
             "settles in": numbers.number(o.settling_time_s, 3, "s"),
         }
-        rows.append(row)
+        for o, lost in zip(file.optima, _loss(file), strict=True)
+    ]
     reference = numbers.number(file.reference, 3, file.unit)
-    caption = f"The reference is {reference}; without a settling time the robot still gains speed at the end."
+    caption = f"The reference is {reference}. A run without a settling time still gains speed at its end."
     return blocks.table("optima", "Optima over the grid", rows, caption)
 
 
-# ------------------------------------------------------------ figures
-
-
-def _rule(file: RuleFile) -> ev.Figure:
+def _rule_figure(file: RuleFile) -> ev.Figure:
     traces = []
     x = np.linspace(*file.frequency_hz, 60)
     for group, c in enumerate(file.curves):
         optima = [o for o in file.optima if o.amplitude_deg == c.amplitude_deg]
         label = f"{numbers.number(c.amplitude_deg, 3)} deg"
+        y = [file.stiffness_for(float(f), c.amplitude_deg, outside="hold") for f in x]
+        curve = ev.Trace(x=x, y=y, group=group)
+        if file.draws:
+            ends = [file.interval_for(float(f), c.amplitude_deg, outside="hold") for f in x]
+            curve.lower, curve.upper = np.array(ends, dtype=float).T.tolist()
         traces += [
             blocks.points(optima, lambda o: o.frequency_hz, lambda o: o.stiffness, label=label, group=group),
-            _curve_trace(file, c, x, group),
+            curve,
         ]
-    caption = "Points are the stiffness found, curves the rule, bands its 95 % interval over draws."
+    caption = "Points are the optima, curves the rule, bands its 95 % interval over draws."
     y_label = f"{file.coefficient} ({numbers.unit_text(file.unit) or '1'})"
     return blocks.figure("rule", "Stiffness rule", caption, "frequency (Hz)", y_label, traces)
 
 
-def _curve_trace(file: RuleFile, curve: Curve, x: Array, group: int) -> ev.Trace:
-    """The rule at an amplitude, with its band where that is known."""
-    y = [file.stiffness_for(float(f), curve.amplitude_deg, outside="hold") for f in x]
-    trace = ev.Trace(x=x, y=y, group=group)
-    if file.draws:
-        ends = [file.interval_for(float(f), curve.amplitude_deg, outside="hold") for f in x]
-        trace.lower, trace.upper = np.array(ends, dtype=float).T.tolist()
-    return trace
-
-
-def _speeds(file: RuleFile) -> ev.Figure:
+def _speed_figure(file: RuleFile) -> ev.Figure:
     panels = []
-    for c in file.curves[:6]:
+    fixed = numbers.number(file.reference, 3, file.unit)
+    for c in file.curves[:MAX_PANELS]:
         optima = [o for o in file.optima if o.amplitude_deg == c.amplitude_deg]
-        x, fixed = [o.frequency_hz for o in optima], numbers.number(file.reference, 3, file.unit)
+        x = [o.frequency_hz for o in optima]
         traces = [
             ev.Trace(x=x, y=[o.rule_speed_m_s for o in optima], label="rule"),
             ev.Trace(x=x, y=[o.reference_speed_m_s for o in optima], style="dashed", label=fixed),
@@ -571,5 +664,4 @@ def _speeds(file: RuleFile) -> ev.Figure:
         title = f"{c.amplitude_deg:g} deg"
         panels.append(blocks.panel("frequency (Hz)", "mean speed (m/s)", traces, title=title))
     caption = f"Each point is a run of {file.duration_s:g} s from rest (tendon fish, Fig 11)."
-    title = "Speed with the rule and with a fixed stiffness"
-    return blocks.panels("speeds", title, caption, panels, columns=2)
+    return blocks.panels("speeds", "Speed with the rule and with a fixed stiffness", caption, panels)

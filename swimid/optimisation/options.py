@@ -1,4 +1,4 @@
-"""The options of ``map``, ``optimise stiffness`` and ``optimise gait``."""
+"""Options of ``map``, ``optimise stiffness`` and ``optimise gait``."""
 
 from __future__ import annotations
 
@@ -13,28 +13,26 @@ from swimid.swimmer import options as swimmers
 
 
 class GaitOptions(Options):
-    """The robot, and the drive that is varied; what every verb of gaits can be told."""
+    """Options of every command of gaits: the robot and the drive."""
 
     params: Source = option(None, help="Parameter file of a robot with links.", recorded=False)
-    robot: str | None = simulations.robot("Robot; without --params its file's own values are used.")
-    frequency_hz: float | None = option(None, gt=0, help="Beat frequency where it is not varied.")
+    robot: str | None = simulations.robot("Robot; without --params the values of its file are used.")
+    frequency_hz: float | None = option(None, gt=0, help="Beat frequency, if it is not varied.")
     amplitude_deg: float | None = option(
-        None, ge=0, help="Beat amplitude where it is not varied (T-Fish: of the whole tail)."
+        None, ge=0, help="Beat amplitude, if it is not varied (T-Fish: of the whole tail)."
     )
-    waveform: Literal["sine", "hopf", "a-cpg"] = option("sine", help="Form of the beat.")
-    bias_deg: float | None = option(None, help="Turning bias where it is not varied.")
+    waveform: Literal["sine", "hopf", "a-cpg"] = option("sine", help="Waveform of the beat.")
+    bias_deg: float | None = option(None, help="Turning bias, if it is not varied.")
     asymmetry: float | None = option(
-        None, gt=-1, lt=1, help="Of an a-cpg beat (T-Fish, Eq 10), where it is not varied."
+        None, gt=-1, lt=1, help="Asymmetry of an a-cpg beat (T-Fish, Eq 10), if it is not varied."
     )
     lag_deg: float | None = option(
-        None, help="Phase by which each driven joint lags the one before it, where it is not varied."
+        None, help="Phase by which each driven joint lags the one before it, if it is not varied."
     )
-    ramp_s: float = option(1.0, ge=0, help="Time the beat is eased in.")
-    stroke: str | None = option(None, metavar="NAME", help="Stroke of the robot file in place of a beat.")
-    scale: float | None = option(
-        None, ge=0, help="What the stroke's angles are multiplied with, where it is not varied."
-    )
-    duration_s: float = option(15.0, gt=0, help="Length of each run from rest; judged by its last beats.")
+    ramp_s: float = option(1.0, ge=0, help="Time in which the beat grows to its amplitude.")
+    stroke: str | None = option(None, metavar="NAME", help="Stroke of the robot file instead of a beat.")
+    scale: float | None = option(None, ge=0, help="Factor on the angles of the stroke, if it is not varied.")
+    duration_s: float = option(15.0, gt=0, help="Duration of each run from rest; its last beats are judged.")
     chosen: Mapping[str, float] = simulations.chosen("Hold a parameter at this value. Repeatable.")
     readings: Mapping[str, str] = swimmers.readings()
     dt: float = swimmers.step()
@@ -51,9 +49,9 @@ class MapOptions(
 ):
     r"""Map speed, cost of transport and turning over a grid of gaits.
 
-    Speed, cost of transport, Strouhal number, turning, power and torque over one or two of frequency,
-    amplitude, bias, asymmetry and any coefficient. Recorded trials are set beside it, and the range they
-    cover is marked. A run that was stopped goes on where it was when it is started again.
+    Speed, cost of transport, Strouhal number, turning, power and torque are computed over one or two of
+    frequency, amplitude, bias, asymmetry and any coefficient. The map shows recorded trials and marks their
+    range. An interrupted run continues when it is started again.
 
     Examples:
       swimid map --robot dolphin --amplitude-deg 27 \
@@ -66,12 +64,10 @@ class MapOptions(
 
     over: Mapping[str, tuple[float, float, int]] = option(
         metavar="NAME=LOW:HIGH:COUNT",
-        help="What is varied: frequency_hz, amplitude_deg, bias_deg, asymmetry, lag_deg, scale of a stroke, "
-        "or a coefficient (K_s). One or two.",
+        help="Axis: frequency_hz, amplitude_deg, bias_deg, asymmetry, lag_deg, scale of a stroke, or a "
+        "coefficient (K_s). One or two.",
     )
-    trials: Source = option(
-        None, help="Trials file: its measured speeds are set beside the map, and its region is marked."
-    )
+    trials: Source = option(None, help="Trials file: the map shows its measured speeds and marks its range.")
 
 
 class OptimiseStiffnessOptions(
@@ -83,9 +79,9 @@ class OptimiseStiffnessOptions(
 ):
     r"""Find the best stiffness of a passive joint over frequency and amplitude.
 
-    At every point of the grid NSGA-II searches the stiffness; a quadratic function of the frequency for
-    each amplitude is the rule, which a controller reads as YAML or as a C header. A run that
-    was stopped goes on where it was when it is started again.
+    NSGA-II searches the stiffness at every point of the grid. The rule is a quadratic function of the
+    frequency for each amplitude; a controller reads it as YAML or as a C header. An interrupted run
+    continues when it is started again.
 
     Examples:
       swimid optimise stiffness --params tfish.yaml --over frequency_hz=0.6:2:8 \
@@ -96,25 +92,25 @@ class OptimiseStiffnessOptions(
 
     over: Mapping[str, tuple[float, float, int]] = option(
         metavar="NAME=LOW:HIGH:COUNT",
-        help="frequency_hz, and amplitude_deg where the rule depends on it.",
+        help="frequency_hz, and amplitude_deg if the rule depends on it.",
     )
     coefficient: str | None = option(
-        None, metavar="NAME", help="The stiffness: by default the one coefficient in a passive joint's law."
+        None, metavar="NAME", help="Stiffness; by default the only coefficient in the law of a passive joint."
     )
     between: tuple[float, float] | None = option(
-        None, metavar="LOW,HIGH", help="Where it is searched; default the coefficient's bounds."
+        None, metavar="LOW,HIGH", help="Range of the search; by default the bounds of the coefficient."
     )
     objective: Literal["speed", "cost-of-transport"] = option(
         "speed",
-        help="speed: mean speed from rest against the range of the turning rate (T-Fish, Eq 12). "
-        "cost-of-transport: against mean speed.",
+        help="speed: mean speed from rest, and range of the turning rate (T-Fish, Eq 12). "
+        "cost-of-transport: cost of transport, and mean speed.",
     )
     population: int = option(24, ge=4, help="NSGA-II: population size.")
     generations: int = option(12, ge=1, help="NSGA-II: number of generations.")
     draws: int = option(
-        40, ge=0, help="Draws of the coefficients from their covariance, for the rule's intervals; 0: none."
+        40, ge=0, help="Draws of the coefficients from their covariance, for intervals; 0: none."
     )
-    seed: int = option(0, ge=0, help="Of search and draws: the same seed gives the same file.")
+    seed: int = option(0, ge=0, help="Seed of search and draws: the same seed gives the same file.")
     header: Path | None = option(
         None, written=True, recorded=False, help="C header of the rule to write (.h)."
     )
@@ -132,9 +128,9 @@ class OptimiseGaitOptions(
 ):
     r"""Find the best gait within limits.
 
-    Any of frequency, amplitude, bias, asymmetry, phase lag and coefficients against speed, turning, cost
-    of transport or power. With standard errors in the parameter file it says how sure the best gait is,
-    and gives a robust one beside it.
+    Frequency, amplitude, bias, asymmetry, phase lag and coefficients may be varied. The goal is speed,
+    turning, cost of transport or power. With standard errors in the parameter file the result has the
+    uncertainty of the best gait, and a robust gait.
 
     Examples:
       swimid optimise gait --params tfish.yaml --vary frequency_hz=0.6,2 --vary d_p=0,0.2 \
@@ -148,35 +144,35 @@ class OptimiseGaitOptions(
     vary: Mapping[str, tuple[float, float]] = option(
         {},
         metavar="NAME=LOW,HIGH",
-        help="What may be changed, and between which values: frequency_hz, amplitude_deg, bias_deg, "
-        "asymmetry, lag_deg, scale of a stroke, or a coefficient (a stiffness). Repeatable.",
+        help="Range of a varied parameter: frequency_hz, amplitude_deg, bias_deg, asymmetry, lag_deg, scale "
+        "of a stroke, or a coefficient (a stiffness). Repeatable.",
     )
     goal: tuple[Goal, ...] = option(
         (),
         metavar="GOAL",
-        help="speed (default), radius (of the turn), turn-rate, cost-of-transport or power. Two: their "
-        "Pareto front.",
+        help="speed (default), radius (of the turn), turn-rate, cost-of-transport or power. Two goals give "
+        "their Pareto front.",
     )
     limits: Mapping[str, float] = option(
         {},
         flag="--limit",
         metavar="NAME=VALUE",
-        help="At most: torque_N_m, joint_rate_deg_s, battery_W, tank_m (side of the basin the run fits "
-        "into). Repeatable.",
+        help="Upper limit: torque_N_m, joint_rate_deg_s, battery_W, tank_m (side of the basin that holds "
+        "the run). Repeatable.",
     )
-    reach_speed_m_s: float | None = option(None, gt=0, help="The mean speed is to be this at least.")
+    reach_speed_m_s: float | None = option(None, gt=0, help="Lower limit of the mean speed.")
     efficiency: float = option(
         1.0, gt=0, le=1, help="Mechanical over electrical power, for battery_W (swimid map estimates it)."
     )
     draws: int = option(
-        96, ge=20, help="Draws of the coefficients from their covariance; half of them try the robust gait."
+        96, ge=20, help="Draws of the coefficients from their covariance; half of them test the robust gait."
     )
-    starts: int = option(6, ge=1, help="Points the gradient search starts from.")
+    starts: int = option(6, ge=1, help="Number of starts of the gradient search.")
     population: int = option(24, ge=4, help="NSGA-II: population size.")
     generations: int = option(16, ge=1, help="NSGA-II: number of generations.")
-    seed: int = option(0, ge=0, help="Of starts, search and draws: the same seed gives the same file.")
+    seed: int = option(0, ge=0, help="Seed of starts, search and draws: the same seed gives the same file.")
 
     @property
     def goals(self) -> tuple[Goal, ...]:
-        """What is wanted: speed where nothing is said."""
+        """Goals; speed by default."""
         return self.goal or ("speed",)

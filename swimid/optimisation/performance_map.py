@@ -1,14 +1,16 @@
-"""``map``: what a robot comes to over a grid of gaits, with recorded trials beside it."""
+"""``map``: quantities of a robot over a grid of gaits, and recorded trials beside them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
+import contourpy
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 from pydantic import Field
 
 from swimid.errors import UsageError
@@ -36,14 +38,32 @@ from swimid.simulation import compare_series
 from swimid.simulation.catalogue import Applied
 from swimid.simulation.swim_quantities import SwimRun
 from swimid.swimmer import trials as swimmer
-from swimid.swimmer.model import Swimmer
 
 if TYPE_CHECKING:
     import pandas as pd
 
+#: Columns of electrical power in a log.
+VOLTAGE, CURRENT = "voltage_V", "current_A"
+#: Smallest share of the samples of a window that must have both, and their minimum number.
+MIN_LOGGED, MIN_SAMPLES = 0.9, 3
+#: Largest relative and absolute difference of the drive of a trial from that of the map.
+DRIVE_RTOL, DRIVE_ATOL = 0.02, 1e-3
+#: Maximum number of points of a map.
+MAX_POINTS = 100_000
+#: Quantities in figures and tables, in this order, if the robot has them.
+DRAWN = (
+    "mean_speed_m_s", "cost_of_transport_J_m", "strouhal", "turning_radius_m", "mean_yaw_rate_rad_s",
+    "mean_pitch_rate_rad_s", "max_yaw_rate_rad_s", "yaw_range_in_beat_rad",
+    "pitch_range_in_beat_rad", "max_pitch_rate_rad_s", "surge_m", "mean_positive_power_W", "peak_torque_N_m",
+)  # fmt: skip
+#: Number of contours of a panel.
+N_LEVELS = 6
+#: Quantities with a best point: its name, and the sign that makes it the largest.
+BEST = {"mean_speed_m_s": ("fastest", 1.0), "cost_of_transport_J_m": ("cheapest", -1.0)}
+
 
 class Axis(yamlio.Document):
-    """What is varied."""
+    """Axis of a map."""
 
     name: str
     unit: str
@@ -51,32 +71,32 @@ class Axis(yamlio.Document):
 
 
 class Mapped(yamlio.Document):
-    """A quantity over the grid: rows are the first axis, columns the second (one column without one)."""
+    """Quantity over the grid: rows are the first axis, columns the second; one column with one axis."""
 
     unit: str
     values: Rows
-    #: Standard deviation from the coefficients' covariance; missing where none is known.
+    #: Standard deviation from the covariance of the coefficients; None if unknown.
     stderr: Rows | None = None
 
 
 class MeasuredPoint(yamlio.Document):
-    """A recorded trial beside the map."""
+    """Recorded trial beside the map."""
 
     trial: str
     role: Literal["fit", "validate"]
-    #: Where it lies on the axes.
+    #: Values on the axes.
     at: dict[str, float]
     inside: bool
-    #: Mean speed over its last beats, by the same rule of log and simulation of this very trial, m/s.
+    #: Mean speed over the last beats of the log and of a simulation of the trial, m/s.
     measured_m_s: Number = None
     simulated_m_s: Number = None
-    #: By voltage and current, W, over its last beats; and what the model's joints give there.
+    #: Power over the same beats, W: voltage times current, and that of the model's joints.
     electrical_W: Number = None
     mechanical_W: Number = None
 
 
 class Efficiency(yamlio.Document):
-    """Mechanical over electrical power: what gear and motor leave."""
+    """Mechanical over electrical power: the efficiency of gear and motor."""
 
     value: float
     stderr: Number = None
@@ -84,13 +104,13 @@ class Efficiency(yamlio.Document):
 
 
 class MapFile(StudyFile):
-    """A map file."""
+    """Map file."""
 
     kind: ClassVar[str] = "map file"
     format: Literal["swimid-map/1"] = "swimid-map/1"
     axes: list[Axis]
     quantities: dict[str, Mapped]
-    #: Runs that broke down, and runs whose speed still changes.
+    #: Number of runs that broke down, and of runs whose speed still changes at their end.
     broken: int
     unsettled: int
     measured: list[MeasuredPoint] = []
@@ -98,182 +118,23 @@ class MapFile(StudyFile):
     provenance: dict[str, Any] = Field(default_factory=dict)
 
 
-#: Columns of electrical power in a log.
-VOLTAGE, CURRENT = "voltage_V", "current_A"
-#: Share of a window whose samples must have both.
-LOGGED = 0.9
-#: A trial lies on a map where what is not varied differs by no more than this share, and its unit's part.
-SAME, LEAST = 0.02, 1e-3
-
-
-def electrical_power(time_s: Array, voltage_V: Array, current_A: Array, window: Window) -> float:
-    """Mean electrical power over a window, W (dolphin, section 4.2.2).
-
-    NaN where less than :data:`LOGGED` of it was logged.
-
-    >>> time = np.linspace(0.0, 1.0, 5)
-    >>> electrical_power(time, np.full(5, 24.0), np.full(5, 2.0), Window(0.0, 1.0, 1, 1.0))
-    48.0
-    """
-    power = voltage_V * current_A
-    within = (time_s >= window.begin_s - 1e-9) & (time_s <= window.end_s + 1e-9)
-    there = np.isfinite(power) & within
-    if there.sum() < max(3, LOGGED * within.sum()):
-        return math.nan
-    return float(np.trapezoid(power[there], time_s[there]) / np.ptp(time_s[there]))
-
-
-def efficiency(points: Sequence[MeasuredPoint]) -> Efficiency | None:
-    """Return mechanical over electrical power of several trials, with the standard error of their scatter.
-
-    Notes
-    -----
-    ``eta = sum P_m P_e / sum P_e^2``, least squares through the origin: losses in proportion.
-    """
-    pairs = [(p.mechanical_W, p.electrical_W) for p in points if p.mechanical_W and p.electrical_W]
-    if not pairs:
-        return None
-    mechanical, electrical = np.array(pairs).T
-    square = float(electrical @ electrical)
-    value = float(mechanical @ electrical) / square
-    left = mechanical - value * electrical
-    stderr = None
-    if len(left) > 1:
-        stderr = math.sqrt(float(left @ left) / (len(left) - 1) / square)
-    return Efficiency(value=value, stderr=stderr, trials=len(left))
-
-
-@dataclass(frozen=True)
-class Recorded:
-    """The trials of a trials file as a map shows them.
-
-    Attributes
-    ----------
-    inputs : list of Input
-        The files that were read.
-    region : dict of str to (float, float)
-        The range of each axis in the trials the coefficients were identified from (role ``fit``).
-    points : list of MeasuredPoint
-        Every trial with a drive that differs from the map's in nothing but its axes.
-    """
-
-    inputs: Sequence[Input] = ()
-    region: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    points: Sequence[MeasuredPoint] = ()
-
-
-def recorded_trials(
-    source: str | Path | TrialSet, performance: Performance, axes: Mapping[str, Sequence[float]]
-) -> Recorded:
-    """Return the trials of a trials file as a map shows them.
-
-    Parameters
-    ----------
-    source : path or TrialSet
-    performance : Performance
-        Of the same robot.
-    axes : dict of str to sequence of float
-        Of the map.
-
-    Raises
-    ------
-    UsageError, InputError
-        For a trials file of another robot, and for anything wrong in it.
-    """
-    model, given = performance.model, performance.applied
-    readings = given.file.settings.get("readings", {}) if given.file is not None else {}
-    experiment = swimmer.load(source, readings=dict(readings), max_step=model.max_step)
-    if experiment.robot.name != model.robot.name:
-        raise UsageError(
-            f"these are trials of the robot '{experiment.robot.name}', the map is of '{model.robot.name}'"
-        )
-    applied = Applied(experiment.model, given.file, given.path, given.chosen)
-    entries: Any = trials_format.read(source)
-    folder = trials_format.place(source).parent
-    logs = {e.id: read_log(e, folder, required=(), optional=(VOLTAGE, CURRENT)) for e in entries.trials}
-    places = {trial.id: _place(applied, trial, axes) for trial in experiment.trials}
-    fitted = [places[t.id] for t in experiment.trials if t.role == "fit" and places[t.id]]
-    region = {n: (min(p[n] for p in fitted), max(p[n] for p in fitted)) for n in axes if fitted}
-    points = []
-    for trial in experiment.trials:
-        at = places[trial.id]
-        if not at or not _is_alike(trial, performance, axes):
-            continue
-        compared = compare_series.compare_trial(experiment, applied, trial, refit=True)
-        speed = compared.record.mean_speed
-        electrical, mechanical = _powers(model, trial, logs[trial.id], compared.values)
-        points.append(
-            MeasuredPoint(
-                trial=trial.id,
-                role=trial.role,  # type: ignore[arg-type]
-                at=at,
-                inside=all(min(values) <= at[name] <= max(values) for name, values in axes.items()),
-                measured_m_s=speed.measured if speed is not None else None,
-                simulated_m_s=speed.simulated if speed is not None else None,
-                electrical_W=electrical,
-                mechanical_W=mechanical,
-            )
-        )
-    return Recorded(experiment.inputs, region, points)
-
-
-def _place(applied: Applied, trial: Trial, names: Iterable[str]) -> dict[str, float]:
-    """Where a trial lies on axes of these names; empty where it does not say."""
-    drive = swimmer.drive_of(trial)
-    values = applied.values(trial.id).tolist()
-    known = dict(zip((p.name for p in applied.model.parameters), values, strict=True))
-    known |= {**(trial.swim.coefficients or {}), **drive}
-    return {name: known[name] for name in names} if drive and set(names) <= set(known) else {}
-
-
-def _is_alike(trial: Trial, performance: Performance, axes: Mapping[str, Sequence[float]]) -> bool:
-    """Whether a trial's drive is that of the map where that is not varied."""
-    known, own = swimmer.drive_of(trial), performance.drive
-    names = [name for name in BEAT | STROKE if name in known and name not in axes]
-    return all(abs(known[name] - own.get(name, 0.0)) <= max(SAME * abs(known[name]), LEAST) for name in names)
-
-
-def _powers(model: Swimmer, trial: Trial, log: Log, values: Array) -> tuple[float, float]:
-    """Electrical power of a log, and the power of the model's joints over the same beats, W; NaN for none."""
-    drive = trial.swim.drive
-    run = None if drive is None else SwimRun.of(model, trial, drive.frequency_hz)
-    if run is None or VOLTAGE not in log or CURRENT not in log:
-        return math.nan, math.nan
-    electrical = electrical_power(log.time_s, log[VOLTAGE], log[CURRENT], run.window)
-    columns, energetics = model.with_energetics([(values, run.trial)], [run.window.duration_s])[0]
-    mechanical = math.nan
-    if energetics is not None:
-        mechanical = run.quantities(model, values, columns, energetics)["mean_positive_power_W"].value
-    if mechanical > electrical:
-        warn(
-            "SWM002",
-            f"{trial.id}: the joints give {mechanical:.3g} W where {electrical:.3g} W of electrical power "
-            "were logged; are they in V and A, and of all motors?",
-        )
-    return electrical, mechanical
-
-
-#: Maximum number of points of a map.
-MAX_POINTS = 100_000
-
-
 @dataclass(frozen=True, eq=False)
 class PerformanceMap(FileResult[MapFile]):
-    """What a robot comes to over a grid of gaits, as ``map`` gives it.
+    """Quantities of a robot over a grid of gaits, the result of ``map``.
 
     Attributes
     ----------
     frame : DataFrame
-        A row for each point: its axes, and every quantity in SI units, NaN where there is none.
+        One row for each point: its axes, and every quantity in SI units, NaN if there is none.
     file : MapFile
-        What :meth:`save` writes; it also has standard deviations, measured trials and their region.
+        Also has standard deviations and measured trials; :meth:`save` writes it.
     """
 
     file_type = MapFile
 
     @property
     def frame(self) -> pd.DataFrame:
-        """A row for each point of the grid."""
+        """One row for each point of the grid."""
         import pandas as pd
 
         points = points_of({axis.name: axis.values for axis in self.file.axes})
@@ -285,30 +146,30 @@ class PerformanceMap(FileResult[MapFile]):
 def performance_map(
     *, options: MapOptions, output: Path | None = None, progress: Progress = silent
 ) -> PerformanceMap:
-    """Speed, cost of transport, Strouhal number, turning and power of a robot over a grid of gaits.
+    """Compute speed, cost of transport, turning and power of a robot over a grid of gaits.
 
-    Each point is a run from rest, judged by its last whole beats. Where a parameter file has standard errors,
-    those of the quantities follow by the delta method. What lies outside the range of the trials the
-    coefficients were identified from is extrapolation: the trials file says where that begins.
+    Each point is a run from rest, judged by its last whole beats. If the parameter file has standard errors,
+    those of the quantities follow by the delta method. Points outside the range of the identification trials
+    are extrapolation.
 
     Parameters
     ----------
     output : path, optional
-        Map file to write; its evidence goes beside it.
+        Map file to write; its evidence is written beside it.
     progress : Progress
         Shows the points.
 
     Returns
     -------
     PerformanceMap
-        ``.frame`` has a row a point; SI units, named in the columns.
+        ``.frame`` has one row for each point, in SI units.
 
     Raises
     ------
     UsageError, InputError
         For bad options and files.
     NoTrustworthyResult
-        When every run breaks down.
+        If every run breaks down.
 
     References
     ----------
@@ -336,11 +197,13 @@ def performance_map(
             raise UsageError("--over: an axis has two points or more")
         if math.prod(axis[2] for axis in options.over.values()) > MAX_POINTS:
             raise UsageError(f"a map has at most {MAX_POINTS} points")
-        axes = {name: [float(v) for v in np.linspace(*axis)] for name, axis in options.over.items()}
-        beside = Recorded()
+        axes = {name: np.linspace(*axis).tolist() for name, axis in options.over.items()}
+        inputs: Sequence[Input] = ()
+        region: Mapping[str, tuple[float, float]] = {}
+        measured: list[MeasuredPoint] = []
         if options.trials is not None:
-            beside = recorded_trials(options.trials, performance, axes)
-        study = study_of(performance, options, beside.inputs)
+            inputs, region, measured = recorded_trials(options.trials, performance, axes)
+        study = study_of(performance, options, inputs)
         if output is not None:
             atomic.check_writable(output, inputs=study.inputs)
         keep = Checkpoint.beside(output, study.key)
@@ -348,30 +211,31 @@ def performance_map(
         uncertain = performance.applied.uncertain()[0]
         runs = len(points) * (1 + 2 * len(uncertain))
         performance.model.prepare(progress, simulated_s=runs * options.duration_s, checkpoint=keep)
-        found = _computed(performance, points, bool(uncertain), options.jobs, keep, progress)
-        performance.insist(found[..., 0])
+        found = _simulate(performance, points, bool(uncertain), options.jobs, keep, progress)
+        values, stderr = found[..., 0], found[..., 1]
+        performance.insist(values)
         if uncertain:
             performance.applied.warn_without_error("the deviations of the map")
         shape = (len(next(iter(axes.values()))), -1)
-        quantities = {
-            name: Mapped(
-                unit=unit,
-                values=found[:, k, 0].reshape(shape),  # type: ignore[arg-type]
-                stderr=found[:, k, 1].reshape(shape) if uncertain else None,  # type: ignore[arg-type]
-            )
-            for k, (name, unit) in enumerate(performance.units.items())
-            if np.isfinite(found[:, k, 0]).any()
-        }
-        units = performance.axes
-        study.said["identified"] |= beside.region
+        quantities = {}
+        for k, (name, unit) in enumerate(performance.units.items()):
+            shown = {"values": values[:, k].reshape(shape), "stderr": stderr[:, k].reshape(shape)}
+            if not uncertain:
+                del shown["stderr"]
+            if np.isfinite(values[:, k]).any():
+                quantities[name] = Mapped(unit=unit, **shown)  # type: ignore[arg-type]
+        units = list(performance.units)
+        speed = values[:, units.index("mean_speed_m_s")]
+        change = values[:, units.index("speed_change_per_beat_m_s")]
+        study.head["identified"] |= region
         file = MapFile(
-            **study.said,
-            axes=[Axis(name=name, unit=units[name], values=values) for name, values in axes.items()],
+            **study.head,
+            axes=[Axis(name=n, unit=performance.axes[n], values=v) for n, v in axes.items()],
             quantities=quantities,
-            broken=int((~np.isfinite(found[..., 0])).all(axis=1).sum()),
-            unsettled=_unsettled(quantities),
-            measured=beside.points,
-            efficiency=efficiency(beside.points),
+            broken=int((~np.isfinite(values)).all(axis=1).sum()),
+            unsettled=int((np.abs(change) > UNSTEADY * np.abs(speed)).sum()),
+            measured=measured,
+            efficiency=fit_efficiency(measured),
         )
     evidence = evidence_of(file, notices, study.origin)
     file.verdict = evidence.verdict.level
@@ -380,7 +244,7 @@ def performance_map(
     return saved
 
 
-def _computed(
+def _simulate(
     performance: Performance,
     points: Sequence[Point],
     uncertain: bool,
@@ -388,8 +252,10 @@ def _computed(
     checkpoint: Checkpoint,
     progress: Progress,
 ) -> Array:
-    """Quantities of every point and their standard errors (NaN where unknown), shape (n, quantities, 2)."""
-    size = 1 if uncertain else BATCH
+    """Return quantities and their standard errors (NaN if unknown), shape (n, quantities, 2)."""
+    size = BATCH
+    if uncertain:
+        size = 1
     parts = [points[k : k + size] for k in range(0, len(points), size)]
 
     def compute(part: Sequence[Point]) -> Array:
@@ -405,72 +271,201 @@ def _computed(
     return np.concatenate([rows.reshape(-1, len(performance.units), 2) for rows in found])
 
 
-def _unsettled(quantities: dict[str, Mapped]) -> int:
-    """Points whose speed still changes from beat to beat."""
-    if "speed_change_per_beat_m_s" not in quantities:
-        return 0
-    change = np.array(quantities["speed_change_per_beat_m_s"].values, dtype=float)
-    speed = np.array(quantities["mean_speed_m_s"].values, dtype=float)
-    return int((np.abs(change) > UNSTEADY * np.abs(speed)).sum())
+# ------------------------------------------------------------ recorded trials
 
 
-#: Quantities that are drawn where the robot has them, in this order.
-DRAWN = (
-    "mean_speed_m_s", "cost_of_transport_J_m", "strouhal", "turning_radius_m", "mean_yaw_rate_rad_s",
-    "mean_pitch_rate_rad_s", "max_yaw_rate_rad_s", "max_pitch_rate_rad_s", "yaw_range_in_beat_rad",
-    "pitch_range_in_beat_rad", "surge_m", "mean_positive_power_W", "peak_torque_N_m",
-)  # fmt: skip
-#: Number of contours of a panel.
-N_LEVELS = 6
-#: Quantities with a best point: its name, and the sign that makes it the largest.
-BEST = {"mean_speed_m_s": ("fastest", 1.0), "cost_of_transport_J_m": ("cheapest", -1.0)}
+def recorded_trials(
+    source: str | Path | TrialSet, performance: Performance, axes: Mapping[str, Sequence[float]]
+) -> tuple[list[Input], dict[str, tuple[float, float]], list[MeasuredPoint]]:
+    """Return the trials of a trials file that belong on a map.
+
+    Parameters
+    ----------
+    source : path or TrialSet
+    performance : Performance
+        Performance of the same robot.
+    axes : dict of str to sequence of float
+        Axes of the map.
+
+    Returns
+    -------
+    inputs : list of Input
+        Files that were read.
+    region : dict of str to (float, float)
+        Range of each axis in the trials of role ``fit``.
+    points : list of MeasuredPoint
+        Trials whose drive differs from that of the map only on its axes.
+
+    Raises
+    ------
+    UsageError, InputError
+        For a trials file of another robot, and for anything wrong in it.
+    """
+    model, given = performance.model, performance.applied
+    readings: dict[str, str] = {}
+    if given.file is not None:
+        readings = dict(given.file.settings.get("readings", {}))
+    experiment = swimmer.load(source, readings=readings, max_step=model.max_step)
+    if experiment.robot.name != model.robot.name:
+        raise UsageError(
+            f"these are trials of the robot '{experiment.robot.name}', the map is of '{model.robot.name}'"
+        )
+    applied = Applied(experiment.model, given.file, given.path, given.chosen)
+    entries: Any = trials_format.read(source)
+    folder = trials_format.place(source).parent
+    logs = {e.id: read_log(e, folder, required=(), optional=(VOLTAGE, CURRENT)) for e in entries.trials}
+    places = {trial.id: _place(applied, trial, axes) for trial in experiment.trials}
+    fitted = [places[t.id] for t in experiment.trials if t.role == "fit" and places[t.id]]
+    region = {n: (min(p[n] for p in fitted), max(p[n] for p in fitted)) for n in axes if fitted}
+    points = []
+    for trial in experiment.trials:
+        at = places[trial.id]
+        if not at or not _has_drive_of(trial, performance, axes):
+            continue
+        compared = compare_series.compare_trial(experiment, applied, trial, refit=True)
+        electrical, mechanical = _powers(performance, trial, logs[trial.id], compared.values)
+        point = MeasuredPoint(
+            trial=trial.id,
+            role=trial.role,  # type: ignore[arg-type]
+            at=at,
+            inside=all(min(values) <= at[name] <= max(values) for name, values in axes.items()),
+            electrical_W=electrical,
+            mechanical_W=mechanical,
+        )
+        speed = compared.record.mean_speed
+        if speed is not None:
+            point.measured_m_s, point.simulated_m_s = speed.measured, speed.simulated
+        points.append(point)
+    return experiment.inputs, region, points
+
+
+def _place(applied: Applied, trial: Trial, names: Iterable[str]) -> dict[str, float]:
+    """Return the values of a trial on the axes of these names; nothing if it does not state them."""
+    drive = swimmer.drive_of(trial)
+    values = applied.values(trial.id).tolist()
+    known = dict(zip((p.name for p in applied.model.parameters), values, strict=True))
+    known |= {**(trial.swim.coefficients or {}), **drive}
+    if not drive or not set(names) <= set(known):
+        return {}
+    return {name: known[name] for name in names}
+
+
+def _has_drive_of(trial: Trial, performance: Performance, axes: Iterable[str]) -> bool:
+    """Return whether the drive of a trial is that of the map, except on its axes."""
+    known, own = swimmer.drive_of(trial), performance.drive
+    names = [name for name in BEAT | STROKE if name in known and name not in axes]
+    return all(
+        abs(known[name] - own.get(name, 0.0)) <= max(DRIVE_RTOL * abs(known[name]), DRIVE_ATOL)
+        for name in names
+    )
+
+
+def _powers(performance: Performance, trial: Trial, log: Log, values: Array) -> tuple[float, float]:
+    """Return electrical power of a log and power of the joints over the same beats, W; NaN for none."""
+    model, drive = performance.model, trial.swim.drive
+    run = None
+    if drive is not None and VOLTAGE in log and CURRENT in log:
+        run = SwimRun.of(model, trial, drive.frequency_hz)
+    if run is None:
+        return math.nan, math.nan
+    electrical = electrical_power(log.time_s, log[VOLTAGE], log[CURRENT], run.window)
+    columns, energetics = model.with_energetics([(values, run.trial)], [run.window.duration_s])[0]
+    mechanical = math.nan
+    if energetics is not None:
+        mechanical = run.quantities(model, values, columns, energetics)["mean_positive_power_W"].value
+    if mechanical > electrical:
+        warn(
+            "SWM002",
+            f"{trial.id}: the joints give {mechanical:.3g} W where {electrical:.3g} W of electrical power "
+            "were logged; are they in V and A, and of all motors?",
+        )
+    return electrical, mechanical
+
+
+def electrical_power(time_s: Array, voltage_V: Array, current_A: Array, window: Window) -> float:
+    """Return the mean electrical power over a window, W (dolphin, section 4.2.2).
+
+    The power is NaN if less than :data:`MIN_LOGGED` of the window was logged.
+
+    >>> time = np.linspace(0.0, 1.0, 5)
+    >>> electrical_power(time, np.full(5, 24.0), np.full(5, 2.0), Window(0.0, 1.0, 1, 1.0))
+    48.0
+    """
+    power = voltage_V * current_A
+    within = (time_s >= window.begin_s - 1e-9) & (time_s <= window.end_s + 1e-9)
+    there = np.isfinite(power) & within
+    if there.sum() < max(MIN_SAMPLES, MIN_LOGGED * within.sum()):
+        return math.nan
+    return float(np.trapezoid(power[there], time_s[there]) / np.ptp(time_s[there]))
+
+
+def fit_efficiency(points: Sequence[MeasuredPoint]) -> Efficiency | None:
+    """Return mechanical over electrical power of several trials, with its standard error.
+
+    Notes
+    -----
+    Least squares through the origin, because losses are proportional: ``eta = sum P_m P_e / sum P_e^2``. The
+    standard error follows from the scatter of the trials.
+    """
+    pairs = [(p.mechanical_W, p.electrical_W) for p in points if p.mechanical_W and p.electrical_W]
+    if not pairs:
+        return None
+    mechanical, electrical = np.array(pairs).T
+    square = float(electrical @ electrical)
+    value = float(mechanical @ electrical) / square
+    residuals = mechanical - value * electrical
+    stderr = None
+    if len(pairs) > 1:
+        stderr = math.sqrt(float(residuals @ residuals) / (len(pairs) - 1) / square)
+    return Efficiency(value=value, stderr=stderr, trials=len(pairs))
+
+
+# ------------------------------------------------------------ evidence
 
 
 def evidence_of(file: MapFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
     """Return the evidence of a map."""
     axes = " and ".join(f"{axis.name} ({len(axis.values)} values)" for axis in file.axes)
+    grid = [
+        f"{a.name} {numbers.number(a.values[0])} to {numbers.number(a.values[-1])} × {len(a.values)}"
+        for a in file.axes
+    ]
+    tables = [_best_table(file)]
+    if file.measured:
+        tables.append(_measured_table(file))
+    methods = [
+        f"The gait of {file.robot} was varied over {axes}; each run of {file.duration_s:g} s began at "
+        "rest and was judged by its last whole beats. The power of driven joints is that of their "
+        "torques, by inverse dynamics of the simulated motion; the cost of transport is mean positive "
+        "power over speed. Standard deviations, where known, are those of the delta method."
+    ]
     return studies.evidence(
-        file,
-        "map",
-        answer(file),
-        _checks(file),
-        {
-            "Grid": ", ".join(f"{_axis_range(axis)} × {len(axis.values)}" for axis in file.axes),
-            "Trials beside it": str(len(file.measured)),
-        },
-        notices,
-        origin,
-        tables=[_best_table(file), *_measured_table(file)],
-        figures=_figures(file),
-        methods=[
-            f"The gait of {file.robot} was varied over {axes}; each run of {file.duration_s:g} s began at "
-            "rest and was judged by its last whole beats. The power of driven joints is that of their "
-            "torques, by inverse dynamics of the simulated motion; the cost of transport is mean positive "
-            "power over speed. Standard deviations, where known, are those of the delta method."
-        ],
-    )
+        file, "map", answer(file), _checks(file),
+        {"Grid": ", ".join(grid), "Trials beside it": str(len(file.measured))},
+        notices, origin, tables=tables, figures=_figures(file), methods=methods,
+    )  # fmt: skip
 
 
 def _checks(file: MapFile) -> list[ev.Check]:
     axes = {axis.name: axis.values for axis in file.axes}
     drive = {name: float(value) for name, value in file.drive.items() if name in BEAT | STROKE}
     points = [{**drive, **point} for point in points_of(axes)]
-    steady = len(points) - file.unsettled
     region = {n: ends for n, ends in file.identified.items() if n in axes or n in BEAT | STROKE}
     broken = f"{file.broken} of {len(points)}"
     checks = [
         ev.check("runs that broke down", broken, not file.broken, "none", reason=f"{broken} runs broke down"),
-        studies.steady_check(steady, len(points)),
+        studies.steady_check(len(points) - file.unsettled, len(points)),
         studies.region_check(region, points),
     ]
     if (surge := file.quantities.get("mean_surge_from_start_m_s")) is not None:
-        checks += studies.forwards_check([v for row in surge.values for v in row])
+        checks += studies.forwards_check(np.array(surge.values, dtype=object).ravel().tolist())
     if all(q.stderr is None for q in file.quantities.values()):
         checks.append(studies.unknown_check("uncertainty of the map"))
-    known = [m for m in file.measured if m.measured_m_s is not None and m.simulated_m_s is not None]
-    if known:
-        off = np.array([m.measured_m_s - m.simulated_m_s for m in known])  # type: ignore[operator]
-        value = f"{numbers.number(float(np.sqrt(np.mean(off**2))), 3, 'm/s')} over {len(off)} trials"
+    pairs = [(m.measured_m_s, m.simulated_m_s) for m in file.measured]
+    errors = [a - b for a, b in pairs if None not in (a, b)]  # type: ignore[operator]
+    if errors:
+        rmse = float(np.sqrt(np.mean(np.square(errors))))
+        value = f"{numbers.number(rmse, 3, 'm/s')} over {len(errors)} trials"
         checks.append(ev.check("measured mean speeds, RMSE", value, None))
     if (e := file.efficiency) is not None:
         value = f"{numbers.measured(e.value, e.stderr)} of {e.trials} trials"
@@ -478,38 +473,25 @@ def _checks(file: MapFile) -> list[ev.Check]:
     return checks
 
 
-# ------------------------------------------------------------ in words
-
-
-def _axis_range(axis: Axis) -> str:
-    return f"{axis.name} {numbers.number(axis.values[0])} to {numbers.number(axis.values[-1])}"
-
-
 def answer(file: MapFile) -> str:
     """Return the best points as a sentence."""
     parts = []
     for name, (word, sign) in BEST.items():
-        values = np.array(file.quantities[name].values if name in file.quantities else np.nan, dtype=float)
-        if not np.isfinite(values).any():
+        if name not in file.quantities:
             continue
-        at = np.unravel_index(int(np.nanargmax(sign * values)), values.shape)
-        place = ", ".join(
-            f"{axis.name} {numbers.number(axis.values[i], 3)}" for axis, i in zip(file.axes, at, strict=False)
-        )
-        edge = any(i in (0, len(axis.values) - 1) for axis, i in zip(file.axes, at, strict=False))
-        rim = ", on the edge of the map" if edge else ""
-        parts.append(
-            f"{word} {numbers.number(float(values[at]), 3, file.quantities[name].unit)} at {place}{rim}"
-        )
+        values = np.array(file.quantities[name].values, dtype=float)
+        at = np.unravel_index(int(np.nanargmax(sign * values)), values.shape)[: len(file.axes)]
+        on_axes = list(zip(file.axes, at, strict=True))
+        place = ", ".join(f"{axis.name} {numbers.number(axis.values[i], 3)}" for axis, i in on_axes)
+        best = numbers.number(sign * float(np.nanmax(sign * values)), 3, file.quantities[name].unit)
+        edge = any(i in (0, len(axis.values) - 1) for axis, i in on_axes)
+        parts.append(f"{word} {best} at {place}" + ", on the edge of the map" * edge)
     text = "; ".join(parts) or "mapped"
     return f"{text[0].upper()}{text[1:]}."
 
 
-# ------------------------------------------------------------ tables
-
-
 def _best_table(file: MapFile) -> ev.Table:
-    """Of one axis every point; of two, for each value of the first, the best points on the second."""
+    """Return every point of one axis; of two axes the best points for each value of the first."""
     first, rows = file.axes[0], []
     for i, at in enumerate(first.values):
         row: dict[str, blocks.Cell] = {first.name: numbers.number(at)}
@@ -529,17 +511,17 @@ def _best_table(file: MapFile) -> ev.Table:
 def _cell(file: MapFile, name: str, row: int, column: int) -> str:
     q = file.quantities[name]
     factor, unit = numbers.in_degrees(q.unit)
-    value, error = q.values[row][column], None if q.stderr is None else q.stderr[row][column]
-    if value is None or error is None:
-        return numbers.number(None if value is None else factor * value, 3, unit)
-    return numbers.measured(factor * value, factor * error, unit)
+    value = np.array(q.values, dtype=float)[row, column]
+    if q.stderr is None:
+        return numbers.number(float(factor * value), 3, unit)
+    return numbers.measured(factor * value, factor * np.array(q.stderr, dtype=float)[row, column], unit)
 
 
-def _measured_table(file: MapFile) -> list[ev.Table]:
+def _measured_table(file: MapFile) -> ev.Table:
     rows: list[dict[str, blocks.Cell]] = [
         {
             "trial": m.trial,
-            "role": "held out" if m.role == "validate" else "fit",
+            "role": {"fit": "fit", "validate": "held out"}[m.role],
             **{name: numbers.number(at) for name, at in m.at.items()},
             "measured": numbers.number(m.measured_m_s, 3, "m/s"),
             "simulated": numbers.number(m.simulated_m_s, 3, "m/s"),
@@ -551,10 +533,7 @@ def _measured_table(file: MapFile) -> list[ev.Table]:
     caption = (
         "Mean speed over the last beats of log and simulation; logged electrical power, and the joints'."
     )
-    return [blocks.table("measured", "Measured trials on the map", rows, caption)] if rows else []
-
-
-# ------------------------------------------------------------ figures
+    return blocks.table("measured", "Measured trials on the map", rows, caption)
 
 
 def _drawn(file: MapFile) -> list[str]:
@@ -566,7 +545,7 @@ def _figures(file: MapFile) -> list[ev.Figure]:
     caption = f"Runs of {file.duration_s:g} s from rest, over their last whole beats; {drive}."
     if len(file.axes) == 1:
         curves = [_curve(file, name) for name in _drawn(file)]
-        return [blocks.panels("map", "Over the gait", caption, curves, columns=2)]
+        return [blocks.panels("map", "Over the gait", caption, curves)]
     heats = [_heat(file, name) for name in _drawn(file)]
     contours = [_contours(file, name) for name in _drawn(file)]
     lines = "Lines of equal value; outside the frame of the identification trials they are extrapolation."
@@ -577,19 +556,22 @@ def _figures(file: MapFile) -> list[ev.Figure]:
 
 
 def _shown(file: MapFile, name: str) -> tuple[Array, str]:
-    """A quantity in the unit it is drawn in, and its title."""
-    factor, unit = numbers.in_degrees(file.quantities[name].unit)
-    bare, printed = numbers.split_unit(name)[0].replace("_", " "), numbers.unit_text(unit)
-    title = f"{bare} ({printed})" if printed else bare
-    return factor * np.array(file.quantities[name].values, dtype=float), title
+    """Return a quantity in the unit that is drawn, and its title."""
+    bare, unit = numbers.split_unit(name)[0].replace("_", " "), file.quantities[name].unit
+    factor, shown = numbers.in_degrees(unit)
+    return factor * np.array(file.quantities[name].values, dtype=float), _title(bare, shown)
+
+
+def _title(name: str, unit: str) -> str:
+    printed = numbers.unit_text(unit)
+    return f"{name} ({printed})" if printed else name
 
 
 def _axis_title(axis: Axis) -> str:
-    """What a coefficient is called is no column: ``K_s`` has no seconds."""
+    """Return the title of an axis; the name of a coefficient may end like a unit (``K_s``)."""
     if axis.name in BEAT | STROKE:
         return numbers.column_title(axis.name)
-    unit = numbers.unit_text(axis.unit)
-    return f"{axis.name} ({unit})" if unit else axis.name
+    return _title(axis.name, axis.unit)
 
 
 def _heat(file: MapFile, name: str) -> ev.Panel:
@@ -602,23 +584,18 @@ def _heat(file: MapFile, name: str) -> ev.Panel:
 
 
 def _contours(file: MapFile, name: str) -> ev.Panel:
-    import contourpy
-    from matplotlib.ticker import MaxNLocator
-
     values, title = _shown(file, name)
     down, along = file.axes
-    finite = values[np.isfinite(values)]
     traces = []
-    if np.ptp(finite) > 0:
-        lines = contourpy.contour_generator(along.values, down.values, np.ma.masked_invalid(values))
-        low, high = float(finite.min()), float(finite.max())
-        levels = [v for v in MaxNLocator(N_LEVELS).tick_values(low, high) if low < v < high]
-        for k, level in enumerate(levels):
-            # a row of NaN ends each line
-            found = [np.vstack([np.asarray(line), [[np.nan, np.nan]]]) for line in lines.lines(level)]
-            if found:
-                x, y = np.vstack(found).T
-                traces.append(ev.Trace(x=x, y=y, label=numbers.number(float(level), 3), group=k))
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    lines = contourpy.contour_generator(along.values, down.values, np.ma.masked_invalid(values))
+    levels = [v for v in MaxNLocator(N_LEVELS).tick_values(low, high) if low < v < high]
+    for k, level in enumerate(levels):
+        # a row of NaN ends each line
+        found = [np.vstack([np.asarray(line), [[np.nan, np.nan]]]) for line in lines.lines(level)]
+        if found:
+            x, y = np.vstack(found).T
+            traces.append(ev.Trace(x=x, y=y, label=numbers.number(float(level), 3), group=k))
     if all(axis.name in file.identified for axis in file.axes):
         (x0, x1), (y0, y1) = (file.identified[axis.name] for axis in (along, down))
         frame = {"x": [x0, x1, x1, x0, x0], "y": [y0, y0, y1, y1, y0]}
@@ -638,8 +615,8 @@ def _curve(file: MapFile, name: str) -> ev.Panel:
     if q.stderr is not None:
         half = 2 * numbers.in_degrees(q.unit)[0] * np.array(q.stderr, dtype=float)[:, 0]
         traces = [blocks.band(x, y, half, label="model, 2 sd")]
-    measured = [m for m in file.measured if m.measured_m_s is not None and name == "mean_speed_m_s"]
-    if measured:
+    measured = [m for m in file.measured if m.measured_m_s is not None]
+    if measured and name == "mean_speed_m_s":
         traces.append(
             blocks.points(measured, lambda m: m.at[axis.name], lambda m: m.measured_m_s, label="measured")
         )

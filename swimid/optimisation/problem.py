@@ -1,4 +1,4 @@
-"""What the searches minimise, the gradient search, and draws of the coefficients to repeat it in."""
+"""The optimisation problem over gaits, its gradient search, and draws of the coefficients."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import qmc
 
 from swimid.errors import NoTrustworthyResult
 from swimid.files import yamlio
@@ -19,8 +20,29 @@ from swimid.fitting.model import Array
 from swimid.optimisation.performance import Performance, Point
 from swimid.simulation.catalogue import Applied, is_possible
 
-#: Number of draws that are made at once, and the largest number in all.
+#: Number of draws that are made at once, and the maximum number in all.
 BLOCK, MAX_DRAWS = 50_000, 5_000_000
+#: First and last radius of the finite differences, as a share of the range, and maximum number of steps.
+FIRST_RADIUS, LAST_RADIUS, MAX_STEPS = 0.1, 1e-3, 24
+#: Value of the function where it cannot be computed.
+BROKEN = 1e9
+#: Number of points at which the local model is evaluated, and of repetitions in a smaller box.
+N_MODEL_POINTS, N_ZOOMS = 512, 3
+#: Violating a limit adds a penalty of this many times the typical size of the goal, per relative violation.
+PENALTY = 10.0
+#: Largest relative violation at which a limit counts as kept.
+LIMIT_RTOL = 1e-3
+#: First radius, last radius and number of steps of the searches in draws, which begin at the optimum.
+DRAW_RADIUS, DRAW_LAST, DRAW_STEPS = 0.03, 1e-3, 14
+
+#: Function of points in the unit cube, shape (n, d), and of the index of the search of each, shape (n,).
+#: Returns the goal and the violation of each limit, shape (n, 1 + limits), negative if a limit is kept.
+Evaluate = Callable[[Array, NDArray[np.int64]], Array]
+
+
+def interval95(values: Array) -> Array:
+    """Return the 95 % interval over draws, shape (2, ...), of values with one draw in each row."""
+    return np.asarray(np.nanquantile(values, [0.025, 0.975], axis=0, method="weibull"))
 
 
 @dataclass(frozen=True)
@@ -30,9 +52,9 @@ class Draws:
     Attributes
     ----------
     vectors : list of ndarray
-        Parameters of the model.
+        Parameter vectors of the model.
     inside : float
-        Share of the draws that were within the bounds; the others were replaced.
+        Share of the draws within the bounds; the others were replaced.
     """
 
     vectors: list[Array]
@@ -40,15 +62,14 @@ class Draws:
 
 
 def drawn(applied: Applied, count: int, seed: int) -> Draws:
-    """Draw parameter vectors from the coefficients' covariance.
+    """Draw parameter vectors from the covariance of the coefficients.
 
-    The normal distribution is cut off at the bounds of each coefficient, and where a body would have masses
-    no body has: a draw there is replaced by another.
+    The normal distribution is truncated at the bounds of each coefficient, and at impossible masses.
 
     Raises
     ------
     NoTrustworthyResult
-        When hardly a draw is possible.
+        If fewer than ``count`` of MAX_DRAWS draws are possible.
     """
     model, centre = applied.model, applied.values()
     names, covariance = applied.uncertain()
@@ -56,7 +77,7 @@ def drawn(applied: Applied, count: int, seed: int) -> Draws:
     lower = np.array([model.parameters[k].lower for k in index])
     upper = np.array([model.parameters[k].upper for k in index])
     sd = np.sqrt(np.diag(covariance))
-    # a root of the correlation, which may be singular where coefficients share a value
+    # the correlation is singular if coefficients share a value, so that it has no Cholesky factor
     values, vectors = np.linalg.eigh(covariance / np.outer(sd, sd))
     root = sd[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     rng = np.random.default_rng(seed)
@@ -76,29 +97,18 @@ def drawn(applied: Applied, count: int, seed: int) -> Draws:
     )
 
 
-#: First and last radius of the differences, as a share of the range.
-FIRST, LAST = 0.1, 1e-3
-#: Steps at most.
-STEPS = 24
-#: A value that is no number counts as this.
-BROKEN = 1e9
-#: Points at which a model of the function is looked at, and how often that is repeated in a smaller box.
-LOOKED, ZOOMS = 512, 3
-
-#: What is minimised and by how much each limit is passed, shape (n, 1 + limits), at points in the unit cube,
-#: shape (n, d), of the searches they belong to, shape (n,). A limit that is kept to is negative.
-Evaluate = Callable[[Array, NDArray[np.int64]], Array]
+# ------------------------------------------------------------ gradient search
 
 
 @dataclass(frozen=True)
-class Descended:
-    """Where searches ended.
+class Minima:
+    """Ends of several searches.
 
     Attributes
     ----------
     points : ndarray, shape (k, d)
     values : ndarray, shape (k,)
-        What is minimised there, with what passing limits costs.
+        Goal with the penalties of violated limits.
     """
 
     points: Array
@@ -106,12 +116,12 @@ class Descended:
 
     @property
     def best(self) -> int:
-        """The search that found the least value."""
+        """Index of the search with the least value."""
         return int(np.argmin(self.values))
 
 
 def merit(parts: Array) -> Array:
-    """What is minimised with what passing limits costs, shape (n,), of parts, shape (n, 1 + limits)."""
+    """Return the goal plus the violations of the limits, shape (n,), of parts of shape (n, 1 + limits)."""
     total = parts[:, 0] + np.maximum(parts[:, 1:], 0.0).sum(axis=1)
     return np.minimum(np.nan_to_num(total, nan=BROKEN, posinf=BROKEN), BROKEN)
 
@@ -120,25 +130,25 @@ def descend(
     evaluate: Evaluate,
     starts: Array,
     *,
-    first: float = FIRST,
-    last: float = LAST,
-    steps: int = STEPS,
+    first: float = FIRST_RADIUS,
+    last: float = LAST_RADIUS,
+    steps: int = MAX_STEPS,
     advance: Callable[[], Any] = lambda: None,
-) -> Descended:
-    """Minimise from several starts within the unit cube and limits.
+) -> Minima:
+    """Minimise a function with limits over the unit cube from several starts at once.
 
     Parameters
     ----------
     starts : ndarray, shape (k, d)
     first, last : float
-        Radius of the differences at the beginning, and below which a search ends.
+        First radius of the finite differences, and the radius below which a search ends.
 
     Notes
     -----
-    Central differences give the gradient and the curvature along each axis of what is minimised and of each
-    limit. The minimum of that model, limits costing what they are passed by, within a box of twice the radius
-    competes with the points of the differences. The radius halves where nothing is better, and where the step
-    is small against it. Points of differences that would leave the cube lie on its face.
+    Central differences give the gradient and the curvature along each axis, of the goal and of each limit.
+    The minimum of this quadratic model with penalties, in a box of twice the radius, is compared with the
+    points of the differences. The radius is halved if no point is better, or if the step is shorter than it.
+    Points outside the cube are moved to its face.
 
     >>> def bowl(x, owner):
     ...     return np.column_stack([(x[:, 0] - 0.3) ** 2 + 4 * (x[:, 1] - 1.2) ** 2])
@@ -162,67 +172,67 @@ def descend(
         around = evaluate(stencil.reshape(-1, width), np.repeat(active, 2 * width))
         around = around.reshape(len(active), 2 * width, -1)
         suggested = np.array(
-            [_step(points[j], parts[j], stencil[n], around[n], radius[j]) for n, j in enumerate(active)]
+            [
+                _model_minimum(points[j], parts[j], stencil[n], around[n], radius[j])
+                for n, j in enumerate(active)
+            ]
         )
         tried = evaluate(suggested, active)
-        gain = merit(tried)
+        tried_values = merit(tried)
         for n, j in enumerate(active):
             near = merit(around[n])
             at = int(np.argmin(near))
-            moved = float(np.abs(suggested[n] - points[j]).max())
-            if gain[n] <= near[at] and gain[n] < values[j]:
-                points[j], parts[j], values[j] = suggested[n], tried[n], gain[n]
-                radius[j] *= 0.5 if moved < radius[j] else 1.0
+            if tried_values[n] <= near[at] and tried_values[n] < values[j]:
+                moved = float(np.abs(suggested[n] - points[j]).max())
+                points[j], parts[j], values[j] = suggested[n], tried[n], tried_values[n]
+                if moved < radius[j]:
+                    radius[j] *= 0.5
             elif near[at] < values[j]:
                 points[j], parts[j], values[j] = stencil[n, at], around[n, at], near[at]
             else:
                 radius[j] *= 0.5
         advance()
-    return Descended(points, values)
+    return Minima(points, values)
 
 
 @cache
 def _cube(width: int) -> Array:
-    """Even points of the cube from -1 to 1, its middle among them."""
-    from scipy.stats import qmc
-
-    points = 2.0 * qmc.Sobol(width, scramble=False).random(LOOKED) - 1.0
+    """Return points that fill the cube from -1 to 1 evenly, its centre first."""
+    points = 2.0 * qmc.Sobol(width, scramble=False).random(N_MODEL_POINTS) - 1.0
     return np.vstack([np.zeros(width), points])
 
 
-def _step(point: Array, parts: Array, stencil: Array, around: Array, radius: float) -> Array:
-    """Where the differences suggest the minimum, within the cube and twice the radius."""
+def _model_minimum(point: Array, parts: Array, stencil: Array, around: Array, radius: float) -> Array:
+    """Return the minimum of the quadratic model within the cube and twice the radius."""
     if not np.isfinite(parts).all():
         return np.asarray(stencil[int(np.argmin(merit(around)))])
-    slope, bend = np.zeros((2, len(point), len(parts)))
+    slope, curvature = np.zeros((2, len(point), len(parts)))
     for k in range(len(point)):
-        ends = [(stencil[m, k] - point[k], around[m]) for m in (2 * k, 2 * k + 1)]
-        told = [(away, (to - parts) / away) for away, to in ends if away and np.isfinite(to).all()]
-        if len(told) == 2:
-            (a, down), (b, up) = told
-            bend[k] = 2.0 * (up - down) / (b - a)
-            slope[k] = down - 0.5 * bend[k] * a
-        elif told:
-            slope[k] = told[0][1]
+        sides = []
+        for m in (2 * k, 2 * k + 1):
+            distance = stencil[m, k] - point[k]
+            if distance and np.isfinite(around[m]).all():
+                sides.append((distance, (around[m] - parts) / distance))
+        if len(sides) == 2:
+            (a, below), (b, above) = sides
+            curvature[k] = 2.0 * (above - below) / (b - a)
+            slope[k] = below - 0.5 * curvature[k] * a
+        elif sides:
+            slope[k] = sides[0][1]
     middle, half = np.zeros(len(point)), 2.0 * radius
-    for _ in range(ZOOMS):
+    for _ in range(N_ZOOMS):
         moves = np.clip(point + middle + half * _cube(len(point)), 0.0, 1.0) - point
         moves = np.clip(moves, -2.0 * radius, 2.0 * radius)
-        model = parts + moves @ slope + 0.5 * moves**2 @ bend
+        model = parts + moves @ slope + 0.5 * moves**2 @ curvature
         middle, half = moves[int(np.argmin(merit(model)))], 0.2 * half
     return np.asarray(point + middle)
 
 
-#: Violating a limit adds a penalty of this many times the typical size of the goal, per relative violation.
-PENALTY = 10.0
-#: Largest relative violation at which a limit counts as kept.
-LIMIT_RTOL = 1e-3
-#: First radius, last radius and number of steps of the searches in draws, near the optimum of the estimates.
-DRAW_RADIUS, DRAW_LAST, DRAW_STEPS = 0.03, 1e-3, 14
+# ------------------------------------------------------------ the problem
 
 
 class Limit(yamlio.Document):
-    """What a gait must keep to."""
+    """Limit of a quantity of a gait."""
 
     quantity: str
     at_most: Number = None
@@ -232,21 +242,23 @@ class Limit(yamlio.Document):
 
 @dataclass
 class Problem:
-    """What is minimised over the unit cube of what is varied; every run is kept.
+    """Goals and limits over the unit cube of the varied parameters of a gait.
 
     Attributes
     ----------
     vary : dict of str to (float, float)
-        What is varied, and its range.
+        Ranges of the varied parameters.
     goals : list of (name, quantity, sign)
         The sign times the quantity is minimised.
     limits : dict of str to Limit
     fixed : dict of str to float
-        The rest of the gait, where it differs from the drive of the performance.
+        Other parameters of the gait that differ from the drive of the performance.
     efficiency : float
         Mechanical over electrical power.
+    checkpoint : Checkpoint
+        Keeps the result of every batch of simulations.
     scale : float
-        A typical size of the first goal.
+        Typical size of the first goal.
     """
 
     performance: Performance
@@ -266,12 +278,12 @@ class Problem:
         return dict(zip(self.vary, (low + x * (high - low)).tolist(), strict=True))
 
     def place(self, at: Mapping[str, float]) -> Array:
-        """Return the point of the cube at which a gait lies."""
+        """Return the point of the cube of a gait."""
         low, high = np.array(list(self.vary.values()), dtype=float).T
         return np.asarray((np.array([at[name] for name in self.vary]) - low) / (high - low))
 
     def table(self, points: Array, values: Sequence[Array] | None = None) -> Array:
-        """Return the quantities at points of the cube, shape (n, quantities)."""
+        """Simulate points of the cube; return their quantities, shape (n, quantities)."""
         gaits = [{**self.fixed, **self.at(x)} for x in points]
         self.calls += 1
         found = self.checkpoint.kept(
@@ -280,7 +292,7 @@ class Problem:
         return found.reshape(-1, len(self.performance.units))
 
     def quantity(self, table: Array, name: str) -> Array:
-        """Return a quantity of runs, shape (n,): also what a limit is about."""
+        """Return a quantity of simulations, shape (n,), also one that only limits use."""
         units = list(self.performance.units)
         if name == "battery_power_W":
             return table[:, units.index("mean_positive_power_W")] / self.efficiency
@@ -291,24 +303,26 @@ class Problem:
         return table[:, units.index(name)]
 
     def goal_values(self, table: Array) -> Array:
-        """Return the goals as they are told, shape (n, goals); a turn counts either way round."""
-        columns = [self.quantity(table, quantity) for _, quantity, _ in self.goals]
-        for k, (_, quantity, _) in enumerate(self.goals):
+        """Return the goals in their own units, shape (n, goals); turning rates without their sign."""
+        columns = []
+        for _, quantity, _ in self.goals:
+            column = self.quantity(table, quantity)
             if quantity.startswith("mean_") and quantity.endswith("_rate_rad_s"):
-                columns[k] = np.abs(columns[k])
+                column = np.abs(column)
+            columns.append(column)
         return np.column_stack(columns)
 
     @property
     def signs(self) -> Array:
-        """The sign of each goal: what is minimised is the sign times the quantity."""
+        """Signs of the goals, shape (goals,)."""
         return np.array([sign for _, _, sign in self.goals])
 
     def wanted(self, table: Array) -> Array:
         """Return the goals as they are minimised, shape (n, goals)."""
         return np.asarray(self.goal_values(table) * self.signs)
 
-    def passed(self, table: Array) -> Array:
-        """Return the relative violation of each limit, shape (n, limits); negative where it is kept."""
+    def violations(self, table: Array) -> Array:
+        """Return the relative violation of each limit, shape (n, limits); negative if it is kept."""
         found = [np.empty((len(table), 0))]
         for limit in self.limits.values():
             value = self.quantity(table, limit.quantity)[:, None]
@@ -318,22 +332,22 @@ class Problem:
                 found.append(1.0 - value / limit.at_least)
         return np.hstack(found)
 
-    def keeps(self, table: Array) -> NDArray[np.bool_]:
-        """Return whether runs keep the limits, shape (n,)."""
-        return np.asarray((self.passed(table) <= LIMIT_RTOL).all(axis=1))
+    def keeps_limits(self, table: Array) -> NDArray[np.bool_]:
+        """Return whether simulations keep the limits, shape (n,)."""
+        return np.asarray((self.violations(table) <= LIMIT_RTOL).all(axis=1))
 
     def parts(self, table: Array) -> Array:
-        """Return the first goal and the penalty of each limit of runs, shape (n, 1 + limits)."""
-        return np.hstack([self.wanted(table)[:, :1], PENALTY * self.scale * self.passed(table)])
+        """Return the first goal and the penalty of each limit, shape (n, 1 + limits)."""
+        return np.hstack([self.wanted(table)[:, :1], PENALTY * self.scale * self.violations(table)])
 
-    def minimise(self, starts: Array, **how: Any) -> Descended:
-        """Minimise the first goal from several starts (see :func:`~swimid.optimisation.problem.descend`)."""
+    def minimise(self, starts: Array, **how: Any) -> Minima:
+        """Minimise the first goal from several starts (see :func:`descend`)."""
         return descend(lambda x, _owner: self.parts(self.table(x)), starts, **how)
 
     def minimise_in_draws(
         self, vectors: Sequence[Array], start: Array, advance: Callable[[], Any] = lambda: None
-    ) -> Descended:
-        """Minimise the first goal with each of several coefficient vectors, all from one start."""
+    ) -> Minima:
+        """Minimise the first goal with each of several parameter vectors, all from one start."""
         return descend(
             lambda x, owner: self.parts(self.table(x, [vectors[k] for k in owner])),
             np.tile(start, (len(vectors), 1)),
@@ -344,7 +358,7 @@ class Problem:
         )
 
     def costs(self, x: Array, vectors: Sequence[Array]) -> tuple[Array, Array]:
-        """Return the quantities and the cost of one point with each of several coefficient vectors."""
+        """Return quantities and cost of one point with each of several parameter vectors."""
         table = self.table(np.tile(x, (len(vectors), 1)), vectors)
         return table, merit(self.parts(table))
 
@@ -359,7 +373,7 @@ class Problem:
 
         def cost(points: Array) -> Array:
             table = self.table(points)
-            violation = np.maximum(self.passed(table), 0.0).sum(axis=1)
+            violation = np.maximum(self.violations(table), 0.0).sum(axis=1)
             return self.wanted(table) + PENALTY * self.scale * violation[:, None]
 
         width = len(self.vary)
@@ -372,4 +386,4 @@ class Problem:
         if not self.limits or not len(points):
             return np.hstack([points, found.objectives[sound]])
         table = self.table(points)
-        return np.hstack([points, self.wanted(table)])[self.keeps(table)]
+        return np.hstack([points, self.wanted(table)])[self.keeps_limits(table)]

@@ -1,4 +1,4 @@
-"""The recoil law from a cruise table: fit, departures, operating points, and its evidence."""
+"""Fit of the energy recoil law to a cruise table, its checks, and its operating points."""
 
 from __future__ import annotations
 
@@ -18,17 +18,32 @@ from swimid.notices import warn
 from swimid.progress import Progress
 from swimid.propulsion import trials as cruise_trials
 from swimid.propulsion.model import SPEED, RecoilModel, strouhal, velocity_ratio
+from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.results import numbers
 from swimid.results.parameters import Estimate, ParameterFile
 
-#: A frequency is left out of the fit where its runs lie off the law by more than this share, and by more than
-#: so many standard errors.
-DEPARTURE_SHARE, DEPARTURE_Z = 0.01, 4.0
-#: The exponents of the law.
+#: A frequency departs from the law if its runs are off by more than this share and by more than this number
+#: of standard errors. At least MIN_LEVELS frequencies stay in the fit, and at most a third is left out.
+DEPARTURE_RTOL, DEPARTURE_Z, MIN_LEVELS = 0.01, 4.0, 3
+#: Exponents of the law for the power.
 LAWS = {"frequency_exponent": 3.0, "amplitude_exponent": 2.0}
+#: Largest distance of a free exponent from that of the law, in standard errors.
+EXPONENT_Z = 3.0
 #: Parameters that the law takes from a drag file.
-DRAG_NUMBERS = ("drag_coefficient", "added_mass")
+DRAG_PARAMETERS = ("drag_coefficient", "added_mass")
+#: Strouhal numbers of efficient swimmers.
+EFFICIENT_STROUHAL = (0.25, 0.4)
+#: Columns of the table of runs: quantity, and factor to the unit of the column.
+COLUMNS = {
+    "f (Hz)": ("frequency_hz", 1.0),
+    "amplitude (°)": ("amplitude_deg", 1.0),
+    "average speed (cm/s)": ("mean_speed_m_s", 100.0),
+    "terminal speed (cm/s)": ("terminal_speed_m_s", 100.0),
+    "force (mN)": ("propulsive_force_N", 1e3),
+    "Strouhal, fin": ("strouhal_fin", 1.0),
+    "Strouhal, axle": ("strouhal_axle", 1.0),
+    "efficiency (%)": ("efficiency", 100.0),
+}
 
 
 def fit(
@@ -39,19 +54,19 @@ def fit(
     keep_departures: bool,
     progress: Progress,
 ) -> tuple[ParameterFile, ev.Evidence]:
-    """Fit the law, leave out what departs from it, carry the errors of the drag file along.
+    """Fit the law without the frequencies that depart from it, with the errors of the drag file.
 
     Parameters
     ----------
     choices : tuple of Parameter
-        Those of the model with the user's choices applied.
+        Parameters of the model with the choices of the user.
     origin : dict
-        The provenance block.
+        Provenance.
 
     Raises
     ------
     NoTrustworthyResult
-        When neither parameter can be identified.
+        If neither parameter can be identified.
     """
     model = experiment.model
     assert isinstance(model, RecoilModel)
@@ -63,32 +78,33 @@ def fit(
         )
     everything = output_error.fit(model, experiment.trials, parameters=choices, progress=progress)
     fit_common.refuse_interrupted(everything)
-    departures = [] if keep_departures else _departures(model, experiment.trials, choices)
-    kept = [_without(t, [d["frequency_hz"] for d in departures]) for t in experiment.trials]
-    result = everything
+    departures: list[dict[str, Any]] = []
+    if not keep_departures:
+        departures = _find_departures(model, experiment.trials, choices)
+    kept, result = experiment.trials, everything
     if departures:
+        kept = _without(experiment.trials, [d["frequency_hz"] for d in departures])
         result = output_error.fit(model, kept, parameters=choices, progress=progress)
     if all(result.status[label] != "estimated" for label in result.labels):
         raise NoTrustworthyResult("neither efficiency nor offset can be identified from this table")
-    exponents = free_exponents(model, kept, choices, LAWS, "power")
+    exponents, exponent_checks = free_exponents(model, kept, choices, LAWS, "power")
     result = _with_drag_error(result, kept, choices, experiment)
     points = _operating_points(experiment, result, wake)
     file = fit_common.parameter_file(
         result,
         robot=experiment.robot.name,
         provenance=origin,
-        derived=_derived(experiment, result, model, points) | exponents,
+        derived=_derive(experiment, result, points) | exponents,
         settings={"wake": wake, "drag_file": str(experiment.facts["drag_path"])},
     )
     file._drag = experiment.facts["drag"]
     assert file.fit is not None
     assert file.fit.model_extra is not None
-    file.fit.model_extra["departures"] = departures
-    file.fit.model_extra["operating_points"] = points
+    file.fit.model_extra.update(departures=departures, operating_points=points)
     checks = [
         *fit_common.checks(result, file),
         _departure_check(departures, everything),
-        *_exponent_checks(exponents),
+        *exponent_checks,
     ]
     evidence = ev.Evidence(
         verb="fit-propulsion",
@@ -110,51 +126,47 @@ def fit(
     return file, evidence
 
 
-def _without(trial: Trial, frequencies: list[float]) -> Trial:
-    """The trial with its runs at some frequencies masked."""
-    speed = trial.measured[SPEED].copy()
-    for frequency in frequencies:
-        speed[np.isclose(trial.inputs["frequency_hz"], frequency)] = np.nan
-    return replace(trial, measured={SPEED: speed})
+# ------------------------------------------------------------ checks of the law
 
 
-def _departures(
+def _without(trials: Sequence[Trial], frequencies: Sequence[float]) -> list[Trial]:
+    """Return the trials without the speeds at some frequencies."""
+    kept = []
+    for trial in trials:
+        out = np.isclose(trial.inputs["frequency_hz"][:, None], frequencies).any(axis=1)
+        kept.append(replace(trial, measured={SPEED: np.where(out, np.nan, trial.measured[SPEED])}))
+    return kept
+
+
+def _find_departures(
     model: RecoilModel, trials: list[Trial], choices: tuple[Parameter, ...]
 ) -> list[dict[str, Any]]:
-    """Frequencies at which the runs lie off the law fitted to all others, worst first."""
+    """Return the frequencies whose runs depart from the law fitted to all others, the worst first."""
     levels = np.unique(
         np.concatenate([t.inputs["frequency_hz"][np.isfinite(t.measured[SPEED])] for t in trials])
-    )
+    ).tolist()
     departures: list[dict[str, Any]] = []
-    while len(levels) - len(departures) > 3 and len(departures) < len(levels) // 3:
+    while len(levels) - len(departures) > MIN_LEVELS and len(departures) < len(levels) // 3:
         out = [d["frequency_hz"] for d in departures]
         tests = []
-        for level in (f for f in levels if f not in out):
-            rest = [_without(t, [*out, float(level)]) for t in trials]
+        for level in levels:
+            if level in out:
+                continue
             try:
-                fitted = output_error.fit(model, rest, parameters=choices)
+                fitted = output_error.fit(model, _without(trials, [*out, level]), parameters=choices)
             except NoTrustworthyResult:
                 continue
-            test = _departure(fitted, trials, float(level))
-            if test is not None:
+            test = _departure(fitted, trials, level)
+            if test is not None and abs(test["z"]) > DEPARTURE_Z and abs(test["share"]) > DEPARTURE_RTOL:
                 tests.append(test)
-        tests = [t for t in tests if abs(t["z"]) > DEPARTURE_Z and abs(t["share"]) > DEPARTURE_SHARE]
         if not tests:
             break
-        worst = max(tests, key=lambda t: abs(t["z"]))
-        departures.append(worst)
-        warn(
-            "SWM030",
-            f"the runs at {worst['frequency_hz']:g} Hz are {abs(100 * worst['share']):.1f} % "
-            f"{'slower' if worst['share'] < 0 else 'faster'} than the law fitted to the other frequencies "
-            f"({abs(worst['z']):.1f} standard errors, {worst['runs']} runs); they are left out of the fit. "
-            "Fins that flex at high frequency do this (source, section 4.2)",
-        )
+        departures.append(max(tests, key=lambda t: abs(t["z"])))
     return departures
 
 
 def _departure(fitted: FitResult, trials: list[Trial], level: float) -> dict[str, Any] | None:
-    """How far the runs at a frequency lie off the law; None where the law gives them no speed."""
+    """Return the mean relative distance of the runs at a frequency from the law; None without a speed."""
     shares, spread = [], []
     size = float(np.sqrt(np.mean([np.nanmean(s.weighted**2) for s in fitted.series])))
     reference = fitted.noise[SPEED].value_sd
@@ -167,26 +179,54 @@ def _departure(fitted: FitResult, trials: list[Trial], level: float) -> dict[str
         spread += list(size * known[at] * reference / float(np.sqrt(np.mean(known**2))) / predicted[at])
     if not shares:
         return None
-    share = float(np.mean(shares))
-    error = float(np.sqrt(np.mean(np.square(spread)) / len(shares)))
-    # the law's own uncertainty at a level is of the order of one run's among all others
-    error = math.hypot(error, float(np.sqrt(np.mean(np.square(spread)) / max(fitted.samples, 1))) * 2)
+    share, variance = float(np.mean(shares)), float(np.mean(np.square(spread)))
+    # the error of the mean, and that of the law, which is about twice that of one run among all others
+    error = math.hypot(math.sqrt(variance / len(shares)), 2 * math.sqrt(variance / max(fitted.samples, 1)))
     return {"frequency_hz": level, "share": share, "stderr": error, "z": share / error, "runs": len(shares)}
+
+
+def _departure_check(departures: list[dict[str, Any]], everything: FitResult) -> ev.Check:
+    """Check that every frequency follows the law; warn of those that do not."""
+    for d in departures:
+        word = "slower" if d["share"] < 0 else "faster"
+        warn(
+            "SWM030",
+            f"the runs at {d['frequency_hz']:g} Hz are {abs(100 * d['share']):.1f} % {word} than the law "
+            f"fitted to the other frequencies ({abs(d['z']):.1f} standard errors, {d['runs']} runs); they "
+            "are left out of the fit. Fins that flex at high frequency do this (source, section 4.2)",
+        )
+    off = ", ".join(f"{d['frequency_hz']:g} Hz: {numbers.percent(d['share'], 2)}" for d in departures)
+    units = {p.name: p.unit for p in everything.parameters}
+    fitted = "; ".join(
+        f"{n} {numbers.measured(everything.value(n), everything.stderr(n), units[n])}"
+        for n in everything.labels
+    )
+    limit = f"within {100 * DEPARTURE_RTOL:g} % or {DEPARTURE_Z:g} standard errors"
+    text = f"left out of the fit; with these frequencies {fitted}" * bool(departures)
+    reason = f"runs depart from the law at {off}, and are left out"
+    name = "every frequency follows the law"
+    return ev.check(name, off or "all", not departures, limit, text, reason=reason)
 
 
 def free_exponents(
     model: Model, trials: Sequence[Trial], choices: tuple[Parameter, ...], laws: Mapping[str, float], of: str
-) -> dict[str, Estimate]:
-    """Each exponent of a law of thrust or power set free in turn; warns of one that is not that of the law.
+) -> tuple[dict[str, Estimate], list[ev.Check]]:
+    """Estimate each exponent of a law in a fit of its own, and check that it is that of the law.
 
     Parameters
     ----------
     laws : mapping of str to float
         Value of each exponent under the law.
     of : str
-        The quantity that has the exponents, for the warning.
+        Quantity that has the exponents, for the messages.
+
+    Returns
+    -------
+    exponents : dict of str to Estimate
+        Free exponents, by names such as ``free_frequency_exponent``.
+    checks : list of Check
     """
-    exponents = {}
+    exponents, checks = {}, []
     for name, law in laws.items():
         try:
             result = output_error.fit(model, trials, parameters=chosen(choices, freed=(name,)))
@@ -194,26 +234,31 @@ def free_exponents(
             continue
         fit_common.refuse_interrupted(result)
         value, stderr, status = result.value(name), result.stderr(name), result.status[name]
-        # with the offset held at a bound the exponent answers another question
+        # an exponent beside an offset at its bound is not that of the law
         if result.status.get("amplitude_offset_deg", "estimated") != "estimated":
             status = "unidentifiable"
         exponents[f"free_{name}"] = Estimate(
             value=value, stderr=stderr, unit="1", bounds=(0, 6), status=status
         )  # type: ignore[arg-type]
-        if status == "estimated" and stderr and abs(value - law) > 3 * stderr:
-            warn(
-                "SWM031",
-                f"set free, the {name.replace('_', ' ')} of {of} is {numbers.measured(value, stderr)}, the "
-                f"law says {law:g}",
-            )
-    return exponents
+        words, shown, agrees = name.replace("_", " "), "not identifiable", None
+        if status == "estimated" and stderr:
+            shown, agrees = numbers.measured(value, stderr), abs(value - law) <= EXPONENT_Z * stderr
+        if agrees is False:
+            warn("SWM031", f"set free, the {words} of {of} is {shown}, the law says {law:g}")
+        reason = f"the {words} of {of} is {shown}, not {law:g}"
+        text = f"exponent of the {of}, estimated together with the other parameters"
+        checks.append(ev.check(words, shown, agrees, f"{law:g} (the law)", text, reason=reason))
+    return exponents, checks
 
 
-def _by_drag_error(experiment: Experiment) -> dict[str, RecoilModel]:
-    """Return the model with each number of the drag file larger by its standard error, where it has one."""
+# ------------------------------------------------------------ errors of the drag file
+
+
+def _models_by_drag_error(experiment: Experiment) -> dict[str, RecoilModel]:
+    """Return the model with each parameter of the drag file increased by its standard error."""
     drag, fins = experiment.facts["drag"], [t.id for t in experiment.trials]
     models = {}
-    for name in DRAG_NUMBERS:
+    for name in DRAG_PARAMETERS:
         if drag.parameters[name].stderr:
             moved = drag.model_copy(deep=True)
             moved.parameters[name].value += drag.parameters[name].stderr
@@ -225,22 +270,44 @@ def _by_drag_error(experiment: Experiment) -> dict[str, RecoilModel]:
 def _with_drag_error(
     result: FitResult, trials: list[Trial], choices: tuple[Parameter, ...], experiment: Experiment
 ) -> FitResult:
-    """Add what the drag file's uncertainty contributes to the covariance."""
+    """Add the contribution of the drag file to the covariance."""
     drag: ParameterFile = experiment.facts["drag"]
     shifts = np.zeros((2, len(result.labels)))
-    for name, other in _by_drag_error(experiment).items():
+    for name, other in _models_by_drag_error(experiment).items():
         moved = output_error.fit(other, trials, parameters=choices)
-        shifts[DRAG_NUMBERS.index(name)] = moved.estimate - result.estimate
-    rho = 0.0
-    if drag.correlation and all(n in drag.correlation.names for n in DRAG_NUMBERS):
-        i, j = (drag.correlation.names.index(n) for n in DRAG_NUMBERS)
-        rho = drag.correlation.matrix[i][j]
-    joint = np.array([[1.0, rho], [rho, 1.0]])
+        shifts[DRAG_PARAMETERS.index(name)] = moved.estimate - result.estimate
+    joint = np.eye(2)
+    if drag.correlation and all(n in drag.correlation.names for n in DRAG_PARAMETERS):
+        i, j = (drag.correlation.names.index(n) for n in DRAG_PARAMETERS)
+        joint[0, 1] = joint[1, 0] = drag.correlation.matrix[i][j]
     return replace(result, covariance=result.covariance + shifts.T @ joint @ shifts)
 
 
+def _derive(experiment: Experiment, result: FitResult, points: list[dict[str, Any]]) -> dict[str, Estimate]:
+    """Return the velocity ratio, and the smallest and the largest propulsive force."""
+    drag, model = experiment.facts["drag"], experiment.model
+    assert isinstance(model, RecoilModel)
+    distance = float(np.median(np.concatenate([t.inputs["distance_m"] for t in experiment.trials])))
+    ratio = float(velocity_ratio(model.b1, 0.0, distance))
+    moved = [float(velocity_ratio(m.b1, 0.0, distance)) for m in _models_by_drag_error(experiment).values()]
+    error = math.sqrt(sum((other - ratio) ** 2 for other in moved))
+    quantities = {"velocity_ratio": Estimate(value=ratio, stderr=error, unit="1", status="estimated")}
+    coefficient = drag.parameters["drag_coefficient"]
+    relative_drag = (coefficient.stderr or 0.0) / coefficient.value
+    scatter = 2 * result.noise[SPEED].value_sd / float(np.median([p["mean_speed_m_s"] for p in points]))
+    for end, pick in (("smallest", min), ("largest", max)):
+        force = pick(p["propulsive_force_N"] for p in points)
+        quantities[f"{end}_propulsive_force"] = Estimate(
+            value=force, stderr=force * math.hypot(relative_drag, scatter), unit="N", status="estimated"
+        )
+    return quantities
+
+
+# ------------------------------------------------------------ operating points
+
+
 def _operating_points(experiment: Experiment, result: FitResult, wake: str) -> list[dict[str, Any]]:
-    """Terminal speed, force, Strouhal numbers and single-run efficiency of every run."""
+    """Return terminal speed, force, Strouhal numbers and efficiency of every run."""
     model = result.model
     assert isinstance(model, RecoilModel)
     offset = np.deg2rad(result.value("amplitude_offset_deg"))
@@ -275,145 +342,68 @@ def _operating_points(experiment: Experiment, result: FitResult, wake: str) -> l
     return points
 
 
-def _derived(
-    experiment: Experiment, result: FitResult, model: RecoilModel, points: list[dict[str, Any]]
-) -> dict[str, Estimate]:
-    drag: ParameterFile = experiment.facts["drag"]
-    distance = float(np.median(np.concatenate([t.inputs["distance_m"] for t in experiment.trials])))
-    centre = float(velocity_ratio(model.b1, 0.0, distance))
-    ratios = [float(velocity_ratio(other.b1, 0.0, distance)) for other in _by_drag_error(experiment).values()]
-    variance = sum((ratio - centre) ** 2 for ratio in ratios)
-    quantities = {
-        "velocity_ratio": Estimate(value=centre, stderr=math.sqrt(variance), unit="1", status="estimated")
-    }
-    coefficient = drag.parameters["drag_coefficient"]
-    relative_drag = (coefficient.stderr or 0.0) / coefficient.value
-    scatter = 2 * result.noise[SPEED].value_sd / float(np.median([p["mean_speed_m_s"] for p in points]))
-    for end, pick in (("smallest", min), ("largest", max)):
-        force = pick(p["propulsive_force_N"] for p in points)
-        quantities[f"{end}_propulsive_force"] = Estimate(
-            value=force, stderr=force * math.hypot(relative_drag, scatter), unit="N", status="estimated"
-        )
-    return quantities
-
-
-# ------------------------------------------------------------ evidence
-
-
-def _departure_check(departures: list[dict[str, Any]], everything: FitResult) -> ev.Check:
-    """Return the check that every frequency follows the law."""
-    off = ", ".join(f"{d['frequency_hz']:g} Hz: {numbers.percent(d['share'], 2)}" for d in departures)
-    units = {p.name: p.unit for p in everything.parameters}
-    fitted = [
-        f"{n} {numbers.measured(everything.value(n), everything.stderr(n), units[n])}"
-        for n in everything.labels
-    ]
-    limit = f"within {100 * DEPARTURE_SHARE:g} % or {DEPARTURE_Z:g} standard errors"
-    text = f"left out of the fit; with these frequencies {'; '.join(fitted)}" if departures else ""
-    reason = f"runs depart from the law at {off}, and are left out"
-    return ev.check(
-        "every frequency follows the law", off or "all", not departures, limit, text, reason=reason
-    )
-
-
-def _exponent_checks(exponents: dict[str, Estimate]) -> list[ev.Check]:
-    """Return the checks that each exponent, set free with the offset, is that of the law."""
-    found = []
-    for name, law in LAWS.items():
-        e = exponents.get(f"free_{name}")
-        if e is None:
-            continue
-        agrees, value = None, "not identifiable"
-        if e.status == "estimated" and e.stderr is not None:
-            agrees, value = abs(e.value - law) <= 3 * e.stderr, numbers.measured(e.value, e.stderr)
-        words = name.replace("_", " ")
-        reason = f"the {words} of power is {value}, not {law:g}"
-        text = "of the power, set free with the offset"
-        found.append(ev.check(words, value, agrees, f"{law:g} (the law)", text, reason=reason))
-    return found
-
-
 def _tables(experiment: Experiment, points: list[dict[str, Any]]) -> list[ev.Table]:
-    """Return the runs and the fins."""
-    units = {
-        "f (Hz)": ("frequency_hz", 1.0),
-        "amplitude (°)": ("amplitude_deg", 1.0),
-        "average speed (cm/s)": ("mean_speed_m_s", 100.0),
-        "terminal speed (cm/s)": ("terminal_speed_m_s", 100.0),
-        "force (mN)": ("propulsive_force_N", 1e3),
-        "Strouhal, fin": ("strouhal_fin", 1.0),
-        "Strouhal, axle": ("strouhal_axle", 1.0),
-        "efficiency (%)": ("efficiency", 100.0),
-    }
-    runs: list[list[Any]] = [
-        [p["fin"], *(None if p[key] is None else factor * p[key] for key, factor in units.values())]
-        for p in points
-    ]
-    fins: list[list[Any]] = []
+    """Return the tables of runs and of fins."""
+    runs = []
+    for p in points:
+        row: dict[str, blocks.Cell] = {"fin": p["fin"]}
+        for title, (key, factor) in COLUMNS.items():
+            row[title] = p[key] and factor * p[key]
+        runs.append(row)
+    fins: list[dict[str, blocks.Cell]] = []
     for t in experiment.trials:
-        inertia = t.cruise.inertia_kg_m2
-        grams = None if inertia is None else numbers.number(1e7 * inertia, 5)
-        fins.append([t.id, experiment.robot.fins[t.id].area_m2, grams])
+        grams = t.cruise.inertia_kg_m2 and numbers.number(1e7 * t.cruise.inertia_kg_m2, 5)
+        area = experiment.robot.fins[t.id].area_m2
+        fins.append({"fin": t.id, "area (m²)": area, "hydrodynamic inertia (g cm²)": grams})
     about_runs = (
-        "Force is drag at terminal speed. Strouhal number with the fin's length as lever of the wake width "
-        "(Eq 28) and with the distance from the axle to the trailing edge."
+        "Force is drag at terminal speed. The lever of the wake width in the Strouhal number is the length "
+        "of the fin (Eq 28), or the distance from the axle to the trailing edge."
     )
-    about_fins = "The inertia of a rectangle follows from Eq 6; where none is shown it is not known."
-    inertia_title = "hydrodynamic inertia (g cm²)"
-    return [
-        ev.Table(id="points", title="Runs", columns=["fin", *units], rows=runs, caption=about_runs),
-        ev.Table(
-            id="fins",
-            title="Fins",
-            columns=["fin", "area (m²)", inertia_title],
-            rows=fins,
-            caption=about_fins,
-            folded=True,
-        ),
+    about_fins = (
+        "The inertia of a rectangle follows from Eq 6. A fin without an entry has an unknown inertia."
+    )
+    tables = [
+        blocks.table("points", "Runs", runs, about_runs),
+        blocks.table("fins", "Fins", fins, about_fins),
     ]
+    tables[1].folded = True
+    return tables
 
 
 def _figures(experiment: Experiment, result: FitResult, points: list[dict[str, Any]]) -> list[ev.Figure]:
-    """Return speeds over frequency and over amplitude with the law; force and Strouhal number."""
+    """Return speeds over frequency and over amplitude with the law, and force and Strouhal number."""
     amplitudes, counts = np.unique([round(p["amplitude_deg"], 6) for p in points], return_counts=True)
     amplitude = float(amplitudes[np.argmax(counts)])
-    at_amplitude = [p for p in points if abs(p["amplitude_deg"] - amplitude) < 1e-6]
-    swept = [
-        f
-        for f in sorted({p["frequency_hz"] for p in points})
-        if len({p["amplitude_deg"] for p in points if p["frequency_hz"] == f}) > 2
-    ]
+    settings = {(p["frequency_hz"], p["amplitude_deg"]) for p in points}
+    frequencies, counts = np.unique([f for f, _ in settings], return_counts=True)
+    swept = frequencies[counts > 2][:1].tolist()
     over_frequency, over_amplitude, force, wake = [], [], [], []
     for group, trial in enumerate(experiment.trials):
-        runs = [p for p in at_amplitude if p["fin"] == trial.id]
+        own = [p for p in points if p["fin"] == trial.id]
+        runs = [p for p in own if abs(p["amplitude_deg"] - amplitude) < 1e-6]
         if runs:
-            f = np.array([p["frequency_hz"] for p in runs])
-            line = np.linspace(0.0, f.max(), 60)[1:]
+            line = np.linspace(0.0, max(p["frequency_hz"] for p in runs), 60)[1:]
             law = 100 * _law(result, trial, line, np.full(len(line), amplitude))
-            over_frequency.append(_points(f, runs, "mean_speed_m_s", 100.0, group))
+            over_frequency.append(_points(runs, "frequency_hz", "mean_speed_m_s", 100.0, group))
             over_frequency.append(ev.Trace(x=line, y=law, group=group))
-            force.append(_points(f, runs, "propulsive_force_N", 1e3, group))
-            wake.append(_points(f, runs, "strouhal", 1.0, group))
-        runs = [p for p in points if p["fin"] == trial.id and p["frequency_hz"] in swept[:1]]
+            force.append(_points(runs, "frequency_hz", "propulsive_force_N", 1e3, group))
+            wake.append(_points(runs, "frequency_hz", "strouhal", 1.0, group))
+        runs = [p for p in own if p["frequency_hz"] in swept]
         if runs:
-            a = np.array([p["amplitude_deg"] for p in runs])
-            line = np.linspace(0.0, a.max(), 80)[1:]
+            line = np.linspace(0.0, max(p["amplitude_deg"] for p in runs), 80)[1:]
             law = 100 * _law(result, trial, np.full(len(line), swept[0]), line)
-            measured = _points(a, runs, "mean_speed_m_s", 100.0, group)
-            powers = np.array(measured.y, dtype=float) ** 1.5
-            over_amplitude.append(measured.model_copy(update={"y": powers.tolist()}))
+            over_amplitude.append(_points(runs, "amplitude_deg", "mean_speed_m_s", 100.0, group, power=1.5))
             over_amplitude.append(ev.Trace(x=line, y=law**1.5, group=group))
-    title, x_label = f"at {amplitude:g}°", "frequency (Hz)"
-    speeds = [ev.Panel(x_label=x_label, y_label="average speed (cm/s)", traces=over_frequency, title=title)]
+    at, x_label = {"title": f"at {amplitude:g}°"}, "frequency (Hz)"
+    speeds = [blocks.panel(x_label, "average speed (cm/s)", over_frequency, **at)]
     if over_amplitude:
-        panel = ev.Panel(
-            x_label="amplitude (°)", y_label="average speed^1.5 (cm/s)^1.5", traces=over_amplitude
-        )
-        speeds.append(panel.model_copy(update={"title": f"at {swept[0]:g} Hz"}))
-    efficient = [ev.Mark(at=0.25), ev.Mark(at=0.4, label="efficient swimmers")]
+        title, y_label = f"at {swept[0]:g} Hz", "average speed^1.5 (cm/s)^1.5"
+        speeds.append(blocks.panel("amplitude (°)", y_label, over_amplitude, title=title))
+    low, high = EFFICIENT_STROUHAL
+    efficient = [ev.Mark(at=low), ev.Mark(at=high, label="efficient swimmers")]
     forces = [
-        ev.Panel(x_label=x_label, y_label="propulsive force (mN)", traces=force, title=title),
-        ev.Panel(x_label=x_label, y_label="Strouhal number", traces=wake, title=title, marks=efficient),
+        blocks.panel(x_label, "propulsive force (mN)", force, **at),
+        blocks.panel(x_label, "Strouhal number", wake, **at, marks=efficient),
     ]
     about_speeds = (
         "Points are runs, lines the fitted law: straight through the origin over frequency, straight with "
@@ -421,17 +411,16 @@ def _figures(experiment: Experiment, result: FitResult, points: list[dict[str, A
     )
     about_forces = "Under the law force grows with the square of frequency at a constant Strouhal number."
     return [
-        ev.Figure(id="speeds", title="Average speed", caption=about_speeds, panels=speeds, columns=2),
-        ev.Figure(
-            id="force", title="Force and Strouhal number", caption=about_forces, panels=forces, columns=2
-        ),
+        blocks.panels("speeds", "Average speed", about_speeds, speeds),
+        blocks.panels("force", "Force and Strouhal number", about_forces, forces),
     ]
 
 
-def _points(x: Array, runs: list[dict[str, Any]], key: str, factor: float, group: int) -> ev.Trace:
-    """Return a quantity of runs of one fin as points."""
-    y = np.array([factor * p[key] for p in runs])
-    return ev.Trace(x=x, y=y, style="points", label=runs[0]["fin"], group=group)
+def _points(
+    runs: list[dict[str, Any]], x: str, y: str, factor: float, group: int, *, power: float = 1.0
+) -> ev.Trace:
+    label = runs[0]["fin"]
+    return blocks.points(runs, lambda p: p[x], lambda p: (factor * p[y]) ** power, label=label, group=group)
 
 
 def _law(result: FitResult, trial: Trial, frequency: Array, amplitude_deg: Array) -> Array:

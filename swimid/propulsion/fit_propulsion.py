@@ -1,4 +1,4 @@
-"""``fit-propulsion``: the recoil law of a cruise table, or beat-averaged surge of free swimming."""
+"""``fit-propulsion``: the recoil law of a cruise table, or thrust and drag of straight swimming."""
 
 from __future__ import annotations
 
@@ -12,19 +12,23 @@ import numpy as np
 from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files import provenance
 from swimid.fitting import fit_common, output_error
+from swimid.fitting.covariance import UNIDENTIFIABLE
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.model import Parameter
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded, warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
-from swimid.propulsion import cruise as propulsion_cruise
-from swimid.propulsion import trials as experiment_module
+from swimid.propulsion import cruise
+from swimid.propulsion import trials as propulsion_trials
 from swimid.propulsion.options import FitPropulsionOptions
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results.fitted import Fitted
 from swimid.results.parameters import Estimate, ParameterFile
+
+#: Exponent of the amplitude in the thrust of the law.
+AMPLITUDE_EXPONENT = 2.0
 
 
 @takes(FitPropulsionOptions)
@@ -37,38 +41,37 @@ def fit_propulsion(
 ) -> Fitted:
     """Identify the propulsion of a fin: recoil law of cruising speeds, or thrust and drag of straight runs.
 
-    The Strouhal number with either lever of the wake is in the report: the fin's length (the paper's Eq 28),
-    and the distance from axle to trailing edge. The start speed of a held-out trial is estimated from the
-    trial itself, all else held. The law is of a rigid fin: frequencies that depart from it (SWM030) are left
-    out of the fit unless they are kept on purpose, and the result does not hold for them.
+    The recoil law is that of a rigid fin. Frequencies that depart from it (SWM030) are left out of the fit,
+    and the result does not hold for them. The start speed of a held-out trial is estimated from the trial
+    itself with all other parameters held.
 
     Parameters
     ----------
     trials : path or TrialSet
-        Trials: a file, or what :func:`swimid.load` gives.
-        A cruise experiment (recoil law, boxfish paper Eqs 3-6, 25-27), or straight free-swim
-        trials (beat-averaged surge: thrust by a power of amplitude, quadratic drag).
+        Trials file, or the result of :func:`swimid.load`: a cruise experiment (recoil law, boxfish paper
+        Eqs 3-6, 25-27), or straight free-swim trials (beat-averaged surge: thrust by a power of amplitude,
+        quadratic drag).
     output : path, optional
-        Parameter file to write; its evidence goes beside it.
+        Parameter file to write; its evidence is written beside it.
     progress : Progress
         Shows the search.
 
     Returns
     -------
     Fitted
-        Of a cruise ``.parameters`` has ``recoil_efficiency`` (1), ``amplitude_offset_deg`` (deg) and the
-        ``inertia_<fin>`` (kg m^2) of fins of unknown inertia; ``.derived`` has ``velocity_ratio`` (1), the
-        smallest and the largest propulsive force (N) and the exponents set free (1). Standard errors include
-        those of the drag file. ``.tables()`` has speeds, forces and Strouhal numbers of each run.
-        Of straight runs ``.parameters`` has ``thrust_acceleration`` (m/s^2), ``surge_drag`` (1/m, drag over
-        mass) and the exponents of amplitude and frequency (1).
+        For a cruise ``.parameters`` has ``recoil_efficiency`` (1), ``amplitude_offset_deg`` (deg) and the
+        ``inertia_<fin>`` (kg m^2) of fins of unknown inertia. ``.derived`` has ``velocity_ratio`` (1), the
+        smallest and the largest propulsive force (N) and the free exponents (1). Standard errors contain
+        those of the drag file. ``.tables()`` has speeds, forces and Strouhal numbers of each run, with both
+        levers of the wake. For straight runs ``.parameters`` has ``thrust_acceleration`` (m/s^2),
+        ``surge_drag`` (1/m, drag over mass) and the exponents of amplitude and frequency (1).
 
     Raises
     ------
     InputError, UsageError
         For bad files and options.
     NoTrustworthyResult
-        When nothing can be identified.
+        If nothing can be identified.
 
     References
     ----------
@@ -88,13 +91,13 @@ def fit_propulsion(
     ('caution', ['SWM030'])
     """
     with recorded(repeat=True) as notices:
-        experiment = experiment_module.load(trials, drag=options.drag)
+        experiment = propulsion_trials.load(trials, drag=options.drag)
         choices = fit_common.prepare(experiment, output, fixed=options.fixed, freed=options.freed)
         origin = provenance.collect(experiment.inputs, settings=options.settings())
         if experiment.name == "cruise":
             if options.start_state != "auto":
                 warn("SWM004", "--start-state belongs to free-swim trials: runs of a cruise start at rest")
-            file, evidence = propulsion_cruise.fit(
+            file, evidence = cruise.fit(
                 experiment, choices, origin, options.wake, options.keep_departures, progress
             )
         else:
@@ -128,17 +131,16 @@ def _fit_surge(
     Parameters
     ----------
     choices : tuple of Parameter
-        The model's with the user's choices applied.
+        Parameters of the model with the choices of the user.
     origin : dict
-        The provenance block.
+        Provenance.
     from_rest : bool
-        Trials start at rest at their first beat; else each trial's speed there is estimated, on held-out
-        trials from the trial itself with the shared parameters held.
+        Trials start at rest at their first beat; otherwise the speed there is estimated for each trial.
 
     Raises
     ------
     NoTrustworthyResult
-        When neither thrust nor drag can be identified.
+        If neither thrust nor drag can be identified.
     """
     model = experiment.model
     if from_rest:
@@ -150,8 +152,10 @@ def _fit_surge(
     if all(result.status[label] != "estimated" for label in shared):
         raise NoTrustworthyResult("neither thrust nor drag can be identified from these trials")
     amplitudes = {round(t.surge.amplitude_rad, 6) for t in experiment.trials if t.role == "fit"}
-    laws = {"amplitude_exponent": 2.0} if len(amplitudes) > 1 else {}
-    derived = propulsion_cruise.free_exponents(model, experiment.trials, choices, laws, "thrust")
+    laws = {}
+    if len(amplitudes) > 1:
+        laws["amplitude_exponent"] = AMPLITUDE_EXPONENT
+    derived, exponent_checks = cruise.free_exponents(model, experiment.trials, choices, laws, "thrust")
     reference = model.reference_amplitude_rad  # type: ignore[attr-defined]
     thrust, exponent = result.value("thrust_acceleration"), result.value("amplitude_exponent")
     at_one = thrust / reference**exponent
@@ -159,10 +163,11 @@ def _fit_surge(
         (result.stderr("thrust_acceleration") or 0.0) / thrust,
         (result.stderr("amplitude_exponent") or 0.0) * abs(math.log(reference)),
     )
-    status = "estimated" if spread < 0.5 else "unidentifiable"
     derived["thrust_coefficient"] = Estimate(
-        value=at_one, stderr=at_one * spread, unit="m/s^2", status=status
+        value=at_one, stderr=at_one * spread, unit="m/s^2", status="estimated"
     )
+    if spread >= UNIDENTIFIABLE:
+        derived["thrust_coefficient"].status = "unidentifiable"
     beats = experiment.facts["beats"]
     measured = [b for b in beats.values() if b["found_hz"] is not None]
     if measured:
@@ -187,7 +192,7 @@ def _fit_surge(
             "asymmetry": experiment.facts["asymmetry"],
         },
     )
-    checks = [*fit_common.checks(result, file), fit_common.beat_check(beats)]
+    checks = [*fit_common.checks(result, file), fit_common.beat_check(beats), *exponent_checks]
     rows: list[list[Any]] = []
     for name, b in beats.items():
         found = "none found"
@@ -195,7 +200,9 @@ def _fit_surge(
             found = numbers.measured(b["found_hz"], b["stderr_hz"])
         rows.append([name, b["stated_hz"], found])
     columns = ["trial", "stated (Hz)", "found in yaw (Hz)"]
-    starts = "with each trial's initial speed estimated, a held-out one's with all else held"
+    starts = "with the initial speed of each trial estimated"
+    if from_rest:
+        starts = "with every trial from rest"
     evidence = ev.Evidence(
         verb="fit-propulsion",
         title=f"Propulsion of {experiment.robot.name}: beat-averaged surge",
@@ -206,7 +213,7 @@ def _fit_surge(
         methods=[
             "Surge was averaged over whole tail beats, their frequency found in the yaw, and du/dt = a "
             f"(A/A_ref)^n - c u² fitted to {len(result.trials)} straight trials by output-error maximum "
-            f"likelihood, {'every trial from rest' if from_rest else starts}.",
+            f"likelihood, {starts}.",
         ],
         references=list(experiment.robot.sources),
         provenance=origin,

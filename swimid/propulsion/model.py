@@ -15,14 +15,15 @@ from swimid.fitting.hooks import Hooks, Stroke
 from swimid.fitting.model import MEAN_SPEED, Array, Channel, Model, Parameter, Scales, Trial
 
 SPEED = MEAN_SPEED
-#: Longest step in which the surge is integrated where it has no closed form, s.
+#: Longest integration step of a surge without a closed form, s.
 STEP_S = 0.05
-#: Steps of Newton's method; convex functions approached from above need fewer.
-NEWTON = 60
+#: Maximum number of steps of Newton's method; it converges in fewer, because the functions are convex and the
+#: start is above the root.
+MAX_ITERATIONS = 60
 
 
 def plate_inertia(height_m: float, length_m: float, axle_gap_m: float, density_kg_m3: float) -> float:
-    """Hydrodynamic moment of inertia of a rectangular plate, kg m2 (Eq 6).
+    """Return the hydrodynamic moment of inertia of a rectangular plate, kg m2 (Eq 6).
 
     >>> round(1e7 * plate_inertia(height_m=0.0875, length_m=0.0437, axle_gap_m=0.007, density_kg_m3=997), 1)
     1272.8
@@ -31,14 +32,14 @@ def plate_inertia(height_m: float, length_m: float, axle_gap_m: float, density_k
 
 
 def velocity_ratio(b1: Array | float, start_m: Array | float, end_m: Array | float) -> Array:
-    """Average over terminal speed of a run from rest, between two displacements (Eq 25).
+    """Return the average over the terminal speed of a run from rest, between two displacements (Eq 25).
 
     Parameters
     ----------
     b1 : float, 1/m
         ``rho C_d A / (2 (m_f + m_a))`` of Eq 23.
     start_m, end_m : float, m
-        Since rest.
+        Displacements from the point of rest.
 
     >>> round(float(velocity_ratio(1.304, 0.0, 1.15)), 3)
     0.688
@@ -55,16 +56,22 @@ def velocity_ratio(b1: Array | float, start_m: Array | float, end_m: Array | flo
 def terminal_speed(
     power: Array, *, quadratic: Array | float, linear: Array | float, dry: Array | float
 ) -> Array:
-    """Speed at which drag consumes a propulsive power (W): ``v (dry + linear v + quadratic v^2) = power``.
+    """Return the speed at which drag consumes a propulsive power, m/s.
 
-    The largest root, zero without power; ``(power / quadratic)^(1/3)`` for quadratic drag alone (Eq 26).
-    The coefficients are in kg/m, kg/s and N.
+    The speed is the largest root of ``v (dry + linear v + quadratic v^2) = power``, zero without power. For
+    quadratic drag alone it is ``(power / quadratic)^(1/3)`` (Eq 26).
+
+    Parameters
+    ----------
+    power : ndarray, W
+    quadratic, linear, dry : ndarray or float
+        Drag coefficients in kg/m, kg/s and N.
     """
     power, quadratic, linear, dry = np.broadcast_arrays(
         *(np.asarray(v, dtype=float) for v in (power, quadratic, linear, dry))
     )
     v = np.cbrt(power / quadratic) + np.abs(linear) / quadratic + np.sqrt(np.abs(dry) / quadratic)
-    for _ in range(NEWTON):
+    for _ in range(MAX_ITERATIONS):
         excess = v * (dry + v * (linear + v * quadratic)) - power
         slope = dry + v * (2 * linear + 3 * v * quadratic)
         step = excess / np.where(slope > 0, slope, np.inf)
@@ -82,9 +89,15 @@ def mean_speed(
     quadratic: Array | float,
     linear: Array | float,
 ) -> Array:
-    """Average speed (m/s) from rest over a distance (m), under the thrust that holds the terminal speed.
+    """Return the average speed from rest over a distance, m/s, under the thrust of the terminal speed.
 
-    Mass in kg, quadratic and linear drag in kg/m and kg/s; dry friction only takes its part of the thrust.
+    Dry friction only reduces the thrust, so that it is not a parameter.
+
+    Parameters
+    ----------
+    terminal_m_s, distance_m : ndarray
+    mass, quadratic, linear : ndarray or float
+        Mass in kg, drag coefficients in kg/m and kg/s.
 
     Notes
     -----
@@ -99,7 +112,7 @@ def mean_speed(
     scale = mass / (quadratic * (1.0 + rho))
     with np.errstate(invalid="ignore"):
         y = distance_m / scale + rho * np.log1p(1.0 / rho)
-        for _ in range(NEWTON):
+        for _ in range(MAX_ITERATIONS):
             gone = -np.expm1(-y)
             excess = y - rho * np.log1p(gone / rho) - distance_m / scale
             step = excess * (rho + gone) / (gone * (1.0 + rho))
@@ -111,10 +124,10 @@ def mean_speed(
 
 
 def strouhal(frequency_hz: float, amplitude_rad: float, lever_m: float, terminal_speed_m_s: float) -> float:
-    """Strouhal number ``f A_w / v`` with the wake width ``A_w = 2 lever sin(amplitude)`` (Eq 28).
+    """Return the Strouhal number ``f A_w / v`` with the wake width ``A_w = 2 lever sin(amplitude)`` (Eq 28).
 
-    The paper's nomenclature takes the fin's length as lever; the values it prints fit the
-    distance from the axle to the trailing edge (length plus gap) better.
+    The lever in the paper's nomenclature is the length of the fin. Its printed values agree better with the
+    distance from the axle to the trailing edge, which is length plus gap.
     """
     return float(frequency_hz * 2 * lever_m * np.sin(amplitude_rad) / terminal_speed_m_s)
 
@@ -126,7 +139,7 @@ class RecoilScales(Scales):
 
     @property
     def inertia(self) -> float:
-        """The moving mass, kg."""
+        """Moving mass, kg."""
         return self.model.drag_area_kg_m / self.model.b1
 
     @property
@@ -147,12 +160,12 @@ class SurgeScales(Scales):
 class RecoilModel(Model):
     """Average speed of cruising runs under the energy recoil law (Eqs 5, 25-27).
 
-    ``v = R_v (8 eta pi^2 I f^p (theta - theta_off)^q / (rho C_d A / 2))^(1/3)``, p = 3 and q = 2
-    in the law; both can be freed to test it.
+    ``v = R_v (8 eta pi^2 I f^p (theta - theta_off)^q / (rho C_d A / 2))^(1/3)``. The law has p = 3 and q = 2;
+    both can be freed to test it.
 
-    A trial is one fin; its inputs are ``frequency_hz``, ``amplitude_rad`` and ``distance_m`` per
-    run, what is known of its fin :attr:`Trial.cruise`. A fin of unknown inertia has
-    the parameter ``inertia_<fin>`` instead.
+    A trial is one fin. Its inputs are ``frequency_hz``, ``amplitude_rad`` and ``distance_m`` of each run; the
+    known quantities of the fin are :attr:`Trial.cruise`. A fin of unknown inertia has the parameter
+    ``inertia_<fin>``.
     """
 
     name = "propulsion"
@@ -164,13 +177,13 @@ class RecoilModel(Model):
     def __init__(
         self, *, drag_area_kg_m: float, moving_mass_kg: float, fins: Mapping[str, float | None]
     ) -> None:
-        """Take ``rho C_d A / 2`` (kg/m), ``m_f + m_a`` (kg), and the fins' inertias (kg m2)."""
+        """Make the model from ``rho C_d A / 2`` (kg/m), ``m_f + m_a`` (kg), and inertias of fins (kg m2)."""
         self.drag_area_kg_m = drag_area_kg_m
         self.moving_mass_kg = moving_mass_kg
         self.fins = fins
         self.b1 = drag_area_kg_m / moving_mass_kg
         known = [i for i in fins.values() if i is not None]
-        typical = float(np.median(known)) if known else 1e-4
+        typical = float(np.median(known or [1e-4]))
         unknown = [fin for fin, inertia in fins.items() if inertia is None]
         efficiency, offset = "efficiency of the recoil process", "flapping amplitude offset"
         own = "hydrodynamic inertia of {} at the common efficiency"
@@ -186,7 +199,7 @@ class RecoilModel(Model):
         )
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Average speed of each run (see :meth:`Model.simulate`)."""
+        """Return the average speed of each run (see :meth:`Model.simulate`)."""
         inputs = trial.inputs
         inertia = self._inertia(values, trial)
         power = self._power(values, trial, inputs["frequency_hz"], inputs["amplitude_rad"], inertia)
@@ -194,30 +207,31 @@ class RecoilModel(Model):
         return {SPEED: velocity_ratio(self.b1, 0.0, inputs["distance_m"]) * terminal}
 
     def scales(self, trials: Sequence[Trial]) -> RecoilScales:
-        """Typical sizes of trials."""
+        """Return the typical sizes of trials."""
         return RecoilScales(self, trials)
 
     def _inertia(self, values: Array, trial: Trial) -> float:
-        inertia = trial.cruise.inertia_kg_m2
-        return float(values[self.index(f"inertia_{trial.cruise.fin}")] if inertia is None else inertia)
+        if trial.cruise.inertia_kg_m2 is not None:
+            return trial.cruise.inertia_kg_m2
+        return float(values[self.index(f"inertia_{trial.cruise.fin}")])
 
     def _power(
         self, values: Array, trial: Trial, frequency_hz: Array, amplitude_rad: Array, inertia_kg_m2: float
     ) -> Array:
-        """Power that propels each run, W (Eqs 5, 27)."""
+        """Return the propulsive power of each run, W (Eqs 5, 27)."""
         efficiency, offset, p, q = values[:4]
-        # the exponents are about the middle of what was driven, so that freeing one leaves eta
+        # a power of the ratio to the middle setting, so that a free exponent does not change the efficiency
         f_mid, a_mid = trial.cruise.middle
         f, a = frequency_hz / f_mid, np.maximum(amplitude_rad - np.deg2rad(offset), 0.0) / a_mid
         factor = 8 * efficiency * np.pi**2 * inertia_kg_m2
         return np.asarray(factor * f_mid**3 * f**p * a_mid**2 * a**q)
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-        """The same with what else acts (see :meth:`Model.hooked`).
+        """Return the average speed of each run with effects (see :meth:`Model.hooked`).
 
-        ``coefficients`` hooks change ``quadratic`` (kg/m), ``linear`` (kg/s), ``dry`` (N) and
-        ``mass`` (kg); a factor on the thrust of a stroke is one on its power, and a flow along x
-        carries the robot over the run.
+        Hooks of ``coefficients`` change ``quadratic`` (kg/m), ``linear`` (kg/s), ``dry`` (N) and ``mass``
+        (kg). A factor on the thrust of a stroke multiplies its power. A flow along x carries the robot over
+        the run.
         """
         if not hooks.moves:
             return hooks.seen(self.simulate(values, trial), trial.time_s)
@@ -255,13 +269,15 @@ class RecoilModel(Model):
         return hooks.seen({SPEED: speed}, trial.time_s)
 
     def apart(self, trial: Trial) -> list[Trial]:
-        """A fin's trial as one trial for each of its runs, called ``fin/1``, ``fin/2`` and so on."""
+        """Split the trial of a fin into one trial for each run, called ``fin/1``, ``fin/2`` and so on."""
 
         def run(k: int) -> Trial:
             def cut(columns: Mapping[str, Any]) -> dict[str, Any]:
                 return {name: v[k : k + 1] if np.ndim(v) else v for name, v in columns.items()}
 
-            rows = None if trial.cruise.rows is None else trial.cruise.rows[k : k + 1]
+            rows = trial.cruise.rows
+            if rows is not None:
+                rows = rows[k : k + 1]
             return replace(
                 trial,
                 id=f"{trial.id}/{k + 1}",
@@ -278,9 +294,9 @@ class RecoilModel(Model):
 class SurgeModel(Model):
     """Beat-averaged surge of straight swimming: thrust by a power of amplitude, quadratic drag.
 
-    ``du/dt = a (A / A_ref)^n (f / f_ref)^m - c u |u|`` from an initial speed of each trial, with
-    n = 2 unless it is freed; m is estimated where several frequencies were driven. What is
-    known of a trial is its :attr:`Trial.surge`.
+    ``du/dt = a (A / A_ref)^n (f / f_ref)^m - c u |u|`` from an initial speed of each trial. The exponent n is
+    2 unless it is freed; m is estimated if the trials have several frequencies. The known quantities of a
+    trial are its :attr:`Trial.surge`.
     """
 
     name = "surge-propulsion"
@@ -291,15 +307,13 @@ class SurgeModel(Model):
     def __init__(
         self, *, amplitudes_rad: Sequence[float], frequencies_hz: Sequence[float], speed_m_s: float
     ) -> None:
-        """Take what was driven, and a typical speed for scales."""
+        """Make the model from the amplitudes and frequencies of the drives, and a typical speed."""
         self.reference_amplitude_rad = float(np.exp(np.mean(np.log(amplitudes_rad))))
         self.reference_frequency_hz = float(np.exp(np.mean(np.log(frequencies_hz))))
         many = len(np.unique(np.round(frequencies_hz, 6))) > 1
         inf, size = math.inf, speed_m_s**2
-        thrust, start = (
-            "thrust over mass at the reference amplitude and frequency",
-            "speed at the first sample",
-        )
+        thrust = "thrust over mass at the reference amplitude and frequency"
+        start = "speed at the first sample"
         self.parameters = (
             Parameter("thrust_acceleration", "m/s^2", 0.0, inf, size, size, meaning=thrust),
             Parameter("surge_drag", "1/m", 0.0, inf, 1.0, 1.0, meaning="quadratic drag over mass"),
@@ -309,13 +323,13 @@ class SurgeModel(Model):
         )
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Surge at the trial's samples, in closed form (see :meth:`Model.simulate`)."""
+        """Return the surge at the samples of a trial, in closed form (see :meth:`Model.simulate`)."""
         _, drag, _, _, u0 = values
         a = self._thrust(values, trial.surge.amplitude_rad, trial.surge.frequency_hz)
         return {"u_m_s": _closed_form(trial.time_s - trial.surge.start_s, a, drag, u0)}
 
     def scales(self, trials: Sequence[Trial]) -> SurgeScales:
-        """Typical sizes of trials."""
+        """Return the typical sizes of trials."""
         return SurgeScales(self, trials)
 
     def _thrust(self, values: Array, amplitude_rad: float, frequency_hz: float) -> float:
@@ -327,11 +341,10 @@ class SurgeModel(Model):
         )
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-        """The same with what else acts (see :meth:`Model.hooked`).
+        """Return the surge with effects (see :meth:`Model.hooked`).
 
-        All is per unit of mass: ``coefficients`` hooks change ``quadratic`` (1/m), ``linear`` (1/s),
-        ``dry`` (m/s^2) and ``mass``, 1 for the robot as it is; drag depends on the speed against a
-        flow along x.
+        Hooks of ``coefficients`` change ``quadratic`` (1/m), ``linear`` (1/s), ``dry`` (m/s^2) and ``mass``,
+        which is 1, all per unit of mass. Drag depends on the speed relative to a flow along x.
         """
         if not hooks.moves:
             return hooks.seen(self.simulate(values, trial), trial.time_s)
@@ -361,7 +374,7 @@ class SurgeModel(Model):
 
 
 def _closed_form(t: Array, a: float, drag: float, u0: float) -> Array:
-    """Surge from ``u0`` under a constant thrust ``a`` and quadratic drag."""
+    """Return the surge from ``u0`` under a constant thrust ``a`` and quadratic drag, m/s."""
     if a <= 0 or drag <= 0:
         return u0 + max(a, 0.0) * t
     terminal, rate = math.sqrt(a / drag), math.sqrt(a * drag)
@@ -370,7 +383,7 @@ def _closed_form(t: Array, a: float, drag: float, u0: float) -> Array:
 
 
 def _half_steps(t: Array) -> Array:
-    """Times of half the integration steps, from zero over every sample to the last."""
+    """Return the ends of half integration steps from zero to the last sample, every sample among them."""
     knots = np.unique(np.append(t[t > 0], 0.0))
     parts = [np.zeros(1)]
     for begin, end in itertools.pairwise(knots):
@@ -381,7 +394,7 @@ def _half_steps(t: Array) -> Array:
 
 @numba.njit(cache=True, nogil=True)
 def _integrated(half, water, thrust, quadratic, linear, dry, u0):  # type: ignore[no-untyped-def]
-    """Surge on every second of the times, by fourth-order Runge-Kutta over two; the water's speed on all."""
+    """Return the surge at every second half step by fourth-order Runge-Kutta; ``water`` is at every one."""
     count = (len(half) + 1) // 2
     surge = np.empty(count)
     surge[0] = u0

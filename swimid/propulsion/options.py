@@ -31,10 +31,10 @@ class FitPropulsionOptions(
         "fin",
         help="Lever of the wake width in the Strouhal number: fin length, or axle to trailing edge.",
     )
-    keep_departures: bool = option(False, help="Fit frequencies that depart from the law too.")
+    keep_departures: bool = option(False, help="Keep frequencies that depart from the law in the fit.")
     start_state: StartState = option(
         "auto",
-        help="Do straight free-swim trials start at rest? auto: their speed at the first beat is estimated.",
+        help="Start of straight free-swim trials. auto: their speed at the first beat is estimated.",
     )
     fixed: Mapping[str, float] = fits.fixed()
     freed: tuple[str, ...] = fits.freed()

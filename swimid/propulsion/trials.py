@@ -1,4 +1,4 @@
-"""Cruise tables and straight free swimming: trials that tell how a fin propels."""
+"""Trials of the propulsion of a fin: cruise tables and straight free swimming."""
 
 from __future__ import annotations
 
@@ -12,15 +12,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
-from swimid.errors import InputError, file_errors, nearest
+from swimid.errors import InputError, file_errors, suggestion
 from swimid.files import tabular
 from swimid.files.provenance import Held
 from swimid.fitting.drives import CruiseInput, SurgeInput
 from swimid.fitting.experiment import Experiment, inputs_of, read_log
-from swimid.fitting.model import Trial
+from swimid.fitting.model import Array, Trial
 from swimid.logs import trials as trials_format
 from swimid.logs.beat import find_beat, stated_against_found
 from swimid.logs.log import FREQUENCY_RTOL, Log
@@ -34,8 +33,12 @@ from swimid.robots.file import Robot
 if TYPE_CHECKING:
     import pandas as pd
 
-#: The keys of a trials file that are used, by experiment. The phase of the drive does not touch
-#: averages over beats; a stroke is refused by name.
+#: Error of the stop watch, s (boxfish paper, section 3.4), and relative scatter of speeds between runs.
+TIME_SD_S, SPEED_RSD = 0.1, 0.01
+#: Minimum number of whole beats of a trial.
+MIN_BEATS = 4
+#: Keys of a trials file that are used, by experiment. All keys of a drive are known, so that a stroke gets an
+#: error of its own.
 USES = {
     "cruise": frozenset({"format", "experiment", "robot", "table", "drag"}),
     "free-swim": trials_format.EVERYWHERE
@@ -50,7 +53,7 @@ def load(source: str | Path | TrialSet, *, drag: parameters_format.Source | None
     Parameters
     ----------
     drag : path, ParameterFile or result of fit_drag, optional
-        Parameters of the falling-weight rig, in place of the trials file's ``drag``.
+        Parameters of the falling-weight rig, instead of ``drag`` of the trials file.
 
     Raises
     ------
@@ -79,7 +82,7 @@ def load(source: str | Path | TrialSet, *, drag: parameters_format.Source | None
 
 
 def drag_numbers(drag: ParameterFile, path: Path, robot: Robot) -> tuple[float, float]:
-    """``rho C_d A / 2`` (kg/m) and ``m_f + m_a`` (kg) from a drag file and the robot."""
+    """Return ``rho C_d A / 2`` (kg/m) and ``m_f + m_a`` (kg) from a drag file and the robot."""
     coefficient, added = parameters_format.require(drag, ("drag_coefficient", "added_mass"), path)
     body = robot.body
     if body.inertial_mass_kg is None or body.frontal_area_m2 is None:
@@ -91,17 +94,15 @@ def drag_numbers(drag: ParameterFile, path: Path, robot: Robot) -> tuple[float, 
 
 
 def fin_inertias(robot: Robot, fins: list[str], path: Path) -> dict[str, float | None]:
-    """Hydrodynamic inertia of each fin, kg m2: as given, from Eq 6 for a rectangle, or None."""
+    """Return the hydrodynamic inertia of each fin, kg m2: as stated, from Eq 6 for a rectangle, or None."""
     inertias: dict[str, float | None] = {}
     for fin in dict.fromkeys(fins):
         if fin not in robot.fins:
-            close = nearest(fin, list(robot.fins))
-            hint = f"did you mean '{close}'? " if close else ""
             raise InputError(
                 f"the robot '{robot.name}' has no fin '{fin}'",
                 file=path,
                 column="fin",
-                hint=f"{hint}it has: {', '.join(robot.fins) or 'none'}",
+                hint=suggestion(fin, list(robot.fins), "it has"),
             )
         known, density = robot.fins[fin], robot.fluid.density_kg_m3
         inertias[fin] = known.hydrodynamic_inertia_kg_m2
@@ -121,7 +122,7 @@ def recoil_model(
     drag : path or ParameterFile
         Parameters of the rig.
     unknown : sequence of str
-        Fins whose inertia is a parameter, whatever the robot file says.
+        Fins whose inertia is a parameter even if the robot file states it.
     path : Path
         File that names the fins.
     """
@@ -142,9 +143,8 @@ def _cruise(path: Path, entries: Cruise, robot: Robot, source: parameters_format
     for fin, inertia in model.fins.items():
         rows = np.array([f == fin for f in table.fin])
         speed, distance = table.mean_speed_m_s[rows], table.distance_m[rows]
-        # the paper's stop-watch error of 0.1 s (section 3.4) and a scatter of speeds between runs set how
-        # runs weigh against each other; the overall size is estimated
-        spread = np.hypot(speed**2 / distance * 0.1, 0.01 * speed)
+        # relative weights of the runs; the overall size of the noise is estimated
+        spread = np.hypot(speed**2 / distance * TIME_SD_S, SPEED_RSD * speed)
         inputs = {
             "frequency_hz": table.frequency_hz[rows],
             "amplitude_rad": np.deg2rad(table.amplitude_deg[rows]),
@@ -177,7 +177,7 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
         drive = entry.drive
         if not isinstance(drive, Drive):
             raise InputError(
-                f"the trial '{entry.id}' has no 'drive' that says its beat",
+                f"the trial '{entry.id}' has no 'drive' with a beat",
                 file=path,
                 column="drive",
                 hint="give its waveform, frequency_hz and amplitude_deg",
@@ -193,16 +193,22 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
             turning.append(entry.id)
             continue
         waveforms.setdefault(_waveform(drive), entry.id)
-        frequency = beat.frequency_hz if beat is not None else drive.frequency_hz
+        frequency = drive.frequency_hz
+        if beat is not None:
+            frequency = beat.frequency_hz
         time, speed = beat_averages(log, 1.0 / frequency)
-        # the law knows the full stroke only; a ramp that nobody stated is none of a measured log
-        ramp = drive.ramp_s if "ramp_s" in drive.model_fields_set else 0.0
+        # the law is that of the full stroke; a measured log has no ramp unless the trial states one
+        ramp = 0.0
+        if "ramp_s" in drive.model_fields_set:
+            ramp = drive.ramp_s
         full = time - 0.5 / frequency >= ramp - 1e-9
         time, speed = time[full], speed[full]
         whole = int(np.isfinite(speed).sum())
-        if whole < 4:
-            after = "" if full.all() else f" after the drive's ramp of {ramp:g} s"
-            raise InputError(f"holds {whole} whole beats{after}; at least 4 are needed", file=log.path)
+        if whole < MIN_BEATS:
+            after = f" after the drive's ramp of {ramp:g} s" * (not full.all())
+            raise InputError(
+                f"holds {whole} whole beats{after}; at least {MIN_BEATS} are needed", file=log.path
+            )
         steady = SurgeInput(frequency, float(np.deg2rad(drive.amplitude_deg)), float(time[0]))
         trials.append(Trial(entry.id, entry.role, time, {"u_m_s": speed}, surge=steady))
     if turning:
@@ -216,15 +222,14 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
     if len(waveforms) > 1:
         (one, first), (other, second) = list(waveforms.items())[:2]
         raise InputError(
-            f"'{first}' swims with the drive {_said(one)}, '{second}' with {_said(other)}: each has a thrust "
-            "of its own",
+            f"'{first}' has the waveform {one[0]} (asymmetry {one[1]:g}), '{second}' {other[0]} (asymmetry "
+            f"{other[1]:g}), which give different thrusts",
             file=path,
             column="drive.waveform",
             hint="write a trials file for each",
         )
     if any(t.surge.amplitude_rad <= 0 for t in trials):
         raise InputError("a drive amplitude is zero", file=path, column="amplitude_deg")
-    # frequencies measured as one setting scatter by their error: take the settings' medians
     trials = _pooled_frequencies(trials)
     model = SurgeModel(
         amplitudes_rad=[t.surge.amplitude_rad for t in trials],
@@ -237,32 +242,33 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
 
 
 def _waveform(drive: Drive) -> tuple[str, float]:
-    """What makes the thrust of one stroke another's; on its limit cycle the Hopf oscillator is the sine."""
+    """Return waveform and asymmetry; on its limit cycle the Hopf oscillator is a sine."""
     if drive.waveform == "a-cpg" and drive.asymmetry != 0:
         return "a-cpg", drive.asymmetry
     return "sine", 0.0
 
 
-def _said(waveform: tuple[str, float]) -> str:
-    return waveform[0] if waveform[1] == 0 else f"{waveform[0]} of asymmetry {waveform[1]:g}"
-
-
 def _pooled_frequencies(trials: list[Trial]) -> list[Trial]:
-    """Frequencies within the tolerance of each other are one setting: their median."""
+    """Replace measured frequencies that belong to one setting by their median."""
     values = np.array([t.surge.frequency_hz for t in trials])
     pooled = [float(np.median(values[np.abs(values / v - 1) < FREQUENCY_RTOL])) for v in values]
     return [replace(t, surge=replace(t.surge, frequency_hz=f)) for t, f in zip(trials, pooled, strict=True)]
 
 
 def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Surge averaged over whole beats: middle of each (s) and its average; NaN where samples are missing.
+    """Return the surge averaged over whole beats.
 
-    From ``u_m_s``, or from position and yaw: then the displacement over a beat along its mean heading.
+    The surge is ``u_m_s``. If the log has none, it is the displacement over a beat along the mean heading.
+
+    Returns
+    -------
+    middle, surge : ndarray, shape (n,)
+        Middle of each beat (s), and its average (m/s), NaN if samples are missing.
 
     Raises
     ------
     InputError
-        When the log does not resolve the beat, or holds no complete samples.
+        If the log does not resolve the beat, or has no complete samples.
     """
     columns = ["u_m_s"] if "u_m_s" in log else ["x_m", "y_m", "yaw_rad"]
     there = np.all([np.isfinite(log[c]) for c in columns], axis=0)
@@ -283,7 +289,7 @@ def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
         return np.diff(np.interp(edges, time, values))
 
     def averages(values: np.ndarray) -> np.ndarray:
-        # integrated to the very edges of a beat: a sample more or less would leave a ripple
+        # integrated to the exact ends of a beat, because one sample more or less would leave a ripple
         return over_beats(cumulative_trapezoid(values, time, initial=0.0)) / period_s
 
     if "u_m_s" in log:
@@ -301,17 +307,17 @@ def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
 # ---------------------------------------------------------------- cruise table
 
 
-Array = NDArray[np.float64]
+#: Columns of numbers that must not be missing.
 NUMBERS = ("frequency_hz", "amplitude_deg", "distance_m")
-#: Line of the file (None in memory) and cells by column name.
+#: Line of the file (None in memory), and cells by column name.
 Row = tuple[int | None, dict[str, str]]
 
 
 @dataclass(frozen=True)
 class CruiseTable:
-    """Runs of a robot from rest over a distance; speed NaN where the run has none.
+    """Runs of a robot from rest over a distance.
 
-    ``source`` is what stands for it in the provenance.
+    The speed of a run without a measurement is NaN. ``source`` is the entry of the provenance.
     """
 
     path: Path
@@ -324,12 +330,12 @@ class CruiseTable:
 
 
 def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
-    """Read the table, or take one in memory with the same columns.
+    """Read a cruise table, from a file or from a DataFrame with the same columns.
 
     Raises
     ------
     InputError
-        Naming line and column: missing columns, cells that are no positive number, no rows.
+        For missing columns, cells that are no positive number, and a table without rows.
     """
     held, line = None, None
     try:
@@ -364,9 +370,7 @@ def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
     none = np.isinf(speeds) | (speeds == 0)
     if none.any():
         row = int(np.argmax(none))
-        raise InputError(
-            f"a speed of {speeds[row]:g} m/s is none", file=path, line=rows[row][0], column=speed
-        )
+        raise InputError(f"the speed is {speeds[row]:g} m/s", file=path, line=rows[row][0], column=speed)
     missing = int(np.isnan(speeds).sum())
     if missing:
         warn("SWM001", f"{path.name}: {missing} of {len(speeds)} runs have no {speed}; they are left out")
@@ -385,7 +389,7 @@ def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
 
 
 def _rows(text: str, path: Path, header_line: int | None, names: list[str]) -> list[Row]:
-    """Return line and cells by column name of every row that is not blank or a comment."""
+    """Return line and cells of every row that is not blank and no comment."""
     rows: list[Row] = []
     before = header_line or 1
     stream = io.StringIO(text, newline="")
@@ -407,7 +411,7 @@ def _rows(text: str, path: Path, header_line: int | None, names: list[str]) -> l
 
 
 def _numbers(rows: list[Row], name: str, path: Path) -> Array:
-    """Return a column of positive numbers; only a measurement may be missing, then it is NaN."""
+    """Return a column of positive numbers; a missing measurement is NaN."""
     values = np.full(len(rows), np.nan)
     for row, (line, cells) in enumerate(rows):
         text = cells[name]

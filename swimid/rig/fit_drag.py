@@ -1,11 +1,10 @@
 """``fit-drag``: drag, added mass and friction of a rig, by maximum likelihood or the boxfish paper's method.
 
-The paper's method uses speeds at two displacements (Eqs 13-19): at a fixed displacement the squared speed is
-linear in the pulling mass; the slopes at two displacements give ``a1`` (Eq 18, Eq 19 where the second is
-twice the first), hence drag coefficient and added mass; slope and intercept give the pulley friction (Eq
-17). It treats the moving mass as the same for all pulling weights. How much that biases it is found by
-running it on noise-free data computed at its own answer, and is reported and included in its stated error;
-the output-error fit has no such step.
+The two-point method of the paper uses speeds at two displacements (Eqs 13-19). At a fixed displacement the
+squared speed is linear in the pulling mass. The slopes at two displacements give ``a1`` (Eq 18), and hence
+drag coefficient and added mass. Slope and intercept give the pulley friction (Eq 17). The method assumes the
+same moving mass for all pulling weights. Its bias is its error on noise-free data simulated at its own
+answer; the stated error contains the bias. The output-error fit makes no such assumption.
 """
 
 from __future__ import annotations
@@ -23,7 +22,6 @@ from swimid.errors import NoTrustworthyResult
 from swimid.files import provenance
 from swimid.fitting import fit_common, output_error
 from swimid.fitting.experiment import Experiment
-from swimid.fitting.global_search import agreeing, multistart
 from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Parameter, chosen
 from swimid.fitting.restarts import profile_interval
@@ -37,12 +35,23 @@ from swimid.results.fitted import Fitted
 from swimid.results.parameters import Estimate, Fit, ParameterFile
 from swimid.rig import derived, lack_of_fit
 from swimid.rig import trials as rig_experiment
-from swimid.rig.lack_of_fit import force_checks
 from swimid.rig.model import falling_weight_closed_form
 from swimid.rig.options import FitDragOptions
 
-#: Why the two-point method has no answer.
+#: Reason for which the two-point method has no answer.
 NO_ANSWER = "its speeds do not rise with the pulling mass as Eq 13 says"
+#: Parameters of the two-point method, in 1, kg and N.
+NAMES = ("drag_coefficient", "added_mass", "pulley_friction")
+#: Default displacements of the two-point method, as shares of the displacement that all drops reached.
+POINT_SHARES = (0.255, 0.51)
+#: Half-width of the stretch around a point in which its speed is fitted, as a share of the first point.
+HALF_WIDTH = 1 / 6
+#: Minimum number of samples in that stretch, and number above which their scatter is estimated.
+MIN_SAMPLES, MIN_SCATTER_SAMPLES = 3, 4
+#: Minimum number of different pulling masses.
+MIN_MASSES = 3
+#: Number of starts of the search if the residuals are coloured.
+N_STARTS = 4
 
 
 @takes(FitDragOptions)
@@ -55,17 +64,17 @@ def fit_drag(
 ) -> Fitted:
     """Identify drag, added mass and friction of a body on a rig: falling weight, towing or free decay.
 
-    Where both can be had, the report shows maximum likelihood and the two-point method (falling weight
-    only) side by side. Where the residuals are coloured (SWM013) the model may lack something that the
-    estimates have taken up: let :func:`swimid.diagnose` say what before they are used.
+    For a falling weight the report also shows the two-point method, if it can be used. If the residuals are
+    coloured (SWM013), the model may lack an effect that the estimates have absorbed. Let
+    :func:`swimid.diagnose` find it before the estimates are used.
 
     Parameters
     ----------
     trials : path or TrialSet
-        Trials: a file, or what :func:`swimid.load` gives. Displacements in m (rad of a rotation), forces in N
-        (N m), pulling masses in kg.
+        Trials file, or the result of :func:`swimid.load`. Displacements in m (rad for a rotation), forces in
+        N (N m), pulling masses in kg.
     output : path, optional
-        Parameter file to write; its evidence goes beside it.
+        Parameter file to write; its evidence is written beside it.
     progress : Progress
         Shows the search and the profiles.
 
@@ -73,16 +82,16 @@ def fit_drag(
     -------
     Fitted
         ``.parameters`` has ``drag_coefficient`` (1) or ``quadratic_drag`` (N s^2/m^2), ``added_mass`` (kg)
-        and ``pulley_friction`` (N); of a free decay ``linear_drag`` (N s/m) and ``stiffness`` (N/m) too; of a
-        rotation ``quadratic_damping``, ``linear_damping`` and ``added_inertia``. ``.correlation``,
-        ``.verdict`` and ``.checks()`` say how far to trust them.
+        and ``pulley_friction`` (N). A free decay also has ``linear_drag`` (N s/m) and ``stiffness`` (N/m), a
+        rotation ``quadratic_damping``, ``linear_damping`` and ``added_inertia``. ``.verdict`` and
+        ``.checks()`` judge them.
 
     Raises
     ------
     InputError, UsageError
         For bad files and options.
     NoTrustworthyResult
-        When nothing can be identified.
+        If nothing can be identified.
 
     References
     ----------
@@ -94,7 +103,7 @@ def fit_drag(
 
     Examples
     --------
-    Seven drops of the boxfish, pulled through the tank by a weight over a pulley:
+    A weight over a pulley pulls the boxfish through the tank in seven drops:
 
     >>> drag = fit_drag("sample_logs/rig/trials.yaml")
     >>> drag.parameters.loc[["drag_coefficient", "added_mass"], "value"].round(1).to_dict()
@@ -107,27 +116,29 @@ def fit_drag(
         choices = fit_common.prepare(
             experiment, output, fixed=options.fixed, freed=options.freed, bounds=options.bounds
         )
-        best = _best_fit(experiment, choices, options.start_state, progress)
+        best = _fit_best(experiment, choices, options.start_state, progress)
         result = best.result
-        profiles = _profiles(result, progress) if options.profile else {}
+        profiles = {}
+        if options.profile:
+            profiles = _profiles(result, progress)
+        pair = None
         try:
             pair = _two_point(experiment, options.points_m)
         except NoTrustworthyResult:
             if options.method == "two-point":
                 raise
-            pair = None
         origin = provenance.collect(experiment.inputs, settings=options.settings())
         file = fit_common.parameter_file(
             result,
             robot=experiment.robot.name,
             provenance=origin,
             profiles=profiles,
-            derived={**best.derived, **derived.derived(experiment, result)},
+            derived={**best.derived, **derived.derive(experiment, result)},
             settings=best.facts,
         )
         checks = [
             *fit_common.checks(result, file),
-            *derived.possible(experiment, result),
+            *derived.possible_checks(experiment, result),
             *best.checks,
         ]
     estimated = [label for label in result.labels if "[" not in label]
@@ -139,14 +150,18 @@ def fit_drag(
     if options.method == "two-point":
         assert pair is not None
         file = _two_point_file(file, pair)
+    figures, notes = fit_common.figures(result), []
+    if pair is not None:
+        figures.append(_speed_figure(pair))
+        notes.append(_two_point_text(pair))
     evidence = ev.Evidence(
         verb="fit-drag",
         title=f"Rig identification of {experiment.robot.name}: {experiment.name}",
         verdict=ev.judged(fit_common.answer(file), checks),
         checks=checks,
-        tables=_methods_table(experiment, result, pair),
-        figures=fit_common.figures(result) + ([] if pair is None else [_speed_figure(pair)]),
-        notes=_notes(pair),
+        tables=[_methods_table(experiment, result, pair)],
+        figures=figures,
+        notes=notes,
         notices=blocks.notices(notices),
         methods=_methods(experiment, result, options.method, pair),
         references=list(experiment.robot.sources),
@@ -155,61 +170,68 @@ def fit_drag(
     return Fitted.of(file, evidence).saved(output)
 
 
-# ------------------------------------------------------------ fitting
+# ------------------------------------------------------------ maximum likelihood
 
 
-def _best_fit(
+def _fit_best(
     experiment: Experiment, choices: tuple[Parameter, ...], start_state: str, progress: Progress
 ) -> lack_of_fit.Explained:
-    """Return the fit under the reading of the logs that the data prefer, and what was chosen."""
-    model = experiment.model
+    """Return the best fit over the readings of the logs and the differences between trials."""
     if start_state == "estimate":
         choices = chosen(choices, freed=("start_offset", "initial_speed"))
-    if any(p.name == "stiffness" and not p.free and p.start == 0.0 for p in choices):
-        # without a spring the search for gravity begins at the stiffness that the period suggests
-        choices = tuple(
-            replace(p, start=p.scale) if p.name == "gravity_stiffness" and p.free else p for p in choices
-        )
-    # a friction of each trial is a random effect, never a free parameter
+    no_spring = any(p.name == "stiffness" and not p.free and p.start == 0.0 for p in choices)
     friction = any(p.name == lack_of_fit.FRICTION and p.free for p in choices)
-    choices = tuple(replace(p, free=False) if p.name == lack_of_fit.FRICTION else p for p in choices)
+    adapted = []
+    for p in choices:
+        if p.name == "gravity_stiffness" and p.free and no_spring:
+            # without a spring the search begins at the stiffness of the period
+            p = replace(p, start=p.scale)
+        if p.name == lack_of_fit.FRICTION:
+            # the friction of a trial is a random effect and never a free parameter
+            p = replace(p, free=False)
+        adapted.append(p)
+    choices = tuple(adapted)
     readings = experiment.variants or {"": experiment.trials}
     fits = {
-        name: output_error.fit(model, trials, parameters=choices, progress=progress)
+        name: output_error.fit(experiment.model, trials, parameters=choices, progress=progress)
         for name, trials in readings.items()
     }
-    name = min(fits, key=lambda key: lack_of_fit.misfit(fits[key]))
-    plain, checks = _from_starts(fits[name], progress)
-    odd = lack_of_fit.odd_one(plain)
+    name = min(fits, key=lambda key: lack_of_fit.squared_error(fits[key]))
+    plain, checks = _search_from_starts(fits[name], progress)
+    odd = lack_of_fit.find_odd(plain)
     free_start = any(p.free for p in choices if p.name in lack_of_fit.STARTS)
     if experiment.name == "falling-weight" and (friction or (start_state == "auto" and not free_start)):
         masses = experiment.facts.get("pulling_mass_kg", {})
         best = lack_of_fit.explain_trials(plain, choices, masses, odd, insist=friction)
     else:
-        omitted = lack_of_fit.omitted_parameters(plain)
-        best = lack_of_fit.Explained(plain, checks=lack_of_fit.omission_checks(plain, omitted))
+        check = lack_of_fit.omission_check(plain, lack_of_fit.find_omitted(plain))
+        best = lack_of_fit.Explained(plain, checks=[check])
     checks += best.checks
     if experiment.name == "towed":
-        checks += force_checks(best.result)
+        checks += lack_of_fit.force_checks(best.result)
     result = output_error.with_held_out(best.result)
     if odd is not None:
         checks.append(lack_of_fit.odd_check(result, odd))
-    facts = {**({"encoder_rounding": name} if name else {}), **best.facts}
+    facts = dict(best.facts)
+    if name:
+        facts = {"encoder_rounding": name, **facts}
     return replace(best, result=result, facts=facts, checks=checks)
 
 
-def _from_starts(first: FitResult, progress: Progress) -> tuple[FitResult, list[ev.Check]]:
-    """Return the best fit from several starts, and the check that two lead to it; warn of a better one.
+def _search_from_starts(first: FitResult, progress: Progress) -> tuple[FitResult, list[ev.Check]]:
+    """Search again from several starts if the residuals are coloured; warn of a better minimum.
 
-    Where the residuals are white they leave nothing that a better minimum could explain.
+    White residuals leave nothing that a better minimum could explain.
     """
     if first.interrupted or not any(len(noise.autoregression) for noise in first.noise.values()):
         return first, []
+    from swimid.fitting.global_search import agreeing, multistart
+
     best, ends = multistart(
         first.model,
         first.trials,
         first.parameters,
-        starts=4,
+        starts=N_STARTS,
         begins=[first.estimate],
         progress=progress,
     )
@@ -227,9 +249,8 @@ def _from_starts(first: FitResult, progress: Progress) -> tuple[FitResult, list[
     return best, [ev.check("one minimum", value, agree > 1, "two at least", text, reason=reason)]
 
 
-def _profiles(
-    result: output_error.FitResult, progress: Progress
-) -> dict[str, tuple[float | None, float | None]]:
+def _profiles(result: FitResult, progress: Progress) -> dict[str, tuple[float | None, float | None]]:
+    """Return the profile-likelihood interval of each shared parameter with a standard error."""
     names = [label for label in result.labels if "[" not in label and result.stderr(label) is not None]
     intervals = {}
     with progress("profiling", total=len(names)) as step:
@@ -239,126 +260,8 @@ def _profiles(
     return intervals
 
 
-# ------------------------------------------------------------ two-point method
-
-
-def _two_point(experiment: Experiment, points_m: tuple[float, float] | None) -> TwoPointResult:
-    """The paper's method; raises where it does not apply."""
-    body, fluid = experiment.robot.body, experiment.robot.fluid
-    pulled = [t for t in experiment.trials if t.rig.pulley and t.role == "fit"]
-    cannot = "the two-point method cannot be used: "
-    if experiment.name != "falling-weight" or len(pulled) < 3:
-        raise NoTrustworthyResult(
-            f"{cannot}it needs a falling-weight experiment with at least three pulling masses"
-        )
-    if body.inertial_mass_kg is None or body.frontal_area_m2 is None:
-        raise NoTrustworthyResult(f"{cannot}the robot's inertial mass and frontal area are needed")
-    drops = [
-        Drop(t.rig.pull / fluid.gravity_m_s2, t.time_s - t.rig.begin_s, t.measured["x_m"] - t.rig.x0)
-        for t in pulled
-    ]
-    return two_point(
-        drops,
-        mass_kg=body.inertial_mass_kg + experiment.robot.rig.pulley_inertia_kg,
-        frontal_area_m2=body.frontal_area_m2,
-        density_kg_m3=fluid.density_kg_m3,
-        gravity_m_s2=fluid.gravity_m_s2,
-        points_m=points_m,
-    )
-
-
-def _two_point_file(file: ParameterFile, pair: TwoPointResult) -> ParameterFile:
-    """The parameter file with the two-point method's values in place of the fit's.
-
-    Raises
-    ------
-    NoTrustworthyResult
-        When the method gives no errors: its points do not lie on lines, or not on rising ones.
-    """
-    if not pair.answers:
-        raise NoTrustworthyResult(
-            f"the two-point method has no answer: {NO_ANSWER}",
-            hint="look at the pulling masses, or use --method ml",
-        )
-    parameters = {
-        name: Estimate(
-            value=value,
-            stderr=pair.stderr[name],
-            unit=file.parameters[name].unit,
-            bounds=file.parameters[name].bounds,
-            status="estimated",
-        )
-        for name, value in pair.values.items()
-    }
-    assert file.fit is not None
-    fit = Fit(trials=file.fit.trials, converged=True, method="two-point", points_m=list(pair.points_m))  # type: ignore[call-arg]
-    return file.model_copy(
-        update={"parameters": parameters, "correlation": None, "identifiability": [], "fit": fit}
-    )
-
-
-# ------------------------------------------------------------ evidence
-
-
-def _methods_table(
-    experiment: Experiment, result: output_error.FitResult, pair: TwoPointResult | None
-) -> list[ev.Table]:
-    estimates = derived.theory_estimates(experiment.robot)
-    fitted = fit_common.estimates(result, {})
-    rows: list[list[Any]] = []
-    for name in dict.fromkeys([*NAMES, *(t.parameter for t in estimates)]):
-        if name not in fitted:
-            continue
-        e, two, bias = fitted[name], "", ""
-        if pair is not None and name in pair.values:
-            two = numbers.measured(pair.values[name], pair.stderr[name], e.unit)
-            bias = numbers.number(pair.bias[name], 2, e.unit)
-        known = "not identifiable"
-        if e.status != "unidentifiable":
-            known = numbers.measured(e.value, e.stderr, e.unit)
-        quoted = [t for t in estimates if t.parameter == name]
-        texts = [f"{numbers.number(t.value, 3, t.unit)} ({t.basis})" for t in quoted]
-        rows.append([name, known, two, bias, "; ".join(texts)])
-    return [
-        ev.Table(
-            id="methods",
-            title="Both methods and theory side by side",
-            columns=["parameter", "maximum likelihood", "two-point", "two-point bias", "theory"],
-            rows=rows,
-            caption="The two-point method takes the moving mass as equal for all pulling weights; its bias "
-            "is its error on noise-free data of its own answer, and is part of its stated error.",
-        )
-    ]
-
-
-def _notes(pair: TwoPointResult | None) -> list[str]:
-    """Return the answer of the two-point method as a sentence."""
-    if pair is None:
-        return []
-    if not pair.answers:
-        return [f"The two-point method has no answer: {NO_ANSWER}."]
-    parts = [f"{n} {numbers.measured(value, pair.stderr[n])}" for n, value in pair.values.items()]
-    return [f"The two-point method gives {', '.join(parts)}."]
-
-
-def _speed_figure(pair: TwoPointResult) -> ev.Figure:
-    grams = 1e3 * pair.pulling_mass_kg
-    order = np.argsort(grams)
-    traces = []
-    for i, point in enumerate(pair.points_m):
-        squared, error = pair.speed_squared[i][order], 1.96 * pair.speed_squared_sd[i][order]
-        line = pair.slopes[i] * pair.pulling_mass_kg[order] + pair.intercepts[i]
-        label, x = f"at {point:.3f} m", grams[order]
-        traces.append(ev.Trace(x=x, y=squared, y_error=error, style="points", label=label, group=i))
-        traces.append(ev.Trace(x=x, y=line, group=i))
-    caption = "Speeds at two displacements, with straight lines (Eq 13)."
-    panel = ev.Panel(x_label="pulling mass (g)", y_label="squared speed (m²/s²)", traces=traces)
-    title = "Squared speed against pulling mass"
-    return ev.Figure(id="speed-squared", title=title, caption=caption, panels=[panel])
-
-
 def _methods(
-    experiment: Experiment, result: output_error.FitResult, method: str, pair: TwoPointResult | None
+    experiment: Experiment, result: FitResult, method: str, pair: TwoPointResult | None
 ) -> list[str]:
     count = len([t for t in result.trials if t.role == "fit"])
     sentences = [
@@ -379,16 +282,39 @@ def _methods(
     return sentences
 
 
-# ---------------------------------------------------------------- method of the boxfish paper
+def _methods_table(experiment: Experiment, result: FitResult, pair: TwoPointResult | None) -> ev.Table:
+    """Return the estimates of both methods beside theory."""
+    theory = derived.theory_estimates(experiment.robot)
+    fitted = fit_common.estimates(result, {})
+    rows: list[list[Any]] = []
+    for name in dict.fromkeys([*NAMES, *(t.parameter for t in theory)]):
+        if name not in fitted:
+            continue
+        e, two, bias = fitted[name], "", ""
+        if pair is not None and name in pair.values:
+            two = numbers.measured(pair.values[name], pair.stderr[name], e.unit)
+            bias = numbers.number(pair.bias[name], 2, e.unit)
+        known = "not identifiable"
+        if e.status != "unidentifiable":
+            known = numbers.measured(e.value, e.stderr, e.unit)
+        quoted = [f"{numbers.number(t.value, 3, t.unit)} ({t.basis})" for t in theory if t.parameter == name]
+        rows.append([name, known, two, bias, "; ".join(quoted)])
+    return ev.Table(
+        id="methods",
+        title="Both methods and theory side by side",
+        columns=["parameter", "maximum likelihood", "two-point", "two-point bias", "theory"],
+        rows=rows,
+        caption="The two-point method assumes an equal moving mass for all pulling weights. Its bias is its "
+        "error on noise-free data of its own answer, and is part of its stated error.",
+    )
 
 
-#: What the method gives: 1, kg, N.
-NAMES = ("drag_coefficient", "added_mass", "pulley_friction")
+# ------------------------------------------------------------ two-point method of the boxfish paper
 
 
 @dataclass(frozen=True)
 class Drop:
-    """One falling-weight trial for this method, since release and without missing samples."""
+    """Falling-weight trial from its release on, without missing samples."""
 
     pulling_mass_kg: float
     time_s: Array
@@ -397,19 +323,18 @@ class Drop:
 
 @dataclass(frozen=True)
 class TwoPointResult:
-    """What the method gives.
+    """Result of the two-point method.
 
     Attributes
     ----------
-    values, stderr, bias : dict of name to float
-        Of :data:`NAMES`; the standard error is of chance and bias together. The bias is what the method gives
-        on perfect data of its own answer, minus that answer.
+    values, stderr, bias : dict of str to float
+        Estimates of :data:`NAMES`. The standard error combines random error and bias.
     points_m : tuple of float
-        The two displacements.
+        Displacements.
     pulling_mass_kg : ndarray, shape (k,)
     speed_squared, speed_squared_sd : ndarray, shape (2, k), m2/s2
     slopes, intercepts : ndarray, shape (2,)
-        Of squared speed against pulling mass: alpha and beta of Eq 13.
+        Lines of squared speed over pulling mass: alpha and beta of Eq 13.
     """
 
     values: dict[str, float]
@@ -423,7 +348,7 @@ class TwoPointResult:
     intercepts: Array
 
     @property
-    def answers(self) -> bool:
+    def is_valid(self) -> bool:
         """Whether the speeds lie on rising lines, so that there are errors."""
         return all(map(math.isfinite, self.stderr.values()))
 
@@ -431,30 +356,27 @@ class TwoPointResult:
 def speed_at(
     time_s: Array, displacement_m: Array, point_m: float, half_width_m: float
 ) -> tuple[float, float]:
-    """Speed at a displacement by a straight-line fit around it, and its standard error.
+    """Return the speed at a displacement by a straight-line fit around it, and its standard error, m/s.
 
     Raises
     ------
     NoTrustworthyResult
-        When fewer than three samples lie around the point.
+        If fewer than :data:`MIN_SAMPLES` samples lie around the point.
     """
     near = np.abs(displacement_m - point_m) <= half_width_m
-    if near.sum() < 3:
+    if near.sum() < MIN_SAMPLES:
         raise NoTrustworthyResult(
             f"only {int(near.sum())} samples lie within {half_width_m:.3g} m of the displacement "
             f"{point_m:.3g} m",
             hint="choose --points inside the measured displacement, or use the default method",
         )
-    t, x = time_s[near], displacement_m[near]
-    if len(t) > 4:
-        # A quadratic keeps the curvature out of the error estimate; its slope at the middle is the line's.
-        residual = x - np.polyval(np.polyfit(t - t.mean(), x, 2), t - t.mean())
-        spread = math.sqrt(float(residual @ residual) / max(len(t) - 3, 1))
-    else:
-        spread = 0.0
-    centred = t - t.mean()
-    slope = float(centred @ x) / float(centred @ centred)
-    return slope, spread / math.sqrt(float(centred @ centred))
+    t, x = time_s[near] - time_s[near].mean(), displacement_m[near]
+    spread = 0.0
+    if len(t) > MIN_SCATTER_SAMPLES:
+        # a quadratic keeps the curvature out of the error; its slope in the middle is that of the line
+        residual = x - np.polyval(np.polyfit(t, x, 2), t)
+        spread = math.sqrt(float(residual @ residual) / (len(t) - 3))
+    return float(t @ x) / float(t @ t), spread / math.sqrt(float(t @ t))
 
 
 def two_point(
@@ -466,7 +388,7 @@ def two_point(
     gravity_m_s2: float,
     points_m: tuple[float, float] | None = None,
 ) -> TwoPointResult:
-    """Drag coefficient, added mass and pulley friction from speeds at two displacements.
+    """Estimate drag coefficient, added mass and pulley friction from speeds at two displacements.
 
     Parameters
     ----------
@@ -475,32 +397,32 @@ def two_point(
     mass_kg : float
         Inertia of body and pulley.
     points_m : (x1, x2), optional
-        Default a quarter and a half of the displacement all drops reached. The paper took
-        0.293 and 0.584 m. Each speed is fitted over a stretch of a sixth of x1 to either side.
+        Displacements, by default :data:`POINT_SHARES` of the displacement that all drops reached. The paper
+        used 0.293 and 0.584 m.
 
     Raises
     ------
     NoTrustworthyResult
-        Too few drops, points outside the data, or speeds that fit no drag at all.
+        If there are too few drops, the points are outside the data, or the speeds fit no drag.
     """
     masses = np.array([d.pulling_mass_kg for d in drops])
-    if len(np.unique(masses)) < 3:
+    if len(np.unique(masses)) < MIN_MASSES:
         raise NoTrustworthyResult("the two-point method needs at least three different pulling masses")
     reach = min(float(d.displacement_m.max()) for d in drops)
-    points = points_m or (0.255 * reach, 0.51 * reach)
+    points = points_m or (POINT_SHARES[0] * reach, POINT_SHARES[1] * reach)
     if not 0 < points[0] < points[1]:
         raise NoTrustworthyResult(f"the two displacements must rise from zero: {points[0]:g} {points[1]:g}")
-    width = points[0] / 6
 
     def speeds(displacements: Sequence[Array]) -> tuple[Array, Array]:
-        """Speed at the points and its standard error, each shape (2, k)."""
+        """Return the speeds at the points and their standard errors, each shape (2, k)."""
         pairs = list(zip(drops, displacements, strict=True))
+        width = points[0] * HALF_WIDTH
         fits = np.array([[speed_at(d.time_s, x, point, width) for d, x in pairs] for point in points])
         return fits[:, :, 0], fits[:, :, 1]
 
     def solve(squared: Array) -> tuple[Array, Array, Array]:
         slopes, intercepts = np.array([np.polyfit(masses, v, 1) for v in squared]).T
-        a1 = _a1(slopes[0] / slopes[1], points)
+        a1 = solve_a1(slopes[0] / slopes[1], points)
         # tanh^2 phi(x) = 1 - exp(-2 a1 x), from Eq 14
         saturation = -np.expm1(-2 * a1 * np.array(points))
         drag = float(np.mean(2 * gravity_m_s2 * saturation / (density_kg_m3 * frontal_area_m2 * slopes)))
@@ -513,7 +435,7 @@ def two_point(
     squared, squared_sd = measured**2, 2 * np.abs(measured) * measured_sd
     answer, slopes, intercepts = solve(squared)
 
-    # from the scatter of the squared speeds about their lines
+    # random error, from the scatter of the squared speeds about their lines
     scatter = squared - (slopes[:, None] * masses + intercepts[:, None])
     pooled = math.sqrt(float(np.sum(scatter**2)) / max(2 * len(masses) - 4, 1))
     spread = np.maximum(squared_sd, pooled)
@@ -536,26 +458,25 @@ def two_point(
         for d, weight in zip(drops, masses, strict=True)
     ]
     bias = solve(speeds(perfect)[0] ** 2)[0] - answer
-
-    def named(values: Array) -> dict[str, float]:
-        return dict(zip(NAMES, map(float, values), strict=True))
-
-    return TwoPointResult(
-        values=named(answer),
-        stderr=named(np.sqrt(np.sqrt(variance) ** 2 + bias**2)),
-        bias=named(bias),
-        points_m=(float(points[0]), float(points[1])),
-        pulling_mass_kg=masses,
-        speed_squared=squared,
-        speed_squared_sd=squared_sd,
-        slopes=slopes,
-        intercepts=intercepts,
+    values, stderr, bias_of = (
+        dict(zip(NAMES, v.tolist(), strict=True)) for v in (answer, np.hypot(np.sqrt(variance), bias), bias)
     )
+    at_points = (float(points[0]), float(points[1]))
+    return TwoPointResult(values, stderr, bias_of, at_points, masses, squared, squared_sd, slopes, intercepts)
 
 
-def _a1(ratio: float, points: tuple[float, float]) -> float:
-    """Solve Eq 18 for a1; Eq 19 where the second displacement is twice the first."""
-    x1, x2 = points
+def solve_a1(ratio: float, points_m: tuple[float, float]) -> float:
+    """Solve Eq 18 for a1, 1/m; Eq 19 is its closed form if the second displacement is twice the first.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        If no drag has this ratio of squared speeds.
+
+    >>> round(solve_a1(0.75, (0.3, 0.6)), 3)
+    1.831
+    """
+    x1, x2 = points_m
     if not x1 / x2 < ratio < 1:
         raise NoTrustworthyResult(
             f"the squared speeds at {x1:.3g} m and {x2:.3g} m have the ratio {ratio:.3f}; "
@@ -569,3 +490,75 @@ def _a1(ratio: float, points: tuple[float, float]) -> float:
         return math.expm1(-2 * a1 * x1) / math.expm1(-2 * a1 * x2) - ratio
 
     return float(optimize.brentq(mismatch, 1e-9 / x1, 50 / x1))
+
+
+def _two_point(experiment: Experiment, points_m: tuple[float, float] | None) -> TwoPointResult:
+    """Apply the two-point method to an experiment; raise an error if it cannot be used."""
+    body, fluid = experiment.robot.body, experiment.robot.fluid
+    pulled = [t for t in experiment.trials if t.rig.pulley and t.role == "fit"]
+    cannot = "the two-point method cannot be used: "
+    if experiment.name != "falling-weight" or len(pulled) < MIN_MASSES:
+        raise NoTrustworthyResult(
+            f"{cannot}it needs a falling-weight experiment with at least three pulling masses"
+        )
+    if body.inertial_mass_kg is None or body.frontal_area_m2 is None:
+        raise NoTrustworthyResult(f"{cannot}the robot's inertial mass and frontal area are needed")
+    drops = [
+        Drop(t.rig.pull / fluid.gravity_m_s2, t.time_s - t.rig.begin_s, t.measured["x_m"] - t.rig.x0)
+        for t in pulled
+    ]
+    return two_point(
+        drops,
+        mass_kg=body.inertial_mass_kg + experiment.robot.rig.pulley_inertia_kg,
+        frontal_area_m2=body.frontal_area_m2,
+        density_kg_m3=fluid.density_kg_m3,
+        gravity_m_s2=fluid.gravity_m_s2,
+        points_m=points_m,
+    )
+
+
+def _two_point_file(file: ParameterFile, pair: TwoPointResult) -> ParameterFile:
+    """Return the parameter file with the estimates of the two-point method.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        If the method has no errors.
+    """
+    if not pair.is_valid:
+        raise NoTrustworthyResult(
+            f"the two-point method has no answer: {NO_ANSWER}",
+            hint="look at the pulling masses, or use --method ml",
+        )
+    parameters = {}
+    for name, value in pair.values.items():
+        e = file.parameters[name]
+        parameters[name] = Estimate(
+            value=value, stderr=pair.stderr[name], unit=e.unit, bounds=e.bounds, status="estimated"
+        )
+    assert file.fit is not None
+    fit = Fit(trials=file.fit.trials, converged=True, method="two-point", points_m=list(pair.points_m))  # type: ignore[call-arg]
+    return file.model_copy(
+        update={"parameters": parameters, "correlation": None, "identifiability": [], "fit": fit}
+    )
+
+
+def _two_point_text(pair: TwoPointResult) -> str:
+    """Return the answer of the two-point method as a sentence."""
+    if not pair.is_valid:
+        return f"The two-point method has no answer: {NO_ANSWER}."
+    parts = [f"{n} {numbers.measured(value, pair.stderr[n])}" for n, value in pair.values.items()]
+    return f"The two-point method gives {', '.join(parts)}."
+
+
+def _speed_figure(pair: TwoPointResult) -> ev.Figure:
+    order = np.argsort(pair.pulling_mass_kg)
+    mass = pair.pulling_mass_kg[order]
+    traces = []
+    for i, point in enumerate(pair.points_m):
+        squared, error = pair.speed_squared[i][order], 1.96 * pair.speed_squared_sd[i][order]
+        line, label = pair.slopes[i] * mass + pair.intercepts[i], f"at {point:.3f} m"
+        traces.append(ev.Trace(x=1e3 * mass, y=squared, y_error=error, style="points", label=label, group=i))
+        traces.append(ev.Trace(x=1e3 * mass, y=line, group=i))
+    title, caption = "Squared speed against pulling mass", "Speeds at two displacements, with lines (Eq 13)."
+    return blocks.figure("speed-squared", title, caption, "pulling mass (g)", "squared speed (m²/s²)", traces)

@@ -1,16 +1,14 @@
-"""Lack-of-fit tests of a rig: parameters left out, differences between trials, and the measured force.
+"""Lack-of-fit tests of a rig: omitted parameters, differences between trials, and the measured force.
 
-Every parameter that all trials share and that is held is tried in two ways. First it is freed beside the
-others. The fit is judged by the parameter's standard error, which allows for coloured residuals and for
-trials that disagree. Then it is put in the place of those that act alike (:data:`swimid.rig.model.ALIKE`):
-dry friction in the place of a linear damping, gravity in the place of a spring. This fit has no more
-unknowns than the stated one, so that their likelihoods can be compared. One test thus serves every
-parameter. The measured force of a tow is tested for its sign, and for its value while the body stands still.
+Each parameter that all trials share and that is held is tested in two ways. First it is freed beside the
+others. Its standard error, which allows for coloured residuals and trials that disagree, decides. Then it
+replaces the parameters with a similar effect (:data:`swimid.rig.model.ALIKE`), such as dry friction a linear
+damping. This fit has as many unknowns as the stated one, so that their likelihoods can be compared.
 
 References
 ----------
 .. [1] R. E. Kass, A. E. Raftery, "Bayes factors", Journal of the American Statistical Association 90 (1995),
-   773-795: evidence is strong where twice the logarithm of the Bayes factor is above 6.
+   773-795: evidence is strong if twice the logarithm of the Bayes factor is above 6.
 """
 
 from __future__ import annotations
@@ -38,230 +36,251 @@ from swimid.results.parameters import Estimate
 from swimid.rig.model import ALIKE
 from swimid.rig.trials import third_difference_sd
 
-#: Start values of a parameter that was held, in its scale from the value at which it was held.
+#: Start values of a freed parameter, as multiples of its scale from the value at which it was held.
 FREED_STARTS = (0.0, 1.0, -1.0)
-#: Twice the logarithm of a likelihood ratio that is strong evidence (Kass and Raftery).
+#: Twice the logarithm of a likelihood ratio that is strong evidence [1]_.
 STRONG = 6.0
 #: Number of draws of the noise of a measured force.
 N_DRAWS = 30
-#: Maximum number of parameters that the warning names.
+#: Maximum number of parameters that a warning names.
 MAX_NAMED = 3
-#: Largest p-value and largest share of the squared error at which a start of their own is taken for trials.
-START_P, START_SHARE = 1e-6, 0.8
-#: Parameters of the start of a trial, and the words for a trial that has them.
+#: Largest p-value, and largest ratio of squared errors, at which each trial gets a start of its own.
+START_P, START_RATIO = 1e-6, 0.8
+#: Parameters of the start of a trial, and the words for them.
 STARTS = {"initial_speed": "moving", "clock_offset": "at another time than their first sample"}
-#: The friction of a trial, and the common one from which it deviates.
-FRICTION, COMMON = "friction_deviation", "pulley_friction"
-#: Largest p-value at which a friction follows the pulling mass.
-TREND = 1e-2
+#: Friction of a trial, and the common friction from which it deviates.
+FRICTION, COMMON_FRICTION = "friction_deviation", "pulley_friction"
+#: Largest p-value at which the friction follows the pulling mass.
+TREND_P = 1e-2
+#: One parameter for all trials is preferred to one for each up to this ratio of their squared errors.
+SHARED_RATIO = 1.1
+#: Minimum number of samples in which a body stands still.
+MIN_SAMPLES = 10
+#: Smallest excursion of a body that has moved, in standard deviations of its noise.
+MOVED_SD = 5.0
+
+
+# ------------------------------------------------------------ omitted parameters
 
 
 @dataclass(frozen=True)
 class Omitted:
-    """A parameter for which the trials speak, although the fit holds it."""
+    """A held parameter that the data support.
+
+    Attributes
+    ----------
+    fit : FitResult
+        Fit with the parameter.
+    replaced : tuple of str
+        Parameters that it replaces; empty if it is freed beside them.
+    evidence : float
+        Twice the logarithm of the likelihood ratio of this fit against the stated one.
+    p_value : float
+        Probability of an estimate this far from the held value by chance, with Bonferroni's correction for
+        all held parameters; NaN for a replacement.
+    """
 
     parameter: Parameter
-    #: The fit with it.
     fit: FitResult
-    #: The parameters in whose place it stands; empty where it is freed beside them.
-    instead: tuple[str, ...]
-    #: Twice the logarithm of the likelihood ratio, above zero where the fit with it is the better one.
+    replaced: tuple[str, ...]
     evidence: float
-    #: Probability of an estimate this far from the held value by chance, Bonferroni for all held parameters.
     p_value: float
 
     @property
     def text(self) -> str:
-        """Its name and its estimate."""
+        """Name and estimate."""
         name = self.parameter.name
         size = numbers.measured(self.fit.value(name), self.fit.stderr(name), self.parameter.unit)
-        return f"{name} {size}" + (f" in the place of {', '.join(self.instead)}" if self.instead else "")
+        return f"{name} {size}" + f" in the place of {', '.join(self.replaced)}" * bool(self.replaced)
 
     @property
     def criterion(self) -> float:
         """Schwarz's criterion against the stated fit: minus twice the logarithm of the Bayes factor."""
-        return (0.0 if self.instead else math.log(self.fit.samples)) - self.evidence
+        return math.log(self.fit.samples) * (not self.replaced) - self.evidence
 
     @property
     def command(self) -> str:
-        """The options that fit with it."""
-        if any(p.name == self.parameter.name and p.free for p in self.fit.model.parameters):
-            return f"leave out --fix {self.parameter.name}"
-        held = "".join(f" --fix {name}=0" for name in self.instead)
-        acting = next(p for p in self.fit.parameters if p.name == self.parameter.name)
+        """Options that fit with the parameter."""
+        name = self.parameter.name
+        if any(p.name == name and p.free for p in self.fit.model.parameters):
+            return f"leave out --fix {name}"
+        held = "".join(f" --fix {other}=0" for other in self.replaced)
+        acting = next(p for p in self.fit.parameters if p.name == name)
         if acting.free:
-            return f"free it with --free {acting.name}{held}"
-        return f"choose it with --fix {acting.name}={acting.start:g}{held}"
+            return f"free it with --free {name}{held}"
+        return f"choose it with --fix {name}={acting.start:g}{held}"
+
+    def sentence(self, stated: FitResult) -> str:
+        """Return what the parameter explains, and the options to use."""
+        share = f"{100.0 * (1.0 - self.fit.cost / stated.cost):.3g} % of the squared residuals"
+        explains = "the trials as well"
+        if not self.replaced:
+            explains = f"{share} ({blocks.p_text(self.p_value)})"
+        elif self.evidence > STRONG:
+            explains = f"{share} with no more unknowns"
+        return f"{self.text} would explain {explains}: {self.command}"
 
 
-def omitted_parameters(plain: FitResult) -> list[Omitted]:
-    """Return the held parameters for which the trials speak, the best fit first.
+def find_omitted(stated: FitResult) -> list[Omitted]:
+    """Return the held parameters that the data support, the best fit first.
 
-    A freed one counts where chance would take its estimate this far from the held value with a probability
-    below :data:`SIGNIFICANCE`, all held ones together. One in the place of others counts where the evidence
-    for the stated fit is not :data:`STRONG`, and a stated 95 % interval lacks its answer.
+    A freed parameter is supported if its p-value is below :data:`SIGNIFICANCE`. A replacement is supported
+    unless the evidence for the stated fit is :data:`STRONG`, provided that the estimates differ.
     """
-    held = [p for p in plain.parameters if not p.free and not p.per_trial]
+    held = [p for p in stated.parameters if not p.free and not p.per_trial]
     found = []
     for parameter in held:
-        fit = freed(plain, parameter.name)
-        error = None if fit is None else fit.stderr(parameter.name)
-        if fit is not None and error and fit.status[parameter.name] == "estimated":
-            away = abs(fit.value(parameter.name) - parameter.start)
-            # what is far from chance without the noise of a measured force is looked at with it
-            noise = _force_error(fit, parameter.name) if away > 2.0 * error else 0.0
-            z = away / math.hypot(error, noise)
+        name = parameter.name
+        fit = fit_freed(stated, name)
+        if fit is not None and fit.stderr(name) and fit.status[name] == "estimated":
+            evidence = compute_evidence(stated, fit)
+            distance, error = abs(fit.value(name) - parameter.start), fit.stderr(name) or 0.0
+            if distance > 2.0 * error:
+                error = math.hypot(error, _force_error(fit, name))
+            # the likelihood ratio does not depend on the scale of a parameter, unlike the standard error
+            z = min(distance / error, math.sqrt(max(evidence, 0.0)))
             sides = 1.0 if parameter.start in parameter.bounds else 2.0
-            # the likelihood ratio does not depend on how a parameter is scaled, as the standard error does
-            z = min(z, math.sqrt(max(compute_evidence(plain, fit), 0.0)))
             p_value = min(1.0, len(held) * sides * float(special.ndtr(-z)))
-            if p_value < SIGNIFICANCE and compute_evidence(plain, fit) > 0.0:
-                found.append(Omitted(parameter, fit, (), compute_evidence(plain, fit), p_value))
-        fit, instead = _replacing(plain, parameter)
-        acts = fit is not None and fit.status.get(parameter.name, "fixed") in ("estimated", "fixed")
-        if fit is not None and acts and compute_evidence(plain, fit) > -STRONG and moved(plain, fit):
-            found.append(Omitted(parameter, fit, instead, compute_evidence(plain, fit), math.nan))
+            if p_value < SIGNIFICANCE and evidence > 0.0:
+                found.append(Omitted(parameter, fit, (), evidence, p_value))
+        fit, replaced = _fit_replacement(stated, parameter)
+        if fit is not None and fit.status.get(name, "fixed") in ("estimated", "fixed"):
+            evidence = compute_evidence(stated, fit)
+            if evidence > -STRONG and find_moved(stated, fit):
+                found.append(Omitted(parameter, fit, replaced, evidence, math.nan))
     return sorted(found, key=lambda omitted: omitted.criterion)
 
 
-def freed(plain: FitResult, name: str) -> FitResult | None:
-    """Return the best fit with one more parameter free, from several starts; None where there is none."""
-    held = next((p for p in plain.parameters if p.name == name and not p.free), None)
-    return None if held is None else _best(plain, held, chosen(plain.parameters, freed=(name,)))
+def fit_freed(stated: FitResult, name: str) -> FitResult | None:
+    """Return the best fit with one more parameter free, from several starts; None if there is none."""
+    held = next((p for p in stated.parameters if p.name == name and not p.free), None)
+    if held is None:
+        return None
+    return _fit_from_starts(stated, held, chosen(stated.parameters, freed=(name,)))
 
 
 def _force_error(fit: FitResult, name: str) -> float:
-    """Return the standard error of an estimate that the noise of a measured force makes, to first order.
+    """Return the standard error of an estimate due to the noise of a measured force, to first order.
 
-    Noise of a force moves the simulated body on a random walk. The autocorrelation of the residuals shows
-    only a part of that. The size of the noise comes from third differences, which a smooth force hardly has,
-    and its effect on the estimate from :data:`N_DRAWS` simulations.
+    Noise of a force moves the simulated body on a random walk, of which the autocorrelation of the residuals
+    shows only a part. Third differences give the size of the noise, because a smooth force has hardly any.
     """
     fitted = [t for t in fit.trials if t.role == "fit"]
     if not any("force_N" in t.inputs for t in fitted):
         return 0.0
     rng = np.random.default_rng(0)
+    theta = np.asarray(fit.estimate, dtype=float)
     problem = restarts.weighted(fit)
-    try:
-        theta = np.asarray(fit.estimate, dtype=float)
-        before = problem.residuals(theta)
-        inverse = np.linalg.pinv(problem.jacobian(theta) * problem.scale)[fit.labels.index(name)]
-    finally:
-        problem.close()
+    before = problem.residuals(theta)
+    inverse = np.linalg.pinv(problem.jacobian(theta) * problem.scale)[fit.labels.index(name)]
     moves = []
     for _ in range(N_DRAWS):
         disturbed = []
         for trial in fitted:
             force = trial.inputs["force_N"]
-            sd = third_difference_sd(force)
-            disturbed.append(
-                replace(trial, inputs={**trial.inputs, "force_N": force + rng.normal(0.0, sd, len(force))})
-            )
+            noise = rng.normal(0.0, third_difference_sd(force), len(force))
+            disturbed.append(replace(trial, inputs={**trial.inputs, "force_N": force + noise}))
         problem = restarts.weighted(replace(fit, trials=tuple(disturbed)))
-        try:
-            moves.append(float(inverse @ (problem.residuals(theta) - before)))
-        finally:
-            problem.close()
+        moves.append(float(inverse @ (problem.residuals(theta) - before)))
     return float(problem.scale[fit.labels.index(name)] * np.sqrt(np.mean(np.square(moves))))
 
 
-def _replacing(plain: FitResult, held: Parameter) -> tuple[FitResult | None, tuple[str, ...]]:
-    """Return the fit with a parameter in the place of those that act alike, and their names.
+def _fit_replacement(stated: FitResult, held: Parameter) -> tuple[FitResult | None, tuple[str, ...]]:
+    """Return the fit with a parameter in place of those with a similar effect, and their names.
 
-    A parameter that the user holds against the model's default is not meant to act.
+    A parameter that only the user holds is not tested.
     """
     alike = next((names for names in ALIKE if held.name in names), ())
-    others = [p for p in plain.parameters if p.name in alike and p is not held and (p.free or p.start != 0.0)]
-    by_default = any(p.name == held.name and not p.free for p in plain.model.parameters)
-    if (
-        not others
-        or not by_default
-        or held.start != 0.0
-        or not all(p.lower <= 0.0 <= p.upper for p in others)
-    ):
+    others = [
+        p for p in stated.parameters if p.name in alike and p is not held and (p.free or p.start != 0.0)
+    ]
+    by_default = any(p.name == held.name and not p.free for p in stated.model.parameters)
+    if not others or not by_default or held.start != 0.0:
+        return None, ()
+    if not all(p.lower <= 0.0 <= p.upper for p in others):
         return None, ()
     names = tuple(p.name for p in others)
-    parameters = chosen(plain.parameters, fixed=dict.fromkeys(names, 0.0), freed=(held.name,))
+    fixed = dict.fromkeys(names, 0.0)
+    parameters = chosen(stated.parameters, fixed=fixed, freed=(held.name,))
     if not any(p.free for p in others):
-        whole = sum(p.start for p in others)
-        parameters = chosen(plain.parameters, fixed={**dict.fromkeys(names, 0.0), held.name: whole})
-    return _best(plain, held, parameters), names
+        fixed[held.name] = sum(p.start for p in others)
+        parameters = chosen(stated.parameters, fixed=fixed)
+    return _fit_from_starts(stated, held, parameters), names
 
 
-def _best(plain: FitResult, held: Parameter, parameters: tuple[Parameter, ...]) -> FitResult | None:
-    """Return the best fit with other choices of parameters, from several values of the one that was held."""
+def _fit_from_starts(
+    stated: FitResult, held: Parameter, parameters: tuple[Parameter, ...]
+) -> FitResult | None:
+    """Return the best fit of other parameters, from several values of the one that was held."""
     free = any(p.name == held.name and p.free for p in parameters)
+    starts = [held.start]
+    if free:
+        starts = [held.start + start * held.scale for start in FREED_STARTS]
     fits = []
-    for start in FREED_STARTS if free else FREED_STARTS[:1]:
-        value = held.start + start * held.scale
+    for value in starts:
         if not held.lower <= value <= held.upper:
             continue
         begun = []
         for p in parameters:
-            known = p.free and p.name in plain.labels
-            begun.append(replace(p, start=plain.value(p.name)) if known else p)
-        if free:
-            begun = [replace(p, start=value) if p.name == held.name else p for p in begun]
-        try:
-            # a search that ends in a valley is no news where another one ends lower
-            with recorded():
-                fits.append(output_error.fit(plain.model, plain.trials, parameters=begun, tested=False))
-        except NoTrustworthyResult:
-            continue
-    best = min(fits, key=lambda fit: fit.cost, default=None)
-    return None if best is None else replace(best, parameters=parameters)
+            start = p.start
+            if free and p.name == held.name:
+                start = value
+            elif p.free and p.name in stated.labels:
+                start = stated.value(p.name)
+            begun.append(replace(p, start=start))
+        # a search that fails is no news if another one succeeds
+        with suppress(NoTrustworthyResult), recorded():
+            fits.append(output_error.fit(stated.model, stated.trials, parameters=begun, tested=False))
+    if not fits:
+        return None
+    return replace(min(fits, key=lambda fit: fit.cost), parameters=parameters)
 
 
-def compute_evidence(plain: FitResult, fit: FitResult) -> float:
+def compute_evidence(stated: FitResult, fit: FitResult) -> float:
     """Return twice the logarithm of the likelihood ratio of a fit against the stated one."""
-    return plain.samples * math.log(max(plain.cost, 1e-300) / max(fit.cost, 1e-300))
+    return stated.samples * math.log(max(stated.cost, 1e-300) / max(fit.cost, 1e-300))
 
 
-def omission_checks(plain: FitResult, omitted: Sequence[Omitted]) -> list[ev.Check]:
-    """Return the check that the trials speak for no held parameter; warn of those they speak for."""
-    name = "no parameter left out"
-    limit = f"p ≥ {SIGNIFICANCE:g}, and no other law explains as much"
-    if not omitted:
-        held = ", ".join(p.name for p in plain.parameters if not p.free and not p.per_trial)
-        return [ev.check(name, "none", True, limit, f"tried, each in a fit of its own: {held or 'none'}")]
-    more = f"; {len(omitted) - MAX_NAMED} more parameters, less well" if len(omitted) > MAX_NAMED else ""
-    warn("SWM024", "; ".join(_sentence(plain, o) for o in omitted[:MAX_NAMED]) + more)
-    best, other = omitted[0], moved(plain, omitted[0].fit)
-    text = f"with it {', '.join(other)} would lie outside the stated interval" if other else ""
-    reason = f"the trials speak for {best.text}"
-    grade = "fail" if other and -best.criterion > STRONG else "warn"
-    return [ev.check(name, best.text, False, limit, text, otherwise=grade, reason=reason)]  # type: ignore[arg-type]
-
-
-def _sentence(plain: FitResult, omitted: Omitted) -> str:
-    share = f"{100.0 * (1.0 - omitted.fit.cost / plain.cost):.3g} % of the squared residuals"
-    if not omitted.instead:
-        return f"{omitted.text} would explain {share} ({blocks.p_text(omitted.p_value)}): {omitted.command}"
-    if omitted.evidence > STRONG:
-        return f"{omitted.text} would explain {share} with no more unknowns: {omitted.command}"
-    return f"{omitted.text} would explain the trials as well: {omitted.command}"
-
-
-def moved(stated: FitResult, other: FitResult) -> list[str]:
-    """Return the shared parameters whose stated 95 % interval lacks the other fit's value."""
+def find_moved(stated: FitResult, other: FitResult) -> list[str]:
+    """Return the shared parameters whose stated 95 % interval does not contain the other fit's value."""
     found = []
     for label in stated.shared:
-        if stated.status[label] == "unidentifiable":
-            continue
         error = stated.stderr(label)
-        if error is None or abs(other.value(label) - stated.value(label)) > 1.96 * error:
+        beyond = error is None or abs(other.value(label) - stated.value(label)) > 1.96 * error
+        if beyond and stated.status[label] != "unidentifiable":
             found.append(label)
     return found
 
 
-# ------------------------------------------------------------ single trials
+def omission_check(stated: FitResult, omitted: Sequence[Omitted]) -> ev.Check:
+    """Return the check that the data support no held parameter; warn of those that they support."""
+    name = "no parameter left out"
+    limit = f"p ≥ {SIGNIFICANCE:g}, and no other law explains as much"
+    if not omitted:
+        held = ", ".join(p.name for p in stated.parameters if not p.free and not p.per_trial)
+        return ev.check(name, "none", True, limit, f"tested, each in a fit of its own: {held or 'none'}")
+    sentences = [o.sentence(stated) for o in omitted[:MAX_NAMED]]
+    if len(omitted) > MAX_NAMED:
+        sentences.append(f"{len(omitted) - MAX_NAMED} more parameters, less well")
+    warn("SWM024", "; ".join(sentences))
+    best = omitted[0]
+    moved = find_moved(stated, best.fit)
+    text = f"with it {', '.join(moved)} would lie outside the stated interval" * bool(moved)
+    check = ev.check(name, best.text, False, limit, text, reason=f"the trials speak for {best.text}")
+    if moved and -best.criterion > STRONG:
+        check.verdict = "fail"
+    return check
+
+
+# ------------------------------------------------------------ differences between trials
 
 
 @dataclass(frozen=True)
 class Explained:
-    """A fit, and what was found to differ between its trials; ``facts`` are for the file's settings."""
+    """A fit with the differences between its trials, and what is written of them."""
 
     result: FitResult
+    #: Entries of the settings of the parameter file.
     facts: dict[str, Any] = field(default_factory=dict)
     derived: dict[str, Estimate] = field(default_factory=dict)
     checks: list[ev.Check] = field(default_factory=list)
@@ -275,66 +294,64 @@ def explain_trials(
     *,
     insist: bool,
 ) -> Explained:
-    """Return the fit with starts or frictions of single trials, where the data clearly speak for them.
-
-    The start of each trial is its own and may be anything. The friction of a pulley differs by chance: it
-    is a random effect, and one that follows the pulling mass is no chance but a force the model lacks.
+    """Return the fit with a start or a friction of each trial, if the data clearly support it.
 
     Parameters
     ----------
     plain : FitResult
-        From rest, with nothing of single trials.
+        Fit from rest, without parameters of single trials.
     choices : tuple of Parameter
-        The user's.
-    pulling_kg : mapping of trial to mass
+        Parameters with the choices of the user.
+    pulling_kg : mapping of str to float
+        Pulling mass of each trial.
     odd : OutlierTrial or None
-        The trial that contradicts the others.
+        Trial that contradicts the others.
     insist : bool
-        The user frees the friction of each trial, so that nothing else is tried.
+        Use a friction of each trial, without a comparison.
 
     Raises
     ------
     NoTrustworthyResult
-        When a friction was insisted on that these trials do not tell.
+        If ``insist`` is true and the trials do not identify the friction.
     """
     if insist:
-        return _by_chance(plain, pulling_kg, odd, *_friction(plain, odd))
+        return _explain_friction(plain, pulling_kg, odd, *_fit_friction(plain, odd))
     fits: dict[str, FitResult] = {}
     for name in STARTS:
-        rival = freed(plain, name)
-        if rival is not None and _significant(plain, rival):
+        rival = fit_freed(plain, name)
+        if rival is not None and _is_significant(plain, rival):
             fits[name] = rival
     with suppress(NoTrustworthyResult):
-        chance, spread = _friction(plain, odd)
+        with_friction, spread = _fit_friction(plain, odd)
         if spread.p_value < HETEROGENEITY:
-            fits[FRICTION] = chance
-    omitted = omitted_parameters(plain)
-    least = min((misfit(rival) for rival in fits.values()), default=math.inf)
-    if not fits or (omitted and misfit(omitted[0].fit) < 1.1 * least):
-        # one number for all trials explains as much as one for each
-        return Explained(plain, {"start_state": "rest"}, checks=omission_checks(plain, omitted))
-    reason = min(fits, key=lambda name: misfit(fits[name]))
+            fits[FRICTION] = with_friction
+    omitted = find_omitted(plain)
+    least = min((squared_error(rival) for rival in fits.values()), default=math.inf)
+    if not fits or (omitted and squared_error(omitted[0].fit) < SHARED_RATIO * least):
+        return Explained(plain, {"start_state": "rest"}, checks=[omission_check(plain, omitted)])
+    reason = min(fits, key=lambda name: squared_error(fits[name]))
     if reason == FRICTION:
-        return _by_chance(plain, pulling_kg, odd, chance, spread)
+        return _explain_friction(plain, pulling_kg, odd, with_friction, spread)
     best = fits[reason]
     unit = next(p.unit for p in choices if p.name == reason)
     warn(
         "SWM017",
-        f"the trials start {STARTS[reason]}; {reason} is estimated for each ({_own(best, reason)} {unit}). "
-        "Use --start-state rest to insist on rest at the first sample",
+        f"the trials start {STARTS[reason]}; {reason} is estimated for each ({_list_values(best, reason)} "
+        f"{unit}). Use --start-state rest to insist on rest at the first sample",
     )
-    # starts of their own take up a part of what all trials lack
-    return Explained(best, {"start_state": reason}, checks=omission_checks(best, omitted_parameters(best)))
+    # tested again, because the starts may have absorbed a part of the omitted effect
+    return Explained(best, {"start_state": reason}, checks=[omission_check(best, find_omitted(best))])
 
 
-def odd_one(plain: FitResult) -> OutlierTrial | None:
-    """The trial that contradicts the others, where residuals give reason to look for one."""
-    coloured = any(len(n.autoregression) for n in plain.noise.values())
-    return find_outlier_trial(plain) if coloured or plain.scatter_p < HETEROGENEITY else None
+def find_odd(plain: FitResult) -> OutlierTrial | None:
+    """Return the trial that contradicts the others; search only if the residuals give a reason."""
+    if plain.scatter_p < HETEROGENEITY or any(len(n.autoregression) for n in plain.noise.values()):
+        return find_outlier_trial(plain)
+    return None
 
 
 def odd_check(result: FitResult, odd: OutlierTrial) -> ev.Check:
-    """Return the check that one trial contradicts the others; warn of it."""
+    """Return the check that no trial contradicts the others; warn of the trial that does."""
     units = {p.name: p.unit for p in result.parameters}
     without = "; ".join(
         f"{label} {numbers.measured(odd.others.value(label), odd.others.stderr(label), units[label])}"
@@ -349,84 +366,83 @@ def odd_check(result: FitResult, odd: OutlierTrial) -> ev.Check:
         f"without it: {without}. Check its entry in the trials file (pulling mass, force, unit), or leave it "
         "out of the fit with role: validate",
         f"{odd.trial} contradicts the other trials",
-        failed=bool(moved(result, odd.others)),
+        failed=bool(find_moved(result, odd.others)),
     )
 
 
-# ------------------------------------------------------------ friction by chance
+def _fit_friction(plain: FitResult, odd: OutlierTrial | None) -> tuple[FitResult, between_trials.Spread]:
+    """Return the fit with friction as a random effect.
 
-
-def _friction(plain: FitResult, odd: OutlierTrial | None) -> tuple[FitResult, between_trials.Spread]:
-    """The fit with a friction that differs by chance; raises where these trials do not tell it."""
+    Raises
+    ------
+    NoTrustworthyResult
+        If the trials do not identify it.
+    """
     pulled = [t for t in plain.trials if t.role == "fit" and t.rig.pulley]
     reason = ""
     if not any(p.name == FRICTION for p in plain.parameters) or len(pulled) < between_trials.MIN_TRIALS:
         reason = f"it takes at least {between_trials.MIN_TRIALS} trials with a pulley"
-    elif COMMON not in plain.labels:
-        reason = f"{COMMON} is held"
+    elif COMMON_FRICTION not in plain.labels:
+        reason = f"{COMMON_FRICTION} is held"
     if reason:
         raise NoTrustworthyResult(f"{FRICTION} cannot be estimated: {reason}")
-    # where the others agree the model is nearly linear; pulled off by an odd one it is not
-    near = odd.others if odd is not None and COMMON in odd.others.labels else None
-    return between_trials.fit_random_effect(plain, FRICTION, COMMON, near=near)
+    # the model is nearly linear at the fit of the other trials, and not where an odd trial moves it
+    near = odd.others if odd is not None and COMMON_FRICTION in odd.others.labels else None
+    return between_trials.fit_random_effect(plain, FRICTION, COMMON_FRICTION, near=near)
 
 
-def _by_chance(
+def _explain_friction(
     plain: FitResult,
     pulling_kg: Mapping[str, float | None],
     odd: OutlierTrial | None,
-    chance: FitResult,
+    with_friction: FitResult,
     spread: between_trials.Spread,
 ) -> Explained:
+    """Return the fit with a random friction, unless the friction cannot be a random one."""
     facts: dict[str, Any] = {"start_state": "rest"}
     if spread.sd == 0.0:
         return Explained(plain, facts)
-    checks = omission_checks(chance, omitted_parameters(chance))
-    # an odd trial has a reason of its own: it neither makes a trend nor hides one
-    others = chance if odd is None else odd.others
-    own = between_trials.estimate_own_values(others, FRICTION, COMMON)
-    trend = between_trials.estimate_trend(
-        own, np.array([pulling_kg.get(name) or math.nan for name in own.trials])
-    )
+    checks = [omission_check(with_friction, find_omitted(with_friction))]
+    # an odd trial must neither make a trend nor hide one
+    others = with_friction if odd is None else odd.others
+    own = between_trials.estimate_own_values(others, FRICTION, COMMON_FRICTION)
+    pulling = np.array([pulling_kg.get(name) or math.nan for name in own.trials])
+    trend = between_trials.estimate_trend(own, pulling)
     refused = ""
-    if trend.p_value < TREND:
-        slope = numbers.measured(trend.slope, trend.stderr, "N/kg")
-        refused = f"{'grows' if trend.slope > 0 else 'falls'} with its pulling mass, by {slope}"
+    if trend.p_value < TREND_P:
+        verb = "grows" if trend.slope > 0 else "falls"
+        refused = f"{verb} with its pulling mass, by {numbers.measured(trend.slope, trend.stderr, 'N/kg')}"
         warn(
             "SWM070",
-            f"the friction that each trial asks for {refused} (p = {trend.p_value:.1g}): that is no chance "
-            "but a force the model lacks, and is not taken up by a friction of each trial. A drag of another "
-            "law does this, or a bearing under load",
+            f"the friction of each trial {refused} (p = {trend.p_value:.1g}). This is not a random variation "
+            "but a force that the model lacks, such as another law of drag or a bearing under load. Find it "
+            "with: swimid diagnose TRIALS --params FILE",
         )
-    elif spread.sd > others.value(COMMON):
-        # a force that only brakes does not scatter by more than there is of it
-        refused = "would push in some trials: it differs by more than there is of it"
-        warn("SWM072", f"the friction that each trial asks for {refused}, so it is not taken for a friction")
+    elif spread.sd > others.value(COMMON_FRICTION):
+        refused = "varies by more than its mean, so that it would push in some trials"
+        warn("SWM072", f"the friction of each trial {refused}: it is not a friction")
     if refused:
-        name, limit = "friction differs by chance only", f"no trend (p ≥ {TREND:g}), none that pushes"
-        text = "all parameters take up a part of what the model lacks"
-        reason = f"the friction that each trial asks for {refused}"
+        name, limit = "friction differs by chance only", f"no trend (p ≥ {TREND_P:g}), none that pushes"
+        text = "all parameters absorb a part of what the model lacks"
+        reason = f"the friction of each trial {refused}"
         checks.append(ev.check(name, refused, False, limit, text, otherwise="fail", reason=reason))
         return Explained(plain, facts, checks=checks)
     size = numbers.measured(spread.sd, spread.stderr, "N")
     warn(
         "SWM014",
-        f"the pulley friction differs from trial to trial by {size} ({_own(chance, FRICTION)} N): a random "
-        "effect; the standard errors allow for it",
+        f"the pulley friction differs from trial to trial by {size} ({_list_values(with_friction, FRICTION)} "
+        "N): a random effect; the standard errors allow for it",
     )
     estimate = Estimate(value=spread.sd, stderr=spread.stderr, unit="N", status="estimated")
     facts["friction"] = "random effect of each trial"
-    return Explained(chance, facts, {"friction_spread": estimate}, checks)
+    return Explained(with_friction, facts, {"friction_spread": estimate}, checks)
 
 
-# ------------------------------------------------------------ the start of a trial
-
-
-def _significant(plain: FitResult, rival: FitResult) -> bool:
-    """Whether the rival's extra unknowns lower the error beyond what coloured noise allows."""
+def _is_significant(plain: FitResult, rival: FitResult) -> bool:
+    """Return whether an F-test, allowing for coloured noise, prefers a fit with more unknowns."""
     extra = len(rival.labels) - len(plain.labels)
-    before, after = misfit(plain), misfit(rival)
-    if after <= 0 or before <= after or after > START_SHARE * before:
+    before, after = squared_error(plain), squared_error(rival)
+    if after <= 0 or before <= after or after > START_RATIO * before:
         return False
     colour = 1.0
     for noise in rival.noise.values():
@@ -438,61 +454,65 @@ def _significant(plain: FitResult, rival: FitResult) -> bool:
     return bool(special.chdtrc(extra, statistic) < START_P)
 
 
-def misfit(result: FitResult) -> float:
-    """Sum of squared residuals of the fitted trials."""
+def squared_error(result: FitResult) -> float:
+    """Return the sum of squared residuals of the fitted trials."""
     return float(sum(np.nansum(s.residual**2) for s in result.series if s.role == "fit"))
 
 
-# ------------------------------------------------------------ words
-
-
-def _own(result: FitResult, name: str) -> str:
-    """The trials' values of a parameter."""
-    labels = [label for label in result.labels if label.startswith(f"{name}[")]
+def _list_values(result: FitResult, name: str) -> str:
+    """List the values of a parameter of each trial."""
     return ", ".join(
-        f"{label[len(name) + 1 : -1]} {result.estimate[result.labels.index(label)]:+.3g}" for label in labels
+        f"{label[len(name) + 1 : -1]} {value:+.3g}"
+        for label, value in zip(result.labels, result.estimate, strict=True)
+        if label.startswith(f"{name}[")
     )
 
 
 # ------------------------------------------------------------ measured force
 
 
-#: Minimum number of samples of a stretch in which a body stands still.
-MIN_SAMPLES = 10
-#: Excursion beyond which a body has moved, in standard deviations of its noise.
-MOVED = 5.0
-
-
 def force_checks(result: FitResult) -> list[ev.Check]:
-    """Return the checks of the measured force of a fit of towed trials; warn of those that fail."""
-    return [_sign(result), *_at_rest(result)]
+    """Return the checks of the measured force of towed trials; warn of those that fail."""
+    return [_sign_check(result), *_rest_check(result)]
 
 
-def _sign(result: FitResult) -> ev.Check:
-    """Check that trials are not described better with the force turned round."""
+def _sign_check(result: FitResult) -> ev.Check:
+    """Check that no trial fits better with the opposite force."""
     name, limit = "sign of force_N", "no trial agrees better with -force_N"
     fitted = [t for t in result.trials if t.role == "fit"]
+    channel = next(s.channel for s in result.series if s.role == "fit")
+
+    def mean_square(trial: Trial, values: Array) -> float:
+        if channel not in trial.measured:
+            return math.nan
+        simulated = result.model.simulate(values, trial)[channel]
+        return float(np.nanmean((trial.measured[channel] - simulated) ** 2))
+
+    def turned(trial: Trial) -> Trial:
+        return replace(trial, inputs={**trial.inputs, "force_N": -trial.inputs["force_N"]})
+
     # at the start values, because a fit to the wrong sign makes the body so heavy that no force moves it
     start = np.array([p.start for p in result.model.parameters])
-    suspects = {t.id for t in fitted if _error(result, _turned(t), start) < _error(result, t, start)}
-    turned = [_turned(t) if t.id in suspects else t for t in result.trials]
+    suspects = [t.id for t in fitted if mean_square(turned(t), start) < mean_square(t, start)]
+    trials = list(result.trials)
+    for k, trial in enumerate(trials):
+        if trial.id in suspects:
+            trials[k] = turned(trial)
     found = None
     if suspects:
-        try:
-            with recorded():
-                found = output_error.fit(result.model, turned, parameters=result.parameters, tested=False)
-        except NoTrustworthyResult:
-            found = None
+        with suppress(NoTrustworthyResult), recorded():
+            found = output_error.fit(result.model, trials, parameters=result.parameters, tested=False)
     if found is None or compute_evidence(result, found) <= STRONG:
         return ev.check(name, "as stated", True, limit)
-    where = "all trials" if len(suspects) == len(fitted) else ", ".join(sorted(suspects))
-    before, after = (
-        math.sqrt(float(np.mean([_error(r, t, r.values(t.id)) for t in trials if t.role == "fit"])))
-        for r, trials in ((result, result.trials), (found, turned))
-    )
-    unit = next(c.unit for c in result.model.channels if c.name == _channel(result))
-    change = f"from {numbers.number(before, 2, unit)} to {numbers.number(after, 2, unit)}"
-    reason = f"with force_N times -1 in {where} the error of {_channel(result)} falls {change}"
+    where = ", ".join(sorted(suspects))
+    if len(suspects) == len(fitted):
+        where = "all trials"
+    unit = next(c.unit for c in result.model.channels if c.name == channel)
+    rmse = []
+    for fit, shown in ((result, result.trials), (found, trials)):
+        squares = [mean_square(t, fit.values(t.id)) for t in shown if t.role == "fit"]
+        rmse.append(numbers.number(math.sqrt(float(np.mean(squares))), 2, unit))
+    reason = f"with force_N times -1 in {where} the error of {channel} falls from {rmse[0]} to {rmse[1]}"
     text = (
         "force_N must be the force on the body, positive along x_m: turn its sign in the log, or with "
         "factor: -1 in the mapping of an import"
@@ -501,32 +521,17 @@ def _sign(result: FitResult) -> ev.Check:
     return fit_common.warned_check(*check, failed=True)
 
 
-def _turned(trial: Trial) -> Trial:
-    return replace(trial, inputs={**trial.inputs, "force_N": -trial.inputs["force_N"]})
-
-
-def _channel(result: FitResult) -> str:
-    return next(s.channel for s in result.series if s.role == "fit")
-
-
-def _error(result: FitResult, trial: Trial, values: Array) -> float:
-    """Return the mean squared error of one trial, of the first measured channel."""
-    channel = _channel(result)
-    if channel not in trial.measured:
-        return math.nan
-    seen = result.model.simulate(values, trial)[channel]
-    return float(np.nanmean((trial.measured[channel] - seen) ** 2))
-
-
-def _at_rest(result: FitResult) -> list[ev.Check]:
-    """Check that the force is zero while the body stands still, as far as offset and friction allow."""
-    stretches = {t.id: n for t in result.trials if t.role == "fit" and (n := _still(t)) >= MIN_SAMPLES}
-    if not stretches:
+def _rest_check(result: FitResult) -> list[ev.Check]:
+    """Check that the force is zero while the body stands still, within its offset and dry friction."""
+    loads = {}
+    for trial in result.trials:
+        count = _count_still(trial)
+        if trial.role == "fit" and count >= MIN_SAMPLES:
+            loads[trial.id] = _load_at_rest(result, trial, count)
+    if not loads:
         return []
-    loads = {t.id: _load(result, t, stretches[t.id]) for t in result.trials if t.id in stretches}
-    limit = SIGNIFICANCE / len(loads)
-    beyond = {name: load for name, load in loads.items() if load[2] < limit}
     name, allowed = "force at rest", f"zero (p ≥ {SIGNIFICANCE:g})"
+    beyond = {trial: load for trial, load in loads.items() if load[2] < SIGNIFICANCE / len(loads)}
     if not beyond:
         return [ev.check(name, "zero within its noise", True, allowed)]
     worst = min(beyond, key=lambda trial: beyond[trial][2])
@@ -541,10 +546,10 @@ def _at_rest(result: FitResult) -> list[ev.Check]:
     return [fit_common.warned_check(*check)]
 
 
-def _still(trial: Trial) -> int:
-    """Return the number of samples at the start of a trial in which the body stands still.
+def _count_still(trial: Trial) -> int:
+    """Return the number of samples at the start of a trial in which the body certainly stands still.
 
-    It is half of those before a motion shows, because the force that makes it begins earlier.
+    It is half the number of samples before a motion shows, because the force that starts it begins earlier.
     """
     counts = []
     for values in trial.measured.values():
@@ -552,22 +557,19 @@ def _still(trial: Trial) -> int:
         x = values[there]
         if len(x) < 2 * MIN_SAMPLES:
             return 0
-        noise = third_difference_sd(x)
         first = float(np.median(x[:MIN_SAMPLES]))
-        away = np.flatnonzero(np.abs(x - first) > MOVED * noise)
-        counts.append(int(there[away[0]]) if len(away) else 0)
+        away = np.flatnonzero(np.abs(x - first) > MOVED_SD * third_difference_sd(x))
+        counts.append(int(there[away[0]] if len(away) else 0))
     return min(counts, default=0) // 2
 
 
-def _load(result: FitResult, trial: Trial, count: int) -> tuple[float, float, float]:
-    """Return the mean force that the fit does not explain at rest, its standard error, and its p-value."""
-    values: Mapping[str, float] = {p.name: result.value(p.name) for p in result.parameters if not p.per_trial}
-    drift = values["force_drift"] * (trial.time_s - trial.rig.begin_s)
-    force: Array = (trial.inputs["force_N"] + values["force_offset"] + drift)[:count]
+def _load_at_rest(result: FitResult, trial: Trial, count: int) -> tuple[float, float, float]:
+    """Return the mean force at rest that the fit does not explain, its standard error, and its p-value."""
+    drift = result.value("force_drift") * (trial.time_s - trial.rig.begin_s)
+    force: Array = (trial.inputs["force_N"] + result.value("force_offset") + drift)[:count]
     mean = float(force.mean())
     error = math.sqrt(float(long_run_covariance((force - mean)[:, None])[0, 0])) / count
-    over = max(abs(mean) - values["dry_friction"], 0.0)
-    z = over / math.hypot(
-        error, result.stderr("force_offset") or 0.0, result.stderr("dry_friction") or 0.0, 1e-300
-    )
+    excess = max(abs(mean) - result.value("dry_friction"), 0.0)
+    errors = (result.stderr("force_offset") or 0.0, result.stderr("dry_friction") or 0.0)
+    z = excess / math.hypot(error, *errors, 1e-300)
     return mean, error, 2.0 * float(special.ndtr(-z))

@@ -1,15 +1,15 @@
-"""The single-degree-of-freedom rig: falling weight, towing and free decay, with its compiled kernels.
+"""Model of the rig with one degree of freedom: falling weight, towing and free decay, with compiled kernels.
 
-One equation serves all three::
+One equation describes all three::
 
     (m + m_added + m_pull + m_pulley) x'' = F - dry sgn(x') - linear x'
                                             - quadratic x' |x'| - R(x - x_rest)
 
-with ``R(d) = stiffness d + gravity sin(d) + cubic d^3`` and ``quadratic = rho C_d A / 2`` for a body of
-known frontal area (boxfish paper, Eqs 7, 8). For a rotation, moments of inertia take the place of masses and
-moments that of forces; ``gravity`` is m g l of a pendulum. In water that moves with velocity w, the
-velocities on the right are relative to it, and ``M (v' - w')`` stands on the left: water that accelerates
-carries along the body and the water that moves with it, as it does a neutrally buoyant body.
+with ``R(d) = stiffness d + gravity sin(d) + cubic d^3``, and ``quadratic = rho C_d A / 2`` for a body of
+known frontal area (boxfish paper, Eqs 7, 8). For a rotation, moments of inertia replace masses, and moments
+replace forces; ``gravity`` is m g l of a pendulum. In water that moves with the velocity w, the velocities on
+the right are relative to the water, and the left side is ``M (v' - w')``: accelerating water carries the body
+along, as it carries a neutrally buoyant body.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from swimid.fitting.drives import RigInput
 from swimid.fitting.hooks import MOST_FORCES, NONE, Hooks, no_force
 from swimid.fitting.model import Array, Channel, Model, Parameter, Rig, Scales, Trial
 
-#: Coordinates a rig may log, with unit, unit of speed and whether it is a rotation.
+#: Coordinates of a rig: unit, unit of the speed, and whether it is a rotation.
 COORDINATES: dict[str, tuple[str, str, bool]] = {
     "x_m": ("m", "m/s", False),
     "z_m": ("m", "m/s", False),
@@ -34,7 +34,7 @@ COORDINATES: dict[str, tuple[str, str, bool]] = {
     "pitch_rad": ("rad", "rad/s", True),
     "yaw_rad": ("rad", "rad/s", True),
 }
-#: Parameters that act alike: of each group one may stand in the place of the others.
+#: Groups of parameters with a similar effect: one of a group may replace the others.
 ALIKE = (
     (
         *("drag_coefficient", "quadratic_drag", "quadratic_damping"),
@@ -42,11 +42,11 @@ ALIKE = (
     ),
     ("stiffness", "gravity_stiffness"),
 )
-#: Largest integration step, s, before the accuracy check refines it.
+#: Largest integration step before the accuracy check refines it, s.
 DEFAULT_STEP = 0.01
-#: A trial so long that it would take more such steps starts with longer ones.
-MOST_STEPS = 5_000
-#: Coefficients of the equation of motion, in the order :func:`integrate` takes them.
+#: Maximum number of such steps; longer trials begin with longer steps.
+MAX_STEPS = 5_000
+#: Coefficients of the equation of motion, in the order of the argument of :func:`integrate`.
 EQUATION = ("inertia", "quadratic", "linear", "dry", "stiffness", "rest", "gravity", "cubic")
 
 
@@ -61,7 +61,7 @@ class RigScales(Scales):
 
     @property
     def speed(self) -> float:
-        """Typical speed; of a decay, the extent of the motion times its natural frequency."""
+        """Typical speed; of a decay, the range of the motion times the natural frequency."""
         if not self.model.rig.swings:
             return super().speed
         rate = math.sqrt(max(self.stiffness, 1e-12) / self.inertia)
@@ -69,41 +69,44 @@ class RigScales(Scales):
 
     @property
     def stiffness(self) -> float:
-        """The stiffness of small swings, N/m or N m/rad."""
+        """Stiffness of small swings, N/m or N m/rad."""
         return self.model.start("stiffness") + self.model.start("gravity_stiffness")
 
     @property
     def inertia(self) -> float:
-        """The known inertia and the added, kg or kg m2; 1 where nothing tells."""
+        """Known plus added inertia, kg or kg m2; 1 if unknown."""
         known = [t.rig.inertia for t in self.trials if not math.isnan(t.rig.inertia)]
-        return float(np.median(known)) + self.model.start("added_mass", "added_inertia") if known else 1.0
+        if not known:
+            return 1.0
+        return float(np.median(known)) + self.model.start("added_mass", "added_inertia")
 
     @property
     def force(self) -> float:
-        """The pull, or the restoring force over the extent of the motion, N or N m."""
+        """Pull, or restoring force over the range of the motion, N or N m."""
         if self.model.rig.swings:
             return max(self.stiffness, 1e-12) * self.span
         known = [float(np.sqrt(np.mean(np.square(t.inputs.get("force_N", t.rig.pull))))) for t in self.trials]
-        return float(np.median(known)) or 0.1 if known else 0.1
+        return float(np.median(known or [0.1])) or 0.1
 
     @property
     def brake(self) -> float:
-        """A tenth of the force; a hundredth in a free decay, where losses add up over many swings."""
-        return (0.01 if self.model.rig.swings else 0.1) * self.force
+        """Tenth of the force; hundredth in a free decay, where losses add up over many swings."""
+        if self.model.rig.swings:
+            return 0.01 * self.force
+        return 0.1 * self.force
 
     @property
     def quadratic(self) -> float:
-        """The quadratic drag at the start values, the least of all trials."""
+        """Quadratic drag at the start values, the least of all trials."""
         start = np.array([p.start for p in self.model.parameters])
         return min((self.model.coefficients(start, t.rig)["quadratic"] for t in self.trials), default=0.0)
 
 
 class RigModel(Model):
-    """A rig experiment of one robot.
+    """Model of a rig experiment of one robot.
 
-    Build it with :func:`falling_weight`, :func:`towed` or :func:`free_decay`.
-
-    What is known of a trial is its :attr:`Trial.rig`; a measured force is its input ``force_N``.
+    Build it with :func:`falling_weight`, :func:`towed` or :func:`free_decay`. The known quantities of a trial
+    are its :attr:`Trial.rig`; a measured force is its input ``force_N``.
     """
 
     offers = frozenset({"coefficients", "force", "flow", "output", "clock"})
@@ -115,33 +118,36 @@ class RigModel(Model):
         self.name = name
         self.parameters = parameters
         self.coordinate = coordinate
-        self.speed = "u_m_s" if not rotation else coordinate.replace("_rad", "_rate_rad_s")
+        self.speed, self.force_unit = "u_m_s", "N"
+        if rotation:
+            self.speed, self.force_unit = coordinate.replace("_rad", "_rate_rad_s"), "N m"
         self.channels = (Channel(coordinate, unit, "displacement"), Channel(self.speed, speed_unit, "speed"))
-        self.force_unit = "N m" if rotation else "N"
         self.max_step = max_step
         self._at = {p.name: i for i, p in enumerate(parameters)}
 
     @property
     def rig(self) -> Rig:
-        """Its coordinate."""
+        """Coordinate of the rig."""
         displacement, speed = self.channels
         return Rig(displacement, speed, COORDINATES[self.coordinate][2], self.name == "free-decay")
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """The axis along which it moves; none for a rotation."""
-        return () if self.rig.rotation else (self.coordinate.removesuffix("_m"),)
+        """Axis of the motion; empty for a rotation."""
+        if self.rig.rotation:
+            return ()
+        return (self.coordinate.removesuffix("_m"),)
 
     def scales(self, trials: Sequence[Trial]) -> RigScales:
-        """Typical sizes of trials."""
+        """Return the typical sizes of trials."""
         return RigScales(self, trials)
 
     def onset(self, trial: Trial) -> float:
-        """The release, s."""
+        """Return the time of the release, s."""
         return trial.rig.begin_s
 
     def origin(self, trial: Trial) -> dict[str, float]:
-        """Where a trial's displacement starts."""
+        """Return the displacement at the start of a trial."""
         return {self.coordinate: trial.rig.x0}
 
     def _value(self, values: Array, *names: str) -> float:
@@ -151,7 +157,7 @@ class RigModel(Model):
         return 0.0
 
     def coefficients(self, values: Array, known: RigInput) -> dict[str, float]:
-        """Coefficients of the equation of motion for what is known of one trial."""
+        """Return the coefficients of the equation of motion for one trial."""
         drag = self._value(values, "drag_coefficient")
         friction = 0.0
         if known.pulley:
@@ -168,8 +174,8 @@ class RigModel(Model):
             "cubic": self._value(values, "cubic_stiffness"),
         }
 
-    def _whole(self, values: Array, trial: Trial) -> dict[str, float]:
-        """The coefficients, the constant force and the initial state."""
+    def _equation(self, values: Array, trial: Trial) -> dict[str, float]:
+        """Return the coefficients, the constant force and the initial state."""
         return {
             **self.coefficients(values, trial.rig),
             "force": self._value(values, "force_offset") + trial.rig.pull,
@@ -182,8 +188,8 @@ class RigModel(Model):
         return trial.rig.begin_s + self._value(values, "clock_offset")
 
     def _step(self, time_s: Array) -> float:
-        # from the log's times alone: a step that moved with the parameters would roughen derivatives
-        longest = float(time_s[-1] - time_s[0]) / MOST_STEPS
+        # the step must not depend on the parameters, so that finite differences are smooth
+        longest = float(time_s[-1] - time_s[0]) / MAX_STEPS
         return self.max_step * max(1.0, longest / DEFAULT_STEP)
 
     def _broken(self, trial: Trial) -> dict[str, Array]:
@@ -193,14 +199,14 @@ class RigModel(Model):
     def _moved(
         self, c: dict[str, float], trial: Trial, release: float, hooks: Hooks = NONE
     ) -> dict[str, Array]:
-        """Displacement and speed under the coefficients of :meth:`_whole`."""
+        """Return displacement and speed for the coefficients of :meth:`_equation`."""
         if c["inertia"] <= 0 or not np.isfinite(list(c.values())).all():
             return self._broken(trial)
         measured, known = trial.inputs.get("force_N"), c["force"]
         forced = bool(hooks.force or hooks.flow)
-        unbent = c["linear"] == c["stiffness"] == c["gravity"] == c["cubic"] == c["v0"] == 0
-        constant = unbent and known >= 0 and c["quadratic"] >= 0
-        if measured is None and constant and not forced:
+        simple = c["linear"] == c["stiffness"] == c["gravity"] == c["cubic"] == c["v0"] == 0
+        closed = simple and known >= 0 and c["quadratic"] >= 0
+        if measured is None and closed and not forced:
             x, v = falling_weight_closed_form(
                 trial.time_s, release, c["inertia"], c["quadratic"], known - c["dry"]
             )
@@ -226,16 +232,16 @@ class RigModel(Model):
         return {self.coordinate: x, self.speed: v}
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Displacement and speed at the trial's samples (see :meth:`Model.simulate`)."""
+        """Return displacement and speed at the samples of a trial (see :meth:`Model.simulate`)."""
         if not np.isfinite(values).all():
             return self._broken(trial)
-        return self._moved(self._whole(values, trial), trial, self._release(values, trial))
+        return self._moved(self._equation(values, trial), trial, self._release(values, trial))
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-        """The same with what else acts on the rig (see :meth:`Model.hooked`).
+        """Return displacement and speed with effects (see :meth:`Model.hooked`).
 
-        ``coefficients`` holds those of :meth:`coefficients`, the constant ``force`` (N) and the initial
-        state ``x0``, ``v0``; it is changed before the forces act.
+        Hooks of ``coefficients`` change those of :meth:`coefficients`, the constant ``force`` (N) and the
+        initial state ``x0``, ``v0``, before the forces act.
 
         Raises
         ------
@@ -251,22 +257,24 @@ class RigModel(Model):
             return self._broken(trial)
         if len(hooks.force) > MOST_FORCES:
             raise ValueError(f"{len(hooks.force)} forces act at once, at most {MOST_FORCES} may")
-        c = hooks.changed(self._whole(values, trial), "coefficients")
+        c = hooks.changed(self._equation(values, trial), "coefficients")
         return hooks.seen(self._moved(c, late, self._release(values, trial), hooks), trial.time_s)
 
     def refined(self) -> RigModel:
-        """The same model with half the integration step."""
+        """Return the model with half the integration step."""
         return RigModel(self.name, self.parameters, self.coordinate, max_step=0.5 * self.max_step)
 
     def sensitivity_to_time(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Speed is the rate of the displacement; the rate of the speed is its difference quotient."""
+        """Return the rate of each channel: the speed, and the difference quotient of the speed."""
         simulated = self.simulate(values, trial)
-        rate = np.gradient(simulated[self.speed], trial.time_s) if len(trial.time_s) > 1 else np.zeros(1)
+        rate = np.zeros(1)
+        if len(trial.time_s) > 1:
+            rate = np.gradient(simulated[self.speed], trial.time_s)
         return {self.coordinate: simulated[self.speed], self.speed: rate}
 
 
 def terminal_speed(c: Mapping[str, float], force: float) -> float:
-    """Return the speed at which drag and friction hold a force, m/s; NaN where there is none."""
+    """Return the speed at which drag and friction balance a force, m/s; NaN if there is none."""
     push = force - c["dry"]
     brake = c["linear"] + math.sqrt(c["linear"] ** 2 + 4 * max(c["quadratic"], 0.0) * max(push, 0.0))
     return 2 * push / brake if push > 0 and brake > 0 else math.nan
@@ -275,17 +283,17 @@ def terminal_speed(c: Mapping[str, float], force: float) -> float:
 def _parameter(
     name: str, unit: str, start: float, scale: float, meaning: str, *, lower: float = 0.0, **more: Any
 ) -> Parameter:
-    """One without an upper bound."""
+    """Return a parameter without an upper bound."""
     return Parameter(name, unit, lower, math.inf, start, scale, meaning=meaning, **more)
 
 
 def _signed(name: str, unit: str, scale: float, meaning: str, **more: Any) -> Parameter:
-    """One about zero."""
+    """Return a parameter without bounds that starts at zero."""
     return _parameter(name, unit, 0.0, scale, meaning, lower=-math.inf, **more)
 
 
 def _drag(area_known: bool, source: str = "") -> Parameter:
-    """The drag coefficient; where the frontal area is not known, the quadratic coefficient itself."""
+    """Return the drag coefficient, or the quadratic coefficient without a frontal area."""
     if area_known:
         return Parameter(
             "drag_coefficient", "1", 0.0, 5.0, 1.0, 0.5, meaning="drag coefficient C_d", source=source
@@ -294,7 +302,7 @@ def _drag(area_known: bool, source: str = "") -> Parameter:
 
 
 def _start(coordinate: str, *, length: float, speed: float, free: bool) -> tuple[Parameter, ...]:
-    """Where, how fast and when a trial starts."""
+    """Return displacement, speed and time of the start of each trial."""
     unit, speed_unit, _ = COORDINATES[coordinate]
     own: dict[str, Any] = {"per_trial": True}
     return (
@@ -307,12 +315,16 @@ def _start(coordinate: str, *, length: float, speed: float, free: bool) -> tuple
 def falling_weight(
     *, mass_kg: float, force_N: float, area_known: bool, pulley: bool, speed_m_s: float = 0.3
 ) -> RigModel:
-    """The falling-weight model (boxfish paper, Eqs 7, 8), for a typical inertia, driving force and speed.
+    """Return the falling-weight model (boxfish paper, Eqs 7, 8) for typical inertia, force and speed.
 
-    ``area_known``: the drag coefficient is estimated, else the quadratic coefficient itself; without a
-    ``pulley`` its friction is fixed at zero.
+    Parameters
+    ----------
+    area_known : bool
+        Estimate the drag coefficient instead of the quadratic coefficient.
+    pulley : bool
+        Estimate the friction of the pulley; it is zero otherwise.
     """
-    half, friction = 0.5 * mass_kg, 0.1 * force_N if pulley else 0.0
+    half, friction = 0.5 * mass_kg, 0.1 * force_N * pulley
     common = "pulley friction of a trial against the common one"
     parameters = (
         _drag(area_known, "Eq 7"),
@@ -328,7 +340,7 @@ def falling_weight(
 
 
 def towed(*, mass_kg: float, force_N: float, area_known: bool, speed_m_s: float = 0.3) -> RigModel:
-    """Return the model of a body under a measured force: added mass and drag; the others on request."""
+    """Return the model of a body under a measured force; added mass and drag are free."""
     half = 0.5 * max(mass_kg, 0.1)
     parameters = (
         _drag(area_known),
@@ -358,19 +370,19 @@ def free_decay(
     inertia : float
         Known inertia, kg or kg m2.
     stiffness : float or None
-        Known stiffness, N/m or N m/rad: the added inertia is then estimated. Where it is
-        unknown the stiffness is estimated and the added inertia stays fixed, because a decay
-        determines ratios only.
+        Known stiffness, N/m or N m/rad; the added inertia is then estimated. If it is None, the stiffness is
+        estimated and the added inertia fixed, because a decay determines ratios only.
     guess : float
-        Stiffness suggested by the period.
+        Stiffness that follows from the period.
     amplitude : float
-        Of the first swing, for scales.
+        Amplitude of the first swing, for the scales.
     gravity : float
         Known gravity stiffness m g l, in roll and pitch.
     """
     unit, _, rotation = COORDINATES[coordinate]
-    force, mass = ("N m", "kg m^2") if rotation else ("N", "kg")
-    kind, loss = ("inertia", "damping") if rotation else ("mass", "drag")
+    force, mass, kind, loss = "N", "kg", "mass", "drag"
+    if rotation:
+        force, mass, kind, loss = "N m", "kg m^2", "inertia", "damping"
     rate = math.sqrt(guess / inertia)
     damping, speed = 0.01 * inertia * rate, amplitude * rate
     quadratic, known = damping / speed, stiffness is not None
@@ -404,31 +416,31 @@ def free_decay(
 # ---------------------------------------------------------------- integration
 
 
-#: Stops and breakaways within one integration step, at most.
-MOST_EVENTS = 8
+#: Maximum number of stops and breakaways within one integration step.
+MAX_EVENTS = 8
 
 
 @numba.njit(cache=True, nogil=True)
 def breakaway(push, slope, dry, left):  # type: ignore[no-untyped-def]
-    """When a body at rest overcomes its dry friction, and to which side (0 where it stays).
+    """Return when a body at rest overcomes its dry friction, and in which direction (0 if it stays).
 
     Parameters
     ----------
     push, slope : float
-        Net force on it now, friction apart, and the rate at which that changes.
+        Net force without friction, and its rate.
     dry : float
-        Largest force that friction withstands.
+        Largest force of friction.
     left : float, s
-        How far to look, and the answer where it stays.
+        Time to look ahead; the result if the body stays.
 
     >>> breakaway(0.5, 2.0, 1.0, 1.0)
     (0.25, 1.0)
     """
     if abs(push) > dry:
-        return 0.0, (1.0 if push > 0 else -1.0)
+        return 0.0, math.copysign(1.0, push)
     if slope == 0.0:
         return left, 0.0
-    side = 1.0 if slope > 0 else -1.0
+    side = math.copysign(1.0, slope)
     after = (side * dry - push) / slope
     return (after, side) if after < left else (left, 0.0)
 
@@ -446,7 +458,7 @@ def restoring(x, c):  # type: ignore[no-untyped-def]
     return pull
 
 
-# In still water without further forces ``extra`` is None: numba then compiles these functions without them.
+# ``extra`` is None in still water without further forces; numba then compiles these functions without them.
 
 
 @numba.njit(cache=True, nogil=True)
@@ -487,18 +499,18 @@ def _rk4(t, x, v, side, h, f0, f1, w0, dw, c, extra):  # type: ignore[no-untyped
 
 @numba.njit(cache=True, nogil=True)
 def _with_friction(t, x, v, h, f0, f1, w0, dw, c, extra):  # type: ignore[no-untyped-def]
-    """One step under dry friction, cut where the body stops and where it moves again."""
+    """Integrate one step with dry friction, divided where the body stops and where it moves again."""
     inertia, dry = c[0], c[3]
     slope = (f1 - f0) / h
     done = 0.0
-    for _ in range(MOST_EVENTS):
+    for _ in range(MAX_EVENTS):
         f, w = f0 + slope * done, w0 + dw * done
         if v == 0.0:
             left = h - done
             if extra is None:
                 after, side = breakaway(f - restoring(x, c), slope, dry, left)
             else:
-                # forces of other kinds are taken as linear in what is left of the step
+                # other forces are assumed linear in time over the rest of the step
                 push = inertia * _acceleration(t + done, x, v, 0.0, f, w, dw, c, extra)
                 end = inertia * _acceleration(t + h, x, v, 0.0, f1, w0 + dw * h, dw, c, extra)
                 after, side = breakaway(push, (end - push) / left, dry, left)
@@ -507,7 +519,7 @@ def _with_friction(t, x, v, h, f0, f1, w0, dw, c, extra):  # type: ignore[no-unt
             done += after
             f, w = f0 + slope * done, w0 + dw * done
         else:
-            side = 1.0 if v > 0 else -1.0
+            side = math.copysign(1.0, v)
         left = h - done
         x1, v1 = _rk4(t + done, x, v, side, left, f, f1, w, dw, c, extra)
         if v1 * side >= 0.0:
@@ -568,14 +580,14 @@ def integrate(time, start, max_step, force, x0, v0, c):  # type: ignore[no-untyp
     Parameters
     ----------
     time : ndarray, shape (n,), s
-        Increasing. Samples before ``start`` hold the initial state.
+        Increasing times. Samples before ``start`` have the initial state.
     start : float, s
         Time of release.
     max_step : float, s
-        Each interval between samples is cut into equal steps no longer than this, so that
-        the steps do not depend on the parameters and finite differences stay smooth.
+        Largest step. Each interval between samples is divided into equal steps, which do not depend on the
+        parameters, so that finite differences are smooth.
     force : ndarray, shape (n,) or (1,)
-        Applied force at the samples (linear in between), or one constant value.
+        Applied force at the samples with linear interpolation, or one constant value.
     x0, v0 : float
         Initial position and speed.
     c : tuple of float
@@ -587,10 +599,9 @@ def integrate(time, start, max_step, force, x0, v0, c):  # type: ignore[no-untyp
 
     Notes
     -----
-    Dry friction holds its sign within a step; a step in which the speed would change sign is
-    cut at the reversal, where the body sticks while the net force is below the friction, and where
-    it moves again. Both instants move with the parameters: kept to the grid of steps, the
-    motion would be a staircase of the friction, and its derivative wrong.
+    Dry friction keeps its sign within a step. A step in which the speed changes sign is divided at the
+    reversal. There the body sticks while the net force is below the friction. Both instants are exact:
+    rounded to the steps, the motion would be a discontinuous function of the friction.
     """
     return _run(time, start, max_step, force, c, x0, v0, None, None)
 
@@ -599,14 +610,14 @@ def integrate(time, start, max_step, force, x0, v0, c):  # type: ignore[no-untyp
 def integrate_forced(  # type: ignore[no-untyped-def]
     time, start, max_step, force, water, x0, v0, c, acting, f1, c1, f2, c2, f3, c3, f4, c4
 ):
-    """As :func:`integrate`, in moving water and under forces that depend on the motion.
+    """Integrate as :func:`integrate`, in moving water and with forces that depend on the motion.
 
     Parameters
     ----------
     water : ndarray, shape (steps + 1,), m/s
-        Velocity of the water at :func:`step_ends`, linear in between.
+        Velocity of the water at :func:`step_ends`, with linear interpolation.
     acting : int
-        How many of the forces act.
+        Number of forces that act.
     f1, c1, f2, c2, f3, c3, f4, c4
         Compiled forces (:class:`swimid.fitting.hooks.Force`) and their constants.
     """
@@ -616,7 +627,7 @@ def integrate_forced(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def step_ends(time, start, max_step):  # type: ignore[no-untyped-def]
-    """Where the steps of :func:`integrate` begin and end, from the release on, s.
+    """Return the ends of the steps of :func:`integrate` from the release on, s.
 
     >>> step_ends(np.array([-1.0, 0.1, 0.15]), 0.0, 0.05)
     array([0.  , 0.05, 0.1 , 0.15])
@@ -635,21 +646,24 @@ def step_ends(time, start, max_step):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def falling_weight_closed_form(time, start, inertia, quadratic, force):  # type: ignore[no-untyped-def]
-    """Displacement (m) and speed (m/s) of a body pulled from rest by a constant force, at ``time`` (s).
+    """Return displacement (m) and speed (m/s) of a body that a constant force pulls from rest.
 
     Parameters
     ----------
+    time : ndarray, shape (n,), s
+    start : float, s
+        Time of release.
     inertia : float, kg
         M of Eq 8.
     quadratic : float, N s2/m2
         ``rho C_d A / 2``; zero is allowed.
     force : float, N
-        Net force ``m_w g - f_c``; the body stays where it is when it is not positive.
+        Net force ``m_w g - f_c``; the body stays at rest unless it is positive.
 
     Notes
     -----
-    Eqs 9 and 10 of the boxfish paper. (Its Eq 14 misprints the argument: it is
-    ``sqrt(a1 a2) t``, not ``sqrt(a1 a2 t)``.)
+    Eqs 9 and 10 of the boxfish paper. The argument in its Eq 14 is a misprint: ``sqrt(a1 a2) t`` is right,
+    ``sqrt(a1 a2 t)`` is not.
 
     >>> x, v = falling_weight_closed_form(np.array([100.0]), 0.0, 2.0, 4.0, 1.0)
     >>> float(v[0])
@@ -666,11 +680,11 @@ def falling_weight_closed_form(time, start, inertia, quadratic, force):  # type:
         t = max(time[i] - start, 0.0)
         phi = rate * t
         if phi < 1e-4:
-            # series of ln cosh and tanh: no division by a vanishing drag
+            # series of ln cosh and tanh, without a division by the drag
             x[i] = 0.5 * a2 * t * t * (1.0 - phi * phi / 6.0)
             v[i] = a2 * t * (1.0 - phi * phi / 3.0)
         else:
-            # one exponential serves ln cosh, without overflow, and tanh
+            # ln cosh without overflow, and tanh, from one exponential
             decay = math.exp(-2.0 * phi)
             x[i] = (phi + math.log1p(decay) - math.log(2.0)) / a1
             v[i] = math.sqrt(a2 / a1) * (1.0 - decay) / (1.0 + decay)

@@ -31,7 +31,7 @@ class FitDragOptions(
     )
     start_state: StartState = option(
         "auto",
-        help="Do trials start at rest at their first sample? auto: unless the data clearly say otherwise.",
+        help="Start of the trials. auto: at rest at their first sample, unless the data clearly contradict.",
     )
     fixed: Mapping[str, float] = fits.fixed()
     freed: tuple[str, ...] = fits.freed()
@@ -40,13 +40,13 @@ class FitDragOptions(
         None,
         flag="--points",
         metavar="X1,X2",
-        help="Displacements of the two-point method, m. The paper: 0.293,0.584.",
+        help="Displacements of the two-point method, m; 0.293,0.584 in the paper.",
         recorded=False,
     )
     profile: bool = option(False, help="Add profile-likelihood intervals.", recorded=False)
     coordinate: str | None = option(
         None,
         metavar="COLUMN",
-        help="Coordinate of a free decay, when the logs hold several.",
+        help="Coordinate of a free decay, if the logs hold several.",
         recorded=False,
     )

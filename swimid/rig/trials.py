@@ -1,4 +1,4 @@
-"""Falling weight, towing and free decay: trials of the single-degree-of-freedom rig."""
+"""Trials of the rig with one degree of freedom: falling weight, towing and free decay."""
 
 from __future__ import annotations
 
@@ -22,14 +22,19 @@ from swimid.notices import warn
 from swimid.rig import model as rig
 from swimid.robots.file import Robot
 
-#: A sample is near an excursion when it lies within 5 % of it; a swing is as large as the largest within 5 %.
-NEAR = 0.95
-#: Share of a period after which a body near one place is held there. A free swing is within 5 % of its
-#: extreme for ``2 arccos(0.95) / (2 pi)`` of a period.
-STILL = 0.1
+#: Largest relative distance of a sample from an extreme, and of a swing from the largest one, that count as
+#: equal.
+EXTREME_RTOL = 0.05
+#: Share of a period after which a body near one place is held there. A free swing stays within 5 % of its
+#: extreme for ``2 arccos(0.95) / (2 pi)`` of a period, which is 0.1.
+HELD_PERIODS = 0.1
+#: Minimum number of samples of a falling weight.
+MIN_SAMPLES = 5
+#: Largest first position of a drop that starts at the origin, as a share of its length.
+ORIGIN_RTOL = 0.02
 _INERTIA = "trials.inertial_mass_kg"
 _DRAG = ("trials.frontal_area_m2", "trials.fluid_density_kg_m3")
-#: The keys of a trials file that are used, by experiment.
+#: Keys of a trials file that are used, by experiment.
 USES = {
     "falling-weight": trials_format.EVERYWHERE
     | {"trials.pulling_mass_kg", "trials.driving_force_N", _INERTIA, *_DRAG},
@@ -44,7 +49,7 @@ def load(source: str | Path | TrialSet, *, coordinate: str | None = None) -> Exp
     Parameters
     ----------
     coordinate : str, optional
-        Which coordinate of a free decay to use where the logs hold several.
+        Coordinate of a free decay, if the logs hold several.
 
     Raises
     ------
@@ -65,7 +70,9 @@ def load(source: str | Path | TrialSet, *, coordinate: str | None = None) -> Exp
 
 
 def _mass(entry: RigTrial, robot: Robot, path: Path) -> float:
-    mass = entry.inertial_mass_kg if entry.inertial_mass_kg is not None else robot.body.inertial_mass_kg
+    mass = entry.inertial_mass_kg
+    if mass is None:
+        mass = robot.body.inertial_mass_kg
     if mass is None:
         raise InputError(
             f"the trial '{entry.id}' has no inertial mass",
@@ -77,10 +84,12 @@ def _mass(entry: RigTrial, robot: Robot, path: Path) -> float:
 
 
 def _area_factors(entries: Sequence[RigTrial], robot: Robot, path: Path) -> list[float | None]:
-    """``rho A / 2`` of Eq 7 for each trial; None for all where the frontal area is not known."""
-    areas = [entry.frontal_area_m2 or robot.body.frontal_area_m2 for entry in entries]
-    densities = [entry.fluid_density_kg_m3 or robot.fluid.density_kg_m3 for entry in entries]
-    for entry, area in zip(entries, areas, strict=True):
+    """Return ``rho A / 2`` of Eq 7 for each trial, kg/m; None for all if no frontal area is known."""
+    factors: list[float | None] = []
+    for entry in entries:
+        area = entry.frontal_area_m2 or robot.body.frontal_area_m2
+        density = entry.fluid_density_kg_m3 or robot.fluid.density_kg_m3
+        factors.append(None if area is None else 0.5 * density * area)
         if area is None and entry.fluid_density_kg_m3 is not None:
             raise InputError(
                 f"the density of the fluid in '{entry.id}' has no effect without a frontal area",
@@ -88,12 +97,12 @@ def _area_factors(entries: Sequence[RigTrial], robot: Robot, path: Path) -> list
                 column="fluid_density_kg_m3",
                 hint="give frontal_area_m2 in the trial or in the robot file",
             )
-    if any(areas) and None in areas:
-        missing = entries[areas.index(None)].id
+    if any(factors) and None in factors:
+        missing = entries[factors.index(None)].id
         raise InputError(
             f"some trials have a frontal area and '{missing}' has none", file=path, column="frontal_area_m2"
         )
-    return [None if a is None else 0.5 * rho * a for a, rho in zip(areas, densities, strict=True)]
+    return factors
 
 
 # ------------------------------------------------------------ falling weight
@@ -107,17 +116,19 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
         logs.append(log.source)
         there = np.isfinite(log["x_m"])
         time, position = log.time_s[there], log["x_m"][there]
-        if len(time) < 5:
+        if len(time) < MIN_SAMPLES:
             raise InputError(
-                f"has {len(time)} displacement samples; a fit needs at least 5", file=log.path, column="x_m"
+                f"has {len(time)} displacement samples; a fit needs at least {MIN_SAMPLES}",
+                file=log.path,
+                column="x_m",
             )
         time, position = _without_standstill(log, time, position)
         if position[-1] <= position[0]:
             raise InputError(
                 "the displacement does not grow; x_m must point along the pull", file=log.path, column="x_m"
             )
-        records.append(understand(time, position, robot.rig.encoder_resolution_m))
-        known.append(_falling(path, entry, robot, factor, time, position, records[-1]))
+        records.append(read_encoder(time, position, robot.rig.encoder_resolution_m))
+        known.append(_drop(path, entry, robot, factor, time, position, records[-1]))
     model = rig.falling_weight(
         mass_kg=float(np.median([k.inertia for k in known])) or 1.0,
         force_N=float(np.median([k.pull for k in known])),
@@ -128,9 +139,9 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
     span = min(float(record.time_s[-1] - record.time_s[0]) for record in records)
     model.parameters = chosen(
         model.parameters,
-        # no trial was released a whole trial's length away from its log
+        # a trial is released within its own duration of the start of its log
         bounds={"clock_offset": (-span, span)},
-        # a start that is not the origin carries the noise of the sample it is taken from
+        # a start outside the origin has the noise of the first sample
         freed=("start_offset",) if any(k.x0 != 0 for k in known) else (),
     )
 
@@ -138,7 +149,7 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
         made = []
         for entry, record, one in zip(entries.trials, records, known, strict=True):
             position = true_position(record, rounding)
-            # the row that sets the origin is a definition, not a measurement
+            # the row that defines the origin is no measurement
             first = int(record.kind == "clicks" and record.position[0] == 0)
             made.append(
                 Trial(
@@ -154,14 +165,16 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
             )
         return made
 
-    sampled = any(r.kind == "sampled" for r in records)
+    variants = {}
+    if any(r.kind == "sampled" for r in records):
+        variants = {name: trials(name) for name in ROUNDINGS}
     return Experiment(
         name="falling-weight",
         robot=robot,
         model=model,
         trials=trials("floor"),
         inputs=inputs_of(path, entries, logs),
-        variants={name: trials(name) for name in ROUNDINGS} if sampled else {},
+        variants=variants,
         facts={
             "encoder": {e.id: r.kind for e, r in zip(entries.trials, records, strict=True)},
             "resolution_m": next((r.resolution for r in records if r.resolution), None),
@@ -171,12 +184,9 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
 
 
 def _without_standstill(log: Log, time: Array, position: Array) -> tuple[Array, Array]:
-    """The drop without a stretch at its end in which the body no longer moves.
-
-    A body that still falls does not stop: it has reached the wall, or the weight the floor.
-    """
+    """Cut off the end of a drop in which the body stands still, because it has reached the wall."""
     span = float(position.max() - position.min())
-    noise = float(np.median(np.abs(np.diff(position, 2)))) if len(position) > 4 else 0.0
+    noise = float(np.median(np.abs(np.diff(position, 2))))
     arrived = position.max() - max(0.01 * span, 6.0 * noise)
     before = np.flatnonzero(position < arrived)
     if not len(before) or len(position) - before[-1] < 6:
@@ -186,18 +196,20 @@ def _without_standstill(log: Log, time: Array, position: Array) -> tuple[Array, 
     if not len(reference) or time[last] <= time[reference[-1]]:
         return time, position
     speed = (position[last] - position[reference[-1]]) / (time[last] - time[reference[-1]])
-    needed = (position.max() - arrived) / speed if speed > 0 else 0.0
+    needed = 0.0
+    if speed > 0:
+        needed = (position.max() - arrived) / speed
     if time[-1] - time[last] < max(5.0 * needed, 0.05 * (time[last] - time[0])):
         return time, position
     warn(
         "SWM018",
         f"{log.path.name}: the body stands still from {time[last]:.3g} s on; the {time[-1] - time[last]:.3g} "
-        "s after that are left out (end_s in the trials file sets the end yourself)",
+        "s after that are left out (set another end with end_s in the trials file)",
     )
     return time[:last], position[:last]
 
 
-def _falling(
+def _drop(
     path: Path,
     entry: FallingWeightTrial,
     robot: Robot,
@@ -206,7 +218,7 @@ def _falling(
     position: Array,
     record: Displacement,
 ) -> RigInput:
-    """What is known of a drop, its release among it."""
+    """Return mass, force and release of a drop."""
     mass = _mass(entry, robot, path)
     pulley = entry.pulling_mass_kg is not None
     if entry.pulling_mass_kg is not None:
@@ -222,21 +234,22 @@ def _falling(
                 column="driving_force_N",
             )
     travelled = position - position[0]
-    from_origin = abs(position[0]) <= 0.02 * float(travelled.max())
-    # A record whose first row is already under way was released before it: at time zero, where the
-    # body can have come so far since then, else about when the known force takes it there.
+    from_origin = abs(position[0]) <= ORIGIN_RTOL * float(travelled.max())
+    # If the body has already moved in the first row, the release was earlier: at time zero if the force can
+    # have moved it so far since then, or else as long before as the force needs.
     quickest = np.sqrt(2.0 * max(float(position[0]), 0.0) * mass / force)
     at_zero = from_origin and position[0] > 0 and 0.5 * quickest <= time[0] <= 5.0 * quickest
-    # only a count says for certain that the body has moved: a camera's first sample has noise
+    # only a count shows certainly that the body has moved: the first sample of a camera has noise
     counted = record.kind != "continuous" and record.position[0] > 0 and from_origin
-    release = 0.0 if at_zero else float(time[0]) - (1.4 * float(quickest) if counted else 0.0)
+    release, x0 = float(time[0]), float(position[0])
+    if at_zero:
+        release = 0.0
+    elif counted:
+        release -= 1.4 * float(quickest)
+    if from_origin:
+        x0 = 0.0
     return RigInput(
-        inertia=mass,
-        force=force,
-        pulley=pulley,
-        area_factor=factor if factor is not None else 0.0,
-        release_s=release,
-        x0=0.0 if from_origin else float(position[0]),
+        inertia=mass, force=force, pulley=pulley, area_factor=factor or 0.0, release_s=release, x0=x0
     )
 
 
@@ -260,7 +273,9 @@ def _towed(path: Path, entries: Towed, robot: Robot) -> Experiment:
                 column="force_N",
             )
         measured = {c: log[c] for c in ("x_m", "u_m_s") if c in log}
-        first = float(measured["x_m"][np.isfinite(measured["x_m"])][0]) if "x_m" in measured else 0.0
+        first = 0.0
+        if "x_m" in measured:
+            first = float(measured["x_m"][np.isfinite(measured["x_m"])][0])
         forces.append(float(np.sqrt(np.mean(force**2))))
         mass, begin = _mass(entry, robot, path), float(log.time_s[0])
         known = RigInput(mass, area_factor=factor or 0.0, release_s=begin, x0=first)
@@ -284,7 +299,7 @@ def _mean_speed(trial: Trial) -> float:
 
 
 def _typical(speeds: Sequence[float]) -> float:
-    """Return the median of speeds, m/s; that of a slow swimmer where nothing moves."""
+    """Return the median of speeds, m/s, or 0.1 m/s if it is zero."""
     return float(np.median(speeds)) or 0.1
 
 
@@ -296,6 +311,9 @@ def _free_decay(path: Path, entries: FreeDecay, robot: Robot, coordinate: str | 
     name = coordinate or _coordinate(logs)
     rotation = rig.COORDINATES[name][2]
     axis = name.removesuffix("_rad")
+    stiffness_key = "stiffness_N_m"
+    if rotation:
+        stiffness_key = f"{axis}_stiffness_N_m_rad"
     trials, periods, amplitudes = [], [], []
     for entry, log in zip(entries.trials, logs, strict=True):
         if name not in log:
@@ -307,7 +325,7 @@ def _free_decay(path: Path, entries: FreeDecay, robot: Robot, coordinate: str | 
         known = RigInput(inertia, release_s=float(time[0]), x0=float(values[0]))
         trials.append(Trial(entry.id, entry.role, time, {name: values}, rig=known))
     inertia = trials[0].rig.inertia
-    stiffness = getattr(robot.rig, f"{axis}_stiffness_N_m_rad" if rotation else "stiffness_N_m", None)
+    stiffness = getattr(robot.rig, stiffness_key, None)
     gravity = getattr(robot.rig, f"{axis}_gravity_stiffness_N_m_rad", None)
     if gravity is not None and stiffness is None:
         stiffness = 0.0
@@ -315,8 +333,8 @@ def _free_decay(path: Path, entries: FreeDecay, robot: Robot, coordinate: str | 
     if stiffness is None:
         warn(
             "SWM019",
-            f"the restoring stiffness is not known: the decay gives ratios to the inertia {inertia:g}; added "
-            "inertia is held at zero and the stiffness estimated",
+            f"the restoring stiffness is not known: the decay determines ratios to the inertia {inertia:g} "
+            "only; added inertia is held at zero and the stiffness estimated",
         )
     model = rig.free_decay(
         name,
@@ -372,36 +390,30 @@ def _inertia(entry: RigTrial, robot: Robot, axis: str, rotation: bool, path: Pat
     return float(inertia)
 
 
-@dataclass(frozen=True)
-class _Swings:
-    """Half swings of a decay: parts of the record on either side of a level that both sides pass clearly."""
+def _swings(values: Array, noise: float, log: Log, name: str) -> tuple[Array, Array]:
+    """Return the half swings of a record, which are its parts on alternate sides of the rest position.
 
-    #: Index of the first sample of each half swing but the first.
-    crossings: Array
-    #: Most distant value of each half swing, shape (n,); the record begins in the first.
-    extremes: Array
-    #: Standard deviation of the noise from third differences, which a smooth swing hardly has.
-    noise: float
-
-
-def _swings(values: Array, log: Log, name: str) -> _Swings:
-    """Return the half swings of a record without missing samples.
+    Returns
+    -------
+    crossings : ndarray, shape (n - 1,)
+        Index of the first sample of each half swing but the first.
+    extremes : ndarray, shape (n,)
+        Most distant value of each half swing.
 
     Raises
     ------
     InputError
-        When the record has fewer than three.
+        If the record has fewer than three half swings.
     """
-    noise = third_difference_sd(values)
     found = None
-    # the end of a record has mostly come to rest; where it has not, or was held for long, the middle serves
+    # most records end at rest; the middle of the range is the second choice
     for level in (float(np.median(values[len(values) * 3 // 4 :])), 0.5 * float(values.max() + values.min())):
         for _ in range(3):
             crossings, extremes = _half_swings(values, level, noise)
             if len(extremes) < 3:
                 break
-            found = _Swings(crossings, extremes, noise)
-            # the mean over two swings misses the rest position by the square of the decrement only
+            found = crossings, extremes
+            # the error of this mean over two swings is of second order in the decrement
             level = float(extremes[-3:] @ (0.25, 0.5, 0.25))
         if found is not None:
             return found
@@ -411,12 +423,12 @@ def _swings(values: Array, log: Log, name: str) -> _Swings:
 
 
 def _half_swings(values: Array, level: float, noise: float) -> tuple[Array, Array]:
-    """Return where the values have changed to the other side of a level, and the extreme of each part."""
+    """Return where values change to the other side of a level, and the extreme of each part."""
     away = values - level
     amplitude = float(np.max(np.abs(away)))
-    # both sides are passed clearly, so that noise about the level does not count
+    # the band keeps noise about the level from counting as a change of side
     band = min(max(0.1 * amplitude, 4.0 * noise), 0.25 * amplitude)
-    state = np.where(away > band, 1, np.where(away < -band, -1, 0))
+    state = np.sign(away) * (np.abs(away) > band)
     marked = np.flatnonzero(state)
     crossings = marked[1:][np.diff(state[marked]) != 0]
     extremes = [part[np.argmax(np.abs(part))] for part in np.split(away, crossings)]
@@ -427,35 +439,39 @@ def _period(time: Array, crossings: Array) -> float:
     """Return the mean period of the swings up to the first irregular one."""
     halves = np.diff(time[crossings])
     regular = np.abs(halves / np.median(halves) - 1.0) < 0.3
-    count = len(halves) if regular.all() else max(int(np.argmin(regular)), 1)
-    # whole periods, because half swings about a level beside the rest position differ
-    count -= count % 2 if count > 1 else 0
+    count = max(int(np.argmin([*regular, False])), 1)
+    # whole periods, because the two halves differ if the level is beside the rest position
+    if count > 1:
+        count -= count % 2
     return 2.0 * float(np.sum(halves[:count])) / count
 
 
 def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
     """Return time and coordinate of a decay from its release on, its period and its first amplitude.
 
-    Swings do not grow in a free decay: all from the first of the largest swings on belong to it. Where the
-    body was held at an excursion, or stood still before somebody deflected it, the decay begins after that.
+    Swings of a free decay do not grow, so that it begins with the first of the largest swings. If the body
+    was held at an excursion, or stood still before it was deflected, the decay begins after that.
     """
     there = np.isfinite(log[name])
     time, values = log.time_s[there], log[name][there]
-    swings = _swings(values, log, name)
-    heights = np.abs(np.diff(swings.extremes))
+    noise = third_difference_sd(values)
+    crossings, extremes = _swings(values, noise, log, name)
+    heights = np.abs(np.diff(extremes))
     largest = float(heights.max())
-    slack = max((1.0 - NEAR) * largest, 3.0 * math.sqrt(2.0) * swings.noise)
+    slack = max(EXTREME_RTOL * largest, 3.0 * math.sqrt(2.0) * noise)
     first = int(np.argmax(heights >= largest - slack))
-    begin = int(swings.crossings[first - 1]) if first else 0
-    period = _period(time, swings.crossings[first:])
+    begin = 0
+    if first:
+        begin = int(crossings[first - 1])
+    period = _period(time, crossings[first:])
     amplitude = 0.5 * float(heights[first])
-    end = int(swings.crossings[first])
-    part, extreme = values[begin:end], float(swings.extremes[first])
-    margin = max((1.0 - NEAR) * amplitude, 3.0 * swings.noise)
+    end = int(crossings[first])
+    part, extreme = values[begin:end], float(extremes[first])
+    margin = max(EXTREME_RTOL * amplitude, 3.0 * noise)
     near = np.flatnonzero(np.abs(part - extreme) <= margin)
-    held = time[begin + near[-1]] - time[begin + near[0]] > STILL * period
+    held = time[begin + near[-1]] - time[begin + near[0]] > HELD_PERIODS * period
     still = np.flatnonzero(np.abs(part - part[0]) > margin)
-    waits = first == 0 and len(still) > 0 and time[begin + still[0]] - time[begin] > STILL * period
+    waits = first == 0 and len(still) > 0 and time[begin + still[0]] - time[begin] > HELD_PERIODS * period
     late = time[begin + near[0]] - time[begin] > 0.5 * period
     if held:
         level = float(np.median(part[near]))
@@ -465,7 +481,7 @@ def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
         begin += int(np.argmax(np.abs(part - part[-1])))
     if begin > 0.5 * len(values):
         raise InputError(
-            f"its largest swing comes at {time[begin]:g} s, in the second half: this is no free decay",
+            f"the largest swing is at {time[begin]:g} s, in the second half of it: this is no free decay",
             file=log.path,
             column=name,
             hint="cut the log with start_s and end_s in the trials file",
@@ -481,30 +497,26 @@ def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
 
 
 # ------------------------------------------------------------ encoder
-#
-# Two kinds of log come from an  *Clicks*: one row each time the displacement passes another step, so
-# that the displacement is exact and the time stamp carries the error. *Sampled*: the count read at regular
-# times, so that the displacement stands still between steps; only the samples at which it changes say
-# something, and each says that a step was passed within the last sampling interval.
 
 
 @dataclass(frozen=True)
 class Displacement:
-    """A displacement record brought into a form whose errors are known.
+    """Displacement record with known errors.
 
     Attributes
     ----------
     kind : str
-        ``continuous`` (no encoder seen), ``clicks`` or ``sampled``.
+        ``continuous``: no encoder. ``clicks``: one row each time that the encoder passes a step, so that the
+        displacement is exact and the time has an error. ``sampled``: the count of the encoder at regular
+        times.
     time_s, position : ndarray, shape (n,)
-        For ``sampled``: the instants at which steps were passed (``events``), or the samples themselves
-        where the body moves more than a step per sample.
+        Samples; with ``events`` the instants at which a sampled count changed.
     resolution : float or None
-        Encoder step, in the unit of the displacement.
+        Step of the encoder, in the unit of the displacement.
     time_sd_s : float or ndarray, shape (n,)
-        Known part of the errors of the times, from the sampling interval.
+        Standard deviation of the times that follows from the sampling interval.
     position_sd : float
-        The same of the positions, from the step.
+        Standard deviation of the positions that follows from the step.
     """
 
     kind: Literal["continuous", "clicks", "sampled"]
@@ -516,15 +528,18 @@ class Displacement:
     events: bool = False
 
 
-#: How a count may be rounded (``floor`` shows a step once it is passed), and the true position minus the
-#: count, in steps: at the instant the count changes, rising and falling, and averaged over the time it shows.
+#: Roundings of a count, and the true position minus the count, in steps: at the instant at which the count
+#: rises, at which it falls, and on average over the time of one count.
 ROUNDINGS = {"floor": (0.0, 1.0, 0.5), "nearest": (-0.5, 0.5, 0.0), "ceil": (-1.0, 0.0, -0.5)}
 
 
-def understand(time_s: Array, position: Array, resolution: float | None = None) -> Displacement:
-    """Tell the kind of a displacement record without missing samples and bring it into usable form.
+def read_encoder(time_s: Array, position: Array, resolution: float | None = None) -> Displacement:
+    """Recognise an encoder in a displacement record without missing samples, and find its errors.
 
-    The encoder's ``resolution``, where it is known, decides for records that move several steps a sample.
+    Parameters
+    ----------
+    resolution : float, optional
+        Step of the encoder. It decides for records that move several steps per sample.
     """
     plain = Displacement("continuous", time_s, position)
     step = step_of(position)
@@ -534,17 +549,16 @@ def understand(time_s: Array, position: Array, resolution: float | None = None) 
     moves = np.diff(counts)
     forward = moves[moves != 0]
     if len(forward) < 3 or np.mean(np.sign(forward) == np.sign(np.median(forward))) < 0.98:
-        return plain  # a record that wanders is rounding, not counting
+        return plain  # rounded values go up and down, a count does not
     if np.mean(np.abs(moves) == 1) > 0.9 and np.std(np.diff(time_s)) >= 0.02 * np.mean(np.diff(time_s)):
-        # every row is the next click; before the first one the body stood still
         return Displacement("clicks", time_s, position, step)
     if np.median(np.abs(moves)) <= 1 and np.mean(moves == 0) > 0.05:
         at = np.flatnonzero(moves) + 1
         gap = time_s[at] - time_s[at - 1]
-        # a count that jumped by m passed m steps within the interval; take the middle one
+        # a count that changed by m passed m steps within the interval; use the middle one
         middle = position[at] - 0.5 * (moves[at - 1] - np.sign(moves[at - 1])) * step
         times = time_s[at] - 0.5 * gap
-        # where between the two samples nobody knows: gaps differ where a log was written at its own events
+        # the instant is uniformly distributed between the two samples
         return Displacement("sampled", times, middle, step, gap / np.sqrt(12.0), 0.0, events=True)
     if np.median(np.abs(moves)) <= 3 or (resolution is not None and abs(step / resolution - 1) < 0.02):
         return Displacement("sampled", time_s, position, step, 0.0, step / np.sqrt(12.0))
@@ -563,10 +577,11 @@ def third_difference_sd(values: Array) -> float:
 
 
 def true_position(record: Displacement, rounding: str) -> Array:
-    """Positions behind the counts, shape (n,), if the count is rounded that way."""
+    """Return the positions, shape (n,), of a record whose counts have a rounding of :data:`ROUNDINGS`."""
     if record.kind != "sampled" or record.resolution is None:
         return record.position
-    at_change_rising, at_change_falling, shown = ROUNDINGS[rounding]
-    falling = record.position[-1] < record.position[0]
-    shift = (at_change_falling if falling else at_change_rising) if record.events else shown
+    rising, falling, shown = ROUNDINGS[rounding]
+    shift = shown
+    if record.events:
+        shift = falling if record.position[-1] < record.position[0] else rising
     return record.position + shift * record.resolution
