@@ -56,7 +56,6 @@ class TrackImuOptions(
         (), help="Declare that this velocity has no mean over --window-s. Repeatable."
     )
     window_s: float = option(2.0, gt=0, help="Window of --zero-mean, s: whole strokes.")
-    mean_sd_m_s: float = option(0.02, gt=0, help="How far that mean may be from 0, m/s.")
     top_speed_m_s: float = option(2.0, gt=0, help="Speed the robot never exceeds, m/s.")
     mount_deg: tuple[float, float, float] | None = option(
         None, metavar="ROLL PITCH YAW", help="How the sensor is turned in the body, degrees."
