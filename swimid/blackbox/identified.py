@@ -89,13 +89,14 @@ def find_working_point(records: Sequence[Record], orders: Orders, mode: str = "a
     point = WorkingPoint(*means, t, True)
     removed = mode != "none"
     if mode == "auto":
-        negligible = not abs(constant) > EXACT * np.sqrt(np.mean(data.outputs**2))
-        size = 0.0 if negligible else abs(t)
+        size = abs(t) * bool(abs(constant) > EXACT * np.sqrt(np.mean(data.outputs**2)))
         far = bool(abs(point.output) > FAR * np.std(data.outputs))
         removed = size > CLEAR_T
         if not removed and (far or size > LIKELY_T):
             removed = _helps(records, orders, point, far=far, likely=size > WEAK_T)
-    return point if removed else WorkingPoint(0.0, 0.0, t, False)
+    if not removed:
+        return WorkingPoint(0.0, 0.0, t, False)
+    return point
 
 
 def _columns(records: Sequence[Record]) -> tuple[list[np.ndarray], list[np.ndarray]]:
@@ -123,8 +124,7 @@ def _helps(
         largest.append(float(np.max(np.abs(roots), initial=0.0)))
     if far and largest[0] > INTEGRATING >= largest[1]:
         return True
-    limit = 1.0 if far and likely else 1.0 - CLEAR_GAIN
-    return rms[1] < rms[0] * limit
+    return rms[1] < rms[0] * (1.0 - CLEAR_GAIN * (not (far and likely)))
 
 
 def constant_term(data: Regression) -> tuple[float, float]:
@@ -373,7 +373,9 @@ def identify(data: Data, options: RwlsOptions, progress: Progress) -> Identified
 def _search(data: Data, options: RwlsOptions, progress: Progress) -> list[tuple[Orders, float]]:
     """Rank the orders of the grid; warn where the best ones lie at its edge."""
     largest = options.max_order
-    delays = range(options.max_nk + 1) if options.nk is None else range(options.nk, options.nk + 1)
+    delays = range(options.max_nk + 1)
+    if options.nk is not None:
+        delays = range(options.nk, options.nk + 1)
     point = find_working_point(data.fit, Orders(largest, largest), options.centre)
     candidates = search_orders(shifted(data.fit, point), largest, delays, progress=progress)
     best = candidates[0][0]

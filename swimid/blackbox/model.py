@@ -80,7 +80,9 @@ class ArxModel(Model):
         self.source, self.output = source, output
         self.source_level, self.output_level = source_level, output_level
         self.sine = sine
-        values = np.zeros(self.orders.count) if start is None else np.asarray(start, dtype=float)
+        values = np.zeros(self.orders.count)
+        if start is not None:
+            values = np.asarray(start, dtype=float)
         na, nb, nk = self.orders.na, self.orders.nb, self.orders.nk
         places = [("1", f"past output, z^-{i}") for i in range(1, na + 1)]
         places += [(gain_unit, f"input, z^-{nk + j}") for j in range(nb)]
@@ -137,7 +139,7 @@ class ArxModel(Model):
 
     def beats(self, trials: Sequence[Trial]) -> list[float]:
         """Return the frequency of a computed input, Hz."""
-        return [] if self.sine is None else [self.sine[1]]
+        return [self.sine[1]] if self.sine else []
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Return the free run of one trial.

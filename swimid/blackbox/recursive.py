@@ -118,13 +118,14 @@ def recursive_least_squares(
         h[:, p - noise_terms :] = 0.0
     if not (np.isfinite(z).all() and np.isfinite(h).all()):
         raise ValueError("regressors and outputs must be finite; leave rows with gaps out")
-    breaks = np.zeros(n, dtype=np.bool_) if fresh is None else fresh
+    if fresh is None:
+        fresh = np.zeros(n, dtype=np.bool_)
     kept = np.arange(stride - 1, n, stride)
     if n and (len(kept) == 0 or kept[-1] != n - 1):
         kept = np.append(kept, n - 1)
     thetas, spreads = np.empty((len(kept), p)), np.empty((len(kept), p))
     theta, factors, diagonal, innovations, limited = _run(
-        h, z, breaks, noise_terms, 1.0 / weight, 1.0 / forgetting, prior_scale**2, stride, thetas, spreads
+        h, z, fresh, noise_terms, 1.0 / weight, 1.0 / forgetting, prior_scale**2, stride, thetas, spreads
     )
     covariance = (factors.T * diagonal) @ factors
     return Recursion(theta, covariance, innovations, kept, thetas, spreads, limited)

@@ -225,7 +225,9 @@ def _warnings(m: Identified, checks: Sequence[Check]) -> Iterator[tuple[str, str
         yield "SWM022", "the input is constant: B is an offset of the output and says nothing of the input"
     elif known.input_rank < nb:
         text = f"the input excites {known.input_rank} of the {nb} coefficients of B"
-        yield "SWM022", f"{text}; a single sine excites two" if known.input_rank == 2 else text
+        if known.input_rank == 2:
+            text += "; a single sine excites two"
+        yield "SWM022", text
     elif known.condition > MAX_CONDITION:
         text = f"the regression is ill-conditioned (condition number {known.condition:.1e})"
         yield "SWM022", f"{text}: lower the orders"

@@ -167,13 +167,15 @@ def load(source: str | Path | TrialSet, file: ParameterFile, parameters_path: Pa
     entries = trials_format.read(source, trials_format.Arma, uses=USES)
     robot = trials_format.robot_of(entries, path)
     model = ArxModel.from_file(file, parameters_path)
-    read = [] if model.sine else [model.source]
+    read = [model.source] * (model.sine is None)
     for key, columns in (("input", read), ("output", [model.output])):
         named = getattr(entries, key)
         if columns and named is not None and named != columns[0]:
             words = f"these trials name the {key} '{named}', the parameters are of '{columns[0]}'"
             raise InputError(words, file=path, column=key)
-    inputs: list[Input] = [] if entries._in_memory else [path]
+    inputs: list[Input] = []
+    if not entries._in_memory:
+        inputs.append(path)
     trials = []
     for entry in entries.trials:
         log = read_log(entry, path.parent, required=(*read, model.output))
@@ -205,9 +207,12 @@ class Columns:
     def gain_unit(self) -> str:
         """Unit of b: output over input."""
         source = numbers.split_unit(self.source)[1] or "1"
-        if source in ("1", self.unit):
-            return self.unit if source == "1" else "1"
-        return "/".join(f"({unit})" if "/" in unit or " " in unit else unit for unit in (self.unit, source))
+        if source == "1":
+            return self.unit
+        if source == self.unit:
+            return "1"
+        parts = [f"({unit})" if {"/", " "} & set(unit) else unit for unit in (self.unit, source)]
+        return "/".join(parts)
 
     @property
     def measured_source(self) -> str | None:
@@ -263,7 +268,8 @@ def read(logs: Sequence[Source], options: RwlsOptions) -> Data:
         if isinstance(source, TrialSet) or (file and Path(source).suffix.lower() in (".yaml", ".yml")):
             path = trials_format.place(source)
             listed = listings[path] = trials_format.read(source, trials_format.Arma, uses=USES)
-            files += [] if listed._in_memory else [path]
+            if not listed._in_memory:
+                files.append(path)
             found = [_at(entry, path.parent) for entry in listed.trials]
         else:
             found = [_single(source, role, f"table {number + 1}")]
