@@ -206,7 +206,7 @@ def test_wrong_gyroscope_axes_are_rearranged(
     n = 4000
     t = np.arange(n) / 100
     roll, pitch, yaw = 0.6 * np.sin(1.1 * t), 0.5 * np.sin(1.7 * t + 1), 0.8 * np.sin(0.6 * t)
-    turn = imu._cosines(roll, pitch, yaw)
+    turn = imu.cosines(roll, pitch, yaw)
     spin = np.einsum("nji,njk->nik", turn, np.gradient(turn, 0.01, axis=0))
     rate = np.column_stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]])
     force = np.einsum("nji,nj->ni", turn, np.tile([0.0, 0.0, -G], (n, 1))) + rng.normal(0, 0.05, (n, 3))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,7 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from swimid.inertial import faults
+from swimid.inertial import alone, faults
 from swimid.inertial.record import Record
 from tests.conftest import Ran
 from tests.generators import rigid
@@ -46,8 +47,6 @@ def tilt_error(run: rigid.Run, found: pd.DataFrame) -> np.ndarray:
 
 
 def verdict(folder: Path) -> str:
-    import json
-
     return str(json.loads((folder / "run.evidence.json").read_text())["verdict"]["level"])
 
 
@@ -145,8 +144,6 @@ def test_impossible_samples_are_empty(swimid: Callable[..., Ran], tmp_path: Path
 def test_of_an_impossible_motion_only_the_attitude_is_written(
     fused: bool, swimid: Callable[..., Ran], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from swimid.inertial import alone
-
     monkeypatch.setattr(alone, "find_contradictions", lambda *_: ["it hovers upside down"])
     rng = np.random.default_rng(2)
     run = rigid.swim(rng, unit=rigid.Unit(), swim_s=6.0, rest_s=2.5, rate_hz=50.0)

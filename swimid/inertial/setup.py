@@ -410,14 +410,9 @@ def _attitude(record: Record, rests: list[Rest]) -> Source:
     t, step = record.time_s, record.step_s
     even = bool(np.ptp(np.diff(t)) < 1e-3 * step)
     grid = t if even else np.arange(t[0], t[-1] + step, step)
-    readings = [record.rate - mean_rate(record, rests), record.acceleration]
-    if record.magnetic is not None:
-        readings.append(record.magnetic)
-    if not even:
-        readings = [resampled(grid, t, values) for values in readings]
-    field = readings[2] if len(readings) > 2 else None
-    arrays = [None if x is None else np.ascontiguousarray(x) for x in (*readings[:2], field)]
-    found = vqf.offlineVQF(*arrays, step)
+    rate, field = record.rate - mean_rate(record, rests), record.magnetic
+    readings = [None if x is None else resampled(grid, t, x) for x in (rate, record.acceleration, field)]
+    found = vqf.offlineVQF(*readings, step)
     rotation = rotations(np.asarray(found["quat6D" if field is None else "quat9D"]))
     if not even:
         rotation = Slerp(grid, rotation)(np.clip(t, grid[0], grid[-1]))
