@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 
 from swimid.blackbox.arx import estimate, regression
 from swimid.blackbox.difference import Orders, Record
-from swimid.blackbox.identified import KEPT
+from swimid.blackbox.identified import MAX_KEPT
 from swimid.blackbox.recursive import recursive_least_squares
 
 SAMPLES = 100_000
@@ -47,7 +47,7 @@ def measure(repeats: int = 15) -> list[tuple[str, float, np.ndarray]]:
     """Name, CPU seconds and last estimate of every implementation."""
     data = regression([record()], ORDERS)
     h, z = data.rows, data.outputs
-    stride = max(1, -(-len(z) // KEPT))
+    stride = max(1, -(-len(z) // MAX_KEPT))
     recursive_least_squares(h[:10], z[:10])  # compile, or load from the cache
 
     def ours(step: int) -> Callable[[], object]:

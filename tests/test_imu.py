@@ -1,4 +1,4 @@
-"""swimid track imu: against simulated truth, and against optical references."""
+"""Tests of ``swimid track imu`` against simulated truth and against optical references."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ import pytest
 from scipy import io, signal
 from scipy.spatial.transform import Rotation
 
-from swimid.inertial import motion
+from swimid.inertial import alone, motion, paper
+from swimid.inertial.options import TrackImuOptions
 from swimid.inertial.record import Record, integrated_attitude
-from swimid.inertial.setup import find_rests, noise_of
+from swimid.inertial.setup import find_rests, measure_noise, prepare
 from swimid.logs.rotation import angles, from_angles
 from tests.conftest import Ran
 from tests.generators import imu
@@ -43,15 +44,15 @@ def rms(errors: np.ndarray) -> float:
 # ---------------------------------------------------------------- parts
 
 
-def test_angles_go_there_and_back(rng: np.random.Generator) -> None:
+def test_angles_and_their_inverse_agree(rng: np.random.Generator) -> None:
     given = rng.uniform(-1.2, 1.2, (3, 50))
     back = np.array(angles(from_angles(*given)))
     np.testing.assert_allclose(back[:2], given[:2], atol=1e-12)
     np.testing.assert_allclose(np.exp(1j * back[2]), np.exp(1j * given[2]), atol=1e-12)
 
 
-def test_attitude_of_a_cone_drifts_by_the_trapezoid_only() -> None:
-    """A body axis that sweeps a cone: the classical trial of attitude integration."""
+def test_attitude_of_a_cone_drifts_only_by_the_error_of_the_trapezoid() -> None:
+    """Integrate a coning motion, the classical test of attitude integration."""
     t = np.arange(0.0, 10.0, 0.01)
     half, spin = 0.1, 2 * np.pi
     true = Rotation.from_rotvec(np.column_stack([half * np.cos(spin * t), half * np.sin(spin * t), 0 * t]))
@@ -75,27 +76,27 @@ def test_noise_and_rests_of_a_known_sensor(rng: np.random.Generator) -> None:
     rests = find_rests(record)
     assert [r.at for r in rests] == ["start", "end"]
     assert record.time_s[rests[0].last] == pytest.approx(4.0, abs=0.6)
-    noise = noise_of(record, rests)
-    assert noise is not None
+    noise = measure_noise(record, rests)
     # 3 x 800 differences: the deviation of a deviation is 1/sqrt(2 n), doubled for their correlation
     assert noise.acceleration == pytest.approx(imu.Errors().acceleration_noise, rel=0.1)
     assert noise.rate == pytest.approx(imu.Errors().rate_noise, rel=0.1)
 
 
 @pytest.mark.parametrize("mode", ["marching", "receding", "rotating"])
-def test_the_papers_steps(mode: Literal["marching", "receding", "rotating"]) -> None:
-    """By hand on four samples, body on its side: constant part, threshold, Eqs 10 to 13."""
+def test_the_steps_of_the_paper(mode: Literal["marching", "receding", "rotating"]) -> None:
+    """Compare with four samples computed by hand: constant part, threshold, Eqs 10 to 13."""
     t = np.array([0.0, 0.1, 0.2, 0.3])
     acceleration = np.array([[1.0, 0, 9.8], [3.0, 0, 9.8], [-1.0, 0, 9.81], [-3.0, 0, 9.79]])
     rate = np.column_stack([np.zeros(4), np.zeros(4), [0.5, 0.5, 0.7, 0.3]])
     quarter = Rotation.from_rotvec(np.tile([0, 0, np.pi / 2], (4, 1)))
-    found, constant = motion.by_paper(Record(t, acceleration, rate), quarter, mode, 0.02, 0.01)
-    np.testing.assert_allclose(found.acceleration[:, 1], [1, 3, -1, -3], atol=1e-12)
-    np.testing.assert_allclose(found.acceleration[:, 2], 0, atol=1e-12)  # 0.01 is below the threshold
-    np.testing.assert_allclose(found.velocity[:, 1], [0, 0.2, 0.3, 0.1], atol=1e-12)
-    np.testing.assert_allclose(found.position[:, 1], [0, 0.01, 0.035, 0.055], atol=1e-12)
+    options = TrackImuOptions(motion_mode=mode, threshold_m_s2=0.02, threshold_rad_s=0.01)
+    found, constant = paper.compute_motion(Record(t, acceleration, rate), quarter, options)
+    np.testing.assert_allclose(found["acceleration"][:, 1], [1, 3, -1, -3], atol=1e-12)
+    np.testing.assert_allclose(found["acceleration"][:, 2], 0, atol=1e-12)  # 0.01 is below the threshold
+    np.testing.assert_allclose(found["velocity"][:, 1], [0, 0.2, 0.3, 0.1], atol=1e-12)
+    np.testing.assert_allclose(found["position"][:, 1], [0, 0.01, 0.035, 0.055], atol=1e-12)
     kept = 0.5 if mode == "rotating" else 0.0
-    assert found.rate[0, 2] == pytest.approx(kept)
+    assert found["rate"][0, 2] == pytest.approx(kept)
     np.testing.assert_allclose(constant, [0, 0, 9.8, 0, 0, 0.5 - kept], atol=1e-12)
 
 
@@ -104,7 +105,7 @@ def test_the_papers_steps(mode: Literal["marching", "receding", "rotating"]) -> 
 
 @pytest.mark.parametrize("quaternions", [False, True])
 @pytest.mark.parametrize("seed", [1, 2])
-def test_the_default_is_three_times_as_good_as_the_papers_way(
+def test_the_smoother_is_three_times_as_good_as_the_paper(
     seed: int, quaternions: bool, swimid: Callable[..., Ran], tmp_path: Path
 ) -> None:
     """Bias, a tilt of 2 degrees and the noise of a 3DM-GX1; and its band holds the truth."""
@@ -128,10 +129,6 @@ def test_the_default_is_three_times_as_good_as_the_papers_way(
 @pytest.mark.slow
 def test_errors_are_as_large_as_their_bands_say() -> None:
     """Over many runs the squared errors, in their own deviations, average to about one."""
-    from swimid.inertial import alone
-    from swimid.inertial.options import TrackImuOptions
-    from swimid.inertial.setup import prepare
-
     squares = []
     for seed in range(12):
         run = imu.marching(np.random.default_rng(100 + seed), swim_s=10.0, rest_s=2.5, rate_hz=50.0)
@@ -170,7 +167,7 @@ def test_declared_constraints_narrow_the_band(
     assert (np.abs(error) <= BAND * found[["v_sd_m_s", "w_sd_m_s"]].to_numpy()).mean() >= 0.9
 
 
-def test_the_summary_says_when_the_path_is_lost(
+def test_the_result_has_the_time_up_to_which_the_path_can_be_used(
     swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator
 ) -> None:
     run = imu.marching(rng)
@@ -186,7 +183,7 @@ def test_the_summary_says_when_the_path_is_lost(
     assert "SWM081" in [w["code"] for w in ran.json["warnings"]]
 
 
-def test_surge_within_a_stroke_needs_no_help(
+def test_surge_within_a_stroke_needs_no_rest(
     swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator
 ) -> None:
     """Without any rest: the oscillation is still right, to the band it states and what sway leaks in."""
@@ -222,7 +219,7 @@ def test_a_stated_stroke_frequency_is_checked(
     assert ("SWM032" in [w["code"] for w in ran.json["warnings"]]) is wrong
 
 
-def test_mounting_given_and_told_by_rest(
+def test_mounting_by_option_and_by_rest(
     swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator
 ) -> None:
     """A sensor rolled by 90 degrees, given; one tilted by a little, told by a level rest."""
@@ -245,7 +242,7 @@ def test_mounting_given_and_told_by_rest(
         assert tilt <= largest
 
 
-def test_a_lever_is_taken_off(swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator) -> None:
+def test_a_lever_is_subtracted(swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator) -> None:
     """The reference point 0.2 m behind the sensor sways with the yaw rate."""
     run = imu.marching(rng, errors=imu.QUIET)
     log = save(tmp_path / "imu.csv", run.columns())
@@ -257,7 +254,9 @@ def test_a_lever_is_taken_off(swimid: Callable[..., Ran], tmp_path: Path, rng: n
     np.testing.assert_allclose(behind.v_m_s - at.v_m_s, -0.2 * at.yaw_rate_rad_s, atol=2e-3)
 
 
-def test_bad_use_is_refused(swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator) -> None:
+def test_contradicting_options_and_bad_files_are_refused(
+    swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator
+) -> None:
     run = imu.marching(rng, swim_s=8.0, rest_s=1.5)
     log = save(tmp_path / "imu.csv", run.columns())
     assert (
@@ -269,7 +268,9 @@ def test_bad_use_is_refused(swimid: Callable[..., Ran], tmp_path: Path, rng: np.
     assert swimid("track", "imu", tmp_path / "short.csv", "-o", tmp_path / "o.csv").status == 3
 
 
-def test_it_is_reported(swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator) -> None:
+def test_the_report_shows_the_result(
+    swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator
+) -> None:
     log = save(tmp_path / "imu.csv", imu.marching(rng).columns())
     assert swimid("track", "imu", log, "-o", tmp_path / "run.csv").status == 0
     assert swimid("report", tmp_path / "run.csv", "-o", tmp_path / "report.html").status == 0

@@ -40,7 +40,7 @@ def test_an_offset_is_found_within_its_interval(true: float, rng: np.random.Gene
     assert found.excludes_zero
 
 
-def test_the_interval_covers_as_often_as_it_says() -> None:
+def test_the_interval_has_its_stated_coverage() -> None:
     rng = np.random.default_rng(7)
     t = np.arange(0.0, 16.0, 0.01)
     wave = np.sin(5 * t) + 0.5 * np.sin(11 * t)
@@ -56,7 +56,7 @@ def test_the_interval_covers_as_often_as_it_says() -> None:
     assert sum(covered) >= 51
 
 
-def test_nothing_is_found_where_nothing_moves_together(rng: np.random.Generator) -> None:
+def test_no_offset_is_found_between_unrelated_signals(rng: np.random.Generator) -> None:
     t = np.arange(0.0, 20.0, 0.01)
     noise = rng.normal(size=(500, 1))
     found = clock_offset(t, np.sin(5 * t)[:, None], np.arange(500) / 30, noise)
@@ -65,7 +65,7 @@ def test_nothing_is_found_where_nothing_moves_together(rng: np.random.Generator)
 
 
 @pytest.mark.parametrize(("with_yaw", "off"), [(True, 0.002), (False, 0.010)], ids=["yaw", "path alone"])
-def test_37_milliseconds_between_camera_and_sensor(
+def test_an_offset_of_37_ms_is_found(
     with_yaw: bool, off: float, swimid: Callable[..., Ran], tmp_path: Path
 ) -> None:
     rng = np.random.default_rng(4)
@@ -88,7 +88,7 @@ def test_37_milliseconds_between_camera_and_sensor(
 
 
 @pytest.mark.slow
-def test_clocks_that_agree_raise_no_warning(swimid: Callable[..., Ran], tmp_path: Path) -> None:
+def test_equal_clocks_raise_no_warning(swimid: Callable[..., Ran], tmp_path: Path) -> None:
     rng = np.random.default_rng(11)
     run = imu.marching(rng)
     log = save(tmp_path / "imu.csv", run.columns())
@@ -101,7 +101,7 @@ def test_clocks_that_agree_raise_no_warning(swimid: Callable[..., Ran], tmp_path
 # ---------------------------------------------------------------- fusing
 
 
-def test_a_dropout_is_bridged_with_a_growing_band(swimid: Callable[..., Ran], tmp_path: Path) -> None:
+def test_the_band_grows_in_a_gap_of_the_camera(swimid: Callable[..., Ran], tmp_path: Path) -> None:
     """The camera sees nothing for 3 s in mid swim, half a robot's way."""
     rng = np.random.default_rng(6)
     run = imu.marching(rng)
@@ -223,7 +223,7 @@ def under_water(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Un
 
 
 @pytest.mark.slow
-def test_every_second_fix_left_out(
+def test_held_out_fixes_under_water(
     under_water: UnderWater, swimid: Callable[..., Ran], tmp_path: Path
 ) -> None:
     log, optical, _ = under_water
@@ -286,7 +286,7 @@ def test_velocity_between_fixes_two_seconds_apart(
 
 
 @pytest.mark.parametrize("stray", [-9999.0, 3.0])
-def test_a_stray_fix_is_left_out(swimid: Callable[..., Ran], tmp_path: Path, stray: float) -> None:
+def test_a_stray_fix_is_removed(swimid: Callable[..., Ran], tmp_path: Path, stray: float) -> None:
     """One mark for "no sample", or one wrong blob, among the camera's positions."""
     run = imu.marching(np.random.default_rng(8), swim_s=8.0, rest_s=2.5, rate_hz=50.0)
     log = save(tmp_path / "imu.csv", run.columns())

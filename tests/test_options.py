@@ -252,10 +252,10 @@ class TestWording:
         "words, call, typed, told",
         [
             (
-                ["rwls", LOG, "--input", "cmd1_rad", "--output", "u_m_s"],
-                lambda: package.rwls([TestWording.LOG], input_column="cmd1_rad", output_column="u_m_s"),
-                "give --na and --nb, or --order auto",
-                "give na and nb, or order auto",
+                ["rwls", LOG, "--input", "cmd1_rad", "--output", "u_m_s", "--na", "2"],
+                lambda: package.rwls([TestWording.LOG], output_column="u_m_s", na=2),
+                "give both --na and --nb, or neither",
+                "give both na and nb, or neither",
             ),
             (
                 ["fit-propulsion", SWIM, "--drag", "drag.yaml"],

@@ -105,10 +105,10 @@ def test_the_result_equals_batch_least_squares_on_raw_data(tmp_path):
     np.testing.assert_allclose(got, expected, rtol=1e-8)
 
 
-def test_order_auto_finds_orders_and_delay(tmp_path):
+def test_the_search_finds_orders_and_delay(tmp_path):
     log = write_log(tmp_path / "run.csv", arx_columns(3, b=[0.0, 0.5, 0.25]))
     target = tmp_path / "a.yaml"
-    status, document, _ = run(log, *COLUMNS, "--order", "auto", "--validate", 0.25, "-o", target)
+    status, document, _ = run(log, *COLUMNS, "--validate", 0.25, "-o", target)
     assert status == 0
     assert document["result"]["settings"]["orders"] == {"na": 2, "nb": 2, "nk": 2, "nc": 0}
     assert len(document["result"]["orders_tried"]) == 7 * 6 * 5
@@ -116,22 +116,22 @@ def test_order_auto_finds_orders_and_delay(tmp_path):
     assert "orders" in {t.id for t in shown.tables}
 
 
-def test_order_auto_finds_an_input_that_acts_at_once(tmp_path):
+def test_the_search_finds_an_input_without_delay(tmp_path):
     rng = np.random.default_rng(45)
     u = rng.normal(size=1000)
     y = lfilter([0.5, 0.3], [1.0, *A], u) + lfilter([1.0], [1.0, *A], 0.05 * rng.normal(size=1000))
     log = write_log(tmp_path / "run.csv", {"t_s": np.arange(1000) * 0.05, "cmd1_rad": u, "u_m_s": y})
-    document = run(log, *COLUMNS, "--order", "auto")[1]
+    document = run(log, *COLUMNS)[1]
     assert document["result"]["settings"]["orders"] == {"na": 2, "nb": 2, "nk": 0, "nc": 0}
     assert "SWM023" not in codes(document)
     late = dict(arx_columns(46, b=[0.0, 0.0, 0.5, 0.25]))
     log = write_log(tmp_path / "late.csv", late)
-    document = run(log, *COLUMNS, "--order", "auto", "--max-nk", 3, "--max-nb", 3)[1]
+    document = run(log, *COLUMNS, "--max-nk", 3, "--max-order", 3)[1]
     assert document["result"]["settings"]["orders"]["nk"] == 3
     assert any("nk 0 to 3" in w["text"] and "--max-nk" in w["text"] for w in document["warnings"])
 
 
-def test_a_copy_of_the_input_is_named_as_such(tmp_path):
+def test_a_copy_of_the_input_is_refused(tmp_path):
     columns = arx_columns(47, n=300)
     log = write_log(tmp_path / "run.csv", dict(columns, u_m_s=columns["cmd1_rad"]))
     status, document, _ = run(log, *COLUMNS, "--na", 2, "--nb", 2)
@@ -194,7 +194,7 @@ def test_trials_files_that_contradict_each_other_are_refused(tmp_path):
     assert "'v_m_s' contradicts 'u_m_s' of one.yaml" in document["error"]["message"]
 
 
-def test_gaps_are_counted_and_poison_nothing(tmp_path):
+def test_gaps_are_counted_and_do_not_bias_the_estimates(tmp_path):
     columns = arx_columns(7)
     columns["u_m_s"][300:310] = np.nan
     keep = np.ones(1200, dtype=bool)
@@ -211,23 +211,23 @@ def test_gaps_are_counted_and_poison_nothing(tmp_path):
         assert abs(e["value"] - truth) < 3.5 * e["stderr"]
 
 
-def test_sine_input_model(tmp_path):
+def test_a_computed_sine_input(tmp_path):
     time = np.arange(1000) * 0.05
     columns = arx_columns(8, n=1000, source=30 * np.sin(2 * np.pi * 0.8 * time))
     log = write_log(tmp_path / "run.csv", {k: columns[k] for k in ("t_s", "u_m_s")})
-    status, document, _ = run(log, "--input-model", "sine:30,0.8", "--output", "u_m_s", "--na", 2, "--nb", 2)
+    status, document, _ = run(log, "--input-sine", 30, 0.8, 0, "--output", "u_m_s", "--na", 2, "--nb", 2)
     assert status == 0
     values = [document["result"]["parameters"][n]["value"] for n in ("a1", "a2", "b1", "b2")]
     errors = [document["result"]["parameters"][n]["stderr"] for n in ("a1", "a2", "b1", "b2")]
     assert np.all(np.abs(np.array(values) - (A + B)) < 3 * np.array(errors))
-    three = run(log, "--input-model", "sine:30,0.8", "--output", "u_m_s", "--na", 2, "--nb", 3)[1]
+    three = run(log, "--input-sine", 30, 0.8, 0, "--output", "u_m_s", "--na", 2, "--nb", 3)[1]
     assert {"SWM022", "SWM010"} <= codes(three)
     assert three["result"]["parameters"]["b1"]["status"] == "unidentifiable"
     assert three["result"]["parameters"]["b1"]["stderr"] is None
     assert three["result"]["parameters"]["a1"]["status"] == "estimated"
 
 
-def test_coloured_noise_is_called_bias(tmp_path):
+def test_coloured_noise_is_reported_as_bias(tmp_path):
     columns = arx_columns(9, n=3000, noise=0.0)
     columns["u_m_s"] = columns["u_m_s"] + 0.5 * np.random.default_rng(10).normal(size=3000)
     log = write_log(tmp_path / "run.csv", columns)
@@ -242,7 +242,7 @@ def test_coloured_noise_is_called_bias(tmp_path):
         assert abs(e["value"] - truth) < 3.5 * e["stderr"]
 
 
-def test_an_unstable_model_is_said_to_be_unstable(tmp_path):
+def test_an_unstable_model_is_reported(tmp_path):
     columns = arx_columns(11, n=300, a=[-1.02], b=[0.1])
     log = write_log(tmp_path / "run.csv", columns)
     target = tmp_path / "a.yaml"
@@ -253,7 +253,7 @@ def test_an_unstable_model_is_said_to_be_unstable(tmp_path):
     assert evidence.read(evidence.sidecar(target)).verdict.level == "bad"
 
 
-def test_an_integrator_is_said_to_integrate(tmp_path):
+def test_an_integrating_model_is_reported(tmp_path):
     rng = np.random.default_rng(12)
     u = rng.normal(size=800)
     y = np.cumsum(np.concatenate(([0.0], 0.1 * u[:-1])) + 0.02 * rng.normal(size=800))
@@ -265,11 +265,11 @@ def test_an_integrator_is_said_to_integrate(tmp_path):
 
 USAGE = [
     (["--input", "u_m_s", "--output", "u_m_s", "--na", "2", "--nb", "2"], "same column"),
-    ([*COLUMNS], "--order auto"),
+    ([*COLUMNS, "--na", "2"], "both --na and --nb"),
     ([*COLUMNS, "--na", "2", "--nb", "2", "--validate", "1.5"], "between 0 and 1"),
     ([*COLUMNS, "--na", "2", "--nb", "2", "--validate", "0.2", "--validate", "0.3"], "only one share"),
     (["--output", "u_m_s", "--na", "2", "--nb", "2"], "--input"),
-    (["--output", "u_m_s", "--input-model", "sine:1", "--na", "2", "--nb", "2"], "sine:A,F"),
+    (["--output", "u_m_s", "--input-sine", "0", "1", "0", "--na", "2", "--nb", "2"], "amplitude must not"),
     ([*COLUMNS, "--na", "2", "--nb", "2", "-o", "RUN"], "also an input"),
 ]
 
@@ -320,7 +320,7 @@ def test_logs_of_different_rate_exit_3(tmp_path):
         (lambda c: None, ("--validate", "0.01"), "held-out part"),
     ],
 )
-def test_nothing_to_trust_exits_4(tmp_path, change, options, text):
+def test_data_without_information_exit_4(tmp_path, change, options, text):
     columns = arx_columns(19, n=150)
     change(columns)
     target = tmp_path / "a.yaml"

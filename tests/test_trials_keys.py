@@ -14,6 +14,7 @@ import yaml
 from pydantic import BaseModel
 
 from swimid.blackbox import trials as arma
+from swimid.blackbox.options import RwlsOptions
 from swimid.errors import InputError, SwimidError
 from swimid.logs import trials as trials_format
 from swimid.notices import recorded
@@ -214,7 +215,7 @@ READERS = {
         refused={"robot": "no stroke", "trials.start_state": "robots in space are not supported"},
     ),
     "rwls": Reader(
-        lambda path: arma.read([path], (), None, None, None),
+        lambda path: arma.read([path], RwlsOptions()),
         {**_trials(experiment="arma"), "input": "cmd1_rad", "output": "u_m_s"},
         {**OF_TRIAL, **LOG, "input": "force_N", "output": "heading_rate_rad_s"},
     ),
@@ -353,12 +354,12 @@ class TestStretchesOfOneLog:
         with pytest.raises(
             InputError, match=r"'a' and 'b' .* share its rows from 5 s to 8 s: what is held out"
         ):
-            arma.read([path], (), None, None, None)
+            arma.read([path], RwlsOptions())
 
     def test_rows_fitted_twice_are_told(self, tmp_path):
         path = write_case(tmp_path, self.document("fit"))
         with recorded() as notices:
-            arma.read([path], (), None, None, None)
+            arma.read([path], RwlsOptions())
         assert [n.text for n in notices if n.code == "SWM074"] == [
             "trials.yaml: the trials 'a' and 'b' are of the same log and share its rows to 8 s, which count "
             "twice: standard errors are too small"
@@ -367,13 +368,16 @@ class TestStretchesOfOneLog:
     def test_neighbours_stand_apart(self, tmp_path):
         path = write_case(tmp_path, self.document("validate", start_s=8.0))
         with recorded() as notices:
-            found = arma.read([path], (), None, None, None)
+            found = arma.read([path], RwlsOptions())
         assert not [n for n in notices if n.code == "SWM074"]
         assert found.fit[0].time_s[-1] == 8.0 == found.held_out["b"][0].time_s[0]
         assert found.logs == ["a"]
 
     def test_the_command_line_is_held_against_itself(self, tmp_path):
         path = write_case(tmp_path, self.document("fit"))
+        options = RwlsOptions(
+            held_out=(tmp_path / "one.csv",), input_column="cmd1_rad", output_column="u_m_s"
+        )
         for fitted in (path, tmp_path / "one.csv"):
             with recorded(), pytest.raises(InputError, match="what is held out must not be fitted"):
-                arma.read([fitted], [tmp_path / "one.csv"], "cmd1_rad", "u_m_s", None)
+                arma.read([fitted], options)

@@ -1,7 +1,8 @@
 """Discrete-time ARX and ARMAX models from an input and an output column: ``swimid rwls``.
 
-``trials`` gives records on one time grid, at the rate of their measurements. ``difference`` is the equation
-and its free run, ``model`` the same behind the model interface. ``arx`` regresses and searches the noise
-polynomial, ``recursive`` is recursive least squares. ``identified`` decides on means, chooses orders and
-predicts; ``rwls`` is the command with its evidence, ``options`` are its options.
+``options`` has the options of the command. ``trials`` reads records on a time grid, at the rate of their
+measurements. ``difference`` contains the equation and its free run, ``model`` the same behind the model
+interface. ``recursive`` is recursive least squares, ``arx`` the estimation with its uncertainty.
+``identified`` chooses working point and orders and computes the errors. ``rwls`` is the command with its
+evidence.
 """

@@ -1,14 +1,13 @@
-"""ARX and ARMAX models from records with gaps: regression, noise polynomial, estimate, uncertainty.
+"""Estimation of ARX and ARMAX models from records with gaps.
 
-The model is that of :mod:`swimid.blackbox.difference`. A row of the regression exists only where every
-sample it needs is there; a gap costs the rows around it and nothing else. See L. Ljung, "System
-Identification: Theory for the User", 2nd ed. (1999), ch. 7-9, 11.
+The model is that of :mod:`swimid.blackbox.difference`. The regression has a row for each sample whose past
+samples are all there, so that a gap costs only the rows around it. See L. Ljung, "System Identification:
+Theory for the User", 2nd ed. (1999), ch. 7-9 and 11.
 
-The noise polynomial C is searched for the least one-step error by Gauss-Newton steps. statsmodels' SARIMAX
-can be given the same rows, as regressors of a moving average, with a Kalman filter across the gaps. On 60
-records of 600 samples of an ARMAX(2, 2, nc 2) model its estimates are as good (as much as 13 % less scatter
-of one coefficient with 30 % of the samples missing, none without gaps), it takes 40 to 70 times as long, one
-in ten does not converge, and it cannot discount old samples.
+The coefficients of C minimise the one-step error (Gauss-Newton). SARIMAX of statsmodels could do the same
+with a Kalman filter across the gaps. On 60 records of 600 samples of an ARMAX(2, 2, nc 2) model its estimates
+are as good: one coefficient varies 13 % less with 30 % of the samples missing, and none without gaps. But it
+takes 40 to 70 times as long, one search in ten does not converge, and it cannot discount old samples.
 """
 
 from __future__ import annotations
@@ -25,33 +24,43 @@ from swimid.errors import NoTrustworthyResult
 from swimid.fitting import noise as rt
 from swimid.logs.sampling import rounding
 
-#: Zeros of C are kept this far inside the unit circle, where its inverse is stable.
-EDGE = 0.999
-#: Gauss-Newton steps, at most.
-MOST_STEPS = 100
+#: Maximum magnitude of a zero of C; the inverse of C is stable below 1.
+MAX_ZERO = 0.999
+#: Maximum number of Gauss-Newton steps, and of halvings of one step.
+MAX_STEPS, MAX_HALVINGS = 100, 30
+#: Residuals below this share of the output's standard deviation are rounding errors.
+EXACT = 1e-9
+#: Relative tolerance of a zero singular value of the scaled regression.
+RANK_RTOL = 1e-10
+#: Maximum effect of rounding: no singular value above this share of the largest counts as zero.
+MAX_ROUNDING = 0.01
+#: Minimum share of a coefficient in a direction without information that makes it undetermined.
+MIN_SHARE = 1e-3
+#: Variance inflation factor of nearly dependent columns: standard errors 100 times those of independent ones.
+NEARLY_DEPENDENT = 1e4
 
 
 @njit(cache=True, error_model="numpy")
 def errors_and_gradient(
     theta: np.ndarray, rows: np.ndarray, outputs: np.ndarray, fresh: np.ndarray, nc: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """One-step errors of an ARMAX model and the derivative of its prediction.
+    """Return the one-step errors of an ARMAX model and the derivative of its prediction.
 
     Parameters
     ----------
     theta : ndarray, shape (m + nc,)
         Coefficients of A, B and C.
     rows, outputs : ndarray, shape (n, m) and (n,)
-        Regression vectors of A and B, and z.
+        Regression vectors of A and B, and the outputs z.
     fresh : ndarray of bool, shape (n,)
-        True where a row does not continue the one before: the past errors are taken as zero.
+        True where a row does not follow the row before: the past errors are taken as zero.
 
     Returns
     -------
     errors : ndarray, shape (n,)
         ``e(k) = z(k) - h(k)' theta_AB - sum_j c_j e(k-j)``.
     gradient : ndarray, shape (n, m + nc)
-        Minus its derivative: the regression vector filtered by 1 / C.
+        Negative derivative of the errors: the regression vector filtered by 1 / C.
     """
     n, m = rows.shape
     p = m + nc
@@ -77,29 +86,26 @@ def errors_and_gradient(
 
 
 def invertible(c: np.ndarray) -> np.ndarray:
-    """C with its zeros outside the unit circle mirrored to the inside."""
+    """Return the coefficients of C after its zeros outside the unit circle are reflected to the inside."""
     roots = np.roots(np.concatenate(([1.0], c)))
-    size = np.abs(roots)
-    roots = np.where(size > 1, roots / np.maximum(size, 1.0) ** 2, roots)
-    size = np.abs(roots)
-    roots = np.where(size > EDGE, roots / np.maximum(size, EDGE) * EDGE, roots)
-    # np.roots drops leading zeros of the reversed polynomial: a trailing c of zero stays zero.
+    roots = roots / np.maximum(np.abs(roots), 1.0) ** 2
+    roots = roots * np.minimum(MAX_ZERO / np.maximum(np.abs(roots), MAX_ZERO), 1.0)
     coefficients = np.real(np.poly(roots))[1:]
-    return np.concatenate((coefficients, np.zeros(len(c) - len(coefficients))))
+    # np.roots drops zeros at the origin: the last coefficients are then zero
+    return np.pad(coefficients, (0, len(c) - len(coefficients)))
 
 
 def refine(
-    theta: np.ndarray,
-    rows: np.ndarray,
-    outputs: np.ndarray,
-    fresh: np.ndarray,
-    nc: int,
-    weights: np.ndarray,
+    theta: np.ndarray, rows: np.ndarray, outputs: np.ndarray, fresh: np.ndarray, nc: int, weights: np.ndarray
 ) -> np.ndarray:
-    """The coefficients of least weighted one-step error, from those of the extended recursion.
+    """Return the coefficients with the least weighted one-step error, by Gauss-Newton with step halving.
 
-    Gauss-Newton with step halving; C is kept invertible. See :func:`errors_and_gradient`; ``weights`` are
-    those of the squared errors, shape (n,).
+    Parameters
+    ----------
+    theta, rows, outputs, fresh, nc
+        Start, and data as of :func:`errors_and_gradient`.
+    weights : ndarray, shape (n,)
+        Weights of the squared errors.
 
     Raises
     ------
@@ -111,157 +117,121 @@ def refine(
 
     def cost(candidate: np.ndarray) -> float:
         errors, _ = errors_and_gradient(candidate, rows, outputs, fresh, nc)
-        total = float(np.sum(weights * errors**2))
-        return total if np.isfinite(total) else float("inf")
+        return float(np.nan_to_num(np.sum(weights * errors**2), nan=np.inf, posinf=np.inf))
 
     best = np.concatenate((theta[:m], invertible(theta[m:])))
     value = cost(best)
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         errors, gradient = errors_and_gradient(best, rows, outputs, fresh, nc)
         step = np.linalg.lstsq(gradient * root[:, None], errors * root, rcond=None)[0]
-        for halving in range(30):
+        for halving in range(MAX_HALVINGS):
             candidate = best + step / 2**halving
             candidate[m:] = invertible(candidate[m:])
             tried = cost(candidate)
             if tried < value:
                 break
         else:
-            return best  # no step makes it smaller: the minimum, to rounding
+            return best  # no step reduces the error beyond rounding: the minimum
         gained = value - tried
         best, value = candidate, tried
         if gained <= 1e-13 * value:
             return best
     raise NoTrustworthyResult(
-        f"the noise polynomial C did not converge in {MOST_STEPS} steps",
+        f"the noise polynomial C did not converge in {MAX_STEPS} steps",
         hint="lower --nc, or give longer logs",
     )
 
 
 def warm_up() -> None:
-    """Compile the kernels of this module."""
+    """Compile the kernel of this module."""
     errors_and_gradient(np.zeros(2), np.ones((3, 1)), np.ones(3), np.array([True, False, False]), 1)
-
-
-#: Residuals below this share of the output's deviation are rounding, not noise.
-EXACT = 1e-9
-#: A singular value of the scaled regression below this share of the largest is zero.
-RANK_TOLERANCE = 1e-10
-#: Rounding never empties a direction whose singular value is above this share of the largest.
-ROUNDING_LIMIT = 0.01
-#: Variance inflation (scaled columns) from which on columns count as nearly dependent: standard
-#: errors a hundred times those of independent columns.
-NEARLY_DEPENDENT = 1e4
 
 
 @dataclass(frozen=True)
 class Regression:
-    """The rows of ``z = H theta + e``, for A and B (C has no data columns).
+    """Rows of ``z = H theta + e`` for A and B; C has no columns of data."""
 
-    Attributes
-    ----------
-    rows, outputs : ndarray, shape (n, na + nb) and (n,)
-        H and z.
-    record, sample : ndarray of int, shape (n,)
-        Which record and which of its samples each row predicts.
-    fresh : ndarray of bool, shape (n,)
-        True where a row does not continue the one before.
-    possible : int
-        Number of rows without any missing sample or gap.
-    """
-
+    #: H, shape (n, na + nb), and z, shape (n,).
     rows: np.ndarray
     outputs: np.ndarray
+    #: Record and sample in it that each row predicts, shape (n,).
     record: np.ndarray
     sample: np.ndarray
+    #: True where a row does not follow the row before, shape (n,).
     fresh: np.ndarray
+    #: Number of samples of each record.
+    lengths: list[int]
+    #: Number of rows if no sample were missing.
     possible: int
 
     def __len__(self) -> int:
         return len(self.outputs)
 
-    def spread(self, values: np.ndarray, *, gap: int) -> np.ndarray:
-        """Values of the rows, shape (n,) or (n, p), on the time grid: NaN where a row is missing.
+    def on_grid(self, values: np.ndarray, *, gap: int) -> np.ndarray:
+        """Return values of the rows, shape (n,) or (n, p), on the time grid of the records.
 
-        Between records there are ``gap`` samples of NaN.
+        They are NaN where a row is missing, and for ``gap`` samples between two records.
         """
-        if len(self) == 0:
-            return np.asarray(values, dtype=float)
-        lengths = [int(self.sample[self.record == i].max()) + 1 for i in np.unique(self.record)]
-        starts = np.cumsum([0] + [length + gap for length in lengths])
-        _, order = np.unique(self.record, return_inverse=True)
-        shape = (int(starts[-1]), *np.shape(values)[1:])
-        result = np.full(shape, np.nan)
-        result[starts[order] + self.sample] = values
+        starts = np.cumsum([0, *(length + gap for length in self.lengths)])
+        result = np.full((int(starts[-1]) - gap, *np.shape(values)[1:]), np.nan)
+        result[starts[self.record] + self.sample] = values
         return result
 
 
-def columns(record: Record, orders: Orders) -> np.ndarray:
-    """The regression vectors of every sample of a record, NaN where they are not whole.
-
-    ``[-y(k-1) .. -y(k-na), u(k-nk) .. u(k-nk-nb+1)]`` (Eq 7), shape (n, na + nb).
-    """
-    past = [-lagged(record.output, i) for i in range(1, orders.na + 1)]
-    return np.column_stack(past + [lagged(record.source, orders.nk + j) for j in range(orders.nb)])
-
-
 def regression(records: Sequence[Record], orders: Orders) -> Regression:
-    """Every whole row of several records of one rate; C plays no part."""
+    """Return all complete rows of several records with one sample time.
+
+    Row k is ``[-y(k-1) .. -y(k-na), u(k-nk) .. u(k-nk-nb+1)]`` (Eq 7 of the paper).
+    """
     none = np.empty(0, dtype=int)
-    rows, outputs, number, sample = [np.empty((0, orders.na + orders.nb))], [np.empty(0)], [none], [none]
-    possible = 0
+    vectors, outputs, number, sample = [np.empty((0, orders.na + orders.nb))], [np.empty(0)], [none], [none]
     for i, record in enumerate(records):
-        h = columns(record, orders)
-        whole = np.isfinite(record.output) & np.isfinite(h).all(axis=1)
-        k = np.flatnonzero(whole)
-        possible += max(len(record) - orders.lag, 0)
-        rows.append(h[k])
+        past = [-lagged(record.output, lag) for lag in range(1, orders.na + 1)]
+        h = np.column_stack(past + [lagged(record.source, orders.nk + j) for j in range(orders.nb)])
+        k = np.flatnonzero(np.isfinite(record.output) & np.isfinite(h).all(axis=1))
+        vectors.append(h[k])
         outputs.append(record.output[k])
         number.append(np.full(len(k), i))
         sample.append(k)
     record_of, samples = np.concatenate(number), np.concatenate(sample)
     fresh = np.ones(len(samples), dtype=bool)
     fresh[1:] = (np.diff(record_of) != 0) | (np.diff(samples) != 1)
-    return Regression(np.vstack(rows), np.concatenate(outputs), record_of, samples, fresh, possible)
+    lengths = [len(record) for record in records]
+    possible = sum(max(length - orders.lag, 0) for length in lengths)
+    h, z = np.vstack(vectors), np.concatenate(outputs)
+    return Regression(h, z, record_of, samples, fresh, lengths, possible)
 
 
 @dataclass(frozen=True)
 class Identifiability:
-    """Which parameters a regression determines.
+    """Coefficients that a regression with p columns determines."""
 
-    Attributes
-    ----------
-    determined : ndarray of bool, shape (p,)
-    rank, input_rank : int
-        Number of determined directions, and of those that the input columns alone excite (the order of
-        excitation).
-    condition : float
-        Condition number of the determined part with columns scaled to length one.
-    factor : ndarray, shape (p, p)
-        R of the scaled regression's QR factors.
-    """
-
+    #: Whether each coefficient is determined, shape (p,).
     determined: np.ndarray
+    #: Number of determined directions of the columns.
     rank: int
+    #: Condition number of the determined part, with columns scaled to length one.
     condition: float
+    #: Factor R of the scaled regression, shape (p, p).
     factor: np.ndarray
+    #: Number of directions that the input columns determine (order of excitation).
     input_rank: int = 0
 
 
-def directions(rows: np.ndarray, steps: np.ndarray) -> Identifiability:
-    """Find the directions in which a regression says nothing.
+def find_directions(rows: np.ndarray, steps: np.ndarray) -> Identifiability:
+    """Find the directions of the coefficients about which a regression has information.
 
     Parameters
     ----------
     rows : ndarray, shape (n, p)
     steps : ndarray, shape (p,)
-        Rounding step of each column as it was logged.
+        Rounding step of each column of the log, 0 where it is exact.
 
     Notes
     -----
-    Singular values of the regression with columns scaled to length one. The rounding of n
-    samples with step q adds a column of length ``q sqrt(n / 12)`` to each; a direction v is
-    empty when its singular value is below three times the length of that in its direction,
-    and below :data:`ROUNDING_LIMIT` of the largest: a well-conditioned regression is never empty.
+    The columns are scaled to length one. Rounding of n samples to a step q adds a random column of length
+    ``q sqrt(n / 12)`` to each. A direction has no information if its singular value is below three times the
+    length of the random columns in it, but only below :data:`MAX_ROUNDING` of the largest one.
     """
     n, p = rows.shape
     scale = _lengths(rows)
@@ -269,31 +239,37 @@ def directions(rows: np.ndarray, steps: np.ndarray) -> Identifiability:
     _, singular, vectors = np.linalg.svd(factor, full_matrices=True)
     singular = np.append(singular, np.zeros(p - len(singular)))
     largest = max(singular[0], 1e-300)
-    noise = np.minimum(3.0 * np.sqrt(vectors**2 @ (steps**2 * n / 12 / scale**2)), ROUNDING_LIMIT * largest)
-    empty = singular <= np.maximum(RANK_TOLERANCE * largest, noise)
-    # A parameter is undetermined when an empty direction has a real part of it.
-    share = np.sum(vectors[empty] ** 2, axis=0) if np.any(empty) else np.zeros(p)
-    smallest = singular[~empty][-1] if np.any(~empty) else 0.0
-    condition = float(singular[0] / smallest) if smallest > 0 else float("inf")
-    return Identifiability(share < 1e-3, int(np.count_nonzero(~empty)), condition, factor)
+    noise = np.minimum(3.0 * np.sqrt(vectors**2 @ (steps**2 * n / 12 / scale**2)), MAX_ROUNDING * largest)
+    empty = singular <= np.maximum(RANK_RTOL * largest, noise)
+    condition = np.inf
+    if not empty.all():
+        condition = float(singular[0] / singular[~empty][-1])
+    share = np.sum(vectors[empty] ** 2, axis=0)
+    return Identifiability(share < MIN_SHARE, int(np.count_nonzero(~empty)), condition, factor)
 
 
 def _lengths(rows: np.ndarray) -> np.ndarray:
-    """Lengths of the columns, 1 for those of zeros."""
+    """Return the lengths of the columns, 1 for columns of zeros."""
     length = np.linalg.norm(rows, axis=0)
     return np.where(length > 0, length, 1.0)
 
 
-def identifiability(data: Regression, orders: Orders, quanta: tuple[float, float]) -> Identifiability:
-    """What the rows of A and B determine; of C, all. ``quanta``: rounding step of input and output."""
-    steps = np.concatenate((np.full(orders.na, quanta[1]), np.full(orders.nb, quanta[0])))
-    both = directions(data.rows, steps)
-    inputs = directions(data.rows[:, orders.na :], steps[orders.na :])
+def find_determined(data: Regression, orders: Orders, quanta: tuple[float, float]) -> Identifiability:
+    """Find the coefficients of A and B that the rows determine; those of C always are.
+
+    Parameters
+    ----------
+    quanta : (float, float)
+        Rounding steps of input and output.
+    """
+    steps = np.repeat([quanta[1], quanta[0]], [orders.na, orders.nb])
+    both = find_directions(data.rows, steps)
+    inputs = find_directions(data.rows[:, orders.na :], steps[orders.na :])
     determined = np.append(both.determined, np.ones(orders.nc, dtype=bool))
     return replace(both, determined=determined, input_rank=inputs.rank)
 
 
-def without_indistinct(
+def exclude_collinear(
     known: Identifiability,
     data: Regression,
     orders: Orders,
@@ -301,13 +277,13 @@ def without_indistinct(
     stderr: np.ndarray,
     noise_sd: float,
 ) -> Identifiability:
-    """Leave out coefficients the noise does not let tell apart, though the regression has full rank.
+    """Exclude coefficients that the noise makes indistinguishable, although the regression has full rank.
 
-    Sensor noise on a single sine excites every coefficient of B a little, and their estimates
-    become huge numbers that cancel. A coefficient of A or B is one of those when its column
-    is nearly dependent on the others (:data:`NEARLY_DEPENDENT`) and its standard error alone moves
-    the prediction by more than the whole polynomial does; they are left out together when
-    the standard error of any is above half its size. A coefficient that is known to be small stays.
+    The noise of a sensor that measures a single sine excites every coefficient of B a little. The estimates
+    are then large numbers that cancel. A coefficient of A or B is one of them if its column is nearly
+    dependent on the others (:data:`NEARLY_DEPENDENT`), and its standard error alone moves the prediction by
+    more than the whole polynomial does. They are excluded together if any has a standard error above half of
+    its size. A coefficient that is known to be small stays.
     """
     count = orders.na + orders.nb
     inflation = np.sum(np.linalg.pinv(known.factor) ** 2, axis=1)
@@ -332,44 +308,33 @@ def without_indistinct(
 
 @dataclass(frozen=True)
 class ArxEstimate:
-    """A fitted model.
-
-    Attributes
-    ----------
-    theta, stderr : ndarray, shape (p,)
-        Coefficients and standard errors; NaN for a parameter the data do not determine.
-    covariance : ndarray, shape (p, p)
-    noise_sd : float
-        Standard deviation of e.
-    residuals : ndarray, shape (n,)
-        One-step errors of the final model at every row, z - h' theta.
-    whiteness : residual_tests.TestResult
-        Of the one-step errors (with forgetting: of the recursion's innovations).
-    robust : bool
-        Whether the covariance is the sandwich for correlated residuals.
-    exact : bool
-        Whether the residuals are no more than rounding.
-    """
+    """Estimated model with p coefficients, from n rows."""
 
     orders: Orders
+    #: Coefficients, and their standard errors, shape (p,): NaN where the data do not determine one.
     theta: np.ndarray
     stderr: np.ndarray
+    #: Shape (p, p).
     covariance: np.ndarray
+    #: Standard deviation of e.
     noise_sd: float
+    #: One-step errors of the model, shape (n,).
     residuals: np.ndarray
     data: Regression
     recursion: recursive.Recursion
-    determined: Identifiability
+    known: Identifiability
+    #: Test of the one-step errors; with forgetting, of the innovations of the recursion.
     whiteness: rt.TestResult
+    #: Whether the covariance allows for correlated residuals (sandwich form).
     robust: bool
+    #: Whether the residuals are rounding errors.
     exact: bool
 
     @property
     def correlation(self) -> np.ndarray:
-        """Correlation matrix of the parameters the data determine, shape (m, m)."""
-        use = self.determined.determined
-        sd = self.stderr[use]
-        sd = np.where(sd > 0, sd, 1.0)
+        """Correlation matrix of the m determined coefficients, shape (m, m)."""
+        use = np.isfinite(self.stderr)
+        sd = np.where(self.stderr[use] > 0, self.stderr[use], 1.0)
         matrix = self.covariance[np.ix_(use, use)] / np.outer(sd, sd)
         np.fill_diagonal(matrix, 1.0)
         return np.clip(matrix, -1.0, 1.0)
@@ -381,14 +346,13 @@ def check_enough(data: Regression, orders: Orders) -> None:
     Raises
     ------
     NoTrustworthyResult
-        Fewer usable rows than parameters plus one, or an output that never changes.
+        When there are not more rows than coefficients, or the output is constant.
     """
     if len(data) <= orders.count:
         text = f"{len(data)} usable rows for {orders.count} parameters ({orders})"
         hint = "a row needs na outputs and nb inputs without a gap: give longer logs or lower orders"
         raise NoTrustworthyResult(f"{text}; at least {orders.count + 1} are needed", hint=hint)
-    span = float(np.ptp(data.outputs))
-    if span <= 1e-12 * float(np.max(np.abs(data.outputs), initial=0.0)) or span == 0:
+    if np.ptp(data.outputs) <= 1e-12 * np.max(np.abs(data.outputs)):
         text = f"the output is constant ({data.outputs[0]:.6g}) in all {len(data)} usable rows"
         raise NoTrustworthyResult(f"{text}: there is nothing to identify")
 
@@ -407,38 +371,35 @@ def estimate(
     Parameters
     ----------
     records : sequence of Record
-        All at the same rate, working point removed where there is one
-        (:func:`swimid.blackbox.identified.centre`).
+        Records with one sample time; subtract a working point before
+        (:func:`swimid.blackbox.identified.find_working_point`).
     weight, forgetting, prior_scale, stride
-        See :func:`swimid.blackbox.recursive.recursive_least_squares`. The recursion runs
-        through the records one after the other.
+        See :func:`swimid.blackbox.recursive.recursive_least_squares`. The recursion runs through the records
+        one after the other.
 
     Raises
     ------
     NoTrustworthyResult
-        Too few rows, a constant output, or a regression that determines no parameter of A
-        and B, or nothing of the input's effect.
+        When there are too few rows, the output is constant, or the regression determines no coefficient of A
+        and B, or no effect of the input.
 
     Notes
     -----
-    With ``nc`` = 0 theta is the recursion's last estimate, equal to batch weighted least
-    squares with the prior. With ``nc`` > 0 the extended recursion gives the start of a
-    Gauss-Newton search for the least one-step error (:func:`refine`), whose
-    standard errors are known.
+    With ``nc = 0`` theta is the last estimate of the recursion. It equals batch weighted least squares with
+    the prior. With ``nc > 0`` the extended recursion gives the start of a search for the least one-step error
+    (:func:`refine`), whose standard errors are known.
 
-    Standard errors: with weights w_k = forgetting^(n-1-k), J the derivative of the one-step
-    prediction and S = J'WJ + prior, the covariance is ``sigma^2 S^-1 (J'W^2 J) S^-1``; where the
-    residuals are not white, ``S^-1 M S^-1`` with M of
-    :func:`swimid.fitting.noise.long_run_covariance`.
+    Let the weights be ``w_k = forgetting^(n-1-k)``, J the derivative of the one-step prediction, and
+    ``S = J'WJ + prior``. The covariance is ``sigma^2 S^-1 (J'W^2 J) S^-1``. Where the residuals are not white
+    it is ``S^-1 M S^-1`` with M of :func:`swimid.fitting.noise.long_run_covariance`.
     """
     data = regression(records, orders)
     check_enough(data, orders)
     quanta = (max(rounding(r.source) for r in records), max(rounding(r.output) for r in records))
-    known = identifiability(data, orders, quanta)
+    known = find_determined(data, orders, quanta)
     _check_determined(known, orders)
-    padded = np.hstack((data.rows, np.zeros((len(data), orders.nc))))
     run = recursive.recursive_least_squares(
-        padded,
+        np.hstack((data.rows, np.zeros((len(data), orders.nc)))),
         data.outputs,
         weight=weight,
         forgetting=forgetting,
@@ -447,27 +408,24 @@ def estimate(
         fresh=data.fresh,
         stride=stride,
     )
-    # Ages in rows: forgetting counts rows, not gaps.
-    weights = forgetting ** np.arange(len(data) - 1, -1, -1.0)
+    weights = forgetting ** np.arange(len(data) - 1, -1, -1.0)  # the age is counted in rows
     theta = run.theta
+    residuals, jacobian = data.outputs - data.rows @ theta[: orders.na + orders.nb], data.rows
     if orders.nc:
         theta = refine(theta, data.rows, data.outputs, data.fresh, orders.nc, weights)
         residuals, jacobian = errors_and_gradient(theta, data.rows, data.outputs, data.fresh, orders.nc)
-    else:
-        residuals, jacobian = data.outputs - data.rows @ theta, data.rows
     prior = forgetting ** (len(data) - 1) / (weight * prior_scale**2)
     tested = residuals
     if forgetting < 1:
-        settled = min(int(max(5 * orders.count, 1 / (1 - forgetting))), len(data) // 2)
-        tested = np.where(np.arange(len(data)) < settled, np.nan, run.innovations)
-    deviation = float(np.std(data.outputs))
-    exact = float(np.sqrt(np.mean(residuals**2))) <= EXACT * deviation
-    gap = rt.default_lags(len(data))
-    white = rt.ljung_box(data.spread(tested, gap=gap), fitted=orders.na + orders.nc)
+        skipped = min(int(max(5 * orders.count, 1 / (1 - forgetting))), len(data) // 2)
+        tested = np.where(np.arange(len(data)) < skipped, np.nan, run.innovations)
+    exact = bool(np.sqrt(np.mean(residuals**2)) <= EXACT * np.std(data.outputs))
+    tested = data.on_grid(tested, gap=rt.default_lags(len(data)))
+    white = rt.ljung_box(tested, fitted=orders.na + orders.nc)
     robust = not (white.passed or exact)
-    matrix, noise_sd = covariance(jacobian, residuals, weights, prior, data if robust else None)
+    matrix, noise_sd = covariance(jacobian, residuals, weights, prior, data, robust=robust)
     stderr = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    known = without_indistinct(known, data, orders, theta, stderr, noise_sd)
+    known = exclude_collinear(known, data, orders, theta, stderr, noise_sd)
     _check_determined(known, orders)
     stderr = np.where(known.determined, stderr, np.nan)
     return ArxEstimate(
@@ -476,15 +434,14 @@ def estimate(
 
 
 def _check_determined(known: Identifiability, orders: Orders) -> None:
-    if not np.any(known.determined[: orders.na + orders.nb]):
-        text = (
-            f"the regression is singular: its columns span {known.rank} of {orders.na + orders.nb} directions"
-        )
+    count = orders.na + orders.nb
+    if not np.any(known.determined[:count]):
+        text = f"the regression is singular: its columns span {known.rank} of {count} directions"
         hint = "lower the orders, or excite the robot with more than one frequency"
         raise NoTrustworthyResult(f"{text}, and no coefficient of the model is determined", hint=hint)
     if known.input_rank == 0:
-        text = "the input does not move: nothing can be said of its effect"
-        raise NoTrustworthyResult(text, hint="check the input column, or give --input-model")
+        text = "the input does not move: its effect cannot be identified"
+        raise NoTrustworthyResult(text, hint="check the input column, or give --input-sine")
 
 
 def covariance(
@@ -492,12 +449,21 @@ def covariance(
     residuals: np.ndarray,
     weights: np.ndarray,
     prior: float,
-    correlated: Regression | None,
+    data: Regression,
+    *,
+    robust: bool,
 ) -> tuple[np.ndarray, float]:
-    """Covariance of a least-squares estimate and standard deviation of its noise.
+    """Return the covariance of a least-squares estimate and the standard deviation of its noise.
 
-    With ``correlated`` (the regression the rows belong to) it is the sandwich for correlated
-    residuals; see the notes of :func:`estimate`.
+    Parameters
+    ----------
+    jacobian, residuals, weights : ndarray, shape (n, p), (n,) and (n,)
+    prior : float
+        Information about each coefficient before the data.
+    data : Regression
+        Regression with these rows.
+    robust : bool
+        Whether to allow for correlated residuals; see the notes of :func:`estimate`.
     """
     n, p = jacobian.shape
     root = np.sqrt(weights)[:, None]
@@ -505,13 +471,12 @@ def covariance(
     inverse = np.linalg.pinv(r)
     whitened = (jacobian * weights[:, None]) @ inverse
     middle = whitened.T @ whitened
-    # Samples that remain for the noise after p parameters; n - p without forgetting.
+    # number of samples left for the noise: n - p without forgetting
     remaining = max(float(np.sum(weights)) - float(np.trace(middle)), 1e-12)
     variance = float(np.sum(weights * residuals**2)) / remaining
-    if correlated is None:
-        middle = middle * variance
-    else:
-        scores = correlated.spread(whitened * residuals[:, None], gap=rt.default_lags(n))
+    middle = middle * variance
+    if robust:
+        scores = data.on_grid(whitened * residuals[:, None], gap=rt.default_lags(n))
         middle = rt.long_run_covariance(scores) * (n / max(n - p, 1))
     matrix = inverse @ middle @ inverse.T
     return (matrix + matrix.T) / 2, float(np.sqrt(variance))

@@ -1,4 +1,4 @@
-"""Linear difference equations: their orders, records, free run and poles.
+"""The difference equation of an ARX or ARMAX model: orders, records, free run and poles.
 
     A(z^-1) y(k) = B(z^-1) u(k) + C(z^-1) e(k)
     A = 1 + a1 z^-1 + ... + a_na z^-na
@@ -6,7 +6,7 @@
     C = 1 + c1 z^-1 + ... + c_nc z^-nc
 
 Eqs 4 to 7 of the long-fin paper (Robotica 30 (2012) 913-923, doi:10.1017/S0263574711001159),
-with a delay and a noise polynomial added.
+with a delay and a noise polynomial added. y is the output, u the input and e white noise.
 """
 
 from __future__ import annotations
@@ -18,28 +18,25 @@ from typing import Literal
 import numpy as np
 from numba import njit
 
-#: A pole at least this close to the unit circle integrates, whatever its uncertainty.
+#: Minimum magnitude of an integrating pole, whatever its standard error.
 INTEGRATING = 0.999
-#: The standard error of a pole that is less certain than this says nothing about integration:
-#: the linearisation behind it fails, for nearly double poles above all.
-BLURRED = 0.05
-#: A free run that strays this many times the output's range from it is given up.
-RUNAWAY = 100.0
+#: Maximum standard error of a magnitude for a test of integration. The linearisation behind larger ones
+#: fails, above all for nearly double poles.
+MAX_POLE_STDERR = 0.05
+#: Distance of a free run from the measured output at which it is stopped, in ranges of that output.
+MAX_DISTANCE = 100.0
 
 
 @dataclass(frozen=True)
 class Record:
-    """Input u and output y on one grid of constant rate, from the log ``name``.
+    """Input and output on a grid of constant rate; shape (n,) each, NaN where a sample is missing."""
 
-    Attributes
-    ----------
-    time_s, source, output : ndarray, shape (n,)
-        NaN in u or y where the sample is missing.
-    """
-
+    #: Name of the log.
     name: str
     time_s: np.ndarray
+    #: Input u.
     source: np.ndarray
+    #: Output y.
     output: np.ndarray
 
     def __len__(self) -> int:
@@ -48,7 +45,7 @@ class Record:
 
 @dataclass(frozen=True)
 class Orders:
-    """Numbers of coefficients of A, B and C, and the delay of b1 in samples."""
+    """Number of coefficients of A, B and C, and the delay of b1 in samples."""
 
     na: int
     nb: int
@@ -57,22 +54,22 @@ class Orders:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """a1 .. b1 .. c1 .."""
+        """Names of the coefficients: a1, ..., b1, ..., c1, ..."""
         counts = {"a": self.na, "b": self.nb, "c": self.nc}
         return tuple(f"{letter}{i}" for letter, count in counts.items() for i in range(1, count + 1))
 
     @property
     def count(self) -> int:
-        """Number of parameters."""
+        """Number of coefficients."""
         return self.na + self.nb + self.nc
 
     @property
     def lag(self) -> int:
-        """Samples before the present one that a row needs."""
+        """Number of past samples that a row of the regression needs."""
         return max(self.na, self.nk + self.nb - 1)
 
     def split(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The coefficients of A, B and C."""
+        """Return the coefficients of A, of B and of C, from all of them in one vector."""
         theta = np.asarray(theta, dtype=float)
         return theta[: self.na], theta[self.na : self.na + self.nb], theta[self.na + self.nb :]
 
@@ -83,68 +80,61 @@ class Orders:
 
 @dataclass(frozen=True)
 class Pole:
-    """A pole in the z plane.
-
-    Attributes
-    ----------
-    value : complex
-    magnitude, stderr : float
-        Modulus and its standard error (NaN for a repeated pole, where it has none).
-    frequency_hz, damping_ratio : float
-        Of the continuous pole log(z) / Ts; NaN for z = 0.
-    """
+    """Pole in the z plane, with the natural frequency and the damping of the continuous pole log(z) / Ts."""
 
     value: complex
     magnitude: float
+    #: Standard error of the magnitude; NaN for a repeated pole.
     stderr: float
+    #: NaN for z = 0, as is the damping ratio.
     frequency_hz: float
     damping_ratio: float
 
     @property
     def integrating(self) -> bool:
-        """Whether the pole cannot be told from the unit circle, from inside or on it."""
-        near = self.stderr < BLURRED and abs(self.magnitude - 1.0) <= 2.0 * self.stderr
+        """Whether the magnitude cannot be distinguished from 1: within two standard errors, or very close."""
+        near = self.stderr < MAX_POLE_STDERR and abs(self.magnitude - 1.0) <= 2.0 * self.stderr
         return bool(near or INTEGRATING < self.magnitude < 2.0 - INTEGRATING)
 
     @property
-    def unstable(self) -> bool:
-        """Whether it lies on or outside the unit circle."""
-        return self.magnitude >= 1.0
-
-    @property
     def state(self) -> Literal["stable", "integrating", "unstable"]:
-        """What it makes of a free run."""
-        return "unstable" if self.unstable else "integrating" if self.integrating else "stable"
+        """Effect on a free run; a pole on or outside the unit circle is unstable."""
+        if self.magnitude >= 1.0:
+            return "unstable"
+        return "integrating" if self.integrating else "stable"
 
 
 def poles(a: np.ndarray, covariance: np.ndarray | None, sample_time_s: float) -> list[Pole]:
-    """Roots of A, largest first, with the standard error of their modulus.
+    """Return the roots of A with the standard errors of their magnitudes, largest first.
 
     Parameters
     ----------
     a : ndarray, shape (na,)
-        a1 .. ana.
+        Coefficients a1 to a_na.
     covariance : ndarray, shape (na, na), or None
-        Of a.
-    sample_time_s : float, s
+        Covariance of the coefficients.
+    sample_time_s : float
+        Sample time, s.
 
     Notes
     -----
     For a simple root z of ``p(z) = z^n + a1 z^(n-1) + ...``: ``dz/da_i = -z^(n-i) / p'(z)``.
     """
-    n = len(a)
     polynomial = np.concatenate(([1.0], a))
     result = []
     for z in np.roots(polynomial):
-        stderr = np.nan
+        stderr = damping = np.nan
+        continuous = complex(np.nan, np.nan)
         slope = np.polyval(np.polyder(polynomial), z)
         if covariance is not None and abs(z) > 0 and abs(slope) > 1e-12:
-            gradient = -(z ** np.arange(n - 1, -1, -1)) / slope
+            gradient = -(z ** np.arange(len(a) - 1, -1, -1)) / slope
             along = np.real(np.conj(z) / abs(z) * gradient)
             stderr = float(np.sqrt(max(along @ covariance @ along, 0.0)))
-        continuous = np.log(complex(z)) / sample_time_s if abs(z) > 0 else complex(np.nan, np.nan)
+        if abs(z) > 0:
+            continuous = np.log(complex(z)) / sample_time_s
         size = abs(continuous)
-        damping = float(-continuous.real / size) if size > 0 else np.nan
+        if size > 0:
+            damping = float(-continuous.real / size)
         result.append(Pole(complex(z), float(abs(z)), stderr, float(size / (2 * np.pi)), damping))
     return sorted(result, key=lambda pole: (-pole.magnitude, -pole.value.imag))
 
@@ -153,24 +143,26 @@ def poles(a: np.ndarray, covariance: np.ndarray | None, sample_time_s: float) ->
 def free_run(
     a: np.ndarray, b: np.ndarray, delay: int, source: np.ndarray, measured: np.ndarray, limit: float
 ) -> np.ndarray:
-    """Simulate A(z^-1) y = B(z^-1) u from its input and its first outputs alone.
+    """Simulate A(z^-1) y = B(z^-1) u from the input and the first outputs.
 
     Parameters
     ----------
     a, b : ndarray, shape (na,) and (nb,)
-        a1 .. ana and b1 .. bnb; the delay of b1 is ``delay`` samples.
+        Coefficients a1 to a_na and b1 to b_nb.
+    delay : int
+        Delay of b1, samples.
     source : ndarray, shape (n,)
-        u, NaN where missing.
+        Input u, NaN where missing.
     measured : ndarray, shape (n,)
-        y, NaN where missing. Read only to start: the first na samples before which every
-        sample needed is there, and again after a stretch of missing input.
+        Output y, NaN where missing. It only starts the simulation, again after each stretch of missing
+        input: a start needs na consecutive samples.
     limit : float
-        A run that leaves +-limit is given up: NaN from there until the next start.
+        Magnitude at which a simulation is stopped: NaN from there until the next start.
 
     Returns
     -------
     ndarray, shape (n,)
-        The simulated output; NaN where there is none, the starting samples included.
+        Simulated output; NaN at the samples of a start and where there is no simulation.
     """
     n, na, nb = len(source), len(a), len(b)
     result = np.full(n, np.nan)
@@ -209,40 +201,48 @@ def free_run(
 
 
 def lagged(x: np.ndarray, lag: int) -> np.ndarray:
-    """A series so many samples later: NaN first."""
+    """Return a series delayed by ``lag`` samples, shape (n,), that begins with NaN."""
     return np.concatenate((np.full(lag, np.nan), x))[: len(x)]
 
 
 def simulate(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
-    """Free run over a record from its first ``na`` outputs, shape (n,).
+    """Return the free run of a record from its first ``na`` outputs, shape (n,).
 
-    A run that strays :data:`RUNAWAY` times the range of the output away is given up: NaN.
+    It is NaN from where it leaves the measured output by :data:`MAX_DISTANCE` ranges of that output.
     """
     a, b, _ = orders.split(theta)
     values = record.output[np.isfinite(record.output)]
-    span = float(np.ptp(values)) if len(values) else 0.0
-    # Without a range (a start from rest) only overflow is kept away.
-    limit = float(np.max(np.abs(values))) + RUNAWAY * span if span > 0 else 1e150
+    limit = 1e150  # an output without a range (a start from rest) sets no limit: prevent overflow only
+    if len(values) and np.ptp(values) > 0:
+        limit = float(np.max(np.abs(values))) + MAX_DISTANCE * float(np.ptp(values))
     return free_run(a, b, orders.nk, record.source, record.output, limit)
 
 
 def simulate_all(
     records: Sequence[Record], orders: Orders, theta: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Measured outputs and free runs of several records, one after the other."""
+    """Return the measured outputs and the free runs of several records, concatenated."""
     runs = [simulate(r, orders, theta) for r in records]
     return np.concatenate([r.output for r in records]), np.concatenate(runs)
 
 
 def best_level(measured: np.ndarray, run: np.ndarray, raised: np.ndarray) -> float:
-    """The level of least squared error, of runs at level 0 and at level 1; 0 where none can tell.
+    """Return the output level at which the free run has the least squared error.
 
-    The free run is linear in its initial samples, so that with level L it is ``run + L (raised - run)``.
+    The level is 0 where it has no effect. A free run is linear in its initial samples, so that at level L it
+    is ``run + L (raised - run)``.
+
+    Parameters
+    ----------
+    measured, run, raised : ndarray, shape (n,)
+        Measured output, and the free runs at level 0 and at level 1.
     """
     slope, error = raised - run, measured - run
     use = np.isfinite(slope) & np.isfinite(error)
     weight = float(np.sum(slope[use] ** 2))
-    return float(np.sum(slope[use] * error[use])) / weight if weight > 0 else 0.0
+    if weight == 0:
+        return 0.0
+    return float(np.sum(slope[use] * error[use])) / weight
 
 
 def warm_up() -> None:

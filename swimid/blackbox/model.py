@@ -1,6 +1,6 @@
-"""The ARX model as a model: simulated by free run, read from parameter files, given to python-control.
+"""The ARX model behind the model interface, and its conversion from parameter files and to python-control.
 
-The models the long-fin paper published (Tables II and III) lie in ``published``, ready to run.
+The folder ``published`` contains the models of Tables II and III of the long-fin paper.
 """
 
 from __future__ import annotations
@@ -25,13 +25,14 @@ from swimid.results.parameters import ParameterFile
 if TYPE_CHECKING:
     import control
 
-#: ``model`` of the parameter file.
+#: Name of the model in parameter files.
 NAME = "arma"
+#: Source of the equations.
 _PAPER = (
     "Shang, Wang, Tan, Cheng: Swimming locomotion modeling for biomimetic underwater vehicle with two "
     "undulating long-fins, Robotica 30 (2012) 913-923, doi:10.1017/S0263574711001159"
 )
-#: Parameter files of the models of the long-fin vehicle that the paper published.
+#: Folder of the published parameter files.
 PUBLISHED = Path(__file__).with_name("published")
 
 
@@ -41,17 +42,19 @@ class ArxModel(Model):
     Parameters
     ----------
     orders : Orders
-        na, nb, nk; the noise polynomial plays no part in a simulation.
+        Orders na, nb and nk; a simulation does not use the noise polynomial.
+    sample_time_s : float
+        Sample time, s.
     source, output : str
         Names of the input and the output column.
     source_level, output_level : float
         Working point: subtracted from the input, added to the simulated output.
     sine : tuple of float, optional
-        Amplitude, frequency (Hz) and phase (rad) of the input where no column holds it.
+        Amplitude, frequency (Hz) and phase (rad) of an input without a column.
     start : ndarray, shape (na + nb,), optional
-        Coefficients a1 .. b1 .. as start values.
+        Start values of the coefficients a1, ..., b1, ...
     unit, gain_unit : str
-        Of the output, and of the b coefficients.
+        Units of the output, and of the b coefficients.
     """
 
     name = NAME
@@ -77,85 +80,82 @@ class ArxModel(Model):
         self.source, self.output = source, output
         self.source_level, self.output_level = source_level, output_level
         self.sine = sine
-        values = np.zeros(self.orders.count) if start is None else np.asarray(start, dtype=float)
+        values = np.zeros(self.orders.count)
+        if start is not None:
+            values = np.asarray(start, dtype=float)
+        na, nb, nk = self.orders.na, self.orders.nb, self.orders.nk
+        places = [("1", f"past output, z^-{i}") for i in range(1, na + 1)]
+        places += [(gain_unit, f"input, z^-{nk + j}") for j in range(nb)]
         self.parameters = tuple(
             Parameter(
-                name,
-                gain_unit if name.startswith("b") else "1",
-                -np.inf,
-                np.inf,
-                float(value),
-                scale=max(abs(float(value)), 1e-3),
-                meaning=f"coefficient of {_place(name, self.orders)}",
-                source=f"{_PAPER}, Eq 5",
+                name, unit_of, -np.inf, np.inf, float(value), scale=max(abs(float(value)), 1e-3),
+                meaning=f"coefficient of {place}", source=f"{_PAPER}, Eq 5",
             )
-            for name, value in zip(self.orders.names, values, strict=True)
-        )
+            for name, (unit_of, place), value in zip(self.orders.names, places, values, strict=True)
+        )  # fmt: skip
         self.channels = (Channel(output, unit, "output of the model"),)
 
     @classmethod
-    def from_file(cls, parameters: ParameterFile) -> ArxModel:
-        """The model a parameter file holds.
+    def from_file(cls, parameters: ParameterFile, path: Path | None = None) -> ArxModel:
+        """Return the model of a parameter file; ``path`` is the name of the file in errors.
 
         Raises
         ------
         InputError
-            When the file is of another model, or lacks delay, sample time or coefficients.
+            When the file is of another model, or lacks the delay, the sample time or coefficients.
         """
         if parameters.model != NAME:
-            raise InputError(f"model '{parameters.model}' is not '{NAME}'", column="model")
-        if parameters.delay is None or parameters.sample_time_s is None:
-            raise InputError(f"a model '{NAME}' needs 'delay' and 'sample_time_s'", column="delay")
-        orders = _orders(parameters)
+            raise InputError(f"model '{parameters.model}' is not '{NAME}'", file=path, column="model")
+        orders, sample_time_s, start = _coefficients(parameters, path)
         settings = parameters.settings
         sine = settings.get("input_model")
         return cls(
             orders,
-            parameters.sample_time_s,
+            sample_time_s,
             source=str(settings.get("input", "u")),
             output=str(settings.get("output", "y")),
             source_level=float(settings.get("input_level", 0.0)),
             output_level=float(settings.get("output_level", 0.0)),
             sine=sine and (sine["amplitude"], sine["frequency_hz"], sine["phase_rad"]),
-            start=np.array([parameters.value(name) for name in orders.names]),
+            start=start,
             unit=str(settings.get("output_unit", "1")),
             gain_unit=parameters.parameters["b1"].unit,
         )
 
     def commanded(self, trial: Trial) -> bool:
-        """Whether the input column is a command, not a measured joint angle."""
+        """Return whether the input column is a command and not a measured joint angle."""
         return not self.source.startswith("joint")
 
     def commands(self, trial: Trial) -> Iterator[tuple[Array, Array, float]]:
-        """The input where it is there; its rate is not known beyond its samples."""
+        """Yield times and values of the input samples; their rate of change is unknown."""
         time = np.asarray(trial.time_s, dtype=float)
         signal = self.input_of(trial, time)
-        there = np.isfinite(signal)
-        yield time[there], signal[there], 0.0
+        known = np.isfinite(signal)
+        yield time[known], signal[known], 0.0
 
     def onset(self, trial: Trial) -> float:
-        """Always: the input moves no body that would start from rest."""
+        """Return minus infinity: the model has no body that starts from rest."""
         return -np.inf
 
     def beats(self, trials: Sequence[Trial]) -> list[float]:
-        """The frequency of the sine, Hz, where no column holds the input."""
-        return [] if self.sine is None else [self.sine[1]]
+        """Return the frequency of a computed input, Hz."""
+        return [self.sine[1]] if self.sine else []
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Free run of one trial.
+        """Return the free run of one trial.
 
-        It starts from the first na measured outputs (from the working point, at rest, when the
-        trial has no measured output), which are returned as they are. Missing input ends the
-        run until it can start again: NaN there, and where an unstable model runs away.
+        It starts from the first na measured outputs, and returns these unchanged. Without a measured output
+        it starts from the working point. It is NaN from a missing input until it can start again, and where
+        an unstable model diverges.
 
         Raises
         ------
         InputError
-            When the trial's sample time is not the model's, or its input is missing.
+            When the sample time differs from that of the model, or the trial has no input.
         """
         time = np.asarray(trial.time_s, dtype=float)
         step = sampling.rate(time).step_s
-        if abs(step / self.sample_time_s - 1) > 0.01:
+        if abs(step / self.sample_time_s - 1) > sampling.SAME_RATE:
             text = (
                 f"trial {trial.id} is sampled every {step:.6g} s, the model every {self.sample_time_s:.6g} s"
             )
@@ -173,14 +173,14 @@ class ArxModel(Model):
             first = np.flatnonzero(np.isfinite(run))
             if len(first):
                 run[: first[0]] = y[: first[0]]
-            there = piece.rows >= 0
-            result[piece.rows[there]] = run[there] + self.output_level
+            measured_rows = piece.rows >= 0
+            result[piece.rows[measured_rows]] = run[measured_rows] + self.output_level
         return {self.output: result}
 
     def at_own_level(self, values: Array, trial: Trial) -> tuple[ArxModel, dict[str, float]]:
-        """A model of deviations from a working point, at the level this trial's output has.
+        """Return the model at the output level of one trial, and that level.
 
-        The run is linear in the level, so two runs give the one with the least squared error.
+        The level minimises the squared error of the free run. A model without a working point is unchanged.
         """
         if not (self.output_level or self.source_level):
             return self, {}
@@ -195,10 +195,9 @@ class ArxModel(Model):
         return moved
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-        """The same with what else acts (see :meth:`Model.hooked`): on the input column, and on the output.
+        """Return the free run with effects on the input column, the clock and the output.
 
-        The clock delays the output by straight lines between its samples; the run starts from the
-        first measured outputs as before.
+        See :meth:`Model.hooked`. The clock delays the output by linear interpolation.
         """
         time = np.asarray(trial.time_s, dtype=float)
         if hooks.command:
@@ -207,19 +206,19 @@ class ArxModel(Model):
         channels = self.simulate(values, trial)
         if hooks.late:
             run = channels[self.output]
-            there = np.isfinite(run)
-            if there.any():
-                late = np.interp(hooks.happened(time), time[there], run[there])
-                channels[self.output] = np.where(there, late, np.nan)
+            known = np.isfinite(run)
+            if known.any():
+                late = np.interp(hooks.happened(time), time[known], run[known])
+                channels[self.output] = np.where(known, late, np.nan)
         return hooks.seen(channels, trial.time_s)
 
     def input_of(self, trial: Trial, time: Array) -> Array:
-        """The input of a trial at ``time`` (s), NaN where missing: its column, or the sine without one.
+        """Return the input of a trial at ``time`` (s), shape (n,), NaN where missing.
 
         Raises
         ------
         InputError
-            When there is neither.
+            When the trial has no such column, and the model no computed input.
         """
         column = trial.inputs.get(self.source)
         if column is not None:
@@ -230,48 +229,45 @@ class ArxModel(Model):
         return sine_input(time, *self.sine)
 
 
-def sine_input(time_s: Array, amplitude: float, frequency_hz: float, phase_rad: float = 0.0) -> Array:
-    """F_u of Eq 3 without its noise: ``A sin(2 pi f t + phase)``, in the unit of A."""
+def sine_input(time_s: Array, amplitude: float, frequency_hz: float, phase_rad: float) -> Array:
+    """Return ``A sin(2 pi f t + phase)`` in the unit of A: F_u of Eq 3 without its noise."""
     return amplitude * np.sin(2 * np.pi * frequency_hz * np.asarray(time_s, dtype=float) + phase_rad)
 
 
-def _place(name: str, orders: Orders) -> str:
-    power = int(name[1:]) + (orders.nk - 1 if name.startswith("b") else 0)
-    return f"{'past output' if name.startswith('a') else 'input'}, z^-{power}"
-
-
-def _orders(parameters: ParameterFile) -> Orders:
-    """Orders by the names present: a1 .. a_na, b1 .. b_nb, c1 .. c_nc."""
-
-    def count(letter: str) -> int:
-        return next(k for k in itertools.count() if f"{letter}{k + 1}" not in parameters.parameters)
-
-    if count("b") == 0:
-        raise InputError("this parameter is missing", column="parameters.b1")
-    return Orders(count("a"), count("b"), parameters.delay if parameters.delay is not None else 1)
+def _coefficients(parameters: ParameterFile, path: Path | None = None) -> tuple[Orders, float, Array]:
+    """Return orders, sample time (s) and coefficients a1, ..., b1, ... of a parameter file."""
+    delay, sample_time_s = parameters.delay, parameters.sample_time_s
+    if delay is None or sample_time_s is None:
+        text = f"a model '{NAME}' needs 'delay' and 'sample_time_s'"
+        raise InputError(text, file=path, column="delay")
+    if "b1" not in parameters.parameters:
+        raise InputError("this parameter is missing", file=path, column="parameters.b1")
+    na, nb = (
+        next(k for k in itertools.count() if f"{letter}{k + 1}" not in parameters.parameters)
+        for letter in "ab"
+    )
+    orders = Orders(na, nb, delay)
+    return orders, sample_time_s, np.array([parameters.value(name) for name in orders.names])
 
 
 def to_control(parameters: ParameterFile) -> control.TransferFunction:
-    """The model of a file of ``swimid rwls`` as a discrete-time transfer function B / A of python-control.
+    """Return the model of a parameter file as a discrete-time transfer function of python-control.
 
-    In z, with ``dt`` the sample time. Between deviations from the working point, where one was removed.
+    It is B / A in z, with the sample time ``dt``, between deviations from the working point.
     """
     import control
 
-    orders = _orders(parameters)
-    if parameters.sample_time_s is None:
-        raise InputError("this key is missing", column="sample_time_s")
-    a = [parameters.value(f"a{i}") for i in range(1, orders.na + 1)]
-    b = [parameters.value(f"b{i}") for i in range(1, orders.nb + 1)]
+    orders, sample_time_s, theta = _coefficients(parameters)
+    a, b, _ = orders.split(theta)
     denominator = np.concatenate(([1.0], a, np.zeros(orders.lag - orders.na)))
     numerator = np.concatenate((b, np.zeros(orders.lag - (orders.nk + orders.nb - 1))))
-    return control.TransferFunction(numerator, denominator, parameters.sample_time_s)
+    return control.TransferFunction(numerator, denominator, sample_time_s)
 
 
 def published(name: str) -> ParameterFile:
-    """A model the long-fin paper published, one of :func:`published_names`; it gives no uncertainties.
+    """Return a model of the long-fin paper, one of :func:`published_names`, without uncertainties.
 
-    The rotating model is unstable.
+    The model of the rotating motion is unstable.
     """
     if name not in published_names():
         raise KeyError(f"no published model {name!r}; there are {', '.join(published_names())}")
@@ -279,5 +275,5 @@ def published(name: str) -> ParameterFile:
 
 
 def published_names() -> tuple[str, ...]:
-    """Names :func:`published` knows."""
+    """Return the names of the published models."""
     return tuple(sorted(path.stem for path in PUBLISHED.glob("*.yaml")))

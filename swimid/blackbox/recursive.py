@@ -6,12 +6,11 @@ The recursion is Eq 9 of the long-fin paper [1]_,
     theta(k) = theta(k-1) + K(k) (z(k) - h(k)' theta(k-1))
     P(k)     = (I - K(k) h(k)') P(k-1)          [divided by ``forgetting`` afterwards]
 
-with P(0) = a^2 I. P is never formed: its factors U D U' are carried (Bierman [2]_), which
-gives the same numbers, keeps P symmetric and positive, and loses no digits to a large a.
+with P(0) = a^2 I. The recursion updates the factors U D U' of P instead of P (Bierman [2]_). The numbers are
+the same, P stays symmetric and positive definite, and a large a costs no digits.
 
-A constant ``weight`` is not forgetting. It multiplies every row alike, so that the result
-equals ordinary least squares with the prior P(0) scaled by ``weight``; only ``forgetting``
-below 1 discounts old samples.
+A constant ``weight`` multiplies every row alike. The result equals ordinary least squares with the prior P(0)
+scaled by ``weight``. Only ``forgetting`` below 1 discounts old samples.
 
 References
 ----------
@@ -30,41 +29,32 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-#: a of P(0) = a^2 I. The paper asks for more than 10^3.
+#: Default of a in P(0) = a^2 I. The paper recommends more than 10^3.
 PRIOR_SCALE = 1e6
-#: With forgetting, directions the input does not excite grow without limit; they are held at
-#: this multiple of a^2, which no excited direction reaches.
-WINDUP = 1e6
+#: Maximum of the diagonal factor D, in a^2. With forgetting, P grows without limit in directions that the
+#: input does not excite. No excited direction reaches this limit.
+MAX_GROWTH = 1e6
 
 
 @dataclass(frozen=True)
 class Recursion:
-    """What a recursion leaves behind.
+    """Result of a recursion over n rows with p coefficients, of which m rows were kept."""
 
-    Attributes
-    ----------
-    theta : ndarray, shape (p,)
-        The last estimate.
-    covariance : ndarray, shape (p, p)
-        P after the last row. Times the noise variance and the weight it is the covariance of
-        the estimate, where nothing was forgotten.
-    innovations : ndarray, shape (n,)
-        z(k) - h(k)' theta(k-1): the one-step error before the row was used.
-    kept : ndarray of int, shape (m,)
-        Rows at which the trajectory was kept; the last row is always among them.
-    thetas, spreads : ndarray, shape (m, p)
-        Estimates and square roots of the diagonal of P after those rows.
-    windup : int
-        Number of rows after which a factor of P had to be held (see :data:`WINDUP`).
-    """
-
+    #: Last estimate, shape (p,).
     theta: np.ndarray
+    #: P after the last row, shape (p, p). Without forgetting, the covariance of the estimate is P times the
+    #: noise variance and the weight.
     covariance: np.ndarray
+    #: One-step errors ``z(k) - h(k)' theta(k-1)``, shape (n,).
     innovations: np.ndarray
+    #: Rows whose estimates were kept, shape (m,); the last row is always one of them.
     kept: np.ndarray
+    #: Estimates after the kept rows, shape (m, p).
     thetas: np.ndarray
+    #: Square roots of the diagonal of P after the kept rows, shape (m, p).
     spreads: np.ndarray
-    windup: int
+    #: Number of rows at which a factor of P reached :data:`MAX_GROWTH`.
+    limited: int
 
 
 def recursive_least_squares(
@@ -78,32 +68,32 @@ def recursive_least_squares(
     fresh: np.ndarray | None = None,
     stride: int = 1,
 ) -> Recursion:
-    """Run the recursion over rows ``outputs = regressors @ theta + noise``, from theta(0) = 0.
+    """Return the recursive estimate of theta in ``outputs = regressors @ theta + noise``, from theta(0) = 0.
 
     Parameters
     ----------
     regressors : ndarray, shape (n, p)
         Row k is h(k)', finite.
     outputs : ndarray, shape (n,)
-        z, finite.
+        Outputs z, finite.
     weight : float
-        The paper's Lambda, > 0.
+        Lambda of the paper, above 0.
     forgetting : float
-        P is divided by it after every row; 0 < forgetting <= 1.
+        Factor by which P is divided after every row, above 0 and at most 1.
     prior_scale : float
-        a of P(0) = a^2 I, > 0.
+        a of P(0) = a^2 I, above 0.
     noise_terms : int
-        The last ``noise_terms`` columns of ``regressors`` are replaced by the residuals of the
-        rows before (extended least squares [3]_); what they hold is ignored.
+        Number of last columns of ``regressors`` whose values are replaced by the residuals of the rows before
+        (extended least squares [3]_).
     fresh : ndarray of bool, shape (n,), optional
-        True where a row does not continue the one before: past residuals restart at zero.
+        True where a row does not follow the row before: the past residuals start from zero.
     stride : int
-        Keep every ``stride``-th row of the trajectory.
+        Interval between the rows whose estimates are kept.
 
     Raises
     ------
     ValueError
-        For shapes, weights or a stride that make no sense, and for NaN.
+        When an argument is not finite, has another shape, or lies outside its range.
 
     Examples
     --------
@@ -128,29 +118,33 @@ def recursive_least_squares(
         h[:, p - noise_terms :] = 0.0
     if not (np.isfinite(z).all() and np.isfinite(h).all()):
         raise ValueError("regressors and outputs must be finite; leave rows with gaps out")
-    breaks = np.zeros(n, dtype=np.bool_) if fresh is None else fresh
+    if fresh is None:
+        fresh = np.zeros(n, dtype=np.bool_)
     kept = np.arange(stride - 1, n, stride)
     if n and (len(kept) == 0 or kept[-1] != n - 1):
         kept = np.append(kept, n - 1)
     thetas, spreads = np.empty((len(kept), p)), np.empty((len(kept), p))
-    theta, factors, diagonal, innovations, windup = _run(
-        h, z, breaks, noise_terms, 1.0 / weight, 1.0 / forgetting, prior_scale**2, stride, thetas, spreads
+    theta, factors, diagonal, innovations, limited = _run(
+        h, z, fresh, noise_terms, 1.0 / weight, 1.0 / forgetting, prior_scale**2, stride, thetas, spreads
     )
     covariance = (factors.T * diagonal) @ factors
-    return Recursion(theta, covariance, innovations, kept, thetas, spreads, windup)
+    return Recursion(theta, covariance, innovations, kept, thetas, spreads, limited)
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _run(h, z, fresh, noise_terms, variance, growth, prior, stride, thetas, spreads):  # type: ignore[no-untyped-def]  # noqa: C901
-    """One compiled loop: calls and branches cost time here."""
+    """Run the recursion as one compiled loop, because calls and branches would cost time.
+
+    Row j of ``factors`` holds column j of U.
+    """
     n, p = h.shape
-    ceiling = WINDUP * prior
+    ceiling = MAX_GROWTH * prior
     theta = np.zeros(p)
-    factors, diagonal = np.eye(p), np.full(p, prior)  # row j of the factors holds column j of U
+    factors, diagonal = np.eye(p), np.full(p, prior)
     innovations, residuals = np.empty(n), np.empty(n)
     gain, f = np.empty(p), np.empty(p)
     row = 0
-    windup = 0
+    limited = 0
     first = p - noise_terms
     for k in range(n):
         if noise_terms:
@@ -161,7 +155,7 @@ def _run(h, z, fresh, noise_terms, variance, growth, prior, stride, thetas, spre
                 for j in range(p - 1, first, -1):
                     h[k, j] = h[k - 1, j - 1]
                 h[k, first] = residuals[k - 1]
-        # f = U' h and the innovation.
+        # the innovation, and f = U' h
         error = z[k]
         for j in range(p):
             error -= h[k, j] * theta[j]
@@ -169,7 +163,7 @@ def _run(h, z, fresh, noise_terms, variance, growth, prior, stride, thetas, spre
             for i in range(j):
                 total += factors[j, i] * h[k, i]
             f[j] = total
-        # Bierman's update of U and D, one column after the other.
+        # update of U and D column by column (Bierman)
         alpha = variance
         for j in range(p):
             v = diagonal[j] * f[j]
@@ -199,7 +193,7 @@ def _run(h, z, fresh, noise_terms, variance, growth, prior, stride, thetas, spre
                 if diagonal[j] > ceiling:
                     diagonal[j] = ceiling
                     held = True
-            windup += held
+            limited += held
         if (k + 1) % stride == 0 or k == n - 1:
             for i in range(p):
                 thetas[row, i] = theta[i]
@@ -208,10 +202,9 @@ def _run(h, z, fresh, noise_terms, variance, growth, prior, stride, thetas, spre
                     total += factors[j, i] * factors[j, i] * diagonal[j]
                 spreads[row, i] = np.sqrt(total)
             row += 1
-    return theta, factors, diagonal, innovations, windup
+    return theta, factors, diagonal, innovations, limited
 
 
 def warm_up() -> None:
-    """Compile the kernels of this module."""
-    rows = np.ones((2, 1))
-    recursive_least_squares(rows, np.ones(2))
+    """Compile the kernel of this module."""
+    recursive_least_squares(np.ones((2, 1)), np.ones(2))

@@ -1,9 +1,9 @@
-"""``swimid rwls``: a discrete-time model from input and output columns, and its evidence."""
+"""``swimid rwls``: a discrete-time model from an input and an output column, and its evidence."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
@@ -11,13 +11,13 @@ from typing import Any, Literal
 import numpy as np
 
 from swimid.blackbox import difference
-from swimid.blackbox.identified import WORSE, Identified, Scores, frequency_response, identify, pooled
+from swimid.blackbox.identified import MAX_RATIO, Identified, Scores, frequency_response, identify
 from swimid.blackbox.model import NAME
 from swimid.blackbox.options import RwlsOptions
 from swimid.blackbox.trials import read
-from swimid.errors import UsageError
 from swimid.files import atomic, provenance
 from swimid.fitting import noise as rt
+from swimid.fitting.metrics import score
 from swimid.notices import recorded, warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -25,10 +25,24 @@ from swimid.results import blocks, numbers, parameters
 from swimid.results import evidence as ev
 from swimid.results.evidence import Check, Evidence, Figure, NoticeRecord, Panel, Span, Table, Trace
 from swimid.results.fitted import Fitted
-from swimid.results.parameters import ParameterFile
 
-#: Warnings that tell the reason of a check that does not pass.
+#: Warnings whose text is the reason of a check.
 CODES = {"Largest pole": "SWM020", "Residuals white": "SWM013", "Coefficients determined": "SWM010"}
+#: Minimum NRMSE fit of a free run that reproduces the output, %.
+MIN_FIT_PERCENT = 50.0
+#: Condition number of the scaled regression above which it is ill-conditioned.
+MAX_CONDITION = 1e6
+#: Maximum number of orders in the table of a search.
+MAX_ORDERS = 15
+#: Share of the input's power outside of the shaded band of the frequency response, on each side.
+TAIL = 0.05
+REFERENCES = [
+    "L. Shang, S. Wang, M. Tan, L. Cheng: Swimming locomotion modeling for biomimetic underwater vehicle "
+    "with two undulating long-fins. Robotica 30 (2012) 913-923. doi:10.1017/S0263574711001159",
+    "G. J. Bierman: Factorization Methods for Discrete Sequential Estimation. Academic Press, 1977.",
+    "G. M. Ljung, G. E. P. Box: On a measure of lack of fit in time series models. Biometrika 65 (1978) "
+    "297-303. doi:10.1093/biomet/65.2.297",
+]
 
 
 @takes(RwlsOptions)
@@ -41,17 +55,18 @@ def rwls(
 ) -> Fitted:
     """Identify an ARX or ARMAX model by recursive weighted least squares.
 
-    A trials file may name the columns instead. See :class:`swimid.blackbox.difference.Orders` for the orders,
-    :mod:`swimid.blackbox.recursive` for weight, forgetting and P(0), and
-    :func:`swimid.blackbox.identified.centre` for the means. Where the one-step residuals are not white
-    (SWM013) the coefficients of an ARX model are biased: judge it by its free run, or give ``nc``.
+    A trials file can state the columns. Without ``na`` and ``nb`` the orders have the least BIC. See
+    :class:`swimid.blackbox.difference.Orders` for the orders, :mod:`swimid.blackbox.recursive` for weight,
+    forgetting and P(0), and :func:`swimid.blackbox.identified.find_working_point` for the means. If the
+    one-step residuals are not white (SWM013), the coefficients of an ARX model are biased: judge it by its
+    free run, or give ``nc``.
 
     Parameters
     ----------
     logs : sequence of path, Log or DataFrame
-        Logs, or trials files of the experiment ``arma``. One row a sample, at one rate.
+        Logs with one row for each sample, all at one rate; or trials files of the experiment ``arma``.
     output : Path, optional
-        Parameter file; its evidence goes beside it.
+        Parameter file to write, with its evidence beside it.
     progress : Progress
         Shows the order search.
 
@@ -59,17 +74,22 @@ def rwls(
     -------
     Fitted
         ``.parameters`` has ``a1``, ... (1), ``b1``, ... (unit of the output over that of the input) and
-        ``c1``, ... (1); ``.tables()`` has the ``errors`` of the predictions and the ``modes`` of the model,
-        ``.data["orders_tried"]`` the orders of a search.
+        ``c1``, ... (1). ``.tables()`` has the ``errors`` of the predictions and the ``modes`` of the model.
+        ``.data["orders_tried"]`` has the orders of a search with their BIC, least first.
+
+        The errors contain ``fit_percent``, the NRMSE fit ``100 (1 - ||y - yhat|| / ||y - mean(y)||)`` as the
+        System Identification Toolbox defines it. The mean is that of the measured output itself, over the
+        compared samples of all records of a set of data.
 
     Raises
     ------
     InputError
-        For a log that cannot be read, a column that is missing, or rows held out that are fitted too.
+        When a log cannot be read, lacks a column, or has held-out rows that are also fitted.
     UsageError
-        For options that do not fit together, or without orders.
+        When the options contradict each other.
     NoTrustworthyResult
-        When there are too few rows, nothing moves in them, or the search for ``c1``, ... does not converge.
+        When there are too few rows, input or output do not move, or the search for ``c1``, ... does not
+        converge.
 
     References
     ----------
@@ -98,40 +118,143 @@ def rwls(
     >>> fit["b1"].unit
     '(m/s)/rad'
     """
-    if options.order == "given" and (options.na is None or options.nb is None):
-        raise UsageError("give --na and --nb, or --order auto")
     with recorded(repeat=True) as notices:
-        data = read(logs, options.held_out, options.input_column, options.output_column, options.input_model)
+        data = read(logs, options)
         if output is not None:
             atomic.check_writable(output, inputs=data.files)
         m = identify(data, options, progress)
-        checks = make_checks(m)
-        _warn(m, checks)
-    # held-out data are named by a share, a file, or a log in memory
-    held_out = [
-        str(v if isinstance(v, str | float | Path) else getattr(v, "name", "log")) for v in options.held_out
-    ]
-    settings = _settings(m)
-    block = provenance.collect(data.files, settings={**settings, "validate": held_out})
-    file = _parameter_file(m, settings, block)
-    made = Fitted.of(file, build(m, file, checks, blocks.notices(notices)))
-    made.data["orders_tried"] = [
-        {**vars(c.orders), **{name: value for name, value in vars(c).items() if name != "orders"}}
-        for c in m.candidates
-    ]
+        checks = _checks(m)
+        for code, text in _warnings(m, checks):
+            warn(code, text)
+    file = _parameter_file(m)
+    made = Fitted.of(file, _evidence(m, file.provenance, checks, blocks.notices(notices)))
+    made.data["orders_tried"] = [{**asdict(orders), "bic": bic} for orders, bic in m.candidates]
     return made.saved(output)
 
 
+# ---------------------------------------------------------------- checks and warnings
+
+
+def _deciding_scores(m: Identified) -> dict[str, Scores]:
+    """Return the errors that decide on the model: on held-out data, else on the fitted data."""
+    return dict(m.scores) or {"the fitted part": m.fit_scores}
+
+
+def _checks(m: Identified) -> list[Check]:
+    fitted, pole = m.estimate, m.critical_pole
+    checks = [
+        ev.check("Held-out data", str(len(m.scores)), bool(m.scores), "some", reason="no data were held out"),
+        ev.check("Repeated samples", "; ".join(m.data.repeats), not m.data.repeats, "none"),
+    ]
+    otherwise: Literal["warn", "fail"] = "warn"
+    if pole is not None:
+        size = f"|z| = {numbers.measured(pole.magnitude, pole.stderr)}"
+        reason, passed = f"the model integrates ({size}), so that a free run drifts", pole.state == "stable"
+        if pole.state == "unstable":
+            otherwise, reason = "fail", f"the model is unstable ({size}) and cannot be simulated"
+        checks.append(
+            ev.check("Largest pole", size, passed, "below 1", pole.state, otherwise=otherwise, reason=reason)
+        )
+    runs = _deciding_scores(m)
+    if m.fit_scores.diverged:
+        runs["the fitted part"] = m.fit_scores
+    for name, s in runs.items():
+        fit, value = s.free_run.fit_percent, f"{s.free_run.fit_percent:.1f} % fit"
+        otherwise, passed = "warn", False
+        if s.diverged:
+            otherwise, reason = "fail", f"the free run diverges on {name}"
+        elif fit < 0:
+            otherwise = "fail"
+            reason = f"on {name} the free run is worse than the mean of the output ({value})"
+        elif name in m.worse:
+            reason = f"the error on {name} is more than {MAX_RATIO:g} times that of the fit"
+        else:
+            passed = fit >= MIN_FIT_PERCENT
+            reason = f"the free run reproduces less than half of {name} ({value})"
+        limit = f"at least {MIN_FIT_PERCENT:g} %, and an error below {MAX_RATIO:g} times that of the fit"
+        checks.append(ev.check(f"Free run, {name}", value, passed, limit, otherwise=otherwise, reason=reason))
+    for name, test, reason in (
+        ("white", fitted.whiteness, "are not white, so that the coefficients are biased"),
+        ("independent of the input", m.independent, "depend on past inputs: orders or delay are wrong"),
+    ):
+        p, passed = blocks.p_text(test.p_value), test.passed or fitted.exact
+        checks.append(
+            ev.check(f"Residuals {name}", p, passed, "p ≥ 0.01", reason=f"the residuals {reason} ({p})")
+        )
+    lost = _undetermined(m)
+    value = f"{fitted.orders.count - len(lost)} of {fitted.orders.count}"
+    reason = f"the data do not determine {', '.join(lost)}"
+    excited = f"the input excites {fitted.known.input_rank} of the {fitted.orders.nb} coefficients of B"
+    return [*checks, ev.check("Coefficients determined", value, not lost, "all", excited, reason=reason)]
+
+
+def _undetermined(m: Identified) -> list[str]:
+    """Return the names of the coefficients that the data do not determine."""
+    pairs = zip(m.estimate.orders.names, m.estimate.stderr, strict=True)
+    return [name for name, stderr in pairs if not math.isfinite(stderr)]
+
+
+def _warnings(m: Identified, checks: Sequence[Check]) -> Iterator[tuple[str, str]]:
+    """Yield codes and texts of the warnings about the data and the model."""
+    fitted, data, point = m.estimate, m.data, m.point
+    known, nb = fitted.known, fitted.orders.nb
+    unit = numbers.unit_text(data.columns.unit)
+    lost = fitted.data.possible - len(fitted.data)
+    restarts = max(int(np.count_nonzero(fitted.data.fresh)) - len(data.logs), 0)
+    if lost or restarts:
+        yield (
+            "SWM001",
+            f"{lost} of {fitted.data.possible} regression rows left out around missing samples, and the "
+            f"regression restarted {restarts} times at gaps; no value was filled in",
+        )
+    if point.removed:
+        text = (
+            f"means of the fitted part subtracted: {data.columns.source} {point.source:.6g}, "
+            f"{data.columns.output} {point.output:.6g} (constant term t = {point.t:.1f}); the model is of "
+            "deviations from them"
+        )
+        moved = [f"{name} by {s.level:.3g}" for name, s in m.scores.items() if abs(s.level) > s.free_run.rmse]
+        if moved:
+            text += f". Held-out data are at another level: {', '.join(moved)} {unit}".rstrip()
+        yield "SWM021", text
+    for check in checks:
+        if check.name in CODES and check.verdict != "pass":
+            yield CODES[check.name], check.reason
+    source = np.concatenate([record.source for record in data.fit])
+    if np.ptp(source[np.isfinite(source)]) == 0:
+        yield "SWM022", "the input is constant: B is an offset of the output and says nothing of the input"
+    elif known.input_rank < nb:
+        text = f"the input excites {known.input_rank} of the {nb} coefficients of B"
+        if known.input_rank == 2:
+            text += "; a single sine excites two"
+        yield "SWM022", text
+    elif known.condition > MAX_CONDITION:
+        text = f"the regression is ill-conditioned (condition number {known.condition:.1e})"
+        yield "SWM022", f"{text}: lower the orders"
+    if fitted.recursion.limited:
+        yield (
+            "SWM022",
+            "with forgetting, P grew in directions that the input does not excite; it was limited at "
+            f"{fitted.recursion.limited} of {len(fitted.data)} samples",
+        )
+    for name in m.worse:
+        here, fit = (f"{s.free_run.rmse:.3g} {unit}".rstrip() for s in (m.scores[name], m.fit_scores))
+        yield "SWM015", f"the free-run error is {here} on {name}, {fit} on the fitted part"
+
+
+# ---------------------------------------------------------------- parameter file
+
+
 def _settings(m: Identified) -> dict[str, Any]:
-    """Return the options as the file records them, with the orders, columns and levels they led to."""
-    options, columns = m.options, m.data.columns
+    """Return the options as the file contains them, with the orders, columns and levels found."""
+    columns = m.data.columns
     settings: dict[str, Any] = {
         "orders": asdict(m.estimate.orders),
-        "order": "given" if options.order == "given" else f"auto, {options.criterion}",
+        "order": "least BIC" if m.candidates else "given",
         "input": columns.source,
         "output": columns.output,
-        "output_unit": columns.units[1],
-        **options.model_dump(include={"weight", "forgetting", "prior_scale", "centre", "horizon"}),
+        "output_unit": columns.unit,
+        **m.options.model_dump(include={"weight", "forgetting", "prior_scale", "centre", "horizon"}),
         "input_level": m.point.source,
         "output_level": m.point.output,
     }
@@ -141,96 +264,56 @@ def _settings(m: Identified) -> dict[str, Any]:
     return settings
 
 
-def _warn(m: Identified, checks: Sequence[Check]) -> None:
-    fitted, data, point = m.estimate, m.data, m.point
-    orders, known = fitted.orders, fitted.determined
-    unit = numbers.unit_text(data.columns.units[1])
-    lost = fitted.data.possible - len(fitted.data)
-    restarts = max(int(np.count_nonzero(fitted.data.fresh)) - len(data.logs), 0)
-    if lost or restarts:
-        warn(
-            "SWM001",
-            f"{lost} of {fitted.data.possible} regression rows left out around missing samples, and the "
-            f"regression restarted {restarts} times at gaps; no value was filled in",
-        )
-    if point.removed:
-        text = (
-            f"means of the fitted part removed: {data.columns.source} {point.source:.6g}, "
-            f"{data.columns.output} {point.output:.6g} (constant term t = {point.t:.1f}); the model is of "
-            "deviations from them"
-        )
-        moved = [f"{name} by {s.level:.3g}" for name, s in m.scores.items() if abs(s.level) > s.free_run.rmse]
-        if moved:
-            text += f". Held-out data are at another level: {', '.join(moved)} {unit}".rstrip()
-        warn("SWM021", text)
-    for one in checks:
-        if one.name in CODES and one.verdict != "pass":
-            warn(CODES[one.name], one.reason)
-    source = np.concatenate([record.source for record in data.fit])
-    if np.ptp(source[np.isfinite(source)]) == 0:
-        warn("SWM022", "the input is constant: B is an offset of the output and says nothing of the input")
-    elif known.input_rank < orders.nb:
-        text = f"the input excites {known.input_rank} of the {orders.nb} coefficients of B"
-        warn("SWM022", f"{text}; a single sine excites two" if known.input_rank == 2 else text)
-    elif known.condition > 1e6:
-        text = f"the regression is ill-conditioned (condition number {known.condition:.1e}): lower the orders"
-        warn("SWM022", text)
-    if fitted.recursion.windup:
-        warn(
-            "SWM022",
-            f"with forgetting, P grew without limit in directions the input does not excite; it was held at "
-            f"{fitted.recursion.windup} of {len(fitted.data)} samples",
-        )
-    for name in m.worse:
-        errors = (f"{s.free_run.rmse:.3g} {unit}".rstrip() for s in (m.scores[name], m.fit_scores))
-        warn("SWM015", f"the free-run error is {next(errors)} on {name}, {next(errors)} on the fitted part")
-
-
-def _parameter_file(
-    m: Identified, settings: dict[str, Any], block: dict[str, Any]
-) -> parameters.ParameterFile:
+def _parameter_file(m: Identified) -> parameters.ParameterFile:
     fitted, data, horizon = m.estimate, m.data, m.options.horizon
-    orders, names = fitted.orders, fitted.orders.names
-    unit, channel = data.columns.units[1], data.columns.output
-    estimates = {}
-    for name, value, stderr in zip(names, fitted.theta, fitted.stderr, strict=True):
-        known = math.isfinite(stderr)
-        estimates[name] = parameters.Estimate(
+    orders, names, lost = fitted.orders, fitted.orders.names, _undetermined(m)
+    unit, channel = data.columns.unit, data.columns.output
+    estimates = {
+        name: parameters.Estimate(
             value=float(value),
-            stderr=float(stderr) if known else None,
+            stderr=_finite(stderr),
             unit=data.columns.gain_unit if name.startswith("b") else "1",
-            status="estimated" if known else "unidentifiable",
+            status="unidentifiable" if name in lost else "estimated",
         )
-    identifiable = [name for name, e in estimates.items() if e.status == "estimated"]
+        for name, value, stderr in zip(names, fitted.theta, fitted.stderr, strict=True)
+    }
     validation: dict[str, Any] = {}
     if m.scores:
-        together = pooled([r for part in m.held_out.values() for r in part], fitted)
+        held_out = [record for part in m.held_out.values() for record in part]
+        together = score(*difference.simulate_all(held_out, orders, fitted.theta))
         by_set = {name: s.as_dict(unit, horizon) for name, s in m.scores.items()}
         validation[channel] = {**together.as_dict(unit), "data": by_set}
     words = []
-    if len(identifiable) < orders.count:
+    if lost:
         words.append(
-            f"The data span {fitted.determined.rank} of {orders.na + orders.nb} directions; only "
-            f"combinations of {', '.join(name for name in names if name not in identifiable)} are determined."
+            f"The data span {fitted.known.rank} of {orders.na + orders.nb} directions; only combinations of "
+            f"{', '.join(lost)} are determined."
         )
-    # deviations from the input's level, beyond which the model is extrapolated
+    # deviations from the input level, outside of which the model is extrapolated
     deviation = np.concatenate([record.source for record in data.fit]) - m.point.source
     details = {
         "rows": len(fitted.data),
         "rows_left_out": fitted.data.possible - len(fitted.data),
-        "condition": fitted.determined.condition,
-        "input_excites": fitted.determined.input_rank,
+        "condition": fitted.known.condition,
+        "input_excites": fitted.known.input_rank,
         "input_range": [float(np.nanmin(deviation)), float(np.nanmax(deviation))],
-        "stability": m.stability,
+        "stability": m.critical_pole.state if m.critical_pole else "stable",
         "integrating": any(p.integrating for p in m.poles),
         "recursion_end": dict(zip(names, fitted.recursion.theta.tolist(), strict=True)),
     }
+    settings = _settings(m)
+    # held-out data are named by a share, a file, or a log in memory
+    shares = [
+        str(v if isinstance(v, str | float | Path) else getattr(v, "name", "log")) for v in m.options.held_out
+    ]
     return parameters.ParameterFile(
         model=NAME,
         robot=data.robot,
         parameters=estimates,
         identifiability=words,
-        correlation=parameters.Correlation(names=identifiable, matrix=fitted.correlation.tolist()),
+        correlation=parameters.Correlation(
+            names=[name for name in names if name not in lost], matrix=fitted.correlation.tolist()
+        ),
         delay=orders.nk,
         sample_time_s=data.sample_time_s,
         poles=[
@@ -238,11 +321,11 @@ def _parameter_file(
                 real=p.value.real,
                 imag=p.value.imag,
                 magnitude=p.magnitude,
-                stderr_magnitude=p.stderr if math.isfinite(p.stderr) else None,
+                stderr_magnitude=_finite(p.stderr),
             )
             for p in m.poles
         ],
-        stable=not any(p.unstable for p in m.poles),
+        stable=all(p.state != "unstable" for p in m.poles),
         settings=settings,
         fit=parameters.Fit(
             trials=data.logs,
@@ -262,23 +345,20 @@ def _parameter_file(
             },
             **details,
         ),
-        provenance=block,
+        provenance=provenance.collect(data.files, settings={**settings, "validate": shares}),
     )
 
 
-REFERENCES = [
-    "L. Shang, S. Wang, M. Tan, L. Cheng: Swimming locomotion modeling for biomimetic underwater vehicle "
-    "with two undulating long-fins. Robotica 30 (2012) 913-923. doi:10.1017/S0263574711001159",
-    "G. J. Bierman: Factorization Methods for Discrete Sequential Estimation. Academic Press, 1977.",
-    "G. M. Ljung, G. E. P. Box: On a measure of lack of fit in time series models. Biometrika 65 (1978) "
-    "297-303. doi:10.1093/biomet/65.2.297",
-]
-#: Fit of the free run below which a model does not reproduce half of the output, %.
-HALF_PERCENT = 50.0
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
 
 
-def build(m: Identified, file: ParameterFile, checks: list[Check], notices: list[NoticeRecord]) -> Evidence:
-    """Assemble the evidence; a model is good only on held-out data."""
+# ---------------------------------------------------------------- evidence
+
+
+def _evidence(
+    m: Identified, provenance: dict[str, Any], checks: list[Check], notices: list[NoticeRecord]
+) -> Evidence:
     columns = m.data.columns
     least = min(s.free_run.fit_percent for s in _deciding_scores(m).values())
     where = "held-out" if m.scores else "fitted"
@@ -299,64 +379,8 @@ def build(m: Identified, file: ParameterFile, checks: list[Check], notices: list
         notices=notices,
         methods=_methods(m),
         references=REFERENCES,
-        provenance=file.provenance,
+        provenance=provenance,
     )
-
-
-def _deciding_scores(m: Identified) -> dict[str, Scores]:
-    """Return the errors that decide on the model: on held-out data, or else on the fitted ones."""
-    return dict(m.scores) or {"the fitted part": m.fit_scores}
-
-
-def make_checks(m: Identified) -> list[Check]:
-    """Return the checks of a model."""
-    fitted, pole = m.estimate, m.critical_pole
-    checks = [
-        ev.check("Held-out data", str(len(m.scores)), bool(m.scores), "some", reason="no data were held out"),
-        ev.check("Repeated samples", "; ".join(m.data.repeats), not m.data.repeats, "none"),
-    ]
-    if pole is not None:
-        size, grade = f"|z| = {numbers.measured(pole.magnitude, pole.stderr)}", pole.state
-        reason = f"the model integrates ({size}), so that a free run drifts"
-        if pole.unstable:
-            reason = f"the model is unstable ({size}) and cannot be simulated"
-        otherwise: Literal["warn", "fail"] = "fail" if pole.unstable else "warn"
-        passed = pole.state == "stable"
-        checks.append(
-            ev.check("Largest pole", size, passed, "below 1", grade, otherwise=otherwise, reason=reason)
-        )
-    runs = _deciding_scores(m)
-    if m.fit_scores.diverged:
-        runs["the fitted part"] = m.fit_scores
-    for name, s in runs.items():
-        fit, value = s.free_run.fit_percent, f"{s.free_run.fit_percent:.1f} % fit"
-        reason = f"the free run reproduces less than half of {name} ({value})"
-        if s.diverged:
-            reason = f"the free run diverges on {name}"
-        elif fit < 0:
-            reason = f"on {name} the free run is worse than the mean of the output ({value})"
-        elif name in m.worse:
-            reason = f"the error on {name} is more than {WORSE:g} times that of the fit"
-        otherwise = "fail" if s.diverged or fit < 0 else "warn"
-        passed = fit >= HALF_PERCENT and name not in m.worse and not s.diverged
-        limit = f"at least {HALF_PERCENT:g} %, and an error below {WORSE:g} times that of the fit"
-        checks.append(ev.check(f"Free run, {name}", value, passed, limit, otherwise=otherwise, reason=reason))
-    for name, test, reason in (
-        ("white", fitted.whiteness, "are not white, so that the coefficients are biased"),
-        ("independent of the input", m.independent, "depend on past inputs: orders or delay are wrong"),
-    ):
-        p = blocks.p_text(test.p_value)
-        passed = test.passed or fitted.exact
-        checks.append(
-            ev.check(f"Residuals {name}", p, passed, "p ≥ 0.01", reason=f"the residuals {reason} ({p})")
-        )
-    known = int(np.isfinite(fitted.stderr).sum())
-    value = f"{known} of {fitted.orders.count}"
-    why = f"the input excites {fitted.determined.input_rank} of the {fitted.orders.nb} coefficients of B"
-    lost = [n for n, ok in zip(fitted.orders.names, np.isfinite(fitted.stderr), strict=True) if not ok]
-    reason = f"the data do not determine {', '.join(lost)}"
-    passed = known == fitted.orders.count
-    return [*checks, ev.check("Coefficients determined", value, passed, "all", why, reason=reason)]
 
 
 def _errors(m: Identified) -> Table:
@@ -366,15 +390,18 @@ def _errors(m: Identified) -> Table:
         if s.strict is not None:
             kinds["free run, predicted level"] = s.strict
         for kind, q in kinds.items():
-            nrmse = numbers.percent(q.nrmse)
-            rows.append([name, kind, _finite(q.fit_percent), _finite(q.rmse), nrmse, q.samples])
-    caption = "Judge a simulation model by its free run: one-step errors are small for almost any model."
+            share = numbers.percent(q.nrmse)
+            rows.append([name, kind, _finite(q.fit_percent), _finite(q.rmse), share, q.samples])
+    caption = (
+        "Judge a simulation model by its free run: one-step errors are small for almost any model. The NRMSE "
+        "fit is 100 (1 - ||y - ŷ|| / ||y - mean(y)||), with the mean of the measured output of the same data."
+    )
     if m.point.removed:
         caption += (
-            " The means of the fitted part were removed; held-out data are judged about a level of their own."
+            " The means of the fitted part were subtracted. Held-out data are compared about their own level."
         )
-    rmse = f"RMSE ({numbers.unit_text(m.data.columns.units[1]) or '1'})"
-    columns = ["data", "prediction", "fit (%)", rmse, "NRMSE (of the range)", "samples"]
+    rmse = f"RMSE ({numbers.unit_text(m.data.columns.unit) or '1'})"
+    columns = ["data", "prediction", "NRMSE fit (%)", rmse, "RMSE over the range", "samples"]
     title = "Errors on fitted and held-out data"
     return Table(id="errors", title=title, columns=columns, rows=rows, caption=caption)
 
@@ -384,61 +411,57 @@ def _modes(m: Identified) -> Table:
     for p in m.poles:
         size = numbers.measured(p.magnitude, p.stderr)
         rows.append([size, _finite(p.frequency_hz), _finite(p.damping_ratio), p.state])
-    columns = ["|z|", "natural frequency (Hz)", "damping ratio", "verdict"]
-    return Table(id="modes", title="What the poles mean in time", columns=columns, rows=rows, folded=True)
+    columns = ["|z|", "natural frequency (Hz)", "damping ratio", "stability"]
+    return Table(id="modes", title="Modes of the model", columns=columns, rows=rows, folded=True)
 
 
 def _orders(m: Identified) -> list[Table]:
     if not m.candidates:
         return []
-    aic, bic = (min(getattr(c, name) for c in m.candidates) for name in ("aic", "bic"))
-    rows: list[list[blocks.Cell]] = []
-    for c in sorted(m.candidates, key=lambda c: c.score(m.options.criterion))[:15]:
-        rows.append([str(c.orders), c.aic - aic, c.bic - bic, _finite(c.free_run_fit_percent), c.stable])
-    columns = ["orders", "AIC above least", "BIC above least", "free-run fit (%)", "stable"]
-    title = f"The best of {len(m.candidates)} orders by {m.options.criterion}"
-    return [Table(id="orders", title=title, columns=columns, rows=rows, folded=True)]
+    least = m.candidates[0][1]
+    rows: list[list[blocks.Cell]] = [[str(o), bic - least] for o, bic in m.candidates[:MAX_ORDERS]]
+    title = f"The best of {len(m.candidates)} orders"
+    return [Table(id="orders", title=title, columns=["orders", "BIC above least"], rows=rows, folded=True)]
 
 
 def _methods(m: Identified) -> list[str]:
-    o = m.options
+    o, columns = m.options, m.data.columns
     text = (
-        f"An {m.kind} model with {m.estimate.orders} from {m.data.columns.source} to {m.data.columns.output} "
+        f"An {m.kind} model with {m.estimate.orders} from {columns.source} to {columns.output} "
         f"(sample time {m.data.sample_time_s:.6g} s) was identified from {len(m.estimate.data)} samples by "
         "recursive weighted least squares (Shang et al. 2012, Eq 9) in UD factors (Bierman 1977), with the "
         f"weight {o.weight:g}, the forgetting factor {o.forgetting:g} and P(0) = ({o.prior_scale:g})² I."
     )
-    if m.estimate.orders.nc:
-        text += " From its result the one-step error was minimised by Gauss-Newton steps."
-    if m.point.removed:
-        text += " The means of the fitted part were removed from input and output first."
-    if m.estimate.robust:
-        text += " Standard errors are of the sandwich form for correlated residuals (Ljung and Box 1978)."
+    for applies, more in (
+        (m.estimate.orders.nc, "From its result the one-step error was minimised by Gauss-Newton steps."),
+        (m.point.removed, "The means of the fitted part were subtracted from input and output first."),
+        (
+            m.estimate.robust,
+            "Standard errors are of the sandwich form for correlated residuals (Ljung and Box 1978).",
+        ),
+    ):
+        if applies:
+            text += f" {more}"
     return [text]
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 # ---------------------------------------------------------------- figures
 
 
 def _free_run(m: Identified) -> Figure:
-    """Return measured output and free run of the records with the worst and the best free run."""
-    sets = dict(m.held_out) or {"the fitted part": m.fit}
-    ranked = sorted(sets, key=lambda name: _deciding_scores(m)[name].free_run.fit_percent)
+    """Return measured output and free run of the data with the worst and with the best free run."""
+    sets, scores = dict(m.held_out) or {"the fitted part": m.fit}, _deciding_scores(m)
+    ranked = sorted(sets, key=lambda name: scores[name].free_run.fit_percent)
     panels = []
     for name in dict.fromkeys([ranked[0], ranked[-1]]):
-        level = m.point.output + _deciding_scores(m)[name].level
+        level = m.point.output + scores[name].level
         traces: list[Trace] = []
         for record in sets[name]:
             run = difference.simulate(record, m.estimate.orders, m.estimate.theta)
-            curves = {"measured": record.output, "free run": run}
-            for group, (label, y) in enumerate(curves.items()):
+            labels = ("", "") if traces else ("measured", "free run")
+            for group, y in enumerate((record.output, run)):
                 x, shown = ev.thinned(record.time_s, y + level)
-                label = label if len(traces) < len(curves) else ""
-                traces.append(Trace(x=x, y=shown, label=label, group=group))
+                traces.append(Trace(x=x, y=shown, label=labels[group], group=group))
         y_label = numbers.column_title(m.data.columns.output)
         panels.append(Panel(x_label="time (s)", y_label=y_label, traces=traces, title=name))
     caption = "The free run has only the input after its first samples, and the mean level of the record."
@@ -456,32 +479,27 @@ def _frequency_response(m: Identified) -> Figure:
     )
     gain, phase = np.abs(response), np.unwrap(np.angle(response))
     factor, half = np.exp(np.clip(1.96 * log_gain, 0, 20)), 1.96 * np.minimum(phase_sd, np.pi)
-    hertz = omega / (2 * np.pi)
+    hertz, shared = omega / (2 * np.pi), {"spans": _excited(m), "x_scale": "log"}
     gains = Trace(x=hertz, y=gain, lower=gain / factor, upper=gain * factor, group=0)
     phases = blocks.band(hertz, np.degrees(phase), np.degrees(half), group=0)
-    spans = _excited(m)
+    unit = numbers.unit_text(m.data.columns.gain_unit) or 1
     panels = [
-        Panel(
-            x_label="frequency (Hz)", y_label=label, traces=[trace], spans=spans, x_scale="log", y_scale=scale
-        )
-        for label, trace, scale in (
-            (f"gain ({numbers.unit_text(m.data.columns.gain_unit) or 1})", gains, "log"),
-            ("phase (°)", phases, "linear"),
-        )
+        blocks.panel("frequency (Hz)", f"gain ({unit})", [gains], y_scale="log", **shared),
+        blocks.panel("frequency (Hz)", "phase (°)", [phases], **shared),
     ]
     caption = "Gain and phase with 95 % bands. Outside of the shaded band the input has little power."
     return Figure(id="bode", title="Frequency response", caption=caption, panels=panels)
 
 
 def _excited(m: Identified) -> list[Span]:
-    """Return the band that holds the central 90 % of the input's power."""
+    """Return the frequency band with the central 90 % of the input's power."""
     longest = max(m.fit, key=len)
     u = np.nan_to_num(longest.source - np.nanmean(longest.source))
     total = np.cumsum(np.abs(np.fft.rfft(u * np.hanning(len(u)))) ** 2)
     if len(total) < 8 or total[-1] <= 0:
         return []
     hertz = np.fft.rfftfreq(len(u), m.data.sample_time_s)
-    low, high = (float(hertz[np.searchsorted(total, q * total[-1])]) for q in (0.05, 0.95))
+    low, high = hertz[np.searchsorted(total, [TAIL * total[-1], (1 - TAIL) * total[-1]])].tolist()
     step = float(hertz[1])
     return [Span(start=max(low, step), end=high + step, label="90 % of the input's power")]
 
@@ -503,9 +521,10 @@ def _residuals(m: Identified) -> Figure:
 
 
 def _trajectories(m: Identified) -> Figure:
+    """Return the recursive estimates over the rows."""
     run, names = m.estimate.recursion, m.estimate.orders.names
     scale = m.estimate.noise_sd * math.sqrt(m.options.weight)
-    # The first rows only replace the prior; drawn, they would flatten everything else.
+    # the first rows only replace the prior: their range would hide all others
     settled = np.all(run.spreads <= 8 * run.spreads[-1], axis=1) & (run.kept >= 3 * len(names))
     shown = slice(min(int(np.argmax(settled)), len(run.kept) // 2), None)
     panels = []
@@ -513,6 +532,6 @@ def _trajectories(m: Identified) -> Figure:
         half = 1.96 * scale * run.spreads[shown, i]
         estimate = blocks.band(run.kept[shown].astype(float), run.thetas[shown, i], half, group=0)
         panels.append(Panel(x_label="row", y_label=name, traces=[estimate]))
-    caption = "Each coefficient with its 95 % band for white residuals. A step says that the robot changed."
+    caption = "Each coefficient with its 95 % band for white residuals. A step means that the robot changed."
     title = "Coefficients over the record"
     return Figure(id="trajectories", title=title, caption=caption, panels=panels, columns=2)

@@ -1,7 +1,7 @@
-"""How a sensor sits in a body that another log follows: clock, mounting, and the first pose.
+"""Alignment of a sensor with another log: clock offset, mounting, and the turn between the two worlds.
 
-One log says how the other should look at any instant, up to unknown factors and slow drift; the offset of the
-clocks is where it looks most like it.
+Each log predicts the other up to unknown factors and slow drift. The clock offset is the one at which the
+prediction is best.
 """
 
 from __future__ import annotations
@@ -9,33 +9,53 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize
 from scipy.spatial.transform import Rotation
 
 from swimid.errors import NoTrustworthyResult
-from swimid.inertial.record import Array, Poses, Record, integral, resampled
+from swimid.inertial.record import GRAVITY_M_S2, Array, Poses, Record, integral, resampled, turns_of
 from swimid.inertial.setup import BAND, Source
 from swimid.logs.rotation import angles
+
+#: Minimum number of samples that are compared.
+MIN_SAMPLES = 16
+#: Longest sample time in which motion can be distinguished from drift, in periods of the drift.
+MAX_STEP = 0.2
+#: Minimum overlap of the records, relative to the shorter one.
+MIN_OVERLAP = 0.3
+#: Range of the search about its start, on each side, in periods of the signal, and number of offsets in it.
+SEARCH_PERIODS, N_OFFSETS = 0.6, 61
+#: Lag from which on residuals are independent, s.
+INDEPENDENT_S = 1.0
+#: Periods above which a signal is drift, s: of integrated turn rates, and of twice integrated accelerations.
+SLOW_TURN_S, SLOW_PATH_S = 10.0, 2.0
+#: Minimum share of the variance that logs of one trial explain of each other.
+MIN_EXPLAINED = 0.2
+#: Minimum share of samples in which a coordinate is measured.
+MIN_MEASURED = 0.1
+#: Windows over which gravity is averaged, s, and their minimum duration.
+GRAVITY_S, MIN_GRAVITY_S = 1.0, 0.5
+#: Smallest singular value, relative to the largest, with which turns about all axes show mirrored ones.
+MIN_SINGULAR = 0.02
 
 
 @dataclass(frozen=True)
 class Offset:
-    """What to add to the times of the seen log to have them on the reference's clock."""
+    """Offset to add to the times of one log to have those of the reference."""
 
-    #: Estimate, standard error and 95 % interval.
     value_s: float
     stderr_s: float
+    #: 95 % interval.
     low_s: float
     high_s: float
-    #: Share of the variance of the seen channels, slow parts removed, that the reference explains.
+    #: Share of the variance of the channels, without slow parts, that the reference explains.
     explained: float
-    #: Shape (k, d). What the reference channels were multiplied with.
+    #: Factors of the reference channels, shape (k, d).
     factors: Array
 
     @property
     def excludes_zero(self) -> bool:
-        """Whether clocks that agree lie outside the interval."""
+        """Whether equal clocks lie outside of the interval."""
         return not self.low_s <= 0.0 <= self.high_s
 
 
@@ -51,23 +71,22 @@ def clock_offset(
         Channels of the faster, smoother log (integrated turn rates, say).
     seen_time_s : ndarray, shape (m,)
     seen : ndarray, shape (m, d)
-        Channels of the other that are linear in the reference's, plus white noise and slow drift;
-        NaN where missing.
+        Channels of the other log: linear in those of the reference, with white noise and slow drift. NaN
+        where missing.
     slow_s : float
-        Slower than this is drift, and left out of the comparison.
+        Period above which a signal is drift, s. Drift is not compared.
 
     Returns
     -------
     Offset or None
-        None when the records hardly overlap, or nothing moves in both.
+        None if the records hardly overlap, or do not both move.
 
     Notes
     -----
-    The start is the peak of the cross-correlation, summed over pairs of channels. From there the
-    profile likelihood (Pawitan 2001, In All Likelihood, sec. 3.4) of the offset is maximised: factors,
-    drift (cosines slower than ``slow_s``) and the noise of every channel are solved for at each offset.
-    The standard error contains what correlated residuals add to the variance of the score (Newey and West
-    1987, doi:10.2307/1913610).
+    The start is the maximum of the cross-correlation, summed over pairs of channels. From there the profile
+    likelihood of the offset is maximised (Pawitan 2001, In All Likelihood, sec. 3.4): factors, drift (cosines
+    slower than ``slow_s``) and the noise of every channel are estimated for each offset. The standard error
+    allows for correlated residuals (Newey and West 1987, doi:10.2307/1913610).
 
     >>> t = np.arange(0.0, 20.0, 0.01)
     >>> wave = np.sin(6 * t) + 0.3 * np.sin(14 * t)
@@ -76,23 +95,21 @@ def clock_offset(
     >>> abs(found.value_s - 0.037) < 0.001
     True
     """
-    there = np.isfinite(seen).all(axis=1)
-    if there.sum() < 16 or np.ptp(time_s) == 0:
+    known = np.isfinite(seen).all(axis=1)
+    if known.sum() < MIN_SAMPLES or np.ptp(time_s) == 0:
         return None
-    if np.median(np.diff(seen_time_s[there])) > 0.2 * slow_s:
-        return None  # too sparse to show anything faster than drift
-    start = _correlate(time_s, reference, seen_time_s[there], seen[there], slow_s)
+    if np.median(np.diff(seen_time_s[known])) > MAX_STEP * slow_s:
+        return None
+    profile = _Profile(time_s, reference, seen_time_s[known], seen[known], slow_s)
+    start = profile.correlate()
     if start is None:
         return None
-    profile = _Profile(time_s, reference, seen_time_s[there], seen[there], slow_s)
-    # The likelihood is searched this far about the start, in periods of the signal.
-    half = 0.6 * profile.period_s
-    grid = np.linspace(start - half, start + half, 61)
+    half = SEARCH_PERIODS * profile.period_s
+    grid = np.linspace(start - half, start + half, N_OFFSETS)
     values = np.array([profile(shift) for shift in grid])
     if not np.isfinite(values).any():
         return None
-    best = float(grid[np.nanargmax(values)])
-    width = float(grid[1] - grid[0])
+    best, width = float(grid[np.nanargmax(values)]), float(grid[1] - grid[0])
     found = optimize.minimize_scalar(
         lambda shift: -profile(shift),
         bounds=(best - width, best + width),
@@ -100,7 +117,7 @@ def clock_offset(
         options={"xatol": 1e-6},
     )
     value = float(found.x)
-    stderr = profile.spread(value)
+    stderr = profile.standard_error(value)
     if not np.isfinite(stderr):
         return None
     fitted = profile.fit(value)
@@ -111,7 +128,7 @@ def clock_offset(
 
 
 class _Profile:
-    """Log likelihood of an offset, everything else solved for."""
+    """Log-likelihood of a clock offset, with all other parameters estimated."""
 
     def __init__(self, t: Array, reference: Array, seen_t: Array, seen: Array, slow_s: float) -> None:
         self.t, self.reference = t, reference
@@ -120,249 +137,246 @@ class _Profile:
         speed = np.gradient(fast, seen_t, axis=0)
         lead = int(np.argmax(np.std(fast, axis=0)))
         turning = float(np.std(speed[:, lead]))
-        self.period_s = 2 * np.pi * float(np.std(fast[:, lead])) / turning if turning else slow_s
+        self.period_s = slow_s
+        if turning:
+            self.period_s = 2 * np.pi * float(np.std(fast[:, lead])) / turning
 
-    def fit(self, shift: float) -> tuple[Array, Array, Array, NDArray[np.intp]] | None:
+    def correlate(self) -> float | None:
+        """Return the offset with the largest cross-correlation, summed over pairs of channels."""
+        from scipy import signal
+
+        step = float(np.median(np.diff(self.seen_t)))
+        a_t, b_t = (np.arange(t[0], t[-1], step) for t in (self.t, self.seen_t))
+        if min(len(a_t), len(b_t)) < MIN_SAMPLES:
+            return None
+        a = _normal(without_slow(a_t, resampled(a_t, self.t, self.reference), self.slow_s))
+        b = _normal(without_slow(b_t, resampled(b_t, self.seen_t, self.seen), self.slow_s))
+        ones_a, ones_b = np.ones(len(a)), np.ones(len(b))
+        overlap = signal.correlate(ones_a, ones_b)
+        alike = np.zeros(len(overlap))
+        for other in b.T:
+            energy_b = np.maximum(signal.correlate(ones_a, other**2), 1e-3 * np.sum(other**2))
+            for one in a.T:
+                energy_a = np.maximum(signal.correlate(one**2, ones_b), 1e-3 * np.sum(one**2))
+                alike += signal.correlate(one, other) ** 2 / (energy_a * energy_b) / b.shape[1]
+        # the gain of likelihood, so that a short overlap does not win by chance
+        score = -0.5 * overlap * np.log(1 - np.clip(alike, 0.0, 0.999))
+        shifts = signal.correlation_lags(len(a), len(b)) * step + a_t[0] - b_t[0]
+        allowed = overlap >= MIN_OVERLAP * min(len(a), len(b))
+        if not np.any(score[allowed] > 0):
+            return None
+        return float(shifts[allowed][np.argmax(score[allowed])])
+
+    def fit(self, shift: float) -> tuple[Array, Array, Array, Array] | None:
+        """Return reference, seen channels, factors and times of the overlap; None if it is too short."""
         when = self.seen_t + shift
         inside = (when >= self.t[0]) & (when <= self.t[-1])
-        if inside.sum() < 16:
+        if inside.sum() < MIN_SAMPLES:
             return None
         expected = resampled(when[inside], self.t, self.reference)
         both = without_slow(self.seen_t[inside], np.hstack([expected, self.seen[inside]]), self.slow_s)
-        k = expected.shape[1]
-        factors = np.asarray(np.linalg.lstsq(both[:, :k], both[:, k:], rcond=1e-9)[0], dtype=float)
-        return both[:, :k], both[:, k:], factors, np.flatnonzero(inside)
+        x, y = np.hsplit(both, [expected.shape[1]])
+        factors = np.asarray(np.linalg.lstsq(x, y, rcond=1e-9)[0], dtype=float)
+        return x, y, factors, self.seen_t[inside]
 
     def __call__(self, shift: float) -> float:
         fitted = self.fit(shift)
         if fitted is None:
             return -np.inf
         x, y, factors, _ = fitted
-        left = np.mean((y - x @ factors) ** 2, axis=0)
-        # per sample, so that a smaller overlap is no advantage
-        return float(-0.5 * len(self.seen_t) * np.sum(np.log(np.maximum(left, 1e-30))))
+        variance = np.mean((y - x @ factors) ** 2, axis=0)
+        # for the number of all samples, so that a smaller overlap is no advantage
+        return float(-0.5 * len(self.seen_t) * np.sum(np.log(np.maximum(variance, 1e-30))))
 
-    def spread(self, shift: float) -> float:
-        """Standard error, widened by what correlated residuals add to the variance of the score."""
+    def standard_error(self, shift: float) -> float:
+        """Return the standard error of an offset, NaN where it is undetermined."""
         tiny = 1e-3 * self.period_s
         here, after, before = self.fit(shift), self.fit(shift + tiny), self.fit(shift - tiny)
-        if here is None or after is None or before is None or len(after[3]) != len(before[3]):
+        if here is None or after is None or before is None:
             return np.nan
-        x, y, factors, rows = here
+        if not len(here[0]) == len(after[0]) == len(before[0]):
+            return np.nan
+        x, y, factors, times = here
         residual = y - x @ factors
         slope = (after[0] @ factors - before[0] @ factors) / (2 * tiny)
-        if len(slope) != len(residual):
-            return np.nan
-        # what the other unknowns can imitate tells nothing of the offset
+        # the part that other parameters can imitate has no information about the offset
         slope = slope - x @ np.linalg.lstsq(x, slope, rcond=1e-9)[0]
         variance = np.maximum(np.mean(residual**2, axis=0), 1e-30)
         information = float(np.sum(slope**2 / variance))
+        if information <= 0:
+            return np.nan
         score = np.sum(slope * residual / variance, axis=1)
-        step = float(np.median(np.diff(self.seen_t[rows])))
-        # Residuals this many seconds apart are taken as independent.
-        lags = min(int(1.0 / step), len(score) // 4)
+        lags = min(int(INDEPENDENT_S / float(np.median(np.diff(times)))), len(score) // 4)
         total = float(score @ score)
         for lag in range(1, lags + 1):
             total += 2 * (1 - lag / (lags + 1)) * float(score[lag:] @ score[:-lag])
-        if information <= 0:
-            return np.nan
         return float(np.sqrt(max(total / information, 1.0) / information))
 
 
 def without_slow(t: Array, channels: Array, slow_s: float) -> Array:
-    """Channels less their parts slower than ``slow_s``, by cosines."""
+    """Return channels, shape (n, k), without the cosines whose period exceeds ``slow_s``."""
     duration = float(t[-1] - t[0])
     count = max(int(2 * duration / slow_s), 1) + 1
     basis = np.cos(np.pi * np.outer((t - t[0]) / max(duration, 1e-12), np.arange(count)))
-    gram = basis.T @ basis  # cosines are all but orthogonal: the normal equations do, and are fast
+    # cosines are nearly orthogonal, so that the fast normal equations are accurate
+    gram = basis.T @ basis
     gram[np.diag_indices(count)] *= 1 + 1e-10
     return channels - basis @ np.linalg.solve(gram, basis.T @ channels)
 
 
-def _correlate(t: Array, reference: Array, seen_t: Array, seen: Array, slow_s: float) -> float | None:
-    """Offset of the largest cross-correlation, summed over pairs of channels."""
-    from scipy import signal
-
-    step = float(np.median(np.diff(seen_t)))
-    a_t, b_t = np.arange(t[0], t[-1], step), np.arange(seen_t[0], seen_t[-1], step)
-    if len(a_t) < 16 or len(b_t) < 16:
-        return None
-    a = _normal(without_slow(a_t, resampled(a_t, t, reference), slow_s))
-    b = _normal(without_slow(b_t, resampled(b_t, seen_t, seen), slow_s))
-    lags = signal.correlation_lags(len(a), len(b))
-    ones_a, ones_b = np.ones(len(a)), np.ones(len(b))
-    overlap = signal.correlate(ones_a, ones_b)
-    alike = np.zeros(len(lags))
-    for other in b.T:
-        energy_b = np.maximum(signal.correlate(ones_a, other**2), 1e-3 * np.sum(other**2))
-        for one in a.T:
-            energy_a = np.maximum(signal.correlate(one**2, ones_b), 1e-3 * np.sum(one**2))
-            alike += signal.correlate(one, other) ** 2 / (energy_a * energy_b) / b.shape[1]
-    # the likelihood's gain: a short overlap that looks alike by chance does not win
-    score = -0.5 * overlap * np.log(1 - np.clip(alike, 0.0, 0.999))
-    shifts = lags * step + a_t[0] - b_t[0]
-    # Least share of the shorter record that must overlap.
-    allowed = overlap >= 0.3 * min(len(a), len(b))
-    if not allowed.any() or not np.any(score[allowed] > 0):
-        return None
-    return float(shifts[allowed][np.argmax(score[allowed])])
-
-
 def _normal(channels: Array) -> Array:
+    """Return the channels that vary, with standard deviation 1."""
     spread = np.std(channels, axis=0)
     return channels[:, spread > 0] / spread[spread > 0]
 
 
-#: Slower than this is drift, s: of an integrated gyroscope, of a twice integrated accelerometer.
-SLOW_TURN_S, SLOW_WAY_S = 10.0, 2.0
-#: A reference that explains less of what was seen is of another trial.
-LEAST_EXPLAINED = 0.2
-
-
 @dataclass(frozen=True)
-class Fit:
-    """A sensor's rates against a body's."""
+class Alignment:
+    """Relation of a sensor to the body of another log."""
 
-    #: To add to the other log's times.
+    #: Offset to add to the times of the other log.
     offset: Offset
-    #: "turn rates", "yaw", "pitch" or "path".
+    #: Signal that shows it: "turn rates", "yaw", "pitch", "path"; or "given".
     by: str
-    #: Body to sensor, where three angles tell it.
+    #: From body to sensor, if the other log has three angles.
     mount: Rotation | None = None
-    #: Determinant of the best matrix between rates: -1 where an axis is mirrored, 0 where they cannot tell.
+    #: Sign of the determinant between the turns: -1 if an axis is mirrored, 0 if unknown.
     handed: float = 0.0
 
 
-def fit_clocks(record: Record, source: Source, poses: Poses) -> list[Fit]:
-    """Clock offsets by turns and by the path, the surest first, and what turns tell of the mounting.
+def align(record: Record, source: Source, poses: Poses) -> list[Alignment]:
+    """Return the alignments by turns and by the path, the most certain first.
 
     Raises
     ------
     NoTrustworthyResult
-        When nothing in the two logs moves together.
+        When the two logs do not move together.
     """
-    fits = [fit for fit in (_by_turns(record, source, poses), _by_path(record, source, poses)) if fit]
-    good = [fit for fit in fits if fit.offset.explained >= LEAST_EXPLAINED]
+    found = [one for one in (_by_turns(record, source, poses), _by_path(record, source, poses)) if one]
+    good = [one for one in found if one.offset.explained >= MIN_EXPLAINED]
     if not good:
-        best = max((fit.offset.explained for fit in fits), default=0.0)
+        best = max((one.offset.explained for one in found), default=0.0)
         raise NoTrustworthyResult(
             f"the two logs do not move together (the inertial one explains {100 * best:.0f} % of the other); "
             "their clocks cannot be set",
             hint="are they of the same trial, with units and axes right? --clock-offset-s gives the offset",
         )
-    return sorted(good, key=lambda fit: fit.offset.stderr_s)
+    return sorted(good, key=lambda one: one.offset.stderr_s)
 
 
-def fit_at(record: Record, poses: Poses, offset_s: float) -> Fit:
-    """The same for a clock offset that is given."""
-    return _fitted(
-        record, poses, Offset(offset_s, 0.0, offset_s, offset_s, np.nan, np.zeros((0, 0))), "given"
-    )
+def align_at(record: Record, poses: Poses, offset_s: float) -> Alignment:
+    """Return the alignment with a clock offset that is given."""
+    offset = Offset(offset_s, 0.0, offset_s, offset_s, np.nan, np.zeros((0, 0)))
+    return _with_mount(record, poses, offset, "given")
 
 
-def _fitted(record: Record, poses: Poses, offset: Offset, by: str) -> Fit:
-    """What an offset tells of the mounting, where there are three angles."""
+def _with_mount(record: Record, poses: Poses, offset: Offset, by: str) -> Alignment:
     if not poses.full:
-        return Fit(offset, by)
-    mount, handed = _mount(record, replace(poses, time_s=poses.time_s + offset.value_s))
-    return Fit(offset, by, mount, handed)
+        return Alignment(offset, by)
+    return Alignment(offset, by, *_find_mount(record, replace(poses, time_s=poses.time_s + offset.value_s)))
 
 
-def _by_turns(record: Record, source: Source, poses: Poses) -> Fit | None:
+def _by_turns(record: Record, source: Source, poses: Poses) -> Alignment | None:
     rows = np.flatnonzero(poses.turned)
-    if len(rows) < 16:
+    if len(rows) < MIN_SAMPLES:
         return None
+    by, rate = "turn rates", record.rate
     if poses.full:
-        name, rate, seen = "turn rates", record.rate, _wound(poses.rotation[rows])
+        seen = _summed_turns(poses.rotation[rows])
     else:
-        world = source.rotation.apply(record.rate)
-        name, rate = ("yaw", world[:, 2:]) if poses.measured[2] else ("pitch", record.rate)
         seen = poses.angles[rows][:, poses.measured]
+        by = "yaw" if poses.measured[2] else "pitch"
+    if by == "yaw":
+        rate = source.rotation.apply(record.rate)[:, 2:]
     turned = integral(record.time_s, rate - rate.mean(axis=0))
     offset = clock_offset(record.time_s, turned, poses.time_s[rows], seen, slow_s=SLOW_TURN_S)
-    if offset is None or poses.full:
-        return None if offset is None else _fitted(record, poses, offset, name)
-    return Fit(offset, name, None, float(np.sign(offset.factors[0, 0])) if poses.measured[2] else 0.0)
+    if offset is None:
+        return None
+    if by == "yaw":
+        return Alignment(offset, by, handed=float(np.sign(offset.factors[0, 0])))
+    return _with_mount(record, poses, offset, by)
 
 
-def _by_path(record: Record, source: Source, poses: Poses) -> Fit | None:
-    axes = np.isfinite(poses.position).mean(axis=0) > 0.1
+def _by_path(record: Record, source: Source, poses: Poses) -> Alignment | None:
+    axes = np.isfinite(poses.position).mean(axis=0) > MIN_MEASURED
     if not axes.any():
         return None
-    way, seen = _way(record, source), poses.position[:, axes]
-    offset = clock_offset(record.time_s, way, poses.time_s, seen, slow_s=SLOW_WAY_S)
-    return None if offset is None else Fit(offset, "path")
+    path, seen = _fast_path(record, source), poses.position[:, axes]
+    offset = clock_offset(record.time_s, path, poses.time_s, seen, slow_s=SLOW_PATH_S)
+    return None if offset is None else Alignment(offset, "path")
 
 
-def _wound(rotation: Rotation) -> Array:
-    """The body's turns added up, shape (m, 3): increments about body axes."""
-    steps = (rotation[:-1].inv() * rotation[1:]).as_rotvec()
-    return np.vstack([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+def _summed_turns(rotation: Rotation) -> Array:
+    """Return the sum of the turns about body axes up to each attitude, shape (m, 3)."""
+    return np.vstack([np.zeros((1, 3)), np.cumsum(turns_of(rotation), axis=0)])
 
 
-def _mount(record: Record, poses: Poses) -> tuple[Rotation, float]:
-    """Body to sensor from increments of turn and from the direction of gravity; handedness.
+def _find_mount(record: Record, poses: Poses) -> tuple[Rotation, float]:
+    """Return the mounting from body to sensor by turns and by gravity, and the sign of the determinant.
 
-    Wahba's problem (1965, doi:10.1137/1007077), solved by SVD (Markley 1988). Gravity weighs as much as
-    all turns, so that a body that turns about one axis only is placed as well.
+    Wahba's problem (1965, doi:10.1137/1007077), solved by SVD (Markley 1988). Gravity has the weight of all
+    turns, so that a body that turns about one axis is placed, too.
     """
-    rows = np.flatnonzero(
-        poses.turned & (poses.time_s > record.time_s[0]) & (poses.time_s < record.time_s[-1])
-    )
-    rotation, t = poses.rotation[rows], poses.time_s[rows]
-    body = without_slow(t, _wound(rotation), SLOW_TURN_S)
-    turned = integral(record.time_s, record.rate - record.rate.mean(axis=0))
-    sensor = without_slow(t, resampled(t, record.time_s, turned), SLOW_TURN_S)
-    up_body = rotation.inv().apply([0.0, 0.0, 1.0])
-    force = integral(record.time_s, record.acceleration)
-    mean_force = resampled(t, record.time_s, force)
-    window = np.clip(np.searchsorted(t, t + 1.0), 0, len(t) - 1)
-    span = np.maximum(t[window] - t, 1e-9)[:, None]
-    long = (t[window] - t) > 0.5
-    up_sensor = ((mean_force[window] - mean_force) / span)[long] / 9.81
-    joint = np.cumsum(up_body, axis=0)
-    count = np.maximum(window - np.arange(len(t)), 1)[:, None]
-    up_body = ((joint[window] - joint) / count)[long]
+    t = record.time_s
+    rows = np.flatnonzero(poses.turned & (poses.time_s > t[0]) & (poses.time_s < t[-1]))
+    rotation, when = poses.rotation[rows], poses.time_s[rows]
+    body = without_slow(when, _summed_turns(rotation), SLOW_TURN_S)
+    turned = integral(t, record.rate - record.rate.mean(axis=0))
+    sensor = without_slow(when, resampled(when, t, turned), SLOW_TURN_S)
+    # means over a window from each pose: by the integral of specific force, and by the sum over poses
+    last = np.clip(np.searchsorted(when, when + GRAVITY_S), 0, len(when) - 1)
+    span, count = when[last] - when, np.maximum(last - np.arange(len(when)), 1)
+    long = span > MIN_GRAVITY_S
+    force = resampled(when, t, integral(t, record.acceleration))
+    up_sensor = (force[last] - force)[long] / span[long, None] / GRAVITY_M_S2
+    up = np.cumsum(rotation.inv().apply([0.0, 0.0, 1.0]), axis=0)
+    up_body = (up[last] - up)[long] / count[long, None]
     cross = sensor.T @ body / max(np.sum(body**2), 1e-30)
-    with_gravity = cross + (up_sensor.T @ up_body / max(len(up_body), 1) if long.any() else 0.0)
-    u, _, vt = np.linalg.svd(with_gravity)
+    u, _, vt = np.linalg.svd(cross + up_sensor.T @ up_body / max(len(up_body), 1))
     proper = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    free = np.linalg.svd(cross)[1]
-    handed = float(np.sign(np.linalg.det(cross))) if free[2] > 0.02 * free[0] else 0.0
+    singular, handed = np.linalg.svd(cross)[1], 0.0
+    if singular[2] > MIN_SINGULAR * singular[0]:
+        handed = float(np.sign(np.linalg.det(cross)))
     return Rotation.from_matrix(u @ proper @ vt), handed
 
 
-def world_turn(record: Record, source: Source, poses: Poses, mount: Rotation) -> Rotation:
-    """The turn from the source's world to that of the other log; poses on the record's clock.
+def find_world_turn(record: Record, source: Source, poses: Poses, mount: Rotation) -> Rotation:
+    """Return the turn from the world of the source to that of the other log.
 
-    By its angles where there is a yaw, else the turn about the vertical that lays the reckoned path on the
-    seen one.
+    It follows from the angles, if these contain a yaw. Otherwise it is the turn about the vertical that makes
+    the path by accelerations most like the measured one.
+
+    Parameters
+    ----------
+    poses : Poses
+        Poses on the clock of the record.
+    mount : Rotation
+        Mounting from body to sensor.
     """
     inside = (poses.time_s >= record.time_s[0]) & (poses.time_s <= record.time_s[-1])
     if poses.measured[2]:
         rows = np.flatnonzero(poses.turned & inside)
-        near = np.clip(np.searchsorted(record.time_s, poses.time_s[rows]), 0, len(record) - 1)
         if not len(rows):
             return Rotation.identity()
+        near = np.clip(np.searchsorted(record.time_s, poses.time_s[rows]), 0, len(record) - 1)
         body = source.rotation[near] * mount
         if poses.full:
             return (poses.rotation[rows] * body.inv()).mean()
         turn = float(np.angle(np.mean(np.exp(1j * (poses.angles[rows, 2] - angles(body)[2])))))
     else:
         rows = np.flatnonzero(inside & np.isfinite(poses.position[:, :2]).all(axis=1))
-        if len(rows) < 16:
+        if len(rows) < MIN_SAMPLES:
             return Rotation.identity()
         t = poses.time_s[rows]
-        reckoned = resampled(t, record.time_s, _way(record, source)[:, :2])
-        both = without_slow(t, np.hstack([reckoned, poses.position[rows, :2]]), SLOW_WAY_S)
+        path = resampled(t, record.time_s, _fast_path(record, source)[:, :2])
+        both = without_slow(t, np.hstack([path, poses.position[rows, :2]]), SLOW_PATH_S)
         cross = both[:, :2].T @ both[:, 2:]
         turn = float(np.arctan2(cross[0, 1] - cross[1, 0], cross[0, 0] + cross[1, 1]))
     return Rotation.from_rotvec([0.0, 0.0, turn])
 
 
-def _way(record: Record, source: Source) -> Array:
-    """Accelerations integrated twice, world axes, without what is slower than :data:`SLOW_WAY_S`."""
+def _fast_path(record: Record, source: Source) -> Array:
+    """Return the accelerations integrated twice, world axes, without the drift of :data:`SLOW_PATH_S`."""
     force = source.rotation.apply(record.acceleration)
-    force = force - force.mean(axis=0)
-    way = integral(record.time_s, integral(record.time_s, force))
-    return without_slow(record.time_s, way, SLOW_WAY_S)
+    path = integral(record.time_s, integral(record.time_s, force - force.mean(axis=0)))
+    return without_slow(record.time_s, path, SLOW_PATH_S)

@@ -1,13 +1,15 @@
-"""Faults of a recording: each is searched for, and repaired or refused, in the order of :data:`FAULTS`.
+"""Faults of a recording: the table :data:`FAULTS` contains the test and the words of each.
 
-First those of the samples; then units and axes that are not as stated, for which gravity, gyroscope and
-quaternions are compared with each other.
+The tests run in the order of the table. First come faults of single samples, then units and axes that differ
+from those stated, which gravity, turn rates and quaternions show by contradicting each other.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from itertools import permutations, product
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -24,42 +26,114 @@ from swimid.inertial.record import (
     integrated_attitude,
     resampled,
     rotations,
+    turns_of,
 )
-from swimid.inertial.setup import DEG, MOST_ACCELERATION
+from swimid.inertial.setup import DEG, MAX_REST_ACCELERATION
 from swimid.logs import sampling
 from swimid.logs.clock import in_order
 from swimid.logs.log import runs
 from swimid.logs.rotation import rearranged
 
-#: Maximum share of rows without a usable time, and of missing cells in a channel.
-MAX_MISSING = 0.5
-#: Readings this many spans of all others away are wrong; single ones among `WINDOW` samples, or marks.
-SPANS, WINDOW = 30.0, 7
-#: A channel that keeps one value for longer than this while others move is stuck, s and samples.
-STUCK_S, STUCK_SAMPLES = 0.5, 25
-#: A step longer than this many sample times has lost samples; a hole longer than this, s, is refused.
-LONG_STEP, MAX_HOLE_S = 1.6, 2.0
 
-Mended = tuple[Record, list[Finding]]
+@dataclass(frozen=True)
+class Found:
+    """Result of a test: which words of the fault apply, with their values, and the repaired record."""
+
+    #: "handled", "noted", "refuted" or "refused"; empty for a repair that needs no words.
+    words: str
+    record: Record | None = None
+    #: Number of samples concerned, 0 for a fault that has none.
+    count: int = 0
+    #: Column of a refused record.
+    column: str = ""
+    values: dict[str, Any] = field(default_factory=dict)
 
 
-def mend(record: Record) -> Mended:
-    """Return the record with every fault found and repaired, and the findings.
+Test = Callable[[Record], Found | None]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Fault of a recording, with the words for each result of its test (see :class:`Finding`)."""
+
+    test: Test
+    handled: str = ""
+    noted: str = ""
+    refuted: str = ""
+    #: Words for a record that cannot be repaired, and what to do then.
+    refused: str = ""
+    hint: str = ""
+
+
+def repair(record: Record) -> tuple[Record, list[Finding]]:
+    """Return the record with every fault repaired, and the faults found.
 
     Raises
     ------
     InputError
-        Of the first fault that cannot be repaired.
+        For the first fault that cannot be repaired.
     """
     findings: list[Finding] = []
-    for check in FAULTS:
-        record, new = check(record)
-        findings += new
+    for name, fault in FAULTS.items():
+        found = fault.test(record)
+        if found is None:
+            continue
+        record = found.record or record
+        if not found.words:
+            continue
+        text = getattr(fault, found.words).format(**found.values, count=found.count)
+        if found.words == "refused":
+            raise InputError(text, file=record.name, column=found.column, hint=fault.hint or None)
+        findings.append(Finding(name, found.words, text, found.count))
     return record, findings
 
 
-def bridged(record: Record, bad: Flags) -> Record:
-    """Return the record with the bad samples, shape (n, 6), interpolated, and marked as filled."""
+# ---------------------------------------------------------------- samples
+
+#: Maximum share of samples without a time, and of missing cells in a channel.
+MAX_MISSING = 0.5
+#: Magnitude that no sensor exceeds, in any unit.
+MAX_READING = 1e5
+#: Distance of a wild reading from the others, in ranges of those, and number of samples about a single one.
+WILD_RANGES, WINDOW = 30.0, 7
+#: Minimum duration of a stuck channel (s, samples) and the maximum share of other samples at its value.
+STUCK_S, STUCK_SAMPLES, STUCK_SHARE = 0.5, 25, 0.01
+#: Maximum share of stuck samples in a channel.
+MAX_STUCK = 0.3
+#: Share of samples that repeat the one before: rarer by chance, more often a recording without motion.
+MIN_REPEATED, MAX_REPEATED = 0.005, 0.9
+#: Maximum share of clipped samples in a channel.
+MAX_CLIPPED = 0.1
+#: Step with lost samples, in sample times, and longest step without an estimate of the motion, s.
+LONG_STEP, MAX_STEP_S = 1.6, 2.0
+#: Root-mean-square jitter of the time stamps worth a warning, in sample times.
+MIN_JITTER = 0.05
+#: Maximum deviation of the length of a quaternion from 1.
+QUATERNION_TOL = 0.05
+
+
+def find_clock_reset(record: Record) -> Found | None:
+    """Find a clock that goes back and counts on."""
+    row = in_order(record.time_s, {}).reset_row
+    if row is None:
+        return None
+    return Found("refused", column="t_s", values={"time_s": record.time_s[row], "sample": row + 1})
+
+
+def find_stamps(record: Record) -> Found | None:
+    """Find time stamps that repeat or come late; keep the first of each, in order."""
+    order = in_order(record.time_s, dict(zip(CHANNELS, record.channels.T, strict=True)))
+    gone = order.untimed + order.repeated + order.clashing
+    values = {"gone": gone, "late": order.late, "total": len(record)}
+    if gone > MAX_MISSING * len(record):
+        return Found("refused", column="t_s", values=values)
+    if not order.changed:
+        return None
+    return Found("handled", record.take(order.index), gone + order.late, values=values)
+
+
+def bridge(record: Record, bad: Flags) -> Record:
+    """Return the record with bad samples, shape (n, 6), interpolated linearly and marked as filled."""
     values = record.channels
     for column, hole in zip(values.T, bad.T, strict=True):
         if hole.any() and not hole.all():
@@ -72,123 +146,60 @@ def bridged(record: Record, bad: Flags) -> Record:
     )
 
 
-def _channels(flags: Flags) -> str:
-    """Return the names of the channels in which a flag is set."""
-    return ", ".join(name for name, bad in zip(CHANNELS, flags.T, strict=True) if bad.any())
+def find_samples(is_bad: Callable[[Record], Flags], max_share: float) -> Test:
+    """Make a test that bridges bad samples, and refuses a channel with more than a share of them.
+
+    Parameters
+    ----------
+    is_bad : callable
+        Returns the bad samples of a record, shape (n, 6).
+    """
+
+    def test(record: Record) -> Found | None:
+        bad = is_bad(record)
+        share = bad.mean(axis=0)
+        worst = int(np.argmax(share))
+        if share[worst] > max_share:
+            size = np.max(np.abs(np.nan_to_num(record.channels[bad[:, worst], worst])))
+            values = {"percent": 100 * share[worst], "largest": size}
+            return Found("refused", column=CHANNELS[worst], values=values)
+        if not bad.any():
+            return None
+        names = [name for name, flags in zip(CHANNELS, bad.T, strict=True) if flags.any()]
+        size = np.max(np.abs(np.nan_to_num(record.channels[bad])))
+        values = {"channels": ", ".join(names), "largest": size}
+        return Found("handled", bridge(record, bad), int(bad.any(axis=1).sum()), values=values)
+
+    return test
 
 
-def stamps(record: Record) -> Mended:
-    """Keep the first of each repeated stamp, put late rows in place; refuse a clock that was reset."""
-    order = in_order(record.time_s, dict(zip(CHANNELS, record.channels.T, strict=True)))
-    if order.reset_row is not None:
-        row = order.reset_row
-        text = f"time goes back at t = {record.time_s[row]:g} s (sample {row + 1}) and counts on from there"
-        hint = "was the clock reset or wrapped? cut the log there, one file for each piece"
-        raise InputError(text, file=record.name, column="t_s", hint=hint)
-    gone = order.untimed + order.repeated + order.clashing
-    if gone > MAX_MISSING * len(record):
-        text = f"{gone} of {len(record)} samples have no time of their own"
-        hint = "the stamps are too coarse: give the time with more decimals, or by 'rate_hz' in a mapping"
-        raise InputError(text, file=record.name, column="t_s", hint=hint)
-    if not order.changed:
-        return record, []
-    text = f"{gone} samples without a time of their own left out, {order.late} out of order put in place"
-    return record.take(order.index), [Finding("repeated stamps", "handled", text, gone + order.late)]
+def _by_channel(is_bad: Callable[[Record, Array], Flags]) -> Callable[[Record], Flags]:
+    return lambda record: np.column_stack([is_bad(record, values) for values in record.channels.T])
 
 
-def wild(record: Record) -> Mended:
-    """Take readings that no motion makes as missing: marks for "no sample", and glitches of transmission."""
-    values = record.channels
-    bad = np.column_stack([_wild(column) for column in values.T])
-    if not bad.any():
-        return record, []
-    largest, count = float(np.max(np.abs(values[bad]))), int(bad.any(axis=1).sum())
-    text = f"{count} samples in {_channels(bad)} that no motion makes (up to {largest:.4g}) taken as missing"
-    finding = Finding("wild readings", "handled", text, count)
-    return record.with_channels(np.where(bad, np.nan, values)), [finding]
-
-
-def _wild(values: Array) -> Flags:
-    # No sensor shows more, in any unit its readings come in.
-    flags = np.abs(np.nan_to_num(values)) > 1e5
-    there = np.flatnonzero(np.isfinite(values) & ~flags)
-    if len(there) < 2 * WINDOW:
+def is_wild(_: Record, values: Array) -> Flags:
+    """Return the readings of a channel that no motion causes: codes for "no sample", and glitches."""
+    flags = np.abs(np.nan_to_num(values)) > MAX_READING
+    known = np.flatnonzero(np.isfinite(values) & ~flags)
+    if len(known) < 2 * WINDOW:
         return flags
-    # a mark, however often it comes, is one value far from all the others
-    for extreme in (float(values[there].max()), float(values[there].min())):
-        others = values[there][values[there] != extreme]
-        if len(others) > WINDOW and abs(extreme - np.median(others)) > SPANS * np.ptp(others) > 0:
+    # a code is one value far from all others, however often it occurs
+    for extreme in (float(values[known].max()), float(values[known].min())):
+        others = values[known][values[known] != extreme]
+        if len(others) > WINDOW and abs(extreme - np.median(others)) > WILD_RANGES * np.ptp(others) > 0:
             flags |= values == extreme
-    there = np.flatnonzero(np.isfinite(values) & ~flags)
-    calm = median_filter(values[there], size=WINDOW, mode="nearest")
+    known = np.flatnonzero(np.isfinite(values) & ~flags)
+    calm = median_filter(values[known], size=WINDOW, mode="nearest")
     span = float(np.ptp(calm))
     if span > 0:
-        flags[there] |= np.abs(values[there] - calm) > SPANS * span
+        flags[known] |= np.abs(values[known] - calm) > WILD_RANGES * span
     return flags
 
 
-def missing(record: Record) -> Mended:
-    """Bridge missing cells; their stretch of the path is known worse."""
-    bad = ~np.isfinite(record.channels)
-    share = bad.mean(axis=0)
-    worst = int(np.argmax(share))
-    if share[worst] > MAX_MISSING:
-        text = f"{100 * share[worst]:.0f} % of the samples are missing"
-        raise InputError(text, file=record.name, column=CHANNELS[worst])
-    count = int(bad.any(axis=1).sum())
-    if not count:
-        return record, []
-    text = f"{count} samples with missing cells, bridged from their neighbours"
-    return bridged(record, bad), [Finding("missing cells", "handled", text, count)]
-
-
-def dead(record: Record) -> Mended:
-    """Refuse a dead accelerometer or gyroscope axis; bridge stuck samples; do not use a dead compass.
-
-    A magnetometer, or an attitude, that comes at a lower rate is interpolated between its samples.
-    """
-    values = record.channels
-    stuck = np.column_stack([_stuck(record, column) for column in values.T])
-    for name, column, share in zip(CHANNELS, values.T, stuck.mean(axis=0), strict=True):
-        constant = np.ptp(column) == 0
-        # Maximum share of a channel that is stuck.
-        if constant or share > 0.3:
-            text = f"the channel is dead: one value for {100 * max(share, constant):.0f} % of the time"
-            hint = "three accelerations and three turn rates are needed; mend the sensor or its wiring"
-            raise InputError(text, file=record.name, column=name, hint=hint)
-    texts, count = [], int(stuck.any(axis=1).sum())
-    if count:
-        texts.append(f"{count} samples stuck at one value in {_channels(stuck)}, bridged")
-        record = bridged(record, stuck)
-    field, q, t = record.magnetic, record.quaternion, record.time_s
-    if field is not None:
-        rows = _measured(record, field)
-        if len(rows) == 0 or np.any(np.ptp(field[rows], axis=0) == 0):
-            texts.append("the magnetometer is dead or has holes, not used")
-            record = replace(record, magnetic=None)
-        else:
-            record = replace(record, magnetic=resampled(t, t[rows], field[rows]))
-    if q is not None:
-        rows = _measured(record, q)
-        lengths = np.linalg.norm(q[rows], axis=1)
-        if len(rows) == 0 or np.ptp(q[rows], axis=0).max() == 0 or np.max(np.abs(lengths - 1)) > 0.05:
-            texts.append("the quaternions are constant, have holes or are not of length 1, not used")
-            record = replace(record, quaternion=None)
-        elif len(rows) < len(record):
-            between = Slerp(t[rows], rotations(q[rows]))(np.clip(t, t[rows[0]], t[rows[-1]]))
-            record = replace(record, quaternion=between.as_quat()[:, [3, 0, 1, 2]])
-    return record, [Finding("dead channel", "handled", text, count) for text in texts]
-
-
-def _measured(record: Record, values: Array) -> np.ndarray:
-    """Return the rows in which a slower sensor has values; none where a hole is too long to bridge."""
-    rows = np.flatnonzero(np.isfinite(values).all(axis=1))
-    times = np.concatenate([record.time_s[:1], record.time_s[rows], record.time_s[-1:]])
-    return rows if len(rows) > 1 and np.max(np.diff(times)) <= max(STUCK_S, 2 * record.step_s) else rows[:0]
-
-
-def _stuck(record: Record, values: Array) -> Flags:
-    """Return the long runs of one value, unless the channel is so coarse that it often repeats itself."""
+def is_stuck(record: Record, values: Array) -> Flags:
+    """Return the long runs of one value, except where the channel often has this value (coarse rounding)."""
+    if np.ptp(values) == 0:
+        return np.ones(len(values), dtype=bool)
     flags = np.zeros(len(values), dtype=bool)
     least = max(round(STUCK_S / record.step_s), STUCK_SAMPLES)
     for first, last in runs(np.concatenate(([False], np.diff(values) == 0))):
@@ -196,318 +207,288 @@ def _stuck(record: Record, values: Array) -> Flags:
             continue
         inside = np.zeros(len(values), dtype=bool)
         inside[max(first - 1, 0) : last] = True
-        # at a level the channel often shows, it may just be at rest
-        if not inside.all() and np.mean(values[~inside] == values[first]) < 0.01:
+        if np.mean(values[~inside] == values[first]) < STUCK_SHARE:
             flags |= inside
     return flags
 
 
-def held(record: Record) -> Mended:
-    """Bridge samples that repeat the one before: the logger asks faster than the sensor answers."""
+def is_repeated(record: Record) -> Flags:
+    """Return the samples that repeat the one before: the logger reads faster than the sensor measures."""
     same = np.concatenate(([False], np.all(np.diff(record.channels, axis=0) == 0, axis=1)))
-    count = int(same.sum())
-    # Below this share samples repeat by chance, at rest and with few digits.
-    if count < 0.005 * len(same) or count > 0.9 * len(same):
-        return record, []
-    text = f"{count} samples repeat the one before in every channel; bridged from the true ones"
-    bad = np.repeat(same[:, None], 6, axis=1)
-    return bridged(record, bad), [Finding("repeated samples", "handled", text, count)]
+    if not MIN_REPEATED <= np.mean(same) <= MAX_REPEATED:
+        same[:] = False
+    return np.repeat(same[:, None], 6, axis=1)
 
 
-def saturated(record: Record) -> Mended:
-    """Bridge clipped samples, which hide how far the motion went; refuse where they are many."""
-    values = record.channels
-    clipped = np.column_stack([_clipped(column) for column in values.T])
-    share = clipped.mean(axis=0)
-    if not share.any():
-        return record, []
-    worst = int(np.argmax(share))
-    # Maximum share of clipped samples in a channel.
-    if share[worst] > 0.1:
-        limit = float(np.max(np.abs(values[:, worst])))
-        text = f"{100 * share[worst]:.1f} % of the samples are clipped at {limit:.4g}"
-        hint = "use a sensor, or a setting, with a larger range"
-        raise InputError(text, file=record.name, column=CHANNELS[worst], hint=hint)
-    count = int(clipped.any(axis=1).sum())
-    text = f"{count} samples clipped at the end of the range in {_channels(clipped)}, bridged"
-    return bridged(record, clipped), [Finding("saturated channel", "handled", text, count)]
+def is_clipped(_: Record, values: Array) -> Flags:
+    """Return the samples at the end of a closed range.
 
-
-def _clipped(values: Array) -> Flags:
+    The values of an open range become rare towards its ends. A closed range holds its last value for several
+    samples, three times at least, and has it more often than the last 1 % before it.
+    """
     flags = np.zeros(len(values), dtype=bool)
     for extreme in (float(np.max(values)), float(np.min(values))):
         at = values == extreme
-        held_runs = [(a, b) for a, b in runs(at) if b - a >= 2]
-        # the tail of an open range thins out; a closed one is held and piles up over the last 1 %
+        holds = [(first, last) for first, last in runs(at) if last - first >= 2]
         below = np.abs(values[~at] - extreme)
         near = below <= max(0.01 * np.ptp(values), float(np.min(below)))
-        if len(held_runs) >= 3 and at.sum() > 2.0 * near.sum():
+        if len(holds) >= 3 and at.sum() > 2.0 * near.sum():
             flags |= at
     return flags
 
 
-def dropped(record: Record) -> Mended:
-    """Count samples that are missing; the trapezoid spans them, and the errors grow there."""
+def find_dead_magnetometer(record: Record) -> Found | None:
+    """Find a magnetometer without measurements; interpolate one that is slower than the log."""
+    if record.magnetic is None:
+        return None
+    rows = _measured_rows(record, record.magnetic)
+    if len(rows) == 0 or np.any(np.ptp(record.magnetic[rows], axis=0) == 0):
+        return Found("handled", replace(record, magnetic=None))
+    slow = resampled(record.time_s, record.time_s[rows], record.magnetic[rows])
+    return Found("", replace(record, magnetic=slow))
+
+
+def find_dead_quaternion(record: Record) -> Found | None:
+    """Find quaternions that are no measured attitude; interpolate those slower than the log."""
+    q, t = record.quaternion, record.time_s
+    if q is None:
+        return None
+    rows = _measured_rows(record, q)
+    wrong = np.abs(np.linalg.norm(q[rows], axis=1) - 1) > QUATERNION_TOL
+    if len(rows) == 0 or np.ptp(q[rows], axis=0).max() == 0 or wrong.any():
+        return Found("handled", replace(record, quaternion=None))
+    if len(rows) == len(record):
+        return None
+    between = Slerp(t[rows], rotations(q[rows]))(np.clip(t, t[rows[0]], t[rows[-1]]))
+    return Found("", replace(record, quaternion=between.as_quat(scalar_first=True)))
+
+
+def _measured_rows(record: Record, values: Array) -> np.ndarray:
+    """Return the rows with values; none if a gap between them is too long for interpolation."""
+    rows = np.flatnonzero(np.isfinite(values).all(axis=1))
+    times = np.concatenate([record.time_s[:1], record.time_s[rows], record.time_s[-1:]])
+    if len(rows) < 2 or np.max(np.diff(times)) > max(STUCK_S, 2 * record.step_s):
+        return rows[:0]
+    return rows
+
+
+def find_dropped(record: Record) -> Found | None:
+    """Find missing samples. The integrals span them, and the noise model allows for them."""
     steps = np.diff(record.time_s)
-    wide = steps > LONG_STEP * record.step_s
+    wide, row = steps > LONG_STEP * record.step_s, int(np.argmax(steps))
     if not wide.any():
-        return record, []
-    longest = float(steps.max())
-    if longest > MAX_HOLE_S:
-        text = f"no samples for {longest:.2f} s after t = {record.time_s[int(np.argmax(steps))]:.3f} s"
-        hint = "motion in between is unknown: cut the log there, one file for each piece"
-        raise InputError(text, file=record.name, column="t_s", hint=hint)
-    count = int(np.sum(np.round(steps[wide] / record.step_s) - 1))
-    text = f"{count} samples dropped in {int(wide.sum())} places, the longest {longest:.3f} s; spanned"
-    return record, [Finding("dropped samples", "handled", text, count)]
+        return None
+    values = {"places": int(wide.sum()), "longest": steps[row], "time_s": record.time_s[row]}
+    if steps[row] > MAX_STEP_S:
+        return Found("refused", column="t_s", values=values)
+    return Found("handled", count=int(np.sum(np.round(steps[wide] / record.step_s) - 1)), values=values)
 
 
-def jitter(record: Record) -> Mended:
-    """Report uneven steps; every integral uses the samples' own stamps."""
-    uneven = sampling.rate(record.time_s).jitter
-    single = np.diff(record.time_s)
-    single = single[single < LONG_STEP * record.step_s]
-    uneven = max(uneven, float(np.std(single)) / record.step_s) if uneven else 0.0
-    # Jitter worth a warning, in sample times.
-    if uneven < 0.05:
-        return record, []
-    text = f"time steps vary by {100 * uneven:.0f} % (rms) of {1e3 * record.step_s:.3g} ms; stamps are used"
-    return record, [Finding("clock jitter", "handled", text)]
+def find_jitter(record: Record) -> Found | None:
+    """Find uneven steps. All integrals use the time stamps of the samples."""
+    steps = np.diff(record.time_s)
+    single = steps[steps < LONG_STEP * record.step_s]
+    jitter = sampling.rate(record.time_s).jitter
+    if jitter:
+        jitter = max(jitter, float(np.std(single)) / record.step_s)
+    if jitter < MIN_JITTER:
+        return None
+    return Found("handled", values={"percent": 100 * jitter, "step_ms": 1e3 * record.step_s})
 
 
 # ---------------------------------------------------------------- units and axes
 
-
-#: Relative deviation from 1 g at rest: sensors are off by a few percent, a swimmer that glides adds some.
-NEAR = 0.12
+#: Relative tolerance of gravity at rest: sensors are off by some percent, gliding adds some.
+GRAVITY_RTOL = 0.12
+#: Minimum size of a specific force that contains gravity, in g.
+MIN_GRAVITY = 0.5
+#: Units of acceleration, m/s^2. The nearest one is taken: mg and cm/s2 differ by 2 %.
 UNITS = {"g": GRAVITY_M_S2, "mg": 1e-3 * GRAVITY_M_S2, "ft/s2": 0.3048, "cm/s2": 0.01}
-#: Windows in which specific force is judged, s, and their maximum number for turn rates.
+#: Windows in which the specific force is judged, s, and the maximum number of them for turn rates.
 WINDOW_S, MAX_WINDOWS = 0.5, 200
-#: Turns of gravity are seen between means over this long, s, so many of them apart: about a second, long
-#: enough that accelerations weigh less than turns.
+#: Averages over BLOCK_S, s, that are BLOCKS apart show the turning of gravity: over about a second
+#: accelerations weigh less than turns.
 BLOCK_S, BLOCKS = 0.3, 3
-#: Minimum number of windows that tell.
-MIN_BLOCKS = 16
-#: A turn of gravity over a second that can be seen, rad.
-VISIBLE = 0.02
-#: A unit or convention that leaves this share of what the other leaves is the right one.
-CLEARLY = 0.5
-#: Another arrangement of axes must leave this much less of gravity's turning than the one in the log, and
-#: less than the runner-up among those that do the same to the axes that turn. An arrangement that explains
-#: more than half of the turning stays: what it leaves is acceleration (a yawing swimmer's ``u r`` looks like
-#: roll).
+#: Minimum number of averages, and minimum root-mean-square turn of gravity between them, rad.
+MIN_BLOCKS, MIN_TURN = 16, 0.02
+#: Maximum residual of the right unit or convention, relative to that of another one.
+CLEAR_RATIO = 0.5
+#: Minimum correlation between the turning of gravity and the turn rates.
+MIN_CORRELATION = 0.5
+#: Maximum residual of another arrangement of axes, relative to the one in the log and to the runner-up. An
+#: arrangement that explains half of the turning stays: its residual is acceleration (in a yawing swimmer
+#: ``u r`` looks like roll).
 BETTER, DECIDED, EXPLAINED = 0.5, 0.8, 0.5
+#: Turn rate above which an unconfirmed unit is doubted (99th percentile), rad/s.
+FAST_RAD_S = 12.0
+#: Interval between compared quaternions, s, and their minimum root-mean-square turn, rad.
+STRIDE_S, MIN_STEP_RAD = 0.1, 1e-3
 
 
-def acceleration_unit(record: Record) -> Mended:
-    """Compare the specific force of quiet samples with gravity.
+def _compare_gravity(record: Record) -> tuple[float, str]:
+    """Return the size of the specific force and its unit: "m/s2", a key of :data:`UNITS`, or empty for none.
 
-    The stated unit is believed unless quiet samples show gravity in another one. A sensor that is shaken all
-    the time has no quiet samples: its unit is not doubted, because its readings can have any size.
+    The stated unit is believed unless quiet samples show gravity in another one. The readings of a sensor
+    that moves all the time can have any size. Gravity then shows in their mean, or in the typical size if the
+    sensor tumbles.
     """
-    size = _at_rest(record)
+    size = _size_at_rest(record)
     if size is None:
-        # without quiet samples gravity shows in the mean, or of a tumbling sensor in the typical size
         sizes = np.linalg.norm([record.acceleration.mean(axis=0), *record.acceleration], axis=1)
         size = float(max(sizes[0], np.median(sizes)))
-        if size >= 0.5 * GRAVITY_M_S2:
-            return record, []
-    elif abs(size / GRAVITY_M_S2 - 1) <= NEAR:
-        return record, []
-    else:
-        # mg and cm/s2 differ by 2 %: the nearer is taken, an error of scale at worst
-        off = {name: abs(np.log(size * factor / GRAVITY_M_S2)) for name, factor in UNITS.items()}
-        name = min(off, key=lambda unit: off[unit])
-        if off[name] <= NEAR:
-            text = f"accelerations are in {name} ({size:.4g} at rest), converted by {UNITS[name]:.6g}"
-            finding = Finding("acceleration unit", "handled", text)
-            return replace(record, acceleration=record.acceleration * UNITS[name]), [finding]
-    hint = "say the unit in a mapping (--map)"
-    if size < 0.5 * GRAVITY_M_S2:
-        hint = "gravity seems to be taken out already: give the accelerometer's own readings"
-    text = f"the typical size of the acceleration is {size:.4g} m/s2, where gravity alone makes 9.81"
-    raise InputError(text, file=record.name, column="ax_m_s2 ... az_m_s2", hint=hint)
+        return size, "m/s2" if size >= MIN_GRAVITY * GRAVITY_M_S2 else ""
+    if abs(size / GRAVITY_M_S2 - 1) <= GRAVITY_RTOL:
+        return size, "m/s2"
+    off = {name: abs(np.log(size * factor / GRAVITY_M_S2)) for name, factor in UNITS.items()}
+    name = min(off, key=lambda unit: off[unit])
+    return size, name if off[name] <= GRAVITY_RTOL else ""
 
 
-def _at_rest(record: Record) -> float | None:
+def _size_at_rest(record: Record) -> float | None:
     """Return the median size of the specific force in windows in which it hardly changes; None without any.
 
-    A window is quiet where the specific force deviates from its mean by less, relative to it, than that of a
-    sensor at rest may deviate from gravity.
+    Its standard deviation there, relative to its size, is at most that of a sensor at rest relative to g.
     """
     size = max(round(WINDOW_S / record.step_s), 4)
     count = len(record) // size
     windows = record.acceleration[: count * size].reshape(count, size, 3)
     sizes = np.linalg.norm(windows.mean(axis=1), axis=1)
-    quiet = np.sqrt(windows.var(axis=1).sum(axis=1)) <= MOST_ACCELERATION / GRAVITY_M_S2 * sizes
+    quiet = np.sqrt(windows.var(axis=1).sum(axis=1)) <= MAX_REST_ACCELERATION / GRAVITY_M_S2 * sizes
     return float(np.median(sizes[quiet])) if quiet.any() else None
 
 
-def rate_unit(record: Record) -> Mended:
-    """Convert turn rates that are in degrees, as judged by how gravity or the quaternions turn.
+def find_acceleration_unit(record: Record) -> Found | None:
+    """Find accelerations in another unit, and those in no unit that is known."""
+    size, unit = _compare_gravity(record)
+    if unit == "m/s2":
+        return None
+    if not unit:
+        return Found("refused", column="ax_m_s2 ... az_m_s2", values={"size": size})
+    values = {"unit": unit, "size": size, "factor": UNITS[unit]}
+    return Found("handled", replace(record, acceleration=record.acceleration * UNITS[unit]), values=values)
 
-    Where neither tells, the stated unit is believed.
-    """
-    scale = _against_quaternion(record)
-    by = "the quaternions"
+
+def find_rate_unit(record: Record) -> Found | None:
+    """Find turn rates in degrees, judged by the turning of the quaternions or of gravity."""
+    scale, judge = _rate_scale(record)
+    if scale is None or abs(np.log(scale / DEG)) >= abs(np.log(scale)):
+        return None
+    return Found("handled", replace(record, rate=record.rate * DEG), values={"judge": judge})
+
+
+def find_unconfirmed_rates(record: Record) -> Found | None:
+    """Find fast turn rates whose unit nothing confirms."""
+    fast = float(np.quantile(np.linalg.norm(record.rate, axis=1), 0.99))
+    if fast <= FAST_RAD_S or _rate_scale(record)[0] is not None:
+        return None
+    return Found("handled", values={"fast": fast})
+
+
+def _rate_scale(record: Record) -> tuple[float | None, str]:
+    """Return the factor from logged to true turn rates, None if unknown, and what shows it."""
+    scale = _scale_by_quaternion(record)
+    if scale is not None:
+        return scale, "the quaternions"
+    scale = _scale_by_constant_gravity(record)
     if scale is None:
-        scale, by = _where_gravity_stays(record), "gravity in the accelerometer"
-    if scale is None:
-        scale = _against_gravity(record)
-    if scale is None:
-        fast = float(np.quantile(np.linalg.norm(record.rate, axis=1), 0.99))
-        text = (
-            f"turn rates reach {fast:.0f} rad/s as stated, and nothing else in the log tells their unit; for "
-            "another one, say it in a mapping (--map)"
-        )
-        # Where nothing else tells the unit, faster turns (99th percentile) are doubted, rad/s.
-        return record, [Finding("turn-rate unit", "handled", text)] if fast > 12.0 else []
-    if abs(np.log(scale / DEG)) < abs(np.log(scale)):
-        text = f"turn rates are in deg/s (judged by {by}), converted"
-        return replace(record, rate=record.rate * DEG), [Finding("turn-rate unit", "handled", text)]
-    return record, []
+        scale = _scale_by_gravity(record)
+    return scale, "gravity in the accelerometer"
 
 
-def _where_gravity_stays(record: Record) -> float | None:
-    """1 or a degree: the unit that makes specific force, turned back by the turn rates, stand still.
+def _scale_by_constant_gravity(record: Record) -> float | None:
+    """Return the unit (1, or a degree) with which the specific force is constant in the world.
 
-    Holds for turns of any size and speed. None where neither is clearly better than the other and than no
-    turn at all: small turns, turns about the vertical, and axes that are not what they say.
+    It works for turns of any size and speed. It is None if neither unit is clearly better than the other and
+    than no turn: for small turns, turns about the vertical, and swapped axes.
     """
     size = max(round(WINDOW_S / record.step_s), 4)
     starts = np.arange(0, len(record) - size, size)
     starts = starts[:: max(len(starts) // MAX_WINDOWS, 1)]
-    left = {1.0: 0.0, DEG: 0.0, 0.0: 0.0}
+    residual = {1.0: 0.0, DEG: 0.0, 0.0: 0.0}
     for first in starts.tolist():
         rows = slice(first, first + size)
-        for factor in left:
-            turned = integrated_attitude(
+        for factor in residual:
+            attitude = integrated_attitude(
                 record.time_s[rows], factor * record.rate[rows], Rotation.identity()
-            ).apply(record.acceleration[rows])
-            left[factor] += float(np.sum((turned - turned.mean(axis=0)) ** 2))
-    best = min(left, key=lambda factor: left[factor])
-    others = min(value for factor, value in left.items() if factor != best)
-    return best if best and left[best] < CLEARLY * others else None
+            )
+            residual[factor] += _spread(attitude.apply(record.acceleration[rows]))
+    best = min(residual, key=lambda factor: residual[factor])
+    others = min(value for factor, value in residual.items() if factor != best)
+    return best if best and residual[best] < CLEAR_RATIO * others else None
 
 
-def _against_gravity(record: Record) -> float | None:
-    """Factor from logged rates to rates that turn gravity as seen; None where it hardly turns."""
+def _scale_by_gravity(record: Record) -> float | None:
+    """Return the factor by which the turn rates explain the turning of gravity; None if it hardly turns."""
     seen, up, turned = _up_turning(record)
     if len(seen) < MIN_BLOCKS:
         return None
     expected = -np.cross(turned - np.median(turned, axis=0), up)
     seen = seen - np.median(seen, axis=0)
-    power = float(np.sum(expected**2))
-    if power == 0 or np.sqrt(np.mean(np.sum(seen**2, axis=1))) < VISIBLE:
+    power, shared = float(np.sum(expected**2)), float(np.sum(expected * seen))
+    if power == 0 or _rms_size(seen) < MIN_TURN:
         return None
-    agreement = float(np.sum(expected * seen)) / np.sqrt(power * float(np.sum(seen**2)))
-    if abs(agreement) < 0.5:
+    if abs(shared) < MIN_CORRELATION * np.sqrt(power * np.sum(seen**2)):
         return None
-    return abs(float(np.sum(expected * seen)) / power)
+    return abs(shared / power)
 
 
-def _against_quaternion(record: Record) -> float | None:
+def _scale_by_quaternion(record: Record) -> float | None:
+    """Return the factor by which the turn rates explain the quaternions; None if these hardly turn."""
     if record.quaternion is None:
         return None
-    stride = max(round(0.1 / record.step_s), 1)
-    rotation = rotations(record.quaternion[::stride])
-    steps = (rotation[:-1].inv() * rotation[1:]).as_rotvec()
-    if np.sqrt(np.mean(np.sum(steps**2, axis=1))) < 1e-3:
+    stride = max(round(STRIDE_S / record.step_s), 1)
+    steps = turns_of(rotations(record.quaternion[::stride]))
+    if _rms_size(steps) < MIN_STEP_RAD:
         return None
     total = np.concatenate([[np.zeros(3)], np.cumsum(record.rate, axis=0)]) * record.step_s
     turned = np.diff(total[: len(record) : stride], axis=0)[: len(steps)]
-    return float(np.sqrt(np.sum(steps**2) / max(np.sum((turned - turned.mean(axis=0)) ** 2), 1e-30)))
-
-
-def axes(record: Record) -> Mended:
-    """Try all 48 arrangements of the gyroscope's axes on how gravity turns in the accelerometer.
-
-    A turn about the vertical, and one that is too small to see against accelerations, tells nothing;
-    then this says that it cannot.
-    """
-    seen, up, turned = _up_turning(record)
-    if len(seen) < MIN_BLOCKS or np.sqrt(np.mean(np.sum(seen**2, axis=1))) < VISIBLE:
-        text = "the body hardly tilts: gyroscope axes cannot be held against the accelerometer's"
-        return record, [Finding("swapped or flipped axes", "noted", text)]
-    scores = []
-    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
-        left = seen + np.cross(turned[:, order] * signs, up)
-        scores.append((_spread(left) / _spread(seen), order, signs))
-    as_is = scores[0][0]
-    (best, order, signs), (runner_up, _, _) = sorted(scores, key=lambda entry: entry[0])[:2]
-    if best > BETTER * as_is or best > EXPLAINED or as_is < EXPLAINED:
-        return record, []
-    arrangement = ", ".join(
-        f"w{'xyz'[i]} from {'-' if s < 0 else ''}w{'xyz'[o]}"
-        for i, (o, s) in enumerate(zip(order, signs, strict=True))
-        if o != i or s < 0
-    )
-    if best > DECIDED * runner_up:
-        text = f"axes are swapped or flipped; the tilting does not tell which ({arrangement} fits best)"
-        hint = "put the axes right in a mapping (--map), with factor -1 for a flipped one"
-        raise InputError(text, file=record.name, column="wx_rad_s ... wz_rad_s", hint=hint)
-    text = (
-        f"the gyroscope's axes do not fit the accelerometer's: {arrangement} leaves {100 * best:.0f} % of "
-        f"gravity's turning unexplained, as logged {100 * as_is:.0f} %; rearranged so"
-    )
-    return replace(record, rate=record.rate[:, order] * np.asarray(signs)), [
-        Finding("swapped or flipped axes", "handled", text)
-    ]
+    return float(np.sqrt(np.sum(steps**2) / max(_spread(turned), 1e-30)))
 
 
 def _spread(values: Array) -> float:
     return float(np.sum((values - values.mean(axis=0)) ** 2))
 
 
-def quaternions(record: Record) -> Mended:
-    """Compare the turns of the quaternions with those of the gyroscope; leave them aside if they contradict.
+def _rms_size(vectors: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
 
-    Each order of the elements, with each direction, is tried. A convention that leaves less than half of the
-    difference that the one in the log leaves is named.
+
+def find_swapped_axes(record: Record) -> Found | None:
+    """Find the arrangement of the gyroscope's axes, of all 48, that explains the turning of gravity.
+
+    Turns about the vertical, and turns that are small against accelerations, have no information.
     """
-    if record.quaternion is None:
-        return record, []
-    size = max(round(BLOCK_S / record.step_s), 1)
-    sensed = _turns(integrated_attitude(record.time_s, record.rate, Rotation.identity())[::size])
-    if len(sensed) < MIN_BLOCKS:
-        return record, []
-    every = record.quaternion[::size]
-    left = {}
-    for order, direction in product(("wxyz", "xyzw"), ("body-to-world", "world-to-body")):
-        told = _turns(rotations(rearranged(every, order, direction)))
-        left[order, direction] = float(np.sum((told - sensed) ** 2))
-    as_is = left["wxyz", "body-to-world"]
-    order, direction = min(left, key=lambda name: left[name])
-    if left[order, direction] >= CLEARLY * as_is:
-        return record, []
-    power = float(np.sum(sensed**2))
-    stated = [f"order: {order}"] * (order != "wxyz") + [f"direction: {direction}"] * (
-        direction != "body-to-world"
-    )
-    text = (
-        f"the quaternions turn otherwise than the gyroscope: as wxyz from body to world they differ by "
-        f"{100 * as_is / power:.0f} % of its turning, as {order} from {direction.replace('-', ' ')} by "
-        f"{100 * left[order, direction] / power:.0f} %; they are not used. State their convention in a "
-        f"mapping (--map) with the line 'quaternion: {{{', '.join(stated)}}}'"
-    )
-    return replace(record, quaternion=None), [Finding("quaternions", "refuted", text)]
-
-
-def _turns(rotation: Rotation) -> Array:
-    """Return the turns from each attitude to the next about body axes, rad, shape (n - 1, 3)."""
-    return np.asarray((rotation[:-1].inv() * rotation[1:]).as_rotvec())
+    seen, up, turned = _up_turning(record)
+    if len(seen) < MIN_BLOCKS or _rms_size(seen) < MIN_TURN:
+        return Found("noted")
+    scores = []
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        residual = _spread(seen + np.cross(turned[:, order] * signs, up))
+        scores.append((residual / _spread(seen), order, signs))
+    as_is = scores[0][0]
+    (best, order, signs), (runner_up, _, _) = sorted(scores, key=lambda entry: entry[0])[:2]
+    if best > BETTER * as_is or best > EXPLAINED or as_is < EXPLAINED:
+        return None
+    changed = [
+        f"w{to} from {'-' * (sign < 0)}w{'xyz'[place]}"
+        for to, place, sign in zip("xyz", order, signs, strict=True)
+        if to != "xyz"[place] or sign < 0
+    ]
+    values = {"axes": ", ".join(changed), "best": 100 * best, "as_is": 100 * as_is}
+    if best > DECIDED * runner_up:
+        return Found("refused", column="wx_rad_s ... wz_rad_s", values=values)
+    return Found("handled", replace(record, rate=record.rate[:, order] * np.asarray(signs)), values=values)
 
 
 def _up_turning(record: Record) -> tuple[Array, Array, Array]:
-    """Return how the direction of gravity turns in the sensor, by accelerometer and by gyroscope.
+    """Return how the direction of gravity turns in the sensor, by the accelerometer and by the gyroscope.
 
     Returns
     -------
     seen : ndarray, shape (m, 3)
-        Change of the unit vector of specific force over each window, slowly varying parts only.
+        Change of the unit vector of the averaged specific force.
     up, turned : ndarray, shape (m, 3)
-        That vector, and the integral of the turn rate over each window: the change should be
-        ``-turned x up``.
+        That vector, and the integral of the turn rate: the change should be ``-turned x up``.
     """
     size = max(round(BLOCK_S / record.step_s), 1)
     m = len(record) // size
@@ -521,19 +502,116 @@ def _up_turning(record: Record) -> tuple[Array, Array, Array]:
     return up[after] - up[before], 0.5 * (up[after] + up[before]), centres[after] - centres[before]
 
 
-#: A new fault is a function here that returns the record, repaired where it can be, and findings, or raises
-#: an InputError.
-FAULTS = (
-    stamps,
-    wild,
-    missing,
-    dead,
-    held,
-    saturated,
-    acceleration_unit,
-    dropped,
-    jitter,
-    rate_unit,
-    axes,
-    quaternions,
-)
+def find_wrong_quaternions(record: Record) -> Found | None:
+    """Find quaternions of another convention by the turns of the gyroscope; do not use them.
+
+    Each order of the elements is tried with each direction.
+    """
+    if record.quaternion is None:
+        return None
+    size = max(round(BLOCK_S / record.step_s), 1)
+    sensed = turns_of(integrated_attitude(record.time_s, record.rate, Rotation.identity())[::size])
+    if len(sensed) < MIN_BLOCKS:
+        return None
+    stated = ("wxyz", "body-to-world")
+    residual = {}
+    for convention in product(("wxyz", "xyzw"), ("body-to-world", "world-to-body")):
+        turned = turns_of(rotations(rearranged(record.quaternion[::size], *convention)))
+        residual[convention] = float(np.sum((turned - sensed) ** 2))
+    best = min(residual, key=lambda convention: residual[convention])
+    if residual[best] >= CLEAR_RATIO * residual[stated]:
+        return None
+    keys = zip(("order", "direction"), best, stated, strict=True)
+    power = float(np.sum(sensed**2))
+    values = {
+        "as_is": 100 * residual[stated] / power,
+        "best": 100 * residual[best] / power,
+        "order": best[0],
+        "direction": best[1].replace("-", " "),
+        "line": ", ".join(f"{key}: {value}" for key, value, usual in keys if value != usual),
+    }
+    return Found("refuted", replace(record, quaternion=None), values=values)
+
+
+FAULTS = {
+    "clock reset": Fault(
+        find_clock_reset,
+        refused="time goes back at t = {time_s:g} s (sample {sample}) and counts on from there",
+        hint="was the clock reset or wrapped? cut the log there, one file for each piece",
+    ),
+    "repeated stamps": Fault(
+        find_stamps,
+        "{gone} samples without a time of their own left out, {late} out of order put in place",
+        refused="{gone} of {total} samples have no time of their own",
+        hint="the stamps are too coarse: give the time with more decimals, or by 'rate_hz' in a mapping",
+    ),
+    "wild readings": Fault(
+        find_samples(_by_channel(is_wild), MAX_MISSING),
+        "{count} samples in {channels} that no motion causes (up to {largest:.4g}), interpolated",
+        refused="{percent:.0f} % of the samples are readings that no motion causes (up to {largest:.4g})",
+    ),
+    "missing cells": Fault(
+        find_samples(lambda record: ~np.isfinite(record.channels), MAX_MISSING),
+        "{count} samples with missing cells, interpolated",
+        refused="{percent:.0f} % of the samples are missing",
+    ),
+    "dead channel": Fault(
+        find_samples(_by_channel(is_stuck), MAX_STUCK),
+        "{count} samples stuck at one value in {channels}, interpolated",
+        refused="the channel is dead: one value for {percent:.0f} % of the time",
+        hint="three accelerations and three turn rates are needed; repair the sensor or its wiring",
+    ),
+    "dead magnetometer": Fault(find_dead_magnetometer, "the magnetometer is constant or has gaps, not used"),
+    "dead quaternions": Fault(
+        find_dead_quaternion,
+        "the quaternions are constant, have gaps or are not of length 1, not used",
+    ),
+    "repeated samples": Fault(
+        find_samples(is_repeated, MAX_REPEATED),
+        "{count} samples repeat the one before in every channel, interpolated",
+    ),
+    "saturated channel": Fault(
+        find_samples(_by_channel(is_clipped), MAX_CLIPPED),
+        "{count} samples clipped at the end of the range in {channels}, interpolated",
+        refused="{percent:.1f} % of the samples are clipped at {largest:.4g}",
+        hint="use a sensor, or a setting, with a larger range",
+    ),
+    "acceleration unit": Fault(
+        find_acceleration_unit,
+        "accelerations are in {unit} ({size:.4g} at rest), converted by {factor:.6g}",
+        refused="the typical size of the acceleration is {size:.4g} m/s2, where gravity alone makes 9.81",
+        hint="state the unit in a mapping (--map); gravity must not be subtracted from the readings",
+    ),
+    "dropped samples": Fault(
+        find_dropped,
+        "{count} samples missing in {places} places, the longest {longest:.3f} s; integrals span them",
+        refused="no samples for {longest:.2f} s after t = {time_s:.3f} s",
+        hint="the motion in between is unknown: cut the log there, one file for each piece",
+    ),
+    "clock jitter": Fault(
+        find_jitter,
+        "time steps vary by {percent:.0f} % (rms) of {step_ms:.3g} ms; the time stamps are used",
+    ),
+    "turn-rate unit": Fault(
+        find_rate_unit, "turn rates are in deg/s (judged by {judge}), converted to rad/s"
+    ),
+    "unconfirmed turn rates": Fault(
+        find_unconfirmed_rates,
+        "turn rates reach {fast:.0f} rad/s in the stated unit, which nothing else in the log confirms; state "
+        "another one in a mapping (--map)",
+    ),
+    "swapped or flipped axes": Fault(
+        find_swapped_axes,
+        "the gyroscope's axes contradict the accelerometer's: {axes} leaves {best:.0f} % of gravity's "
+        "turning unexplained, as logged {as_is:.0f} %; rearranged in this way",
+        "the body hardly tilts, so that the axes of gyroscope and accelerometer cannot be compared",
+        refused="axes are swapped or flipped, and the tilting does not show which ({axes} fits best)",
+        hint="put the axes right in a mapping (--map), with factor -1 for a flipped one",
+    ),
+    "quaternions": Fault(
+        find_wrong_quaternions,
+        refuted="the quaternions contradict the gyroscope: as wxyz from body to world they differ by "
+        "{as_is:.0f} % of its turning, as {order} from {direction} by {best:.0f} %; they are not used. State "
+        "their convention in a mapping (--map) with the line 'quaternion: {{{line}}}'",
+    ),
+}

@@ -1,4 +1,4 @@
-"""Motion from an inertial unit and another log of the same trial, a camera's for instance."""
+"""Motion from an inertial unit and another log of the same trial, for instance of a camera."""
 
 from __future__ import annotations
 
@@ -10,83 +10,89 @@ from scipy.spatial.transform import Rotation
 
 from swimid.errors import InputError, NoTrustworthyResult
 from swimid.inertial import aiding, alignment, alone, smoother
-from swimid.inertial.aiding import Fixes
-from swimid.inertial.alignment import Fit, Offset
-from swimid.inertial.alone import Estimate, likeliest_class, shown_class
-from swimid.inertial.record import Array, Finding, Poses
+from swimid.inertial.aiding import GATE, Fixes
+from swimid.inertial.alignment import Alignment, Offset
+from swimid.inertial.alone import Estimate, class_findings, most_likely_class
+from swimid.inertial.record import Array, Finding, Flags, Poses
 from swimid.inertial.setup import BAND, DEG, Sensor, Setup
 from swimid.inertial.smoother import FUSED, PARTS, Nominal, Observation, Prior, Smoothed, State
 from swimid.logs.sampling import white_noise_sd
 
-#: Deviations before anything is seen: lever, m; mounting, rad; tilt of the other log's world, rad;
-#: its clock, s.
-LEVER_SD, MOUNT_SD, FITTED_MOUNT_SD, TILT_SD, CLOCK_SD = 0.3, 3 * DEG, 6 * DEG, 2 * DEG, 0.05
-#: Of what is given: lever, m, and mounting, rad; and of a clock that is held, s.
-GIVEN_LEVER_SD, GIVEN_MOUNT_SD, HELD_CLOCK_SD = 1e-3, 0.5 * DEG, 1e-9
-#: A planar log: the reference point stays in its plane this well, m.
+#: Standard deviations before any observation: lever, m; mounting by gravity and by turns, rad; tilt of the
+#: other log's world, rad; offset of its clock, s.
+LEVER_SD, MOUNT_SD, TURNS_MOUNT_SD, TILT_SD, CLOCK_SD = 0.3, 3 * DEG, 6 * DEG, 2 * DEG, 0.05
+#: Standard deviations of a stated lever, m, of a stated mounting, rad, and of a clock offset that is held, s.
+STATED_LEVER_SD, STATED_MOUNT_SD, HELD_CLOCK_SD = 1e-3, 0.5 * DEG, 1e-9
+#: Standard deviations at the first sample: velocity, m/s; tilt, and yaw of a log with and without yaw, rad.
+VELOCITY_SD, TILT_START_SD, YAW_SD, FREE_YAW_SD = 1.0, 0.05, 0.05, 0.2
+#: Standard deviation of the reference point about the plane of a planar log, m.
 PLANE_SD = 0.05
-#: Least noise of a fix, m and rad, and turns of estimating it.
-LEAST_M, LEAST_RAD, NOISE_TURNS = 1e-4, 1e-3, 3
-#: More fixes than this share beyond the gate: not they are wrong, but the path they are held against.
-FEW = 0.05
-#: Errors of fixes that last widen a band by this much before they are warned of: four tell no more than one.
-LASTING = 2.0
-#: Fixes foretold worse than by this many of their deviations (rms) do not move with the sensor.
-FORETOLD = 1.5
-#: Fixes are left out together for so long, s; fewer than this tell nothing.
-HOLD_S, FEWEST_HELD_OUT = 0.5, 20
+#: Minimum noise of a fix, m and rad; maximum of its first estimate (m and rad), because the third difference
+#: of sparse fixes contains motion.
+MIN_SD_M, MIN_SD_RAD, MAX_START_M, MAX_START_RAD = 1e-4, 1e-3, 0.01, 0.1
+#: Maximum number of noise iterations, and the convergence tolerance of the logarithms of the noise.
+NOISE_STEPS, NOISE_TOL = 3, 0.1
+#: Largest share of outliers. Beyond it the path is doubted, and not the fixes.
+MAX_STRAY = 0.05
+#: Largest share of stray fixes of a possible motion.
+MAX_WRONG = 0.5
+#: Factor on the bands by lasting errors of fixes that is worth a warning: four fixes then count as one.
+MAX_LASTING = 2.0
+#: Largest root-mean-square error of held-out fixes, in standard deviations.
+MAX_HELD_OUT = 1.5
+#: Duration of a block of fixes that is held out, s, and the minimum number of held-out fixes.
+BLOCK_S, MIN_HELD_OUT = 0.5, 20
+#: Difference between mountings by turns and by gravity that is worth a finding, rad.
+MIN_MOUNT_CHANGE = 15 * DEG
+#: Ratio of standard deviation and median absolute value of normal noise, inverse.
+MEDIAN_SHARE = 0.6745
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """How well fixes that were left out are foretold."""
+    """Errors of predicted fixes that were held out."""
 
     fixes: int
-    #: Of position, every coordinate; None without positions.
+    #: Root-mean-square error of coordinates; None without positions.
     rms_m: float | None
-    #: Rms in the deviations that were stated; every band is widened by it where it is more than 1.
+    #: Root-mean-square error in stated standard deviations. Every band is widened by it if it exceeds 1.
     deviations: float
 
 
 @dataclass(frozen=True)
 class Fused(Estimate):
-    """The smoothed motion, and what fusing told."""
+    """Most likely motion, with the relation of the two logs."""
 
-    #: From the comparison of the two logs before fusing.
-    clocks: Fit
-    #: Of the fused motion itself: the final answer.
+    #: Comparison of the two logs before they were fused.
+    alignment: Alignment
+    #: Clock offset of the fused motion.
     offset: Offset
-    #: Whether clocks that agree explain both logs as well as an offset does (Bayesian information criterion).
+    #: Whether equal clocks explain both logs as well as an offset (Bayesian information criterion).
     agree: bool
-    #: With the noise and the weights they were found to have.
+    #: Fixes with their estimated noise and weights.
     fixes: Fixes
-    #: Fixes beyond :data:`swimid.inertial.aiding.GATE` deviations.
+    #: Number of fixes beyond :data:`swimid.inertial.aiding.GATE`.
     stray: int
-    #: What errors of the fixes that last widen every band by; 1 where each is off by itself.
+    #: Factor on every band by lasting errors of the fixes; 1 if their errors are independent.
     lasting: float
-    #: None where there are too few fixes to leave some out.
+    #: None if there are too few fixes.
     held_out: HeldOut | None
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Problem(Setup):
-    """Both logs, and everything that is known before they are smoothed together.
+@dataclass(frozen=True)
+class _Problem:
+    """Both logs with the start of the mounting (body to sensor) and its standard deviation, rad."""
 
-    ``body_to_sensor``: where the search for the mounting begins, with its deviation, rad.
-    """
-
+    setup: Setup
     poses: Poses
     fixes: Fixes
-    body_to_sensor: Rotation
+    mount: Rotation
     mount_sd: float
 
 
 @dataclass(frozen=True)
 class _Trial:
-    """One smoothing of both logs, the clock held or free.
-
-    ``setup`` has its attitude in the world of the other log.
-    """
+    """Result of smoothing both logs; the attitude of ``setup`` is in the world of the other log."""
 
     setup: Setup
     prior: Prior
@@ -100,53 +106,49 @@ class _Trial:
 
 
 def estimate(setup: Setup, poses: Poses) -> Fused:
-    """Set the clocks, place the sensor, and smooth both logs together.
+    """Align the logs, and smooth both together.
 
-    An offset between the clocks has to earn its place: clocks that agree compete with every offset found, and
-    win where it does not make both logs clearly likelier. Bands are held against fixes that were left out.
+    Equal clocks compete with every offset found. They win unless an offset makes both logs clearly likelier.
+    The bands are compared with the errors of held-out fixes.
 
     Raises
     ------
     NoTrustworthyResult
-        The two logs do not move together.
+        When the two logs do not move together.
     InputError
-        Axes mirrored against the other log.
+        When the axes of one log are mirrored.
     """
-    poses, clocks, findings, refusal = _clocks(setup, poses)
-    if clocks[0].handed < 0:
+    alignments, refusal = _align(setup, poses)
+    first = alignments[0]
+    if first.handed < 0:
         text = "its turns are the mirror image of those in the other log: an axis is flipped in one of them"
         hint = "put the axes right in a mapping (--map), with factor -1 for a flipped one"
         raise InputError(text, file=setup.record.name, column="wx_rad_s ... wz_rad_s", hint=hint)
-    rotation, mount_sd, turned = _mount(setup, clocks[0])
-    problem = _Problem(
-        **vars(setup),
-        poses=poses,
-        fixes=_fixes(setup, poses, clocks),
-        body_to_sensor=rotation,
-        mount_sd=mount_sd,
-    )
-    trial, offset, agree = _set_clocks(problem, clocks)
+    mount, mount_sd, findings = _start_mount(setup, first)
+    problem = _Problem(setup, poses, _first_fixes(setup, poses, alignments), mount, mount_sd)
+    trial, offset, agree = _set_clocks(problem, alignments)
     wrong = _contradictions(trial)
     if wrong and setup.still.rests:
-        fewer = replace(problem, still=setup.still.without(setup.still.rests))
-        again = _set_clocks(fewer, clocks)
+        fewer = replace(problem, setup=replace(setup, still=setup.still.without(setup.still.rests)))
+        again = _set_clocks(fewer, alignments)
         if not _contradictions(again[0]):
             (trial, offset, agree), problem = again, fewer
             findings.append(Finding("rests", "handled", f"{'; '.join(wrong)}: none is used"))
             wrong = []
     held_out = _hold_out(problem, trial, setup.options.clock_offset_s is not None or agree)
-    if refusal is not None and not _foretold(held_out, poses):
+    if refusal is not None and not _predicts(held_out, poses):
         raise refusal
-    lasting = _lasting(trial)
-    errors = trial.smoothed.errors
-    factor = lasting * (1.0 if held_out is None else max(held_out.deviations, 1.0))
+    lasting = _lasting_factor(trial)
+    errors, factor = trial.smoothed.errors, lasting
+    if held_out is not None:
+        factor *= max(held_out.deviations, 1.0)
     return Fused(
         smoothed=replace(trial.smoothed, errors=replace(errors, covariance=errors.covariance * factor**2)),
-        still=problem.still,
+        still=problem.setup.still,
         sensor=trial.sensor,
-        findings=[*findings, *shown_class(setup.sensor, trial.sensor), *turned],
+        findings=[*findings, *class_findings(setup.sensor, trial.sensor)],
         impossible=wrong,
-        clocks=clocks[0],
+        alignment=first,
         offset=replace(
             offset,
             stderr_s=factor * offset.stderr_s,
@@ -161,150 +163,155 @@ def estimate(setup: Setup, poses: Poses) -> Fused:
     )
 
 
-def _clocks(setup: Setup, poses: Poses) -> tuple[Poses, list[Fit], list[Finding], NoTrustworthyResult | None]:
-    """Offsets found, the surest first; the sign of pitch turned where turns fit better so.
+def _align(setup: Setup, poses: Poses) -> tuple[list[Alignment], NoTrustworthyResult | None]:
+    """Return the clock offsets found, the most certain first.
 
-    Where none is found the clocks are taken to agree, and the refusal is kept until fixes that are left out
-    have told whether the logs move together.
+    If none is found, the clocks are assumed to agree, and the refusal is kept until the held-out fixes show
+    whether the logs move together.
     """
-    record, source, given_s = setup.record, setup.source, setup.options.clock_offset_s
-    if given_s is not None:
-        return poses, [alignment.fit_at(record, poses, given_s)], [], None
+    stated_s = setup.options.clock_offset_s
+    if stated_s is not None:
+        return [alignment.align_at(setup.record, poses, stated_s)], None
     try:
-        fits = alignment.fit_clocks(record, source, poses)
+        return alignment.align(setup.record, setup.source, poses), None
     except NoTrustworthyResult as refusal:
-        return poses, [alignment.fit_at(record, poses, 0.0)], [], refusal
-    fit = fits[0]
-    if poses.full and fit.by == "turn rates":
-        turned = replace(poses, angles=poses.angles * [1.0, -1.0, 1.0])
-        others = alignment.fit_clocks(record, source, turned)
-        other = others[0]
-        if other.by == fit.by and other.offset.explained > fit.offset.explained + 0.05 and other.handed >= 0:
-            text = "pitch in the other log counts nose down as positive; its sign is turned"
-            return turned, others, [Finding("sign of pitch", "handled", text)], None
-    return poses, fits, [], None
+        return [alignment.align_at(setup.record, poses, 0.0)], refusal
 
 
-def _mount(setup: Setup, fit: Fit) -> tuple[Rotation, float, list[Finding]]:
-    """Where to start the mounting: given ones stay; three angles tell it; else by gravity."""
+def _start_mount(setup: Setup, found: Alignment) -> tuple[Rotation, float, list[Finding]]:
+    """Return the start of the mounting: as stated, else by three angles of the other log, else by gravity."""
     by_gravity = setup.mount.rotation
     if setup.mount.by == "given":
-        return by_gravity, GIVEN_MOUNT_SD, []
-    if fit.mount is None:
+        return by_gravity, STATED_MOUNT_SD, []
+    if found.mount is None:
         return by_gravity, MOUNT_SD, []
-    off = float((fit.mount * by_gravity.inv()).magnitude())
-    text = f"the sensor is turned by {off / DEG:.0f} deg against the body of the other log, as turns tell"
-    # Mounting within this of what was given or told by gravity counts as the same, rad.
-    findings = [Finding("swapped or flipped axes", "handled", text)] if off > (15 * DEG) else []
-    return fit.mount, FITTED_MOUNT_SD, findings
+    off = float((found.mount * by_gravity.inv()).magnitude())
+    findings = []
+    if off > MIN_MOUNT_CHANGE:
+        text = f"the sensor is turned by {off / DEG:.0f} deg against the body of the other log, as turns show"
+        findings.append(Finding("swapped or flipped axes", "handled", text))
+    return found.mount, TURNS_MOUNT_SD, findings
 
 
-def _fixes(setup: Setup, poses: Poses, clocks: list[Fit]) -> Fixes:
-    """The poses with a first guess of their noise.
+def _first_fixes(setup: Setup, poses: Poses, alignments: list[Alignment]) -> Fixes:
+    """Return the poses with a first estimate of their noise.
 
-    Those within the record by every clock count: likelihoods are compared over the same ones.
+    The poses within the record by every offset count, so that likelihoods compare the same ones.
     """
-    fix_sd_m = setup.options.fix_sd_m
     position = poses.position.copy()
-    sd = np.array([white_noise_sd(position[:, k], LEAST_M) for k in range(3)])
-    # between sparse fixes the third difference holds motion too: the start is no more than a centimetre
-    sd = np.minimum(sd, 0.01) if fix_sd_m is None else np.full(3, fix_sd_m)
+    sd = np.array([white_noise_sd(position[:, k], MIN_SD_M) for k in range(3)])
+    sd = np.minimum(sd, MAX_START_M)
+    if setup.options.fix_sd_m is not None:
+        sd[:] = setup.options.fix_sd_m
     for axis in (1, 2):
         if not np.isfinite(position[:, axis]).any():
             position[np.isfinite(position).any(axis=1), axis] = 0.0
             sd[axis] = PLANE_SD
-    noises = [white_noise_sd(angle, LEAST_RAD) for angle in poses.angles.T[poses.measured]]
-    rotation_sd = min(max(noises, default=LEAST_RAD), 0.1)
-    noise, weight, t = np.append(sd, [rotation_sd] * 3), np.ones((len(position), 2)), setup.record.time_s
-    offsets, margin = [0.0, *(fit.offset.value_s for fit in clocks)], BAND * CLOCK_SD
+    noises = [white_noise_sd(angle, MIN_SD_RAD) for angle in poses.angles.T[poses.measured]]
+    noise = np.append(sd, [min(max(noises, default=MIN_SD_RAD), MAX_START_RAD)] * 3)
+    t, margin = setup.record.time_s, BAND * CLOCK_SD
+    offsets = [0.0, *(found.offset.value_s for found in alignments)]
     counted = (poses.time_s + min(offsets) - margin >= t[0]) & (poses.time_s + max(offsets) + margin <= t[-1])
-    return Fixes(poses.time_s, position, poses.angles, noise, weight, counted)
+    return Fixes(poses.time_s, position, poses.angles, noise, np.ones((len(position), 2)), counted)
 
 
 # ---------------------------------------------------------------- clocks and noise
 
 
-def _set_clocks(problem: _Problem, clocks: list[Fit]) -> tuple[_Trial, Offset, bool]:
-    """The likeliest of clocks that agree and of every offset found; whether they agree."""
-    sensor, given_s = problem.sensor, problem.options.clock_offset_s
-    if given_s is not None:
-        trial = _smooth(problem, given_s, sensor, held=True)
-        return trial, _offset(trial.smoothed, clocks[0]), False
+def _set_clocks(problem: _Problem, alignments: list[Alignment]) -> tuple[_Trial, Offset, bool]:
+    """Return the most likely result, its clock offset, and whether it has equal clocks."""
+    sensor, stated_s = problem.setup.sensor, problem.setup.options.clock_offset_s
+    first = alignments[0]
+    if stated_s is not None:
+        trial = _smooth(problem, stated_s, sensor, held=True)
+        return trial, _final_offset(trial.smoothed, first), False
     starts: list[Offset] = []
-    for one in (fit.offset for fit in clocks):
+    for one in (found.offset for found in alignments):
         if all(abs(one.value_s - s.value_s) / np.hypot(one.stderr_s, s.stderr_s) > BAND for s in starts):
             starts.append(one)
     trials = [_smooth(problem, start.value_s, sensor, held=False) for start in starts]
     free = max(trials, key=lambda trial: trial.likelihood)
     counted = problem.fixes.counted.sum()
     if not counted:
-        return free, _offset(free.smoothed, clocks[0]), False
-    # Schwarz (1978, doi:10.1214/aos/1176344136): an offset is one number more
+        return free, _final_offset(free.smoothed, first), False
+    # Schwarz (1978, doi:10.1214/aos/1176344136): an offset is one parameter more
     price = 0.5 * float(np.log(counted))
     if abs(free.smoothed.path.clock_s) <= BAND * CLOCK_SD:
-        agreeing = _smooth(problem, 0.0, free.sensor, held=True, after=free)
+        equal = _smooth(problem, 0.0, free.sensor, held=True, after=free)
     else:
-        agreeing = _smooth(problem, 0.0, sensor, held=True)
-        if free.likelihood <= agreeing.likelihood + price:
-            free = _smooth(problem, 0.0, agreeing.sensor, held=False, after=agreeing)
-    offset = _offset(free.smoothed, clocks[0])
-    if free.likelihood > agreeing.likelihood + price:
+        equal = _smooth(problem, 0.0, sensor, held=True)
+        if free.likelihood <= equal.likelihood + price:
+            free = _smooth(problem, 0.0, equal.sensor, held=False, after=equal)
+    offset = _final_offset(free.smoothed, first)
+    if free.likelihood > equal.likelihood + price:
         return free, offset, False
     low, high = min(offset.low_s, 0.0), max(offset.high_s, 0.0)
-    return agreeing, replace(offset, value_s=0.0, low_s=low, high_s=high), True
+    return equal, replace(offset, value_s=0.0, low_s=low, high_s=high), True
 
 
 def _smooth(
     problem: _Problem, offset_s: float, sensor: Sensor, *, held: bool, after: _Trial | None = None
 ) -> _Trial:
-    """Smooth both logs, the clock held or free; noise, weights and the sensor's class from what is left."""
-    setup, prior = _begin(problem, offset_s)
+    """Smooth both logs, and estimate noise, weights and the class of the sensor from the residuals.
+
+    Parameters
+    ----------
+    offset_s : float
+        Clock offset at the start.
+    held : bool
+        Whether it stays as it is.
+    after : _Trial, optional
+        Result from which to continue.
+    """
+    setup, prior = _start(problem, offset_s)
     if after is not None:
         path, origin = replace(after.smoothed.path, clock_s=offset_s), after.smoothed.origin
         smoothed = replace(after.smoothed, path=path, origin=replace(origin, clock_s=offset_s))
         begun = _Trial(setup, prior, after.fixes.unweighted(), sensor, smoothed)
-        return _settled(begun, held=held, noise_known=True)
+        return _with_noise(begun, held=held, noise_known=True)
 
     def first(gate: float) -> _Trial:
-        # while the path is not yet known the clock is held: what an offset does is a matter of velocity
+        # the clock is held until the velocity is known, which the effect of an offset depends on
         smoothed = _fuse(setup, prior, sensor, problem.fixes, held=True, passes=2, gate=gate)
         return _Trial(setup, prior, problem.fixes, sensor, smoothed)
 
-    begun = first(aiding.GATE)
-    gated = _settled(begun, held=held)
-    if begun.smoothed.errors.rejected <= FEW * len(problem.fixes.time_s):
+    begun = first(GATE)
+    gated = _with_noise(begun, held=held)
+    if begun.smoothed.errors.rejected <= MAX_STRAY * len(problem.fixes.time_s):
         return gated
-    # a gate that shuts out many: either they are wrong, or the path they were held against was
-    return max(gated, _settled(first(np.inf), held=held), key=lambda trial: trial.likelihood)
+    # many outliers: either they are wrong, or the path was
+    return max(gated, _with_noise(first(np.inf), held=held), key=lambda trial: trial.likelihood)
 
 
-def _begin(problem: _Problem, offset_s: float) -> tuple[Setup, Prior]:
-    """What is known besides the fixes, in the world of the other log, and where the search begins."""
-    poses, rotation = problem.poses, problem.body_to_sensor
+def _start(problem: _Problem, offset_s: float) -> tuple[Setup, Prior]:
+    """Return the setup in the world of the other log, and the start of the search."""
+    setup, poses, mount = problem.setup, problem.poses, problem.mount
     on_record = replace(poses, time_s=poses.time_s + offset_s)
-    guide = (
-        alignment.world_turn(problem.record, problem.source, on_record, rotation) * problem.source.rotation
-    )
+    guide = alignment.find_world_turn(setup.record, setup.source, on_record, mount) * setup.source.rotation
+    place, place_sd = np.zeros(3), 1.0
     fixed = poses.position[np.isfinite(poses.position).any(axis=1)]
+    if len(fixed):
+        place = np.nan_to_num(fixed[0])
+        place_sd += float(np.max(np.nan_to_num(np.ptp(fixed, axis=0))))
     state = State(
         rotation=guide[0],
-        position=np.nan_to_num(fixed[0]) if len(fixed) else np.zeros(3),
-        rate_bias=problem.still_rate,
-        lever=problem.lever(rotation),
-        mount=rotation,
+        position=place,
+        rate_bias=setup.still_rate,
+        lever=setup.lever(mount),
+        mount=mount,
         clock_s=offset_s,
     )
     sd = {
-        "position": 1.0 + float(np.max(np.nan_to_num(np.ptp(fixed, axis=0)))) if len(fixed) else 1.0,
-        "velocity": 1.0,
-        "rotation": (0.05, 0.05, 0.05 if poses.measured[2] else 0.2),
-        "lever": LEVER_SD if problem.options.lever_m is None else GIVEN_LEVER_SD,
+        "position": place_sd,
+        "velocity": VELOCITY_SD,
+        "rotation": (TILT_START_SD, TILT_START_SD, YAW_SD if poses.measured[2] else FREE_YAW_SD),
+        "lever": LEVER_SD if setup.options.lever_m is None else STATED_LEVER_SD,
         "mount": problem.mount_sd,
         "tilt": TILT_SD,
         "clock_s": CLOCK_SD,
     }
-    source = replace(problem.source, rotation=guide, heading=False)
-    return replace(problem, source=source), Prior(guide, state, sd)
+    source = replace(setup.source, rotation=guide, heading=False)
+    return replace(setup, source=source), Prior(guide, state, sd)
 
 
 def _fuse(
@@ -318,12 +325,12 @@ def _fuse(
     passes: int = 1,
     gate: float = np.inf,
 ) -> Smoothed:
-    """Smooth both logs once; ``held``: the clock stays as it is."""
+    """Smooth both logs with known noise; ``held``: the clock offset stays as it is."""
     if held:
         prior = replace(prior, sd={**prior.sd, "clock_s": HELD_CLOCK_SD})
 
     def observe(path: Nominal) -> list[Observation]:
-        return [*aiding.known(setup, path), *aiding.against(fixes, path, gate)]
+        return [*aiding.observe_alone(setup, path), *aiding.observe_fixes(fixes, path, gate)]
 
     smoothed = smoother.smooth(
         setup.record, prior, sensor, setup.still.noise, observe, states=FUSED, after=after, passes=passes
@@ -332,162 +339,163 @@ def _fuse(
     return smoothed
 
 
-def _settled(begun: _Trial, *, held: bool, noise_known: bool = False) -> _Trial:
-    """Noise, weights and the sensor's class by turns with the motion, until they stay."""
+def _with_noise(begun: _Trial, *, held: bool, noise_known: bool = False) -> _Trial:
+    """Iterate noise, weights, the class of the sensor and the motion until the noise converges."""
     setup, prior, fixes, shown = begun.setup, begun.prior, begun.fixes, begun.sensor
     smoothed = begun.smoothed
-    for turn in range(NOISE_TURNS):
-        better = fixes if noise_known and not turn else _noise_seen(smoothed, fixes, setup.options.fix_sd_m)
-        # Noise estimates that change by less than this share are settled.
-        if turn > 1 and np.nanmax(np.abs(np.log(better.noise / fixes.noise))) < 0.1:
+    for step in range(NOISE_STEPS):
+        better = fixes
+        if step or not noise_known:
+            better = _estimate_noise(smoothed, fixes, setup.options.fix_sd_m)
+        if step > 1 and np.nanmax(np.abs(np.log(better.noise / fixes.noise))) < NOISE_TOL:
             break
         fixes = better
         smoothed = _fuse(setup, prior, shown, fixes, held=held, after=smoothed)
-        if turn != 1 or noise_known:
-            continue
-        attempt = partial(_fuse, setup, prior, fixes=fixes, held=held, after=smoothed)
-        smoothed, shown = likeliest_class(smoothed, begun.sensor, attempt)
+        if step == 1 and not noise_known:
+            attempt = partial(_fuse, setup, prior, fixes=fixes, held=held, after=smoothed)
+            smoothed, shown = most_likely_class(smoothed, begun.sensor, attempt)
     return _Trial(setup, prior, fixes, shown, smoothed)
 
 
 def _residuals(fixes: Fixes, smoothed: Smoothed) -> tuple[Array, Array]:
-    """What is left of every coordinate and angle, and its variance by the motion's, each shape (m, 6).
+    """Return the residuals of coordinates and angles, and their variance by the motion's, each shape (m, 6).
 
-    NaN where it was not measured or lies outside the record.
+    They are NaN where nothing was measured, or outside of the record.
     """
     residual, variance = np.full((2, len(fixes.time_s), 6), np.nan)
-    covariance, turns = smoothed.errors.covariance, fixes.turns
-    for seen in aiding.against(fixes.unweighted(), smoothed.path):
-        place = seen.kind == "position"
-        measured = np.isfinite(fixes.position[seen.fix]) if place else turns[seen.fix]
-        columns = np.flatnonzero(measured) + (0 if place else 3)
+    measured = np.hstack([np.isfinite(fixes.position), fixes.turns])
+    for seen in aiding.observe_fixes(fixes.unweighted(), smoothed.path):
+        half = slice(0, 3) if seen.kind == "position" else slice(3, 6)
+        columns = np.flatnonzero(measured[seen.fix, half]) + half.start
         h = seen.sensitivity
         residual[seen.fix, columns] = seen.residual
-        variance[seen.fix, columns] = np.einsum("ij,jk,ik->i", h, covariance[seen.node], h)
+        variance[seen.fix, columns] = np.einsum("ij,jk,ik->i", h, smoothed.errors.covariance[seen.node], h)
     return residual, variance
 
 
-def _measured(fixes: Fixes, residual: Array) -> np.ndarray:
-    """Where a residual is of something measured, shape (m, 6); a plane taken for granted is not."""
+def _is_measured(fixes: Fixes, residual: Array) -> Flags:
+    """Return the residuals of measured values, shape (m, 6), without the plane of a planar log."""
     plane = np.append(fixes.noise[:3] == PLANE_SD, np.zeros(3, dtype=bool))
     return np.asarray(np.isfinite(residual) & ~plane)
 
 
-def _noise_seen(smoothed: Smoothed, fixes: Fixes, fix_sd_m: float | None) -> Fixes:
-    """Noise and weights of the fixes by what is left of them.
+def _estimate_noise(smoothed: Smoothed, fixes: Fixes, fix_sd_m: float | None) -> Fixes:
+    """Return the fixes with noise and weights from their residuals.
 
-    Noise by one step of expectation-maximisation (Shumway and Stoffer 1982, sec. 3) over those that are not
-    stray. A stray one keeps a weight that falls with the square of its distance (the redescending weights of
-    Cauchy's kind): none is shut out, so that a path gone astray finds back.
+    The noise is one step of expectation maximisation (Shumway and Stoffer 1982, sec. 3) over the fixes that
+    are not stray. The weight of a stray one decreases with the square of its distance (Cauchy). No fix is
+    excluded, so that a path that follows stray ones can recover.
     """
     residual, variance = _residuals(fixes, smoothed)
     (place_sd, place), (turn_sd, turn) = (
         _noise_and_weight(residual[:, half], variance[:, half], fixes.noise[half])
         for half in (slice(3), slice(3, 6))
     )
-    usual = fixes.noise[:3]
-    known = (usual == PLANE_SD) | ~np.isfinite(place_sd) | (fix_sd_m is not None)
-    place_sd = np.where(known, usual, np.maximum(np.nan_to_num(place_sd), LEAST_M))
-    turns = turn_sd[np.isfinite(turn_sd)]
-    rotation_sd = max(float(np.sqrt(np.mean(turns**2))), LEAST_RAD) if len(turns) else fixes.noise[3]
-    noise = np.append(place_sd, [rotation_sd] * 3)
+    noise = fixes.noise.copy()
+    if fix_sd_m is None:
+        known = (noise[:3] == PLANE_SD) | ~np.isfinite(place_sd)
+        noise[:3] = np.where(known, noise[:3], np.maximum(np.nan_to_num(place_sd), MIN_SD_M))
+    if np.isfinite(turn_sd).any():
+        noise[3:] = max(float(np.sqrt(np.nanmean(turn_sd**2))), MIN_SD_RAD)
     return replace(fixes, noise=noise, weight=np.column_stack([place, turn]))
 
 
 def _noise_and_weight(residual: Array, variance: Array, sd: Array) -> tuple[Array, Array]:
-    """Deviation of every column, shape (3,), NaN where there is none, and the weight of every row."""
-    left = [column[np.isfinite(column)] for column in residual.T]
-    usual = [np.median(np.abs(values)) / 0.6745 if len(values) else np.nan for values in left]
+    """Return the standard deviation of every column, shape (3,), and the weight of every row.
+
+    The standard deviation of a column without values is NaN.
+    """
+    usual = np.full(3, np.nan)
+    for k, column in enumerate(residual.T):
+        known = column[np.isfinite(column)]
+        if len(known):
+            usual[k] = np.median(np.abs(known)) / MEDIAN_SHARE
     far = np.abs(residual) / np.fmax(sd, usual)
-    weight = np.minimum(1.0, (aiding.GATE / np.fmax(np.fmax.reduce(far, axis=1), 1e-12)) ** 2)
+    weight = np.minimum(1.0, (GATE / np.fmax(np.fmax.reduce(far, axis=1), 1e-12)) ** 2)
     squares = np.where(weight[:, None] == 1, residual**2 + variance, np.nan)
     count = np.isfinite(squares).sum(axis=0)
     mean = np.nansum(squares, axis=0) / np.maximum(count, 1)
     return np.sqrt(np.where(count > 0, mean, np.nan)), weight
 
 
-def _offset(smoothed: Smoothed, clocks: Fit) -> Offset:
-    """The clock offset with the whole motion, widened where the innovations are larger than stated."""
+def _final_offset(smoothed: Smoothed, first: Alignment) -> Offset:
+    """Return the clock offset of the whole motion; innovations above their noise widen its interval."""
     scores = smoothed.errors.scores
     seen = [score for kind in ("position", "orientation") for score in scores.get(kind, ())]
-    widening = max(float(np.sqrt(np.mean(np.concatenate(seen) ** 2))), 1.0) if seen else 1.0
-    value = float(smoothed.path.clock_s)
-    clock_s = PARTS["clock_s"].start
-    sd = widening * float(np.sqrt(smoothed.errors.covariance[-1, clock_s, clock_s]))
-    return replace(
-        clocks.offset, value_s=value, stderr_s=sd, low_s=value - BAND * sd, high_s=value + BAND * sd
-    )
+    widening = 1.0
+    if seen:
+        widening = max(float(np.sqrt(np.mean(np.concatenate(seen) ** 2))), 1.0)
+    value, place = float(smoothed.path.clock_s), PARTS["clock_s"].start
+    sd = widening * float(np.sqrt(smoothed.errors.covariance[-1, place, place]))
+    low, high = value - BAND * sd, value + BAND * sd
+    return replace(first.offset, value_s=value, stderr_s=sd, low_s=low, high_s=high)
 
 
-# ---------------------------------------------------------------- whether it can be
+# ---------------------------------------------------------------- tests of the result
 
 
 def _contradictions(trial: _Trial) -> list[str]:
-    contradictions = alone.contradictions(trial.setup, trial.smoothed)
+    contradictions = alone.find_contradictions(trial.setup, trial.smoothed)
     stray = trial.fixes.stray[np.isfinite(trial.fixes.position).any(axis=1), 0]
-    if len(stray) and np.mean(stray) > 0.5:
-        contradictions.append(
-            f"{100 * np.mean(stray):.0f} % of the fixes lie beyond {aiding.GATE:g} deviations of it"
-        )
+    if len(stray) and np.mean(stray) > MAX_WRONG:
+        share = 100 * np.mean(stray)
+        contradictions.append(f"{share:.0f} % of the fixes lie beyond {GATE:g} deviations of it")
     return contradictions
 
 
 def _hold_out(problem: _Problem, trial: _Trial, held: bool) -> HeldOut | None:
-    """Foretell every fourth block of fixes from the others.
+    """Predict every fourth block of fixes from the others.
 
-    Blocks last half a second, so that neighbours do not give a fix away.
+    A block lasts half a second, because neighbours would determine a single fix.
     """
-    t = trial.fixes.time_s
-    block = np.floor((t - t[0]) / HOLD_S).astype(int)
-    if len(t) > 1 and np.median(np.diff(t)) > HOLD_S:
-        block = np.arange(len(t))
+    fixes = trial.fixes
+    block = np.floor((fixes.time_s - fixes.time_s[0]) / BLOCK_S).astype(int)
+    if len(block) > 1 and np.median(np.diff(fixes.time_s)) > BLOCK_S:
+        block = np.arange(len(block))
     out = block % 4 == 2
-    there = np.isfinite(trial.fixes.position).any(axis=1) | trial.fixes.turns.any(axis=1)
-    count = int(np.sum(out & there))
-    if count < FEWEST_HELD_OUT:
+    count = int(np.sum(out & (np.isfinite(fixes.position).any(axis=1) | fixes.turns.any(axis=1))))
+    if count < MIN_HELD_OUT:
         return None
-    setup, prior = _begin(problem, trial.smoothed.path.clock_s)
-    smoothed = _fuse(setup, prior, trial.sensor, trial.fixes.take(~out), held=held, after=trial.smoothed)
-    left_out = trial.fixes.take(out)
+    setup, prior = _start(problem, trial.smoothed.path.clock_s)
+    smoothed = _fuse(setup, prior, trial.sensor, fixes.take(~out), held=held, after=trial.smoothed)
+    left_out = fixes.take(out)
     residual, variance = _residuals(left_out, smoothed)
-    measured = _measured(left_out, residual)
-    # stray fixes weigh as little as in the smoothing
+    measured = _is_measured(left_out, residual)
     squares = (residual**2 / (variance + left_out.sd**2))[measured]
     places = residual[:, :3][measured[:, :3]]
     rms = float(np.sqrt(np.mean(places**2))) if len(places) else None
     return HeldOut(count, rms, float(np.sqrt(np.mean(squares))))
 
 
-def _foretold(held_out: HeldOut | None, poses: Poses) -> bool:
-    """Whether fixes that were left out come out well enough to say that both logs move together."""
-    if held_out is None or held_out.rms_m is None or held_out.deviations > FORETOLD:
+def _predicts(held_out: HeldOut | None, poses: Poses) -> bool:
+    """Return whether the errors of held-out fixes are small enough to say that both logs move together."""
+    if held_out is None or held_out.rms_m is None or held_out.deviations > MAX_HELD_OUT:
         return False
     place = poses.position[:, np.isfinite(poses.position).any(axis=0)]
     rows = np.isfinite(place).all(axis=1)
-    fast = alignment.without_slow(poses.time_s[rows], place[rows], alignment.SLOW_WAY_S)
-    return held_out.rms_m**2 < (1 - alignment.LEAST_EXPLAINED) * float(np.mean(fast**2))
+    fast = alignment.without_slow(poses.time_s[rows], place[rows], alignment.SLOW_PATH_S)
+    return held_out.rms_m**2 < (1 - alignment.MIN_EXPLAINED) * float(np.mean(fast**2))
 
 
-def _lasting(trial: _Trial) -> float:
-    """By how much errors of the fixes that last make a mean of them worse than if each were off by itself.
+def _lasting_factor(trial: _Trial) -> float:
+    """Return the factor by which correlated errors of fixes enlarge the standard error of their mean.
 
-    The root of the integrated autocorrelation of what is left of them, summed while it is positive (initial
+    It is the root of the integrated autocorrelation of the residuals, summed while it is positive (initial
     sequence of Geyer 1992, doi:10.1214/ss/1177011137).
     """
     fixes = trial.fixes
     residual, _ = _residuals(fixes, trial.smoothed)
-    kept = _measured(fixes, residual) & ~np.repeat(fixes.stray, 3, axis=1)
+    used = _is_measured(fixes, residual) & ~np.repeat(fixes.stray, 3, axis=1)
     longest = 1.0
-    for left, rows in zip(residual.T, kept.T, strict=True):
-        if rows.sum() < FEWEST_HELD_OUT:
+    for values, rows in zip(residual.T, used.T, strict=True):
+        if rows.sum() < MIN_HELD_OUT:
             continue
-        x = left[rows] - np.mean(left[rows])
-        power = float(x @ x)
-        total = 1.0
-        for lag in range(1, len(x) // 4 if power else 0):
-            shared = float(x[lag:] @ x[:-lag]) / power
+        x = values[rows] - np.mean(values[rows])
+        power, total = float(x @ x), 1.0
+        for lag in range(1, len(x) // 4):
+            shared = float(x[lag:] @ x[:-lag])
             if shared <= 0:
                 break
-            total += 2 * shared
+            total += 2 * shared / power
         longest = max(longest, total)
     return float(np.sqrt(longest))

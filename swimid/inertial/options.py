@@ -1,4 +1,4 @@
-"""The options of ``track imu``, in the field's units."""
+"""The options of ``track imu``."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class TrackImuOptions(
 ):
     """Compute velocity, position and attitude from an inertial recording, with their bands.
 
-    Faults of recording are found, named, and repaired or refused. Without --with the summary says after
-    how many seconds the integrated path is not to be trusted. Writes the log and its evidence.
+    Faults of the recording are found, and repaired or refused. Without --with the summary states after how
+    many seconds the integrated path cannot be trusted. Writes the log and its evidence.
 
     Example:
       swimid track imu imu.csv -o run.csv
@@ -33,44 +33,43 @@ class TrackImuOptions(
         None, flag="--map", recorded=False, help="Mapping of foreign columns and units."
     )
     other: Source = option(
-        None, flag="--with", recorded=False, help="Another log of the trial to fuse with (a camera's)."
+        None, flag="--with", recorded=False, help="Another log of the same trial (of a camera) to fuse with."
     )
     method: Literal["smoother", "paper"] = option(
-        "smoother", help="Error-state smoother, or the steps of Shang et al. (2012)."
+        "smoother", help="Error-state Kalman smoother, or the steps of Shang et al. (2012)."
     )
     motion_mode: Literal["marching", "receding", "rotating"] = option(
-        "marching", help="The paper's motion mode: which constant parts are removed."
+        "marching", help="Motion mode of the paper: it decides which constant parts are subtracted."
     )
-    threshold_m_s2: float = option(0.02, ge=0, help="The paper's threshold on accelerations.")
-    threshold_rad_s: float = option(0.01, ge=0, help="The paper's threshold on turn rates.")
+    threshold_m_s2: float = option(0.02, ge=0, help="Threshold of the paper on accelerations.")
+    threshold_rad_s: float = option(0.01, ge=0, help="Threshold of the paper on turn rates.")
     still: tuple[tuple[float, float], ...] = option(
-        (), metavar="T0 T1", help="Times, s, between which the robot rests. Repeatable."
+        (), metavar="T0 T1", help="Start and end of a rest of the robot, s. Repeatable."
     )
     rests: Literal["ends", "all", "none"] = option(
         "ends",
         flag="--rest",
-        help="Still periods found that are rests: those at both ends of the log, all, or none.",
+        help="Still periods that count as rests: those at both ends of the log, all, or none.",
     )
     zero_mean: tuple[Literal["sway", "heave"], ...] = option(
-        (), help="Declare that this velocity has no mean over --window-s. Repeatable."
+        (), help="Velocity whose mean over --window-s is 0. Repeatable."
     )
-    window_s: float = option(2.0, gt=0, help="Window of --zero-mean, s: whole strokes.")
-    mean_sd_m_s: float = option(0.02, gt=0, help="How far that mean may be from 0, m/s.")
-    top_speed_m_s: float = option(2.0, gt=0, help="Speed the robot never exceeds, m/s.")
+    window_s: float = option(2.0, gt=0, help="Window of --zero-mean, s: a whole number of strokes.")
+    top_speed_m_s: float = option(2.0, gt=0, help="Speed that the robot never exceeds, m/s.")
     mount_deg: tuple[float, float, float] | None = option(
-        None, metavar="ROLL PITCH YAW", help="How the sensor is turned in the body, degrees."
+        None, metavar="ROLL PITCH YAW", help="Mounting angles of the sensor in the body, degrees."
     )
     level_at_rest: bool = option(
-        False, help="The robot rests level: take the tilt seen there as the mounting's."
+        False, help="The robot rests level: its tilt at rest is that of the mounting."
     )
     lever_m: tuple[float, float, float] | None = option(
-        None, metavar="X Y Z", help="The sensor's place seen from the reference point, body axes, m."
+        None, metavar="X Y Z", help="Position of the sensor from the reference point, body axes, m."
     )
     clock_offset_s: float | None = option(
-        None, help="Add this to the times of the other log  [default: estimated]."
+        None, help="Offset to add to the times of the other log, s  [default: estimated]."
     )
     fix_sd_m: float | None = option(
-        None, gt=0, help="Noise of the other log's positions, m  [default: estimated]."
+        None, gt=0, help="Noise of the positions in the other log, m  [default: estimated]."
     )
     accel_noise: float | None = option(
         None, gt=0, help="Accelerometer noise, m/s2/sqrt(Hz)  [default: from still periods]."
@@ -81,11 +80,13 @@ class TrackImuOptions(
     accel_bias_mg: float = option(10.0, gt=0, help="Accelerometer bias before any calibration, mg.")
     gyro_bias_deg_s: float = option(1.0, gt=0, help="Gyroscope bias before any calibration, deg/s.")
     attitude_sd_deg: float | None = option(
-        None, gt=0, help="Error of quaternions in the log, or of the attitude filter, deg  [default: 2, 1]."
+        None,
+        gt=0,
+        help="Error of the quaternions in the log, or of the attitude filter, deg  [default: 2, 1].",
     )
 
     @model_validator(mode="after")
-    def _can_be_meant(self) -> Self:
+    def _check_rests(self) -> Self:
         for start, end in self.still:
             if not start < end:
                 raise UsageError(f"--still {start:g} {end:g}: the rest must end after it begins")

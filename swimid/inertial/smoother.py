@@ -1,15 +1,15 @@
-"""From a record to the likeliest motion, with its uncertainty: dead reckoning, then error states.
+"""Estimation of a motion with its uncertainty by an error-state Kalman filter and smoother.
 
-The path is reckoned from accelerations and a first attitude; its errors against the samples, and everything
-known of it (rests, attitudes, what the user declares, another log), are smoothed; then the same about the
-path so found, until it stays (the iterated smoother of Bell 1994, doi:10.1137/0804035: steps of Gauss and
-Newton on the whole path). Begun at the integral of the turn rates instead, a minute of fast turning would
-leave an attitude that is off by radians, and no small turn corrects that.
+Accelerations and a first attitude are integrated to a path. Its errors are estimated from the samples and
+from all observations (rests, attitudes, statements of the user, another log). The same follows about the
+corrected path, until it converges: the iterated smoother of Bell (1994, doi:10.1137/0804035), which makes
+Gauss-Newton steps on the whole path. The search does not start from integrated turn rates: after a minute of
+fast turning their attitude is off by radians, which small corrections cannot repair.
 
-The errors are the true minus the reckoned: position, velocity and attitude (a small turn about world axes),
-the biases of accelerometer and gyroscope (sensor axes), their errors of scale and alignment, and for fusion
-the lever from the sensor to the reference point, the mounting turn, the tilt of the world against gravity,
-and the offset between the clocks. They are smoothed after Rauch, Tung and Striebel (1965,
+The errors are those of position, velocity and attitude (true minus estimated, a small turn about world axes),
+the biases of accelerometer and gyroscope (sensor axes), and their errors of scale and alignment. With another
+log there are also the lever from the sensor to the reference point, the mounting turn, the tilt of the world
+against gravity, and the offset between the clocks. The smoother is that of Rauch, Tung and Striebel (1965,
 doi:10.2514/3.3166).
 """
 
@@ -27,7 +27,7 @@ from threadpoolctl import threadpool_limits
 from swimid.inertial.record import GRAVITY_M_S2, Array, Record, integral, integrated_attitude, resampled
 from swimid.inertial.setup import DRIFT_TIME_S, Noise, Sensor
 
-#: Where the error of each part of the state lies; scales are matrices by rows.
+#: Place of each part in the vector of errors; scales are matrices by rows.
 PARTS = {
     "position": slice(0, 3),
     "velocity": slice(3, 6),
@@ -41,16 +41,35 @@ PARTS = {
     "tilt": slice(39, 41),
     "clock_s": slice(41, 42),
 }
-#: States without and with another log.
+#: Number of errors without and with another log.
 ALONE, FUSED = 33, 42
-#: States that move from node to node by themselves; the others stay or wander.
+#: Number of errors that change by the equations of motion. The others are constant or drift.
 MOVING = 9
 
 
-def jacobian(states: int, *shape: int, **by: Array) -> Array:
-    """Derivatives with respect to the states, shape (*shape, states), from those with respect to its parts.
+#: Errors that change from sample to sample.
+CHANGING = ("position", "velocity", "rotation", "acceleration_bias", "rate_bias")
+#: Number of linearisations; biases and attitude converge in two.
+PASSES = 3
+#: Step with lost samples, in sample times.
+LONG_STEP = 1.5
+#: Correlation time of motion that interpolated samples hide, and of errors of scale (half a stroke), s.
+HIDDEN_S, RHYTHM_S = 0.1, 0.5
+#: Maximum step between nodes, s, and maximum number of nodes.
+NODE_S, MAX_NODES = 0.02, 20_000
+#: Smallest eigenvalue that is added to a predicted covariance so that it is regular.
+RIDGE = 1e-18
 
-    Parts that are no states, without another log, are left out.
+
+def jacobian(states: int, *shape: int, **by: Array) -> Array:
+    """Return derivatives with respect to all errors, shape (*shape, states), from those of the parts.
+
+    Parameters
+    ----------
+    states : int
+        Number of errors; without another log the parts beyond it are left out.
+    **by : ndarray
+        Derivatives with respect to a part, by its name in :data:`PARTS`.
     """
     out = np.zeros((*shape, states))
     for name, values in by.items():
@@ -61,64 +80,64 @@ def jacobian(states: int, *shape: int, **by: Array) -> Array:
 
 @dataclass(frozen=True)
 class Observation:
-    """A measurement of the error at one node."""
+    """Measurement of m values that depend on the errors at one node."""
 
     node: int
-    #: What it is, for the account kept of each kind.
+    #: Kind of observation: innovations are reported by kind.
     kind: str
-    #: Shape (m,). Measured minus reckoned.
+    #: Measured minus predicted, shape (m,).
     residual: Array
-    #: Shape (m, states).
+    #: Derivatives with respect to the errors, shape (m, states).
     sensitivity: Array
-    #: Shape (m,). Standard deviations, independent of each other.
+    #: Standard deviations of independent noise, shape (m,).
     sd: Array
-    #: A residual beyond this many deviations is an outlier and not used; infinite for none.
+    #: Largest innovation in standard deviations; observations beyond it are outliers and not used.
     gate: float = np.inf
-    #: Whether it counts in the likelihood; one that another clock leaves outside the record does not.
+    #: Whether it counts in the likelihood. One that other clock offsets put outside of the record does not.
     counted: bool = True
-    #: Which pose of another log it is of; -1 for none.
+    #: Index of the pose in another log; -1 for none.
     fix: int = -1
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Smoothed errors."""
+    """Smoothed errors at the nodes."""
 
     #: Shape (nodes, states).
     mean: Array
     #: Shape (nodes, states, states).
     covariance: Array
-    #: Shape (nodes - 1, states, states). Smoother gains: they tie the errors of successive nodes.
+    #: Smoother gains, shape (nodes - 1, states, states): they relate the errors of successive nodes.
     gain: Array
-    #: Log likelihood of the observations that were used and count.
+    #: Log-likelihood of the observations that count.
     likelihood: float
-    #: Normalised innovations of every observation, by its kind.
+    #: Normalised innovations by kind of observation.
     scores: dict[str, list[Array]]
-    #: Observations beyond their gate.
+    #: Number of outliers.
     rejected: int
 
     @threadpool_limits.wrap(limits=1)
     def draw(self, sensitivity: Array, count: int) -> Array:
-        """Draw trajectories of the errors about their mean, as functions of them.
+        """Draw trajectories of functions of the errors, about their mean.
 
         Parameters
         ----------
         sensitivity : ndarray, shape (nodes, m, states)
-            Derivatives of the functions with respect to the states.
+            Derivatives of the functions with respect to the errors.
         count : int
             Number of trajectories.
 
         Returns
         -------
         ndarray, shape (nodes, m, count)
-            The seed is fixed: the same errors give the same trajectories.
+            The seed is fixed, so that the same errors give the same trajectories.
 
         Notes
         -----
         Backward sampling (Fruehwirth-Schnatter 1994, doi:10.1111/j.1467-9892.1994.tb00184.x). Given the
-        errors x at node k + 1, those at node k are Gaussian: mean G x, covariance P(k) - G P(k + 1) G',
-        where G is the smoother gain and P the smoothed covariance. So the trajectories have the smoothed
-        covariance at every node, and the correlation between nodes that it does not show.
+        errors x at node k + 1, those at node k are Gaussian with mean G x and covariance
+        P(k) - G P(k + 1) G', where G is the smoother gain and P the smoothed covariance. The trajectories
+        have the smoothed covariance at every node, and the right correlation between nodes.
         """
         rng = np.random.default_rng(0)
         nodes, states = self.mean.shape
@@ -137,7 +156,7 @@ class Errors:
         return drawn
 
 
-@threadpool_limits.wrap(limits=1)  # threads cost more than they bring at this size
+@threadpool_limits.wrap(limits=1)  # threads cost time with matrices of this size
 def smooth_errors(
     start_mean: Array,
     start: Array,
@@ -146,16 +165,17 @@ def smooth_errors(
     observations: list[Observation],
     defect: Array,
 ) -> Errors:
-    """Filter forwards and smooth backwards.
+    """Return the errors, by a Kalman filter forwards and a smoother backwards.
 
     Parameters
     ----------
     start_mean, start : ndarray, shape (states,) and (states, states)
-        Mean and covariance of the errors at the first node before anything is seen.
+        Mean and covariance of the errors at the first node before any observation.
     transition, noise : ndarray, shape (nodes - 1, states, states)
+        Transition matrices and noise covariances of the steps between nodes.
     observations : list of Observation
     defect : ndarray, shape (nodes - 1, 9)
-        What each step adds to the errors of position, velocity and attitude besides.
+        Additional change of the errors of position, velocity and attitude in each step.
     """
     nodes, states = len(transition) + 1, len(start)
     at: dict[int, list[Observation]] = {}
@@ -179,11 +199,11 @@ def smooth_errors(
                 rejected += 1
             else:
                 scores.setdefault(seen.kind, []).append(score)
-                likelihood += likely if seen.counted else 0.0
+                likelihood += likely * seen.counted
         means[k], covs[k] = mean, cov
     gains = np.empty((nodes - 1, states, states))
     for k in range(nodes - 2, -1, -1):
-        gain = np.linalg.solve(predicted_cov[k + 1] + 1e-18 * np.eye(states), transition[k] @ covs[k]).T
+        gain = np.linalg.solve(predicted_cov[k + 1] + RIDGE * np.eye(states), transition[k] @ covs[k]).T
         means[k] = means[k] + gain @ (means[k + 1] - predicted[k + 1])
         covs[k] = covs[k] + gain @ (covs[k + 1] - predicted_cov[k + 1]) @ gain.T
         gains[k] = gain
@@ -192,6 +212,7 @@ def smooth_errors(
 
 
 def _update(mean: Array, cov: Array, seen: Observation) -> tuple[Array, Array, Array | None, float]:
+    """Return mean, covariance, normalised innovation and log-likelihood; an outlier changes nothing."""
     h = seen.sensitivity
     innovation = seen.residual - h @ mean
     shared = h @ cov
@@ -202,95 +223,88 @@ def _update(mean: Array, cov: Array, seen: Observation) -> tuple[Array, Array, A
     inverse = np.linalg.inv(spread)
     gain = shared.T @ inverse
     left = np.eye(len(mean)) - gain @ h
-    cov = left @ cov @ left.T + (gain * seen.sd**2) @ gain.T  # Joseph's form stays positive
+    cov = left @ cov @ left.T + (gain * seen.sd**2) @ gain.T  # Joseph's form stays positive definite
     size = len(innovation) * np.log(2 * np.pi) + np.log(np.linalg.det(spread))
     likely = -0.5 * float(size + innovation @ inverse @ innovation)
     return mean + gain @ innovation, 0.5 * (cov + cov.T), score, likely
 
 
 def cross_matrix(vectors: Array) -> Array:
-    """Matrices of the cross products ``v x``, shape (..., 3, 3)."""
+    """Return the matrices of the cross products ``v x``, shape (..., 3, 3)."""
     return np.swapaxes(np.cross(vectors[..., None, :], np.eye(3)), -1, -2)
 
 
 # ---------------------------------------------------------------- the path
 
 
-#: A step over this many sample times has lost samples; how long lost motion is alike, s; and the time over
-#: which an error of scale keeps its sign, s.
-GAP_STEPS, HIDDEN_S, RHYTHM_S = 1.5, 0.1, 0.5
-#: Turns of linearising and smoothing; biases and attitude settle in two.
-PASSES = 3
-#: The parts that change from sample to sample.
-CHANGING = ("position", "velocity", "rotation", "acceleration_bias", "rate_bias")
-
-
 @dataclass(frozen=True, kw_only=True)
 class State:
-    """What the errors are errors of, at one instant; of a path, at every sample."""
+    """Quantities that have the errors of :data:`PARTS`, at one time; of a path, at n samples."""
 
-    #: Sensor to world.
+    #: From sensor to world.
     rotation: Rotation
-    #: Shape (3,) or (n, 3). Of the sensor, world axes.
+    #: Of the sensor in world axes, shape (3,) or (n, 3).
     position: Array = field(default_factory=partial(np.zeros, 3))
     velocity: Array = field(default_factory=partial(np.zeros, 3))
-    #: Shape (3,) or (n, 3).
+    #: Sensor axes, shape (3,) or (n, 3).
     acceleration_bias: Array = field(default_factory=partial(np.zeros, 3))
     rate_bias: Array = field(default_factory=partial(np.zeros, 3))
-    #: Shape (3, 3). Errors of scale and alignment: this times the reading was taken off.
+    #: Errors of scale and alignment, shape (3, 3): their product with the reading is subtracted.
     acceleration_scale: Array = field(default_factory=partial(np.zeros, (3, 3)))
     rate_scale: Array = field(default_factory=partial(np.zeros, (3, 3)))
-    #: Shape (3,). From the sensor to the reference point, sensor axes, m.
+    #: Vector from the sensor to the reference point, sensor axes, m, shape (3,).
     lever: Array = field(default_factory=partial(np.zeros, 3))
-    #: Body to sensor.
+    #: From body to sensor.
     mount: Rotation = field(default_factory=Rotation.identity)
-    #: Shape (2,). Gravity's horizontal components in the world, over g.
+    #: Horizontal components of gravity in the world, over g, shape (2,).
     tilt: Array = field(default_factory=partial(np.zeros, 2))
-    #: To add to the times of the other log.
+    #: Offset to add to the times of the other log.
     clock_s: float = 0.0
 
     def corrected(self, error: Array) -> Self:
-        """The same with its error taken out, shape (states,), or (n, states) of a path."""
-        parts = {}
+        """Return the state with its error added, shape (states,), or (n, states) for a path."""
+        parts: dict[str, Any] = {}
         for name, part in PARTS.items():
             off, value = error[..., part], getattr(self, name)
             if not off.size:
-                break  # no other log: it is no state
-            off = off if name in CHANGING else np.atleast_2d(off)[-1]
-            turned = isinstance(value, Rotation)
-            parts[name] = (
-                Rotation.from_rotvec(off) * value if turned else value + off.reshape(np.shape(value))
-            )
+                break  # without another log the error is shorter
+            if name not in CHANGING:
+                off = np.atleast_2d(off)[-1]
+            if isinstance(value, Rotation):
+                parts[name] = Rotation.from_rotvec(off) * value
+            else:
+                parts[name] = value + off.reshape(np.shape(value))
         return replace(self, **parts)
 
-    def less(self, other: State) -> Array:
-        """The error of another state seen from this one, all states."""
+    def minus(self, other: State) -> Array:
+        """Return the difference to another state as an error, shape (FUSED,)."""
         parts = []
         for name in PARTS:
             here, there = getattr(self, name), getattr(other, name)
-            turned = isinstance(here, Rotation)
-            parts.append((here * there.inv()).as_rotvec() if turned else np.ravel(here - there))
+            if isinstance(here, Rotation):
+                parts.append((here * there.inv()).as_rotvec())
+            else:
+                parts.append(np.ravel(here - there))
         return np.concatenate(parts)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Nominal(State):
-    """A reckoned path at every sample."""
+    """Path at n samples about which the errors are estimated."""
 
-    #: Shape (n,).
     time_s: Array
-    #: Shape (n, 3). Specific force less its bias, sensor axes.
+    #: Corrected specific force, sensor axes, shape (n, 3).
     force: Array
-    #: Shape (n, 3). Turn rate less its bias, sensor axes.
+    #: Corrected turn rate, sensor axes, shape (n, 3).
     rate: Array
-    #: Shape (m,). Rows at which its errors are followed.
+    #: Rows at which the errors are estimated, shape (nodes,).
     nodes: np.ndarray
-    #: How many errors are.
+    #: Number of errors.
     states: int
 
     @property
     def node_s(self) -> Array:
-        """Times of the nodes."""
+        """Times of the nodes, s."""
         return self.time_s[self.nodes]
 
     @property
@@ -301,35 +315,35 @@ class Nominal(State):
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known before anything is observed."""
+    """Knowledge before any observation."""
 
-    #: Sensor to world, n of them: the attitude to begin the search at.
+    #: Attitude from sensor to world at which the search starts, shape (n,).
     guide: Rotation
-    #: At the first sample.
+    #: State at the first sample.
     state: State
-    #: Deviations of its parts; those of the sensor's errors are the sensor's.
+    #: Standard deviations of its parts, except for the biases and scales of the sensor.
     sd: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
 class Smoothed:
-    """The corrected path, and the covariance of what is left of its errors."""
+    """Corrected path with the covariance of its errors."""
 
-    #: With the errors taken out.
     path: Nominal
-    #: Of the last pass, at the nodes of the path.
+    #: Errors of the last pass.
     errors: Errors
-    #: What a next pass would start from; the path it would be about is ``path``.
+    #: State at the first sample from which a next pass starts.
     origin: State
 
     def score(self, kind: str) -> float | None:
-        """Innovations of a kind of observation, in their deviations, rms; None where there are none."""
-        seen = self.errors.scores.get(kind)
-        return None if seen is None else float(np.sqrt(np.mean(np.concatenate(seen) ** 2)))
+        """Return the root-mean-square normalised innovation of a kind of observation; None without any."""
+        if kind not in self.errors.scores:
+            return None
+        return float(np.sqrt(np.mean(np.concatenate(self.errors.scores[kind]) ** 2)))
 
 
 def gravity(tilt: Array) -> Array:
-    """Gravity in the world, m/s^2, shape (3,)."""
+    """Return gravity in the world, m/s^2, shape (3,)."""
     return -GRAVITY_M_S2 * np.array([tilt[0], tilt[1], 1.0])
 
 
@@ -344,21 +358,25 @@ def smooth(
     after: Smoothed | None = None,
     passes: int = PASSES,
 ) -> Smoothed:
-    """Reckon, smooth the errors, and again.
+    """Estimate the most likely motion.
 
     Parameters
     ----------
+    record : Record
+    prior : Prior
+    sensor : Sensor
+    noise : Noise
     observe : callable
-        Everything that is known of a path besides the samples; :mod:`swimid.inertial.aiding` makes it.
+        Returns the observations of a path; see :mod:`swimid.inertial.aiding`.
     states : int
-        With those of another log lever, mounting, the world's tilt and its clock are estimated.
+        :data:`ALONE`, or :data:`FUSED` to estimate lever, mounting, tilt of the world and clock, too.
     after : Smoothed, optional
-        An earlier answer to go on from.
+        Result from which to continue.
     passes : int
-        Reckonings.
+        Number of linearisations.
     """
     if after is None:
-        now, path = prior.state, _reckoned(record, prior, states)
+        now, path = prior.state, _integrated(record, prior, states)
     else:
         now, path = after.origin, _about(record, after.origin, after.path)
     driving = _driving_noise(record, sensor, noise, path)
@@ -367,9 +385,9 @@ def smooth(
         if turn:
             path = _about(record, now, path)
         transition, defect = _transitions(record, path)
-        mean = prior.state.less(now)[:states]
+        mean = prior.state.minus(now)[:states]
         errors = smooth_errors(mean, covariance, transition, driving, observe(path), defect)
-        # constant biases by their means over the record
+        # the next linearisation has constant biases: their means over the record
         begin, mean = errors.mean[0].copy(), errors.mean.mean(axis=0)
         begin[MOVING:ALONE] = mean[MOVING:ALONE]
         now, path = now.corrected(begin), _corrected(record, path, errors)
@@ -377,18 +395,16 @@ def smooth(
 
 
 def _node_rows(time_s: Array) -> np.ndarray:
-    """Rows of a record at which its errors are followed, shape (m,)."""
-    duration = float(time_s[-1] - time_s[0])
-    # Longest step between nodes, s, and most nodes.
-    spacing = max(0.02, duration / 20_000)
+    """Return the rows of a record at which its errors are estimated, shape (m,)."""
+    spacing = max(NODE_S, float(time_s[-1] - time_s[0]) / MAX_NODES)
     if np.median(np.diff(time_s)) >= spacing:
         return np.arange(len(time_s))
     wanted = np.searchsorted(time_s, np.arange(time_s[0], time_s[-1], spacing))
-    return np.unique(np.concatenate([wanted, [len(time_s) - 1]]))
+    return np.unique(np.append(wanted, len(time_s) - 1))
 
 
-def _reckoned(record: Record, prior: Prior, states: int) -> Nominal:
-    """The path that follows from accelerations, an attitude and where it starts."""
+def _integrated(record: Record, prior: Prior, states: int) -> Nominal:
+    """Return the path that accelerations make in the first attitude."""
     t, start = record.time_s, prior.state
     known = {**vars(start), "rotation": prior.guide, "nodes": _node_rows(t), "states": states}
     path = _about(record, start, Nominal(**known, time_s=t, force=record.acceleration, rate=record.rate))
@@ -397,7 +413,7 @@ def _reckoned(record: Record, prior: Prior, states: int) -> Nominal:
 
 
 def _about(record: Record, origin: State, path: Nominal) -> Nominal:
-    """The same path with the readings corrected by an origin's biases and scales."""
+    """Return the path with readings that are corrected by the biases and scales of a state."""
     force = record.acceleration - origin.acceleration_bias - record.acceleration @ origin.acceleration_scale.T
     rate = record.rate - origin.rate_bias - record.rate @ origin.rate_scale.T
     constant = {name: getattr(origin, name) for name in PARTS if name not in CHANGING}
@@ -407,7 +423,7 @@ def _about(record: Record, origin: State, path: Nominal) -> Nominal:
 
 
 def _corrected(record: Record, path: Nominal, errors: Errors) -> Nominal:
-    """The path, and the readings it was reckoned from, without their errors."""
+    """Return the path and its readings with their errors corrected."""
     x = resampled(path.time_s, path.node_s, errors.mean)
     bias_a, bias_w = x[:, PARTS["acceleration_bias"]], x[:, PARTS["rate_bias"]]
     scale_a, scale_w = (x[-1, PARTS[name]].reshape(3, 3) for name in ("acceleration_scale", "rate_scale"))
@@ -417,6 +433,7 @@ def _corrected(record: Record, path: Nominal, errors: Errors) -> Nominal:
 
 
 def _start_covariance(prior: Prior, sensor: Sensor, states: int) -> Array:
+    """Return the covariance of the errors before any observation, shape (states, states)."""
     sds = {
         **prior.sd,
         "acceleration_bias": sensor.acceleration_bias_sd,
@@ -429,12 +446,12 @@ def _start_covariance(prior: Prior, sensor: Sensor, states: int) -> Array:
 
 
 def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:
-    """Transition matrices over the steps between nodes, and their defects, shape (steps, 9).
+    """Return the transition matrices of the steps between nodes, and their defects, shape (steps, 9).
 
-    Matrices are exp(F dt) to third order in dt, with means over the step (Groves 2013, Principles of GNSS,
-    Inertial, and Multisensor Integrated Navigation Systems, 2nd ed., sec. 14.2, on a world that does not
-    turn). A defect is the position, velocity and turn that the samples make of a step, less those of the
-    path: 0 for a path that was reckoned from the samples.
+    The matrices are exp(F dt) to third order in dt, with means over the step (Groves 2013, Principles of
+    GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed., sec. 14.2, without the turning of
+    the earth). A defect is the change of position, velocity and attitude that the samples make in a step,
+    less that of the path. It is 0 for a path that was integrated from the samples.
     """
     t, rows, states, turn = path.time_s, path.nodes, path.states, path.rotation.as_matrix()
     dt = np.diff(t[rows])[:, None]
@@ -444,7 +461,7 @@ def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:
         return steps.reshape(-1, *values.shape[1:])
 
     def turn_by(readings: Array) -> Array:
-        """Every column of the rotation matrix times every component, which runs fastest."""
+        """Return products of columns of the rotation matrix and components of readings (fastest)."""
         parts = [mean(turn * readings[:, None, j, None]) for j in range(3)]
         return np.stack(parts, axis=-1).reshape(-1, 3, 9)
 
@@ -478,19 +495,18 @@ def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:
 
 
 def _driving_noise(record: Record, sensor: Sensor, noise: Noise, path: Nominal) -> Array:
-    """Covariance each step between nodes adds, shape (steps, states, states).
+    """Return the covariance that each step between nodes adds, shape (steps, states, states).
 
-    Noise of the sensor, errors of its scale, and what bridged samples hide.
+    It contains the noise of the sensor, its nonlinearity, and the motion that missing samples hide.
     """
     dt = np.diff(record.time_s)
-    # a step of several sample times, or bridged samples, hide what the sensor did there
-    hidden = np.maximum(dt - GAP_STEPS * record.step_s, 0.0)
+    hidden = np.maximum(dt - LONG_STEP * record.step_s, 0.0)
 
     def white(density: float, readings: Array, moving: Array, filled: np.ndarray) -> Array:
         lost = filled[1:] | filled[:-1]
         variance = density**2 * dt
         variance += float(np.sum(np.std(readings, axis=0) ** 2)) * (hidden**2 + lost * dt * HIDDEN_S)
-        # what scales leave (bending) acts with the motion's own rhythm: white beyond half a stroke
+        # nonlinearity follows the rhythm of the motion: white noise beyond half a stroke
         variance += sensor.bending_sd**2 * np.sum(moving[1:] ** 2, axis=1) * dt * RHYTHM_S
         return np.diff(np.concatenate([[0.0], np.cumsum(variance)])[path.nodes])
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from swimid.blackbox import trials as arma
+from swimid.blackbox.model import ArxModel
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.files.provenance import Input
 from swimid.fitting import drives
@@ -455,7 +455,7 @@ def _towed(options: SimulateOptions, file: ParameterFile, path: Path, robot: Rob
 
 
 def _arma(options: SimulateOptions, file: ParameterFile, path: Path) -> Case:
-    model = arma.model_of(file, path)
+    model = ArxModel.from_file(file, path)
     metadata = _metadata(options, options.robot or file.robot or "unknown", experiment="arma")
     if options.input is not None:
         wanted: tuple[str, ...] = ()

@@ -89,7 +89,7 @@ def marching(
     roll = go * roll_rad * np.sin(phase + 0.7)
     pitch = go * (0.03 * np.sin(2 * phase) + 0.02)
     yaw = turn_rad * _eased(fine, rest_s + 4.0, max(swim_s - 8.0, 1.0)) + go * 0.07 * np.sin(phase + 0.2)
-    turn = _cosines(roll, pitch, yaw)
+    turn = cosines(roll, pitch, yaw)
     velocity = np.einsum("nij,nj->ni", turn, np.column_stack([surge, sway, heave]))
     position = np.cumsum(velocity, axis=0) * DENSE
     acceleration = np.gradient(velocity, DENSE, axis=0)
@@ -103,7 +103,7 @@ def marching(
 
     true_turn = at(turn.reshape(-1, 9)).reshape(-1, 3, 3)
     true_turn = _orthonormal(true_turn)
-    tilt = _cosines(*(np.atleast_1d(a) for a in errors.tilt * rng.choice([-1, 1], 3) * [0.7, 0.7, 0.0]))[0]
+    tilt = cosines(*(np.atleast_1d(a) for a in errors.tilt * rng.choice([-1, 1], 3) * [0.7, 0.7, 0.0]))[0]
     n, step = len(time), 1 / rate_hz
 
     def seen(true: np.ndarray, density: float, bias: float, drift: float) -> np.ndarray:
@@ -164,7 +164,7 @@ def _eased(t: np.ndarray, start: float, duration: float) -> np.ndarray:
     return x**3 * (10 - 15 * x + 6 * x**2)
 
 
-def _cosines(roll: np.ndarray, pitch: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+def cosines(roll: np.ndarray, pitch: np.ndarray, yaw: np.ndarray) -> np.ndarray:
     """Body to world, naval angles, shape (n, 3, 3)."""
     cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (np.cos, np.sin))
     rows = [
