@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from swimid.logs import log
-from swimid.results import evidence
+from swimid.logs.logged import Logged
 from swimid.results.evidence import (
     Check,
     Evidence,
@@ -25,6 +25,7 @@ from swimid.results.evidence import (
     Trace,
     Verdict,
 )
+from swimid.results.fitted import Fitted
 from swimid.results.parameters import Correlation, Estimate, Fit, ParameterFile, Pole
 
 RNG_SEED = 20240611
@@ -306,9 +307,10 @@ def drag(folder: Path, name: str = "drag.yaml", *, proof: bool = True) -> Path:
         provenance=block,
     )
     path = folder / name
-    file.write(path)
     if proof:
-        evidence.write(evidence.sidecar(path), drag_evidence(block))
+        Fitted.of(file, drag_evidence(block)).save(path)
+    else:
+        file.write(path)
     return path
 
 
@@ -394,7 +396,6 @@ def arma(folder: Path) -> Path:
         provenance=block,
     )
     path = folder / "arma.yaml"
-    file.write(path)
     record = Evidence(
         verb="rwls",
         title="ARX model of the long-fin vehicle",
@@ -411,7 +412,7 @@ def arma(folder: Path) -> Path:
         notices=[NoticeRecord(code="SWM020", text="a pole lies at 1.0013")],
         provenance=block,
     )
-    evidence.write(evidence.sidecar(path), record)
+    Fitted.of(file, record).save(path)
     return path
 
 
@@ -455,5 +456,5 @@ def track(folder: Path, *, proof: bool = True, name: str = "run.csv") -> Path:
                 "swimid track video pool.mp4 --setup setup.yaml -o run.csv", ["pool.mp4", "setup.yaml"]
             ),
         )
-        evidence.write(evidence.sidecar(path), record)
+        Logged("track video", evidence=record, document=log.read(path)).save(path)
     return path

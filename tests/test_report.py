@@ -176,7 +176,7 @@ def test_same_input_same_page(tmp_path: Path) -> None:
     result = load_result(path)
     made = datetime(2026, 1, 2, 3, 4, tzinfo=UTC)
     options = {"template": "report.html", "title": "t", "created": made, "digests": {str(path): "0" * 64}}
-    pages = [page.render([result], **options) for _ in range(2)]  # type: ignore[arg-type]
+    pages = [page.render([result], [result.content()], **options) for _ in range(2)]  # type: ignore[arg-type]
     assert pages[0] == pages[1]
 
 
@@ -239,17 +239,50 @@ def test_missing_evidence_is_said(tmp_path: Path) -> None:
     assert "Not identifiable: string_stiffness. No evidence file." in words
 
 
-def test_evidence_of_another_run_is_said(tmp_path: Path) -> None:
-    """A sidecar whose provenance differs is shown with a warning and lowers the verdict."""
-    path = cases.drag(tmp_path)
+def _good(path: Path) -> None:
+    """Give the evidence of a result a good verdict."""
     record = evidence.read(evidence.sidecar(path))
-    other = {**record.provenance, "created": "2026-03-03T00:00:00+00:00"}
-    changed = {"provenance": other, "verdict": Verdict(level="good", text="All well.")}
-    evidence.write(evidence.sidecar(path), record.model_copy(update=changed))
-    with pytest.warns(SwimidWarning, match=r"SWM052 .* another run \(created differ"):
+    good = record.model_copy(update={"verdict": Verdict(level="good", text="All well.", word="Explained")})
+    evidence.write(evidence.sidecar(path), good)
+
+
+@pytest.mark.parametrize(
+    ("before", "after"), [("0.70512", "0.9"), ("2026-03-02T10:15:00", "2026-03-03T00:00:00")]
+)
+def test_a_file_that_was_edited_is_no_longer_good(before: str, after: str, tmp_path: Path) -> None:
+    """A value that was changed by hand, or a file of another run, lowers the verdict and warns."""
+    path = cases.drag(tmp_path)
+    _good(path)
+    path.write_text(path.read_text().replace(before, after))
+    with pytest.warns(SwimidWarning, match=r"SWM052 drag\.yaml was edited or replaced after its evidence"):
         result = load_result(path)
     assert result.verdict == "caution"
-    assert "do not belong together" in result.content().verdict.text
+    assert result.evidence is not None
+    assert result.evidence.verdict.word == "Explained"
+    quietly(inputs=[path], output=tmp_path / "r.html")
+    text = (tmp_path / "r.html").read_text()
+    assert 'class="badge good"><span class="symbol" aria-hidden="true">✓</span>Good' not in text
+    assert "The file was changed after this verdict" in text
+
+
+def test_a_log_that_was_edited_is_no_longer_good(tmp_path: Path) -> None:
+    path = cases.track(tmp_path)
+    assert load_result(path).verdict == "good"
+    path.write_text(path.read_text().replace("0.02,", "0.021,", 1))
+    with pytest.warns(SwimidWarning, match="SWM052"):
+        assert load_result(path).verdict == "caution"
+
+
+def test_a_reformatted_file_keeps_its_evidence(tmp_path: Path) -> None:
+    """Comments, the order of keys and line ends do not change the content of a file."""
+    path = cases.drag(tmp_path)
+    _good(path)
+    blocks = re.split(r"(?m)^(?=\w)", path.read_text())
+    text = "# fitted on Monday\n" + "".join([blocks[0], *reversed(blocks[1:])])
+    path.write_bytes(text.replace("\n", "\r\n").encode())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", SwimidWarning)
+        assert load_result(path).verdict == "good"
 
 
 def test_matching_evidence_survives_the_yaml(tmp_path: Path) -> None:

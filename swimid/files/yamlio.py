@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import json
 import math
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -35,8 +36,12 @@ class Document(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, validate_default=False)
 
     def digest(self) -> str:
-        """Return the SHA-256 of keys and values in hexadecimal digits, for a document in memory."""
-        return hashlib.sha256(self.model_dump_json(exclude_none=True).encode()).hexdigest()
+        """Return the SHA-256 of the keys and values in hexadecimal digits.
+
+        Order, comments, and keys with the value that they have by default do not count.
+        """
+        data = json.loads(self.model_dump_json(exclude_none=True, exclude_defaults=True))
+        return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
 
 
 class ResultFile(Document):

@@ -163,6 +163,11 @@ class Verdict(_Part):
     #: What a badge says; by default the level.
     word: str = ""
 
+    def lowered(self, level: Literal["caution", "bad"], text: str) -> Verdict:
+        """Return this verdict with another text, at the level given or at its own if that is lower."""
+        worst = "bad" if "bad" in (level, self.level) else level
+        return self.model_copy(update={"level": worst, "text": text})
+
 
 class NoticeRecord(_Part):
     """A warning kept with the result."""
@@ -175,8 +180,9 @@ class Evidence(_Part):
     """Everything the report shows of one result, apart from its parameters."""
 
     format: Literal["swimid-evidence/1"] = FORMAT
-    #: Name of the file it lies beside; empty in memory.
+    #: Name and SHA-256 of the content of the file that it was written for; empty in memory.
     result: str = ""
+    sha256: str = ""
     verb: str
     title: str
     verdict: Verdict
@@ -208,9 +214,8 @@ class Evidence(_Part):
             texts = "; ".join(notice.text for notice in self.notices if notice.code == code)
             if texts:
                 self.checks.append(Check(name=POSSIBLE, value="beyond", verdict=grade, text=texts))
-                level = "bad" if grade == "fail" or self.verdict.level == "bad" else "caution"
                 text = f"{self.verdict.text} Values that no swimmer reaches: {texts}."
-                self.verdict = Verdict(level=level, text=text)
+                self.verdict = self.verdict.lowered("bad" if grade == "fail" else "caution", text)
                 break
         return self
 
@@ -251,11 +256,13 @@ def judged(answer: str, checks: Sequence[Check]) -> Verdict:
     It is bad where a check fails, caution where one warns, and else good.
     """
     for grade, level, words in (("fail", "bad", "Do not rely on it"), ("warn", "caution", "Caution")):
-        found = [c.reason or f"{c.name} {c.value}".strip() for c in checks if c.verdict == grade]
-        if found:
-            more = f"; and {len(found) - MAX_REASONS} more" if len(found) > MAX_REASONS else ""
-            reasons = "; ".join(dict.fromkeys(found[:MAX_REASONS]))
-            return Verdict(level=level, text=f"{answer} {words}: {reasons}{more}.")  # type: ignore[arg-type]
+        failed = [c.reason or f"{c.name} {c.value}".strip() for c in checks if c.verdict == grade]
+        reasons = list(dict.fromkeys(failed))
+        if reasons:
+            shown = reasons[:MAX_REASONS]
+            if len(reasons) > MAX_REASONS:
+                shown.append(f"and {len(reasons) - MAX_REASONS} more")
+            return Verdict(level=level, text=f"{answer} {words}: {'; '.join(shown)}.")  # type: ignore[arg-type]
     return Verdict(level="good", text=answer)
 
 
@@ -292,20 +299,6 @@ def write(path: str | Path, evidence: Evidence) -> None:
     """Write evidence as JSON, whole or not at all."""
     text = json.dumps(evidence.model_dump(mode="json"), ensure_ascii=False, allow_nan=False)
     atomic.write_text(path, text + "\n")
-
-
-def write_beside(result: Path, evidence: Evidence) -> list[Path]:
-    """Write the evidence of a result that was just written; a device takes the result alone.
-
-    Returns
-    -------
-    list of Path
-        The result, and its evidence where there is any.
-    """
-    if atomic.is_device(result):
-        return [result]
-    write(sidecar(result), evidence.model_copy(update={"result": result.name}))
-    return [result, sidecar(result)]
 
 
 def check_beside(result: Path) -> None:
@@ -350,7 +343,7 @@ def read(path: str | Path) -> Evidence:
     path = Path(path)
     try:
         with file_errors(path):
-            return Evidence.model_validate_json(path.read_bytes()).model_copy(update={"result": ""})
+            return Evidence.model_validate_json(path.read_bytes())
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])

@@ -47,6 +47,7 @@ def overall(contents: Sequence[Evidence]) -> Verdict:
 
 def render(
     results: Sequence[Result],
+    contents: Sequence[Evidence],
     *,
     template: str,
     title: str,
@@ -60,6 +61,8 @@ def render(
     ----------
     results : sequence of Result
         At least one.
+    contents : sequence of Evidence
+        Content of each result (:meth:`Result.content`).
     template : str
         ``"report.html"`` or ``"report.md"``.
     title : str
@@ -72,7 +75,6 @@ def render(
     """
     groups = compared(results)
     grouped = [fit for fits, _ in groups for fit in fits]
-    contents = [result.content() for result in results]
     environment = Environment(
         loader=PackageLoader("swimid.results"),
         autoescape=template.endswith("html"),

@@ -91,6 +91,7 @@ def report(
     else:
         text = page.render(
             results,
+            contents,
             template=f"report.{kind}",
             title=heading,
             created=created,

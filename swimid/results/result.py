@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar
 import numpy as np
 
 from swimid.errors import UsageError
-from swimid.files import atomic, yamlio
+from swimid.files import atomic
 from swimid.notices import warn
 from swimid.results import terminal
 from swimid.results.evidence import (
@@ -23,9 +22,9 @@ from swimid.results.evidence import (
     Verdict,
     leaf_table,
     sidecar,
-    write_beside,
 )
 from swimid.results.evidence import read as read_evidence
+from swimid.results.evidence import write as write_evidence
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -198,8 +197,10 @@ class Result:
         target = atomic.check_writable(Path(path), inputs=read)
         with atomic.together():
             written = self._write(target)
-            if self.evidence is not None:
-                written[1:1] = write_beside(target, self.evidence)[1:]
+            if self.evidence is not None and not atomic.is_device(target):
+                made_for = {"result": target.name, "sha256": self.document.digest()}
+                write_evidence(sidecar(target), self.evidence.model_copy(update=made_for))
+                written.insert(1, sidecar(target))
         return replace(self, outputs=[*self.outputs, *written])
 
     def saved(self, output: str | Path | None) -> Self:
@@ -219,7 +220,7 @@ class Result:
         place = sidecar(path)
         evidence = read_evidence(place) if place.exists() else None
         if evidence is not None:
-            evidence = _matched(Path(path), getattr(document, "provenance", {}), evidence)
+            evidence = _of_document(evidence, document, Path(path).name)
         data = document.model_dump(mode="json") if hasattr(document, "model_dump") else {}
         return cls(evidence.verb if evidence else "", "", data, [Path(path)], evidence, document)
 
@@ -301,31 +302,26 @@ class Text(Result):
         return f"<pre>{html.escape(text)}</pre>"
 
 
-def _matched(path: Path, provenance: dict[str, Any], evidence: Evidence) -> Evidence:
-    """Return the evidence of a file, with a lower verdict where it is that of another run.
+def _of_document(evidence: Evidence, document: Any, name: str) -> Evidence:
+    """Return the evidence of a file, with a lower verdict if it was made for other content.
 
     Warns
     -----
     SWM052
-        The evidence is that of another run.
+        The file was edited, or is from another run than its evidence.
     """
-    keys = [key for key in ("created", "command", "version", "inputs", "settings") if key in provenance]
-    differ = [key for key in keys if _plain(provenance[key]) != _plain(evidence.provenance.get(key))]
-    if not differ:
+    if evidence.sha256 == document.digest():
         return evidence
     text = (
-        f"the evidence of {path.name} is from another run ({', '.join(differ)} differ): its figures, checks "
-        "and tables may not describe these numbers"
+        f"{name} was edited or replaced after its evidence was made: figures, checks and tables may not "
+        "describe its numbers; run its command again"
     )
     warn("SWM052", text)
-    level = "bad" if evidence.verdict.level == "bad" else "caution"
-    said = f"Evidence and result do not belong together. {evidence.verdict.text}"
+    said = f"The file was changed after this verdict: {evidence.verdict.text}"
     notices = [*evidence.notices, NoticeRecord(code="SWM052", text=text)]
-    return evidence.model_copy(update={"verdict": Verdict(level=level, text=said), "notices": notices})
-
-
-def _plain(value: Any) -> Any:
-    return json.loads(json.dumps(yamlio.plain(value), default=str))
+    return evidence.model_copy(
+        update={"verdict": evidence.verdict.lowered("caution", said), "notices": notices}
+    )
 
 
 def _frame(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> pd.DataFrame:
