@@ -361,7 +361,11 @@ def _ranked(file: GapFile) -> list[ev.Figure]:
         traces.append(ev.Trace(x=x, y=places, style="points", label=label, group=group))
         traces.append(ev.Trace(x=ends, y=heights, group=group))
     panel = ev.Panel(
-        x_label="gain in cross-validation", y_label="", y_categories=shown, invert_y=True, traces=traces
+        x_label="gain in cross-validation",
+        y_label="",
+        y_categories=[name.removeprefix(words.READING).replace("=", ": ") for name in shown],
+        invert_y=True,
+        traces=traces,
     )
     caption = (
         "Drop of the squared residuals, in units of the noise, with one standard error; each effect alone. "

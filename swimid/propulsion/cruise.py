@@ -27,6 +27,8 @@ from swimid.results.parameters import Estimate, ParameterFile
 DEPARTURE_SHARE, DEPARTURE_Z = 0.01, 4.0
 #: The exponents of the law.
 LAWS = {"frequency_exponent": 3.0, "amplitude_exponent": 2.0}
+#: Distance over which the average speed is the terminal one to a millionth, m.
+FAR_M = 1e7
 #: Parameters that the law takes from a drag file.
 DRAG_NUMBERS = ("drag_coefficient", "added_mass")
 
@@ -393,6 +395,8 @@ def _figures(experiment: Experiment, result: FitResult, points: list[dict[str, A
             over_frequency.append(_points(f, runs, "mean_speed_m_s", 100.0, group))
             over_frequency.append(ev.Trace(x=line, y=law, group=group))
             force.append(_points(f, runs, "propulsive_force_N", 1e3, group))
+            terminal = _law(result, trial, line, np.full(len(line), amplitude), FAR_M)
+            force.append(ev.Trace(x=line, y=1e3 * result.model.drag_area_kg_m * terminal**2, group=group))
             wake.append(_points(f, runs, "strouhal", 1.0, group))
         runs = [p for p in points if p["fin"] == trial.id and p["frequency_hz"] in swept[:1]]
         if runs:
@@ -406,9 +410,7 @@ def _figures(experiment: Experiment, result: FitResult, points: list[dict[str, A
     title, x_label = f"at {amplitude:g}°", "frequency (Hz)"
     speeds = [ev.Panel(x_label=x_label, y_label="average speed (cm/s)", traces=over_frequency, title=title)]
     if over_amplitude:
-        panel = ev.Panel(
-            x_label="amplitude (°)", y_label="average speed^1.5 (cm/s)^1.5", traces=over_amplitude
-        )
+        panel = ev.Panel(x_label="amplitude (°)", y_label="speed¹·⁵ ((cm/s)¹·⁵)", traces=over_amplitude)
         speeds.append(panel.model_copy(update={"title": f"at {swept[0]:g} Hz"}))
     efficient = [ev.Mark(at=0.25), ev.Mark(at=0.4, label="efficient swimmers")]
     forces = [
@@ -419,7 +421,9 @@ def _figures(experiment: Experiment, result: FitResult, points: list[dict[str, A
         "Points are runs, lines the fitted law: straight through the origin over frequency, straight with "
         "the offset as intercept over amplitude."
     )
-    about_forces = "Under the law force grows with the square of frequency at a constant Strouhal number."
+    about_forces = (
+        "Lines are the fitted law: force grows with the square of frequency, the Strouhal number is constant."
+    )
     return [
         ev.Figure(id="speeds", title="Average speed", caption=about_speeds, panels=speeds, columns=2),
         ev.Figure(
@@ -434,15 +438,19 @@ def _points(x: Array, runs: list[dict[str, Any]], key: str, factor: float, group
     return ev.Trace(x=x, y=y, style="points", label=runs[0]["fin"], group=group)
 
 
-def _law(result: FitResult, trial: Trial, frequency: Array, amplitude_deg: Array) -> Array:
-    """Return the average speed of runs under the law, m/s."""
+def _law(
+    result: FitResult, trial: Trial, frequency: Array, amplitude_deg: Array, distance_m: float | None = None
+) -> Array:
+    """Return the average speed of runs under the law, m/s, by default over the median distance."""
+    if distance_m is None:
+        distance_m = float(np.median(trial.inputs["distance_m"]))
     runs = replace(
         trial,
         time_s=np.arange(len(frequency), dtype=float),
         inputs={
             "frequency_hz": frequency,
             "amplitude_rad": np.deg2rad(amplitude_deg),
-            "distance_m": np.full(len(frequency), float(np.median(trial.inputs["distance_m"]))),
+            "distance_m": np.full(len(frequency), distance_m),
         },
     )
     return result.model.simulate(result.values(trial.id), runs)[SPEED]

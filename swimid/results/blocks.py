@@ -158,9 +158,9 @@ def _rms(values: Any) -> float:
 
 
 def residuals(
-    id: str, title: str, caption: str, x_label: str, shown: Sequence[Series], correlation: Correlogram
+    id: str, title: str, caption: str, x_label: str, shown: Sequence[Series], correlation: Correlogram | None
 ) -> Figure:
-    """Return the weighted residuals, one row for each of the worst trials, and their autocorrelation."""
+    """Return the weighted residuals, one row for each of the worst trials, and any autocorrelation."""
     rows = sorted(shown, key=lambda s: -_rms(s.weighted))[:MAX_ROWS]
     traces: list[Trace] = []
     for k, s in enumerate(rows):
@@ -171,14 +171,17 @@ def residuals(
         traces.append(Trace(x=x, y=k - y / (2.2 * ROW_SD), style="points", label=label, group=group))
     over_time = Panel(
         x_label=x_label,
-        y_label=f"residual / sd, ±{ROW_SD:g} in a row",
+        y_label=f"residual (row: ±{ROW_SD:g} sd)",
         y_categories=[s.trial for s in rows],
         invert_y=True,
         traces=traces,
         marks=[Mark(at=k) for k in range(len(rows))],
     )
+    if correlation is None:
+        return panels(id, title, caption, [over_time], columns=1)
     lagged = correlogram(correlation, "autocorrelation", "residuals", skip_zero=True)
-    return Figure(id=id, title=title, caption=caption, columns=2, panels=[over_time, lagged])
+    caption += " The autocorrelation is of all fitted trials, with the 95 % band of white noise."
+    return panels(id, title, caption, [over_time, lagged])
 
 
 def correlogram(correlation: Correlogram, y_label: str, label: str, *, skip_zero: bool) -> Panel:

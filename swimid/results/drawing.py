@@ -138,9 +138,12 @@ def paint(axes: Axes, panel: Panel, slots: dict[Any, int], *, compact: bool = Fa
             _bars(axes, trace, slot, bars.index(trace), len(bars))
         else:
             paired = trace.group in pointed & lined
-            _trace(axes, trace, slot, repeat, paired=paired, compact=compact)
+            small = paired or panel.y_categories is not None
+            _trace(axes, trace, slot, repeat, paired=paired, small=small, compact=compact)
     axes.set_xlabel("\n".join(textwrap.wrap(panel.x_label, 52)))
-    axes.set_ylabel("\n".join(textwrap.wrap(panel.y_label, 36)))
+    # two thirds of the height are left beside the axis
+    letters = int(72 * _height(panel) / (1.5 * LETTER * FONT))
+    axes.set_ylabel("\n".join(textwrap.wrap(panel.y_label, letters)))
     _scales(axes, panel)
     for mark in panel.marks:
         line = axes.axhline if mark.axis == "y" else axes.axvline
@@ -173,8 +176,10 @@ def _array(values: Sequence[float | None]) -> Array:
     return np.array([math.nan if v is None else v for v in values], dtype=float)
 
 
-def _trace(axes: Axes, trace: Trace, slot: int, repeat: int, *, paired: bool, compact: bool) -> None:
-    """Draw a line or points; ``paired`` ones are a measurement and its model."""
+def _trace(
+    axes: Axes, trace: Trace, slot: int, repeat: int, *, paired: bool, small: bool, compact: bool
+) -> None:
+    """Draw a line or points; ``paired`` ones are a measurement and its model, ``small`` points lie close."""
     for name in ("y", "y_error", "lower", "upper"):
         values = getattr(trace, name)
         if values is not None and len(values) != len(trace.x):
@@ -195,7 +200,7 @@ def _trace(axes: Axes, trace: Trace, slot: int, repeat: int, *, paired: bool, co
         if trace.style == "stems":
             axes.vlines(x, 0, y, color=colour, lw=0.9)
         size = float(np.interp(len(x), [20, 60, 400, 2000], [4.0, 3.0, 2.0, 1.4]))
-        _points(axes, x, y, colour, marker, label, size=0.6 * size if paired else size, compact=compact)
+        _points(axes, x, y, colour, marker, label, size=0.6 * size if small else size, compact=compact)
         return
     (line,) = axes.plot(x, y, color=colour, lw=1.0, label=label, zorder=2)
     if paired:
@@ -280,7 +285,7 @@ def _scaled(factor: float, value: float, _: int | None) -> str:
     return f"{value / factor:.4g}".replace("-", "−")
 
 
-def _cut(name: str, letters: int = 24) -> str:
+def _cut(name: str, letters: int = 28) -> str:
     return name if len(name) <= letters else name[: letters - 1] + "…"
 
 

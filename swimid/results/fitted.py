@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from swimid.results import numbers
 from swimid.results.evidence import Evidence, Table, Verdict, leaf_table
-from swimid.results.parameters import Correlation, Estimate, Fit, ParameterFile
+from swimid.results.parameters import Correlation, Estimate, Fit, ParameterFile, spoken
 from swimid.results.result import FileResult
 
 if TYPE_CHECKING:
@@ -111,7 +111,8 @@ class Fitted(FileResult[ParameterFile]):
 
     def bare(self) -> Evidence:
         """Return what a report shows of a parameter file whose evidence is missing."""
-        weak = [name for name, e in self.file.parameters.items() if e.status == "unidentifiable"]
+        parameters = self.file.parameters.items()
+        weak = [spoken(name, e.meaning) for name, e in parameters if e.status == "unidentifiable"]
         verdict = Verdict(level="caution", text="No evidence file, so its checks cannot be shown.")
         if self.file.fit is not None and not self.file.fit.converged:
             verdict = Verdict(level="bad", text="The fit did not converge.")
@@ -136,10 +137,12 @@ def _estimates(id: str, title: str, estimates: dict[str, Estimate], *, folded: b
             ends = interval95(e)
             band = numbers.bounds_text(e.ci95) if e.ci95 else ""
             band = numbers.interval(*ends, e.stderr) if ends else band
-        rows.append(
-            [name, value_text(e), band, numbers.bounds_text(e.bounds), STATUS.get(e.status, e.status)]
-        )
-    columns = ["parameter", "value ± sd", "95 % interval", "allowed", "status"]
+        status = STATUS.get(e.status, e.status)
+        rows.append([name, value_text(e), band, status, e.meaning, numbers.bounds_text(e.bounds)])
+    columns = ["parameter", "value ± sd", "95 % interval", "status", "meaning", "allowed"]
+    if not any(e.meaning for e in estimates.values()):
+        columns.remove("meaning")
+        rows = [[*row[:4], *row[5:]] for row in rows]
     return Table(id=id, title=title, columns=columns, rows=rows, folded=folded)
 
 
@@ -169,15 +172,34 @@ def _correlation(correlation: Correlation | None) -> Table:
 
 
 def _channels(fit: Fit | None) -> Table:
-    """Return the errors of fitted and of validation trials by channel."""
+    """Return the errors of fitted and of validation trials by channel, beside the noise."""
     rows: list[list[Any]] = []
-    validation = {} if fit is None else fit.validation.get("channels", {})
-    for label, entries in (("fit", {} if fit is None else fit.channels), ("validation", validation)):
+    columns = ["channel", "data", "RMSE", "noise", "RMSE / noise", "NRMSE", "samples"]
+    for label, entries in _data(fit).items():
         for name, entry in entries.items():
-            rmse = numbers.number(entry.get("rmse"), 3, str(entry.get("unit", "")))
-            rows.append([name, label, rmse, numbers.percent(entry.get("nrmse")), entry.get("samples")])
-    columns = ["channel", "data", "RMSE", "NRMSE", "samples"]
+            unit = str(entry.get("unit", ""))
+            rmse, nrmse = entry.get("rmse"), numbers.percent(entry.get("nrmse"))
+            noise, ratio = _noise(fit, name, rmse, unit)
+            row = [name, label, numbers.number(rmse, 3, unit), noise, ratio, nrmse, entry.get("samples")]
+            rows.append(row)
     return Table(id="errors", title="Errors by channel", columns=columns, rows=rows)
+
+
+def _data(fit: Fit | None) -> dict[str, dict[str, dict[str, Any]]]:
+    """Return the errors of each channel, of the fitted and of the validation trials."""
+    if fit is None:
+        return {}
+    return {"fit": fit.channels, "validation": fit.validation.get("channels", {})}
+
+
+def _noise(fit: Fit | None, channel: str, rmse: float | None, unit: str) -> tuple[str, str]:
+    """Return the standard deviation of the noise, of values and of time, and the error over it."""
+    known = {} if fit is None else fit.noise.get(channel, {})
+    sd, time_sd_s = known.get("value_sd"), known.get("time_sd_s")
+    text = numbers.number(sd, 3, unit)
+    if time_sd_s:
+        return f"{text}, {numbers.number(1e3 * time_sd_s, 3, 'ms')} in time", numbers.NOTHING
+    return text, numbers.number(rmse / sd if rmse is not None and sd else None, 3)
 
 
 def _poles(file: ParameterFile) -> Table:

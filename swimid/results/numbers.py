@@ -10,7 +10,7 @@ everywhere. The text is Unicode: ``−`` for minus, ``×`` and superscripts for 
 >>> number(0.0012345678)
 '0.001235'
 >>> column_title("u_m_s")
-'u (m/s)'
+'surge speed (m/s)'
 """
 
 from __future__ import annotations
@@ -67,6 +67,10 @@ _SUFFIXES = {
     "m": "m",
     "s": "s",
 }
+
+
+#: Words for the columns of body-fixed speeds.
+BODY_SPEEDS = {"u_m_s": "surge speed", "v_m_s": "sway speed", "w_m_s": "heave speed"}
 
 
 def _is_number(value: float | None) -> TypeGuard[float]:
@@ -196,8 +200,17 @@ def bounds_text(bounds: tuple[float | None, float | None] | list[float | None] |
 
 
 def percent(fraction: float | None, digits: int = 3) -> str:
-    """A fraction as a percentage: 0.142 is ``14.2 %``."""
-    return f"{number(100.0 * fraction, digits)} %" if _is_number(fraction) else NOTHING
+    """Return a fraction as a percentage; only the whole is ``100 %``.
+
+    >>> percent(0.142), percent(0.99998), percent(1.0)
+    ('14.2 %', '> 99.9 %', '100 %')
+    """
+    if not _is_number(fraction):
+        return NOTHING
+    text = number(100.0 * fraction, digits)
+    if text == "100" and fraction < 1.0:
+        text = f"> {number(100.0 - 10.0 ** (2 - digits), digits)}"
+    return f"{text} %"
 
 
 def unit_text(unit: str) -> str:
@@ -241,8 +254,8 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def column_title(name: str) -> str:
-    """A column's name as an axis label: ``yaw_rate_rad_s`` is ``yaw rate (rad/s)``."""
+    """Return a column's name as an axis label: ``yaw_rate_rad_s`` is ``yaw rate (rad/s)``."""
     bare, unit = split_unit(name)
-    bare = bare.replace("_", " ")
+    bare = BODY_SPEEDS.get(name, bare.replace("_", " "))
     printed = unit_text(unit)
     return f"{bare} ({printed})" if printed else bare

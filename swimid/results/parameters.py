@@ -11,6 +11,7 @@ from pydantic import ConfigDict, Field, PrivateAttr
 from swimid.errors import InputError
 from swimid.files import yamlio
 from swimid.files.provenance import Held
+from swimid.results import numbers
 
 FORMAT: Literal["swimid-parameters/1"] = "swimid-parameters/1"
 Status = Literal["estimated", "fixed", "at-bound", "unidentifiable"]
@@ -28,8 +29,24 @@ class Estimate(yamlio.Document):
     unit: str
     bounds: tuple[float | None, float | None] = (None, None)
     status: Status
+    #: What it is, in words.
+    meaning: str = ""
     #: Profile-likelihood interval, where one was asked for.
     ci95: tuple[float | None, float | None] | None = None
+
+
+def spoken(name: str, meaning: str) -> str:
+    """Return a parameter as a sentence names it: by its meaning, if its own name does not say that.
+
+    >>> spoken("c_ma", "added mass over mass"), spoken("added_mass", "added mass")
+    ('added mass over mass (c_ma)', 'added mass')
+    """
+    if not meaning:
+        return name
+    words = numbers.split_unit(name)[0].replace("_", " ")
+    if set(words.split()) <= set(meaning.split()):
+        return words
+    return f"{meaning} ({name})"
 
 
 class Correlation(yamlio.Document):
@@ -89,8 +106,9 @@ class ParameterFile(yamlio.ResultFile):
         """Write the file, whole or not at all; every float keeps its last bit."""
         data = self.model_dump(mode="python", exclude_none=False)
         for estimate in (*data["parameters"].values(), *data["derived"].values()):
-            if estimate["ci95"] is None:
-                del estimate["ci95"]
+            for key in ("meaning", "ci95"):
+                if not estimate[key]:
+                    del estimate[key]
         optional = ("identifiability", "derived", "settings")
         kept = {k: value for k, value in data.items() if value is not None and (value or k not in optional)}
         yamlio.write(path, kept)

@@ -94,9 +94,10 @@ class Result:
         Without evidence its verdict is caution.
         """
         shown = self.bare() if self.evidence is None else self.evidence
+        data = {"Data": "simulated"} if shown.provenance.get("simulated") else {}
         own = {
             "tables": [*self._own_tables(), *shown.tables],
-            "facts": {**self._own_facts(), **shown.facts},
+            "facts": {**data, **self._own_facts(), **shown.facts},
             "notes": [*self._own_notes(), *shown.notes],
         }
         return shown.model_copy(update=own)

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Sequence
 from typing import Any
 
 from swimid.results import numbers
 from swimid.results.evidence import Evidence, Table
 
-#: Maximum width of a line.
-WIDTH = 100
+#: Maximum width of a line, and minimum width of a column of texts that are cut, characters.
+WIDTH, MIN_CUT = 100, 16
 #: A number as :mod:`swimid.results.numbers` writes it, or a dash.
-_NUMBER = re.compile(r"[(−-]?\d[\d.]*( ± [\d.]+)?\)?( × 10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)?( ?[°%])?|–|")
+_NUMBER = re.compile(r"(> )?[(−-]?\d[\d.]*( ± [\d.]+)?\)?( × 10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)?( ?[°%])?|–|")
 
 
 def summary(evidence: Evidence) -> str:
@@ -53,17 +52,22 @@ def is_numeric(table: Table) -> list[bool]:
 
 
 def table_text(table: Table) -> str:
-    """Return a table as aligned columns; the last columns are left out where the line is full."""
+    """Return a table as aligned columns; where a line is full, texts are cut and columns left out."""
     rows = [table.columns, *([cell_text(value) for value in row] for row in table.rows)]
-    widths = [max(len(row[k]) for row in rows) for k in range(len(table.columns))]
-    right = is_numeric(table)
-    room = [k for k in range(len(widths)) if sum(widths[: k + 1]) + 2 * (k + 1) <= WIDTH]
-    return "\n".join(_line(row, widths, right, room) for row in rows)
-
-
-def _line(row: Sequence[str], widths: list[int], right: list[bool], columns: list[int]) -> str:
-    cells = [row[k].rjust(widths[k]) if right[k] else row[k].ljust(widths[k]) for k in columns]
-    return f"  {'  '.join(cells)}".rstrip()
+    right, left = is_numeric(table), WIDTH
+    columns: list[list[str]] = []
+    for k, column in enumerate(zip(*rows, strict=True)):
+        width = max(map(len, column))
+        left -= width + 2
+        if left < 0:
+            width += left
+            if right[k] or width < MIN_CUT:
+                break
+            column = tuple(textwrap.shorten(cell, width, placeholder="…") for cell in column)
+        columns.append([cell.rjust(width) if right[k] else cell.ljust(width) for cell in column])
+        if left <= 0:
+            break
+    return "\n".join(f"  {'  '.join(line)}".rstrip() for line in zip(*columns, strict=True))
 
 
 #: Next command after a result, by the command that made it. ``{trials}`` is the first YAML file

@@ -287,6 +287,7 @@ def _two_point_file(file: ParameterFile, pair: TwoPointResult) -> ParameterFile:
             unit=file.parameters[name].unit,
             bounds=file.parameters[name].bounds,
             status="estimated",
+            meaning=file.parameters[name].meaning,
         )
         for name, value in pair.values.items()
     }

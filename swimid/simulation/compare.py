@@ -547,7 +547,9 @@ def _overlay(experiment: Experiment, done: Sequence[Compared]) -> ev.Figure:
             curves = [ev.thinned(p.time_s, factor * y, MAX_SAMPLES) for y in (p.measured, p.simulated)]
             label = f"{p.channel.meaning or p.channel.name} ({numbers.unit_text(unit) or '1'})"
             traces = _pair(*zip(*curves, strict=True))
-            title = f"{d.trial.id}{', held out' if d.trial.role == 'validate' else ''}"
+            title = d.trial.id
+            if d.trial.role == "validate":
+                title += " (held out)"
             abscissa = experiment.model.abscissa
             panels.append(ev.Panel(x_label=abscissa, y_label=label, traces=traces, title=title))
     caption = "The trials with the largest and the smallest error."
@@ -600,7 +602,14 @@ def _speed_figure(file: ComparisonFile) -> list[ev.Figure]:
         levels = np.unique(x)
         # repeats of one setting make one point of the line
         means = np.array([float(np.mean(z[x == level])) for level in levels])
-        traces += _pair((x, levels), (y, means), tail, group)
+        if len(levels) > 2:
+            traces += _pair((x, levels), (y, means), tail, group)
+            continue
+        measured = [float(np.mean(y[x == level])) for level in levels]
+        for k, (word, bars) in enumerate({"measured": measured, "simulated": means}.items()):
+            traces.append(
+                ev.Trace(x=levels, y=bars, style="bars", label=f"{word}{tail}", group=2 * group + k)
+            )
     title = numbers.column_title(axis)
     panels = [ev.Panel(x_label=title, y_label="mean speed (m/s)", traces=traces)] if traces else []
     caption = "Mean speed over the last whole beats of each trial."
