@@ -271,6 +271,7 @@ def drag(folder: Path, name: str = "drag.yaml", *, proof: bool = True) -> Path:
                 unit="1",
                 bounds=(0.0, 5.0),
                 status="estimated",
+                meaning="drag coefficient C_d",
                 ci95=(0.642, 0.771),
             ),
             "added_mass": Estimate(
@@ -302,7 +303,7 @@ def drag(folder: Path, name: str = "drag.yaml", *, proof: bool = True) -> Path:
                 "channels": {"x_m": {"rmse": 0.00291, "nrmse": 0.0026, "unit": "m"}},
             },
             converged=True,
-            noise={"x_m": {"sd": 0.0021, "autocorrelation": 0.03}},
+            noise={"x_m": {"value_sd": 0.0021, "time_sd_s": 0.0, "autoregression": []}},
         ),
         provenance=block,
     )

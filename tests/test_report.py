@@ -128,15 +128,15 @@ def test_page_has_its_parts_in_order(mixture: Path) -> None:
 def test_parameters_are_shown_as_the_standard_error_supports(mixture: Path) -> None:
     """Rounded estimates with intervals; words for what is not identifiable; fixed without interval."""
     words = outline(mixture).words
-    assert "drag_coefficient 0.705 ± 0.033 0.642 … 0.771 0 … 5 estimated" in words
-    assert "added_mass 0.685 ± 0.037 kg 0.612 … 0.758 ≥ 0 estimated" in words
-    assert "pulley_inertia (4.51 ± 0.12) × 10⁻⁵ kg·m² (4.28 … 4.75) × 10⁻⁵ free" in words
-    assert "string_stiffness – – ≥ 0 not identifiable" in words
-    assert "water_density 997 kg/m³ – free fixed" in words
-    assert "linear_drag 0 N·s/m – ≥ 0 at its bound" in words
+    assert "drag_coefficient 0.705 ± 0.033 0.642 … 0.771 estimated drag coefficient C_d 0 … 5" in words
+    assert "added_mass 0.685 ± 0.037 kg 0.612 … 0.758 estimated – ≥ 0" in words
+    assert "pulley_inertia (4.51 ± 0.12) × 10⁻⁵ kg·m² (4.28 … 4.75) × 10⁻⁵ estimated – free" in words
+    assert "string_stiffness – – not identifiable – ≥ 0" in words
+    assert "water_density 997 kg/m³ – fixed – free" in words
+    assert "linear_drag 0 N·s/m – at its bound – ≥ 0" in words
     assert "187654" not in words
-    assert "x_m fit 0.00213 m 0.185 %" in words
-    assert "x_m validation 0.00291 m 0.26 %" in words
+    assert "x_m fit 0.00213 m 0.0021 m 1.014 0.185 %" in words
+    assert "x_m validation 0.00291 m 0.0021 m 1.386 0.26 %" in words
 
 
 def test_figures_follow_the_page(mixture: Path) -> None:
