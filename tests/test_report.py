@@ -135,8 +135,8 @@ def test_parameters_are_shown_as_the_standard_error_supports(mixture: Path) -> N
     assert "water_density 997 kg/m³ – fixed – free" in words
     assert "linear_drag 0 N·s/m – at its bound – ≥ 0" in words
     assert "187654" not in words
-    assert "x_m fit 0.00213 m 0.0021 m 1.014 0.185 %" in words
-    assert "x_m validation 0.00291 m 0.0021 m 1.386 0.26 %" in words
+    assert "x_m fit 0.00213 m 0.0021 m 1.01 0.185 %" in words
+    assert "x_m validation 0.00291 m 0.0021 m 1.39 0.26 %" in words
 
 
 def test_figures_follow_the_page(mixture: Path) -> None:

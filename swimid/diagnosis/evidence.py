@@ -334,7 +334,7 @@ def _levels(table: ev.Table) -> ev.Figure:
         y_label="error over the measured range (%)",
         y_scale="log",
         traces=traces,
-        x_categories=[numbers.split_unit(str(name))[0].replace("_", " ") for name in names],
+        x_categories=[numbers.quantity(str(name)) for name in names],
     )
     return ev.Figure(id="errors", title=table.title, caption="Root-mean-square errors.", panels=[panel])
 
@@ -377,13 +377,12 @@ def _ranked(file: GapFile) -> list[ev.Figure]:
 def _residuals(worst: Sequence[Piece], caused: bool) -> list[ev.Figure]:
     panels = []
     for p in [p for p in worst if len(p.time_s) > 2][:MAX_PANELS]:
-        name, unit = numbers.split_unit(p.channel)
-        factor, unit = numbers.in_degrees(unit)
+        factor, unit = numbers.in_degrees(numbers.split_unit(p.channel)[1])
         traces: list[ev.Trace] = []
         for label, simulated in {"without the causes": p.before, "with the causes": p.after}.items():
             x, y = ev.thinned(p.time_s, factor * (p.measured - simulated), MAX_POINTS)
             traces.append(ev.Trace(x=x, y=y, label=label, group=len(traces)))
-        y_label = f"residual of {name.replace('_', ' ')} ({numbers.unit_text(unit) or '1'})"
+        y_label = f"residual of {numbers.quantity(p.channel)} ({numbers.unit_text(unit) or '1'})"
         traces = traces if caused else traces[:1]
         panels.append(ev.Panel(x_label="time (s)", y_label=y_label, traces=traces, marks=[ev.Mark(at=0.0)]))
     if not panels:

@@ -1,8 +1,7 @@
-"""Evidence: what a result rests on, as data (``swimid-evidence/1``).
+"""Evidence of a result as data: verdict, checks, tables and figures (``swimid-evidence/1``).
 
-A verb writes it beside its result (``drag.yaml`` -> ``drag.evidence.json``). The report
-draws every kind of evidence with the same code, so a new model brings its figures as data
-and touches no drawing code. Numbers are kept as computed; NaN is written as null.
+A command writes it beside its result (``drag.yaml``: ``drag.evidence.json``). Reports draw the evidence of
+all commands with the same code. Numbers keep every digit; NaN is written as null.
 """
 
 from __future__ import annotations
@@ -156,16 +155,16 @@ class Check(_Part):
 
 
 class Verdict(_Part):
-    """The one sentence a reader takes away."""
+    """Level of a result, and the sentence that says what it found and why it has this level."""
 
     level: Literal["good", "caution", "bad"]
     text: str
     #: What a badge says; by default the level.
     word: str = ""
 
-    def lowered(self, level: Literal["caution", "bad"], text: str) -> Verdict:
+    def lowered(self, level: str, text: str) -> Verdict:
         """Return this verdict with another text, at the level given or at its own if that is lower."""
-        worst = "bad" if "bad" in (level, self.level) else level
+        worst = max(level, self.level, key=("good", "caution", "bad").index)
         return self.model_copy(update={"level": worst, "text": text})
 
 
@@ -177,7 +176,7 @@ class NoticeRecord(_Part):
 
 
 class Evidence(_Part):
-    """Everything the report shows of one result, apart from its parameters."""
+    """Everything that a report shows of a result beside the content of its file."""
 
     format: Literal["swimid-evidence/1"] = FORMAT
     #: Name and SHA-256 of the content of the file that it was written for; empty in memory.
@@ -210,12 +209,12 @@ class Evidence(_Part):
         """
         if any(check.name == POSSIBLE for check in self.checks):
             return self
-        for code, grade in (("SWM034", "fail"), ("SWM002", "warn")):
+        for code, grade, level in (("SWM034", "fail", "bad"), ("SWM002", "warn", "caution")):
             texts = "; ".join(notice.text for notice in self.notices if notice.code == code)
             if texts:
                 self.checks.append(Check(name=POSSIBLE, value="beyond", verdict=grade, text=texts))
                 text = f"{self.verdict.text} Values that no swimmer reaches: {texts}."
-                self.verdict = self.verdict.lowered("bad" if grade == "fail" else "caution", text)
+                self.verdict = self.verdict.lowered(level, text)
                 break
         return self
 
@@ -290,13 +289,13 @@ def leaves(entries: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any
 
 
 def sidecar(result: str | Path) -> Path:
-    """Where the evidence of a result file lies: ``drag.yaml`` -> ``drag.evidence.json``."""
+    """Return the path of the evidence of a result file: ``drag.yaml`` has ``drag.evidence.json``."""
     result = Path(result)
     return result.with_name(f"{result.stem}.evidence.json")
 
 
 def write(path: str | Path, evidence: Evidence) -> None:
-    """Write evidence as JSON, whole or not at all."""
+    """Write evidence as JSON, complete or not at all."""
     text = json.dumps(evidence.model_dump(mode="json"), ensure_ascii=False, allow_nan=False)
     atomic.write_text(path, text + "\n")
 
@@ -324,7 +323,7 @@ def remove_outdated(result: Path) -> None:
 
 
 def _owner(path: Path) -> str:
-    """Name of the file whose evidence this is; empty where it is unknown."""
+    """Return the name of the file that evidence belongs to; empty if it is unknown."""
     try:
         data = json.loads(path.read_bytes())
     except (OSError, ValueError):
@@ -351,7 +350,7 @@ def read(path: str | Path) -> Evidence:
 
 
 def thinned(x: Any, y: Any, points: int = MAX_POINTS) -> tuple[np.ndarray, np.ndarray]:
-    """x and y reduced to at most ``points`` samples that keep the envelope of y.
+    """Return at most ``points`` samples of x and y that keep the envelope of y.
 
     The record is cut into equal stretches; of each the smallest and the largest sample are
     kept in their order, so that no peak is lost.

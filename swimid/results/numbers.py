@@ -1,7 +1,6 @@
-"""Numbers and units as people read them.
+"""Numbers and units as people read them, in reports and on terminals alike.
 
-One place for the report and for what verbs print, so that the same estimate looks the same
-everywhere. The text is Unicode: ``−`` for minus, ``×`` and superscripts for powers of ten.
+The text is Unicode: ``−`` for minus, ``×`` and superscripts for powers of ten.
 
 >>> measured(0.70512, 0.0331)
 '0.705 ± 0.033'
@@ -83,12 +82,12 @@ def _is_error(stderr: float | None) -> TypeGuard[float]:
 
 
 def _exponent(value: float, digits: int = _MOST_DIGITS) -> int:
-    """Power of ten of the first digit of ``value`` once it is rounded to ``digits`` digits."""
+    """Return the power of ten of the first digit of a value that is rounded to ``digits`` digits."""
     return int(f"{abs(value):.{digits - 1}e}".split("e")[1])
 
 
 def fixed(value: float, decimals: int) -> str:
-    """A value rounded to ``decimals`` places (negative: to tens, hundreds), never ``-0``."""
+    """Return a value rounded to ``decimals`` places (negative: to tens, hundreds), never ``-0``."""
     exact = Decimal(repr(float(value)))
     step = Decimal(1).scaleb(-decimals)
     # prec of the default context (28) is enough: decimals is limited by _MOST_DIGITS.
@@ -99,12 +98,12 @@ def fixed(value: float, decimals: int) -> str:
 
 
 def power_of_ten(exponent: int) -> str:
-    """``10`` to an integer power: ``10⁻⁷``."""
+    """Return ``10`` to an integer power: ``10⁻⁷``."""
     return "10" + str(exponent).translate(_SUPERSCRIPTS)
 
 
 def number(value: float | int | None, digits: int = 4, unit: str = "") -> str:
-    """A number to ``digits`` significant digits, trailing zeros dropped, with its unit.
+    """Return a number to ``digits`` significant digits, trailing zeros dropped, with its unit.
 
     Whole numbers (``int``) keep all their digits up to a million. NaN and None are shown as
     a dash.
@@ -112,11 +111,9 @@ def number(value: float | int | None, digits: int = 4, unit: str = "") -> str:
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return NOTHING
     if isinstance(value, bool):
-        return "yes" if value else "no"
+        return ("no", "yes")[value]
     if math.isinf(value):
-        return _joined("∞" if value > 0 else "−∞", unit)
-    if value == 0:
-        return _joined("0", unit)
+        return _joined(f"{value}".replace("-", "−").replace("inf", "∞"), unit)
     if isinstance(value, int) and abs(value) < 10**_LARGE:
         return _joined(str(value).replace("-", "−"), unit)
     exponent = _exponent(float(value), digits)
@@ -127,20 +124,25 @@ def number(value: float | int | None, digits: int = 4, unit: str = "") -> str:
 
 
 def _trimmed(text: str) -> str:
-    return text.rstrip("0").rstrip(".") if "." in text else text
+    if "." in text:
+        text = text.rstrip("0").rstrip(".")
+    return text
 
 
 def _layout(value: float, stderr: float, digits: int) -> tuple[int, int]:
-    """Common power of ten and decimal places for a value and its standard error."""
+    """Return the common power of ten and the decimal places of a value and its standard error."""
     last = _exponent(stderr, digits) - digits + 1
-    first = max(_exponent(value) if value else last, _exponent(stderr, digits))
+    first = _exponent(stderr, digits)
+    if value:
+        first = max(first, _exponent(value))
     last = max(last, first - _MOST_DIGITS + 1)
-    scale = 0 if _SMALL <= first < _LARGE else first
-    return scale, scale - last
+    if _SMALL <= first < _LARGE:
+        return 0, -last
+    return first, first - last
 
 
 def measured(value: float | None, stderr: float | None, unit: str = "", digits: int = 2) -> str:
-    """``value ± stderr unit``, rounded to ``digits`` significant digits of the standard error.
+    """Return ``value ± stderr unit``, rounded to ``digits`` significant digits of the standard error.
 
     Without a standard error (None, NaN, infinite or zero) the value stands alone with six
     significant digits.
@@ -161,12 +163,14 @@ def measured(value: float | None, stderr: float | None, unit: str = "", digits: 
     scale, decimals = _layout(value, stderr, digits)
     text = f"{fixed(value / 10.0**scale, decimals)} ± {fixed(stderr / 10.0**scale, decimals)}"
     if scale:
-        return _joined(f"({text}) × {power_of_ten(scale)}", unit)
-    return _joined(f"({text})" if unit_text(unit) == "°" else text, unit)
+        text = f"({text}) × {power_of_ten(scale)}"
+    elif unit_text(unit) == "°":
+        text = f"({text})"
+    return _joined(text, unit)
 
 
 def interval(low: float | None, high: float | None, stderr: float | None = None, unit: str = "") -> str:
-    """``low … high``, both to the digits ``stderr`` supports (four digits without one).
+    """Return ``low … high``, both to the digits that ``stderr`` supports (four digits without one).
 
     Without one, two ends that look the same are one number.
 
@@ -179,24 +183,26 @@ def interval(low: float | None, high: float | None, stderr: float | None = None,
         return _joined(" … ".join(dict.fromkeys([number(low), number(high)])), unit)
     scale, decimals = _layout(max(low, high, key=abs), stderr, 2)
     text = f"{fixed(low / 10.0**scale, decimals)} … {fixed(high / 10.0**scale, decimals)}"
-    return _joined(f"({text}) × {power_of_ten(scale)}" if scale else text, unit)
+    if scale:
+        text = f"({text}) × {power_of_ten(scale)}"
+    return _joined(text, unit)
 
 
 def confidence95(value: float | None, stderr: float | None) -> tuple[float, float] | None:
-    """Ends of the 95 % interval, ``value ± 1.96 stderr``; None without a standard error."""
+    """Return the ends of the 95 % interval, ``value ± 1.96 stderr``; None without a standard error."""
     if not (_is_number(value) and _is_error(stderr)):
         return None
     return value - Z95 * stderr, value + Z95 * stderr
 
 
 def bounds_text(bounds: tuple[float | None, float | None] | list[float | None] | None) -> str:
-    """The allowed range of a parameter: ``0 … 5``, ``≥ 0``, ``≤ 1`` or ``free``."""
-    low, high = (None, None) if bounds is None else (bounds[0], bounds[1])
-    ends = [number(end) for end in (low, high) if end is not None and not math.isinf(end)]
-    if len(ends) == 2:
-        return " … ".join(ends)
-    sign = "≤" if low is None or math.isinf(low) else "≥"
-    return f"{sign} {ends[0]}" if ends else "free"
+    """Return the allowed range of a parameter: ``0 … 5``, ``≥ 0``, ``≤ 1`` or ``free``."""
+    low, high = bounds or (None, None)
+    if _is_number(low) and _is_number(high):
+        return f"{number(low)} … {number(high)}"
+    if _is_number(low):
+        return f"≥ {number(low)}"
+    return f"≤ {number(high)}" if _is_number(high) else "free"
 
 
 def percent(fraction: float | None, digits: int = 3) -> str:
@@ -214,7 +220,7 @@ def percent(fraction: float | None, digits: int = 3) -> str:
 
 
 def unit_text(unit: str) -> str:
-    """A unit as printed: ``m/s^2`` is ``m/s²``, ``kg m^2`` is ``kg·m²``, ``"1"`` is nothing."""
+    """Return a unit as printed: ``m/s^2`` is ``m/s²``, ``kg m^2`` is ``kg·m²``, ``"1"`` is nothing."""
     unit = unit.strip()
     if unit in {"", "1", "-", "none", "None"}:
         return ""
@@ -230,20 +236,24 @@ def unit_text(unit: str) -> str:
 
 def _joined(text: str, unit: str) -> str:
     printed = unit_text(unit)
-    return text if not printed else text + printed if printed == "°" else f"{text} {printed}"
+    if printed and printed != "°":
+        text += " "
+    return text + printed
 
 
 def in_degrees(unit: str) -> tuple[float, str]:
-    """Factor and unit in which people read a quantity: degrees for radian, others as they are.
+    """Return factor and unit in which people read a quantity: degrees for radian, others as they are.
 
     >>> in_degrees("m/s")
     (1.0, 'm/s')
     """
-    return (math.degrees(1.0), f"deg{unit[3:]}") if unit in ("rad", "rad/s") else (1.0, unit)
+    if unit in ("rad", "rad/s"):
+        return math.degrees(1.0), f"deg{unit[3:]}"
+    return 1.0, unit
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """The bare name and the unit of a column or key: ``yaw_rate_rad_s`` is yaw_rate in rad/s.
+    """Return the bare name and the unit of a column or key: ``yaw_rate_rad_s`` is yaw_rate in rad/s.
 
     A name without a known ending has the unit ``""``.
     """
@@ -253,9 +263,14 @@ def split_unit(name: str) -> tuple[str, str]:
     return name, ""
 
 
+def quantity(name: str) -> str:
+    """Return the quantity in a column in words: ``yaw_rate_rad_s`` is ``yaw rate``."""
+    return BODY_SPEEDS.get(name, split_unit(name)[0].replace("_", " "))
+
+
 def column_title(name: str) -> str:
     """Return a column's name as an axis label: ``yaw_rate_rad_s`` is ``yaw rate (rad/s)``."""
-    bare, unit = split_unit(name)
-    bare = BODY_SPEEDS.get(name, bare.replace("_", " "))
-    printed = unit_text(unit)
-    return f"{bare} ({printed})" if printed else bare
+    printed = unit_text(split_unit(name)[1])
+    if not printed:
+        return quantity(name)
+    return f"{quantity(name)} ({printed})"

@@ -41,8 +41,12 @@ def overall(contents: Sequence[Evidence]) -> Verdict:
     verb = {"good": "can be used", "caution": "needs care", "bad": "should not be used"}[worst]
     if len(levels) == 1:
         return Verdict(level=worst, text=f"This result {verb}.", word=contents[0].verdict.word)
-    which = f"All {count} results" if count == len(levels) else f"{count} of {len(levels)} results"
-    return Verdict(level=worst, text=f"{which} {verb if count == 1 else verb.replace('needs', 'need')}.")
+    which = f"{count} of {len(levels)} results"
+    if count == len(levels):
+        which = f"All {count} results"
+    if count > 1:
+        verb = verb.replace("needs", "need")
+    return Verdict(level=worst, text=f"{which} {verb}.")
 
 
 def render(
@@ -115,13 +119,13 @@ def render(
 
 def _drawn(content: Evidence, path: Path | None, prefix: str, step: Step) -> list[list[str]]:
     """Return the panels of each figure of a result as SVG."""
+    drawn = []
     try:
-        return [
-            drawing.for_page(figure, f"{prefix}{n}-", step=step) for n, figure in enumerate(content.figures)
-        ]
+        for n, figure in enumerate(content.figures):
+            drawn.append(drawing.for_page(figure, f"{prefix}{n}-", step=step))
     except InputError as error:
-        file = None if path is None else sidecar(path)
-        raise InputError(error.reason, file=file, column=error.column) from error
+        raise InputError(error.reason, file=path and sidecar(path), column=error.column) from error
+    return drawn
 
 
 def _shown(content: Evidence, pictures: list[list[str]]) -> dict[str, Any]:

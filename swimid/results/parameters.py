@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Protocol
 
@@ -131,17 +130,27 @@ Source = str | Path | ParameterFile | HasFile
 
 
 def place(source: Source) -> Path:
-    """What parameters are called in messages, and what the paths in them are relative to."""
-    return Path(source) if isinstance(source, str | Path) else Path("parameters")
+    """Return the name of parameters in messages, to which the paths in them are relative."""
+    if isinstance(source, str | Path):
+        return Path(source)
+    return Path("parameters")
+
+
+def _file(source: Source) -> ParameterFile:
+    """Return the parameter file itself."""
+    if isinstance(source, str | Path):
+        return ParameterFile.read(source)
+    file: ParameterFile = getattr(source, "file", source)
+    return file
 
 
 def origin(source: Source) -> Path | Held:
-    """What stands for parameters in the provenance."""
+    """Return what stands for parameters in the provenance."""
     if isinstance(source, str | Path):
         return Path(source)
-    file = source if isinstance(source, ParameterFile) else source.file
-    made = hashlib.sha256(file.model_dump_json(exclude={"provenance"}).encode())
-    return Held(f"parameters of {file.model}", made.hexdigest())
+    file = _file(source)
+    content = file.model_copy(update={"provenance": {}})
+    return Held(f"parameters of {file.model}", content.digest())
 
 
 def read(source: Source, *, model: str | tuple[str, ...] | None = None) -> ParameterFile:
@@ -159,11 +168,10 @@ def read(source: Source, *, model: str | tuple[str, ...] | None = None) -> Param
         When it is no parameter file, or of another model.
     """
     path = place(source)
-    if isinstance(source, str | Path):
-        parameters = yamlio.validate(yamlio.of_format(path, FORMAT, "parameter file"), ParameterFile, path)
-    else:
-        parameters = source if isinstance(source, ParameterFile) else source.file
-    models = (model,) if isinstance(model, str) else model
+    parameters = _file(source)
+    models = model
+    if isinstance(model, str):
+        models = (model,)
     if models and parameters.model not in models:
         raise InputError(
             f"holds parameters of the model '{parameters.model}', not of {' or '.join(models)}",

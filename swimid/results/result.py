@@ -85,19 +85,23 @@ class Result:
     ending: ClassVar[str] = ".yaml"
 
     def summary(self) -> str:
-        """The answer in plain text, as the command prints it."""
-        return self.text if self.text or self.evidence is None else terminal.summary(self.content())
+        """Return the answer in plain text, as the command prints it."""
+        if self.text or self.evidence is None:
+            return self.text
+        return terminal.summary(self.content())
 
     def content(self) -> Evidence:
         """Return what a report shows: the evidence, preceded by the facts and tables of the file itself.
 
         Without evidence its verdict is caution.
         """
-        shown = self.bare() if self.evidence is None else self.evidence
-        data = {"Data": "simulated"} if shown.provenance.get("simulated") else {}
+        shown = self.evidence or self.bare()
+        facts = {**self._own_facts(), **shown.facts}
+        if shown.provenance.get("simulated"):
+            facts = {"Data": "simulated", **facts}
         own = {
             "tables": [*self._own_tables(), *shown.tables],
-            "facts": {**data, **self._own_facts(), **shown.facts},
+            "facts": facts,
             "notes": [*self._own_notes(), *shown.notes],
         }
         return shown.model_copy(update=own)
@@ -105,17 +109,18 @@ class Result:
     @property
     def path(self) -> Path:
         """The file it was written to, or the name that file would have."""
-        written = [path for path in self.outputs if path.suffix == self.ending] or self.outputs
-        return written[0] if written else Path((self.verb or self.kind).replace(" ", "-") + self.ending)
+        unwritten = Path((self.verb or self.kind).replace(" ", "-") + self.ending)
+        written = [path for path in self.outputs if path.suffix == self.ending]
+        return next(iter([*written, *self.outputs, unwritten]))
 
     def to_dict(self) -> dict[str, Any]:
-        """The answer as plain data at full precision, as ``--json`` prints it."""
+        """Return the answer as plain data at full precision, as ``--json`` prints it."""
         return self.data
 
     @property
     def verdict(self) -> str:
         """``"good"``, ``"caution"`` or ``"bad"``; empty for a result without evidence."""
-        return self.evidence.verdict.level if self.evidence else ""
+        return "" if self.evidence is None else self.evidence.verdict.level
 
     @property
     def warnings(self) -> pd.DataFrame:
@@ -123,12 +128,12 @@ class Result:
         return _frame(["code", "text"], [[n.code, n.text] for n in self._shown("notices")])
 
     def checks(self) -> pd.DataFrame:
-        """Every test of the result: ``name``, ``value``, ``limit``, ``verdict``, ``text``."""
+        """Return every test of the result: ``name``, ``value``, ``limit``, ``verdict``, ``text``."""
         names = list(Check.model_fields)
         return _frame(names, [[getattr(check, name) for name in names] for check in self._shown("checks")])
 
     def tables(self) -> dict[str, pd.DataFrame]:
-        """The tables of the report by their id."""
+        """Return the tables of the report by their id."""
         return {table.id: _frame(table.columns, table.rows) for table in self.content().tables}
 
     @property
@@ -137,7 +142,7 @@ class Result:
         return [figure.id for figure in self._shown("figures")]
 
     def figures(self) -> dict[str, Canvas]:
-        """Every figure of the report, drawn by matplotlib, by its id."""
+        """Draw every figure of the report by matplotlib; return them by their id."""
         from swimid.results import drawing
 
         return {figure.id: drawing.canvas([figure]) for figure in self._shown("figures")}
@@ -177,7 +182,9 @@ class Result:
             for panel, place in zip(figure.panels, given, strict=True):
                 drawing.paint(place, panel, slots)
             drawn = given
-        return drawn[0] if len(drawn) == 1 else drawn
+        if len(drawn) == 1:
+            return drawn[0]
+        return drawn
 
     def save(self, path: str | Path) -> Self:
         """Write the result and its evidence beside it, both or neither.
@@ -194,8 +201,8 @@ class Result:
         UsageError
             For a result that is no file, and for a path that is one of its inputs.
         """
-        read = self.evidence.provenance.get("inputs", {}) if self.evidence else {}
-        target = atomic.check_writable(Path(path), inputs=read)
+        inputs = (self.evidence or self.bare()).provenance.get("inputs", {})
+        target = atomic.check_writable(Path(path), inputs=inputs)
         with atomic.together():
             written = self._write(target)
             if self.evidence is not None and not atomic.is_device(target):
@@ -205,8 +212,10 @@ class Result:
         return replace(self, outputs=[*self.outputs, *written])
 
     def saved(self, output: str | Path | None) -> Self:
-        """The result itself, written where an output is named."""
-        return self if output is None else self.save(output)
+        """Return the result itself, written if an output is named."""
+        if output is None:
+            return self
+        return self.save(output)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -218,33 +227,36 @@ class Result:
             When the file or its evidence is broken or not there.
         """
         document = cls._read(path)
-        place = sidecar(path)
-        evidence = read_evidence(place) if place.exists() else None
-        if evidence is not None:
-            evidence = _of_document(evidence, document, Path(path).name)
-        data = document.model_dump(mode="json") if hasattr(document, "model_dump") else {}
-        return cls(evidence.verb if evidence else "", "", data, [Path(path)], evidence, document)
+        loaded = cls("", "", cls._plain(document), [Path(path)], document=document)
+        if not sidecar(path).exists():
+            return loaded
+        evidence = _of_document(read_evidence(sidecar(path)), document, Path(path).name)
+        return replace(loaded, verb=evidence.verb, evidence=evidence)
 
     def _own_facts(self) -> dict[str, str]:
-        """Facts that the file itself holds."""
+        """Return the facts that the file itself holds."""
         return {}
 
     def _own_notes(self) -> list[str]:
-        """Sentences that the file itself holds."""
+        """Return the sentences that the file itself holds."""
         return []
 
     def _own_tables(self) -> list[Table]:
-        """Tables of what the file itself holds."""
+        """Return tables of what the file itself holds."""
         return []
+
+    @classmethod
+    def _plain(cls, document: Any) -> dict[str, Any]:
+        """Return the plain data of a document."""
+        return {}
 
     def bare(self) -> Evidence:
         """Return what a report shows of a file whose evidence is missing."""
-        tables = [leaf_table("content", "Content of the file", self.data)] if self.data else []
         return Evidence(
             verb=self.verb,
             title=f"{self.kind} {self.path.name}",
             verdict=Verdict(level="caution", text="No evidence file, so its checks cannot be shown."),
-            tables=tables,
+            tables=[leaf_table("content", "Content of the file", self.data)],
             provenance=getattr(self.document, "provenance", {}),
         )
 
@@ -256,8 +268,8 @@ class Result:
         raise UsageError(f"the result of {self.verb} is no file", hint="its text is .summary()")
 
     def _shown(self, what: str) -> Sequence[Any]:
-        """Checks, tables, figures or notices of the evidence; none without it."""
-        return getattr(self.evidence, what) if self.evidence else []
+        """Return checks, tables, figures or notices of the evidence; none without it."""
+        return getattr(self.evidence, what, [])
 
     def _figure(self, name: str) -> Figure:
         for figure in self._shown("figures"):
@@ -272,8 +284,8 @@ class Result:
         cls.__repr__ = Result.__repr__  # type: ignore[method-assign]
 
     def __repr__(self) -> str:
-        verdict = f" {self.verdict}," if self.verdict else ""
-        return f"<{type(self).__name__} of {self.verb}:{verdict} {len(self.figure_names)} figures>"
+        parts = [self.verdict, f"{len(self.figure_names)} figures"]
+        return f"<{type(self).__name__} of {self.verb}: {', '.join(filter(None, parts))}>"
 
     def __str__(self) -> str:
         return self.summary()
@@ -349,9 +361,12 @@ class FileResult(Result, Generic[File]):
 
     @classmethod
     def of(cls, file: File, evidence: Evidence) -> Self:
-        """The result whose file and evidence these are."""
-        data = file.model_dump(mode="json")
-        return cls(evidence.verb, "", data, evidence=evidence, document=file)
+        """Return the result whose file and evidence these are."""
+        return cls(evidence.verb, "", cls._plain(file), evidence=evidence, document=file)
+
+    @classmethod
+    def _plain(cls, document: Any) -> dict[str, Any]:
+        return dict(document.model_dump(mode="json"))
 
     @classmethod
     def _read(cls, path: str | Path) -> Any:

@@ -293,7 +293,9 @@ def _speed_share(file: ComparisonFile) -> float | None:
 def _answer(file: ComparisonFile) -> str:
     """Return the errors of the velocities, else of the first channels, and of mean speeds as a sentence."""
     names = _rates(file.channels) or list(file.channels)[:3]
-    parts = [f"{numbers.percent(file.channels[n].nrmse)} of the range in {n}" for n in names]
+    parts = [
+        f"{numbers.percent(file.channels[n].nrmse)} of the range in {numbers.quantity(n)}" for n in names
+    ]
     share = _speed_share(file)
     if share is not None:
         parts.append(f"{numbers.percent(share)} of the measured mean speeds")
