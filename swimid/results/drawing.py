@@ -204,40 +204,24 @@ def _trace(
         size = float(np.interp(len(x), [20, 60, 400, 2000], [4.0, 3.0, 2.0, 1.4]))
         if small:
             size *= 0.6
-        _points(axes, x, y, colour, marker, label, size=size, compact=compact)
+        about: dict[str, Any] = {"ls": "", "mew": 0, "color": colour, "label": label, "zorder": 2.5}
+        if compact and len(x) >= MIN_CLOUD:
+            # one path of strokes of almost no length
+            end, gap = x + 1e-4 * (float(np.ptp(x[np.isfinite(x)])) or 1.0), np.full(len(x), np.nan)
+            dots = [np.column_stack(parts).ravel() for parts in ((x, end, gap), (y, y, gap))]
+            (line,) = axes.plot(*dots, color=colour, lw=size, solid_capstyle="round", zorder=2.5)
+            line.get_path().should_simplify = False
+            x, y, marker, size = np.array([]), np.array([]), "o", 3.0
+        axes.plot(x, y, marker=marker, ms=size, **about)
         return
-    (line,) = axes.plot(x, y, color=colour, lw=1.0, label=label, zorder=2)
+    steps = {"step": "steps-post"}.get(trace.style, "default")
+    (line,) = axes.plot(x, y, color=colour, lw=1.0, label=label, zorder=2, drawstyle=steps)
     if paired:
         line.set(lw=2.6, alpha=0.4)
-    if trace.style == "step":
-        line.set_drawstyle("steps-post")
     if trace.style == "dashed" or repeat:
         line.set_dashes(DASHES[repeat % len(DASHES)])
     elif slot and not paired and trace.style != "arrows":
         line.set_dashes(DASHES[(slot - 1) % len(DASHES)])
-
-
-def _points(
-    axes: Axes,
-    x: Array,
-    y: Array,
-    colour: str,
-    marker: str,
-    label: str | None,
-    *,
-    size: float,
-    compact: bool,
-) -> None:
-    """Draw points above the lines; many compact ones as one path of strokes of almost no length."""
-    if len(x) < MIN_CLOUD or not compact:
-        axes.plot(x, y, ls="", marker=marker, ms=size, mew=0, color=colour, label=label, zorder=2.5)
-        return
-    gap = np.full(len(x), np.nan)
-    end = x + 1e-4 * (float(np.nanmax(x) - np.nanmin(x)) or 1.0)
-    dots = [np.column_stack(parts).ravel() for parts in ((x, end, gap), (y, y, gap))]
-    (line,) = axes.plot(*dots, color=colour, lw=size, solid_capstyle="round", zorder=2.5)
-    line.get_path().should_simplify = False
-    axes.plot([], [], ls="", marker="o", ms=3, mew=0, color=colour, label=label)
 
 
 def _bars(axes: Axes, trace: Trace, slot: int, index: int, count: int) -> None:

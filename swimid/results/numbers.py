@@ -31,43 +31,12 @@ _LARGE, _SMALL = 6, -3
 #: More digits than a float64 holds say nothing.
 _MOST_DIGITS = 15
 
-#: Endings of column and key names, longest first, and the unit each stands for.
-_SUFFIXES = {
-    "kg_m2_s2": "kg m^2/s^2",
-    "rad_s2": "rad/s^2",
-    "deg_s2": "deg/s^2",
-    "N_m_rad": "N m/rad",
-    "N_s_m": "N s/m",
-    "N_s2_m2": "N s^2/m^2",
-    "kg_m3": "kg/m^3",
-    "kg_m2": "kg m^2",
-    "kg_m": "kg m",
-    "m_s2": "m/s^2",
-    "rad_s": "rad/s",
-    "deg_s": "deg/s",
-    "N_m": "N m",
-    "J_m": "J/m",
-    "m_s": "m/s",
-    "BL_s": "BL/s",
-    "BL": "BL",
-    "rad": "rad",
-    "deg": "deg",
-    "m2": "m^2",
-    "m3": "m^3",
-    "hz": "Hz",
-    "Hz": "Hz",
-    "kg": "kg",
-    "px": "px",
-    "N": "N",
-    "W": "W",
-    "J": "J",
-    "V": "V",
-    "A": "A",
-    "m": "m",
-    "s": "s",
-}
-
-
+_UNITS = (
+    "kg m^2/s^2, N s^2/m^2, N m/rad, rad/s^2, deg/s^2, kg/m^3, kg m^2, N s/m, m/s^2, rad/s, deg/s, BL/s, "
+    "kg m, N m, J/m, m/s, m^2, m^3, rad, deg, BL, Hz, kg, px, N, W, J, V, A, m, s"
+)
+#: Unit of each ending of a column or key: m/s^2 of ``_m_s2``.
+_SUFFIXES = {re.sub("[ /]", "_", u).replace("^", ""): u for u in re.split(", ", _UNITS)} | {"hz": "Hz"}
 #: Words for the columns of body-fixed speeds.
 BODY_SPEEDS = {"u_m_s": "surge speed", "v_m_s": "sway speed", "w_m_s": "heave speed"}
 

@@ -102,7 +102,7 @@ class ParameterFile(yamlio.ResultFile):
     _drag: ParameterFile | None = PrivateAttr(default=None)
 
     def write(self, path: str | Path) -> None:
-        """Write the file, whole or not at all; every float keeps its last bit."""
+        """Write the file, complete or not at all; every float keeps its last bit."""
         data = self.model_dump(mode="python", exclude_none=False)
         for estimate in (*data["parameters"].values(), *data["derived"].values()):
             for key in ("meaning", "ci95"):
@@ -113,7 +113,7 @@ class ParameterFile(yamlio.ResultFile):
         yamlio.write(path, kept)
 
     def value(self, name: str) -> float:
-        """Value of one parameter, by name."""
+        """Return the value of one parameter."""
         return self.parameters[name].value
 
 
@@ -182,7 +182,7 @@ def read(source: Source, *, model: str | tuple[str, ...] | None = None) -> Param
 
 
 def require(parameters: ParameterFile, names: tuple[str, ...], path: str | Path) -> list[float]:
-    """Values of parameters that must be there and must be trusted.
+    """Return the values of parameters that must be there and must be identified.
 
     Raises
     ------
