@@ -87,7 +87,9 @@ def digests_of(inputs: Iterable[Input]) -> dict[str, str]:
 
 def digest_of(given: Input) -> str:
     """Return the SHA-256 of one input in hexadecimal digits."""
-    return sha256(given) if isinstance(given, str | Path) else given.digest()
+    if isinstance(given, str | Path):
+        return sha256(given)
+    return given.digest()
 
 
 def digest_together(name: str | Path, files: Sequence[str | Path]) -> dict[str, str]:
@@ -140,12 +142,12 @@ def says_simulated(given: Input) -> bool:
     """
     if not isinstance(given, str | Path):
         lines = [f"{key}: {value}" for key, value in getattr(given, "metadata", {}).items()]
-    else:
-        with file_errors(given), Path(given).open("rb") as stream:
-            head = stream.read(NEAR)
-        parquet = head.startswith(b"PAR1")
-        lines = _parquet_comments(Path(given)) if parquet else _comments(head.decode("utf-8-sig", "replace"))
-    return any(_SIMULATED.search(line) for line in lines)
+        return any(map(_SIMULATED.search, lines))
+    with file_errors(given), Path(given).open("rb") as stream:
+        head = stream.read(NEAR)
+    if head.startswith(b"PAR1"):
+        return any(map(_SIMULATED.search, _parquet_comments(Path(given))))
+    return any(map(_SIMULATED.search, _comments(head.decode("utf-8-sig", "replace"))))
 
 
 def command_line() -> str:
@@ -157,7 +159,7 @@ def command_line() -> str:
 def _versions() -> dict[str, str]:
     """Return the versions of Python and of the imported libraries."""
     labels = ("numpy", "scipy", "numba", "pandas", "opencv", "control")
-    loaded = {label: sys.modules.get("cv2" if label == "opencv" else label) for label in labels}
+    loaded = {label: sys.modules.get(label.replace("opencv", "cv2")) for label in labels}
     return {"python": sys.version.split()[0]} | {
         label: str(getattr(module, "__version__", "unknown"))
         for label, module in loaded.items()
