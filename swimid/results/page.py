@@ -225,7 +225,7 @@ def _side_by_side(fits: Sequence[Fitted]) -> Evidence:
             continue
         rows.append([name, *map(value_text, held)])
         panels.append(_panel(name, numbers.unit_text(first.unit), held, names))
-    levels = [fit.content().verdict.level for fit in fits]
+    levels = [(fit.evidence or fit.bare()).verdict.level for fit in fits]
     caption = "Estimates of each file; bars are 95 % intervals."
     columns = ["parameter", *names]
     return Evidence(
