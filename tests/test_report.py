@@ -18,10 +18,12 @@ from click.testing import CliRunner
 
 from swimid.cli.main import main
 from swimid.errors import InputError, UsageError
+from swimid.files.provenance import collect
 from swimid.logs import log
 from swimid.notices import SwimidWarning, recorded
 from swimid.results import drawing, evidence, page, parameters, terminal
 from swimid.results.evidence import MAX_POINTS, Check, Figure, Panel, Table, Trace, Verdict
+from swimid.results.fitted import Fitted
 from swimid.results.kinds import load_result
 from swimid.results.report import report
 from tests import report_cases as cases
@@ -283,6 +285,33 @@ def test_a_reformatted_file_keeps_its_evidence(tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error", SwimidWarning)
         assert load_result(path).verdict == "good"
+
+
+def test_equal_reasons_count_once_in_a_verdict() -> None:
+    reasons = ["a", "a", "b", "c", "d"]
+    checks = [evidence.check("n", "v", False, reason=reason) for reason in reasons]
+    assert evidence.judged("Answer.", checks).text == "Answer. Caution: a; b; c; and 1 more."
+
+
+def test_simulated_data_are_named_at_the_top_of_a_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A log says in its comments, or in its metadata, that it is simulated."""
+    monkeypatch.chdir(tmp_path)
+    time_s = np.arange(0, 1, 0.1)
+    for name in ("a.csv", "a.parquet"):
+        log.write(tmp_path / name, {"t_s": time_s, "x_m": time_s}, {"source": "simulated, with noise"})
+    log.write(tmp_path / "b.csv", {"t_s": time_s, "x_m": time_s}, {"source": "pool"})
+    held = log.read(tmp_path / "a.csv")
+    block = collect([tmp_path / "a.csv", tmp_path / "a.parquet", tmp_path / "b.csv", held])
+    assert block["simulated"] == ["a.csv", "a.parquet", "a.csv"]
+    path = cases.drag(tmp_path)
+    fitted = Fitted.load(path)
+    assert fitted.evidence is not None
+    shown = fitted.evidence.model_copy(update={"provenance": block})
+    Fitted.of(fitted.file, shown).save(path)
+    quietly(inputs=[path], output=tmp_path / "r.html")
+    assert "Data simulated Model falling-weight" in outline(tmp_path / "r.html").words
 
 
 def test_matching_evidence_survives_the_yaml(tmp_path: Path) -> None:

@@ -128,7 +128,7 @@ def collect(
         "inputs": digests_of(inputs) if digests is None else digests,
         "packages": _versions(),
     }
-    if simulated := [str(path_of(given)) for given in inputs if says_simulated(given)]:
+    if simulated := [os.path.relpath(path_of(given)) for given in inputs if says_simulated(given)]:
         block["simulated"] = simulated
     if settings:
         block["settings"] = settings
