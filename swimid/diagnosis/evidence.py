@@ -124,7 +124,7 @@ def checks(file: GapFile) -> Iterable[ev.Check]:
         yield ev.check("settings", "1", False, "≥ 2", reason=said)
     passed = file.remaining.white
     if file.verdict == "unexplained":
-        passed = passed and False  # something is left, whatever a description of it says
+        passed = False  # something is left, whatever a description of it says
         if file.remaining.share is not None and file.remaining.share <= HALF:
             failed = "warn"
     elif file.verdict != "none":
