@@ -144,7 +144,9 @@ class InputError(SwimidError, ValueError):
         column: str | None = None,
         hint: str | None = None,
     ) -> None:
-        self.file = file and str(file)
+        self.file: str | None = None
+        if file is not None:
+            self.file = str(file)
         self.line = line
         self.frame = frame
         self.row = row

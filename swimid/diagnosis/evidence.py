@@ -122,7 +122,7 @@ def checks(file: GapFile) -> Iterable[ev.Check]:
     if file.setting_count is not None and file.setting_count < 2:
         said = "all trials have one setting, and nothing is tested at another"
         yield ev.check("settings", "1", False, "≥ 2", reason=said)
-    passed = file.remaining.white
+    passed: bool | None = file.remaining.white
     if file.verdict == "unexplained":
         passed = False  # something is left, whatever a description of it says
         if file.remaining.share is not None and file.remaining.share <= HALF:

@@ -140,8 +140,9 @@ def _file(source: Source) -> ParameterFile:
     """Return the parameter file itself."""
     if isinstance(source, str | Path):
         return ParameterFile.read(source)
-    file: ParameterFile = getattr(source, "file", source)
-    return file
+    if isinstance(source, ParameterFile):
+        return source
+    return source.file
 
 
 def origin(source: Source) -> Path | Held:
