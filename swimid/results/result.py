@@ -323,8 +323,9 @@ def _of_document(evidence: Evidence, document: Any, name: str) -> Evidence:
     SWM052
         The file was edited, or is from another run than its evidence.
     """
+    in_memory = evidence.model_copy(update={"result": "", "sha256": ""})
     if evidence.sha256 == document.digest():
-        return evidence
+        return in_memory
     text = (
         f"{name} was edited or replaced after its evidence was made: figures, checks and tables may not "
         "describe its numbers; run its command again"
@@ -332,9 +333,8 @@ def _of_document(evidence: Evidence, document: Any, name: str) -> Evidence:
     warn("SWM052", text)
     said = f"The file was changed after this verdict: {evidence.verdict.text}"
     notices = [*evidence.notices, NoticeRecord(code="SWM052", text=text)]
-    return evidence.model_copy(
-        update={"verdict": evidence.verdict.lowered("caution", said), "notices": notices}
-    )
+    verdict = evidence.verdict.lowered("caution", said)
+    return in_memory.model_copy(update={"verdict": verdict, "notices": notices})
 
 
 def _frame(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> pd.DataFrame:
