@@ -30,6 +30,10 @@ MAX_DEPTH = 60
 M = TypeVar("M", bound=BaseModel)
 
 
+def _without_nulls(entries: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in entries.items() if value is not None}
+
+
 class Document(BaseModel):
     """Base of every YAML format: unknown keys are errors, values are never coerced loosely."""
 
@@ -38,9 +42,10 @@ class Document(BaseModel):
     def digest(self) -> str:
         """Return the SHA-256 of the keys and values in hexadecimal digits.
 
-        Order, comments, and keys with the value that they have by default do not count.
+        Order, comments, keys without a value, and keys with the value that they have by default do not count.
         """
-        data = json.loads(self.model_dump_json(exclude_none=True, exclude_defaults=True))
+        text = self.model_dump_json(exclude_defaults=True)
+        data = json.loads(text, object_hook=_without_nulls)
         return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
 
 
