@@ -114,7 +114,7 @@ def load(
     robot: str | Path | None = None,
     **keys: Any,
 ) -> TrialSet:
-    """Trials of one experiment with one robot, from a trials file or from tables in memory.
+    """Return the trials of one experiment with one robot, from a trials file or from tables in memory.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def load(
 
 
 def read_robot(name: str | Path) -> Robot:
-    """A built-in robot, or one of a robot file.
+    """Read a built-in robot, or one of a robot file.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def read_robot(name: str | Path) -> Robot:
 
 
 def built_in_robots() -> list[str]:
-    """The names of the built-in robots.
+    """Return the names of the built-in robots.
 
     Returns
     -------

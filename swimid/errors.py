@@ -144,17 +144,19 @@ class InputError(SwimidError, ValueError):
         column: str | None = None,
         hint: str | None = None,
     ) -> None:
-        self.file = None if file is None else str(file)
+        self.file: str | None = None
+        if file is not None:
+            self.file = str(file)
         self.line = line
         self.frame = frame
         self.row = row
         self.column = column
         self.reason = in_words_of_the_caller(message)
         counted = {"line": line, "frame": frame, "row": row}
-        place = [] if self.file is None else [self.file]
-        place += [f"{name} {number}" for name, number in counted.items() if number is not None]
-        place += [] if column is None else [f"'{column}'"]
-        super().__init__(f"{', '.join(place)}: {message}" if place else message, hint=hint)
+        place = [self.file, *(f"{name} {n}" for name, n in counted.items() if n is not None)]
+        place.append(column and f"'{column}'")
+        where = ", ".join(filter(None, place))
+        super().__init__(": ".join(filter(None, [where, message])), hint=hint)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the error with its place, as the ``error`` member of the ``--json`` document."""
@@ -212,7 +214,9 @@ def suggestion(word: str, allowed: list[str] | tuple[str, ...], lead: str = "the
     'there are: robot, trials'
     """
     close = nearest(word, allowed)
-    return f"did you mean '{close}'?" if close else f"{lead}: {', '.join(allowed) or 'none'}"
+    if close:
+        return f"did you mean '{close}'?"
+    return f"{lead}: {', '.join(allowed) or 'none'}"
 
 
 @contextmanager

@@ -56,7 +56,7 @@ CODES: dict[str, str] = {
     "SWM049": "a motionless thing of the marker's colour left out",
     "SWM050": "evidence of a result is missing",
     "SWM051": "figure reduced to fewer points",
-    "SWM052": "evidence is that of another run",
+    "SWM052": "a result was changed after its evidence was made",
     "SWM053": "a value lies outside its bounds",
     "SWM054": "the drive is not one a swimmer has, or is not resolved",
     "SWM055": "uncertainty of a parameter not carried along",

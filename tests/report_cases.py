@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from swimid.logs import log
-from swimid.results import evidence
+from swimid.logs.logged import Logged
 from swimid.results.evidence import (
     Check,
     Evidence,
@@ -25,6 +25,7 @@ from swimid.results.evidence import (
     Trace,
     Verdict,
 )
+from swimid.results.fitted import Fitted
 from swimid.results.parameters import Correlation, Estimate, Fit, ParameterFile, Pole
 
 RNG_SEED = 20240611
@@ -270,6 +271,7 @@ def drag(folder: Path, name: str = "drag.yaml", *, proof: bool = True) -> Path:
                 unit="1",
                 bounds=(0.0, 5.0),
                 status="estimated",
+                meaning="drag coefficient C_d",
                 ci95=(0.642, 0.771),
             ),
             "added_mass": Estimate(
@@ -301,14 +303,15 @@ def drag(folder: Path, name: str = "drag.yaml", *, proof: bool = True) -> Path:
                 "channels": {"x_m": {"rmse": 0.00291, "nrmse": 0.0026, "unit": "m"}},
             },
             converged=True,
-            noise={"x_m": {"sd": 0.0021, "autocorrelation": 0.03}},
+            noise={"x_m": {"value_sd": 0.0021, "time_sd_s": 0.0, "autoregression": []}},
         ),
         provenance=block,
     )
     path = folder / name
-    file.write(path)
     if proof:
-        evidence.write(evidence.sidecar(path), drag_evidence(block))
+        Fitted.of(file, drag_evidence(block)).save(path)
+    else:
+        file.write(path)
     return path
 
 
@@ -394,7 +397,6 @@ def arma(folder: Path) -> Path:
         provenance=block,
     )
     path = folder / "arma.yaml"
-    file.write(path)
     record = Evidence(
         verb="rwls",
         title="ARX model of the long-fin vehicle",
@@ -411,7 +413,7 @@ def arma(folder: Path) -> Path:
         notices=[NoticeRecord(code="SWM020", text="a pole lies at 1.0013")],
         provenance=block,
     )
-    evidence.write(evidence.sidecar(path), record)
+    Fitted.of(file, record).save(path)
     return path
 
 
@@ -455,5 +457,5 @@ def track(folder: Path, *, proof: bool = True, name: str = "run.csv") -> Path:
                 "swimid track video pool.mp4 --setup setup.yaml -o run.csv", ["pool.mp4", "setup.yaml"]
             ),
         )
-        evidence.write(evidence.sidecar(path), record)
+        Logged("track video", evidence=record, document=log.read(path)).save(path)
     return path

@@ -330,7 +330,7 @@ def test_effects_that_cannot_be_evaluated_are_listed() -> None:
 def test_the_first_figure_has_the_errors_by_channel(name: str, shown: list[str]) -> None:
     (panel,) = cases.evidence(cases.ALL[name]).figures[0].panels
     assert [trace.label for trace in panel.traces] == shown
-    u = (panel.x_categories or []).index("u")
+    u = (panel.x_categories or []).index("surge speed")
     errors = {trace.label: trace.y[u] for trace in panel.traces}
     assert errors["noise alone"] == pytest.approx(2.1)
     assert errors["refitted"] == pytest.approx(2.1 if name == "moved" else 14.2)

@@ -18,10 +18,12 @@ from click.testing import CliRunner
 
 from swimid.cli.main import main
 from swimid.errors import InputError, UsageError
+from swimid.files.provenance import collect
 from swimid.logs import log
 from swimid.notices import SwimidWarning, recorded
 from swimid.results import drawing, evidence, page, parameters, terminal
 from swimid.results.evidence import MAX_POINTS, Check, Figure, Panel, Table, Trace, Verdict
+from swimid.results.fitted import Fitted
 from swimid.results.kinds import load_result
 from swimid.results.report import report
 from tests import report_cases as cases
@@ -128,15 +130,15 @@ def test_page_has_its_parts_in_order(mixture: Path) -> None:
 def test_parameters_are_shown_as_the_standard_error_supports(mixture: Path) -> None:
     """Rounded estimates with intervals; words for what is not identifiable; fixed without interval."""
     words = outline(mixture).words
-    assert "drag_coefficient 0.705 ± 0.033 0.642 … 0.771 0 … 5 estimated" in words
-    assert "added_mass 0.685 ± 0.037 kg 0.612 … 0.758 ≥ 0 estimated" in words
-    assert "pulley_inertia (4.51 ± 0.12) × 10⁻⁵ kg·m² (4.28 … 4.75) × 10⁻⁵ free" in words
-    assert "string_stiffness – – ≥ 0 not identifiable" in words
-    assert "water_density 997 kg/m³ – free fixed" in words
-    assert "linear_drag 0 N·s/m – ≥ 0 at its bound" in words
+    assert "drag_coefficient 0.705 ± 0.033 0.642 … 0.771 estimated drag coefficient C_d 0 … 5" in words
+    assert "added_mass 0.685 ± 0.037 kg 0.612 … 0.758 estimated – ≥ 0" in words
+    assert "pulley_inertia (4.51 ± 0.12) × 10⁻⁵ kg·m² (4.28 … 4.75) × 10⁻⁵ estimated – free" in words
+    assert "string_stiffness – – not identifiable – ≥ 0" in words
+    assert "water_density 997 kg/m³ – fixed – free" in words
+    assert "linear_drag 0 N·s/m – at its bound – ≥ 0" in words
     assert "187654" not in words
-    assert "x_m fit 0.00213 m 0.185 %" in words
-    assert "x_m validation 0.00291 m 0.26 %" in words
+    assert "x_m fit 0.00213 m 0.0021 m 1.01 0.185 %" in words
+    assert "x_m validation 0.00291 m 0.0021 m 1.39 0.26 %" in words
 
 
 def test_figures_follow_the_page(mixture: Path) -> None:
@@ -176,7 +178,7 @@ def test_same_input_same_page(tmp_path: Path) -> None:
     result = load_result(path)
     made = datetime(2026, 1, 2, 3, 4, tzinfo=UTC)
     options = {"template": "report.html", "title": "t", "created": made, "digests": {str(path): "0" * 64}}
-    pages = [page.render([result], **options) for _ in range(2)]  # type: ignore[arg-type]
+    pages = [page.render([result], [result.content()], **options) for _ in range(2)]  # type: ignore[arg-type]
     assert pages[0] == pages[1]
 
 
@@ -239,17 +241,77 @@ def test_missing_evidence_is_said(tmp_path: Path) -> None:
     assert "Not identifiable: string_stiffness. No evidence file." in words
 
 
-def test_evidence_of_another_run_is_said(tmp_path: Path) -> None:
-    """A sidecar whose provenance differs is shown with a warning and lowers the verdict."""
-    path = cases.drag(tmp_path)
+def _good(path: Path) -> None:
+    """Give the evidence of a result a good verdict."""
     record = evidence.read(evidence.sidecar(path))
-    other = {**record.provenance, "created": "2026-03-03T00:00:00+00:00"}
-    changed = {"provenance": other, "verdict": Verdict(level="good", text="All well.")}
-    evidence.write(evidence.sidecar(path), record.model_copy(update=changed))
-    with pytest.warns(SwimidWarning, match=r"SWM052 .* another run \(created differ"):
+    good = record.model_copy(update={"verdict": Verdict(level="good", text="All well.", word="Explained")})
+    evidence.write(evidence.sidecar(path), good)
+
+
+@pytest.mark.parametrize(
+    ("before", "after"), [("0.70512", "0.9"), ("2026-03-02T10:15:00", "2026-03-03T00:00:00")]
+)
+def test_a_file_that_was_edited_is_no_longer_good(before: str, after: str, tmp_path: Path) -> None:
+    """A value that was changed by hand, or a file of another run, lowers the verdict and warns."""
+    path = cases.drag(tmp_path)
+    _good(path)
+    path.write_text(path.read_text().replace(before, after))
+    with pytest.warns(SwimidWarning, match=r"SWM052 drag\.yaml was edited or replaced after its evidence"):
         result = load_result(path)
     assert result.verdict == "caution"
-    assert "do not belong together" in result.content().verdict.text
+    assert result.evidence is not None
+    assert result.evidence.verdict.word == "Explained"
+    quietly(inputs=[path], output=tmp_path / "r.html")
+    text = (tmp_path / "r.html").read_text()
+    assert 'class="badge good"><span class="symbol" aria-hidden="true">✓</span>Good' not in text
+    assert "The file was changed after this verdict" in text
+
+
+def test_a_log_that_was_edited_is_no_longer_good(tmp_path: Path) -> None:
+    path = cases.track(tmp_path)
+    assert load_result(path).verdict == "good"
+    path.write_text(path.read_text().replace("0.02,", "0.021,", 1))
+    with pytest.warns(SwimidWarning, match="SWM052"):
+        assert load_result(path).verdict == "caution"
+
+
+def test_a_reformatted_file_keeps_its_evidence(tmp_path: Path) -> None:
+    """Comments, the order of keys and line ends do not change the content of a file."""
+    path = cases.drag(tmp_path)
+    _good(path)
+    blocks = re.split(r"(?m)^(?=\w)", path.read_text())
+    text = "# fitted on Monday\n" + "".join([blocks[0], *reversed(blocks[1:])])
+    path.write_bytes(text.replace("\n", "\r\n").encode())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", SwimidWarning)
+        assert load_result(path).verdict == "good"
+
+
+def test_equal_reasons_count_once_in_a_verdict() -> None:
+    reasons = ["a", "a", "b", "c", "d"]
+    checks = [evidence.check("n", "v", False, reason=reason) for reason in reasons]
+    assert evidence.judged("Answer.", checks).text == "Answer. Caution: a; b; c; and 1 more."
+
+
+def test_simulated_data_are_named_at_the_top_of_a_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A log says in its comments, or in its metadata, that it is simulated."""
+    monkeypatch.chdir(tmp_path)
+    time_s = np.arange(0, 1, 0.1)
+    for name in ("a.csv", "a.parquet"):
+        log.write(tmp_path / name, {"t_s": time_s, "x_m": time_s}, {"source": "simulated, with noise"})
+    log.write(tmp_path / "b.csv", {"t_s": time_s, "x_m": time_s}, {"source": "pool"})
+    held = log.read(tmp_path / "a.csv")
+    block = collect([tmp_path / "a.csv", tmp_path / "a.parquet", tmp_path / "b.csv", held])
+    assert block["simulated"] == ["a.csv", "a.parquet", "a.csv"]
+    path = cases.drag(tmp_path)
+    fitted = Fitted.load(path)
+    assert fitted.evidence is not None
+    shown = fitted.evidence.model_copy(update={"provenance": block})
+    Fitted.of(fitted.file, shown).save(path)
+    quietly(inputs=[path], output=tmp_path / "r.html")
+    assert "Data simulated Model falling-weight" in outline(tmp_path / "r.html").words
 
 
 def test_matching_evidence_survives_the_yaml(tmp_path: Path) -> None:

@@ -90,7 +90,7 @@ def test_unit(unit: str, text: str) -> None:
     ("name", "title"),
     [
         ("x_m", "x (m)"),
-        ("u_m_s", "u (m/s)"),
+        ("u_m_s", "surge speed (m/s)"),
         ("ax_m_s2", "ax (m/s²)"),
         ("yaw_rate_rad_s", "yaw rate (rad/s)"),
         ("force_N", "force (N)"),

@@ -144,10 +144,10 @@ def _argument(metavar: str) -> list[click.Parameter]:
     """Return the files a command takes: ``LOG...`` several, ``[NAME]`` a word or none, empty none."""
     if not metavar:
         return []
-    count = -1 if metavar.endswith("...") else 1
-    name = metavar.startswith("[")
-    kind = str if name else click.Path(path_type=Path)
-    return [click.Argument(["files"], nargs=count, required=not name, metavar=metavar, type=kind)]
+    count = (1, -1)[metavar.endswith("...")]
+    if metavar.startswith("["):
+        return [click.Argument(["files"], nargs=count, required=False, metavar=metavar, type=str)]
+    return [click.Argument(["files"], nargs=count, metavar=metavar, type=click.Path(path_type=Path))]
 
 
 def _option(entry: Declared) -> click.Option:

@@ -1,7 +1,7 @@
 """Options, output streams and exit statuses of every command.
 
-stdout carries the result only (plain text, or one JSON document under ``--json``, on
-failure too); progress, warnings and errors go to stderr.
+stdout carries the result only: plain text, or with ``--json`` one JSON document, also of an error. Progress,
+warnings and errors go to stderr.
 """
 
 from __future__ import annotations
@@ -114,9 +114,8 @@ def running(command: str, shared: Shared) -> Iterator[Run]:
             yield run
         assert run.outcome is not None
         if interrupts:
-            places = ", ".join(map(str, run.outcome.outputs))
-            wrote = f"wrote {places}" if places else "nothing was written"
-            raise Interrupted(f"interrupted; the result is of a search cut short: {wrote}")
+            places = ", ".join(map(str, run.outcome.outputs)) or "nothing"
+            raise Interrupted(f"interrupted; the result is of a search cut short: wrote {places}")
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
@@ -129,8 +128,9 @@ def running(command: str, shared: Shared) -> Iterator[Run]:
         _print(run, {"error": error.to_dict()}, notices, "", written)
         click.echo(f"{'This is a bug in swimid' if isinstance(error, Bug) else 'Error'}: {error}", err=True)
         sys.exit(error.exit_status)
-    outcome = run.outcome
-    text = "" if shared.as_json or shared.quiet else outcome.summary()
+    outcome, text = run.outcome, ""
+    if not (shared.as_json or shared.quiet):
+        text = outcome.summary()
     _print(run, {"result": outcome.data}, notices, text, outcome.outputs)
 
 
@@ -161,7 +161,8 @@ def _print(
 ) -> None:
     """Print the answer on stdout; warnings, the files written and the next command on stderr."""
     if not run.shared.quiet:
-        for line in _warning_lines(notices, sys.maxsize if run.shared.verbose else MAX_ALIKE):
+        most = (MAX_ALIKE, sys.maxsize)[run.shared.verbose > 0]
+        for line in _warning_lines(notices, most):
             click.echo(line, err=True)
     if run.shared.as_json:
         from swimid.files import yamlio
@@ -195,7 +196,9 @@ def _warning_lines(notices: list[Notice], most: int) -> Iterator[str]:
     )
     for code in dict.fromkeys(one.code for one in notices):
         texts = [one.text for one in notices if one.code == code]
-        shown = texts if len(texts) <= most else texts[:3]
+        shown = texts
+        if len(texts) > most:
+            shown = texts[:3]
         yield from (wrapped(f"warning {code}: {text}") for text in shown)
         if len(shown) < len(texts):
             yield f"warning {code}: {len(texts) - len(shown)} more like these; -v prints them"
@@ -208,7 +211,7 @@ def _next_command(outcome: Result | None) -> str:
 
     if outcome is None or not outcome.outputs:
         return ""
-    provenance = outcome.evidence.provenance if outcome.evidence else {}
+    provenance = getattr(outcome.evidence, "provenance", {})
     if not provenance and outcome.path.suffix not in LOG_ENDINGS:
         return ""
     return next_command(outcome.verb, shlex.quote(str(outcome.path)), provenance)

@@ -17,6 +17,8 @@ from swimid.cli.options import DoctorOptions
 from swimid.files import atomic
 from swimid.options import takes
 from swimid.progress import Progress, silent
+from swimid.results import numbers
+from swimid.results.evidence import Evidence, Table, Verdict
 from swimid.results.result import Result
 
 #: Use of each optional package.
@@ -76,7 +78,7 @@ def doctor(*, options: DoctorOptions, output: Path | None = None, progress: Prog
     if output is not None:
         atomic.write_text(output, json.dumps(findings, indent=2) + "\n")
         outputs.append(output)
-    return Result("doctor", _text(findings, missing), findings, outputs)
+    return Result("doctor", data=findings, outputs=outputs, evidence=_evidence(findings, missing))
 
 
 def _required() -> list[str]:
@@ -105,17 +107,20 @@ def _video() -> bool:
     )
 
 
-def _text(findings: dict[str, Any], missing: list[str]) -> str:
-    states = {name: version or "MISSING" for name, version in findings["packages"].items()}
+def _evidence(findings: dict[str, Any], missing: list[str]) -> Evidence:
+    """Return the findings as a table and a verdict."""
+    rows: list[list[Any]] = [
+        [name, version or "MISSING", ""] for name, version in findings["packages"].items()
+    ]
     for name, version in findings["optional"].items():
-        states[name] = version or f"not installed: {OPTIONAL[name]}"
-    states["video decoding"] = "FFmpeg" if findings["video_decoding"] else "NOT AVAILABLE"
-    for name, seconds in findings.get("kernels_s", {}).items():
-        states[name] = f"compiled and cached ({seconds:.1f} s)"
-    end = "Everything is in place."
+        rows.append([name, version or "not installed", OPTIONAL[name]])
+    rows += [[name, "compiled", f"in {s:.1f} s"] for name, s in findings.get("kernels_s", {}).items()]
+    verdict = Verdict(level="good", text="Everything is in place.")
     if not findings["healthy"]:
-        lacking = ", ".join(missing) or "video decoding"
-        end = f"Not everything is in place: reinstall swimid. Missing: {lacking}"
-    width = max(map(len, findings["packages"]))
-    head = f"swimid {findings['swimid']}, Python {findings['python']}, {findings['platform']}"
-    return "\n".join([head, *(f"  {name:<{width}}  {state}" for name, state in states.items()), end])
+        lacking = ", ".join(missing) or "FFmpeg in OpenCV"
+        verdict = Verdict(level="bad", text=f"Reinstall swimid. Missing: {lacking}.")
+    facts = {"Python": findings["python"], "Platform": findings["platform"]}
+    facts["Video decoding"] = numbers.number(findings["video_decoding"])
+    table = Table(id="packages", title="Packages", columns=["package", "state", "use"], rows=rows)
+    title = f"swimid {findings['swimid']}"
+    return Evidence(verb="doctor", title=title, verdict=verdict, facts=facts, tables=[table])

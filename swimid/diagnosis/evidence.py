@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from swimid.diagnosis import words
 from swimid.diagnosis.gap_file import GapFile, Shrinkage
 from swimid.diagnosis.words import held_out_text, listed, probability_text
@@ -62,10 +64,12 @@ def evidence(
     if against:
         tests.append(ev.check("logs agree with what is written of them", "no", False, reason=against))
     verdict = ev.judged(words.answer(file), tests)
-    word = "No gap" if file.verdict == "none" else file.verdict.capitalize()
+    word = {"none": "No gap"}.get(file.verdict, file.verdict.capitalize())
     errors = _errors(file)
     tables = [errors, _causes(file), _coefficients(file), _scores(file), _parts(file)]
-    cited = [*sources, *REFERENCES, *([BOX] if file.advice else [])]
+    cited = [*sources, *REFERENCES]
+    if file.advice:
+        cited.append(BOX)
     return ev.Evidence(
         verb="diagnose",
         title=f"Gap between trials and model: {file.robot}, {file.experiment}",
@@ -83,14 +87,16 @@ def evidence(
 
 
 def _facts(file: GapFile) -> dict[str, str]:
-    given = ", ".join(f"{c} {percent(s.nrmse)}" for c, s in list(file.as_given.items())[:3])
-    facts = {
-        "Trials": f"{len(file.trials)} against {file.params}" if file.trials else "",
-        "Model": file.model,
-        "Effects tried": str(len({s.effect for s in file.scores}) or ""),
-        "Probability": words.otherwise_text(file) if file.no_gap is not None else "",
-        "Errors of the parameters as given": "" if file.closing else given,
-    }
+    facts = {}
+    if file.trials:
+        facts["Trials"] = f"{len(file.trials)} against {file.params}"
+    facts["Model"] = file.model
+    facts["Effects tried"] = str(len({s.effect for s in file.scores}) or "")
+    if file.no_gap is not None:
+        facts["Probability"] = words.otherwise_text(file)
+    if not file.closing:
+        given = [f"{c} {percent(s.nrmse)}" for c, s in list(file.as_given.items())[:3]]
+        facts["Errors of the parameters as given"] = ", ".join(given)
     return {name: value for name, value in facts.items() if value}
 
 
@@ -100,29 +106,32 @@ def _facts(file: GapFile) -> dict[str, str]:
 def checks(file: GapFile) -> Iterable[ev.Check]:
     """Yield the tests that the answer has to pass; the level of the verdict follows from them."""
     yield from _of_trials(file)
-    yield from _of_no_gap(file) if file.verdict == "none" else _of_causes(file)
-    if file.held_out == "validation":
-        off = listed([f"{trial} is off by {number(t, 2)} times" for trial, t in file.unpredicted.items()])
-        said = f"{off} the expected error"
-        failed: Literal["warn", "fail"] = "fail" if file.verdict == "unexplained" else "warn"
-        value = said if off else "predicted"
-        yield ev.check("validation trials", value, not off, otherwise=failed, reason=said)
+    if file.verdict == "none":
+        yield from _of_no_gap(file)
+    else:
+        yield from _of_causes(file)
+    failed: Literal["warn", "fail"] = "warn"
+    if file.verdict == "unexplained":
+        failed = "fail"
+    off = listed([f"{trial} is off by {number(t, 2)} times" for trial, t in file.unpredicted.items()])
+    said = f"{off} the expected error"
+    if file.held_out == "validation" and off:
+        yield ev.check("validation trials", said, False, otherwise=failed, reason=said)
+    elif file.held_out == "validation":
+        yield ev.check("validation trials", "predicted", True)
     if file.setting_count is not None and file.setting_count < 2:
         said = "all trials have one setting, and nothing is tested at another"
         yield ev.check("settings", "1", False, "≥ 2", reason=said)
-    # of an unexplained gap something is left, whatever a description of it says
-    passed = file.remaining.white if file.verdict in ("none", "unexplained") else file.remaining.white or None
-    share, said = file.remaining.share, words.remaining_text(file)
-    unexplained = file.verdict == "unexplained"
-    yield ev.check(
-        "remaining gap",
-        said,
-        passed and not unexplained,
-        "no structure",
-        "whether a description without any physics still gains on held-out trials",
-        otherwise="fail" if unexplained and (share is None or share > HALF) else "warn",
-        reason=said,
-    )
+    passed: bool | None = file.remaining.white
+    if file.verdict == "unexplained":
+        passed = False  # something is left, whatever a description of it says
+        if file.remaining.share is not None and file.remaining.share <= HALF:
+            failed = "warn"
+    elif file.verdict != "none":
+        passed = passed or None
+    said = words.remaining_text(file)
+    text = "whether a description without any physics still gains on held-out trials"
+    yield ev.check("remaining gap", said, passed, "no structure", text, otherwise=failed, reason=said)
 
 
 def _of_trials(file: GapFile) -> Iterable[ev.Check]:
@@ -143,7 +152,9 @@ def _of_trials(file: GapFile) -> Iterable[ev.Check]:
     if file.at_bound:
         said = listed([f"{name} at {number(bound, 3)}" for name, bound in file.at_bound.items()])
         text = "a coefficient that the refit without effects takes to its bound may stand in for a cause"
-        passed = None if file.causes else False
+        passed = None
+        if not file.causes:
+            passed = False
         yield ev.check(
             "bounds without effects", said, passed, "inside", text, reason=f"bounds are hit: {said}"
         )
@@ -152,9 +163,9 @@ def _of_trials(file: GapFile) -> Iterable[ev.Check]:
 def _of_no_gap(file: GapFile) -> Iterable[ev.Check]:
     known = [s for s in file.scores if s.refitted and s.probability is not None]
     best = max(known, key=lambda s: s.probability or 0.0, default=None)
-    said = words.otherwise_text(file) + (
-        f", {best.effect} {probability_text(best.probability)}" if best else ""
-    )
+    said = words.otherwise_text(file)
+    if best is not None:
+        said += f", {best.effect} {probability_text(best.probability)}"
     yield ev.check("probabilities", said, file.told_of_gap, "no gap > 50 %", reason=said)
     apart = listed([c.channel for c in file.where.channels if c.differs])
     if apart:
@@ -172,7 +183,9 @@ def _of_causes(file: GapFile) -> Iterable[ev.Check]:
         for c in file.causes
         if c.equivalent
     ]
-    passed = False if file.verdict == "ambiguous" else None
+    passed = None
+    if file.verdict == "ambiguous":
+        passed = False
     why = "; ".join(rivals + file.unsure) or "its probability is too low to name it"
     yield ev.check("rivals of the cause", "; ".join(rivals) or "none", passed, "none", reason=why)
     for c in (c for c in file.causes if c.gain is not None):
@@ -182,8 +195,10 @@ def _of_causes(file: GapFile) -> Iterable[ev.Check]:
     ends = [f"{c.effect}/{n}" for c in file.causes for n, v in c.parameters.items() if v.status == "at-bound"]
     stuck = [a.coefficient for a in first.absorbed if a.with_effect.status == "at-bound"]
     for name, found in (("sizes of the causes", ends), ("coefficients with the causes", stuck)):
-        said = f"{listed(found)} at a bound"
-        yield ev.check(name, said if found else "inside", not found, "inside their bounds", reason=said)
+        said = "inside"
+        if found:
+            said = f"{listed(found)} at a bound"
+        yield ev.check(name, said, not found, "inside their bounds", reason=said)
     distances = {**first.extrapolation}
     if file.predicted is not None:
         distances["held-out data"] = file.predicted
@@ -192,8 +207,9 @@ def _of_causes(file: GapFile) -> Iterable[ev.Check]:
         before, after = distance.before or 0.0, distance.after or 0.0
         said = f"{number(before, 2)} without, {number(after, 2)} with the causes"
         reason = f"{name} left out of the fit is predicted worse with the causes"
-        # of a setting it may be as it was, of all held-out data not
-        passed = after < before if name == "held-out data" else after <= before
+        passed = after < before
+        if name != "held-out data":  # a single setting may be predicted as well as before
+            passed = after <= before
         yield ev.check(f"prediction of {name}", said, passed, "smaller with them", text, reason=reason)
     for s in [s for s in file.closing if s.closed is not None][:1]:
         share, low = percent(s.closed, 2), s.ci95[0]
@@ -287,8 +303,11 @@ def _coefficients(file: GapFile) -> ev.Table:
 def _scores(file: GapFile) -> ev.Table:
     rows: Rows = []
     for s in file.scores:
-        gain = numbers.measured(s.gain, s.stderr) if s.refitted else ""
-        won = f"{s.won[0]} of {s.won[1]}" if s.won[1] else ""
+        gain = won = ""
+        if s.refitted:
+            gain = numbers.measured(s.gain, s.stderr)
+        if s.won[1]:
+            won = f"{s.won[0]} of {s.won[1]}"
         about = [s.effect, s.stage or "", s.variant, probability_text(s.probability), gain, won]
         rows.append([*about, *_percents(s.absorbed)])
     rows += [[name, "", why, "", "", "", None] for name, why in file.left_out.items()]
@@ -327,14 +346,14 @@ def _levels(table: ev.Table) -> ev.Figure:
     traces = []
     for k, (title, values) in enumerate(shown):
         x = [n + 0.12 * (k - (len(shown) - 1) / 2) for n in range(len(names))]
-        label = "noise alone" if title == FLOOR else title.removesuffix(" (%)")
+        label = title.replace(FLOOR, "noise alone").removesuffix(" (%)")
         traces.append(ev.Trace(x=x, y=values, style="points", label=label, group=k))
     panel = ev.Panel(
         x_label="",
         y_label="error over the measured range (%)",
         y_scale="log",
         traces=traces,
-        x_categories=[numbers.split_unit(str(name))[0].replace("_", " ") for name in names],
+        x_categories=[numbers.quantity(str(name)) for name in names],
     )
     return ev.Figure(id="errors", title=table.title, caption="Root-mean-square errors.", panels=[panel])
 
@@ -356,12 +375,16 @@ def _ranked(file: GapFile) -> list[ev.Figure]:
         for k in places:
             gain, error = gains[shown[k]]
             ends += [gain - (error or 0.0), gain + (error or 0.0), None]
-        heights = [float(k) if n < 2 else None for k in places for n in range(3)]
+        heights = np.ravel([(k, k, None) for k in places]).tolist()
         x = [gains[shown[k]][0] for k in places]
         traces.append(ev.Trace(x=x, y=places, style="points", label=label, group=group))
         traces.append(ev.Trace(x=ends, y=heights, group=group))
     panel = ev.Panel(
-        x_label="gain in cross-validation", y_label="", y_categories=shown, invert_y=True, traces=traces
+        x_label="gain in cross-validation",
+        y_label="",
+        y_categories=[name.removeprefix(words.READING).replace("=", ": ") for name in shown],
+        invert_y=True,
+        traces=traces,
     )
     caption = (
         "Drop of the squared residuals, in units of the noise, with one standard error; each effect alone. "
@@ -373,14 +396,14 @@ def _ranked(file: GapFile) -> list[ev.Figure]:
 def _residuals(worst: Sequence[Piece], caused: bool) -> list[ev.Figure]:
     panels = []
     for p in [p for p in worst if len(p.time_s) > 2][:MAX_PANELS]:
-        name, unit = numbers.split_unit(p.channel)
-        factor, unit = numbers.in_degrees(unit)
+        factor, unit = numbers.in_degrees(numbers.split_unit(p.channel)[1])
         traces: list[ev.Trace] = []
         for label, simulated in {"without the causes": p.before, "with the causes": p.after}.items():
             x, y = ev.thinned(p.time_s, factor * (p.measured - simulated), MAX_POINTS)
             traces.append(ev.Trace(x=x, y=y, label=label, group=len(traces)))
-        y_label = f"residual of {name.replace('_', ' ')} ({numbers.unit_text(unit) or '1'})"
-        traces = traces if caused else traces[:1]
+        y_label = f"residual of {numbers.quantity(p.channel)} ({numbers.unit_text(unit) or '1'})"
+        if not caused:
+            traces = traces[:1]
         panels.append(ev.Panel(x_label="time (s)", y_label=y_label, traces=traces, marks=[ev.Mark(at=0.0)]))
     if not panels:
         return []

@@ -90,7 +90,9 @@ def value_text(value: Value) -> str:
     if value.status == "unidentifiable":
         return "not identifiable"
     text = numbers.measured(value.value, value.stderr, value.unit)
-    return text + (", at its bound" if value.status == "at-bound" else "")
+    if value.status == "at-bound":
+        text += ", at its bound"
+    return text
 
 
 def held_out_text(file: GapFile) -> str:
@@ -106,15 +108,20 @@ def otherwise_text(file: GapFile) -> str:
 
 def probability_text(probability: float | None) -> str:
     """Return a probability in percent; below a thousandth only that."""
-    small = probability is not None and probability < 1e-3
-    return "< 0.1 %" if small else numbers.percent(probability, 2)
+    if probability is not None and probability < 1e-3:
+        return "< 0.1 %"
+    return numbers.percent(probability, 2)
 
 
 def remaining_text(file: GapFile) -> str:
     """Return how much of the gap remains, and where."""
-    left = file.remaining
-    share = "an unknown share" if left.share is None else numbers.percent(left.share, 2)
-    return f"{share} of the squared gap remains" + (f" ({left.where})" if left.where else "")
+    left, share = file.remaining, "an unknown share"
+    if left.share is not None:
+        share = numbers.percent(left.share, 2)
+    said = f"{share} of the squared gap remains"
+    if left.where:
+        said += f" ({left.where})"
+    return said
 
 
 def moved(file: GapFile) -> list[Absorbed]:
@@ -131,7 +138,9 @@ def _shift(a: Absorbed) -> float:
         return 0.0
     by = abs(before - after)
     count = by / max(errors)
-    return count if count > MOVED_STDERR and by > MOVED_SHARE * abs(after) else 0.0
+    if count > MOVED_STDERR and by > MOVED_SHARE * abs(after):
+        return count
+    return 0.0
 
 
 def parts(file: GapFile) -> list[Cell]:
@@ -146,11 +155,12 @@ def notes(file: GapFile) -> list[str]:
     for cell in sorted(parts(file), key=lambda c: -(c.ratio or 0.0)):
         worst.setdefault(cell.kind, cell)
     if worst and file.verdict != "none" and not file.changed:
-        places = [
-            f"{c.label if c.kind in ('time', 'change') else f'{c.kind} {c.label}'} "
-            f"({numbers.number(c.ratio, 2)} times the noise)"
-            for c in list(worst.values())[:MAX_PARTS]
-        ]
+        places = []
+        for c in list(worst.values())[:MAX_PARTS]:
+            name = c.label
+            if c.kind not in ("time", "change"):
+                name = f"{c.kind} {c.label}"
+            places.append(f"{name} ({numbers.number(c.ratio, 2)} times the noise)")
         said.append(f"the gap is largest at {listed(places)}")
     for a in moved(file)[:1]:
         values = " without the cause and ".join(value_text(v) for v in (a.without, a.with_effect))
@@ -167,7 +177,9 @@ def notes(file: GapFile) -> list[str]:
 def methods(file: GapFile) -> list[str]:
     """Return sentences for a methods section, from what was run."""
     refitted = sum(s.refitted for s in file.scores)
-    count = str(refitted) if refitted == len(file.scores) else f"{refitted} of {len(file.scores)}"
+    count = f"{refitted} of {len(file.scores)}"
+    if refitted == len(file.scores):
+        count = str(refitted)
     said = [
         f"The discrepancy between {len(file.trials)} {file.experiment} trials of {file.robot} and the model "
         f"{file.model} was treated as part of the model (Kennedy and O'Hagan 2001): its coefficients were "

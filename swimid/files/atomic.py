@@ -163,8 +163,9 @@ def replacing(path: str | Path) -> Iterator[Path]:
         When the file cannot be written.
     """
     path = check_writable(path)
-    # a link stays, and the file it points to is replaced
-    target = Path(os.path.realpath(path)) if path.is_symlink() else path
+    target = path
+    if path.is_symlink():  # the link stays, and the file it points to is replaced
+        target = Path(os.path.realpath(path))
     folder = None if is_device(path) else target.parent
     with file_errors(path, "written"), together() as group:
         handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=path.suffix, dir=folder)
@@ -366,7 +367,8 @@ def file_names(ids: Sequence[str], endings: Sequence[str]) -> list[str]:
     for one in ids:
         bare = next((one.removesuffix(e) for e in endings if one.endswith(e)), one)
         stem = re.sub(r"[^\w.-]", "_", unicodedata.normalize("NFC", bare))
-        stem += "_" if stem.partition(".")[0].upper() in DEVICES else ""
+        if stem.partition(".")[0].upper() in DEVICES:
+            stem += "_"
         other, name = names.setdefault(stem.casefold(), (one, stem + endings[0]))
         if other != one:
             raise UsageError(

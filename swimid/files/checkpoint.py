@@ -91,7 +91,7 @@ class Checkpoint:
     def beside(cls, output: Path | None, belongs_to: Any, *, anew: bool = False) -> Checkpoint:
         """Return the checkpoint of an output; its key depends on ``belongs_to`` and the version of swimid."""
         text = json.dumps([belongs_to, swimid.__version__], sort_keys=True)
-        path = None if output is None else place(output)
+        path = output and place(output)
         return cls(path, hashlib.sha256(text.encode()).hexdigest(), anew=anew)
 
     @property
@@ -101,8 +101,9 @@ class Checkpoint:
 
     def get(self, name: str) -> NDArray[np.float64] | None:
         """Return the values kept under a name."""
-        kept = self._known.get(name)
-        return None if kept is None else np.array(kept, dtype=float)
+        if name not in self._known:
+            return None
+        return np.array(self._known[name], dtype=float)
 
     def put(self, name: str, values: NDArray[np.float64]) -> None:
         """Keep values under a name."""
@@ -179,8 +180,9 @@ class Checkpoint:
         reasons = {"of runs with other inputs or options, or of another version": others, "damaged": damaged}
         if others or damaged:
             told = ", ".join(f"{count} {reason}" for reason, count in reasons.items() if count)
-            kept = f"; delete {path.name} if nobody goes on with those runs" if others else ""
-            warn("SWM150", f"{path}: {others + damaged} of {len(lines)} lines were ignored: {told}{kept}")
+            if others:
+                told += f"; delete {path.name} if nobody goes on with those runs"
+            warn("SWM150", f"{path}: {others + damaged} of {len(lines)} lines were ignored: {told}")
 
 
 def _sum(key: str, name: str, values: list[float]) -> str:

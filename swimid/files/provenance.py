@@ -87,7 +87,9 @@ def digests_of(inputs: Iterable[Input]) -> dict[str, str]:
 
 def digest_of(given: Input) -> str:
     """Return the SHA-256 of one input in hexadecimal digits."""
-    return sha256(given) if isinstance(given, str | Path) else given.digest()
+    if isinstance(given, str | Path):
+        return sha256(given)
+    return given.digest()
 
 
 def digest_together(name: str | Path, files: Sequence[str | Path]) -> dict[str, str]:
@@ -118,13 +120,34 @@ def collect(
     digests : dict, optional
         :func:`digests_of` the inputs, if they are known already.
     """
-    return {
+    inputs = list(inputs)
+    block: dict[str, Any] = {
         "command": command_line(),
         "version": swimid.__version__,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "inputs": digests_of(inputs) if digests is None else digests,
         "packages": _versions(),
-    } | ({"settings": settings} if settings else {})
+    }
+    if simulated := [os.path.relpath(path_of(given)) for given in inputs if says_simulated(given)]:
+        block["simulated"] = simulated
+    if settings:
+        block["settings"] = settings
+    return block
+
+
+def says_simulated(given: Input) -> bool:
+    """Return whether an input says that it is simulated or synthetic.
+
+    A file says it in the comments at its top, a log in memory in its metadata.
+    """
+    if not isinstance(given, str | Path):
+        lines = [f"{key}: {value}" for key, value in getattr(given, "metadata", {}).items()]
+        return any(map(_SIMULATED.search, lines))
+    with file_errors(given), Path(given).open("rb") as stream:
+        head = stream.read(NEAR)
+    if head.startswith(b"PAR1"):
+        return any(map(_SIMULATED.search, _parquet_comments(Path(given))))
+    return any(map(_SIMULATED.search, _comments(head.decode("utf-8-sig", "replace"))))
 
 
 def command_line() -> str:
@@ -136,7 +159,7 @@ def command_line() -> str:
 def _versions() -> dict[str, str]:
     """Return the versions of Python and of the imported libraries."""
     labels = ("numpy", "scipy", "numba", "pandas", "opencv", "control")
-    loaded = {label: sys.modules.get("cv2" if label == "opencv" else label) for label in labels}
+    loaded = {label: sys.modules.get(label.replace("opencv", "cv2")) for label in labels}
     return {"python": sys.version.split()[0]} | {
         label: str(getattr(module, "__version__", "unknown"))
         for label, module in loaded.items()
@@ -157,6 +180,7 @@ AUTHORED = ("trials", "robot", "setup", "mapping")
 #: Number of bytes in which the mark of a text file must lie, from its start or its end.
 NEAR = 65536
 
+_SIMULATED = re.compile(r"\b(?:simulated?|synthetic)\b")
 _LOG = re.compile(r"(?:made_by|imported_by): *['\"]?swimid [a-z]")
 _FORMAT = re.compile(r"swimid-([a-z-]+)/\d+")
 _DRAFT = re.compile(r"# Drafted by swimid \S+, sha256 ([0-9a-f]{16})\b[^\n]*\n")
@@ -192,7 +216,7 @@ def is_own(path: Path) -> bool:
             stream.seek(max(path.stat().st_size - NEAR, 0))
             tail = stream.read()
         if head[:4] == b"PAR1":
-            return _own_parquet(path)
+            return any(_LOG.match(line) for line in _parquet_comments(path))
         if head[:4] in (b"\x89PNG", b"GIF8"):
             return _own_picture(path)
         return not head or tail.endswith(VIDEO_BOX) or _own_text(path, head, tail)
@@ -219,13 +243,21 @@ def _short_digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def _own_parquet(path: Path) -> bool:
+def _comments(text: str) -> list[str]:
+    """Return the comment lines at the top of a text, without ``#``."""
+    lines = takewhile(lambda line: line.startswith("#") or not line, text.split("\n"))
+    return [line[1:].strip() for line in lines]
+
+
+def _parquet_comments(path: Path) -> list[str]:
+    """Return the lines that swimid stored in a Parquet file; none if it is not one of swimid's."""
     pyarrow = tabular.pyarrow()
     try:
         stored = (pyarrow.parquet.read_schema(path).metadata or {}).get(b"swimid", b"")
     except pyarrow.ArrowInvalid:
-        return False
-    return any(_LOG.match(line) for line in stored.decode("utf-8", "replace").splitlines())
+        return []
+    lines: list[str] = stored.decode("utf-8", "replace").splitlines()
+    return lines
 
 
 def _own_picture(path: Path) -> bool:
@@ -246,8 +278,7 @@ def _own_text(path: Path, head: bytes, tail: bytes) -> bool:
             path.read_text(encoding="utf-8", errors="replace")[drafted.end() :]
         )
     if start.startswith("#"):
-        comments = takewhile(lambda line: line.startswith("#") or not line, start.split("\n"))
-        return any(_LOG.match(line[1:].strip()) for line in comments)
+        return any(_LOG.match(line) for line in _comments(start))
     if start.startswith("{"):
         return _own_json(path)
     if named := re.match(r"format: *['\"]?([^\s'\"]+)", start):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import json
 import math
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -29,14 +30,23 @@ MAX_DEPTH = 60
 M = TypeVar("M", bound=BaseModel)
 
 
+def _without_nulls(entries: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in entries.items() if value is not None}
+
+
 class Document(BaseModel):
     """Base of every YAML format: unknown keys are errors, values are never coerced loosely."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, validate_default=False)
 
     def digest(self) -> str:
-        """Return the SHA-256 of keys and values in hexadecimal digits, for a document in memory."""
-        return hashlib.sha256(self.model_dump_json(exclude_none=True).encode()).hexdigest()
+        """Return the SHA-256 of the keys and values in hexadecimal digits.
+
+        Order, comments, keys without a value, and keys with the value that they have by default do not count.
+        """
+        text = self.model_dump_json(exclude_defaults=True)
+        data = json.loads(text, object_hook=_without_nulls)
+        return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
 
 
 class ResultFile(Document):
@@ -76,8 +86,9 @@ def plain(value: Any, *, finite: bool = False) -> Any:
         return value.as_posix()
     if finite and isinstance(value, float) and not math.isfinite(value):
         return None
-    kinds = () if isinstance(value, bool) else (float, int, str)
-    return next((kind(value) for kind in kinds if isinstance(value, kind)), value)
+    if isinstance(value, bool):
+        return value
+    return next((kind(value) for kind in (float, int, str) if isinstance(value, kind)), value)
 
 
 _known = partial(plain, finite=True)
@@ -138,7 +149,7 @@ def load(path: str | Path) -> CommentedMap:
         data = _yaml().load(io.StringIO(text)) if 0 < size <= MAX_NODES else None
     except Exception as error:
         mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
-        place = mark.line + 1 if mark else None
+        place = mark and mark.line + 1
         problem = getattr(error, "problem", None) or getattr(error, "context", None) or first_line(error)
         if isinstance(error, DuplicateKeyError):
             twice = problem.split("with value")[0].strip()
@@ -235,7 +246,9 @@ def line_of(data: Any, location: Sequence[Any]) -> int | None:
 def _key(data: Any, problem: Any) -> list[Any]:
     """Return the key that a problem is about, one that is missing too."""
     parts = _followed(data, problem["loc"])[0]
-    return [*parts, problem["loc"][-1]] if problem["type"] == "missing" else parts
+    if problem["type"] == "missing":
+        parts.append(problem["loc"][-1])
+    return parts
 
 
 def _explain(problem: Any, data: Any, model: type[BaseModel]) -> tuple[str, str | None]:
@@ -291,7 +304,9 @@ def dumps(data: Mapping[str, Any], *, flat: bool = False) -> str:
 
 def dumps_flat(data: Mapping[str, Any]) -> str:
     """Return the YAML text of a mapping with every value on its key's line."""
-    return dumps(data, flat=True) if data else ""
+    if not data:
+        return ""
+    return dumps(data, flat=True)
 
 
 def _styled(value: Any, depth: int = 0, *, flat: bool = False) -> Any:
@@ -302,7 +317,8 @@ def _styled(value: Any, depth: int = 0, *, flat: bool = False) -> Any:
         styled = CommentedMap((k, _styled(v, depth + 1, flat=flat)) for k, v in value.items())
         leaves = [v for v in value.values() if isinstance(v, dict | list)]
         short = depth > 1 and short and bool(value) and all(_short_list(v) for v in leaves)
-        short = depth > 0 if flat else short
+        if flat:
+            short = depth > 0
     elif isinstance(value, list):
         styled = CommentedSeq(_styled(v, depth + 1, flat=flat) for v in value)
         short = flat or (short and not any(isinstance(v, dict) for v in value))

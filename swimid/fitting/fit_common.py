@@ -27,7 +27,7 @@ from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results.fitted import Fitted
-from swimid.results.parameters import Correlation, Estimate, Fit, ParameterFile
+from swimid.results.parameters import Correlation, Estimate, Fit, ParameterFile, spoken
 
 #: Correlation above which two parameters are named.
 STRONG = 0.95
@@ -51,7 +51,9 @@ def estimates(
     for p in result.parameters:
         labels = [label for label in result.labels if label.split("[")[0] == p.name]
         if not labels and not p.per_trial:
-            found[p.name] = Estimate(value=p.start, unit=p.unit, bounds=p.bounds, status="fixed")
+            found[p.name] = Estimate(
+                value=p.start, unit=p.unit, bounds=p.bounds, status="fixed", meaning=p.meaning
+            )
         for label in labels:
             found[label] = Estimate(
                 value=float(result.estimate[result.labels.index(label)]),
@@ -59,6 +61,7 @@ def estimates(
                 unit=p.unit,
                 bounds=p.bounds,
                 status=result.status[label],  # type: ignore[arg-type]
+                meaning=p.meaning,
                 ci95=profiles.get(label),
             )
     return found
@@ -236,24 +239,26 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
         reason = "starts near the answer still lead to better ones"
         found.append(ev.check(name, value, result.settled, "yes", text, reason=reason))
     status = {label: result.status[label] for label in result.shared}
-    unknown = [label for label, s in status.items() if s == "unidentifiable"]
-    at_bound = [label for label, s in status.items() if s == "at-bound"]
+    names = {p.name: spoken(p.name, p.meaning) for p in result.parameters}
+    unknown = [names[label] for label, s in status.items() if s == "unidentifiable"]
+    at_bound = [names[label] for label, s in status.items() if s == "at-bound"]
     mostly = list(status.values()).count("estimated") >= len(unknown)
-    names = ", ".join(unknown)
+    listed = ", ".join(unknown)
     found.append(
         ev.check(
             "identifiable",
-            f"not: {names}" if unknown else "all",
+            f"not: {listed}" if unknown else "all",
             not unknown,
             "every estimated parameter",
             "standard errors are below half of the sizes of identifiable parameters",
             otherwise="warn" if mostly else "fail",
-            reason=f"not identifiable: {names}",
+            reason=f"not identifiable: {listed}",
         )
     )
     if at_bound:
-        names, limit = ", ".join(at_bound), "no parameter at a bound"
-        found.append(ev.check("inside bounds", names, False, limit, reason=f"at a bound: {names}"))
+        listed = ", ".join(at_bound)
+        reason = f"at a bound: {listed}"
+        found.append(ev.check("inside bounds", listed, False, "no parameter at a bound", reason=reason))
     found += [_whiteness(result, channel) for channel in result.noise]
     if sum(t.role == "fit" for t in result.trials) > 2:
         p, passed, text = blocks.p_text(result.scatter_p), result.scatter_p >= HETEROGENEITY, ""
@@ -392,6 +397,9 @@ def figures(result: FitResult) -> list[ev.Figure]:
         series = result.series_of(channel.name)
         name = channel.meaning or channel.name
         factor, unit = numbers.in_degrees(channel.unit)
+        # the runs of a table have no order in time
+        ordered = not result.model.timed_runs
+        correlation = autocorrelation(_weighted(result, channel.name)) if ordered else None
         found += [
             blocks.measured_and_simulated(
                 f"overlay-{channel.name}",
@@ -405,11 +413,10 @@ def figures(result: FitResult) -> list[ev.Figure]:
             blocks.residuals(
                 f"residuals-{channel.name}",
                 f"Residuals of {name}",
-                "Measured minus simulated over the standard deviation of the noise, and the autocorrelation "
-                "over all fitted trials with the 95 % band of white noise.",
+                "Measured minus simulated over the standard deviation of the noise.",
                 result.model.abscissa,
                 series,
-                autocorrelation(_weighted(result, channel.name)),
+                correlation,
             ),
         ]
     return found
@@ -418,7 +425,7 @@ def figures(result: FitResult) -> list[ev.Figure]:
 def answer(file: ParameterFile) -> str:
     """Return the first shared parameters that were estimated, as one sentence."""
     parts = [
-        f"{name} {numbers.measured(e.value, e.stderr, e.unit)}"
+        f"{spoken(name, e.meaning)} {numbers.measured(e.value, e.stderr, e.unit)}"
         for name, e in file.parameters.items()
         if e.status == "estimated" and "[" not in name
     ]

@@ -59,6 +59,7 @@ class Drawn(Result):
             digests = {str(provenance.path_of(one)): provenance.digest_of(one) for one in self.inputs}
             text = page.render(
                 [self],
+                [self.content()],
                 template="report.html",
                 title=self.evidence.title,
                 created=datetime.now(UTC),

@@ -29,6 +29,8 @@ DEPARTURE_RTOL, DEPARTURE_Z, MIN_LEVELS = 0.01, 4.0, 3
 LAWS = {"frequency_exponent": 3.0, "amplitude_exponent": 2.0}
 #: Largest distance of a free exponent from that of the law, in standard errors.
 EXPONENT_Z = 3.0
+#: Distance over which the average speed is the terminal one to a millionth, m.
+FAR_M = 1e7
 #: Parameters that the law takes from a drag file.
 DRAG_PARAMETERS = ("drag_coefficient", "added_mass")
 #: Strouhal numbers of efficient swimmers.
@@ -387,6 +389,8 @@ def _figures(experiment: Experiment, result: FitResult, points: list[dict[str, A
             over_frequency.append(_points(runs, "frequency_hz", "mean_speed_m_s", 100.0, group))
             over_frequency.append(ev.Trace(x=line, y=law, group=group))
             force.append(_points(runs, "frequency_hz", "propulsive_force_N", 1e3, group))
+            terminal = _law(result, trial, line, np.full(len(line), amplitude), FAR_M)
+            force.append(ev.Trace(x=line, y=1e3 * result.model.drag_area_kg_m * terminal**2, group=group))
             wake.append(_points(runs, "frequency_hz", "strouhal", 1.0, group))
         runs = [p for p in own if p["frequency_hz"] in swept]
         if runs:
@@ -397,7 +401,7 @@ def _figures(experiment: Experiment, result: FitResult, points: list[dict[str, A
     at, x_label = {"title": f"at {amplitude:g}°"}, "frequency (Hz)"
     speeds = [blocks.panel(x_label, "average speed (cm/s)", over_frequency, **at)]
     if over_amplitude:
-        title, y_label = f"at {swept[0]:g} Hz", "average speed^1.5 (cm/s)^1.5"
+        title, y_label = f"at {swept[0]:g} Hz", "speed¹·⁵ ((cm/s)¹·⁵)"
         speeds.append(blocks.panel("amplitude (°)", y_label, over_amplitude, title=title))
     low, high = EFFICIENT_STROUHAL
     efficient = [ev.Mark(at=low), ev.Mark(at=high, label="efficient swimmers")]
@@ -409,7 +413,9 @@ def _figures(experiment: Experiment, result: FitResult, points: list[dict[str, A
         "Points are runs, lines the fitted law: straight through the origin over frequency, straight with "
         "the offset as intercept over amplitude."
     )
-    about_forces = "Under the law force grows with the square of frequency at a constant Strouhal number."
+    about_forces = (
+        "Lines are the fitted law: force grows with the square of frequency, the Strouhal number is constant."
+    )
     return [
         blocks.panels("speeds", "Average speed", about_speeds, speeds),
         blocks.panels("force", "Force and Strouhal number", about_forces, forces),
@@ -423,15 +429,19 @@ def _points(
     return blocks.points(runs, lambda p: p[x], lambda p: (factor * p[y]) ** power, label=label, group=group)
 
 
-def _law(result: FitResult, trial: Trial, frequency: Array, amplitude_deg: Array) -> Array:
-    """Return the average speed of runs under the law, m/s."""
+def _law(
+    result: FitResult, trial: Trial, frequency: Array, amplitude_deg: Array, distance_m: float | None = None
+) -> Array:
+    """Return the average speed of runs under the law, m/s, by default over the median distance."""
+    if distance_m is None:
+        distance_m = float(np.median(trial.inputs["distance_m"]))
     runs = replace(
         trial,
         time_s=np.arange(len(frequency), dtype=float),
         inputs={
             "frequency_hz": frequency,
             "amplitude_rad": np.deg2rad(amplitude_deg),
-            "distance_m": np.full(len(frequency), float(np.median(trial.inputs["distance_m"]))),
+            "distance_m": np.full(len(frequency), distance_m),
         },
     )
     return result.model.simulate(result.values(trial.id), runs)[SPEED]

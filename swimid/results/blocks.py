@@ -9,15 +9,7 @@ import numpy as np
 
 from swimid.notices import Notice
 from swimid.results import numbers
-from swimid.results.evidence import (
-    Figure,
-    Mark,
-    NoticeRecord,
-    Panel,
-    Table,
-    Trace,
-    thinned,
-)
+from swimid.results.evidence import Figure, Mark, NoticeRecord, Panel, Table, Trace, thinned
 
 #: Points of one trial in a figure that shows many.
 POINTS = 400
@@ -45,7 +37,9 @@ def p_text(p: float) -> str:
     >>> p_text(0.0321), p_text(1e-20)
     ('p = 0.032', 'p < 10⁻¹⁶')
     """
-    return f"p = {numbers.number(p, 2)}" if p >= 1e-16 else "p < 10⁻¹⁶"
+    if p < 1e-16:
+        return "p < 10⁻¹⁶"
+    return f"p = {numbers.number(p, 2)}"
 
 
 def notices(recorded: Sequence[Notice]) -> list[NoticeRecord]:
@@ -128,10 +122,10 @@ def measured_and_simulated(
         stride = max(len(s.time_s) // MAX_MARKS, 1)
         known = np.flatnonzero(np.isfinite(s.measured))[::stride]
         x, y = thinned(s.time_s, factor * s.simulated, POINTS)
-        labels = ("", "") if drawn else ("measured", "simulated")
+        measured = factor * s.measured[known]
         traces = [
-            Trace(x=s.time_s[known], y=factor * s.measured[known], style="points", label=labels[0], group=0),
-            Trace(x=x, y=y, label=labels[1], group=0),
+            Trace(x=s.time_s[known], y=measured, style="points", label="measured", group=0),
+            Trace(x=x, y=y, label="simulated", group=0),
         ]
         drawn.append(panel(x_label, y_label, traces, title=name))
     return panels(id, title, caption, drawn)
@@ -154,43 +148,42 @@ def _extremes(shown: Sequence[Series]) -> dict[str, Series]:
 
 def _rms(values: Any) -> float:
     known = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
+    return float(np.sqrt(np.sum(known**2) / max(len(known), 1)))
 
 
 def residuals(
-    id: str, title: str, caption: str, x_label: str, shown: Sequence[Series], correlation: Correlogram
+    id: str, title: str, caption: str, x_label: str, shown: Sequence[Series], correlation: Correlogram | None
 ) -> Figure:
-    """Return the weighted residuals, one row for each of the worst trials, and their autocorrelation."""
+    """Return the weighted residuals, one row for each of the worst trials, and any autocorrelation."""
     rows = sorted(shown, key=lambda s: -_rms(s.weighted))[:MAX_ROWS]
     traces: list[Trace] = []
     for k, s in enumerate(rows):
         x, y = thinned(s.time_s, np.clip(s.weighted, -ROW_SD, ROW_SD), POINTS)
-        role = "fit" if s.role == "fit" else "held out"
-        label = role if role not in [trace.label for trace in traces] else ""
-        group = 0 if s.role == "fit" else 1
+        group, label = 0, "fit"
+        if s.role != "fit":
+            group, label = 1, "held out"
         traces.append(Trace(x=x, y=k - y / (2.2 * ROW_SD), style="points", label=label, group=group))
     over_time = Panel(
         x_label=x_label,
-        y_label=f"residual / sd, ±{ROW_SD:g} in a row",
+        y_label=f"residual (row: ±{ROW_SD:g} sd)",
         y_categories=[s.trial for s in rows],
         invert_y=True,
         traces=traces,
         marks=[Mark(at=k) for k in range(len(rows))],
     )
+    if correlation is None:
+        return panels(id, title, caption, [over_time], columns=1)
     lagged = correlogram(correlation, "autocorrelation", "residuals", skip_zero=True)
-    return Figure(id=id, title=title, caption=caption, columns=2, panels=[over_time, lagged])
+    caption += " The autocorrelation is of all fitted trials, with the 95 % band of white noise."
+    return panels(id, title, caption, [over_time, lagged])
 
 
 def correlogram(correlation: Correlogram, y_label: str, label: str, *, skip_zero: bool) -> Panel:
-    """A correlation function as stems over its band."""
-    stems, null = correlogram_traces(correlation, skip_zero=skip_zero)
-    stems.label, stems.group, null.group = label, 0, 1
-    return Panel(x_label="lag (samples)", y_label=y_label, traces=[stems, null], marks=[Mark(at=0.0)])
-
-
-def correlogram_traces(correlation: Correlogram, *, skip_zero: bool) -> tuple[Trace, Trace]:
-    """Stems at the lags, and the 95 % band."""
-    keep = correlation.lags != 0 if skip_zero else np.ones(len(correlation.lags), dtype=bool)
+    """Return a correlation function as stems over the 95 % band of white noise."""
+    keep = np.ones(len(correlation.lags), dtype=bool)
+    if skip_zero:
+        keep = correlation.lags != 0
     lags = correlation.lags[keep]
-    stems = Trace(x=lags, y=correlation.values[keep], style="stems")
-    return stems, band(lags, np.zeros(len(lags)), correlation.bound[keep], label="95 % band")
+    stems = Trace(x=lags, y=correlation.values[keep], style="stems", label=label, group=0)
+    null = band(lags, np.zeros(len(lags)), correlation.bound[keep], label="95 % band", group=1)
+    return panel("lag (samples)", y_label, [stems, null], marks=[Mark(at=0.0)])

@@ -138,9 +138,12 @@ def paint(axes: Axes, panel: Panel, slots: dict[Any, int], *, compact: bool = Fa
             _bars(axes, trace, slot, bars.index(trace), len(bars))
         else:
             paired = trace.group in pointed & lined
-            _trace(axes, trace, slot, repeat, paired=paired, compact=compact)
+            small = paired or panel.y_categories is not None
+            _trace(axes, trace, slot, repeat, paired=paired, small=small, compact=compact)
     axes.set_xlabel("\n".join(textwrap.wrap(panel.x_label, 52)))
-    axes.set_ylabel("\n".join(textwrap.wrap(panel.y_label, 36)))
+    # two thirds of the height are left beside the axis
+    letters = int(72 * _height(panel) / (1.5 * LETTER * FONT))
+    axes.set_ylabel("\n".join(textwrap.wrap(panel.y_label, letters)))
     _scales(axes, panel)
     for mark in panel.marks:
         line = axes.axhline if mark.axis == "y" else axes.axvline
@@ -162,7 +165,9 @@ def slots_of(figure: Figure) -> dict[Any, int]:
 
 
 def _key(trace: Trace, index: int) -> Any:
-    return trace.group if trace.group is not None else trace.label or ("trace", index)
+    if trace.group is not None:
+        return trace.group
+    return trace.label or ("trace", index)
 
 
 def _colour(slot: int) -> str:
@@ -170,11 +175,13 @@ def _colour(slot: int) -> str:
 
 
 def _array(values: Sequence[float | None]) -> Array:
-    return np.array([math.nan if v is None else v for v in values], dtype=float)
+    return np.array(values, dtype=float)  # None becomes NaN
 
 
-def _trace(axes: Axes, trace: Trace, slot: int, repeat: int, *, paired: bool, compact: bool) -> None:
-    """Draw a line or points; ``paired`` ones are a measurement and its model."""
+def _trace(
+    axes: Axes, trace: Trace, slot: int, repeat: int, *, paired: bool, small: bool, compact: bool
+) -> None:
+    """Draw a line or points; ``paired`` ones are a measurement and its model, ``small`` points lie close."""
     for name in ("y", "y_error", "lower", "upper"):
         values = getattr(trace, name)
         if values is not None and len(values) != len(trace.x):
@@ -195,51 +202,39 @@ def _trace(axes: Axes, trace: Trace, slot: int, repeat: int, *, paired: bool, co
         if trace.style == "stems":
             axes.vlines(x, 0, y, color=colour, lw=0.9)
         size = float(np.interp(len(x), [20, 60, 400, 2000], [4.0, 3.0, 2.0, 1.4]))
-        _points(axes, x, y, colour, marker, label, size=0.6 * size if paired else size, compact=compact)
+        if small:
+            size *= 0.6
+        about: dict[str, Any] = {"ls": "", "mew": 0, "color": colour, "label": label, "zorder": 2.5}
+        if compact and len(x) >= MIN_CLOUD:
+            # one path of strokes of almost no length
+            end, gap = x + 1e-4 * (float(np.ptp(x[np.isfinite(x)])) or 1.0), np.full(len(x), np.nan)
+            dots = [np.column_stack(parts).ravel() for parts in ((x, end, gap), (y, y, gap))]
+            (line,) = axes.plot(*dots, color=colour, lw=size, solid_capstyle="round", zorder=2.5)
+            line.get_path().should_simplify = False
+            x, y, marker, size = np.array([]), np.array([]), "o", 3.0
+        axes.plot(x, y, marker=marker, ms=size, **about)
         return
-    (line,) = axes.plot(x, y, color=colour, lw=1.0, label=label, zorder=2)
+    steps = {"step": "steps-post"}.get(trace.style, "default")
+    (line,) = axes.plot(x, y, color=colour, lw=1.0, label=label, zorder=2, drawstyle=steps)
     if paired:
         line.set(lw=2.6, alpha=0.4)
-    if trace.style == "step":
-        line.set_drawstyle("steps-post")
     if trace.style == "dashed" or repeat:
         line.set_dashes(DASHES[repeat % len(DASHES)])
     elif slot and not paired and trace.style != "arrows":
         line.set_dashes(DASHES[(slot - 1) % len(DASHES)])
 
 
-def _points(
-    axes: Axes,
-    x: Array,
-    y: Array,
-    colour: str,
-    marker: str,
-    label: str | None,
-    *,
-    size: float,
-    compact: bool,
-) -> None:
-    """Draw points above the lines; many compact ones as one path of strokes of almost no length."""
-    if len(x) < MIN_CLOUD or not compact:
-        axes.plot(x, y, ls="", marker=marker, ms=size, mew=0, color=colour, label=label, zorder=2.5)
-        return
-    gap = np.full(len(x), np.nan)
-    end = x + 1e-4 * (float(np.nanmax(x) - np.nanmin(x)) or 1.0)
-    dots = [np.column_stack(parts).ravel() for parts in ((x, end, gap), (y, y, gap))]
-    (line,) = axes.plot(*dots, color=colour, lw=size, solid_capstyle="round", zorder=2.5)
-    line.get_path().should_simplify = False
-    axes.plot([], [], ls="", marker="o", ms=3, mew=0, color=colour, label=label)
-
-
 def _bars(axes: Axes, trace: Trace, slot: int, index: int, count: int) -> None:
     """Draw one of several sets of bars side by side."""
     x = _array(trace.x)
-    pitch = float(np.min(np.diff(np.sort(x)))) if len(x) > 1 else 1.0
+    pitch = float(np.min(np.diff(np.sort(x)), initial=np.inf))
+    if not math.isfinite(pitch):  # a single bar
+        pitch = 1.0
     width = 0.8 * pitch / count
     axes.bar(
         x + (index - (count - 1) / 2) * width,
         _array(trace.y),
-        yerr=None if trace.y_error is None else _array(trace.y_error),
+        yerr=trace.y_error and _array(trace.y_error),
         width=0.92 * width,
         color=_colour(slot),
         hatch=HATCHES[index % len(HATCHES)],
@@ -259,7 +254,7 @@ def _scales(axes: Axes, panel: Panel) -> None:
             axis.set_minor_formatter(NullFormatter())
             continue
         largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
-        power = math.floor(math.log10(largest)) if largest else 0
+        power = math.floor(math.log10(largest or 1.0))
         if not -3 <= power < 5:
             axis.set_major_formatter(FuncFormatter(partial(_scaled, 10.0**power)))
             axis.set_label_text(f"{axis.get_label_text()}, × {numbers.power_of_ten(power)}")
@@ -280,8 +275,10 @@ def _scaled(factor: float, value: float, _: int | None) -> str:
     return f"{value / factor:.4g}".replace("-", "−")
 
 
-def _cut(name: str, letters: int = 24) -> str:
-    return name if len(name) <= letters else name[: letters - 1] + "…"
+def _cut(name: str, letters: int = 28) -> str:
+    if len(name) > letters:
+        name = name[: letters - 1] + "…"
+    return name
 
 
 def _slant(axes: Axes, names: Sequence[str]) -> None:
@@ -293,11 +290,12 @@ def _slant(axes: Axes, names: Sequence[str]) -> None:
 
 
 def _spans(axes: Axes, panel: Panel) -> None:
-    labels = list(dict.fromkeys(span.label for span in panel.spans if span.label))
-    for index, span in enumerate(panel.spans):
-        label = labels[0] if len(labels) == 1 and not index else None
-        axes.axvspan(span.start, span.end, facecolor=palette()["shade"], lw=0, zorder=0.5, label=label)
-        if len(labels) > 1 and span.label:
+    labels = {span.label for span in panel.spans if span.label}
+    for span in panel.spans:
+        area = axes.axvspan(span.start, span.end, facecolor=palette()["shade"], lw=0, zorder=0.5)
+        if len(labels) == 1:
+            area.set_label(*labels)
+        elif span.label:
             at, across = (span.start + span.end) / 2, axes.get_xaxis_transform()
             axes.text(at, 0.98, span.label, transform=across, ha="center", va="top", fontsize=FONT - 1.5)
 
@@ -366,8 +364,10 @@ def _shape(panel: Panel) -> float:
     spans = []
     for name in ("x", "y"):
         values = [v for trace in panel.traces for v in getattr(trace, name) if v is not None]
-        spans.append(max(values) - min(values) if values else 0.0)
-    return spans[1] / spans[0] if spans[0] else HEIGHT / WIDTH
+        spans.append(max(values, default=0.0) - min(values, default=0.0))
+    if not spans[0]:
+        return HEIGHT / WIDTH
+    return spans[1] / spans[0]
 
 
 def canvas(
@@ -410,7 +410,8 @@ def canvas(
 
 
 def _rows(figure: Figure) -> list[tuple[Figure, list[Panel]]]:
-    across = 2 if figure.columns > 1 else 1
+    """Return the panels of each row, with their figure."""
+    across = min(figure.columns, 2)
     return [(figure, figure.panels[k : k + across]) for k in range(0, len(figure.panels), across)]
 
 
@@ -419,7 +420,7 @@ def write(
 ) -> None:
     """Write figures as ``.svg`` or ``.png``, on white, whole or not at all."""
     kind = path.suffix.lower().removeprefix(".")
-    metadata = {"Date": None, "Creator": SOFTWARE} if kind == "svg" else {"Software": SOFTWARE}
+    metadata = {"svg": {"Date": None, "Creator": SOFTWARE}, "png": {"Software": SOFTWARE}}[kind]
     with mpl.rc_context({**style(), "svg.fonttype": "path"}):
         drawn = canvas(figures, title=title, step=step)
         with atomic.replacing(path) as temporary:
@@ -452,7 +453,7 @@ def for_page(figure: Figure, prefix: str, step: Callable[[int], None] = lambda a
             file = io.StringIO()
             drawn.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
             names = ", ".join(trace.label for trace in panel.traces if trace.label)
-            title = f"{figure.title}: {panel.title}" if panel.title else figure.title
+            title = ": ".join(filter(None, [figure.title, panel.title]))
             about = f"{title}. {panel.y_label} over {panel.x_label}. {names}"
             drawings.append(_inline(file.getvalue(), f"{prefix}{index}-", about))
     step(1)
@@ -469,9 +470,9 @@ def _inline(text: str, prefix: str, about: str) -> str:
     used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', text))
     text = re.sub(r"<[^>]*>", lambda match: _tag(match[0], prefix, used), text)
     text = re.sub(r">\s+<", "><", re.sub(r"<defs>\s*</defs>", "", text))
-    box = re.search(r'viewBox="[^"]+"', text)
+    box = "".join(re.findall(r'viewBox="[^"]+"', text)[:1])
     inside = text[text.index(">") + 1 :].strip()
-    frame = f'xmlns="http://www.w3.org/2000/svg" {box[0] if box else ""}'
+    frame = f'xmlns="http://www.w3.org/2000/svg" {box}'
     return f'<svg {frame} role="img" aria-label="{escape(about, quote=True)}">{inside}'
 
 

@@ -1,8 +1,7 @@
-"""Evidence: what a result rests on, as data (``swimid-evidence/1``).
+"""Evidence of a result as data: verdict, checks, tables and figures (``swimid-evidence/1``).
 
-A verb writes it beside its result (``drag.yaml`` -> ``drag.evidence.json``). The report
-draws every kind of evidence with the same code, so a new model brings its figures as data
-and touches no drawing code. Numbers are kept as computed; NaN is written as null.
+A command writes it beside its result (``drag.yaml``: ``drag.evidence.json``). Reports draw the evidence of
+all commands with the same code. Numbers keep every digit; NaN is written as null.
 """
 
 from __future__ import annotations
@@ -156,12 +155,17 @@ class Check(_Part):
 
 
 class Verdict(_Part):
-    """The one sentence a reader takes away."""
+    """Level of a result, and the sentence that says what it found and why it has this level."""
 
     level: Literal["good", "caution", "bad"]
     text: str
     #: What a badge says; by default the level.
     word: str = ""
+
+    def lowered(self, level: str, text: str) -> Verdict:
+        """Return this verdict with another text, at the level given or at its own if that is lower."""
+        worst = max(level, self.level, key=("good", "caution", "bad").index)
+        return self.model_copy(update={"level": worst, "text": text})
 
 
 class NoticeRecord(_Part):
@@ -172,11 +176,12 @@ class NoticeRecord(_Part):
 
 
 class Evidence(_Part):
-    """Everything the report shows of one result, apart from its parameters."""
+    """Everything that a report shows of a result beside the content of its file."""
 
     format: Literal["swimid-evidence/1"] = FORMAT
-    #: Name of the file it lies beside; empty in memory.
+    #: Name and SHA-256 of the content of the file that it was written for; empty in memory.
     result: str = ""
+    sha256: str = ""
     verb: str
     title: str
     verdict: Verdict
@@ -204,13 +209,12 @@ class Evidence(_Part):
         """
         if any(check.name == POSSIBLE for check in self.checks):
             return self
-        for code, grade in (("SWM034", "fail"), ("SWM002", "warn")):
+        for code, grade, level in (("SWM034", "fail", "bad"), ("SWM002", "warn", "caution")):
             texts = "; ".join(notice.text for notice in self.notices if notice.code == code)
             if texts:
                 self.checks.append(Check(name=POSSIBLE, value="beyond", verdict=grade, text=texts))
-                level = "bad" if grade == "fail" or self.verdict.level == "bad" else "caution"
                 text = f"{self.verdict.text} Values that no swimmer reaches: {texts}."
-                self.verdict = Verdict(level=level, text=text)
+                self.verdict = self.verdict.lowered(level, text)
                 break
         return self
 
@@ -251,11 +255,13 @@ def judged(answer: str, checks: Sequence[Check]) -> Verdict:
     It is bad where a check fails, caution where one warns, and else good.
     """
     for grade, level, words in (("fail", "bad", "Do not rely on it"), ("warn", "caution", "Caution")):
-        found = [c.reason or f"{c.name} {c.value}".strip() for c in checks if c.verdict == grade]
-        if found:
-            more = f"; and {len(found) - MAX_REASONS} more" if len(found) > MAX_REASONS else ""
-            reasons = "; ".join(dict.fromkeys(found[:MAX_REASONS]))
-            return Verdict(level=level, text=f"{answer} {words}: {reasons}{more}.")  # type: ignore[arg-type]
+        failed = [c.reason or f"{c.name} {c.value}".strip() for c in checks if c.verdict == grade]
+        reasons = list(dict.fromkeys(failed))
+        if reasons:
+            shown = reasons[:MAX_REASONS]
+            if len(reasons) > MAX_REASONS:
+                shown.append(f"and {len(reasons) - MAX_REASONS} more")
+            return Verdict(level=level, text=f"{answer} {words}: {'; '.join(shown)}.")  # type: ignore[arg-type]
     return Verdict(level="good", text=answer)
 
 
@@ -283,29 +289,15 @@ def leaves(entries: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any
 
 
 def sidecar(result: str | Path) -> Path:
-    """Where the evidence of a result file lies: ``drag.yaml`` -> ``drag.evidence.json``."""
+    """Return the path of the evidence of a result file: ``drag.yaml`` has ``drag.evidence.json``."""
     result = Path(result)
     return result.with_name(f"{result.stem}.evidence.json")
 
 
 def write(path: str | Path, evidence: Evidence) -> None:
-    """Write evidence as JSON, whole or not at all."""
+    """Write evidence as JSON, complete or not at all."""
     text = json.dumps(evidence.model_dump(mode="json"), ensure_ascii=False, allow_nan=False)
     atomic.write_text(path, text + "\n")
-
-
-def write_beside(result: Path, evidence: Evidence) -> list[Path]:
-    """Write the evidence of a result that was just written; a device takes the result alone.
-
-    Returns
-    -------
-    list of Path
-        The result, and its evidence where there is any.
-    """
-    if atomic.is_device(result):
-        return [result]
-    write(sidecar(result), evidence.model_copy(update={"result": result.name}))
-    return [result, sidecar(result)]
 
 
 def check_beside(result: Path) -> None:
@@ -331,7 +323,7 @@ def remove_outdated(result: Path) -> None:
 
 
 def _owner(path: Path) -> str:
-    """Name of the file whose evidence this is; empty where it is unknown."""
+    """Return the name of the file that evidence belongs to; empty if it is unknown."""
     try:
         data = json.loads(path.read_bytes())
     except (OSError, ValueError):
@@ -350,7 +342,7 @@ def read(path: str | Path) -> Evidence:
     path = Path(path)
     try:
         with file_errors(path):
-            return Evidence.model_validate_json(path.read_bytes()).model_copy(update={"result": ""})
+            return Evidence.model_validate_json(path.read_bytes())
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
@@ -358,7 +350,7 @@ def read(path: str | Path) -> Evidence:
 
 
 def thinned(x: Any, y: Any, points: int = MAX_POINTS) -> tuple[np.ndarray, np.ndarray]:
-    """x and y reduced to at most ``points`` samples that keep the envelope of y.
+    """Return at most ``points`` samples of x and y that keep the envelope of y.
 
     The record is cut into equal stretches; of each the smallest and the largest sample are
     kept in their order, so that no peak is lost.

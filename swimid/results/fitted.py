@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from swimid.results import numbers
 from swimid.results.evidence import Evidence, Table, Verdict, leaf_table
-from swimid.results.parameters import Correlation, Estimate, Fit, ParameterFile
+from swimid.results.parameters import Correlation, Estimate, Fit, ParameterFile, spoken
 from swimid.results.result import FileResult
 
 if TYPE_CHECKING:
@@ -61,12 +61,8 @@ class Fitted(FileResult[ParameterFile]):
         """Correlations of the estimates; empty where fewer than two have an error."""
         import pandas as pd
 
-        correlation = self.file.correlation
-        return pd.DataFrame(
-            correlation.matrix if correlation else [],
-            index=correlation.names if correlation else [],
-            columns=correlation.names if correlation else [],
-        )
+        found = self.file.correlation or Correlation(names=[], matrix=[])
+        return pd.DataFrame(found.matrix, index=found.names, columns=found.names)
 
     @property
     def converged(self) -> bool:
@@ -98,11 +94,11 @@ class Fitted(FileResult[ParameterFile]):
             _estimates("parameters", "Parameters", shared),
             _estimates("parameters-of-trials", "Parameters of single trials", own, folded=True),
             _estimates("derived", "Derived quantities", file.derived),
-            _channels(file.fit),
             _poles(file),
             _correlation(file.correlation),
         ]
         if file.fit is not None:
+            tables.insert(3, _channels(file.fit))
             more = file.fit.model_extra or {}
             single = {name: value for name, value in more.items() if not _is_records(value)}
             details = {"trials": file.fit.trials, "noise": file.fit.noise, **single}
@@ -111,14 +107,15 @@ class Fitted(FileResult[ParameterFile]):
 
     def bare(self) -> Evidence:
         """Return what a report shows of a parameter file whose evidence is missing."""
-        weak = [name for name, e in self.file.parameters.items() if e.status == "unidentifiable"]
+        parameters = self.file.parameters.items()
+        weak = [spoken(name, e.meaning) for name, e in parameters if e.status == "unidentifiable"]
         verdict = Verdict(level="caution", text="No evidence file, so its checks cannot be shown.")
         if self.file.fit is not None and not self.file.fit.converged:
             verdict = Verdict(level="bad", text="The fit did not converge.")
         elif weak:
-            estimated = any(e.status == "estimated" for e in self.file.parameters.values())
-            level: Literal["caution", "bad"] = "caution" if estimated else "bad"
-            verdict = Verdict(level=level, text=f"Not identifiable: {', '.join(weak)}. No evidence file.")
+            verdict = Verdict(level="bad", text=f"Not identifiable: {', '.join(weak)}. No evidence file.")
+            if any(e.status == "estimated" for _, e in parameters):
+                verdict.level = "caution"
         title = f"Parameters of {self.file.model}"
         return Evidence(verb=self.verb, title=title, verdict=verdict, provenance=self.file.provenance)
 
@@ -131,15 +128,17 @@ def _estimates(id: str, title: str, estimates: dict[str, Estimate], *, folded: b
     """Return a table of estimates, rounded to two digits of their standard errors."""
     rows: list[list[Any]] = []
     for name, e in estimates.items():
-        band = ""
-        if e.status == "estimated":
-            ends = interval95(e)
-            band = numbers.bounds_text(e.ci95) if e.ci95 else ""
-            band = numbers.interval(*ends, e.stderr) if ends else band
-        rows.append(
-            [name, value_text(e), band, numbers.bounds_text(e.bounds), STATUS.get(e.status, e.status)]
-        )
-    columns = ["parameter", "value ± sd", "95 % interval", "allowed", "status"]
+        band, ends = "", interval95(e)
+        if e.status == "estimated" and ends is not None:
+            band = numbers.interval(*ends, e.stderr)
+        elif e.status == "estimated" and e.ci95 is not None:
+            band = numbers.bounds_text(e.ci95)
+        status = STATUS.get(e.status, e.status)
+        rows.append([name, value_text(e), band, status, e.meaning, numbers.bounds_text(e.bounds)])
+    columns = ["parameter", "value ± sd", "95 % interval", "status", "meaning", "allowed"]
+    if not any(e.meaning for e in estimates.values()):
+        columns.remove("meaning")
+        rows = [[*row[:4], *row[5:]] for row in rows]
     return Table(id=id, title=title, columns=columns, rows=rows, folded=folded)
 
 
@@ -153,52 +152,63 @@ def value_text(estimate: Estimate) -> str:
 
 
 def _correlation(correlation: Correlation | None) -> Table:
-    names = [] if correlation is None else correlation.names
-    matrix = [] if correlation is None else correlation.matrix
-    rows: list[list[Any]] = [
-        [name, *(numbers.fixed(r, 2) for r in row)] for name, row in zip(names, matrix, strict=True)
-    ]
+    """Return the correlation matrix; without rows if there are fewer than two estimates."""
+    names: list[str] = []
+    rows: list[list[Any]] = []
+    if correlation is not None and len(correlation.names) > 1:
+        names = correlation.names
+        for name, row in zip(names, correlation.matrix, strict=True):
+            rows.append([name, *(numbers.fixed(r, 2) for r in row)])
     return Table(
         id="correlation",
         title="Correlation of the estimates",
         columns=["", *names],
-        rows=rows if len(rows) > 1 else [],
+        rows=rows,
         caption="Above 0.9 in size the trials determine a combination of two better than either of them.",
         folded=True,
     )
 
 
-def _channels(fit: Fit | None) -> Table:
-    """Return the errors of fitted and of validation trials by channel."""
+def _channels(fit: Fit) -> Table:
+    """Return the errors of fitted and of validation trials by channel, beside the noise."""
     rows: list[list[Any]] = []
-    validation = {} if fit is None else fit.validation.get("channels", {})
-    for label, entries in (("fit", {} if fit is None else fit.channels), ("validation", validation)):
+    for label, entries in {"fit": fit.channels, "validation": fit.validation.get("channels", {})}.items():
         for name, entry in entries.items():
-            rmse = numbers.number(entry.get("rmse"), 3, str(entry.get("unit", "")))
-            rows.append([name, label, rmse, numbers.percent(entry.get("nrmse")), entry.get("samples")])
-    columns = ["channel", "data", "RMSE", "NRMSE", "samples"]
+            unit, rmse, nrmse = str(entry.get("unit", "")), entry.get("rmse"), entry.get("nrmse")
+            noise, ratio = _noise(fit.noise.get(name, {}), rmse, unit)
+            errors = [numbers.number(rmse, 3, unit), noise, ratio, numbers.percent(nrmse)]
+            rows.append([name, label, *errors, entry.get("samples")])
+    columns = ["channel", "data", "RMSE", "noise", "RMSE / noise", "NRMSE", "samples"]
     return Table(id="errors", title="Errors by channel", columns=columns, rows=rows)
 
 
+def _noise(known: dict[str, Any], rmse: float | None, unit: str) -> tuple[str, str]:
+    """Return the standard deviation of the noise, of values and of time, and an error over it."""
+    sd, time_sd_s = known.get("value_sd"), known.get("time_sd_s")
+    text, ratio = numbers.number(sd, 3, unit), numbers.NOTHING
+    if time_sd_s:
+        text += f", {numbers.number(1e3 * time_sd_s, 3, 'ms')} in time"
+    elif rmse is not None and sd:
+        ratio = numbers.number(rmse / sd, 3)
+    return text, ratio
+
+
 def _poles(file: ParameterFile) -> Table:
-    rows: list[list[Any]] = [
-        [
-            numbers.fixed(p.real, 4),
-            numbers.fixed(p.imag, 4),
-            numbers.measured(p.magnitude, p.stderr_magnitude),
-            "inside" if p.magnitude < 1 else "on or outside",
-        ]
-        for p in file.poles or []
-    ]
-    return Table(
-        id="poles", title="Poles", columns=["real", "imaginary", "magnitude", "unit circle"], rows=rows
-    )
+    """Return the poles of a discrete-time model."""
+    rows: list[list[Any]] = []
+    for p in file.poles or []:
+        magnitude = numbers.measured(p.magnitude, p.stderr_magnitude)
+        place = ("inside", "on or outside")[p.magnitude >= 1]
+        rows.append([numbers.fixed(p.real, 4), numbers.fixed(p.imag, 4), magnitude, place])
+    columns = ["real", "imaginary", "magnitude", "unit circle"]
+    return Table(id="poles", title="Poles", columns=columns, rows=rows)
 
 
 def interval95(estimate: Estimate) -> tuple[float, float] | None:
-    """95 % interval: by profile likelihood where that was asked for, else by the standard error."""
-    if estimate.ci95 and estimate.ci95[0] is not None and estimate.ci95[1] is not None:
-        return estimate.ci95[0], estimate.ci95[1]
+    """Return the 95 % interval, by profile likelihood if that was asked for, else by the standard error."""
+    low, high = estimate.ci95 or (None, None)
+    if low is not None and high is not None:
+        return low, high
     return numbers.confidence95(estimate.value, estimate.stderr)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from pathlib import Path
 
-from swimid.errors import InputError, nearest
+from swimid.errors import InputError, suggestion
 from swimid.files import tabular, yamlio
 from swimid.results.result import Result
 
@@ -53,14 +53,15 @@ def load_result(path: str | Path) -> Result:
     if path.name.endswith(".evidence.json"):
         stem = path.name.removesuffix(".evidence.json")
         there = [e for e in (".yaml", ".yml", *LOG_ENDINGS) if path.with_name(stem + e).exists()]
-        result = stem + (there[0] if there else ".yaml")
+        result = stem + (there or [".yaml"])[0]
         raise InputError("is the evidence of a result", file=path, hint=f"name the result itself: {result}")
     if ending in (".yaml", ".yml"):
         form = yamlio.load(path).get("format")
         if form not in FORMATS:
-            reason = "has no 'format'" if form is None else f"its format '{form}' is that of no result"
-            close = nearest(str(form), sorted(FORMATS))
-            hint = f"did you mean '{close}'?" if close else f"known: {', '.join(sorted(FORMATS))}"
+            reason = f"its format '{form}' is that of no result"
+            if form is None:
+                reason = "has no 'format'"
+            hint = suggestion(str(form), sorted(FORMATS), "known")
             raise InputError(reason, file=path, line=1, column="format", hint=hint)
         place = FORMATS[str(form)]
     elif ending not in LOG_ENDINGS:

@@ -1,7 +1,6 @@
-"""Numbers and units as people read them.
+"""Numbers and units as people read them, in reports and on terminals alike.
 
-One place for the report and for what verbs print, so that the same estimate looks the same
-everywhere. The text is Unicode: ``−`` for minus, ``×`` and superscripts for powers of ten.
+The text is Unicode: ``−`` for minus, ``×`` and superscripts for powers of ten.
 
 >>> measured(0.70512, 0.0331)
 '0.705 ± 0.033'
@@ -10,7 +9,7 @@ everywhere. The text is Unicode: ``−`` for minus, ``×`` and superscripts for 
 >>> number(0.0012345678)
 '0.001235'
 >>> column_title("u_m_s")
-'u (m/s)'
+'surge speed (m/s)'
 """
 
 from __future__ import annotations
@@ -32,41 +31,14 @@ _LARGE, _SMALL = 6, -3
 #: More digits than a float64 holds say nothing.
 _MOST_DIGITS = 15
 
-#: Endings of column and key names, longest first, and the unit each stands for.
-_SUFFIXES = {
-    "kg_m2_s2": "kg m^2/s^2",
-    "rad_s2": "rad/s^2",
-    "deg_s2": "deg/s^2",
-    "N_m_rad": "N m/rad",
-    "N_s_m": "N s/m",
-    "N_s2_m2": "N s^2/m^2",
-    "kg_m3": "kg/m^3",
-    "kg_m2": "kg m^2",
-    "kg_m": "kg m",
-    "m_s2": "m/s^2",
-    "rad_s": "rad/s",
-    "deg_s": "deg/s",
-    "N_m": "N m",
-    "J_m": "J/m",
-    "m_s": "m/s",
-    "BL_s": "BL/s",
-    "BL": "BL",
-    "rad": "rad",
-    "deg": "deg",
-    "m2": "m^2",
-    "m3": "m^3",
-    "hz": "Hz",
-    "Hz": "Hz",
-    "kg": "kg",
-    "px": "px",
-    "N": "N",
-    "W": "W",
-    "J": "J",
-    "V": "V",
-    "A": "A",
-    "m": "m",
-    "s": "s",
-}
+_UNITS = (
+    "kg m^2/s^2, N s^2/m^2, N m/rad, rad/s^2, deg/s^2, kg/m^3, kg m^2, N s/m, m/s^2, rad/s, deg/s, BL/s, "
+    "kg m, N m, J/m, m/s, m^2, m^3, rad, deg, BL, Hz, kg, px, N, W, J, V, A, m, s"
+)
+#: Unit of each ending of a column or key: m/s^2 of ``_m_s2``.
+_SUFFIXES = {re.sub("[ /]", "_", u).replace("^", ""): u for u in re.split(", ", _UNITS)} | {"hz": "Hz"}
+#: Words for the columns of body-fixed speeds.
+BODY_SPEEDS = {"u_m_s": "surge speed", "v_m_s": "sway speed", "w_m_s": "heave speed"}
 
 
 def _is_number(value: float | None) -> TypeGuard[float]:
@@ -79,12 +51,12 @@ def _is_error(stderr: float | None) -> TypeGuard[float]:
 
 
 def _exponent(value: float, digits: int = _MOST_DIGITS) -> int:
-    """Power of ten of the first digit of ``value`` once it is rounded to ``digits`` digits."""
+    """Return the power of ten of the first digit of a value that is rounded to ``digits`` digits."""
     return int(f"{abs(value):.{digits - 1}e}".split("e")[1])
 
 
 def fixed(value: float, decimals: int) -> str:
-    """A value rounded to ``decimals`` places (negative: to tens, hundreds), never ``-0``."""
+    """Return a value rounded to ``decimals`` places (negative: to tens, hundreds), never ``-0``."""
     exact = Decimal(repr(float(value)))
     step = Decimal(1).scaleb(-decimals)
     # prec of the default context (28) is enough: decimals is limited by _MOST_DIGITS.
@@ -95,12 +67,12 @@ def fixed(value: float, decimals: int) -> str:
 
 
 def power_of_ten(exponent: int) -> str:
-    """``10`` to an integer power: ``10⁻⁷``."""
+    """Return ``10`` to an integer power: ``10⁻⁷``."""
     return "10" + str(exponent).translate(_SUPERSCRIPTS)
 
 
 def number(value: float | int | None, digits: int = 4, unit: str = "") -> str:
-    """A number to ``digits`` significant digits, trailing zeros dropped, with its unit.
+    """Return a number to ``digits`` significant digits, trailing zeros dropped, with its unit.
 
     Whole numbers (``int``) keep all their digits up to a million. NaN and None are shown as
     a dash.
@@ -108,11 +80,9 @@ def number(value: float | int | None, digits: int = 4, unit: str = "") -> str:
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return NOTHING
     if isinstance(value, bool):
-        return "yes" if value else "no"
+        return ("no", "yes")[value]
     if math.isinf(value):
-        return _joined("∞" if value > 0 else "−∞", unit)
-    if value == 0:
-        return _joined("0", unit)
+        return _joined(f"{value}".replace("-", "−").replace("inf", "∞"), unit)
     if isinstance(value, int) and abs(value) < 10**_LARGE:
         return _joined(str(value).replace("-", "−"), unit)
     exponent = _exponent(float(value), digits)
@@ -123,20 +93,25 @@ def number(value: float | int | None, digits: int = 4, unit: str = "") -> str:
 
 
 def _trimmed(text: str) -> str:
-    return text.rstrip("0").rstrip(".") if "." in text else text
+    if "." in text:
+        text = text.rstrip("0").rstrip(".")
+    return text
 
 
 def _layout(value: float, stderr: float, digits: int) -> tuple[int, int]:
-    """Common power of ten and decimal places for a value and its standard error."""
+    """Return the common power of ten and the decimal places of a value and its standard error."""
     last = _exponent(stderr, digits) - digits + 1
-    first = max(_exponent(value) if value else last, _exponent(stderr, digits))
+    first = _exponent(stderr, digits)
+    if value:
+        first = max(first, _exponent(value))
     last = max(last, first - _MOST_DIGITS + 1)
-    scale = 0 if _SMALL <= first < _LARGE else first
-    return scale, scale - last
+    if _SMALL <= first < _LARGE:
+        return 0, -last
+    return first, first - last
 
 
 def measured(value: float | None, stderr: float | None, unit: str = "", digits: int = 2) -> str:
-    """``value ± stderr unit``, rounded to ``digits`` significant digits of the standard error.
+    """Return ``value ± stderr unit``, rounded to ``digits`` significant digits of the standard error.
 
     Without a standard error (None, NaN, infinite or zero) the value stands alone with six
     significant digits.
@@ -157,12 +132,14 @@ def measured(value: float | None, stderr: float | None, unit: str = "", digits: 
     scale, decimals = _layout(value, stderr, digits)
     text = f"{fixed(value / 10.0**scale, decimals)} ± {fixed(stderr / 10.0**scale, decimals)}"
     if scale:
-        return _joined(f"({text}) × {power_of_ten(scale)}", unit)
-    return _joined(f"({text})" if unit_text(unit) == "°" else text, unit)
+        text = f"({text}) × {power_of_ten(scale)}"
+    elif unit_text(unit) == "°":
+        text = f"({text})"
+    return _joined(text, unit)
 
 
 def interval(low: float | None, high: float | None, stderr: float | None = None, unit: str = "") -> str:
-    """``low … high``, both to the digits ``stderr`` supports (four digits without one).
+    """Return ``low … high``, both to the digits that ``stderr`` supports (four digits without one).
 
     Without one, two ends that look the same are one number.
 
@@ -175,33 +152,44 @@ def interval(low: float | None, high: float | None, stderr: float | None = None,
         return _joined(" … ".join(dict.fromkeys([number(low), number(high)])), unit)
     scale, decimals = _layout(max(low, high, key=abs), stderr, 2)
     text = f"{fixed(low / 10.0**scale, decimals)} … {fixed(high / 10.0**scale, decimals)}"
-    return _joined(f"({text}) × {power_of_ten(scale)}" if scale else text, unit)
+    if scale:
+        text = f"({text}) × {power_of_ten(scale)}"
+    return _joined(text, unit)
 
 
 def confidence95(value: float | None, stderr: float | None) -> tuple[float, float] | None:
-    """Ends of the 95 % interval, ``value ± 1.96 stderr``; None without a standard error."""
+    """Return the ends of the 95 % interval, ``value ± 1.96 stderr``; None without a standard error."""
     if not (_is_number(value) and _is_error(stderr)):
         return None
     return value - Z95 * stderr, value + Z95 * stderr
 
 
 def bounds_text(bounds: tuple[float | None, float | None] | list[float | None] | None) -> str:
-    """The allowed range of a parameter: ``0 … 5``, ``≥ 0``, ``≤ 1`` or ``free``."""
-    low, high = (None, None) if bounds is None else (bounds[0], bounds[1])
-    ends = [number(end) for end in (low, high) if end is not None and not math.isinf(end)]
-    if len(ends) == 2:
-        return " … ".join(ends)
-    sign = "≤" if low is None or math.isinf(low) else "≥"
-    return f"{sign} {ends[0]}" if ends else "free"
+    """Return the allowed range of a parameter: ``0 … 5``, ``≥ 0``, ``≤ 1`` or ``free``."""
+    low, high = bounds or (None, None)
+    if _is_number(low) and _is_number(high):
+        return f"{number(low)} … {number(high)}"
+    if _is_number(low):
+        return f"≥ {number(low)}"
+    return f"≤ {number(high)}" if _is_number(high) else "free"
 
 
 def percent(fraction: float | None, digits: int = 3) -> str:
-    """A fraction as a percentage: 0.142 is ``14.2 %``."""
-    return f"{number(100.0 * fraction, digits)} %" if _is_number(fraction) else NOTHING
+    """Return a fraction as a percentage; only the whole is ``100 %``.
+
+    >>> percent(0.142), percent(0.99998), percent(1.0)
+    ('14.2 %', '> 99.9 %', '100 %')
+    """
+    if not _is_number(fraction):
+        return NOTHING
+    text = number(100.0 * fraction, digits)
+    if text == "100" and fraction < 1.0:
+        text = f"> {number(100.0 - 10.0 ** (2 - digits), digits)}"
+    return f"{text} %"
 
 
 def unit_text(unit: str) -> str:
-    """A unit as printed: ``m/s^2`` is ``m/s²``, ``kg m^2`` is ``kg·m²``, ``"1"`` is nothing."""
+    """Return a unit as printed: ``m/s^2`` is ``m/s²``, ``kg m^2`` is ``kg·m²``, ``"1"`` is nothing."""
     unit = unit.strip()
     if unit in {"", "1", "-", "none", "None"}:
         return ""
@@ -217,20 +205,24 @@ def unit_text(unit: str) -> str:
 
 def _joined(text: str, unit: str) -> str:
     printed = unit_text(unit)
-    return text if not printed else text + printed if printed == "°" else f"{text} {printed}"
+    if printed and printed != "°":
+        text += " "
+    return text + printed
 
 
 def in_degrees(unit: str) -> tuple[float, str]:
-    """Factor and unit in which people read a quantity: degrees for radian, others as they are.
+    """Return factor and unit in which people read a quantity: degrees for radian, others as they are.
 
     >>> in_degrees("m/s")
     (1.0, 'm/s')
     """
-    return (math.degrees(1.0), f"deg{unit[3:]}") if unit in ("rad", "rad/s") else (1.0, unit)
+    if unit in ("rad", "rad/s"):
+        return math.degrees(1.0), f"deg{unit[3:]}"
+    return 1.0, unit
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """The bare name and the unit of a column or key: ``yaw_rate_rad_s`` is yaw_rate in rad/s.
+    """Return the bare name and the unit of a column or key: ``yaw_rate_rad_s`` is yaw_rate in rad/s.
 
     A name without a known ending has the unit ``""``.
     """
@@ -240,9 +232,14 @@ def split_unit(name: str) -> tuple[str, str]:
     return name, ""
 
 
+def quantity(name: str) -> str:
+    """Return the quantity in a column in words: ``yaw_rate_rad_s`` is ``yaw rate``."""
+    return BODY_SPEEDS.get(name, split_unit(name)[0].replace("_", " "))
+
+
 def column_title(name: str) -> str:
-    """A column's name as an axis label: ``yaw_rate_rad_s`` is ``yaw rate (rad/s)``."""
-    bare, unit = split_unit(name)
-    bare = bare.replace("_", " ")
-    printed = unit_text(unit)
-    return f"{bare} ({printed})" if printed else bare
+    """Return a column's name as an axis label: ``yaw_rate_rad_s`` is ``yaw rate (rad/s)``."""
+    printed = unit_text(split_unit(name)[1])
+    if not printed:
+        return quantity(name)
+    return f"{quantity(name)} ({printed})"

@@ -9,15 +9,27 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 import swimid
 from swimid.errors import InputError
 from swimid.notices import CODES
 from swimid.progress import Progress, Step, silent
-from swimid.results import drawing, terminal
-from swimid.results.compared import compared
-from swimid.results.evidence import MAX_POINTS, Evidence, Figure, Verdict, leaves, sidecar
+from swimid.results import drawing, numbers, terminal
+from swimid.results.evidence import (
+    MAX_POINTS,
+    Evidence,
+    Figure,
+    Panel,
+    Table,
+    Trace,
+    Verdict,
+    leaves,
+    sidecar,
+)
+from swimid.results.fitted import Fitted, interval95, value_text
+from swimid.results.parameters import Estimate
 from swimid.results.result import Result
 
 #: Word and symbol of every verdict; colour only comes on top.
@@ -31,6 +43,8 @@ CHECKS = {
 #: Maximum number of panels of figures, beyond the first figure, and of open tables in the main part of a
 #: result; the others are folded.
 MAIN_PANELS, MAIN_TABLES = 3, 1
+#: Maximum number of parameters drawn side by side.
+MAX_COMPARED = 6
 
 
 def overall(contents: Sequence[Evidence]) -> Verdict:
@@ -41,12 +55,17 @@ def overall(contents: Sequence[Evidence]) -> Verdict:
     verb = {"good": "can be used", "caution": "needs care", "bad": "should not be used"}[worst]
     if len(levels) == 1:
         return Verdict(level=worst, text=f"This result {verb}.", word=contents[0].verdict.word)
-    which = f"All {count} results" if count == len(levels) else f"{count} of {len(levels)} results"
-    return Verdict(level=worst, text=f"{which} {verb if count == 1 else verb.replace('needs', 'need')}.")
+    which = f"{count} of {len(levels)} results"
+    if count == len(levels):
+        which = f"All {count} results"
+    if count > 1:
+        verb = verb.replace("needs", "need")
+    return Verdict(level=worst, text=f"{which} {verb}.")
 
 
 def render(
     results: Sequence[Result],
+    contents: Sequence[Evidence],
     *,
     template: str,
     title: str,
@@ -60,6 +79,8 @@ def render(
     ----------
     results : sequence of Result
         At least one.
+    contents : sequence of Evidence
+        Content of each result (:meth:`Result.content`).
     template : str
         ``"report.html"`` or ``"report.md"``.
     title : str
@@ -72,7 +93,6 @@ def render(
     """
     groups = compared(results)
     grouped = [fit for fits, _ in groups for fit in fits]
-    contents = [result.content() for result in results]
     environment = Environment(
         loader=PackageLoader("swimid.results"),
         autoescape=template.endswith("html"),
@@ -113,13 +133,13 @@ def render(
 
 def _drawn(content: Evidence, path: Path | None, prefix: str, step: Step) -> list[list[str]]:
     """Return the panels of each figure of a result as SVG."""
+    drawn = []
     try:
-        return [
-            drawing.for_page(figure, f"{prefix}{n}-", step=step) for n, figure in enumerate(content.figures)
-        ]
+        for n, figure in enumerate(content.figures):
+            drawn.append(drawing.for_page(figure, f"{prefix}{n}-", step=step))
     except InputError as error:
-        file = None if path is None else sidecar(path)
-        raise InputError(error.reason, file=file, column=error.column) from error
+        raise InputError(error.reason, file=path and sidecar(path), column=error.column) from error
+    return drawn
 
 
 def _shown(content: Evidence, pictures: list[list[str]]) -> dict[str, Any]:
@@ -175,3 +195,57 @@ def _code(text: str) -> str:
     plain = " ".join(str(text).split()).replace("|", "\\|")
     fence = "`" * (max((len(run) for run in re.findall(r"`+", plain)), default=0) + 1)
     return f"{fence} {plain} {fence}" if len(fence) > 1 else f"`{plain}`"
+
+
+# ---------------------------------------------------------------- several fits of one model
+
+
+def compared(results: Sequence[Result]) -> list[tuple[list[Fitted], Evidence]]:
+    """Return each group of two or more fits of one model, with a table and a figure of their parameters.
+
+    Fits are compared only where they have the same parameters in the same units.
+    """
+    groups: dict[Any, list[Fitted]] = {}
+    for result in results:
+        if isinstance(result, Fitted):
+            shared = frozenset((n, e.unit) for n, e in result.file.parameters.items() if "[" not in n)
+            groups.setdefault((result.file.model, shared), []).append(result)
+    return [(fits, _side_by_side(fits)) for fits in groups.values() if len(fits) > 1]
+
+
+def _side_by_side(fits: Sequence[Fitted]) -> Evidence:
+    names = [fit.path.stem for fit in fits]
+    rows: list[list[Any]] = []
+    panels = []
+    for name, first in fits[0].file.parameters.items():
+        if "[" in name:
+            continue
+        held = [fit.file.parameters[name] for fit in fits]
+        if not any(e.status == "estimated" for e in held):
+            continue
+        rows.append([name, *map(value_text, held)])
+        panels.append(_panel(name, numbers.unit_text(first.unit), held, names))
+    levels = [(fit.evidence or fit.bare()).verdict.level for fit in fits]
+    caption = "Estimates of each file; bars are 95 % intervals."
+    columns = ["parameter", *names]
+    return Evidence(
+        verb="report",
+        title=f"{len(fits)} fits of {fits[0].file.model} side by side",
+        verdict=Verdict(
+            level=max(levels, key=list(LEVELS).index),
+            text=f"{levels.count('good')} of {len(fits)} fits are good.",
+        ),
+        tables=[Table(id="compared", title="Parameters", columns=columns, rows=rows)],
+        figures=[
+            Figure(id="compared", title="Estimates", caption=caption, panels=panels[:MAX_COMPARED], columns=2)
+        ],
+    )
+
+
+def _panel(name: str, unit: str, held: Sequence[Estimate], names: list[str]) -> Panel:
+    """Return the estimates of one parameter with their intervals."""
+    known = [(k, e) for k, e in enumerate(held) if e.status == "estimated"]
+    low, high = np.array([interval95(e) or (np.nan, np.nan) for _, e in known]).T
+    x, y = [k for k, _ in known], [e.value for _, e in known]
+    points = Trace(x=x, y=y, y_error=(high - low) / 2, style="points")
+    return Panel(x_label="", y_label=f"{name} ({unit or '1'})", traces=[points], x_categories=names)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Protocol
 
@@ -11,6 +10,7 @@ from pydantic import ConfigDict, Field, PrivateAttr
 from swimid.errors import InputError
 from swimid.files import yamlio
 from swimid.files.provenance import Held
+from swimid.results import numbers
 
 FORMAT: Literal["swimid-parameters/1"] = "swimid-parameters/1"
 Status = Literal["estimated", "fixed", "at-bound", "unidentifiable"]
@@ -28,8 +28,24 @@ class Estimate(yamlio.Document):
     unit: str
     bounds: tuple[float | None, float | None] = (None, None)
     status: Status
+    #: What it is, in words.
+    meaning: str = ""
     #: Profile-likelihood interval, where one was asked for.
     ci95: tuple[float | None, float | None] | None = None
+
+
+def spoken(name: str, meaning: str) -> str:
+    """Return a parameter as a sentence names it: by its meaning, if its own name does not say that.
+
+    >>> spoken("c_ma", "added mass over mass"), spoken("added_mass", "added mass")
+    ('added mass over mass (c_ma)', 'added mass')
+    """
+    if not meaning:
+        return name
+    words = numbers.split_unit(name)[0].replace("_", " ")
+    if set(words.split()) <= set(meaning.split()):
+        return words
+    return f"{meaning} ({name})"
 
 
 class Correlation(yamlio.Document):
@@ -86,17 +102,18 @@ class ParameterFile(yamlio.ResultFile):
     _drag: ParameterFile | None = PrivateAttr(default=None)
 
     def write(self, path: str | Path) -> None:
-        """Write the file, whole or not at all; every float keeps its last bit."""
+        """Write the file, complete or not at all; every float keeps its last bit."""
         data = self.model_dump(mode="python", exclude_none=False)
         for estimate in (*data["parameters"].values(), *data["derived"].values()):
-            if estimate["ci95"] is None:
-                del estimate["ci95"]
+            for key in ("meaning", "ci95"):
+                if not estimate[key]:
+                    del estimate[key]
         optional = ("identifiability", "derived", "settings")
         kept = {k: value for k, value in data.items() if value is not None and (value or k not in optional)}
         yamlio.write(path, kept)
 
     def value(self, name: str) -> float:
-        """Value of one parameter, by name."""
+        """Return the value of one parameter."""
         return self.parameters[name].value
 
 
@@ -113,17 +130,28 @@ Source = str | Path | ParameterFile | HasFile
 
 
 def place(source: Source) -> Path:
-    """What parameters are called in messages, and what the paths in them are relative to."""
-    return Path(source) if isinstance(source, str | Path) else Path("parameters")
+    """Return the name of parameters in messages, to which the paths in them are relative."""
+    if isinstance(source, str | Path):
+        return Path(source)
+    return Path("parameters")
+
+
+def _file(source: Source) -> ParameterFile:
+    """Return the parameter file itself."""
+    if isinstance(source, str | Path):
+        return ParameterFile.read(source)
+    if isinstance(source, ParameterFile):
+        return source
+    return source.file
 
 
 def origin(source: Source) -> Path | Held:
-    """What stands for parameters in the provenance."""
+    """Return what stands for parameters in the provenance."""
     if isinstance(source, str | Path):
         return Path(source)
-    file = source if isinstance(source, ParameterFile) else source.file
-    made = hashlib.sha256(file.model_dump_json(exclude={"provenance"}).encode())
-    return Held(f"parameters of {file.model}", made.hexdigest())
+    file = _file(source)
+    content = file.model_copy(update={"provenance": {}})
+    return Held(f"parameters of {file.model}", content.digest())
 
 
 def read(source: Source, *, model: str | tuple[str, ...] | None = None) -> ParameterFile:
@@ -141,11 +169,10 @@ def read(source: Source, *, model: str | tuple[str, ...] | None = None) -> Param
         When it is no parameter file, or of another model.
     """
     path = place(source)
-    if isinstance(source, str | Path):
-        parameters = yamlio.validate(yamlio.of_format(path, FORMAT, "parameter file"), ParameterFile, path)
-    else:
-        parameters = source if isinstance(source, ParameterFile) else source.file
-    models = (model,) if isinstance(model, str) else model
+    parameters = _file(source)
+    models = model
+    if isinstance(model, str):
+        models = (model,)
     if models and parameters.model not in models:
         raise InputError(
             f"holds parameters of the model '{parameters.model}', not of {' or '.join(models)}",
@@ -156,7 +183,7 @@ def read(source: Source, *, model: str | tuple[str, ...] | None = None) -> Param
 
 
 def require(parameters: ParameterFile, names: tuple[str, ...], path: str | Path) -> list[float]:
-    """Values of parameters that must be there and must be trusted.
+    """Return the values of parameters that must be there and must be identified.
 
     Raises
     ------

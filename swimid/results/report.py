@@ -71,17 +71,19 @@ def report(
         raise UsageError("name at least one result file")
     sources = list(dict.fromkeys(i if isinstance(i, Result) else Path(i) for i in inputs))
     paths = [source for source in sources if isinstance(source, Path)]
-    target = None if output is None or str(output) == "-" else Path(output)
-    kind = options.format or _ENDINGS.get(target.suffix.lower() if target else "", "html")
-    if target is not None:
-        atomic.check_writable(target, inputs=[*paths, *map(sidecar, paths)])
+    target, kind = None, options.format or "html"
+    if output is not None and str(output) != "-":
+        target = atomic.check_writable(output, inputs=[*paths, *map(sidecar, paths)])
+        kind = options.format or _ENDINGS.get(target.suffix.lower(), "html")
     results = []
     with progress("reading", total=len(sources)) as step:
         for source in sources:
             results.append(_read(source) if isinstance(source, Path) else source)
             step()
     contents = [result.content() for result in results]
-    heading = options.title or (contents[0].title if len(contents) == 1 else "Identification report")
+    heading = options.title or "Identification report"
+    if options.title is None and len(contents) == 1:
+        heading = contents[0].title
     created = datetime.now(UTC)
     digests = {str(result.path): "of nothing: it was in memory" for result in results}
     digests |= {str(path): sha256(path) for path in paths}
@@ -91,6 +93,7 @@ def report(
     else:
         text = page.render(
             results,
+            contents,
             template=f"report.{kind}",
             title=heading,
             created=created,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar
 import numpy as np
 
 from swimid.errors import UsageError
-from swimid.files import atomic, yamlio
+from swimid.files import atomic
 from swimid.notices import warn
 from swimid.results import terminal
 from swimid.results.evidence import (
@@ -23,9 +22,9 @@ from swimid.results.evidence import (
     Verdict,
     leaf_table,
     sidecar,
-    write_beside,
 )
 from swimid.results.evidence import read as read_evidence
+from swimid.results.evidence import write as write_evidence
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -86,18 +85,23 @@ class Result:
     ending: ClassVar[str] = ".yaml"
 
     def summary(self) -> str:
-        """The answer in plain text, as the command prints it."""
-        return self.text if self.text or self.evidence is None else terminal.summary(self.content())
+        """Return the answer in plain text, as the command prints it."""
+        if self.text or self.evidence is None:
+            return self.text
+        return terminal.summary(self.content())
 
     def content(self) -> Evidence:
         """Return what a report shows: the evidence, preceded by the facts and tables of the file itself.
 
         Without evidence its verdict is caution.
         """
-        shown = self.bare() if self.evidence is None else self.evidence
+        shown = self.evidence or self.bare()
+        facts = {**self._own_facts(), **shown.facts}
+        if shown.provenance.get("simulated"):
+            facts = {"Data": "simulated", **facts}
         own = {
             "tables": [*self._own_tables(), *shown.tables],
-            "facts": {**self._own_facts(), **shown.facts},
+            "facts": facts,
             "notes": [*self._own_notes(), *shown.notes],
         }
         return shown.model_copy(update=own)
@@ -105,17 +109,18 @@ class Result:
     @property
     def path(self) -> Path:
         """The file it was written to, or the name that file would have."""
-        written = [path for path in self.outputs if path.suffix == self.ending] or self.outputs
-        return written[0] if written else Path((self.verb or self.kind).replace(" ", "-") + self.ending)
+        unwritten = Path((self.verb or self.kind).replace(" ", "-") + self.ending)
+        written = [path for path in self.outputs if path.suffix == self.ending]
+        return next(iter([*written, *self.outputs, unwritten]))
 
     def to_dict(self) -> dict[str, Any]:
-        """The answer as plain data at full precision, as ``--json`` prints it."""
+        """Return the answer as plain data at full precision, as ``--json`` prints it."""
         return self.data
 
     @property
     def verdict(self) -> str:
         """``"good"``, ``"caution"`` or ``"bad"``; empty for a result without evidence."""
-        return self.evidence.verdict.level if self.evidence else ""
+        return "" if self.evidence is None else self.evidence.verdict.level
 
     @property
     def warnings(self) -> pd.DataFrame:
@@ -123,12 +128,12 @@ class Result:
         return _frame(["code", "text"], [[n.code, n.text] for n in self._shown("notices")])
 
     def checks(self) -> pd.DataFrame:
-        """Every test of the result: ``name``, ``value``, ``limit``, ``verdict``, ``text``."""
+        """Return every test of the result: ``name``, ``value``, ``limit``, ``verdict``, ``text``."""
         names = list(Check.model_fields)
         return _frame(names, [[getattr(check, name) for name in names] for check in self._shown("checks")])
 
     def tables(self) -> dict[str, pd.DataFrame]:
-        """The tables of the report by their id."""
+        """Return the tables of the report by their id."""
         return {table.id: _frame(table.columns, table.rows) for table in self.content().tables}
 
     @property
@@ -137,7 +142,7 @@ class Result:
         return [figure.id for figure in self._shown("figures")]
 
     def figures(self) -> dict[str, Canvas]:
-        """Every figure of the report, drawn by matplotlib, by its id."""
+        """Draw every figure of the report by matplotlib; return them by their id."""
         from swimid.results import drawing
 
         return {figure.id: drawing.canvas([figure]) for figure in self._shown("figures")}
@@ -177,7 +182,9 @@ class Result:
             for panel, place in zip(figure.panels, given, strict=True):
                 drawing.paint(place, panel, slots)
             drawn = given
-        return drawn[0] if len(drawn) == 1 else drawn
+        if len(drawn) == 1:
+            return drawn[0]
+        return drawn
 
     def save(self, path: str | Path) -> Self:
         """Write the result and its evidence beside it, both or neither.
@@ -194,17 +201,21 @@ class Result:
         UsageError
             For a result that is no file, and for a path that is one of its inputs.
         """
-        read = self.evidence.provenance.get("inputs", {}) if self.evidence else {}
-        target = atomic.check_writable(Path(path), inputs=read)
+        inputs = (self.evidence or self.bare()).provenance.get("inputs", {})
+        target = atomic.check_writable(Path(path), inputs=inputs)
         with atomic.together():
             written = self._write(target)
-            if self.evidence is not None:
-                written[1:1] = write_beside(target, self.evidence)[1:]
+            if self.evidence is not None and not atomic.is_device(target):
+                made_for = {"result": target.name, "sha256": self.document.digest()}
+                write_evidence(sidecar(target), self.evidence.model_copy(update=made_for))
+                written.insert(1, sidecar(target))
         return replace(self, outputs=[*self.outputs, *written])
 
     def saved(self, output: str | Path | None) -> Self:
-        """The result itself, written where an output is named."""
-        return self if output is None else self.save(output)
+        """Return the result itself, written if an output is named."""
+        if output is None:
+            return self
+        return self.save(output)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -216,33 +227,36 @@ class Result:
             When the file or its evidence is broken or not there.
         """
         document = cls._read(path)
-        place = sidecar(path)
-        evidence = read_evidence(place) if place.exists() else None
-        if evidence is not None:
-            evidence = _matched(Path(path), getattr(document, "provenance", {}), evidence)
-        data = document.model_dump(mode="json") if hasattr(document, "model_dump") else {}
-        return cls(evidence.verb if evidence else "", "", data, [Path(path)], evidence, document)
+        loaded = cls("", "", cls._plain(document), [Path(path)], document=document)
+        if not sidecar(path).exists():
+            return loaded
+        evidence = _of_document(read_evidence(sidecar(path)), document, Path(path).name)
+        return replace(loaded, verb=evidence.verb, evidence=evidence)
 
     def _own_facts(self) -> dict[str, str]:
-        """Facts that the file itself holds."""
+        """Return the facts that the file itself holds."""
         return {}
 
     def _own_notes(self) -> list[str]:
-        """Sentences that the file itself holds."""
+        """Return the sentences that the file itself holds."""
         return []
 
     def _own_tables(self) -> list[Table]:
-        """Tables of what the file itself holds."""
+        """Return tables of what the file itself holds."""
         return []
+
+    @classmethod
+    def _plain(cls, document: Any) -> dict[str, Any]:
+        """Return the plain data of a document."""
+        return {}
 
     def bare(self) -> Evidence:
         """Return what a report shows of a file whose evidence is missing."""
-        tables = [leaf_table("content", "Content of the file", self.data)] if self.data else []
         return Evidence(
             verb=self.verb,
             title=f"{self.kind} {self.path.name}",
             verdict=Verdict(level="caution", text="No evidence file, so its checks cannot be shown."),
-            tables=tables,
+            tables=[leaf_table("content", "Content of the file", self.data)],
             provenance=getattr(self.document, "provenance", {}),
         )
 
@@ -254,8 +268,8 @@ class Result:
         raise UsageError(f"the result of {self.verb} is no file", hint="its text is .summary()")
 
     def _shown(self, what: str) -> Sequence[Any]:
-        """Checks, tables, figures or notices of the evidence; none without it."""
-        return getattr(self.evidence, what) if self.evidence else []
+        """Return checks, tables, figures or notices of the evidence; none without it."""
+        return getattr(self.evidence, what, [])
 
     def _figure(self, name: str) -> Figure:
         for figure in self._shown("figures"):
@@ -270,8 +284,8 @@ class Result:
         cls.__repr__ = Result.__repr__  # type: ignore[method-assign]
 
     def __repr__(self) -> str:
-        verdict = f" {self.verdict}," if self.verdict else ""
-        return f"<{type(self).__name__} of {self.verb}:{verdict} {len(self.figure_names)} figures>"
+        parts = [self.verdict, f"{len(self.figure_names)} figures"]
+        return f"<{type(self).__name__} of {self.verb}: {', '.join(filter(None, parts))}>"
 
     def __str__(self) -> str:
         return self.summary()
@@ -301,31 +315,26 @@ class Text(Result):
         return f"<pre>{html.escape(text)}</pre>"
 
 
-def _matched(path: Path, provenance: dict[str, Any], evidence: Evidence) -> Evidence:
-    """Return the evidence of a file, with a lower verdict where it is that of another run.
+def _of_document(evidence: Evidence, document: Any, name: str) -> Evidence:
+    """Return the evidence of a file, with a lower verdict if it was made for other content.
 
     Warns
     -----
     SWM052
-        The evidence is that of another run.
+        The file was edited, or is from another run than its evidence.
     """
-    keys = [key for key in ("created", "command", "version", "inputs", "settings") if key in provenance]
-    differ = [key for key in keys if _plain(provenance[key]) != _plain(evidence.provenance.get(key))]
-    if not differ:
-        return evidence
+    in_memory = evidence.model_copy(update={"result": "", "sha256": ""})
+    if evidence.sha256 == document.digest():
+        return in_memory
     text = (
-        f"the evidence of {path.name} is from another run ({', '.join(differ)} differ): its figures, checks "
-        "and tables may not describe these numbers"
+        f"{name} was edited or replaced after its evidence was made: figures, checks and tables may not "
+        "describe its numbers; run its command again"
     )
     warn("SWM052", text)
-    level = "bad" if evidence.verdict.level == "bad" else "caution"
-    said = f"Evidence and result do not belong together. {evidence.verdict.text}"
+    said = f"The file was changed after this verdict: {evidence.verdict.text}"
     notices = [*evidence.notices, NoticeRecord(code="SWM052", text=text)]
-    return evidence.model_copy(update={"verdict": Verdict(level=level, text=said), "notices": notices})
-
-
-def _plain(value: Any) -> Any:
-    return json.loads(json.dumps(yamlio.plain(value), default=str))
+    verdict = evidence.verdict.lowered("caution", said)
+    return in_memory.model_copy(update={"verdict": verdict, "notices": notices})
 
 
 def _frame(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> pd.DataFrame:
@@ -352,9 +361,12 @@ class FileResult(Result, Generic[File]):
 
     @classmethod
     def of(cls, file: File, evidence: Evidence) -> Self:
-        """The result whose file and evidence these are."""
-        data = file.model_dump(mode="json")
-        return cls(evidence.verb, "", data, evidence=evidence, document=file)
+        """Return the result whose file and evidence these are."""
+        return cls(evidence.verb, "", cls._plain(file), evidence=evidence, document=file)
+
+    @classmethod
+    def _plain(cls, document: Any) -> dict[str, Any]:
+        return dict(document.model_dump(mode="json"))
 
     @classmethod
     def _read(cls, path: str | Path) -> Any:

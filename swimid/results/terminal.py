@@ -4,31 +4,31 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Sequence
 from typing import Any
 
 from swimid.results import numbers
 from swimid.results.evidence import Evidence, Table
 
-#: Maximum width of a line.
-WIDTH = 100
+#: Maximum width of a line, and minimum width of a column of texts that are cut, characters.
+WIDTH, MIN_CUT = 100, 16
 #: A number as :mod:`swimid.results.numbers` writes it, or a dash.
-_NUMBER = re.compile(r"[(−-]?\d[\d.]*( ± [\d.]+)?\)?( × 10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)?( ?[°%])?|–|")
+_NUMBER = re.compile(r"(> )?[(−-]?\d[\d.]*( ± [\d.]+)?\)?( × 10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)?( ?[°%])?|–|")
 
 
 def summary(evidence: Evidence) -> str:
     """Return title, facts, first table, notes and verdict, in lines of at most :data:`WIDTH` characters."""
     facts = "; ".join(f"{name[:1].lower()}{name[1:]} {value}" for name, value in evidence.facts.items())
-    parts = [evidence.title, *([_wrapped(facts)] if facts else [])]
+    parts = [evidence.title, *filter(None, [_wrapped(facts)])]
     open_tables = [table for table in evidence.tables if not table.folded]
     if open_tables:
         parts += ["", table_text(open_tables[0])]
     if evidence.notes:
         parts += ["", *(_wrapped(note) for note in evidence.notes)]
-    passed = sum(check.verdict == "pass" for check in evidence.checks)
-    counted = f" {passed} check{'s pass' if passed > 1 else ' passes'}." if passed else ""
     word = (evidence.verdict.word or evidence.verdict.level).upper()
-    verdict = f"{word}: {evidence.verdict.text}{counted}"
+    verdict = f"{word}: {evidence.verdict.text}"
+    passed = sum(check.verdict == "pass" for check in evidence.checks)
+    if passed:
+        verdict += f" {passed} {('checks pass', 'check passes')[passed == 1]}."
     return "\n".join([*parts, "", textwrap.fill(verdict, WIDTH)])
 
 
@@ -45,25 +45,30 @@ def cell_text(value: Any) -> str:
 
 def is_numeric(table: Table) -> list[bool]:
     """Return for each column whether it holds numbers, or texts of numbers, and is aligned to the right."""
-    columns = zip(*table.rows, strict=True) if table.rows else [[] for _ in table.columns]
-    return [
-        all(not isinstance(value, bool) and _NUMBER.fullmatch(cell_text(value)) for value in column)
-        for column in columns
-    ]
+    right = []
+    for k in range(len(table.columns)):
+        column = [row[k] for row in table.rows]
+        right.append(all(not isinstance(v, bool) and _NUMBER.fullmatch(cell_text(v)) for v in column))
+    return right
 
 
 def table_text(table: Table) -> str:
-    """Return a table as aligned columns; the last columns are left out where the line is full."""
+    """Return a table as aligned columns; where a line is full, texts are cut and columns left out."""
     rows = [table.columns, *([cell_text(value) for value in row] for row in table.rows)]
-    widths = [max(len(row[k]) for row in rows) for k in range(len(table.columns))]
-    right = is_numeric(table)
-    room = [k for k in range(len(widths)) if sum(widths[: k + 1]) + 2 * (k + 1) <= WIDTH]
-    return "\n".join(_line(row, widths, right, room) for row in rows)
-
-
-def _line(row: Sequence[str], widths: list[int], right: list[bool], columns: list[int]) -> str:
-    cells = [row[k].rjust(widths[k]) if right[k] else row[k].ljust(widths[k]) for k in columns]
-    return f"  {'  '.join(cells)}".rstrip()
+    right, left = is_numeric(table), WIDTH
+    columns: list[list[str]] = []
+    for k, column in enumerate(zip(*rows, strict=True)):
+        width = max(map(len, column))
+        left -= width + 2
+        if left < 0:
+            width += left
+            if right[k] or width < MIN_CUT:
+                break
+            column = tuple(textwrap.shorten(cell, width, placeholder="…") for cell in column)
+        columns.append([f"{cell:{'<>'[right[k]]}{width}}" for cell in column])
+        if left <= 0:
+            break
+    return "\n".join(f"  {'  '.join(line)}".rstrip() for line in zip(*columns, strict=True))
 
 
 #: Next command after a result, by the command that made it. ``{trials}`` is the first YAML file
@@ -82,6 +87,6 @@ NEXT = {
 def next_command(verb: str, file: str, provenance: dict[str, Any]) -> str:
     """Return the next command after a result; empty if none is known."""
     files = [name for name in provenance.get("inputs") or {} if name.endswith((".yaml", ".yml"))]
-    trials = files[0] if files else "TRIALS.yaml"
-    params = files[-1] if len(files) > 1 else "PARAMETERS.yaml"
+    trials, *others = files or ["TRIALS.yaml"]
+    params = (others or ["PARAMETERS.yaml"])[-1]
     return NEXT.get(verb, "").format(file=file, trials=trials, params=params)

@@ -534,7 +534,12 @@ def _two_point_file(file: ParameterFile, pair: TwoPointResult) -> ParameterFile:
     for name, value in pair.values.items():
         e = file.parameters[name]
         parameters[name] = Estimate(
-            value=value, stderr=pair.stderr[name], unit=e.unit, bounds=e.bounds, status="estimated"
+            value=value,
+            stderr=pair.stderr[name],
+            unit=e.unit,
+            bounds=e.bounds,
+            status="estimated",
+            meaning=e.meaning,
         )
     assert file.fit is not None
     fit = Fit(trials=file.fit.trials, converged=True, method="two-point", points_m=list(pair.points_m))  # type: ignore[call-arg]

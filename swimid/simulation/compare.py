@@ -278,7 +278,9 @@ def _speed_share(file: ComparisonFile) -> float | None:
 def _answer(file: ComparisonFile) -> str:
     """Return the errors of the velocities, else of the first channels, and of mean speeds as a sentence."""
     names = _rates(file.channels) or list(file.channels)[:3]
-    parts = [f"{numbers.percent(file.channels[n].nrmse)} of the range in {n}" for n in names]
+    parts = [
+        f"{numbers.percent(file.channels[n].nrmse)} of the range in {numbers.quantity(n)}" for n in names
+    ]
     share = _speed_share(file)
     if share is not None:
         parts.append(f"{numbers.percent(share)} of the measured mean speeds")
@@ -462,7 +464,9 @@ def _pair(x: Sequence[Any], y: Sequence[Any], tail: str = "", group: int = 0) ->
 def _overlay(experiment: Experiment, done: Sequence[Compared]) -> ev.Figure:
     panels = []
     for d in _telling(done):
-        title = d.trial.id + ", held out" * (d.trial.role == "validate")
+        title = d.trial.id
+        if d.trial.role == "validate":
+            title += " (held out)"
         joints = [n for n in d.pairs if n.startswith("joint")]
         for name in (_rates(d.pairs) or joints or list(d.pairs))[:2]:
             p = d.pairs[name]
@@ -523,7 +527,14 @@ def _speed_figure(file: ComparisonFile) -> list[ev.Figure]:
         levels = np.unique(x)
         # repeats of one setting make one point of the line
         means = np.array([float(np.mean(z[x == level])) for level in levels])
-        traces += _pair((x, levels), (y, means), tail, group)
+        if len(levels) > 2:
+            traces += _pair((x, levels), (y, means), tail, group)
+            continue
+        measured = [float(np.mean(y[x == level])) for level in levels]
+        for k, (word, bars) in enumerate({"measured": measured, "simulated": means}.items()):
+            traces.append(
+                ev.Trace(x=levels, y=bars, style="bars", label=f"{word}{tail}", group=2 * group + k)
+            )
     if not traces:
         return []
     title = numbers.column_title(axis)

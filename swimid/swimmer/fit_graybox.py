@@ -458,17 +458,15 @@ def track(experiment: Experiment, result: FitResult) -> list[ev.Figure]:
     """Draw the paths where the pose was fitted; in space from above and from the side."""
     body = body_of(experiment.robot)
     if isinstance(body, Multibody):
-        views = [_path(result, "x_m", "z_m", "From the side"), _path(result, "x_m", "y_m", "From above")]
+        panels = [*_paths(result, "x_m", "z_m"), *_paths(result, "x_m", "y_m")]
     else:
-        view = "From above" if body.plane == "horizontal" else "From the side"
         across, along, *_ = result.model.swimmer.pose
-        views = [_path(result, across, along, view)]
-    panels = [panel for panel in views if panel.traces]
+        panels = _paths(result, across, along)
     caption = "Points are measured, lines simulated with the estimated parameters."
     return [ev.Figure(id="track", title="Paths", caption=caption, panels=panels, columns=2)] if panels else []
 
 
-def _path(result: FitResult, across: str, along: str, view: str) -> ev.Panel:
+def _paths(result: FitResult, across: str, along: str) -> list[ev.Panel]:
     """Draw the paths of the worst and the best fitted trial, and of the worst held-out one."""
     paths = {}
     for trial in result.trials:
@@ -480,25 +478,21 @@ def _path(result: FitResult, across: str, along: str, view: str) -> ev.Panel:
     fitted = [name for name in by_error if paths[name][1][across].role == "fit"]
     held_out = [name for name in by_error if name not in fitted]
     chosen = {
-        **dict.fromkeys(held_out[:1], "worst held out"),
         **dict.fromkeys(fitted[-1:], "best"),
         **dict.fromkeys(fitted[:1], "worst"),
+        **dict.fromkeys(held_out[:1], "held out"),
     }
-    traces = []
-    for group, (name, word) in enumerate(chosen.items()):
+    panels = []
+    for name, word in chosen.items():
         x, y = (paths[name][1][channel] for channel in (across, along))
         step = max(len(x.measured) // 200, 1)
-        measured, simulated = (x.measured[::step], y.measured[::step]), (x.simulated, y.simulated)
-        for style, (xs, ys) in (("points", measured), ("line" if x.role == "fit" else "dashed", simulated)):
-            label = f"{name} ({word})" if style == "points" else ""
-            traces.append(ev.Trace(x=xs, y=ys, style=style, label=label, group=group))
-    return ev.Panel(
-        x_label=f"{across[:-2]} (m)",
-        y_label=f"{along[:-2]} (m)",
-        title=view,
-        traces=traces,
-        equal_aspect=True,
-    )
+        points = ev.Trace(
+            x=x.measured[::step], y=y.measured[::step], style="points", label="measured", group=0
+        )
+        line = ev.Trace(x=x.simulated, y=y.simulated, label="simulated", group=0)
+        labels = {"x_label": f"{across[:-2]} (m)", "y_label": f"{along[:-2]} (m)"}
+        panels.append(ev.Panel(**labels, title=f"{name} ({word})", traces=[points, line], equal_aspect=True))
+    return panels
 
 
 def starts_check(ends: Sequence[global_search.Start], *, asked: bool) -> ev.Check:

@@ -226,7 +226,8 @@ class Swimmer(Model):
         if self.free_base:
             for name, word in zip((*self.pose, *self.velocity), (*self.places, *self.rates), strict=True):
                 unit = name.split("_", 1)[1].replace("rate_rad_s", "rad/s").replace("_", "/")
-                found.append(Channel(name, unit, word.replace("_", " ")))
+                words = word.replace("_", " ")
+                found.append(Channel(name, unit, f"{words} speed" if unit == "m/s" else words))
         for axis in sorted([*self.passive, *self.driven], key=lambda a: (len(a.column), a.column)):
             found.append(Channel(axis.column, "rad", f"angle of {axis.name}"))
         for axis in self.passive:

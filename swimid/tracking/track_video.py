@@ -459,10 +459,10 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
     def over_time(label: str, traces: Sequence[ev.Trace], marks: Sequence[ev.Mark] = ()) -> ev.Panel:
         return ev.Panel(x_label="time (s)", y_label=label, traces=[*traces], spans=spans, marks=[*marks])
 
-    def banded(values: Smoothed, row: int, raw: Array) -> list[ev.Trace]:
-        smooth, sd = values.position[row, every], values.position_sd[row, every]
+    def banded(values: Smoothed, row: int, raw: Array, factor: float = 1.0) -> list[ev.Trace]:
+        smooth, sd = factor * values.position[row, every], factor * values.position_sd[row, every]
         return [
-            ev.Trace(x=t[every], y=raw, label="measured", style="points", group=0),
+            ev.Trace(x=t[every], y=factor * raw, label="measured", style="points", group=0),
             blocks.band(t[every], smooth, 1.96 * sd, label="smoothed", group=0),
         ]
 
@@ -470,12 +470,19 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
         over_time(f"x ({unit})", banded(pose.path, 0, raw_x)),
         over_time(f"{up} ({unit})", banded(pose.path, 1, raw_y)),
     ]
-    speeds = dict(zip((f"vx ({unit}/s)", f"v{up} ({unit}/s)"), pose.path.velocity, strict=True))
+    names = (f"speed along x ({unit}/s)", f"speed along {up} ({unit}/s)")
+    speeds = dict(zip(names, pose.path.velocity, strict=True))
     if pose.angle is not None and pose.raw_angle is not None and pose.body_velocity is not None:
-        coordinates.append(over_time(f"{turn} (rad)", banded(pose.angle, 0, pose.raw_angle[every])))
-        speeds = dict(zip((f"u ({unit}/s)", f"{side} ({unit}/s)"), pose.body_velocity, strict=True))
-        speeds[f"{turn} rate (rad/s)"] = pose.angle.velocity[0]
-    window = [ev.Mark(at=found.begin_s, axis="x", label="window"), ev.Mark(at=found.end_s, axis="x")]
+        degrees = np.degrees(1.0)
+        coordinates.append(over_time(f"{turn} (°)", banded(pose.angle, 0, pose.raw_angle[every], degrees)))
+        sideways = numbers.BODY_SPEEDS[f"{side}_m_s"]
+        names = (f"surge speed ({unit}/s)", f"{sideways} ({unit}/s)")
+        speeds = dict(zip(names, pose.body_velocity, strict=True))
+        speeds[f"{turn} rate (°/s)"] = degrees * pose.angle.velocity[0]
+    window = [
+        ev.Mark(at=found.begin_s, axis="x", label="begin and end of the means"),
+        ev.Mark(at=found.end_s, axis="x"),
+    ]
     path = [
         ev.Trace(x=raw_x, y=raw_y, label="measured", style="points", group=0),
         ev.Trace(x=x, y=y, label="smoothed", group=0),
@@ -492,7 +499,7 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
         ev.Figure(
             id="speed",
             title="Speeds",
-            caption="From the smoother; dashed lines bound the window of the table.",
+            caption="From the smoother; the means of the table are taken between the dashed lines.",
             panels=[over_time(label, [curve], window) for label, curve in curves.items()],
         ),
     ]
