@@ -83,7 +83,7 @@ def kernels_of(name: str) -> Swimmer:
     """A built-in robot with its kernels, not compiled."""
     catalogue.catalogue()
     model, _ = model_of(name)
-    model.kernels()
+    model.kernels.make()
     return model
 
 
@@ -91,7 +91,7 @@ def together(kernel: Kernel, runs: Sequence[Any]) -> Any:
     """Runs at once."""
     return kernel.run(
         [r.start for r in runs],
-        [r.step_s for r in runs],
+        [r.grid.step_s for r in runs],
         [r.drive.table for r in runs],
         [r.tables for r in runs],
     )
@@ -111,7 +111,7 @@ def bench_engine() -> None:
     for name in ("tfish", "dolphin", "sealion"):
         model, trial = model_of(name)
         given = np.array([model.stated().get(p.name, p.start) for p in model.parameters])
-        runs = [model._asked(given * (1.0 + 1e-3 * k), trial, NONE) for k in range(LANES)]
+        runs = [model.request(given * (1.0 + 1e-3 * k), trial, NONE) for k in range(LANES)]
         kernel = Kernel(model.engine, model.tree.tables, len(model.coefficients))
         kernel.compiled()
         model._integrate(runs[0])
@@ -150,7 +150,10 @@ def bench_effects() -> None:
         runs = [(np.concatenate([given * (1.0 + 1e-6 * k), point]), swims[k % 2]) for k in range(BATCH)]
         models = [Affected(model, chosen, swims) for model in (scalar, lanes)]
         off = sum(
-            lanes.lane(lanes._asked(values[: len(given)], swim, models[1].hooks(values, swim))) is None
+            lanes.kernels.choose(
+                lanes.request(values[: len(given)], swim, models[1].hooks(values, swim)), lanes.frame
+            )
+            is None
             for values, swim in runs
         )
 

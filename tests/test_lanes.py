@@ -34,10 +34,10 @@ from swimid.swimmer.planar.assembly import Assembly as PlanarAssembly
 from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.spatial import engine as spatial_engine
 from swimid.swimmer.spatial.assembly import Assembly as SpatialAssembly
-from swimid.swimmer.spatial.assembly import Lifted
 from swimid.swimmer.spatial.model import MultibodyModel
 from tests import lanes_forms
 from tests.generators import lagrange
+from tests.lifted import Lifted
 
 ENGINES: dict[type[Swimmer], ModuleType] = {
     MultilinkModel: planar_engine,
@@ -165,31 +165,31 @@ def compare(form: type[Swimmer], kernel: Kernel, runs: list[tuple[Any, ...]]) ->
 def fish() -> Swimmer:
     """The tendon fish, its kernel compiled."""
     model = MultilinkModel(robot_format.read("tfish"))
-    model.kernel = Kernel(model.engine, model.tree.tables, len(model.coefficients))
-    model.kernel.compiled()
-    model.side_by_side = True
+    model.kernels.own = Kernel(model.engine, model.tree.tables, len(model.coefficients))
+    model.kernels.own.compiled()
+    model.kernels.use_own = True
     return model
 
 
 @pytest.mark.kernels
 def test_unlike_runs_side_by_side(fish: MultilinkModel, rng: np.random.Generator) -> None:
     """Eleven runs, of unlike length, step, start, drive and coefficients, in two batches."""
-    assert fish.kernel is not None
-    compare(MultilinkModel, fish.kernel, spread(MultilinkModel, fish.tree, fish.kernel, rng))
+    assert fish.kernels.own is not None
+    compare(MultilinkModel, fish.kernels.own, spread(MultilinkModel, fish.tree, fish.kernels.own, rng))
 
 
 @pytest.mark.kernels
 def test_a_run_that_breaks_down_leaves_the_others_alone(
     fish: MultilinkModel, rng: np.random.Generator
 ) -> None:
-    assert fish.kernel is not None
-    runs = spread(MultilinkModel, fish.tree, fish.kernel, rng)[:5]
+    assert fish.kernels.own is not None
+    runs = spread(MultilinkModel, fish.tree, fish.kernels.own, rng)[:5]
     start, step, drive, tables = runs[2]
     runs[2] = (start, step, drive, {**tables, "drag": -2e3 * tables["drag"] - 1e3 * (tables["drag"] != 0)})
     broken = scalar(MultilinkModel, *runs[2])[0]
     assert np.isnan(broken).any()
     assert not np.isnan(broken[0]).any()
-    compare(MultilinkModel, fish.kernel, runs)
+    compare(MultilinkModel, fish.kernels.own, runs)
 
 
 @pytest.mark.slow
@@ -244,7 +244,7 @@ def test_one_run_takes_the_lanes_too(fish: MultilinkModel) -> None:
     runs = [(start * (1 + 0.01 * k), own[k % 3]) for k in range(5)]
     together = fish.simulate_many(runs)
     for values, trial in runs:
-        fish._kept.clear()
+        fish.forget([trial])
         alone = fish.simulate(values, trial)
         expected = together.pop(0)
         for channel, series in alone.items():
@@ -253,14 +253,14 @@ def test_one_run_takes_the_lanes_too(fish: MultilinkModel) -> None:
 
 def test_what_cannot_be_simulated_is_nan_among_others(fish: MultilinkModel) -> None:
     class Failing(MultilinkModel):
-        def _drive(self, values: Any, trial: Any, *others: Any) -> Any:
+        def request(self, values: Any, trial: Any, hooks: Any) -> Any:
             if trial.id == "run1":
                 raise FloatingPointError("no drive")
-            return super()._drive(values, trial, *others)
+            return super().request(values, trial, hooks)
 
     for side_by_side in (False, True):
         model = Failing(robot_format.read("tfish"))
-        model.kernel, model.side_by_side = fish.kernel, side_by_side
+        model.kernels.own, model.kernels.use_own = fish.kernels.own, side_by_side
         start = np.array([fish.stated().get(p.name, p.start) for p in fish.parameters])
         seen = model.simulate_many([(start, t) for t in trials()])
         assert [bool(np.isfinite(s["x_m"]).all()) for s in seen] == [True, False, True]
@@ -287,18 +287,18 @@ def test_a_tied_model_and_a_problem_run_together(fish: MultilinkModel) -> None:
 def test_memory_is_used_again_once_nobody_holds_its_results(
     fish: MultilinkModel, rng: np.random.Generator
 ) -> None:
-    assert fish.kernel is not None
-    runs = spread(MultilinkModel, fish.tree, fish.kernel, rng)[:4]
+    assert fish.kernels.own is not None
+    runs = spread(MultilinkModel, fish.tree, fish.kernels.own, rng)[:4]
     arguments = [list(column) for column in zip(*runs, strict=True)]
-    first = fish.kernel.run(*arguments)
+    first = fish.kernels.own.run(*arguments)
     kept = [states.copy() for states, _ in first]
-    second = fish.kernel.run(*arguments)
+    second = fish.kernels.own.run(*arguments)
     assert not np.shares_memory(first[0][0], second[0][0])
     for (states, _), before in zip(first, kept, strict=True):
         np.testing.assert_array_equal(states, before)
     place = second[0][0].ctypes.data
     del second, states
-    assert fish.kernel.run(*arguments)[0][0].ctypes.data == place
+    assert fish.kernels.own.run(*arguments)[0][0].ctypes.data == place
 
 
 def test_effects_that_are_alike_share_their_runs() -> None:
@@ -312,16 +312,16 @@ def test_effects_that_are_alike_share_their_runs() -> None:
 
 
 def test_an_effect_that_fills_in_the_tables_does_not_fit(fish: MultilinkModel) -> None:
-    assert fish.kernel is not None
+    assert fish.kernels.own is not None
     start = np.array([fish.stated()[name] for name in fish.coefficients])
     tables = fish.tree.tables(start)
-    assert fish.kernel.fits(tables)
-    nought = np.argwhere((tables["drag"] == 0.0) & ~np.isnan(fish.kernel._fixed["drag"]))[0]
+    assert fish.kernels.own.fits(tables)
+    nought = np.argwhere((tables["drag"] == 0.0) & ~np.isnan(fish.kernels.own._fixed["drag"]))[0]
     filled = tables["drag"].copy()
     filled[tuple(nought)] = 0.1
-    assert not fish.kernel.fits({**tables, "drag": filled})
-    assert not fish.kernel.fits({**tables, "drag": tables["drag"][:-1]})
-    assert not fish.kernel.fits({**tables, "drag_link": tables["drag_link"][::-1].copy()})
+    assert not fish.kernels.own.fits({**tables, "drag": filled})
+    assert not fish.kernels.own.fits({**tables, "drag": tables["drag"][:-1]})
+    assert not fish.kernels.own.fits({**tables, "drag_link": tables["drag_link"][::-1].copy()})
 
 
 def test_a_coefficient_at_zero_changes_no_structure() -> None:
@@ -394,10 +394,10 @@ def test_a_question_of_a_value_cannot_be_traced() -> None:
 
 def test_when_it_pays(fish: MultilinkModel, monkeypatch: pytest.MonkeyPatch) -> None:
     """Short work stays on the scalar engine, long work compiles at once, else the next command has it."""
-    kernel = fish.kernel
+    kernel = fish.kernels.own
     assert kernel is not None
     asked: list[str] = []
-    monkeypatch.setattr(kernels, "later", lambda text: asked.append("later"))
+    monkeypatch.setattr(kernels, "compile_later", lambda text: asked.append("later"))
     monkeypatch.setattr(kernel, "compiled", lambda: asked.append("now"))
     per_s = 1.0 / (kernels.OPERATION_S * len(kernel.traced().operations))
     for mode, there, seconds, runs_together, did in (

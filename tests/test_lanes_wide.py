@@ -33,8 +33,8 @@ def opened(name: str) -> MultilinkModel:
     """A robot with both kernels, nothing compiled."""
     catalogue.catalogue()
     model = MultilinkModel(robot_format.read(name))
-    model.kernels()
-    model.side_by_side = model.wide_side_by_side = True
+    model.kernels.make()
+    model.kernels.use_own = model.kernels.use_wide = True
     return model
 
 
@@ -42,10 +42,10 @@ def opened(name: str) -> MultilinkModel:
 def fish() -> MultilinkModel:
     """The tendon fish, compiled."""
     model = opened("tfish")
-    assert model.kernel is not None
-    assert model.wide is not None
-    model.kernel.compiled()
-    model.wide.compiled()
+    assert model.kernels.own is not None
+    assert model.kernels.wide is not None
+    model.kernels.own.compiled()
+    model.kernels.wide.compiled()
     return model
 
 
@@ -72,9 +72,9 @@ def widened(model: MultilinkModel, own: list[Trial]) -> dict[str, Effect]:
     for effect in every:
         names = [p.name for p in effect.parameters(model, own)]
         hooks = effect.hooks(acting(Affected(model, [effect], own)), own[0], model)
-        run = model._asked(given(model), own[0], hooks)
-        lane = model.lane(run)
-        if lane is None or lane[0] is model.wide:
+        run = model.request(given(model), own[0], hooks)
+        lane = model.kernels.choose(run, model.frame)
+        if lane is None or lane[0] is model.kernels.wide:
             found[f"{effect.name} {names[0]}"] = effect
     return found
 
@@ -91,9 +91,9 @@ def compared(model: MultilinkModel, effects: list[Effect], own: list[Trial], cou
     one, many = (Affected(m, effects, own) for m in (plain, model))
     values = np.concatenate([given(model), acting(one)])
     runs = [(values * (1.0 + 0.01 * k), own[k % 2]) for k in range(count)]
-    assert model.wide is not None
+    assert model.kernels.wide is not None
     steps = (own[0].time_s[-1] - own[0].time_s[0]) / model.max_step
-    operations = 4 * len(model.wide.traced().operations) * steps
+    operations = 4 * len(model.kernels.wide.traced().operations) * steps
     model.forget(own)
     for (point, trial), simulated in zip(runs, many.simulate_many(runs), strict=True):
         for channel, series in one.simulate(point, trial).items():
@@ -111,7 +111,7 @@ def test_every_force_and_element_side_by_side(fish: MultilinkModel) -> None:
     }  # fmt: skip
     for effect in found.values():
         hooks = effect.hooks(acting(Affected(fish, [effect], own)), own[0], fish)
-        assert fish.lane(fish._asked(given(fish), own[0], hooks)) is not None, effect
+        assert fish.kernels.choose(fish.request(given(fish), own[0], hooks), fish.frame) is not None, effect
         compared(fish, [effect], own, 3)
 
 
@@ -146,7 +146,7 @@ def test_two_forces_of_one_kind_stay_on_the_engine(fish: MultilinkModel) -> None
         np.concatenate([given(fish), acting(Affected(fish, walls, own))]), own[0]
     )
     assert len(hooks.force) == 2
-    assert fish.lane(fish._asked(given(fish), own[0], hooks)) is None
+    assert fish.kernels.choose(fish.request(given(fish), own[0], hooks), fish.frame) is None
     compared(fish, walls, own, 2)
 
 
@@ -154,9 +154,10 @@ def test_two_forces_of_one_kind_stay_on_the_engine(fish: MultilinkModel) -> None
 def test_a_run_without_effects_takes_the_robots_own_kernel(fish: MultilinkModel) -> None:
     own = swims(fish, 1.0)
     fish.forget(own)
-    lane = fish.lane(fish._asked(given(fish), own[0], Affected(fish, [], own).hooks(given(fish), own[0])))
+    none = Affected(fish, [], own).hooks(given(fish), own[0])
+    lane = fish.kernels.choose(fish.request(given(fish), own[0], none), fish.frame)
     assert lane is not None
-    assert lane[0] is fish.kernel
+    assert lane[0] is fish.kernels.own
 
 
 def test_a_diagnosis_taken_up_again_keeps_its_kernels(
@@ -166,22 +167,22 @@ def test_a_diagnosis_taken_up_again_keeps_its_kernels(
     monkeypatch.setattr(Kernel, "worth", lambda self, derivatives, progress: True)
     model = MultilinkModel(fish.robot)
     model.prepare(simulated_s=1e3)
-    assert (model.side_by_side, model.wide_side_by_side, model.wide) == (True, False, None)
+    assert (model.kernels.use_own, model.kernels.use_wide, model.kernels.wide) == (True, False, None)
     model.prepare(simulated_s=1e3, affected_s=1e2, checkpoint=Checkpoint.beside(tmp_path / "gap.yaml", []))
-    assert model.wide_side_by_side
+    assert model.kernels.use_wide
     monkeypatch.setattr(Kernel, "worth", lambda self, derivatives, progress: False)
     again = MultilinkModel(fish.robot)
     again.prepare(simulated_s=1e3, affected_s=1e2, checkpoint=Checkpoint.beside(tmp_path / "gap.yaml", []))
-    assert (again.side_by_side, again.wide_side_by_side) == (True, True)
-    assert again.refined().wide is again.wide
+    assert (again.kernels.use_own, again.kernels.use_wide) == (True, True)
+    assert again.refined().kernels.wide is again.kernels.wide
 
 
 def test_forces_in_a_vertical_plane_as_plain_python() -> None:
     """The module's text, not compiled, for the effects that only a swimmer in a side view has, too."""
     dolphin = opened("dolphin")
-    assert dolphin.kernel is not None
-    assert dolphin.wide is not None
-    for kernel in (dolphin.kernel, dolphin.wide):
+    assert dolphin.kernels.own is not None
+    assert dolphin.kernels.wide is not None
+    for kernel in (dolphin.kernels.own, dolphin.kernels.wide):
         kernel._module = lanes_forms.uncompiled(kernel)
     own = swims(dolphin, 0.06)
     found = widened(dolphin, own)
@@ -192,7 +193,7 @@ def test_forces_in_a_vertical_plane_as_plain_python() -> None:
 
 def test_effects_change_no_text_of_the_lanes_without() -> None:
     """Neither bits nor time cost a run that asks for none."""
-    text = tracing.text(opened("tfish").kernel.traced())
+    text = tracing.text(opened("tfish").kernels.own.traced())
     assert "bits" not in text
     assert "0.5 * n *" not in text
 
@@ -249,7 +250,7 @@ def test_a_number_of_a_run_answers_no_question() -> None:
 def test_the_wide_lanes_are_packed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Bits, exponentials and powers do not keep the compiler from taking the loop over lanes whole."""
     monkeypatch.setattr(numba.config, "BOUNDSCHECK", 0)
-    kernel = opened("tfish").wide
+    kernel = opened("tfish").kernels.wide
     assert kernel is not None
     packed, single = lanes_forms.arithmetic(kernel)
     assert packed > 10 * max(single, 1)

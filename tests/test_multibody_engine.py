@@ -15,14 +15,15 @@ from swimid.fitting.drives import SwimInput
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid
 from swimid.robots.spatial import Multibody
-from swimid.swimmer.model import joint_motion
-from swimid.swimmer.planar import drive
+from swimid.swimmer import drive
+from swimid.swimmer.drive import joint_motion
 from swimid.swimmer.planar import engine as planar_engine
 from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.spatial import engine
-from swimid.swimmer.spatial.assembly import Assembly, Lifted, full, spheroid_coefficients
+from swimid.swimmer.spatial.assembly import Assembly, full, spheroid_coefficients
 from swimid.swimmer.spatial.model import MultibodyModel
 from tests import lanes_forms
+from tests.lifted import Lifted
 
 WATER, G = 1000.0, 9.81
 

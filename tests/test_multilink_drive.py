@@ -14,7 +14,7 @@ from swimid.fitting import drives
 from swimid.fitting.drives import SwimInput
 from swimid.fitting.model import Trial
 from swimid.robots.file import Robot
-from swimid.swimmer.planar import drive
+from swimid.swimmer import drive
 from swimid.swimmer.planar.model import MultilinkModel
 
 WAVEFORMS = [("sine", 0.0), ("hopf", 0.0), ("a-cpg", 0.0), ("a-cpg", 0.4), ("a-cpg", -0.6)]
@@ -230,7 +230,9 @@ class TestServo:
         errors = []
         for step in (0.01, 0.005, 0.0025):
             times = step * np.arange(round(1.0 / step) + 1)
-            found = drive.servo(0.5 * step * np.arange(2 * len(times) - 1), step, self.OMEGA, self.DAMPING)
+            found = drive.simulate_servo(
+                0.5 * step * np.arange(2 * len(times) - 1), step, self.OMEGA, self.DAMPING
+            )
             errors.append(np.abs(found[:, 0] - self.ramp_answer(times)).max())
             # central differences err by h^2 / 6 of what is largest at the start: omega^2, 2 z omega^3
             jerks = (self.OMEGA**2, 2 * self.DAMPING * self.OMEGA**3)
@@ -241,7 +243,7 @@ class TestServo:
         assert errors[1] < 2e-7
 
     def test_starts_at_its_command(self) -> None:
-        found = drive.servo(np.full(201, 0.3), 0.01, self.OMEGA, self.DAMPING)
+        found = drive.simulate_servo(np.full(201, 0.3), 0.01, self.OMEGA, self.DAMPING)
         np.testing.assert_allclose(found, np.tile([0.3, 0.0, 0.0], (101, 1)), atol=1e-15)
 
     def test_sine_in_a_robot(self) -> None:

@@ -33,10 +33,9 @@ from swimid.simulation import catalogue
 from swimid.simulation.catalogue import Applied, Quantity
 from swimid.simulation.options import SimulateOptions
 from swimid.simulation.swim_quantities import Steady
-from swimid.swimmer import run_quantities
+from swimid.swimmer import drive, run_quantities
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.model import Swimmer
-from swimid.swimmer.planar import drive
 
 #: Duration of a run (s) and sampling rate (Hz) by default.
 DURATION_S, RATE_HZ = 15.0, 50.0
