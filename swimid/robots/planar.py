@@ -70,7 +70,7 @@ class Coefficient(yamlio.Document):
     bounds: tuple[float | None, float | None] = (None, None)
     #: Start value of a fit; default: the value.
     start: float | None = None
-    #: Typical size. An estimate is not identifiable if its standard error exceeds half of it and of the value.
+    #: Typical size. An estimate with a standard error above half of it and of its value is not identifiable.
     scale: PositiveFloat | None = None
     #: Whether a fit estimates it by default.
     free: bool = True

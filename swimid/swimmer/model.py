@@ -32,6 +32,10 @@ if TYPE_CHECKING:
 MAX_TRAJECTORIES = 4
 
 
+#: Motion of a run whose trajectory is kept.
+NO_MOTION = DrivenMotion(np.empty((0, 0, 5)), np.empty((0, 0)), np.empty((0, 0)))
+
+
 @dataclass(frozen=True)
 class Trajectory:
     """A simulated run on its own grid.
@@ -66,7 +70,7 @@ class Run:
     kept : Trajectory or None
     start : ndarray
         First state.
-    drive : DrivenMotion or None
+    drive : DrivenMotion
     tables : mapping
         Tables of the engine.
     """
@@ -78,7 +82,7 @@ class Run:
     grid: Grid
     kept: Trajectory | None
     start: Array = field(default_factory=lambda: np.empty(0))
-    drive: DrivenMotion | None = None
+    drive: DrivenMotion = NO_MOTION
     tables: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -429,7 +433,6 @@ class Swimmer(Model):
         return [trajectories[run.trial.id, run.key] for run in runs]
 
     def _keep(self, run: Run, states: Array, rates: Array) -> Trajectory:
-        assert run.drive is not None
         trajectory = Trajectory(run.grid, states, rates, run.drive)
         return self._trajectories.put(run.trial.id, run.key, trajectory)
 

@@ -477,7 +477,6 @@ class MultilinkModel(Swimmer):
 
     def integrate(self, run: Run) -> tuple[Array, Array]:
         """Return states and rates of a run."""
-        assert run.drive is not None
         forced = None
         if run.hooks.force:
             forced = engine.outside(run.hooks.force, self.frame(run), len(self.tree.links))

@@ -123,7 +123,6 @@ class MultibodyModel(Swimmer):
 
     def integrate(self, run: Run) -> tuple[Array, Array]:
         """Return states and rates of a run."""
-        assert run.drive is not None
         states, rates = engine.integrate(run.start, run.grid.step_s, run.drive.table, *run.tables.values())
         return states, rates
 
