@@ -67,7 +67,7 @@ def test_torques_of_random_trees(base: str) -> None:
         mounts = np.radians([a.joint.mount_deg for a in tree.driven])
         row = np.column_stack([q[n:], qd[n:], told, np.cos(q[n:] + mounts), np.sin(q[n:] + mounts)])
         rate, scratch = np.empty(2 * n), [np.zeros(shape) for shape in engine.shapes(tables)[1]]
-        engine.derivative(state, row, *tables.values(), None, 0.0, *scratch, rate)
+        engine.derivative(0.0, state, row, *scratch, rate, *tables.values(), None)
         expected = oracle.torque(q, qd, np.r_[oracle.acceleration(q, qd, told), told])
         torque, _ = engine.energetics(state[None], rate[None], row[None], *tables.values())
         found = torque[0, [a.link for a in tree.driven]]
@@ -119,7 +119,7 @@ def test_both_engines_give_the_same_torques() -> None:
     assert space.water_W == pytest.approx(flat.water_W, abs=1e-9)
 
 
-def test_passive_torque_is_the_spring_s_law() -> None:
+def test_passive_torque_follows_the_law_of_the_spring() -> None:
     """The dolphin's caudal joint: ``tau = -K_s theta``, with the energy that it stores."""
     model = MultilinkModel(robot_format.read("dolphin"))
     swim = SwimInput(Beat("sine", 2.0, 0.4))
@@ -131,7 +131,7 @@ def test_passive_torque_is_the_spring_s_law() -> None:
     )
 
 
-def test_a_run_that_breaks_down_has_none() -> None:
+def test_a_run_that_breaks_down_has_no_energetics() -> None:
     model = MultilinkModel(robot_format.read("tfish"))
     values = values_of(model)
     values[model.index("c_d4")] = -1e6
@@ -141,7 +141,7 @@ def test_a_run_that_breaks_down_has_none() -> None:
     assert np.isnan(columns["u_m_s"]).all()
 
 
-def test_what_is_forgotten_is_simulated_again() -> None:
+def test_forgotten_trials_are_simulated_again() -> None:
     model = MultilinkModel(robot_format.read("tfish"))
     time = np.arange(101) / 50
     slow, fast = (Trial("run", "fit", time, {}, swim=SwimInput(Beat("sine", f, 0.3))) for f in (1.0, 2.0))

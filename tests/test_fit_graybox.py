@@ -181,7 +181,7 @@ class TestRecovery:
         assert max(map(abs, off.values())) < 3, off
         assert max(map(abs, _deviations(wrong, TRUTH).values())) > 3
 
-    def test_read_back_to_the_last_bit(self, swimid: Swimid, tmp_path: Path) -> None:
+    def test_a_parameter_file_is_read_back_exactly(self, swimid: Swimid, tmp_path: Path) -> None:
         trials = _write(tmp_path, _runs(), RATES)
         out = tmp_path / "fit.yaml"
         ran = swimid("fit-graybox", trials, "-o", out, "--json")
@@ -293,7 +293,7 @@ class TestTrialsThatDisagree:
         (check,) = [c for c in checks if c.name == "trials agree"]
         assert check.verdict == "warn"
 
-    def test_with_none_they_stay(self, swimid: Swimid, tmp_path: Path) -> None:
+    def test_standard_errors_stay_if_trials_agree(self, swimid: Swimid, tmp_path: Path) -> None:
         file = _fit(swimid, _write(tmp_path, _runs(shared=True), POSE), "--share", "c_f")
         assert file.fit is not None
         assert (file.fit.model_extra or {})["scatter"] == 1
@@ -308,7 +308,7 @@ class TestLogs:
         assert len(off) >= 6
         assert max(map(abs, off.values())) < 4, off
 
-    def test_commanded_joints_where_none_is_measured(self, swimid: Swimid, tmp_path: Path) -> None:
+    def test_commanded_joints_move_the_fish_if_none_is_measured(self, swimid: Swimid, tmp_path: Path) -> None:
         runs = []
         for run in _runs(shared=True):
             names = {f"joint{k}_rad": f"cmd{k}_rad" for k in (1, 2, 3)}
@@ -331,7 +331,7 @@ class TestLogs:
         assert "cmd2_rad" in ran.err
         assert ran.err.count("Error") == 1
 
-    def test_a_joint_no_drive_moves_needs_no_column(self, tmp_path: Path) -> None:
+    def test_a_joint_with_zero_gain_needs_no_column(self, tmp_path: Path) -> None:
         drive = _drive(2.0, 20)
         run = swimmer.Run("d", drive, swimmer.simulate("dolphin", None, drive, 2.0))
         columns = ["x_m", "z_m", "pitch_rad", "joint2_rad"]
@@ -369,12 +369,12 @@ class TestLogs:
         assert still.fit is not None
         assert still.fit.channels["u_m_s"]["rmse"] > 2 * RATES["u_m_s"]
 
-    def test_rest_is_rest_without_noise(self, tmp_path: Path) -> None:
+    def test_a_start_from_rest_is_recognised_without_noise(self, tmp_path: Path) -> None:
         for noise in (dict.fromkeys(RATES, 0.0), dict.fromkeys(POSE, 0.0)):
             assert swimmer_trials.load(_write(tmp_path, _runs(), noise)).facts["moving"] == []
 
     @pytest.mark.slow
-    def test_a_held_out_run_elsewhere(self, swimid: Swimid, tmp_path: Path) -> None:
+    def test_a_held_out_run_with_another_start(self, swimid: Swimid, tmp_path: Path) -> None:
         trials = _write(tmp_path, _runs(shared=True), POSE)
 
         def moved(table: Table) -> Table:
@@ -390,7 +390,7 @@ class TestLogs:
             assert file.fit.validation["channels"][channel]["rmse"] == pytest.approx(sd, rel=0.25)
 
     @pytest.mark.parametrize("late_s", [0.037, -0.037])
-    def test_a_clock_that_is_off(self, swimid: Swimid, tmp_path: Path, late_s: float) -> None:
+    def test_a_clock_with_an_offset(self, swimid: Swimid, tmp_path: Path, late_s: float) -> None:
         trials = _write(tmp_path, _runs(shared=True), POSE)
         _rewrite(tmp_path / "wide.csv", lambda table: {**table, "t_s": table["t_s"] + late_s})
         file = _fit(swimid, trials, "--share", "c_f", "--free", "clock_offset")
@@ -493,7 +493,7 @@ def _stopping(at: int) -> Callable[..., Any]:
 
 
 class TestInterrupted:
-    def test_goes_on_from_the_best_so_far(self, swimid: Swimid, tmp_path: Path) -> None:
+    def test_a_fit_continues_from_the_best_point(self, swimid: Swimid, tmp_path: Path) -> None:
         trials = _write(tmp_path, _runs(shared=True), RATES)
         whole = _fit(swimid, trials, "--share", "c_f")
         kept = tmp_path / "kept.yaml"
@@ -514,7 +514,7 @@ class TestInterrupted:
                 assert file.value(name) == pytest.approx(e.value, abs=0.02 * e.stderr)
 
     @pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot send Ctrl-C to one process")
-    def test_by_a_signal(self, tmp_path: Path) -> None:
+    def test_a_signal_interrupts_a_fit(self, tmp_path: Path) -> None:
         trials = _write(tmp_path, _runs(shared=True), RATES)
         kept = tmp_path / "kept.yaml"
         program = """
@@ -565,7 +565,7 @@ class TestWrongModels:
     """A model that lacks an effect is the normal case: the fit ends, writes, and says what comes next."""
 
     @pytest.mark.slow
-    def test_play_of_the_servos_takes_no_longer(
+    def test_a_fit_with_backlash_takes_no_longer(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         """Twelve runs of a fish whose servos have 0.05 rad of play, against the same without."""
@@ -593,7 +593,7 @@ class TestWrongModels:
                 assert result.value("c_Ia") == pytest.approx(swimmer.TFISH["c_Ia"], rel=0.2)
         assert spent["wrong"] < 3 * spent["right"]
 
-    def test_what_it_came_to_is_written(
+    def test_an_unfinished_result_is_written(
         self, swimid: Swimid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setattr(output_error, "BUDGET", 3)
@@ -611,7 +611,7 @@ class TestWrongModels:
         assert shown.verdict.level == "bad"
         assert next(c for c in shown.checks if c.name == "converged").text.startswith("after")
 
-    def test_of_several_starts_too(
+    def test_an_unfinished_result_of_several_starts_is_written(
         self, swimid: Swimid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setattr(output_error, "BUDGET", 3)
@@ -622,7 +622,7 @@ class TestWrongModels:
         assert out.exists()
         assert "did not converge" in ran.err
 
-    def test_it_names_the_bounds_it_ran_into(
+    def test_bounds_that_stopped_the_fit_are_named(
         self, swimid: Swimid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setattr(output_error, "BUDGET", 6)
@@ -633,7 +633,7 @@ class TestWrongModels:
 
 
 class TestBrokenSimulations:
-    def test_cost_and_do_not_stop_the_search(self, swimid: Swimid, tmp_path: Path) -> None:
+    def test_broken_simulations_do_not_stop_the_search(self, swimid: Swimid, tmp_path: Path) -> None:
         """Within these bounds links may have no mass, and drag may drive instead of braking."""
         trials = _write(tmp_path, _runs(shared=True)[:2], RATES)
         wide = ["--share", "c_f", "--bounds", "c_ma=-2,1e4", "--bounds", "c_Ia=-2,1e4"]
@@ -647,7 +647,7 @@ class TestBrokenSimulations:
         ]
         assert len(starts.rows) == 4
 
-    def test_from_an_absurd_start(self, swimid: Swimid, tmp_path: Path) -> None:
+    def test_a_fit_from_an_absurd_start(self, swimid: Swimid, tmp_path: Path) -> None:
         trials = _write(tmp_path, _runs(shared=True)[:2], RATES)
         file = _fit(swimid, trials, "--share", "c_f")
         absurd = file.model_copy(
@@ -818,7 +818,7 @@ class TestPublishedFish:
             assert sum(sums) >= stats.binom.ppf(1e-3, len(sums), 0.95)
 
 
-def test_a_trial_may_set_a_coefficient_of_its_own(swimid: Swimid, tmp_path: Path) -> None:
+def test_a_trial_may_set_its_own_coefficient(swimid: Swimid, tmp_path: Path) -> None:
     """Two stiffnesses in one fit of the dolphin: each trial is simulated with its own."""
     drive = {"frequency_hz": 2.5, "amplitude_deg": 27}
     runs = [
@@ -847,7 +847,7 @@ def test_a_trial_may_set_a_coefficient_of_its_own(swimid: Swimid, tmp_path: Path
     assert "did you mean 'K_s'" in ran.err
 
 
-def test_a_track_of_one_marker_has_a_heading_of_its_own(tmp_path: Path) -> None:
+def test_a_track_of_one_marker_has_an_estimated_heading(tmp_path: Path) -> None:
     """Of the sample's logs without their heading: begun where the track sets out, and estimated."""
     folder = tmp_path / "gap"
     shutil.copytree(SAMPLES / "gap", folder)

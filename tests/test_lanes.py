@@ -60,7 +60,7 @@ def drive_of(rng: np.random.Generator, joints: int, steps: int, step: float) -> 
 
 def scalar(form: type[Swimmer], start: np.ndarray, step: float, drive: np.ndarray, tables: Any) -> Any:
     """By the engine itself."""
-    return ENGINES[form].integrate(start, step, drive, *tables.values(), *form.engine.extra)
+    return ENGINES[form].integrate(0.0, start, step, drive, *tables.values(), *form.engine.extra)
 
 
 def planar_tree(seed: int, **changed: Any) -> PlanarAssembly:
@@ -137,7 +137,7 @@ def spread(form: type[Swimmer], tree: Any, kernel: Kernel, rng: np.random.Genera
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_the_module_of_lanes_as_plain_python(name: str, rng: np.random.Generator) -> None:
+def test_the_uncompiled_module_agrees_with_the_engine(name: str, rng: np.random.Generator) -> None:
     """Its text, not compiled, moves every robot as the scalar engine does."""
     form, make = CASES[name]
     tree = make()
@@ -172,14 +172,16 @@ def fish() -> Swimmer:
 
 
 @pytest.mark.kernels
-def test_unlike_runs_side_by_side(fish: MultilinkModel, rng: np.random.Generator) -> None:
+def test_different_runs_of_one_batch_agree_with_the_engine(
+    fish: MultilinkModel, rng: np.random.Generator
+) -> None:
     """Eleven runs, of unlike length, step, start, drive and coefficients, in two batches."""
     assert fish.kernels.own is not None
     compare(MultilinkModel, fish.kernels.own, spread(MultilinkModel, fish.tree, fish.kernels.own, rng))
 
 
 @pytest.mark.kernels
-def test_a_run_that_breaks_down_leaves_the_others_alone(
+def test_a_run_that_breaks_down_does_not_change_the_others(
     fish: MultilinkModel, rng: np.random.Generator
 ) -> None:
     assert fish.kernels.own is not None
@@ -194,7 +196,7 @@ def test_a_run_that_breaks_down_leaves_the_others_alone(
 
 @pytest.mark.slow
 @pytest.mark.kernels
-def test_a_robot_in_space_side_by_side(rng: np.random.Generator) -> None:
+def test_a_batch_of_a_robot_in_space_agrees_with_the_engine(rng: np.random.Generator) -> None:
     tree = sea_lion()
     kernel = Kernel(MultibodyModel.engine, tree.tables, len(tree.body.coefficients))
     compare(MultibodyModel, kernel, spread(MultibodyModel, tree, kernel, rng))
@@ -207,7 +209,7 @@ def trials(count: int = 3) -> list[Trial]:
     ]
 
 
-def test_many_runs_are_those_of_one_by_one(fish: MultilinkModel) -> None:
+def test_many_runs_agree_with_single_runs(fish: MultilinkModel) -> None:
     """Repeats, trials and values mixed; with effects of every stage acting, a force from outside, too."""
     plain = MultilinkModel(robot_format.read("tfish"))
     names = {e.name: e for e in effect_catalogue.catalogue()}
@@ -237,7 +239,7 @@ def test_many_runs_are_those_of_one_by_one(fish: MultilinkModel) -> None:
                 np.testing.assert_allclose(simulated[channel], series, rtol=0, atol=1e-9, err_msg=f"{chosen}")
 
 
-def test_one_run_takes_the_lanes_too(fish: MultilinkModel) -> None:
+def test_a_single_run_takes_the_kernel_too(fish: MultilinkModel) -> None:
     """So that a simulation does not depend on what it is asked together with."""
     own = trials()
     start = np.array([fish.stated().get(p.name, p.start) for p in fish.parameters])
@@ -251,7 +253,7 @@ def test_one_run_takes_the_lanes_too(fish: MultilinkModel) -> None:
             np.testing.assert_array_equal(series, expected[channel])
 
 
-def test_what_cannot_be_simulated_is_nan_among_others(fish: MultilinkModel) -> None:
+def test_a_run_that_cannot_be_simulated_is_nan_among_others(fish: MultilinkModel) -> None:
     class Failing(MultilinkModel):
         def request(self, values: Any, trial: Any, hooks: Any) -> Any:
             if trial.id == "run1":
@@ -266,7 +268,7 @@ def test_what_cannot_be_simulated_is_nan_among_others(fish: MultilinkModel) -> N
         assert [bool(np.isfinite(s["x_m"]).all()) for s in seen] == [True, False, True]
 
 
-def test_a_tied_model_and_a_problem_run_together(fish: MultilinkModel) -> None:
+def test_derivatives_with_shared_coefficients_agree_with_the_engine(fish: MultilinkModel) -> None:
     """The derivatives of a fit with shared coefficients are those of the scalar engine."""
     plain = MultilinkModel(robot_format.read("tfish"))
     groups = {"c_f": ("c_f0", "c_f4")}
@@ -284,7 +286,7 @@ def test_a_tied_model_and_a_problem_run_together(fish: MultilinkModel) -> None:
     assert np.max(np.abs(slopes[1] - slopes[0]) * sizes) < 4e-8
 
 
-def test_memory_is_used_again_once_nobody_holds_its_results(
+def test_memory_is_reused_after_its_results_are_released(
     fish: MultilinkModel, rng: np.random.Generator
 ) -> None:
     assert fish.kernels.own is not None
@@ -301,7 +303,7 @@ def test_memory_is_used_again_once_nobody_holds_its_results(
     assert fish.kernels.own.run(*arguments)[0][0].ctypes.data == place
 
 
-def test_effects_that_are_alike_share_their_runs() -> None:
+def test_equal_effects_share_their_runs() -> None:
     """A trajectory is kept by what acts, not by which object stands for it."""
     names = {e.name: e for e in effect_catalogue.catalogue()}
     tether, other = names["tether"], type(names["tether"])()
@@ -311,7 +313,7 @@ def test_effects_that_are_alike_share_their_runs() -> None:
     assert x.content() != y.content()
 
 
-def test_an_effect_that_fills_in_the_tables_does_not_fit(fish: MultilinkModel) -> None:
+def test_tables_with_filled_zeros_do_not_fit_the_kernel(fish: MultilinkModel) -> None:
     assert fish.kernels.own is not None
     start = np.array([fish.stated()[name] for name in fish.coefficients])
     tables = fish.tree.tables(start)
@@ -324,7 +326,7 @@ def test_an_effect_that_fills_in_the_tables_does_not_fit(fish: MultilinkModel) -
     assert not fish.kernels.own.fits({**tables, "drag_link": tables["drag_link"][::-1].copy()})
 
 
-def test_a_coefficient_at_zero_changes_no_structure() -> None:
+def test_a_coefficient_of_zero_keeps_the_structure() -> None:
     """Also of a planar robot lifted into space, whose damping of rotation is a coefficient at its bound."""
     robot = robot_format.read("tfish")
     body = robot.multilink
@@ -342,7 +344,7 @@ def test_a_coefficient_at_zero_changes_no_structure() -> None:
             assert kernel.fits(tree.tables(values)), tree.names[k]
 
 
-def test_threads_share_whole_batches(fish: MultilinkModel) -> None:
+def test_threads_simulate_whole_batches(fish: MultilinkModel) -> None:
     """Six runs fill one batch: two half-empty ones would take twice the time of the processor."""
     parts: list[int] = []
 
@@ -384,7 +386,7 @@ def test_sine_and_cosine_of_symbols() -> None:
         assert cosine == pytest.approx(math.cos(angle), abs=3e-16)
 
 
-def test_a_question_of_a_value_cannot_be_traced() -> None:
+def test_a_branch_on_a_value_cannot_be_traced() -> None:
     state = tracing.Tracer().symbol("state", 0)
     with pytest.raises(TypeError, match="positive"):
         _ = 1.0 if state > 0.0 else 2.0
@@ -392,7 +394,7 @@ def test_a_question_of_a_value_cannot_be_traced() -> None:
         bool(state)
 
 
-def test_when_it_pays(fish: MultilinkModel, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_when_compiling_a_kernel_pays(fish: MultilinkModel, monkeypatch: pytest.MonkeyPatch) -> None:
     """Short work stays on the scalar engine, long work compiles at once, else the next command has it."""
     kernel = fish.kernels.own
     assert kernel is not None
@@ -415,7 +417,7 @@ def test_when_it_pays(fish: MultilinkModel, monkeypatch: pytest.MonkeyPatch) -> 
         assert asked == did
 
 
-def test_the_compiled_module_is_kept(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_compiled_module_is_kept_on_disk(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """A process of its own compiles it; then it is on disk, and is not compiled again."""
     monkeypatch.setattr(kernels, "folder", lambda: tmp_path)
     text = (
@@ -430,7 +432,7 @@ def test_the_compiled_module_is_kept(tmp_path: Any, monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.slow
-def test_the_compiled_module_is_kept_where_numba_is_told_to(tmp_path: Any) -> None:
+def test_the_compiled_module_is_kept_in_the_cache_folder_of_numba(tmp_path: Any) -> None:
     code = (
         "from swimid.swimmer.lanes import kernel\n"
         "text = 'import numba\\nSIGNATURE = \"f8(f8)\"\\n'\n"
@@ -448,7 +450,7 @@ def test_the_compiled_module_is_kept_where_numba_is_told_to(tmp_path: Any) -> No
 @pytest.mark.skipif(
     platform.machine() not in ("x86_64", "AMD64"), reason="reads the assembly of one processor"
 )
-def test_the_lanes_are_packed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_compiler_vectorises_the_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
     """The compiler takes the loop over lanes whole: arithmetic on packed doubles, hardly any on others."""
     monkeypatch.setattr(numba.config, "BOUNDSCHECK", 0)
     link = {"length_m": 0.2, "mass_kg": 1.0, "com_m": 0.08, "inertia_kg_m2": 0.02, "inertia_about": "com"}
@@ -464,7 +466,7 @@ def test_the_lanes_are_packed(monkeypatch: pytest.MonkeyPatch) -> None:
     assert packed > 10 * max(single, 1)
 
 
-def test_what_an_effect_gives_a_passive_joint_fits_the_kernel() -> None:
+def test_changes_of_a_passive_joint_fit_the_kernel() -> None:
     """Stiffness, damping and rest angle of a joint without any: side by side as every other run."""
     robot = robot_format.read("tfish")
     body = robot.multilink

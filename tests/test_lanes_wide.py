@@ -102,7 +102,7 @@ def compared(model: MultilinkModel, effects: list[Effect], own: list[Trial], cou
 
 
 @pytest.mark.kernels
-def test_every_force_and_element_side_by_side(fish: MultilinkModel) -> None:
+def test_every_force_and_element_agrees_with_the_engine(fish: MultilinkModel) -> None:
     own = swims(fish, 4.0)
     found = widened(fish, own)
     assert {name.split()[0] for name in found} >= {
@@ -116,7 +116,7 @@ def test_every_force_and_element_side_by_side(fish: MultilinkModel) -> None:
 
 
 @pytest.mark.kernels
-def test_several_effects_side_by_side(fish: MultilinkModel) -> None:
+def test_several_effects_agree_with_the_engine(fish: MultilinkModel) -> None:
     own = swims(fish, 4.0)
     found = widened(fish, own)
     for several in itertools.islice(itertools.combinations(found.values(), 3), 0, None, 23):
@@ -124,8 +124,7 @@ def test_several_effects_side_by_side(fish: MultilinkModel) -> None:
 
 
 @pytest.mark.kernels
-@pytest.mark.kernels
-def test_runs_of_one_batch_share_nothing_of_an_effect(fish: MultilinkModel) -> None:
+def test_runs_of_one_batch_keep_their_own_effects(fish: MultilinkModel) -> None:
     """Coefficients that an effect reads off the tables differ from run to run, as in derivatives to them."""
     own = swims(fish, 0.6)
     for effect in widened(fish, own).values():
@@ -160,7 +159,7 @@ def test_a_run_without_effects_takes_the_robots_own_kernel(fish: MultilinkModel)
     assert lane[0] is fish.kernels.own
 
 
-def test_a_diagnosis_taken_up_again_keeps_its_kernels(
+def test_a_resumed_diagnosis_keeps_its_kernels(
     fish: MultilinkModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whatever has been compiled meanwhile; and without effects ahead nothing is asked of the wide one."""
@@ -177,7 +176,7 @@ def test_a_diagnosis_taken_up_again_keeps_its_kernels(
     assert again.refined().kernels.wide is again.kernels.wide
 
 
-def test_forces_in_a_vertical_plane_as_plain_python() -> None:
+def test_forces_in_a_vertical_plane_agree_with_the_engine() -> None:
     """The module's text, not compiled, for the effects that only a swimmer in a side view has, too."""
     dolphin = opened("dolphin")
     assert dolphin.kernels.own is not None
@@ -191,7 +190,7 @@ def test_forces_in_a_vertical_plane_as_plain_python() -> None:
         compared(dolphin, [effect], own, 1)
 
 
-def test_effects_change_no_text_of_the_lanes_without() -> None:
+def test_effects_do_not_change_the_robots_own_kernel() -> None:
     """Neither bits nor time cost a run that asks for none."""
     text = tracing.text(opened("tfish").kernels.own.traced())
     assert "bits" not in text
@@ -235,7 +234,7 @@ def test_every_traceable_force_can_be_traced() -> None:
         assert any(isinstance(part, tracing.Symbol) for part in wrench)
 
 
-def test_a_number_of_a_run_answers_no_question() -> None:
+def test_a_branch_on_an_input_of_a_run_cannot_be_traced() -> None:
     number = tracing.Tracer().symbol("number", 0)
     for ask in (lambda: number > 0.0, lambda: number == 0.0, lambda: number != 0.0, lambda: number < 0.0):
         with pytest.raises(TypeError):
@@ -247,7 +246,7 @@ def test_a_number_of_a_run_answers_no_question() -> None:
 )
 @pytest.mark.kernels
 @pytest.mark.slow
-def test_the_wide_lanes_are_packed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_compiler_vectorises_the_wide_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
     """Bits, exponentials and powers do not keep the compiler from taking the loop over lanes whole."""
     monkeypatch.setattr(numba.config, "BOUNDSCHECK", 0)
     kernel = opened("tfish").kernels.wide

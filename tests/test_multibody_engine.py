@@ -40,7 +40,7 @@ def derivative(model: Assembly, state: np.ndarray, motion: np.ndarray | None = N
     rate = np.empty(len(state))
     tables = model.tables(np.zeros(0))
     scratch = np.zeros((len(model.links), 60)), np.zeros((n, n)), np.zeros(n), np.zeros(6)
-    engine.derivative(state, row, *tables.values(), *scratch, rate)
+    engine.derivative(0.0, state, row, *scratch, rate, *tables.values())
     kernel = lanes_forms.kernel_of(model, MultibodyModel.engine, np.zeros(0))
     traced = lanes_forms.rate(kernel, state, row, tables)
     assert traced == pytest.approx(rate, rel=1e-9, abs=1e-11 * np.abs(rate).max())
@@ -62,7 +62,7 @@ def random_state(model: Assembly, rng: np.random.Generator) -> np.ndarray:
 def integrated(model: Assembly, start: np.ndarray, step: float, duration: float) -> np.ndarray:
     table = np.zeros((2 * round(duration / step) + 1, len(model.driven), 5))
     table[:, :, 3] = 1.0
-    return engine.integrate(start, step, table, *model.tables(np.zeros(0)).values())[0]
+    return engine.integrate(0.0, start, step, table, *model.tables(np.zeros(0)).values())[0]
 
 
 def random_tree(rng: np.random.Generator, links: int, yielding: int, *, driven: bool) -> dict[str, Any]:
@@ -256,7 +256,7 @@ def momentum(model: Assembly, state: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_momentum_and_energy_are_kept(seed: int) -> None:
+def test_momentum_and_energy_are_conserved_in_space(seed: int) -> None:
     """Free motion in water without loss: what a step changes falls with its fourth power."""
     rng = np.random.default_rng(seed)
     body = with_water(random_tree(rng, 5, 3, driven=False), rng)
@@ -279,7 +279,7 @@ def test_momentum_and_energy_are_kept(seed: int) -> None:
 
 
 @pytest.mark.parametrize("name", ["tfish", "dolphin"])
-def test_planar_robots_move_as_in_their_plane(name: str) -> None:
+def test_planar_robots_move_in_space_as_in_their_plane(name: str) -> None:
     """20 s of swimming: the same to 1e-9 m, and nothing off the plane."""
     robot = robot_format.read(name)
     body = robot.multilink
@@ -294,13 +294,12 @@ def test_planar_robots_move_as_in_their_plane(name: str) -> None:
     n = planar.unknowns
     flat = np.zeros(2 * n)
     flat[n] = 0.1
-    expected, _ = planar_engine.integrate(
-        flat, step, drive.table(len(half), motions, mounts), *planar.tables(values).values(), None, 0.0
-    )
+    told = drive.table(len(half), motions, mounts)
+    expected, _ = planar_engine.integrate(0.0, flat, step, told, *planar.tables(values).values(), None)
     start = np.zeros(13 + 2 * len(lifted.passive))
     start[3], start[7 + len(lifted.passive)] = 1.0, 0.1
     table = drive.table(len(half), motions, [0.0] * len(motions))
-    found, _ = engine.integrate(start, step, table, *lifted.tables(values).values())
+    found, _ = engine.integrate(0.0, start, step, table, *lifted.tables(values).values())
     second = 1 if body.plane == "horizontal" else 2
     np.testing.assert_allclose(found[:, 0], expected[:, 0], atol=1e-9)
     np.testing.assert_allclose(found[:, second], expected[:, 1], atol=1e-9)
@@ -413,7 +412,7 @@ def test_buoyancy_and_drag_end_at_the_surface() -> None:
         assert force[0] == pytest.approx(-0.5 * WATER * 0.01 * share)
 
 
-def test_water_inside_adds_inertia_and_weighs_where_it_is_told() -> None:
+def test_water_inside_adds_inertia_and_weight_if_asked() -> None:
     plain = {"kind": "water", "volume_m3": 0.001, "at_m": [0.2, 0, 0], "gyration_m": [0.05, 0.1, 0.1]}
     open_hull, closed = one_body(plain), one_body({**plain, "weighs": True})
     matrix = full(open_hull.tables(np.zeros(0))["inertia"][0])
@@ -437,7 +436,7 @@ def test_water_inside_adds_inertia_and_weighs_where_it_is_told() -> None:
         ({"joints": [{"name": "j", "parent": "a", "child": "a", "axis": [0, 0, 1]}]}, "joints.j.child"),
     ],
 )
-def test_what_no_robot_is(change: dict[str, Any], where: str) -> None:
+def test_impossible_robots_are_refused(change: dict[str, Any], where: str) -> None:
     body = {"links": [{"name": "a", "mass_kg": 1.0, "inertia_kg_m2": [0.1, 0.1, 0.1]}]} | change
     with pytest.raises(InputError) as caught:
         assembly(body)

@@ -107,7 +107,7 @@ def test_hopf_solves_eq_10(asymmetry: float) -> None:
         np.testing.assert_allclose(slope[settled], rate[settled], atol=1e-3)
 
 
-def test_one_time_is_eased_as_many_are() -> None:
+def test_one_time_is_eased_like_many() -> None:
     assert drives.eased(0.5, 1.0) == drives.eased(np.array([0.5]), 1.0)[0] == 0.5
 
 
@@ -190,7 +190,7 @@ class TestMeasured:
         np.testing.assert_allclose(np.gradient(angle, fine)[1:-1], rate[1:-1], atol=1e-5)
         np.testing.assert_allclose(np.gradient(rate, fine)[1:-1], bend[1:-1], atol=0.2)
 
-    def test_gaps_and_turns(self, rng: np.random.Generator) -> None:
+    def test_gaps_and_jumps_of_a_turn(self, rng: np.random.Generator) -> None:
         times, seen, angle, *_ = self.noisy(rng, 0.001)
         seen[100:104] = np.nan
         wrapped = np.angle(np.exp(1j * (seen + math.pi)))
@@ -198,7 +198,7 @@ class TestMeasured:
         offset = 2 * math.pi * np.round((found[0] - angle[0] - math.pi) / (2 * math.pi))
         np.testing.assert_allclose(found - math.pi - offset, angle, atol=0.02)
 
-    def test_held_at_its_ends(self, rng: np.random.Generator) -> None:
+    def test_the_angle_is_held_beyond_its_ends(self, rng: np.random.Generator) -> None:
         times, seen, *_ = self.noisy(rng, 0.001)
         motion = drive.spline_motion(drive.measured(times, seen))
         outside, ends = motion(np.array([-1.0, 100.0])), motion(times[[0, -1]])
@@ -242,7 +242,7 @@ class TestServo:
         np.testing.assert_allclose(np.log2(np.divide(errors[:-1], errors[1:])), 4.0, atol=0.3)
         assert errors[1] < 2e-7
 
-    def test_starts_at_its_command(self) -> None:
+    def test_a_servo_starts_at_its_command(self) -> None:
         found = drive.simulate_servo(np.full(201, 0.3), 0.01, self.OMEGA, self.DAMPING)
         np.testing.assert_allclose(found, np.tile([0.3, 0.0, 0.0], (101, 1)), atol=1e-15)
 
@@ -286,7 +286,7 @@ class TestInARobot:
         expected = beat.motion(self.TIMES, gain=-0.5, bias_gain=0.25, phase_rad=0.4 - math.radians(30.0))[0]
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
-    def test_turns_of_an_asymmetric_beat_need_not_lie_on_steps(self) -> None:
+    def test_turning_points_of_an_asymmetric_beat_may_lie_between_steps(self) -> None:
         """Second order in the step, where a sampled acceleration that jumps between steps gives first."""
         beat = drives.Beat("a-cpg", 0.83, 0.5, asymmetry=0.4)
         robot = _two_links({})
@@ -297,7 +297,7 @@ class TestInARobot:
             errors.append([np.abs(found[n] - fine[n]).max() for n in ("x_m", "y_m", "yaw_rad")])
         assert np.all(np.array(errors[1]) < 0.4 * np.array(errors[0]))
 
-    def test_measured_angle_moves_it_as_the_beat_did(self) -> None:
+    def test_a_measured_angle_gives_the_motion_of_the_beat(self) -> None:
         """A clean record of a joint, sampled every 10 ms, gives the swim that the command gave."""
         model = MultilinkModel(_two_links({}))
         beat = drives.Beat("sine", 1.0, 0.5)
@@ -308,7 +308,7 @@ class TestInARobot:
         for name in ("x_m", "y_m", "yaw_rad"):
             np.testing.assert_allclose(seen[name], told[name], atol=1e-4)
 
-    def test_without_a_drive_it_stays(self) -> None:
+    def test_a_joint_without_a_drive_stays_straight(self) -> None:
         found = self.run(MultilinkModel(_two_links({})), SwimInput())
         assert all((np.abs(v) < 1e-15).all() for v in found.values())
 

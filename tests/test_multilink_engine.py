@@ -54,7 +54,7 @@ def accelerations(model: Assembly, state: np.ndarray, motion: np.ndarray | None 
         row[k, 3:] = math.cos(angle), math.sin(angle)
     scratch = [np.full(shape, np.nan) for shape in ((len(model.links), 19), (n, n), (n,), (2 * n,))]
     tables = model.tables(defaults(model))
-    engine.derivative(state, row, *tables.values(), None, 0.0, *scratch)
+    engine.derivative(0.0, state, row, *scratch, *tables.values(), None)
     kernel = lanes_forms.kernel_of(model, MultilinkModel.engine, defaults(model))
     traced = lanes_forms.rate(kernel, state, row, tables)
     size = np.abs(scratch[-1]).max()
@@ -67,7 +67,7 @@ def integrated(
 ) -> tuple[np.ndarray, np.ndarray]:
     steps = round(duration / step)
     table = np.zeros((2 * steps + 1, 0, 5))
-    states, rates = engine.integrate(start, step, table, *model.tables(defaults(model)).values(), None, 0.0)
+    states, rates = engine.integrate(0.0, start, step, table, *model.tables(defaults(model)).values(), None)
     return states, rates
 
 
@@ -169,7 +169,7 @@ class TestLagrange:
         assert branched > 8
 
     @pytest.mark.parametrize("water", [False, True], ids=["dry", "added mass"])
-    def test_what_is_conserved(self, water: bool) -> None:
+    def test_momentum_and_energy_are_conserved(self, water: bool) -> None:
         """Energy and impulses drift with the fourth power of the step, and so does the motion.
 
         The energy of a small oscillation drifts with the fifth: the modulus of Runge-Kutta's growth
@@ -270,7 +270,7 @@ class TestTendonFish:
         assert math.degrees(error[6]) < yaw_rate_deg_s
         assert math.degrees(error[3]) < angle_deg
 
-    def test_awkward_sample_times(self, reference: Any) -> None:
+    def test_uneven_sample_times(self, reference: Any) -> None:
         """Interpolation between steps adds no more than the integration itself has lost.
 
         The fin's rate, whose drag has a kink at every reversal, is interpolated about as well as it is
@@ -297,7 +297,7 @@ class TestTendonFish:
         np.testing.assert_allclose(turned[:, 2], 0.7 + straight[:, 2], atol=1e-12)
         np.testing.assert_allclose(turned[:, 3:], straight[:, 3:], atol=1e-12)
 
-    def test_finite_differences(self) -> None:
+    def test_finite_differences_are_smooth(self) -> None:
         """One-sided steps of 1e-6 against extrapolated central ones, by the norm of each column."""
         times = np.linspace(0.0, 10.0, 501)
         model = MultilinkModel(robot_format.read("tfish"))
@@ -343,7 +343,7 @@ class TestTendonFish:
 
 
 class TestBreakdown:
-    def test_unstable_run_ends_in_nan(self) -> None:
+    def test_an_unstable_run_ends_in_nan(self) -> None:
         body = chain(3)
         for joint in body["joints"]:
             joint["passive"]["stiffness_N_m_rad"] = 1e4
@@ -358,7 +358,7 @@ class TestBreakdown:
         assert np.isnan(rates[first:]).all()
         assert np.abs(states[:first]).max() < engine.BROKEN
 
-    def test_no_inertia_no_motion(self) -> None:
+    def test_a_robot_without_inertia_is_nan(self) -> None:
         """An apparent inertia that is not positive definite gives NaN, not numbers."""
         times = np.linspace(0.0, 1.0, 51)
         model = MultilinkModel(robot_format.read("tfish"))
@@ -584,7 +584,7 @@ class TestElements:
             assert moment == pytest.approx(-pressure * 0.4**3 / 4, rel=1e-12)
             assert fy == pytest.approx(pressure * 0.4**2 / 3, rel=1e-12)
 
-    def test_part_of_a_link(self) -> None:
+    def test_drag_on_part_of_a_link(self) -> None:
         body = one_link(
             {
                 "kind": "drag",
@@ -607,7 +607,7 @@ class TestElements:
         assert states[-1, 3] == pytest.approx(0.8 * math.exp(-1.5 * 2.0 / 2.0), rel=1e-10)
         assert states[-1, 4] == pytest.approx(-0.5 * math.exp(-3.0 * 2.0 / 2.0), rel=1e-10)
 
-    def test_damping_of_a_turn(self) -> None:
+    def test_damping_of_rotation(self) -> None:
         linear = one_link({"kind": "damping", "linear_N_m_s_rad": 0.02})
         states, _ = integrated(linear, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 3.0]), 0.005, 2.0)
         assert states[-1, 5] == pytest.approx(3.0 * math.exp(-0.02 * 2.0 / 0.03), rel=1e-10)
@@ -787,7 +787,7 @@ class TestTrailingEdge:
         assert found == pytest.approx(thrust, abs=0.5 * np.abs(slope).max() ** 2 * largest)
         assert 0.0 < speed < WAVE_M_S
 
-    def test_thrust_turns_where_the_body_outruns_the_wave(self) -> None:
+    def test_thrust_changes_sign_when_the_body_is_faster_than_the_wave(self) -> None:
         """Without drag a body at rest gains speed, and one faster than its wave loses it."""
         times = np.arange(0.0, 10.0 + 1e-9, 0.01)
         for speed, sign in ((0.0, 1.0), (0.5, 1.0), (1.6, -1.0)):

@@ -61,11 +61,11 @@ class Engine:
     Attributes
     ----------
     derivative : compiled function
-        ``derivative(state, row, *tables, *extra, *scratch, rate)``.
+        ``derivative(time, state, row, *work, rate, *tables, *extra)``.
     shapes : callable
-        From tables to the length of the state and the shapes of the scratch arrays.
+        From tables to the length of the state and the shapes of the work arrays.
     extra : tuple
-        Arguments of ``derivative`` between the tables and the scratch arrays.
+        Arguments of ``derivative`` after the tables.
     settled : compiled function or None
         Correction of the state after each step.
     filled : mapping of table to columns
@@ -149,7 +149,9 @@ class Kernel:
         scratch = [np.full(shape, 0.0, dtype=object) for shape in self._scratch]
         rate = np.zeros(self.size, dtype=object)
         given = self._arguments(tracer, arguments)
-        tracing.on_symbols(self.engine.derivative)(state, row, *given, *scratch, rate)
+        tracing.on_symbols(self.engine.derivative)(
+            self._time(tracer, arguments), state, row, *scratch, rate, *given
+        )
         after = tracing.Tracer()
         settled = tracing.array(after, "state", (self.size if self.engine.settled else 0,))
         if self.engine.settled:
@@ -162,8 +164,12 @@ class Kernel:
         return "table"
 
     def _arguments(self, tracer: tracing.Tracer, tables: dict[str, Any]) -> list[Any]:
-        """Return the arguments of the derivative: tables and what follows them."""
+        """Return the arguments of the derivative from the tables on."""
         return [*tables.values(), *self.engine.extra]
+
+    def _time(self, tracer: tracing.Tracer, tables: dict[str, Any]) -> Any:
+        """Return the time of an evaluation, s."""
+        return 0.0
 
     def worth(self, derivatives: float, progress: Progress = silent) -> bool:
         """Return whether the kernel pays, and compile it if it does.
@@ -499,7 +505,7 @@ class WideKernel(Kernel):
         return "number" if table == ACTING else super().kind(table)
 
     def _arguments(self, tracer: tracing.Tracer, tables: dict[str, Any]) -> list[Any]:
-        acting = tables.pop(ACTING)
+        acting = tables[ACTING]
         slots = [acting[place] for place in self._slots.values()]
         constants = [np.append(slot[:1], slot[3:]) for slot in slots]
         calls = self._calls()
@@ -516,8 +522,11 @@ class WideKernel(Kernel):
             *(np.zeros(3, dtype=object) for _ in range(3)),
             *(call,) * 4,
         )
-        time = acting[0] + tracer.symbol("elapsed", 0)
-        return [*tables.values(), forced, time]
+        return [*(table for name, table in tables.items() if name != ACTING), forced]
+
+    def _time(self, tracer: tracing.Tracer, tables: dict[str, Any]) -> Any:
+        """Return the time of an evaluation, s."""
+        return tables[ACTING][0] + tracer.symbol("elapsed", 0)
 
     def _calls(self) -> Iterator[Callable[..., None]]:
         """Yield the forces as functions of symbols, zero for a force that does not act."""

@@ -345,7 +345,7 @@ class MultilinkModel(Swimmer):
     engine = Engine(
         engine.derivative,
         engine.shapes,
-        extra=(None, 0.0),
+        extra=(None,),
         filled=engine.FILLED,
         energetics=engine.energetics,
     )
@@ -482,7 +482,7 @@ class MultilinkModel(Swimmer):
             forced = engine.outside(run.hooks.force, self.frame(run), len(self.tree.links))
         begin_s, step_s, _ = run.grid
         states, rates = engine.integrate(
-            run.start, step_s, run.drive.table, *run.tables.values(), forced, begin_s
+            begin_s, run.start, step_s, run.drive.table, *run.tables.values(), forced
         )
         return states, rates
 
