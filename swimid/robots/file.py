@@ -121,7 +121,7 @@ class Robot(yamlio.Document):
         Each is (forward, to port), or (forward, up) in the vertical plane.
         """
         if self.multibody is not None:
-            aside = 1 if plane == "horizontal" else 2
+            aside = {"horizontal": 1, "vertical": 2}[plane]
             origin = self.multibody.reference.at_m
             return {
                 name: (marker.at_m[0] - origin[0], marker.at_m[aside] - origin[aside])

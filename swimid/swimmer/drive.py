@@ -21,7 +21,7 @@ from swimid.fitting.drives import Array, Motion, SwimInput
 from swimid.fitting.hooks import NONE, Hooks
 from swimid.fitting.model import Trial
 from swimid.swimmer.planar.engine import sampled
-from swimid.swimmer.tree import Axis, Polynomial
+from swimid.swimmer.tree import Axis, Polynomial, given
 
 Value = TypeVar("Value")
 #: Natural frequency (Hz) and damping ratio of the servo of each driven joint; None without a servo.
@@ -267,7 +267,7 @@ def joint_motion(axis: Axis, number: int, swim: SwimInput, time_s: Array, phase_
         return swim.stroke.motion(axis.name, time_s, phase_rad=phase)
     if swim.beat is None:
         return drives.straight(time_s)
-    bias_gain = law.gain if law.bias_gain is None else law.bias_gain
+    bias_gain = given(law.bias_gain, law.gain)
     phase -= number * swim.beat.lag_rad
     return swim.beat.motion(
         time_s, gain=law.gain, bias_gain=bias_gain, phase_rad=phase, cell_s=drives.cells(time_s)
@@ -284,7 +284,9 @@ def _memory_s(swim: SwimInput, servos: Servos, hooks: Hooks) -> float:
         return 0.0
     rates = [2.0 * math.pi * s[0] * min(s[1], 1.0 / max(2.0 * s[1], 1e-9)) for s in servos if s is not None]
     forgotten = max((-math.log(SERVO_RTOL) / max(rate, 1e-3) for rate in rates), default=0.0)
-    return forgotten + (2.0 / swim.drive.frequency_hz if hooks.command else 0.0)
+    if hooks.command:
+        forgotten += 2.0 / swim.drive.frequency_hz
+    return forgotten
 
 
 def _servo(axis: Axis) -> tuple[Polynomial, Polynomial] | None:

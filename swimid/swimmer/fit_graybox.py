@@ -159,17 +159,19 @@ def fit_graybox(
         if search.ends:
             checks.append(_starts_check(search.ends, asked=options.starts is not None))
         explanation: mistakes.Explanation | None = None
+        notes = []
         if options.method == "least-squares":
             before = {t.id: _misfits(result, t) for t in result.trials}
             if mistakes.is_suspect(checks, before):
                 known = mistakes.catalogue(model, result.trials)
                 explanation = _explain(result, known, before, options, progress)
                 checks.append(mistakes.check(explanation, len(known)))
+                notes = [e.sentence for e in (explanation,) if e is not None]
     evidence = ev.Evidence(
         verb="fit-graybox",
         title=f"Gray-box identification of {experiment.robot.name}",
         verdict=ev.judged(fit_common.answer(file), checks),
-        notes=[explanation.sentence] if explanation else [],
+        notes=notes,
         checks=checks,
         tables=_tables(experiment, result, search.ends),
         figures=[*_track(experiment, result), *fit_common.figures(result)],
@@ -263,36 +265,18 @@ def _least_squares(
     progress: Progress,
 ) -> _Search:
     """Estimate the parameters by output error from one start, or from several if the user or the fit asks."""
+    settings: dict[str, Any] = {"parameters": parameters, "jobs": options.jobs, "loss": options.loss}
     begin, starts = None, options.starts or 1
     if begins is not None:
         begin, starts = begins[0], max(starts, len(begins))
     first: FitResult | None = None
     if starts == 1:
-        first = output_error.fit(
-            model,
-            trials,
-            parameters=parameters,
-            jobs=options.jobs,
-            loss=options.loss,
-            begin=begin,
-            unfinished=True,
-            progress=progress,
-        )
+        first = output_error.fit(model, trials, begin=begin, unfinished=True, progress=progress, **settings)
         if options.starts is not None or first.interrupted or not _deserves_starts(first):
             return _Search(first)
         starts = DEFAULT_STARTS
-    result, ends = global_search.multistart(
-        model,
-        trials,
-        parameters,
-        starts=starts,
-        seed=options.seed,
-        begins=begins,
-        jobs=options.jobs,
-        loss=options.loss,
-        first=first,
-        progress=progress,
-    )
+    settings |= {"starts": starts, "seed": options.seed, "begins": begins, "first": first}
+    result, ends = global_search.multistart(model, trials, progress=progress, **settings)
     return _Search(result, ends=ends, starts=starts)
 
 
@@ -435,7 +419,9 @@ def _explain(
 def _with_shared(model: Model, share: Sequence[str]) -> Model:
     """Return the model with one value for all coefficients of each prefix."""
     groups = {name: members for prefix in share for name, members in groups_by_prefix(model, prefix).items()}
-    return Tied(model, groups) if groups else model
+    if not groups:
+        return model
+    return Tied(model, groups)
 
 
 def _started_here(result: FitResult, experiment: Experiment) -> FitResult:
@@ -537,7 +523,7 @@ def _track(experiment: Experiment, result: FitResult) -> list[ev.Figure]:
     if isinstance(body, Multibody):
         views = [_path(result, "x_m", "z_m", "From the side"), _path(result, "x_m", "y_m", "From above")]
     else:
-        view = "From above" if body.plane == "horizontal" else "From the side"
+        view = {"horizontal": "From above", "vertical": "From the side"}[body.plane]
         across, along, *_ = result.model.swimmer.pose
         views = [_path(result, across, along, view)]
     panels = [panel for panel in views if panel.traces]
@@ -568,8 +554,8 @@ def _path(result: FitResult, across: str, along: str, view: str) -> ev.Panel:
         x, y = (paths[name][1][channel] for channel in (across, along))
         step = max(len(x.measured) // MAX_PATH_POINTS, 1)
         measured, simulated = (x.measured[::step], y.measured[::step]), (x.simulated, y.simulated)
-        for style, (xs, ys) in (("points", measured), ("line" if x.role == "fit" else "dashed", simulated)):
-            label = f"{name} ({word})" if style == "points" else ""
+        line = "line" if x.role == "fit" else "dashed"
+        for style, label, (xs, ys) in (("points", f"{name} ({word})", measured), (line, "", simulated)):
             traces.append(ev.Trace(x=xs, y=ys, style=style, label=label, group=group))
     return ev.Panel(
         x_label=f"{across[:-2]} (m)",
@@ -609,7 +595,7 @@ def _tables(experiment: Experiment, result: FitResult, ends: Sequence[global_sea
             "ranking",
             "Parameters by identifiability",
             ["parameter", "share of its own", "status"],
-            ranking if len(ranking) > 1 else [],
+            ranking * (len(ranking) > 1),
             "The share is the part of the sensitivity to a parameter that is not explained by those above it "
             "and by the start states.",
         ),
@@ -647,7 +633,7 @@ def _error_rows(result: FitResult) -> list[list[str]]:
         rows.append(
             [
                 s.trial,
-                "held out" if s.role == "validate" else "fit",
+                {"validate": "held out"}.get(s.role, "fit"),
                 s.channel,
                 numbers.number(score.rmse, 3, unit),
                 numbers.percent(score.nrmse),
@@ -679,8 +665,11 @@ def _methods(experiment: Experiment, result: FitResult, search: _Search, method:
     """Describe the fit in sentences for a methods section."""
     fitted = sum(t.role == "fit" for t in result.trials)
     body = _body_of(experiment.robot)
-    kind = "planar model" if isinstance(body, Multilink) else "model in space"
-    by = "the search on the front" if method == "nsga2" else "output-error maximum likelihood"
+    kind, by = "model in space", "output-error maximum likelihood"
+    if isinstance(body, Multilink):
+        kind = "planar model"
+    if method == "nsga2":
+        by = "the search on the front"
     said = [
         f"{', '.join(result.shared)} were estimated from {fitted} {experiment.name} trials "
         f"({result.samples} samples of {', '.join(result.noise)}) by {by} with a {kind} of "

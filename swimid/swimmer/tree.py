@@ -45,7 +45,7 @@ class Polynomial:
         """Return a number, a quantity of a robot file (None is zero), or a polynomial as a polynomial."""
         if isinstance(quantity, Polynomial):
             return quantity
-        number, names = factors(0.0 if quantity is None else quantity)
+        number, names = factors(given(quantity, 0.0))
         return cls({names: number})
 
     def __add__(self, other: Polynomial | float) -> Polynomial:
@@ -81,6 +81,13 @@ class Polynomial:
     def at(self, values: Mapping[str, float]) -> float:
         """Return the value of the polynomial at values of the coefficients."""
         return float(sum(n * np.prod([values[name] for name in names]) for names, n in self.terms.items()))
+
+
+def given(quantity: Any, default: Any) -> Any:
+    """Return an optional entry of a robot file, or its default if the file has none."""
+    if quantity is None:
+        return default
+    return quantity
 
 
 #: Entry of a table before it is evaluated; a string is a quantity of a robot file.
@@ -235,7 +242,7 @@ def _leaves(value: Any, path: str) -> Iterator[tuple[str, float | str]]:
             yield from _leaves(value[key], f"{path}.{key}")
     elif isinstance(value, list | tuple):
         for n, member in enumerate(value):
-            name = member.get("name") if isinstance(member, dict) else None
+            name = isinstance(member, dict) and member.get("name")
             yield from _leaves(member, f"{path}.{name or n}")
     elif isinstance(value, float | int | str) and not isinstance(value, bool):
         yield path, value
@@ -283,7 +290,7 @@ def coefficients(known: Mapping[str, Coefficient]) -> list[Parameter]:
     """Return the coefficients of a robot file as parameters."""
     found = []
     for name, c in known.items():
-        start = c.value if c.start is None else c.start
+        start = given(c.start, c.value)
         low, high = c.limits
         found.append(
             Parameter(

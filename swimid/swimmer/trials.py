@@ -325,7 +325,7 @@ def _default_channels(model: Swimmer, log: Log) -> list[str]:
         pose = logged(model.pose)
         # a side view shows half of a pose in space
         complete = len(pose) == 3 or (model.in_space and len(pose) > 1)
-        chosen = pose if complete else logged(model.velocity) or pose
+        chosen = (complete and pose) or logged(model.velocity) or pose
     chosen += logged([a.column for a in model.passive])
     chosen += logged([a.column for a in model.driven if a.driven and a.driven.servo])
     if not chosen:
@@ -341,11 +341,14 @@ def _profile(entry: FreeSwimTrial) -> str:
         return entry.id
     if isinstance(command, StrokeDrive):
         parts = [command.stroke]
-        parts += [f"{command.frequency_hz:g} Hz"] if command.frequency_hz else []
-        parts += [f"scale {command.scale:g}"] if command.scale != 1.0 else []
+        if command.frequency_hz:
+            parts.append(f"{command.frequency_hz:g} Hz")
+        if command.scale != 1.0:
+            parts.append(f"scale {command.scale:g}")
         return ", ".join(parts)
     parts = [command.waveform, f"{command.frequency_hz:g} Hz", f"{command.amplitude_deg:g} deg"]
-    parts += [f"bias {command.bias_deg:g} deg"] if command.bias_deg else []
+    if command.bias_deg:
+        parts.append(f"bias {command.bias_deg:g} deg")
     return ", ".join(parts)
 
 
@@ -361,7 +364,7 @@ def _first_pose(model: Swimmer, log: Log) -> tuple[float, ...] | None:
         return None
     first = []
     for name in model.pose:
-        values = log[name] if name in log else np.empty(0)
+        values = log.columns.get(name, np.empty(0))
         first.append(float(next(iter(values[np.isfinite(values)]), 0.0)))
     if _lacks_heading(model, log):
         first[2] = _first_course(log[model.pose[0]], log[model.pose[1]])
@@ -425,10 +428,11 @@ def _with_starts(recordings: Sequence[Recording], model: Swimmer) -> list[Trial]
     model.parameters = tuple(replace(p, free=p.free or p.name in free) for p in model.parameters)
     trials = []
     for r in recordings:
-        swim = r.trial.swim.begun() if r.state == "steady" else r.trial.swim
         held = tuple(sorted(of_states - estimated[r.state]))
-        trial = replace(r.trial, held=held, starts=_start_values(r.trial, r.log, model), swim=swim)
-        trials.append(_in_phase(trial, model) if swim.steady else trial)
+        trial = replace(r.trial, held=held, starts=_start_values(r.trial, r.log, model))
+        if r.state == "steady":
+            trial = _in_phase(replace(trial, swim=trial.swim.begun()), model)
+        trials.append(trial)
     return trials
 
 
@@ -636,5 +640,5 @@ def driven_range(trials: Sequence[Trial]) -> dict[str, tuple[float, float]]:
     Empty if measured joints drive them.
     """
     found = [known for trial in trials if (known := drive_of(trial))]
-    names = [name for name in (found[0] if found else {}) if all(name in known for known in found)]
+    names = [name for name in next(iter(found), {}) if all(name in known for known in found)]
     return {n: (min(known[n] for known in found), max(known[n] for known in found)) for n in names}

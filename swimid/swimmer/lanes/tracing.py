@@ -100,35 +100,49 @@ class Symbol:
         self.tracer, self.kind, self.of, self.number = tracer, kind, of, number
 
     def __add__(self, other: Symbol | float) -> Symbol | float:
-        return self if _is(other, 0.0) else self.tracer.symbol("+", self, other)
+        if _is(other, 0.0):
+            return self
+        return self.tracer.symbol("+", self, other)
 
     __radd__ = __add__
 
     def __sub__(self, other: Symbol | float) -> Symbol | float:
         if other is self:
             return 0.0
-        return self if _is(other, 0.0) else self.tracer.symbol("-", self, other)
+        if _is(other, 0.0):
+            return self
+        return self.tracer.symbol("-", self, other)
 
     def __rsub__(self, other: float) -> Symbol | float:
-        return -self if _is(other, 0.0) else self.tracer.symbol("-", other, self)
+        if _is(other, 0.0):
+            return -self
+        return self.tracer.symbol("-", other, self)
 
     def __mul__(self, other: Symbol | float) -> Symbol | float:
         if _is(other, 0.0):
             return 0.0
-        if _is(other, 1.0) or _is(other, -1.0):
-            return self if other == 1.0 else -self
+        if _is(other, 1.0):
+            return self
+        if _is(other, -1.0):
+            return -self
         return self.tracer.symbol("*", self, other)
 
     __rmul__ = __mul__
 
     def __truediv__(self, other: Symbol | float) -> Symbol | float:
-        return self if _is(other, 1.0) else self.tracer.symbol("/", self, other)
+        if _is(other, 1.0):
+            return self
+        return self.tracer.symbol("/", self, other)
 
     def __rtruediv__(self, other: float) -> Symbol | float:
-        return 0.0 if _is(other, 0.0) else self.tracer.symbol("/", other, self)
+        if _is(other, 0.0):
+            return 0.0
+        return self.tracer.symbol("/", other, self)
 
     def __neg__(self) -> Symbol | float:
-        return self.of[0] if self.kind == "neg" else self.tracer.symbol("neg", self)
+        if self.kind == "neg":
+            return self.of[0]
+        return self.tracer.symbol("neg", self)
 
     def __pow__(self, power: Symbol | float) -> Any:
         if isinstance(power, int) and power > 0:
@@ -176,24 +190,26 @@ def _tracer(*values: object) -> Tracer | None:
 
 def positive(asked: Any, then: Any, otherwise: Any) -> Any:
     """Return ``then`` where ``asked`` is above 0, else ``otherwise``."""
-    tracer = asked.tracer if isinstance(asked, Symbol) else None
-    if tracer is None:
-        return then if asked > 0.0 else otherwise
-    return then if then is otherwise else tracer.symbol("positive", asked, then, otherwise)
+    if then is otherwise:
+        return then
+    if isinstance(asked, Symbol):
+        return asked.tracer.symbol("positive", asked, then, otherwise)
+    return then if asked > 0.0 else otherwise
 
 
-def _largest(*values: Any) -> Any:
-    tracer = _tracer(*values)
-    return max(*values) if tracer is None else tracer.symbol("max", *values)
+def _traced(kind: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function of numbers that is an operation of this kind on symbols."""
+
+    def apply(*values: Any) -> Any:
+        tracer = _tracer(*values)
+        if tracer is None:
+            return function(*values)
+        return tracer.symbol(kind, *values)
+
+    return apply
 
 
-def _smallest(*values: Any) -> Any:
-    tracer = _tracer(*values)
-    return min(*values) if tracer is None else tracer.symbol("min", *values)
-
-
-def _root(x: Any) -> Any:
-    return x.tracer.symbol("sqrt", x) if isinstance(x, Symbol) else math.sqrt(x)
+_largest, _smallest, _root = _traced("max", max), _traced("min", min), _traced("sqrt", math.sqrt)
 
 
 def _sine_and_cosine(x: Any) -> tuple[Any, Any]:

@@ -30,7 +30,7 @@ from swimid.robots.planar import (
     TrailingEdge,
 )
 from swimid.swimmer.planar import engine
-from swimid.swimmer.tree import Polynomial, Row, Rows, Table, Tree, check_apparent, quantities
+from swimid.swimmer.tree import Polynomial, Row, Rows, Table, Tree, check_apparent, given, quantities
 
 
 def _add_mass(
@@ -58,7 +58,7 @@ def _added_mass(element: AddedMass, link: Link, rows: Rows) -> None:
     It counts once, in the kinetic energy (tendon fish Eq 2, dolphin Eq 3). The added-mass force of their
     Eqs 6 and 7 is a derivative of that energy and must not be applied again.
     """
-    station = link.com_m if element.at_m is None else element.at_m
+    station = given(element.at_m, link.com_m)
     masses = element.surge_kg, element.sway_kg, element.inertia_kg_m2
     _add_mass(rows, link.name, _point(station, element.offset_m), *(Polynomial.of(m) for m in masses))
 
@@ -85,7 +85,7 @@ def _drag(element: Drag, link: Link, rows: Rows) -> None:
         stations, shares = [Polynomial.of(element.at_m)], [1.0]
     else:
         low = element.from_m or 0.0
-        high = link.length_m if element.to_m is None else element.to_m
+        high = given(element.to_m, link.length_m)
         nodes, weights = np.polynomial.legendre.leggauss(element.strips)
         stations = [Polynomial.of(low + 0.5 * (high - low) * (1.0 + float(z))) for z in nodes]
         shares = [0.5 * float(w) for w in weights]
@@ -105,7 +105,7 @@ def _foil(element: Foil, link: Link, rows: Rows) -> None:
 
 def _force(element: Force, link: Link, rows: Rows) -> None:
     """Add a constant force at a point of a link, in the axes of the link or of the world."""
-    at, world = _point(element.at_m, element.offset_m), 1.0 if element.frame == "world" else 0.0
+    at, world = _point(element.at_m, element.offset_m), float(element.frame == "world")
     rows.add("force", link.name, [*at, element.forward_N, element.port_N, world])
 
 
@@ -116,7 +116,7 @@ def _hydrostatics(element: Hydrostatics, link: Link, rows: Rows) -> None:
     rows.add("force", link.name, [*_point(link.com_m, link.com_offset_m), 0.0, weight, 1.0])
     lift = gravity * rows.density_kg_m3 * Polynomial.of(element.volume_m3)
     if lift.terms:
-        station = link.com_m if element.buoyancy_at_m is None else element.buoyancy_at_m
+        station = given(element.buoyancy_at_m, link.com_m)
         where = _point(station, element.buoyancy_offset_m)
         rows.add("force", link.name, [*where, 0.0, lift, 1.0])
 
@@ -137,7 +137,7 @@ def _slender_body(element: SlenderBody, link: Link, rows: Rows) -> None:
         mass = Polynomial.of(element.added_mass_coefficient) * (
             0.25 * rows.density_kg_m3 * math.pi * height**2 * float(width)
         )
-        forward = mass if element.added_mass_direction == "both" else Polynomial.of(0.0)
+        forward = mass * float(element.added_mass_direction == "both")
         zero = Polynomial.of(0.0)
         _add_mass(rows, link.name, (Polynomial.of(-float(station)), zero), forward, mass, zero)
         half = 0.5 * rows.density_kg_m3 * float(width)
@@ -159,7 +159,7 @@ def _trailing_edge(element: TrailingEdge, link: Link, rows: Rows) -> None:
     which the wake carries off. An edge that moves backwards (u < 0) sheds nothing, a case outside the theory.
     The force across is then zero, and the remaining force resists the motion.
     """
-    station = link.length_m if element.at_m is None else element.at_m
+    station = given(element.at_m, link.length_m)
     half = 0.5 * Polynomial.of(element.added_mass_kg_m)
     rows.add("wake", link.name, [*_point(station, element.offset_m), half])
 
@@ -228,7 +228,7 @@ class Assembly(Tree):
         named = list(quantities(self.body, self.part))
         paths = [path for path, _ in named]
         keys = [path.rsplit(".", 1)[-1] for path in paths]
-        powers = [2 if key.endswith("area_m2") else 1 if LENGTH.fullmatch(key) else 0 for key in keys]
+        powers = [2 * key.endswith("area_m2") or int(bool(LENGTH.fullmatch(key))) for key in keys]
         losses = [
             path.startswith("multilink.elements") and LOSS.search(key) is not None
             for path, key in zip(paths, keys, strict=True)
@@ -282,7 +282,7 @@ class Assembly(Tree):
                 raise InputError(
                     f"{number:g} {unit} is out of proportion to a robot {span:g} m long",
                     column=paths[k],
-                    hint=f"lengths are in m, areas in m2: is it in {'mm' if power == 1 else 'cm2'}?",
+                    hint=f"lengths are in m, areas in m2: is it in {('mm', 'cm2')[power - 1]}?",
                 )
             raise InputError(f"{number:g} is negative; it must not be", column=paths[k])
 
@@ -297,7 +297,7 @@ class Assembly(Tree):
     def _place(self, joint: Joint | None) -> Row:
         if joint is None:
             return [0.0, 0.0, 1.0, 0.0]
-        station = self.links[self.index[joint.parent]].length_m if joint.at_m is None else joint.at_m
+        station = given(joint.at_m, self.links[self.index[joint.parent]].length_m)
         mount = math.radians(joint.mount_deg)
         return [*_point(station, joint.offset_m), math.cos(mount), math.sin(mount)]
 

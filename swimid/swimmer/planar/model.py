@@ -184,8 +184,9 @@ class Body:
         """Return the stiffness of a straight passive joint, with its wire and spring, N m/rad."""
         row = tables["passive"][joint]
         wire = row[WIRE]
-        taut = -engine.tendon_torque(SMALL, *wire) / SMALL if wire[0] != 0.0 else 0.0
-        return float(row[STIFFNESS] + taut)
+        if wire[0] == 0.0:
+            return float(row[STIFFNESS])
+        return float(row[STIFFNESS] - engine.tendon_torque(SMALL, *wire) / SMALL)
 
     def damping(self, tables: dict[str, Any], joint: int) -> float:
         """Return the torque per rate of a passive joint, N m s/rad."""
@@ -451,7 +452,7 @@ class MultilinkModel(Swimmer):
 
     def attitude(self) -> list[int]:
         """Return the positions, in a state, of angles of the base that act on the motion."""
-        return [2] if self._heading_matters() else []
+        return [2] * self._heading_matters()
 
     def _heading(self, values: Array, trial: Trial) -> float:
         """Return the heading at the first sample, rad."""

@@ -30,7 +30,7 @@ from swimid.robots.spatial import (
     Water,
 )
 from swimid.swimmer.spatial import engine
-from swimid.swimmer.tree import Entry, Polynomial, Row, Rows, Tree, check_apparent
+from swimid.swimmer.tree import Entry, Polynomial, Row, Rows, Tree, check_apparent, given
 
 
 def _add_mass(
@@ -83,7 +83,10 @@ def block(
 
 def diagonal(values: Sequence[Entry]) -> list[list[Entry]]:
     """Return a matrix with these values on its diagonal."""
-    return [[values[r] if r == c else 0.0 for c in range(3)] for r in range(3)]
+    found: list[list[Entry]] = [[0.0] * 3 for _ in range(3)]
+    for k, value in enumerate(values):
+        found[k][k] = value
+    return found
 
 
 def along(direction: Sequence[float], size: Entry) -> list[list[Entry]]:
@@ -138,7 +141,7 @@ def _spheroid(element: Spheroid, body: Body, rows: Rows) -> None:
     k1, k2, turning = spheroid_coefficients(a, b)
     factors = _polynomials(element.factors)
     masses = [f * (k * displaced) for f, k in zip(factors, (k1, k2, k2), strict=True)]
-    inertia = turning * displaced * (a * a + b * b) / 5.0 if element.turning else 0.0
+    inertia = turning * displaced * (a * a + b * b) / 5.0 * element.turning
     # rotation about z moves water along y, and rotation about y along z, with the factors of these axes
     about = (0.0, factors[2] * inertia, factors[1] * inertia)
     _add_mass(rows, body.name, diagonal(masses), element.at_m, diagonal(about))
@@ -159,14 +162,12 @@ def _drag(element: Drag, body: Body, rows: Rows) -> None:
     areas, coefficients = _polynomials(element.area_m2), _polynomials(element.coefficient)
     quadratic = [half * a * c for a, c in zip(areas, coefficients, strict=True)]
     linear = _polynomials(element.linear_N_s_m)
-    near = _polynomials(element.at_m)
-    far = near if element.to_m is None else _polynomials(element.to_m)
+    near, far = _polynomials(element.at_m), _polynomials(given(element.to_m, element.at_m))
     for point, weight in zip(*np.polynomial.legendre.leggauss(element.strips), strict=True):
         along, share = 0.5 * (1.0 + float(point)), 0.5 * float(weight)
-        at = [
-            a if element.to_m is None else (1.0 - along) * a + along * b
-            for a, b in zip(near, far, strict=True)
-        ]
+        at = near
+        if element.to_m is not None:
+            at = [(1.0 - along) * a + along * b for a, b in zip(near, far, strict=True)]
         gains = [share * gain for gain in (*quadratic, *linear)]
         rows.add("drag", body.name, [*at, *gains, element.half_height_m or 0.0])
 
@@ -194,7 +195,7 @@ def _hydrostatics(element: Hydrostatics, body: Body, rows: Rows) -> None:
     rows.add("force", body.name, [*body.com_m, 0.0, 0.0, weight, 1.0, 0.0])
     lift = gravity * rows.density_kg_m3 * Polynomial.of(element.volume_m3)
     if lift.terms:
-        at = body.com_m if element.buoyancy_at_m is None else element.buoyancy_at_m
+        at = given(element.buoyancy_at_m, body.com_m)
         rows.add("force", body.name, [*at, 0.0, 0.0, lift, 1.0, element.half_height_m or 0.0])
 
 
@@ -210,7 +211,7 @@ def _water(element: Water, body: Body, rows: Rows) -> None:
 
 def _force(element: Force, body: Body, rows: Rows) -> None:
     """Add a constant force at a point."""
-    world = 1.0 if element.frame == "world" else 0.0
+    world = float(element.frame == "world")
     rows.add("force", body.name, [*element.at_m, *element.force_N, world, 0.0])
 
 
@@ -255,8 +256,7 @@ class Assembly(Tree):
     def __init__(self, body: Multibody, fluid: Fluid) -> None:
         super().__init__(body)
         self.reference = np.array(body.reference.at_m)
-        surface = NOWHERE if body.surface_z_m is None else body.surface_z_m
-        self.constants = {"surface": surface, **self.constants}
+        self.constants = {"surface": given(body.surface_z_m, NOWHERE), **self.constants}
         rows = self.fill(fluid)
         massless = [[all(not Polynomial.of(e).terms for e in row)] for row in rows.inertia]
         self.topology = np.ascontiguousarray(np.hstack([self.topology, massless]), dtype=np.int64)

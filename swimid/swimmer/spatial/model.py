@@ -88,12 +88,11 @@ class MultibodyModel(Swimmer):
         body = self.robot.multibody
         if body is None or not any(isinstance(e, Hydrostatics) and e.volume_m3 for e in body.elements):
             return None
-        elements = [
-            e.model_copy(update={"volume_m3": _times(factor, e.volume_m3)})
-            if isinstance(e, Hydrostatics)
-            else e
-            for e in body.elements
-        ]
+        elements = list(body.elements)
+        for k, element in enumerate(elements):
+            if isinstance(element, Hydrostatics):
+                volume = _times(factor, element.volume_m3)
+                elements[k] = element.model_copy(update={"volume_m3": volume})
         changed = body.model_copy(update={"elements": elements})
         other = MultibodyModel(self.robot.model_copy(update={"multibody": changed}), max_step=self.max_step)
         other.parameters = self.parameters
