@@ -114,10 +114,10 @@ def bench_engine() -> None:
         runs = [model.request(given * (1.0 + 1e-3 * k), trial, NONE) for k in range(LANES)]
         kernel = Kernel(model.engine, model.tree.tables, len(model.coefficients))
         kernel.compiled()
-        model._integrate(runs[0])
+        model.integrate(runs[0])
 
         scalar, one, eight = best(
-            partial(model._integrate, runs[0]),
+            partial(model.integrate, runs[0]),
             *(partial(together, kernel, runs[:count]) for count in (1, LANES)),
         )
         print(

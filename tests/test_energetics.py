@@ -24,6 +24,7 @@ from swimid.swimmer.run_quantities import Energetics
 from swimid.swimmer.spatial.model import MultibodyModel
 from swimid.swimmer.trials import cycle_of
 from tests.conftest import Ran
+from tests.generators import lagrange
 
 WATER = 1000.0
 needs_casadi = pytest.mark.skipif(importlib.util.find_spec("casadi") is None, reason="casadi is missing")
@@ -48,8 +49,6 @@ def swum(model: Swimmer, swim: SwimInput, duration_s: float, last_s: float) -> E
 @pytest.mark.parametrize("base", [pytest.param("free", marks=pytest.mark.slow), "fixed"])
 def test_torques_of_random_trees(base: str) -> None:
     """Every element, branches, mounts and wires: the driven rows of Lagrange's equations, to 1e-10."""
-    from tests.generators import lagrange
-
     rng, compared = np.random.default_rng(5), 0
     for _ in range(20):
         links = int(rng.integers(3, 8))

@@ -142,7 +142,7 @@ def test_the_uncompiled_module_agrees_with_the_engine(name: str, rng: np.random.
     form, make = CASES[name]
     tree = make()
     kernel = Kernel(form.engine, tree.tables, len(tree.body.coefficients))
-    kernel._module = lanes_forms.uncompiled(kernel)
+    kernel.module = lanes_forms.uncompiled(kernel)
     runs = spread(form, tree, kernel, rng)[:3]
     runs = [(start, step, drive[:9], tables) for start, step, drive, tables in runs]
     compare(form, kernel, runs)
@@ -318,7 +318,7 @@ def test_tables_with_filled_zeros_do_not_fit_the_kernel(fish: MultilinkModel) ->
     start = np.array([fish.stated()[name] for name in fish.coefficients])
     tables = fish.tree.tables(start)
     assert fish.kernels.own.fits(tables)
-    nought = np.argwhere((tables["drag"] == 0.0) & ~np.isnan(fish.kernels.own._fixed["drag"]))[0]
+    nought = np.argwhere((tables["drag"] == 0.0) & ~np.isnan(fish.kernels.own.fixed["drag"]))[0]
     filled = tables["drag"].copy()
     filled[tuple(nought)] = 0.1
     assert not fish.kernels.own.fits({**tables, "drag": filled})
@@ -364,10 +364,10 @@ def test_threads_simulate_whole_batches(fish: MultilinkModel) -> None:
     assert sorted(parts[1:]) == [4, 16]
 
 
-def test_sine_and_cosine_of_symbols() -> None:
+def testsine_and_cosine_of_symbols() -> None:
     """To the last digit or one beside it, up to a thousand turns."""
     tracer = tracing.Tracer()
-    results = tracing._sine_and_cosine(tracer.symbol("state", 0))
+    results = tracing.sine_and_cosine(tracer.symbol("state", 0))
     rng = np.random.default_rng(1)
     for angle in [
         0.0,

@@ -182,7 +182,7 @@ def test_forces_in_a_vertical_plane_agree_with_the_engine() -> None:
     assert dolphin.kernels.own is not None
     assert dolphin.kernels.wide is not None
     for kernel in (dolphin.kernels.own, dolphin.kernels.wide):
-        kernel._module = lanes_forms.uncompiled(kernel)
+        kernel.module = lanes_forms.uncompiled(kernel)
     own = swims(dolphin, 0.06)
     found = widened(dolphin, own)
     assert {name.split()[0] for name in found} >= {"buoyancy", "surface-breach"}

@@ -22,6 +22,7 @@ from swimid.swimmer.planar import engine
 from swimid.swimmer.planar.assembly import Assembly
 from swimid.swimmer.planar.model import MultilinkModel
 from tests import lanes_forms
+from tests.generators import lagrange
 
 pytestmark = pytest.mark.kernels
 
@@ -139,8 +140,6 @@ class TestLagrange:
     @pytest.mark.parametrize("base", ["free", "fixed"])
     def test_random_trees(self, base: str) -> None:
         """Branches, offsets, mounts, springs, tendons, weight and every element, to 1e-10."""
-        from tests.generators import lagrange
-
         rng = np.random.default_rng(20)
         branched = 0
         for _ in range(30):
@@ -175,8 +174,6 @@ class TestLagrange:
         The energy of a small oscillation drifts with the fifth: the modulus of Runge-Kutta's growth
         factor departs from one by (omega h)^6 / 144 in a step.
         """
-        from tests.generators import lagrange
-
         oracle, model = lagrange.Lagrange(chain(water=water)), assembly(chain(water=water))
         rng = np.random.default_rng(3)
         bent, turning = rng.uniform(-0.3, 0.3, 4), rng.uniform(-1.0, 1.0, 4)
@@ -241,7 +238,6 @@ BETWEEN = GRID[:-1] + 0.00731
 def reference() -> tuple[np.ndarray, np.ndarray]:
     """20 s of the fish by Lagrange's equations and DOP853, on the grid and between."""
     pytest.importorskip("casadi", reason="casadi derives the equations of the oracle")
-    from tests.generators import lagrange
 
     oracle = lagrange.Lagrange(tfish_body(), density=WATER)
     times = np.sort(np.r_[GRID, BETWEEN])
@@ -319,8 +315,6 @@ class TestTendonFish:
     @needs_casadi
     def test_sensitivities(self) -> None:
         """Finite differences of the engine against variations of the independent equations."""
-        from tests.generators import lagrange
-
         times = np.linspace(0.0, 4.0, 201)
         model = MultilinkModel(robot_format.read("tfish"))
         names, base = [p.name for p in model.parameters], values_of(model)
@@ -412,8 +406,6 @@ def mujoco_model(body: dict[str, Any], step: float) -> Any:
 
 def dry_tree(rng: np.random.Generator, links: int, yielding: int, *, driven: bool) -> dict[str, Any]:
     """A random tree of what MuJoCo knows: rigid bodies, weight, linear springs and dampers."""
-    from tests.generators import lagrange
-
     body = lagrange.random_tree(rng, links, yielding, fluid=False)
     for joint in body["joints"]:
         law = joint.get("passive")
@@ -738,8 +730,6 @@ class TestTrailingEdge:
     @needs_casadi
     def test_energy_goes_into_the_wake(self) -> None:
         """Springs' energy goes into motion, drag and the wake, m u w^2 / 2 per time, and nowhere else."""
-        from tests.generators import lagrange
-
         body = chain(4, water=True)
         drag = {"kind": "drag", "link": "link0", "strips": 1, "at_m": 0.0, "axial_linear_N_s_m": 0.1}
         body["elements"] += [drag, {"kind": "trailing-edge", "link": "link3", "added_mass_kg_m": 4.0}]

@@ -321,18 +321,18 @@ def measured(time_s: Array, angle_rad: Array) -> BSpline:
     places = (times - times[0]) / scale
     spacing = np.diff(places)
     grid = np.arange(-8.0, 10.0, 0.5)
-    scores = [_cross_validation(10.0**power, spacing, angles) for power in grid]
+    scores = [cross_validation_score(10.0**power, spacing, angles) for power in grid]
     best = float(grid[int(np.argmin(scores))])
     around = (best - 0.5, best + 0.5)
     power = minimize_scalar(
-        lambda p: _cross_validation(10.0**p, spacing, angles), bounds=around, method="bounded"
+        lambda p: cross_validation_score(10.0**p, spacing, angles), bounds=around, method="bounded"
     ).x
     found = make_smoothing_spline(places, angles, lam=10.0**power)
     return BSpline(times[0] + scale * found.t, found.c, 3)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _cross_validation(smoothing, spacing, values):  # type: ignore[no-untyped-def]
+def cross_validation_score(smoothing, spacing, values):  # type: ignore[no-untyped-def]
     """Return the score ``n |residuals|^2 / trace(I - A)^2`` of a natural cubic spline.
 
     The curvatures follow from Reinsch's banded system, the trace from the bands of its inverse

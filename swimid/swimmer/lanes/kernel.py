@@ -98,22 +98,22 @@ class Kernel:
         self.engine = engine
         self._example = tables(np.ones(coefficients))
         self.size, self._scratch = engine.shapes(self._example)
-        self._fixed = _fixed(tables, coefficients)
+        self.fixed = _fixed(tables, coefficients)
         for name, columns in engine.filled.items():
-            self._fixed[name][:, columns] = np.nan
-        entries = self._entries(self._fixed)
+            self.fixed[name][:, columns] = np.nan
+        entries = self._entries(self.fixed)
         self._taken, self._known = np.flatnonzero(np.isnan(entries)), np.flatnonzero(~np.isnan(entries))
         self._structure = entries[self._known]
         self._lock = threading.RLock()
         self._buffers: list[Array] = []
         self._traced: Traced | None = None
-        self._module: ModuleType | None = None
+        self.module: ModuleType | None = None
 
     def fits(self, tables: Mapping[str, Any]) -> bool:
         """Return whether tables have the structure of this robot. An effect may have filled in a zero."""
         for name, example in self._example.items():
             given = tables[name]
-            if name in self._fixed:
+            if name in self.fixed:
                 if np.shape(given) != np.shape(example):
                     return False
             elif given is not example and not np.array_equal(given, example):
@@ -131,7 +131,7 @@ class Kernel:
         arguments: dict[str, Any] = {}
         count = 0
         for name, example in self._example.items():
-            fixed = self._fixed.get(name)
+            fixed = self.fixed.get(name)
             if fixed is None:
                 arguments[name] = example
                 continue
@@ -205,9 +205,9 @@ class Kernel:
     def compiled(self) -> ModuleType:
         """Return the module, and compile it if this machine does not have it yet."""
         with self._lock:
-            if self._module is None:
-                self._module = _compiled(imported(tracing.text(self.traced())))
-            return self._module
+            if self.module is None:
+                self.module = _compiled(imported(tracing.text(self.traced())))
+            return self.module
 
     def run(
         self,
@@ -285,7 +285,7 @@ class Kernel:
 
     def _entries(self, tables: Mapping[str, Any]) -> Array:
         """Return all numbers of the tables in one array."""
-        return np.concatenate([np.reshape(tables[name], -1) for name in self._fixed])
+        return np.concatenate([np.reshape(tables[name], -1) for name in self.fixed])
 
 
 def _references(arrays: Sequence[Array]) -> list[int]:

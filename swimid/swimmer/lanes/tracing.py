@@ -212,7 +212,7 @@ def _traced(kind: str, function: Callable[..., Any]) -> Callable[..., Any]:
 _largest, _smallest, _root = _traced("max", max), _traced("min", min), _traced("sqrt", math.sqrt)
 
 
-def _sine_and_cosine(x: Any) -> tuple[Any, Any]:
+def sine_and_cosine(x: Any) -> tuple[Any, Any]:
     """Return sine and cosine of an angle up to some thousands of turns, with an error below 2.3e-16."""
     if isinstance(x, Angle):
         return x.sine, x.cosine
@@ -276,8 +276,8 @@ MATH = SimpleNamespace(
     sqrt=_root,
     exp=_exponential,
     log=_logarithm,
-    sin=lambda x: _sine_and_cosine(x)[0],
-    cos=lambda x: _sine_and_cosine(x)[1],
+    sin=lambda x: sine_and_cosine(x)[0],
+    cos=lambda x: sine_and_cosine(x)[1],
     pi=math.pi,
     nan=math.nan,
     inf=math.inf,
