@@ -1,4 +1,4 @@
-"""Joint torques against Lagrange's equations, the balance of energy, and what is made of both."""
+"""Joint torques against Lagrange's equations, the balance of energy, and derived quantities."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def swum(model: Swimmer, swim: SwimInput, duration_s: float, last_s: float) -> E
 @needs_casadi
 @pytest.mark.parametrize("base", [pytest.param("free", marks=pytest.mark.slow), "fixed"])
 def test_torques_of_random_trees(base: str) -> None:
-    """Every element, branches, mounts and wires: the driven rows of Lagrange's equations, to 1e-10."""
+    """Trees with every element agree with the driven rows of Lagrange's equations to 1e-10."""
     rng, compared = np.random.default_rng(5), 0
     for _ in range(20):
         links = int(rng.integers(3, 8))
@@ -87,7 +87,7 @@ def test_torques_of_random_trees(base: str) -> None:
     ],
 )
 def test_balance_of_energy(form: type[Swimmer], name: str, hz: float, deg: float) -> None:
-    """Over four beats to 1e-6, with steps of 2.5 ms; what is left falls with their fourth power."""
+    """Energy balances over four beats to 1e-6 with steps of 2.5 ms. The error falls with their fourth power."""
     left = []
     for step in (0.0025, 0.00125):
         model = form(robot_format.read(name), max_step=step)
@@ -99,7 +99,7 @@ def test_balance_of_energy(form: type[Swimmer], name: str, hz: float, deg: float
 
 
 def test_balance_of_energy_in_space() -> None:
-    """The sea lion's hinges, its weight and buoyancy, over a whole stroke."""
+    """Energy of the sea lion, with weight and buoyancy, balances over a whole stroke."""
     model = MultibodyModel(robot_format.read("sealion"), max_step=0.001)
     stroke = cycle_of(StrokeDrive(stroke="characteristic", cycles=3), model)
     found = swum(model, SwimInput(stroke=stroke), 3.0 / stroke.frequency_hz, 1.0 / stroke.frequency_hz)
@@ -119,7 +119,7 @@ def test_both_engines_give_the_same_torques() -> None:
 
 
 def test_passive_torque_follows_the_law_of_the_spring() -> None:
-    """The dolphin's caudal joint: ``tau = -K_s theta``, with the energy that it stores."""
+    """The caudal joint of the dolphin has ``tau = -K_s theta``, and the energy of this spring."""
     model = MultilinkModel(robot_format.read("dolphin"))
     swim = SwimInput(Beat("sine", 2.0, 0.4))
     found = swum(model, swim, 5.0, 1.0)
@@ -150,7 +150,7 @@ def test_forgotten_trials_are_simulated_again() -> None:
 
 
 def test_settling_time_of_a_first_order_rise() -> None:
-    """``1 - exp(-t / tau)`` comes within 5 % at ``tau log 20``; an end that still rises has not settled."""
+    """``1 - exp(-t / tau)`` is within 5 % at ``tau log 20``. A signal that still rises has not settled."""
     time = np.arange(64 * 60 + 1) / 64.0
     rise = 1.0 - np.exp(-time / 5.0)
     found = swim_quantities.settling_time(time, rise, 1.0)

@@ -1,4 +1,4 @@
-"""Fronts of several objectives: the search, its resumption, the choice on it, and the command."""
+"""Pareto fronts: the search, its resumption, the choice of a point, and the command."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FEW = ("--population", "6", "--generations", "3")
 
 
 def _two_bowls(points: np.ndarray) -> np.ndarray:
-    """Squared distances from (1, 0) and (-1, 0): the front is the straight line between them."""
+    """Return squared distances from (1, 0) and (-1, 0). The front is the straight line between them."""
     x, y = points.T
     return np.column_stack([(x - 1.0) ** 2 + y**2, (x + 1.0) ** 2 + y**2])
 
@@ -109,7 +109,7 @@ def test_a_distance_allows_a_late_clock_within_its_band() -> None:
 
 
 def _trials(folder: Path, duration: float = 1.5) -> Path:
-    """The opening of one repeat of each stroke of the sample, as a trials file."""
+    """Write a trials file with the first part of one repeat of each stroke of the sample."""
     lines = ["format: swimid-trials/1", "experiment: multibody", "robot: sealion", "trials:"]
     for name in ("characteristic", "characteristic-pelvis"):
         lines.append(

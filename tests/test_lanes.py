@@ -1,4 +1,4 @@
-"""Runs side by side against the scalar engines: every element, held bases, unlike lengths, hooks."""
+"""Batches of runs against the scalar engines: every element, held bases, different lengths, effects."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ ENGINES: dict[type[Swimmer], ModuleType] = {
 
 
 def drive_of(rng: np.random.Generator, joints: int, steps: int, step: float) -> np.ndarray:
-    """A smooth table of driven joints on the half-step grid."""
+    """Return a smooth table of driven joints on the half-step grid."""
     time = 0.5 * step * np.arange(2 * steps + 1)
     table = np.empty((len(time), joints, 5))
     for k in range(joints):
@@ -59,7 +59,7 @@ def drive_of(rng: np.random.Generator, joints: int, steps: int, step: float) -> 
 
 
 def scalar(form: type[Swimmer], start: np.ndarray, step: float, drive: np.ndarray, tables: Any) -> Any:
-    """By the engine itself."""
+    """Return states and rates of a run by the scalar engine."""
     return ENGINES[form].integrate(0.0, start, step, drive, *tables.values(), *form.engine.extra)
 
 
@@ -76,7 +76,7 @@ def sea_lion() -> SpatialAssembly:
 
 
 def hinged(**changed: Any) -> SpatialAssembly:
-    """A weight with two yielding fins, and every kind of element."""
+    """Return a weight with two passive fins, and every kind of element."""
     inertia = [0.02, 0.03, 0.03, 0.0, 0.001, 0.0]
     fins = [
         {
@@ -121,7 +121,7 @@ CASES: dict[str, tuple[type[Swimmer], Any]] = {
 
 
 def spread(form: type[Swimmer], tree: Any, kernel: Kernel, rng: np.random.Generator) -> list[tuple[Any, ...]]:
-    """Runs that differ in start, step, length, drive and coefficients."""
+    """Return runs that differ in start, step, length, drive and coefficients."""
     given = np.array([c.value for c in tree.body.coefficients.values()])
     runs = []
     for k in range(11):
@@ -138,7 +138,7 @@ def spread(form: type[Swimmer], tree: Any, kernel: Kernel, rng: np.random.Genera
 
 @pytest.mark.parametrize("name", CASES)
 def test_the_uncompiled_module_agrees_with_the_engine(name: str, rng: np.random.Generator) -> None:
-    """Its text, not compiled, moves every robot as the scalar engine does."""
+    """The generated module, run as Python, moves every robot like the scalar engine."""
     form, make = CASES[name]
     tree = make()
     kernel = Kernel(form.engine, tree.tables, len(tree.body.coefficients))
@@ -163,7 +163,7 @@ def compare(form: type[Swimmer], kernel: Kernel, runs: list[tuple[Any, ...]]) ->
 
 @pytest.fixture(scope="module")
 def fish() -> Swimmer:
-    """The tendon fish, its kernel compiled."""
+    """Return the tendon fish with a compiled kernel."""
     model = MultilinkModel(robot_format.read("tfish"))
     model.kernels.own = Kernel(model.engine, model.tree.tables, len(model.coefficients))
     model.kernels.own.compiled()
@@ -175,7 +175,7 @@ def fish() -> Swimmer:
 def test_different_runs_of_one_batch_agree_with_the_engine(
     fish: MultilinkModel, rng: np.random.Generator
 ) -> None:
-    """Eleven runs, of unlike length, step, start, drive and coefficients, in two batches."""
+    """Eleven runs of different length, step, start, drive and coefficients fill two batches."""
     assert fish.kernels.own is not None
     compare(MultilinkModel, fish.kernels.own, spread(MultilinkModel, fish.tree, fish.kernels.own, rng))
 
@@ -210,7 +210,7 @@ def trials(count: int = 3) -> list[Trial]:
 
 
 def test_many_runs_agree_with_single_runs(fish: MultilinkModel) -> None:
-    """Repeats, trials and values mixed; with effects of every stage acting, a force from outside, too."""
+    """Repeats, trials and values are mixed, and effects of every stage act."""
     plain = MultilinkModel(robot_format.read("tfish"))
     names = {e.name: e for e in effect_catalogue.catalogue()}
     own = trials()
@@ -240,7 +240,7 @@ def test_many_runs_agree_with_single_runs(fish: MultilinkModel) -> None:
 
 
 def test_a_single_run_takes_the_kernel_too(fish: MultilinkModel) -> None:
-    """So that a simulation does not depend on what it is asked together with."""
+    """A simulation does not depend on the other runs of its batch."""
     own = trials()
     start = np.array([fish.stated().get(p.name, p.start) for p in fish.parameters])
     runs = [(start * (1 + 0.01 * k), own[k % 3]) for k in range(5)]
@@ -304,7 +304,7 @@ def test_memory_is_reused_after_its_results_are_released(
 
 
 def test_equal_effects_share_their_runs() -> None:
-    """A trajectory is kept by what acts, not by which object stands for it."""
+    """The key of a kept trajectory is the effect, not the object that represents it."""
     names = {e.name: e for e in effect_catalogue.catalogue()}
     tether, other = names["tether"], type(names["tether"])()
     assert tether is not other
@@ -327,7 +327,7 @@ def test_tables_with_filled_zeros_do_not_fit_the_kernel(fish: MultilinkModel) ->
 
 
 def test_a_coefficient_of_zero_keeps_the_structure() -> None:
-    """Also of a planar robot lifted into space, whose damping of rotation is a coefficient at its bound."""
+    """This holds for a planar robot in space, too, whose damping of rotation is a coefficient at its bound."""
     robot = robot_format.read("tfish")
     body = robot.multilink
     assert body is not None
@@ -345,7 +345,7 @@ def test_a_coefficient_of_zero_keeps_the_structure() -> None:
 
 
 def test_threads_simulate_whole_batches(fish: MultilinkModel) -> None:
-    """Six runs fill one batch: two half-empty ones would take twice the time of the processor."""
+    """Six runs fill one batch. Two half-empty batches would take twice the processor time."""
     parts: list[int] = []
 
     class Counted(Tied):
@@ -365,7 +365,7 @@ def test_threads_simulate_whole_batches(fish: MultilinkModel) -> None:
 
 
 def testsine_and_cosine_of_symbols() -> None:
-    """To the last digit or one beside it, up to a thousand turns."""
+    """They agree to one unit in the last place, up to a thousand turns."""
     tracer = tracing.Tracer()
     results = tracing.sine_and_cosine(tracer.symbol("state", 0))
     rng = np.random.default_rng(1)
@@ -395,7 +395,7 @@ def test_a_branch_on_a_value_cannot_be_traced() -> None:
 
 
 def test_when_compiling_a_kernel_pays(fish: MultilinkModel, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Short work stays on the scalar engine, long work compiles at once, else the next command has it."""
+    """Little work stays on the scalar engine, much work compiles at once, and other work compiles for later."""
     kernel = fish.kernels.own
     assert kernel is not None
     asked: list[str] = []
@@ -418,7 +418,7 @@ def test_when_compiling_a_kernel_pays(fish: MultilinkModel, monkeypatch: pytest.
 
 
 def test_the_compiled_module_is_kept_on_disk(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A process of its own compiles it; then it is on disk, and is not compiled again."""
+    """Another process compiles it. Then it is on disk, and is not compiled again."""
     monkeypatch.setattr(kernels, "folder", lambda: tmp_path)
     text = (
         "import numba\nSIGNATURE = 'f8(f8)'\n@numba.njit(cache=True)\ndef integrate(x):\n    return 2.0 * x\n"
@@ -451,7 +451,7 @@ def test_the_compiled_module_is_kept_in_the_cache_folder_of_numba(tmp_path: Any)
     platform.machine() not in ("x86_64", "AMD64"), reason="reads the assembly of one processor"
 )
 def test_the_compiler_vectorises_the_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The compiler takes the loop over lanes whole: arithmetic on packed doubles, hardly any on others."""
+    """The compiler vectorises the loop: almost all arithmetic is on packed doubles."""
     monkeypatch.setattr(numba.config, "BOUNDSCHECK", 0)
     link = {"length_m": 0.2, "mass_kg": 1.0, "com_m": 0.08, "inertia_kg_m2": 0.02, "inertia_about": "com"}
     body = {
@@ -467,7 +467,7 @@ def test_the_compiler_vectorises_the_kernel(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_changes_of_a_passive_joint_fit_the_kernel() -> None:
-    """Stiffness, damping and rest angle of a joint without any: side by side as every other run."""
+    """An effect may add stiffness, damping and rest angle to a joint that has none."""
     robot = robot_format.read("tfish")
     body = robot.multilink
     assert body is not None

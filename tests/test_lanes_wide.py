@@ -1,4 +1,4 @@
-"""Runs with effects that bring forces and elements: side by side as on the scalar engine."""
+"""Batches of runs with forces and elements of effects, against the scalar engine."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from tests import lanes_forms
 
 
 def opened(name: str) -> MultilinkModel:
-    """A robot with both kernels, nothing compiled."""
+    """Return a robot with both kernels, not compiled."""
     catalogue.catalogue()
     model = MultilinkModel(robot_format.read(name))
     model.kernels.make()
@@ -40,7 +40,7 @@ def opened(name: str) -> MultilinkModel:
 
 @pytest.fixture(scope="module")
 def fish() -> MultilinkModel:
-    """The tendon fish, compiled."""
+    """Return the tendon fish with compiled kernels."""
     model = opened("tfish")
     assert model.kernels.own is not None
     assert model.kernels.wide is not None
@@ -54,7 +54,7 @@ def given(model: MultilinkModel) -> np.ndarray:
 
 
 def swims(model: MultilinkModel, duration_s: float) -> list[Trial]:
-    """Two trials off the origin and off the axes, with what the model itself makes of them as measured."""
+    """Return two trials off the origin and off the axes, whose data are simulated by the model."""
     plain = MultilinkModel(model.robot)
     found = []
     for k in range(2):
@@ -65,7 +65,7 @@ def swims(model: MultilinkModel, duration_s: float) -> list[Trial]:
 
 
 def widened(model: MultilinkModel, own: list[Trial]) -> dict[str, Effect]:
-    """Every form of every effect, and forces without physics, that the robot's own kernel has no room for."""
+    """Return every variant of every effect, and artificial forces, that need the wide kernel."""
     every = catalogue.applicable(catalogue.catalogue(), model, own)
     every += [ResidualForce(axis, 0.05, 0.3) for axis in AXES]
     found = {}
@@ -80,13 +80,13 @@ def widened(model: MultilinkModel, own: list[Trial]) -> dict[str, Effect]:
 
 
 def acting(affected: Affected) -> np.ndarray:
-    """Values of its effects at which all of them act."""
+    """Return values of the parameters at which all effects act."""
     own = [p for parameters in affected.own for p in parameters]
     return np.array([np.clip(p.start + 0.4 * p.scale, p.lower, p.upper) for p in own])
 
 
 def compared(model: MultilinkModel, effects: list[Effect], own: list[Trial], count: int) -> None:
-    """Channels within what rounding can add up to: a unit in the last place at each operation of a run."""
+    """Compare channels, with a tolerance of one unit in the last place for each operation of a run."""
     plain = MultilinkModel(model.robot)
     one, many = (Affected(m, effects, own) for m in (plain, model))
     values = np.concatenate([given(model), acting(one)])
@@ -125,7 +125,7 @@ def test_several_effects_agree_with_the_engine(fish: MultilinkModel) -> None:
 
 @pytest.mark.kernels
 def test_runs_of_one_batch_keep_their_own_effects(fish: MultilinkModel) -> None:
-    """Coefficients that an effect reads off the tables differ from run to run, as in derivatives to them."""
+    """An effect may read coefficients from the tables. They differ from run to run, as in derivatives."""
     own = swims(fish, 0.6)
     for effect in widened(fish, own).values():
         affected = Affected(fish, [effect], own)
@@ -162,7 +162,7 @@ def test_a_run_without_effects_takes_the_robots_own_kernel(fish: MultilinkModel)
 def test_a_resumed_diagnosis_keeps_its_kernels(
     fish: MultilinkModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whatever has been compiled meanwhile; and without effects ahead nothing is asked of the wide one."""
+    """A later compilation does not change the decision. Without effects, the wide kernel is not made."""
     monkeypatch.setattr(Kernel, "worth", lambda self, derivatives, progress: True)
     model = MultilinkModel(fish.robot)
     model.prepare(simulated_s=1e3)
@@ -177,7 +177,7 @@ def test_a_resumed_diagnosis_keeps_its_kernels(
 
 
 def test_forces_in_a_vertical_plane_agree_with_the_engine() -> None:
-    """The module's text, not compiled, for the effects that only a swimmer in a side view has, too."""
+    """The generated module, run as Python, also has the effects of swimmers in a side view."""
     dolphin = opened("dolphin")
     assert dolphin.kernels.own is not None
     assert dolphin.kernels.wide is not None
@@ -191,7 +191,7 @@ def test_forces_in_a_vertical_plane_agree_with_the_engine() -> None:
 
 
 def test_effects_do_not_change_the_robots_own_kernel() -> None:
-    """Neither bits nor time cost a run that asks for none."""
+    """The text of the robot's own kernel is the same with and without effects."""
     text = tracing.text(opened("tfish").kernels.own.traced())
     assert "bits" not in text
     assert "0.5 * n *" not in text
@@ -220,7 +220,7 @@ def test_exponential_and_logarithm(function: Any, exact: Any, numbers: np.ndarra
 
 
 def test_every_traceable_force_can_be_traced() -> None:
-    """Those of all modules, with constants of which nothing is known."""
+    """The forces of all modules can be traced with unknown constants."""
     for known in TRACEABLE.values():
         tracer = tracing.Tracer()
         time = tracer.symbol("elapsed", 0)
@@ -247,7 +247,7 @@ def test_a_branch_on_an_input_of_a_run_cannot_be_traced() -> None:
 @pytest.mark.kernels
 @pytest.mark.slow
 def test_the_compiler_vectorises_the_wide_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bits, exponentials and powers do not keep the compiler from taking the loop over lanes whole."""
+    """The compiler vectorises the loop in spite of bit operations, exponentials and powers."""
     monkeypatch.setattr(numba.config, "BOUNDSCHECK", 0)
     kernel = opened("tfish").kernels.wide
     assert kernel is not None

@@ -1,4 +1,4 @@
-"""What moves the driven joints: waveforms, measured angles, servos."""
+"""Motion of the driven joints: waveforms, measured angles, servos."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class TestBeat:
         return drives.Beat(waveform, 1.3, 0.5, asymmetry=asymmetry, **given)
 
     def test_derivatives(self, waveform: str, asymmetry: float) -> None:
-        """Rate and acceleration are those of the angle, except at the turns of an asymmetric beat."""
+        """Rate and acceleration are derivatives of the angle, except at the turning points of an asymmetric beat."""
         beat, step = self.beat(waveform, asymmetry), 1e-4
         times = np.arange(0.0, 5.0, 0.0137) + 1e-3
         early, (_, rate, bend), late = (
@@ -85,7 +85,7 @@ class TestBeat:
 
 @pytest.mark.parametrize("asymmetry", [0.0, 0.3, 0.7, -0.5])
 def test_hopf_solves_eq_10(asymmetry: float) -> None:
-    """Eq 10 with radius one, integrated, settles on :func:`drives.hopf`, wherever its radius started."""
+    """Eq 10 with radius one settles on :func:`drives.hopf` from any initial radius."""
     omega = 2 * math.pi * 1.1
 
     def right(_: float, point: np.ndarray) -> list[float]:
@@ -155,7 +155,7 @@ class TestMeasured:
     @pytest.mark.parametrize("rate_hz", [20.0, 100.0, 1000.0])
     @pytest.mark.parametrize("beat_hz", [0.3, 2.0])
     def test_any_sampling_rate(self, rate_hz: float, beat_hz: float, rng: np.random.Generator) -> None:
-        """The angle comes out closer than the samples: neither a line nor the noise is fitted."""
+        """The smoothed angle is closer to the truth than the samples at any sampling rate."""
         times = 1e3 + np.arange(0.0, 10.0, 1 / rate_hz)
         angle, noise = 0.3 * np.sin(2 * math.pi * beat_hz * times), 0.005
         seen = angle + noise * rng.standard_normal(len(times))
@@ -163,7 +163,7 @@ class TestMeasured:
         assert np.sqrt(np.mean((found - angle) ** 2)) < noise
 
     def test_smoothing_minimises_thecross_validation_score_score(self, rng: np.random.Generator) -> None:
-        """The banded score is that of the influence matrix, column by column."""
+        """The banded score equals that of the full influence matrix."""
         places = np.cumsum(rng.uniform(0.5, 1.5, 30))
         seen = np.sin(places / 3) + 0.1 * rng.standard_normal(30)
         for smoothing in (1e-3, 1.0, 50.0):
@@ -217,7 +217,7 @@ class TestServo:
     OMEGA, DAMPING = 2 * math.pi * 4.0, 0.6
 
     def ramp_answer(self, times: np.ndarray) -> np.ndarray:
-        """Angle of a second-order servo, at rest until its command starts to rise by 1 rad/s."""
+        """Return the angle of a second-order servo at rest whose command starts to rise by 1 rad/s."""
         omega, z = self.OMEGA, self.DAMPING
         damped = omega * math.sqrt(1 - z * z)
         fading = np.exp(-z * omega * times)
@@ -289,7 +289,7 @@ class TestInARobot:
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
     def test_turning_points_of_an_asymmetric_beat_may_lie_between_steps(self) -> None:
-        """Second order in the step, where a sampled acceleration that jumps between steps gives first."""
+        """The error is of second order in the step. A sampled acceleration with jumps would give first order."""
         beat = drives.Beat("a-cpg", 0.83, 0.5, asymmetry=0.4)
         robot = _two_links({})
         fine = self.run(MultilinkModel(robot, max_step=1e-4), SwimInput(beat))
@@ -300,7 +300,7 @@ class TestInARobot:
         assert np.all(np.array(errors[1]) < 0.4 * np.array(errors[0]))
 
     def test_a_measured_angle_gives_the_motion_of_the_beat(self) -> None:
-        """A clean record of a joint, sampled every 10 ms, gives the swim that the command gave."""
+        """A clean record of a joint, sampled every 10 ms, gives the motion that the command gave."""
         model = MultilinkModel(_two_links({}))
         beat = drives.Beat("sine", 1.0, 0.5)
         told = self.run(model, SwimInput(beat))
