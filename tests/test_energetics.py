@@ -87,7 +87,7 @@ def test_torques_of_random_trees(base: str) -> None:
     ],
 )
 def test_balance_of_energy(form: type[Swimmer], name: str, hz: float, deg: float) -> None:
-    """Energy balances over four beats to 1e-6 with steps of 2.5 ms. The error falls with their fourth power."""
+    """Energy balances over four beats to 1e-6 with steps of 2.5 ms; the error has fourth order."""
     left = []
     for step in (0.0025, 0.00125):
         model = form(robot_format.read(name), max_step=step)

@@ -433,7 +433,7 @@ class TestLogs:
 
     @pytest.mark.slow
     def test_a_rough_log(self, swimid: Swimid, tmp_path: Path) -> None:
-        """The log has 30 Hz, a second of rest first, gaps, uneven stamps, and a heading within half a turn."""
+        """The log has 30 Hz, a second of rest, gaps, uneven stamps, and a heading within half a turn."""
         rng = np.random.default_rng(3)
         runs = [
             swimmer.Run(r.id, r.drive, swimmer.simulate("tfish", SHARED, r.drive, 8.0, 30.0, rtol=FINE))

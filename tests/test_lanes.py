@@ -327,7 +327,7 @@ def test_tables_with_filled_zeros_do_not_fit_the_kernel(fish: MultilinkModel) ->
 
 
 def test_a_coefficient_of_zero_keeps_the_structure() -> None:
-    """This holds for a planar robot in space, too, whose damping of rotation is a coefficient at its bound."""
+    """A planar robot in space has a damping of rotation with a coefficient at its bound, zero."""
     robot = robot_format.read("tfish")
     body = robot.multilink
     assert body is not None
@@ -395,7 +395,7 @@ def test_a_branch_on_a_value_cannot_be_traced() -> None:
 
 
 def test_when_compiling_a_kernel_pays(fish: MultilinkModel, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Little work stays on the scalar engine, much work compiles at once, and other work compiles for later."""
+    """Little work stays on the scalar engine, much work compiles at once, other work for later."""
     kernel = fish.kernels.own
     assert kernel is not None
     asked: list[str] = []

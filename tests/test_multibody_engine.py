@@ -154,7 +154,7 @@ def put(model: Assembly, theirs: Any, data: Any, state: np.ndarray) -> list[int]
 
 
 def accelerations(model: Assembly, state: np.ndarray, motion: np.ndarray | None = None) -> np.ndarray:
-    """Return accelerations of the base's origin, of its rotation in its own axes, and of the passive joints."""
+    """Return accelerations of the base's origin, of its rotation, and of the passive joints."""
     p = len(model.passive)
     rate = derivative(model, state, motion)
     turn = Rotation.from_quat(np.roll(state[3:7], -1))

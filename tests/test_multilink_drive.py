@@ -27,7 +27,7 @@ class TestBeat:
         return drives.Beat(waveform, 1.3, 0.5, asymmetry=asymmetry, **given)
 
     def test_derivatives(self, waveform: str, asymmetry: float) -> None:
-        """Rate and acceleration are derivatives of the angle, except at the turning points of an asymmetric beat."""
+        """Rate and acceleration are derivatives of the angle, except where an asymmetric beat turns."""
         beat, step = self.beat(waveform, asymmetry), 1e-4
         times = np.arange(0.0, 5.0, 0.0137) + 1e-3
         early, (_, rate, bend), late = (
@@ -289,7 +289,7 @@ class TestInARobot:
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
     def test_turning_points_of_an_asymmetric_beat_may_lie_between_steps(self) -> None:
-        """The error is of second order in the step. A sampled acceleration with jumps would give first order."""
+        """The error has second order in the step. Sampled accelerations with jumps would give first."""
         beat = drives.Beat("a-cpg", 0.83, 0.5, asymmetry=0.4)
         robot = _two_links({})
         fine = self.run(MultilinkModel(robot, max_step=1e-4), SwimInput(beat))

@@ -294,7 +294,7 @@ class TestTendonFish:
         np.testing.assert_allclose(turned[:, 3:], straight[:, 3:], atol=1e-12)
 
     def test_finite_differences_are_smooth(self) -> None:
-        """One-sided differences with steps of 1e-6 agree with extrapolated central ones in the norm of each column."""
+        """One-sided differences with steps of 1e-6 agree with extrapolated central ones by column."""
         times = np.linspace(0.0, 10.0, 501)
         model = MultilinkModel(robot_format.read("tfish"))
         base = values_of(model)
