@@ -38,7 +38,7 @@ from swimid.swimmer import trials as swimmer
 from swimid.swimmer.options import FitGrayboxOptions
 
 if TYPE_CHECKING:
-    from swimid.swimmer.front import Found
+    from swimid.swimmer.front import FrontResult
 
 #: Typical number of Jacobians in a fit. The amount of simulation ahead need be known within a factor of two.
 N_JACOBIANS = 20
@@ -203,7 +203,7 @@ class _Search:
     Attributes
     ----------
     result : FitResult
-    front : Found or None
+    front : FrontResult or None
         Pareto front, if one was searched.
     checkpoint : Checkpoint
         Generations of the front.
@@ -216,7 +216,7 @@ class _Search:
     """
 
     result: FitResult
-    front: Found | None = None
+    front: FrontResult | None = None
     checkpoint: Checkpoint = field(default_factory=Checkpoint)
     ends: list[global_search.Start] = field(default_factory=list)
     starts: int = 1
@@ -245,7 +245,7 @@ def _search(
         found, chosen = front.fit(experiment, model, parameters, options, checkpoint, progress)
         search = _Search(chosen)
         if options.method == "hybrid":
-            begins = found.begins(options.starts or 1)
+            begins = found.starts(options.starts or 1)
             search = _least_squares(model, experiment.trials, parameters, begins, options, progress)
         search = replace(search, front=found, checkpoint=checkpoint)
     if options.subset and search.result.converged:

@@ -172,7 +172,7 @@ class Profiles:
         """Return the positions of the trials of a profile, or of all."""
         return [k for k, own in enumerate(self._profiles) if profile in (None, own)]
 
-    def of(self, profile: str) -> list[int]:
+    def objectives_of(self, profile: str) -> list[int]:
         """Return the positions of the objectives of a profile."""
         return [j for j, (name, _) in enumerate(self.objectives) if name == profile]
 
@@ -226,7 +226,7 @@ class Profiles:
 
 
 @dataclass(frozen=True)
-class Found:
+class FrontResult:
     """Fronts, and the point that was chosen on them.
 
     Attributes
@@ -261,7 +261,7 @@ class Found:
         """Objectives of all points, shape (n, m)."""
         return np.asarray(self.table[self.profiles.columns], dtype=float)
 
-    def begins(self, count: int) -> list[Array]:
+    def starts(self, count: int) -> list[Array]:
         """Return starts for least squares: the chosen point, those of other rules, then along the front."""
         ruled = list(dict.fromkeys([self.chosen, *self.rules.values()]))
         along = [int(k) for k in np.linspace(0, len(self.points) - 1, max(count, 1))]
@@ -276,7 +276,7 @@ def fit(
     options: FitGrayboxOptions,
     checkpoint: Checkpoint,
     progress: Progress = silent,
-) -> tuple[Found, FitResult]:
+) -> tuple[FrontResult, FitResult]:
     """Search or read the fronts, choose a point, and return both with the fit of the model there.
 
     Parameters
@@ -317,8 +317,8 @@ def fit(
     rules = {name: rule(values) for name, rule in RULES.items()}
     if len(profiles.names) > 1:
         for name in profiles.names:
-            rules[f"knee of {name}"] = global_search.knee(values[:, profiles.of(name)])
-    found = Found(profiles, table, searches, _chosen(options.pick, rules, len(table)), rules)
+            rules[f"knee of {name}"] = global_search.knee(values[:, profiles.objectives_of(name)])
+    found = FrontResult(profiles, table, searches, _chosen(options.pick, rules, len(table)), rules)
 
     def at(point: Array) -> FitResult:
         theta = profiles.theta(point)
@@ -355,7 +355,7 @@ def _search(
                     lambda points, name=name: profiles.evaluate(points, name),  # type: ignore[misc]
                     profiles.lower,
                     profiles.upper,
-                    objectives=len(profiles.of(name)),
+                    objectives=len(profiles.objectives_of(name)),
                     population=options.population,
                     generations=options.generations,
                     seed=options.seed + number,
@@ -450,7 +450,7 @@ def _chosen(pick: str, rules: Mapping[str, int], count: int) -> int:
     return int(pick)
 
 
-def save(output: Path, found: Found, options: FitGrayboxOptions) -> list[Path]:
+def save(output: Path, found: FrontResult, options: FitGrayboxOptions) -> list[Path]:
     """Write the front beside the parameter file, unless it was read from there, and return its path."""
     path = output.with_name(f"{output.stem}.front.csv")
     if options.front is not None and options.front.resolve() == path.resolve():
@@ -462,7 +462,9 @@ def save(output: Path, found: Found, options: FitGrayboxOptions) -> list[Path]:
 # ---------------------------------------------------------------- evidence
 
 
-def add_evidence(evidence: ev.Evidence, found: Found, result: FitResult, options: FitGrayboxOptions) -> None:
+def add_evidence(
+    evidence: ev.Evidence, found: FrontResult, result: FitResult, options: FitGrayboxOptions
+) -> None:
     """Add the front, the choice on it and the errors of each stage to the evidence of a fit."""
     stages = dict(found.stages)
     if options.method == "hybrid":
@@ -474,7 +476,7 @@ def add_evidence(evidence: ev.Evidence, found: Found, result: FitResult, options
     evidence.facts["Front"] = f"{len(found.points)} points, {found.chosen} chosen ({chosen})"
 
 
-def _stages_table(found: Found, stages: Mapping[str, FitResult | None]) -> ev.Table:
+def _stages_table(found: FrontResult, stages: Mapping[str, FitResult | None]) -> ev.Table:
     """List objectives and errors before the search, at the chosen point and after least squares."""
     known = {title: r for title, r in stages.items() if r is not None}
     scored = {title: found.profiles.scored(r.series) for title, r in known.items()}
@@ -497,7 +499,7 @@ def _stages_table(found: Found, stages: Mapping[str, FitResult | None]) -> ev.Ta
     )
 
 
-def _choices_table(found: Found) -> ev.Table:
+def _choices_table(found: FrontResult) -> ev.Table:
     """List the point that every rule chooses, and the range of each coefficient over the front."""
     picks = dict(found.rules)
     if found.chosen not in picks.values():
@@ -520,13 +522,13 @@ def _choices_table(found: Found) -> ev.Table:
     )
 
 
-def _figures(found: Found, stages: Mapping[str, FitResult | None]) -> list[ev.Figure]:
+def _figures(found: FrontResult, stages: Mapping[str, FitResult | None]) -> list[ev.Figure]:
     """Draw the front of every profile with the results of the stages, and the search by generations."""
     profiles = found.profiles
     ends = {t: profiles.scored(r.series) for t, r in stages.items() if r is not None}
     fronts, histories = [], []
     for name in profiles.names:
-        objectives = profiles.of(name)
+        objectives = profiles.objectives_of(name)
         kinds = [profiles.objectives[j][1] for j in objectives]
         own = np.asarray(found.table["profile"] == name)
         axes = objectives[:2]
@@ -567,7 +569,7 @@ def _figures(found: Found, stages: Mapping[str, FitResult | None]) -> list[ev.Fi
     return [figure for figure in drawn if figure.panels]
 
 
-def _methods(found: Found, options: FitGrayboxOptions) -> list[str]:
+def _methods(found: FrontResult, options: FitGrayboxOptions) -> list[str]:
     """Describe the search in sentences for a methods section."""
     said = []
     if found.searches:

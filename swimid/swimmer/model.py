@@ -146,7 +146,7 @@ class Swimmer(Model):
         """Return the offsets of the start pose that only change how a run is seen."""
 
     @abstractmethod
-    def opening(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
+    def start_velocities(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
         """Return the velocities at the first sample as channels show them, by parameter.
 
         Parameters
@@ -156,7 +156,7 @@ class Swimmer(Model):
         """
 
     @abstractmethod
-    def initial(self, measured: Collection[str]) -> list[str]:
+    def determined_starts(self, measured: Collection[str]) -> list[str]:
         """Return the start velocities, angles and rates that these channels determine."""
 
     @abstractmethod

@@ -420,7 +420,7 @@ def _with_starts(recordings: Sequence[Recording], model: Swimmer) -> list[Trial]
     for r in recordings:
         if _lacks_heading(model, r.log) and model.pose[0] in r.trial.measured:
             free.add(model.starts[2])
-    initial = set(model.initial(measured))
+    initial = set(model.determined_starts(measured))
     estimated: dict[str, set[str]] = {"rest": set(), "estimate": initial, "steady": {"drive_phase"}}
     for r in recordings:
         free |= estimated[r.state]
@@ -431,7 +431,7 @@ def _with_starts(recordings: Sequence[Recording], model: Swimmer) -> list[Trial]
         held = tuple(sorted(of_states - estimated[r.state]))
         trial = replace(r.trial, held=held, starts=_start_values(r.trial, r.log, model))
         if r.state == "steady":
-            trial = _in_phase(replace(trial, swim=trial.swim.begun()), model)
+            trial = _with_phase(replace(trial, swim=trial.swim.begun()), model)
         trials.append(trial)
     return trials
 
@@ -453,7 +453,7 @@ def _start_values(trial: Trial, log: Log, model: Swimmer) -> dict[str, float]:
 
     found: dict[str, float | None] = {}
     if model.free_base:
-        found = model.opening(at_start)
+        found = model.start_velocities(at_start)
     for axis in model.passive:
         found[f"initial_angle_{axis.name}"] = at_start(axis.column, 0)
         rate = (axis.rate, 0) if axis.rate in trial.measured else (axis.column, 1)
@@ -461,7 +461,7 @@ def _start_values(trial: Trial, log: Log, model: Swimmer) -> dict[str, float]:
     return {name: value for name, value in found.items() if value is not None}
 
 
-def _in_phase(trial: Trial, model: Swimmer) -> Trial:
+def _with_phase(trial: Trial, model: Swimmer) -> Trial:
     """Return the trial with the start value of the drive's phase at which the stated robot fits best."""
     stated = {**{p.name: p.start for p in model.parameters}, **model.stated()}
     values = np.array([stated[p.name] for p in model.parameters])

@@ -422,8 +422,8 @@ class MultilinkModel(Swimmer):
         prepare(progress)
         super().prepare(progress, **how)
 
-    def opening(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
-        """Return the velocities at the first sample, by parameter (see :meth:`Swimmer.opening`)."""
+    def start_velocities(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
+        """Return the velocities at the first sample, by parameter (see :meth:`Swimmer.start_velocities`)."""
         names = [f"initial_{name}" for name in self.rates]
         found = {name: seen(column, 0) for name, column in zip(names, self.velocity, strict=True)}
         heading = seen(self.pose[2], 0)
@@ -434,7 +434,7 @@ class MultilinkModel(Swimmer):
             found.update((n, v) for n, v in zip(names, moved, strict=True) if found[n] is None)
         return found
 
-    def initial(self, measured: Collection[str]) -> list[str]:
+    def determined_starts(self, measured: Collection[str]) -> list[str]:
         """Return the start velocities, angles and rates that these channels determine: all."""
         return [p.name for p in self.parameters if p.name.startswith("initial_")]
 

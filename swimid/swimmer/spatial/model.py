@@ -58,8 +58,8 @@ class MultibodyModel(Swimmer):
         # a run begins above the origin, with its heading along x
         return ("start_x", "start_y", "start_yaw")
 
-    def opening(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
-        """Return the velocities at the first sample; unknown ones as 0 (see :meth:`Swimmer.opening`)."""
+    def start_velocities(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
+        """Return the velocities at the first sample, by parameter; unknown ones are 0."""
         names = [f"initial_{name}" for name in self.rates]
         found = {name: seen(column, 0) for name, column in zip(names, self.velocity, strict=True)}
         turned = [seen(column, 0) or 0.0 for column in self.pose[3:]]
@@ -71,7 +71,7 @@ class MultibodyModel(Swimmer):
             found.update((n, v) for n, v in zip(names, moved, strict=True) if found[n] is None)
         return found
 
-    def initial(self, measured: Collection[str]) -> list[str]:
+    def determined_starts(self, measured: Collection[str]) -> list[str]:
         """Return the start velocities, angles and rates that channels determine.
 
         A side view determines those in its plane.
