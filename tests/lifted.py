@@ -14,6 +14,7 @@ from swimid.robots.planar import Multilink
 from swimid.swimmer.planar.assembly import Assembly
 from swimid.swimmer.spatial import engine
 from swimid.swimmer.spatial.assembly import NOWHERE, hinge_row
+from swimid.swimmer.spatial.model import MultibodyModel
 
 
 class Lifted(Assembly):
@@ -96,3 +97,11 @@ class Lifted(Assembly):
     def _wake(self, row: Array) -> Array:
         chord, normal = self._point(1.0, 0.0), self._point(0.0, 1.0)
         return np.concatenate([self._point(row[0], row[1]), [row[2]], chord, normal])
+
+
+class LiftedModel(MultibodyModel):
+    """A planar robot as a model in space."""
+
+    def _tree(self) -> Lifted:  # type: ignore[override]
+        assert self.robot.multilink is not None
+        return Lifted(self.robot.multilink, self.robot.fluid)

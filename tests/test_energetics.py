@@ -25,6 +25,7 @@ from swimid.swimmer.spatial.model import MultibodyModel
 from swimid.swimmer.trials import cycle_of
 from tests.conftest import Ran
 from tests.generators import lagrange
+from tests.lifted import LiftedModel
 
 WATER = 1000.0
 needs_casadi = pytest.mark.skipif(importlib.util.find_spec("casadi") is None, reason="casadi is missing")
@@ -82,8 +83,8 @@ def test_torques_of_random_trees(base: str) -> None:
     [
         (MultilinkModel, "tfish", 1.0, 20.0),
         (MultilinkModel, "dolphin", 2.5, 27.0),
-        pytest.param(MultibodyModel, "dolphin", 2.5, 27.0, marks=pytest.mark.slow),
-        pytest.param(MultibodyModel, "tfish", 1.0, 20.0, marks=pytest.mark.slow),
+        pytest.param(LiftedModel, "dolphin", 2.5, 27.0, marks=pytest.mark.slow),
+        pytest.param(LiftedModel, "tfish", 1.0, 20.0, marks=pytest.mark.slow),
     ],
 )
 def test_balance_of_energy(form: type[Swimmer], name: str, hz: float, deg: float) -> None:
@@ -110,9 +111,7 @@ def test_balance_of_energy_in_space() -> None:
 
 def test_both_engines_give_the_same_torques() -> None:
     swim = SwimInput(Beat("sine", 1.4, 0.5))
-    flat, space = (
-        swum(f(robot_format.read("tfish")), swim, 5.0, 1.0) for f in (MultilinkModel, MultibodyModel)
-    )
+    flat, space = (swum(f(robot_format.read("tfish")), swim, 5.0, 1.0) for f in (MultilinkModel, LiftedModel))
     assert space.torque_N_m == pytest.approx(flat.torque_N_m, abs=1e-9)
     assert space.passive_torque_N_m == pytest.approx(flat.passive_torque_N_m, abs=1e-9)
     assert space.water_W == pytest.approx(flat.water_W, abs=1e-9)
