@@ -143,7 +143,7 @@ class Engine:
 
         def run() -> Pair:
             arguments = self.assembly.tables(self.coefficients).values()
-            states, _ = engine.integrate(0.0, np.zeros(2 * n), step, table, *arguments, None)
+            states, _ = engine.integrate(np.zeros(2 * n), step, table, *arguments, None, 0.0)
             return states[::cut, n], states[::cut, n + 2]
 
         return run

@@ -117,7 +117,7 @@ def bench_engine(model: MultibodyModel) -> None:
     tables = model.tree.tables(values[: len(model.coefficients)])
 
     def run() -> None:
-        engine.integrate(0.0, start, STEP_S, table, *tables.values())
+        engine.integrate(start, STEP_S, table, *tables.values())
 
     def whole() -> None:
         model.forget([trial])

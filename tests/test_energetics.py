@@ -67,7 +67,7 @@ def test_torques_of_random_trees(base: str) -> None:
         mounts = np.radians([a.joint.mount_deg for a in tree.driven])
         row = np.column_stack([q[n:], qd[n:], told, np.cos(q[n:] + mounts), np.sin(q[n:] + mounts)])
         rate, scratch = np.empty(2 * n), [np.zeros(shape) for shape in engine.shapes(tables)[1]]
-        engine.derivative(0.0, state, row, *scratch, rate, *tables.values(), None)
+        engine.derivative(state, row, *tables.values(), None, 0.0, *scratch, rate)
         expected = oracle.torque(q, qd, np.r_[oracle.acceleration(q, qd, told), told])
         torque, _ = engine.energetics(state[None], rate[None], row[None], *tables.values())
         found = torque[0, [a.link for a in tree.driven]]

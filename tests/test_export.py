@@ -158,7 +158,7 @@ def _rate(source: Source, state: np.ndarray, row: np.ndarray) -> np.ndarray:
     n = source.assembly.unknowns
     rate = np.zeros(2 * n)
     work = np.zeros((len(source.links), 19))
-    engine.derivative(0.0, state, row, work, np.zeros((n, n)), np.zeros(n), rate, *tables, None)
+    engine.derivative(state, row, *tables, None, 0.0, work, np.zeros((n, n)), np.zeros(n), rate)
     return rate
 
 

@@ -55,7 +55,7 @@ def accelerations(model: Assembly, state: np.ndarray, motion: np.ndarray | None 
         row[k, 3:] = math.cos(angle), math.sin(angle)
     scratch = [np.full(shape, np.nan) for shape in ((len(model.links), 19), (n, n), (n,), (2 * n,))]
     tables = model.tables(defaults(model))
-    engine.derivative(0.0, state, row, *scratch, *tables.values(), None)
+    engine.derivative(state, row, *tables.values(), None, 0.0, *scratch)
     kernel = lanes_forms.kernel_of(model, MultilinkModel.engine, defaults(model))
     traced = lanes_forms.rate(kernel, state, row, tables)
     size = np.abs(scratch[-1]).max()
@@ -68,7 +68,7 @@ def integrated(
 ) -> tuple[np.ndarray, np.ndarray]:
     steps = round(duration / step)
     table = np.zeros((2 * steps + 1, 0, 5))
-    states, rates = engine.integrate(0.0, start, step, table, *model.tables(defaults(model)).values(), None)
+    states, rates = engine.integrate(start, step, table, *model.tables(defaults(model)).values(), None, 0.0)
     return states, rates
 
 

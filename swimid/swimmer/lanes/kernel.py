@@ -61,11 +61,11 @@ class Engine:
     Attributes
     ----------
     derivative : compiled function
-        ``derivative(time, state, row, *work, rate, *tables, *extra)``.
+        ``derivative(state, row, *tables, *extra, *work, rate)``.
     shapes : callable
         From tables to the length of the state and the shapes of the work arrays.
     extra : tuple
-        Arguments of ``derivative`` after the tables.
+        Arguments of ``derivative`` between the tables and the work arrays.
     settled : compiled function or None
         Correction of the state after each step.
     filled : mapping of table to columns
@@ -149,9 +149,7 @@ class Kernel:
         scratch = [np.full(shape, 0.0, dtype=object) for shape in self._scratch]
         rate = np.zeros(self.size, dtype=object)
         given = self._arguments(tracer, arguments)
-        tracing.on_symbols(self.engine.derivative)(
-            self._time(tracer, arguments), state, row, *scratch, rate, *given
-        )
+        tracing.on_symbols(self.engine.derivative)(state, row, *given, *scratch, rate)
         after = tracing.Tracer()
         settled = tracing.array(after, "state", (self.size if self.engine.settled else 0,))
         if self.engine.settled:
@@ -164,12 +162,8 @@ class Kernel:
         return "table"
 
     def _arguments(self, tracer: tracing.Tracer, tables: dict[str, Any]) -> list[Any]:
-        """Return the arguments of the derivative from the tables on."""
+        """Return the arguments of the derivative: tables and what follows them."""
         return [*tables.values(), *self.engine.extra]
-
-    def _time(self, tracer: tracing.Tracer, tables: dict[str, Any]) -> Any:
-        """Return the time of an evaluation, s."""
-        return 0.0
 
     def worth(self, derivatives: float, progress: Progress = silent) -> bool:
         """Return whether the kernel pays, and compile it if it does.
@@ -505,7 +499,7 @@ class WideKernel(Kernel):
         return "number" if table == ACTING else super().kind(table)
 
     def _arguments(self, tracer: tracing.Tracer, tables: dict[str, Any]) -> list[Any]:
-        acting = tables[ACTING]
+        acting = tables.pop(ACTING)
         slots = [acting[place] for place in self._slots.values()]
         constants = [np.append(slot[:1], slot[3:]) for slot in slots]
         calls = self._calls()
@@ -522,11 +516,8 @@ class WideKernel(Kernel):
             *(np.zeros(3, dtype=object) for _ in range(3)),
             *(call,) * 4,
         )
-        return [*(table for name, table in tables.items() if name != ACTING), forced]
-
-    def _time(self, tracer: tracing.Tracer, tables: dict[str, Any]) -> Any:
-        """Return the time of an evaluation, s."""
-        return tables[ACTING][0] + tracer.symbol("elapsed", 0)
+        time = acting[0] + tracer.symbol("elapsed", 0)
+        return [*tables.values(), forced, time]
 
     def _calls(self) -> Iterator[Callable[..., None]]:
         """Yield the forces as functions of symbols, zero for a force that does not act."""

@@ -346,7 +346,7 @@ class MultilinkModel(Swimmer):
     engine = Engine(
         engine.derivative,
         engine.shapes,
-        extra=(None,),
+        extra=(None, 0.0),
         filled=engine.FILLED,
         energetics=engine.energetics,
     )
@@ -483,7 +483,7 @@ class MultilinkModel(Swimmer):
             forced = engine.outside(run.hooks.force, self.frame(run), len(self.tree.links))
         begin_s, step_s, _ = run.grid
         states, rates = engine.integrate(
-            begin_s, run.start, step_s, run.drive.table, *run.tables.values(), forced
+            run.start, step_s, run.drive.table, *run.tables.values(), forced, begin_s
         )
         return states, rates
 

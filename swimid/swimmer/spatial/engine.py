@@ -491,14 +491,8 @@ def _inwards(state, topology, joint, passive, work, matrix, right, block):  # ty
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
 def derivative(  # type: ignore[no-untyped-def]
-    time,
     state,
     row,
-    work,
-    matrix,
-    right,
-    block,
-    rate,
     topology,
     joint,
     inertia,
@@ -515,18 +509,19 @@ def derivative(  # type: ignore[no-untyped-def]
     wake,
     surface,
     free_base,
+    work,
+    matrix,
+    right,
+    block,
+    rate,
 ):
     """Compute the rate of the state, and write it into ``rate``.
 
     Parameters
     ----------
-    time : float, s
-        Not used: no force depends on it.
     state, rate : ndarray, shape (13 + 2 passive hinges,)
     row : ndarray, shape (driven hinges, 5)
         Angle, rate, acceleration, cosine and sine of each driven hinge.
-    work, matrix, right, block : ndarray, shape (links, 60), (n, n), (n,) and (6,), n = 6 + passive hinges
-        Work arrays.
     topology : ndarray of int, shape (links, 4); joint : ndarray, shape (links, 33)
     inertia : ndarray, shape (links, 21); passive : ndarray, shape (passive hinges, 11)
         Columns of ``swimid.swimmer.planar.engine.PASSIVE``
@@ -536,6 +531,10 @@ def derivative(  # type: ignore[no-untyped-def]
         Height of the water surface in the world.
     free_base : bool
         Whether the base moves; otherwise it keeps its pose.
+    work : ndarray, shape (links, 60)
+    matrix : ndarray, shape (n, n), n = 6 + passive hinges
+    right : ndarray, shape (n,); block : ndarray, shape (6,)
+        Work arrays.
     """
     passives = passive.shape[0]
     n = 6 + passives
@@ -588,19 +587,37 @@ def settled(state):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def integrate(begin, start, step, table, *tables):  # type: ignore[no-untyped-def]
+def integrate(  # type: ignore[no-untyped-def]
+    start,
+    step,
+    table,
+    topology,
+    joint,
+    inertia,
+    passive,
+    drag_link,
+    drag,
+    damping_link,
+    damping,
+    foil_link,
+    foil,
+    force_link,
+    force,
+    wake_link,
+    wake,
+    surface,
+    free_base,
+):
     """Return states and rates on the step grid, by a fourth-order Runge-Kutta method with fixed steps.
 
     Parameters
     ----------
-    begin : float, s
-        Time of the first state.
     start : ndarray, shape (13 + 2 passive hinges,)
     step : float, s
     table : ndarray, shape (2 steps + 1, driven hinges, 5)
         Driven hinges on the half-step grid; see :func:`derivative`.
-    tables
-        Arguments of :func:`derivative` from ``topology`` on.
+    others
+        See :func:`derivative`.
 
     Returns
     -------
@@ -609,41 +626,52 @@ def integrate(begin, start, step, table, *tables):  # type: ignore[no-untyped-de
     """
     steps = (table.shape[0] - 1) // 2
     size = len(start)
-    n = (size - 1) // 2
-    states, rates = np.empty((steps + 1, size)), np.empty((steps + 1, size))
-    work, matrix = np.zeros((tables[0].shape[0], _WORK)), np.zeros((n, n))
-    right, block = np.zeros(n), np.zeros(6)
-    slope, total, trial = np.zeros(size), np.empty(size), np.empty(size)
+    n = 6 + passive.shape[0]
+    states = np.empty((steps + 1, size))
+    rates = np.empty((steps + 1, size))
+    work = np.zeros((topology.shape[0], _WORK))
+    matrix = np.zeros((n, n))
+    right = np.zeros(n)
+    block = np.zeros(6)
+    slope, total, trial = np.empty(size), np.empty(size), np.empty(size)
     states[0] = start
-    for evaluation in range(4 * steps + 1):
-        i, stage = evaluation // 4, evaluation % 4
-        # half steps from the state: none at first, one in the two middle stages, two in the last
-        half = (stage + 1) // 2
+    for i in range(steps + 1):
         here = states[i]
+        for stage in range(4):
+            # row of the table: that of the state, twice that of the middle of the step, that of its end
+            at = 2 * i + (stage + 1) // 2
+            if stage == 0:
+                trial[:] = here
+            else:
+                share = step if stage == 3 else 0.5 * step
+                for j in range(size):
+                    trial[j] = here[j] + share * slope[j]
+            derivative(
+                trial, table[at], topology, joint, inertia, passive, drag_link, drag, damping_link, damping,
+                foil_link, foil, force_link, force, wake_link, wake, surface, free_base, work, matrix, right,
+                block, slope,
+            )  # fmt: skip
+            if stage == 0:
+                largest = 0.0
+                for j in range(size):
+                    rates[i, j] = slope[j]
+                    total[j] = slope[j]
+                    largest = max(largest, abs(here[j]))
+                    if not abs(slope[j]) < math.inf:
+                        largest = math.inf
+                if not largest < BROKEN:
+                    states[i:] = math.nan
+                    rates[i:] = math.nan
+                    return states, rates
+                if i == steps:
+                    return states, rates
+            else:
+                weight = 1.0 if stage == 3 else 2.0
+                for j in range(size):
+                    total[j] += weight * slope[j]
         for j in range(size):
-            trial[j] = here[j] + 0.5 * step * half * slope[j]
-        time = begin + step * (i + 0.5 * half)
-        derivative(time, trial, table[2 * i + half], work, matrix, right, block, slope, *tables)
-        if stage == 0:
-            largest = 0.0
-            for j in range(size):
-                rates[i, j] = slope[j]
-                total[j] = slope[j]
-                largest = max(largest, abs(here[j]))
-                if not abs(slope[j]) < math.inf:
-                    largest = math.inf
-            if not largest < BROKEN:
-                states[i:] = math.nan
-                rates[i:] = math.nan
-                break
-            continue
-        weight = 1.0 if stage == 3 else 2.0
-        for j in range(size):
-            total[j] += weight * slope[j]
-            if stage == 3:
-                states[i + 1, j] = here[j] + step / 6.0 * total[j]
-        if stage == 3:
-            settled(states[i + 1])
+            states[i + 1, j] = here[j] + step / 6.0 * total[j]
+        settled(states[i + 1])
     return states, rates
 
 

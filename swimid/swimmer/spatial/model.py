@@ -122,8 +122,7 @@ class MultibodyModel(Swimmer):
 
     def integrate(self, run: Run) -> tuple[Array, Array]:
         """Return states and rates of a run."""
-        begin_s, step_s, _ = run.grid
-        states, rates = engine.integrate(begin_s, run.start, step_s, run.drive.table, *run.tables.values())
+        states, rates = engine.integrate(run.start, run.grid.step_s, run.drive.table, *run.tables.values())
         return states, rates
 
     def observed(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
