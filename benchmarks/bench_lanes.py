@@ -34,11 +34,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from swimid.effects.affected import Affected
 
 from benchmarks.bench_diagnose import settings
 from swimid.diagnosis.generic import ResidualForce
 from swimid.effects import catalogue
-from swimid.effects.affected import Affected
 from swimid.fitting.drives import Beat, Cycle, SwimInput
 from swimid.fitting.hooks import NONE
 from swimid.fitting.model import Trial
@@ -83,7 +83,7 @@ def kernels_of(name: str) -> Swimmer:
     """A built-in robot with its kernels, not compiled."""
     catalogue.catalogue()
     model, _ = model_of(name)
-    model.kernels()
+    model.kernels.make()
     return model
 
 
@@ -91,7 +91,7 @@ def together(kernel: Kernel, runs: Sequence[Any]) -> Any:
     """Runs at once."""
     return kernel.run(
         [r.start for r in runs],
-        [r.step_s for r in runs],
+        [r.grid.step_s for r in runs],
         [r.drive.table for r in runs],
         [r.tables for r in runs],
     )
@@ -111,13 +111,13 @@ def bench_engine() -> None:
     for name in ("tfish", "dolphin", "sealion"):
         model, trial = model_of(name)
         given = np.array([model.stated().get(p.name, p.start) for p in model.parameters])
-        runs = [model._asked(given * (1.0 + 1e-3 * k), trial, NONE) for k in range(LANES)]
+        runs = [model.request(given * (1.0 + 1e-3 * k), trial, NONE) for k in range(LANES)]
         kernel = Kernel(model.engine, model.tree.tables, len(model.coefficients))
         kernel.compiled()
-        model._integrate(runs[0])
+        model.integrate(runs[0])
 
         scalar, one, eight = best(
-            partial(model._integrate, runs[0]),
+            partial(model.integrate, runs[0]),
             *(partial(together, kernel, runs[:count]) for count in (1, LANES)),
         )
         print(
@@ -150,7 +150,10 @@ def bench_effects() -> None:
         runs = [(np.concatenate([given * (1.0 + 1e-6 * k), point]), swims[k % 2]) for k in range(BATCH)]
         models = [Affected(model, chosen, swims) for model in (scalar, lanes)]
         off = sum(
-            lanes.lane(lanes._asked(values[: len(given)], swim, models[1].hooks(values, swim))) is None
+            lanes.kernels.choose(
+                lanes.request(values[: len(given)], swim, models[1].hooks(values, swim)), lanes.frame
+            )
+            is None
             for values, swim in runs
         )
 

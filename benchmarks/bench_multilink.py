@@ -52,10 +52,11 @@ from swimid.fitting import drives, output_error
 from swimid.fitting.drives import SwimInput
 from swimid.fitting.model import Parameter, Trial
 from swimid.robots import file as robot
+from swimid.swimmer import drive
 from swimid.swimmer import trials as swimmer_trials
 from swimid.swimmer.fit_graybox import fit_graybox
 from swimid.swimmer.options import STEP_S
-from swimid.swimmer.planar import drive, engine
+from swimid.swimmer.planar import engine
 from swimid.swimmer.planar.model import MultilinkModel
 from tests.generators import swimmer
 

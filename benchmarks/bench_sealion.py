@@ -112,16 +112,15 @@ def bench_engine(model: MultibodyModel) -> None:
     values = np.array([p.start for p in model.parameters])
     trial = trials(model)[0]
     steps = round(DURATION_S / STEP_S)
-    table = model._drive(values, trial, 0.0, STEP_S, steps, NONE).table
-    tables = model.tree.tables(values[: model._count])
-    start = np.zeros(13 + 2 * len(model.passive))
-    model._begin(start, values, trial, 0.0, NONE)
+    run_asked = model.request(values, trial, NONE)
+    table, start = run_asked.drive.table[: 2 * steps + 1], run_asked.start
+    tables = model.tree.tables(values[: len(model.coefficients)])
 
     def run() -> None:
         engine.integrate(start, STEP_S, table, *tables.values())
 
     def whole() -> None:
-        model._kept.clear()
+        model.forget([trial])
         model.simulate(values, trial)
 
     run()

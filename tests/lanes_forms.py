@@ -1,4 +1,4 @@
-"""The engines' other forms: the traced operations, and the module of lanes as plain Python."""
+"""Other forms of the engines: the traced operations, and the generated module as Python."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from swimid.swimmer.lanes.tracing import Symbol
 
 
 def bits(number: float) -> int:
-    """Of a double, as an integer."""
+    """Return the bits of a double as an integer."""
     return struct.unpack("<q", struct.pack("<d", number))[0]
 
 
 def double(number: int) -> float:
-    """Of the last 64 bits of an integer."""
+    """Return the double with the last 64 bits of an integer."""
     return struct.unpack("<d", (number & (2**64 - 1)).to_bytes(8, "little"))[0]
 
 
@@ -44,12 +44,12 @@ ACTS = {
 
 
 def kernel_of(model: Any, engine: Any, values: np.ndarray) -> Kernel:
-    """Of an assembly."""
+    """Return the kernel of an assembly."""
     return Kernel(engine, model.tables, len(values))
 
 
 def rate(kernel: Kernel, state: np.ndarray, row: np.ndarray, tables: dict[str, Any]) -> np.ndarray:
-    """The rate of a state, operation after operation."""
+    """Return the rate of a state, computed from the traced operations."""
     inputs = {"state": state, "row": row.reshape(-1), "table": kernel.numbers(tables)}
     known: dict[int, float] = {}
 
@@ -65,7 +65,7 @@ def rate(kernel: Kernel, state: np.ndarray, row: np.ndarray, tables: dict[str, A
 
 
 def arithmetic(kernel: Kernel) -> tuple[int, int]:
-    """How many instructions of a compiled kernel act on packed doubles, and on single ones; x86-64 only."""
+    """Count the instructions of a compiled kernel on packed and on single doubles, on x86-64."""
     names: dict[str, Any] = {}
     exec(tracing.text(kernel.traced()).replace("cache=True", "cache=False"), names)
     names["integrate"].compile(names["SIGNATURE"])
@@ -78,7 +78,7 @@ def arithmetic(kernel: Kernel) -> tuple[int, int]:
 
 
 def uncompiled(kernel: Kernel) -> Any:
-    """The generated module with a compiler that leaves it as it is."""
+    """Return the generated module as Python, not compiled."""
     text = tracing.text(kernel.traced()).replace("import numba", "")
     text = text.replace("from swimid.swimmer.lanes.tracing import bits, double", "")
     names: dict[str, Any] = {

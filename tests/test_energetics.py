@@ -1,4 +1,4 @@
-"""Joint torques against Lagrange's equations, the balance of energy, and what is made of both."""
+"""Joint torques against Lagrange's equations, the balance of energy, and derived quantities."""
 
 from __future__ import annotations
 
@@ -24,6 +24,8 @@ from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.spatial.model import MultibodyModel
 from swimid.swimmer.trials import cycle_of
 from tests.conftest import Ran
+from tests.generators import lagrange
+from tests.lifted import LiftedModel
 
 WATER = 1000.0
 needs_casadi = pytest.mark.skipif(importlib.util.find_spec("casadi") is None, reason="casadi is missing")
@@ -46,10 +48,8 @@ def swum(model: Swimmer, swim: SwimInput, duration_s: float, last_s: float) -> E
 
 @needs_casadi
 @pytest.mark.parametrize("base", [pytest.param("free", marks=pytest.mark.slow), "fixed"])
-def test_torques_of_random_trees_equal_those_of_lagranges_equations(base: str) -> None:
-    """Every element, branches, mounts and wires: the driven rows of Lagrange's equations, to 1e-10."""
-    from tests.generators import lagrange
-
+def test_torques_of_random_trees(base: str) -> None:
+    """Trees with every element agree with the driven rows of Lagrange's equations to 1e-10."""
     rng, compared = np.random.default_rng(5), 0
     for _ in range(20):
         links = int(rng.integers(3, 8))
@@ -83,12 +83,12 @@ def test_torques_of_random_trees_equal_those_of_lagranges_equations(base: str) -
     [
         (MultilinkModel, "tfish", 1.0, 20.0),
         (MultilinkModel, "dolphin", 2.5, 27.0),
-        pytest.param(MultibodyModel, "dolphin", 2.5, 27.0, marks=pytest.mark.slow),
-        pytest.param(MultibodyModel, "tfish", 1.0, 20.0, marks=pytest.mark.slow),
+        pytest.param(LiftedModel, "dolphin", 2.5, 27.0, marks=pytest.mark.slow),
+        pytest.param(LiftedModel, "tfish", 1.0, 20.0, marks=pytest.mark.slow),
     ],
 )
-def test_joint_work_equals_the_energy_received(form: type[Swimmer], name: str, hz: float, deg: float) -> None:
-    """Over four beats to 1e-6, with steps of 2.5 ms; what is left falls with their fourth power."""
+def test_balance_of_energy(form: type[Swimmer], name: str, hz: float, deg: float) -> None:
+    """Energy balances over four beats to 1e-6 with steps of 2.5 ms; the error has fourth order."""
     left = []
     for step in (0.0025, 0.00125):
         model = form(robot_format.read(name), max_step=step)
@@ -100,7 +100,7 @@ def test_joint_work_equals_the_energy_received(form: type[Swimmer], name: str, h
 
 
 def test_balance_of_energy_in_space() -> None:
-    """The sea lion's hinges, its weight and buoyancy, over a whole stroke."""
+    """Energy of the sea lion, with weight and buoyancy, balances over a whole stroke."""
     model = MultibodyModel(robot_format.read("sealion"), max_step=0.001)
     stroke = cycle_of(StrokeDrive(stroke="characteristic", cycles=3), model)
     found = swum(model, SwimInput(stroke=stroke), 3.0 / stroke.frequency_hz, 1.0 / stroke.frequency_hz)
@@ -111,16 +111,14 @@ def test_balance_of_energy_in_space() -> None:
 
 def test_both_engines_give_the_same_torques() -> None:
     swim = SwimInput(Beat("sine", 1.4, 0.5))
-    flat, space = (
-        swum(f(robot_format.read("tfish")), swim, 5.0, 1.0) for f in (MultilinkModel, MultibodyModel)
-    )
+    flat, space = (swum(f(robot_format.read("tfish")), swim, 5.0, 1.0) for f in (MultilinkModel, LiftedModel))
     assert space.torque_N_m == pytest.approx(flat.torque_N_m, abs=1e-9)
     assert space.passive_torque_N_m == pytest.approx(flat.passive_torque_N_m, abs=1e-9)
     assert space.water_W == pytest.approx(flat.water_W, abs=1e-9)
 
 
-def test_passive_torque_follows_the_spring_law() -> None:
-    """The dolphin's caudal joint: ``tau = -K_s theta``, with the energy that it stores."""
+def test_passive_torque_follows_the_law_of_the_spring() -> None:
+    """The caudal joint of the dolphin has ``tau = -K_s theta``, and the energy of this spring."""
     model = MultilinkModel(robot_format.read("dolphin"))
     swim = SwimInput(Beat("sine", 2.0, 0.4))
     found = swum(model, swim, 5.0, 1.0)
@@ -141,7 +139,7 @@ def test_a_run_that_breaks_down_has_no_energetics() -> None:
     assert np.isnan(columns["u_m_s"]).all()
 
 
-def test_a_forgotten_run_is_simulated_again() -> None:
+def test_forgotten_trials_are_simulated_again() -> None:
     model = MultilinkModel(robot_format.read("tfish"))
     time = np.arange(101) / 50
     slow, fast = (Trial("run", "fit", time, {}, swim=SwimInput(Beat("sine", f, 0.3))) for f in (1.0, 2.0))
@@ -151,7 +149,7 @@ def test_a_forgotten_run_is_simulated_again() -> None:
 
 
 def test_settling_time_of_a_first_order_rise() -> None:
-    """``1 - exp(-t / tau)`` comes within 5 % at ``tau log 20``; an end that still rises has not settled."""
+    """``1 - exp(-t / tau)`` is within 5 % at ``tau log 20``. A signal that still rises has not settled."""
     time = np.arange(64 * 60 + 1) / 64.0
     rise = 1.0 - np.exp(-time / 5.0)
     found = kinematics.settling_time(time, rise, 1.0)
@@ -159,7 +157,7 @@ def test_settling_time_of_a_first_order_rise() -> None:
     assert math.isnan(kinematics.settling_time(time[:640], time[:640], 1.0))
 
 
-def test_simulate_gives_power_and_cost_of_transport(swimid: Callable[..., Ran]) -> None:
+def test_simulate_tells_power_and_cost_of_transport(swimid: Callable[..., Ran]) -> None:
     args = ("--frequency-hz", "2.5", "--amplitude-deg", "27", "--duration-s", "15", "--json")
     found = swimid("simulate", "--robot", "dolphin", *args).json["result"]["runs"][0]["quantities"]
     positive, speed = found["mean_positive_power_W"]["value"], found["mean_speed_m_s"]["value"]

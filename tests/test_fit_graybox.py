@@ -1,4 +1,4 @@
-"""``swimid fit-graybox`` on swimmers whose truth comes from an independent simulator."""
+"""``swimid fit-graybox`` on trials from an independent simulator."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def _drive(frequency: float, amplitude: float, bias: float = 0.0) -> dict[str, f
 
 @cache
 def _runs(shared: bool = False) -> tuple[swimmer.Run, ...]:
-    """Three short runs to fit and one held out."""
+    """Write three short runs to fit and one held-out run."""
     truth = SHARED if shared else TRUTH
     found = []
     for name, drive in (
@@ -67,7 +67,7 @@ def _runs(shared: bool = False) -> tuple[swimmer.Run, ...]:
 
 @cache
 def _published(drag_at: str) -> tuple[swimmer.Run, ...]:
-    """Six runs of 20 s with the published coefficients."""
+    """Write six runs of 20 s with the published coefficients."""
     drives = [(1.0, 20, 0), (1.0, 30, 10), (1.4, 20, 0), (1.4, 30, -15), (1.8, 20, 10), (2.0, 30, 0)]
     found = []
     for k, numbers in enumerate(drives):
@@ -94,7 +94,7 @@ def _fit(swimid: Swimid, trials: Path, *options: str) -> ParameterFile:
 
 
 def _deviations(file: ParameterFile, truth: dict[str, float]) -> dict[str, float]:
-    """Error of each estimated coefficient in its standard errors."""
+    """Return the error of each estimated coefficient in standard errors."""
     return {
         name: (e.value - truth[name]) / e.stderr
         for name, e in file.parameters.items()
@@ -103,7 +103,7 @@ def _deviations(file: ParameterFile, truth: dict[str, float]) -> dict[str, float
 
 
 def _sums(file: ParameterFile, truth: dict[str, float]) -> dict[str, float]:
-    """Error of each known sum of coefficients in its standard errors."""
+    """Return the error of each known sum of coefficients in standard errors."""
     found = {}
     for text, estimate in file.derived.items():
         total = 0.0
@@ -124,7 +124,7 @@ def _log(path: Path) -> tuple[list[str], Table]:
 
 
 def _rewrite(path: Path, change: Callable[[Table], Table]) -> None:
-    """Change a log's columns; NaN becomes an empty cell."""
+    """Change columns of a log; NaN becomes an empty cell."""
     _, table = _log(path)
     table = change(dict(table))
     rows = zip(*table.values(), strict=True)
@@ -181,7 +181,7 @@ class TestRecovery:
         assert max(map(abs, off.values())) < 3, off
         assert max(map(abs, _deviations(wrong, TRUTH).values())) > 3
 
-    def test_read_back_to_the_last_bit(self, swimid: Swimid, tmp_path: Path) -> None:
+    def test_a_parameter_file_is_read_back_exactly(self, swimid: Swimid, tmp_path: Path) -> None:
         trials = _write(tmp_path, _runs(), RATES)
         out = tmp_path / "fit.yaml"
         ran = swimid("fit-graybox", trials, "-o", out, "--json")
@@ -282,7 +282,7 @@ class TestChoices:
 class TestTrialsThatDisagree:
     @pytest.mark.parametrize("noise", [RATES, POSE], ids=["rates", "pose"])
     def test_standard_errors_grow(self, swimid: Swimid, tmp_path: Path, noise: dict[str, float]) -> None:
-        """One trial's tail beat is a twentieth wider than stated."""
+        """The tail beat of one trial is 5 % wider than stated."""
         runs = list(_runs(shared=True))
         wide = runs[0].drive["amplitude_deg"] / 1.05
         runs[0] = replace(runs[0], drive={**runs[0].drive, "amplitude_deg": wide})
@@ -293,7 +293,7 @@ class TestTrialsThatDisagree:
         (check,) = [c for c in checks if c.name == "trials agree"]
         assert check.verdict == "warn"
 
-    def test_with_none_they_stay(self, swimid: Swimid, tmp_path: Path) -> None:
+    def test_standard_errors_stay_if_trials_agree(self, swimid: Swimid, tmp_path: Path) -> None:
         file = _fit(swimid, _write(tmp_path, _runs(shared=True), POSE), "--share", "c_f")
         assert file.fit is not None
         assert (file.fit.model_extra or {})["scatter"] == 1
@@ -308,7 +308,7 @@ class TestLogs:
         assert len(off) >= 6
         assert max(map(abs, off.values())) < 4, off
 
-    def test_commanded_joints_where_none_is_measured(self, swimid: Swimid, tmp_path: Path) -> None:
+    def test_commanded_joints_move_the_fish_if_none_is_measured(self, swimid: Swimid, tmp_path: Path) -> None:
         runs = []
         for run in _runs(shared=True):
             names = {f"joint{k}_rad": f"cmd{k}_rad" for k in (1, 2, 3)}
@@ -331,7 +331,7 @@ class TestLogs:
         assert "cmd2_rad" in ran.err
         assert ran.err.count("Error") == 1
 
-    def test_a_joint_no_drive_moves_needs_no_column(self, tmp_path: Path) -> None:
+    def test_a_joint_with_zero_gain_needs_no_column(self, tmp_path: Path) -> None:
         drive = _drive(2.0, 20)
         run = swimmer.Run("d", drive, swimmer.simulate("dolphin", None, drive, 2.0))
         columns = ["x_m", "z_m", "pitch_rad", "joint2_rad"]
@@ -369,12 +369,12 @@ class TestLogs:
         assert still.fit is not None
         assert still.fit.channels["u_m_s"]["rmse"] > 2 * RATES["u_m_s"]
 
-    def test_rest_is_rest_without_noise(self, tmp_path: Path) -> None:
+    def test_a_start_from_rest_is_recognised_without_noise(self, tmp_path: Path) -> None:
         for noise in (dict.fromkeys(RATES, 0.0), dict.fromkeys(POSE, 0.0)):
             assert swimmer_trials.load(_write(tmp_path, _runs(), noise)).facts["moving"] == []
 
     @pytest.mark.slow
-    def test_a_held_out_run_elsewhere(self, swimid: Swimid, tmp_path: Path) -> None:
+    def test_a_held_out_run_with_another_start(self, swimid: Swimid, tmp_path: Path) -> None:
         trials = _write(tmp_path, _runs(shared=True), POSE)
 
         def moved(table: Table) -> Table:
@@ -390,7 +390,7 @@ class TestLogs:
             assert file.fit.validation["channels"][channel]["rmse"] == pytest.approx(sd, rel=0.25)
 
     @pytest.mark.parametrize("late_s", [0.037, -0.037])
-    def test_a_clock_that_is_off(self, swimid: Swimid, tmp_path: Path, late_s: float) -> None:
+    def test_a_clock_with_an_offset(self, swimid: Swimid, tmp_path: Path, late_s: float) -> None:
         trials = _write(tmp_path, _runs(shared=True), POSE)
         _rewrite(tmp_path / "wide.csv", lambda table: {**table, "t_s": table["t_s"] + late_s})
         file = _fit(swimid, trials, "--share", "c_f", "--free", "clock_offset")
@@ -433,7 +433,7 @@ class TestLogs:
 
     @pytest.mark.slow
     def test_a_rough_log(self, swimid: Swimid, tmp_path: Path) -> None:
-        """30 Hz, a second of rest before the start, gaps, uneven stamps, a heading within half a turn."""
+        """The log has 30 Hz, a second of rest, gaps, uneven stamps, and a heading within half a turn."""
         rng = np.random.default_rng(3)
         runs = [
             swimmer.Run(r.id, r.drive, swimmer.simulate("tfish", SHARED, r.drive, 8.0, 30.0, rtol=FINE))
@@ -475,7 +475,7 @@ def _wrapped(path: Path) -> np.ndarray:
 
 
 def _stopping(at: int) -> Callable[..., Any]:
-    """Progress under which the user presses Ctrl-C at the given iteration."""
+    """Progress that raises Ctrl-C at the given iteration."""
 
     class Bar:
         def __call__(self, amount: int = 1) -> None:
@@ -493,7 +493,7 @@ def _stopping(at: int) -> Callable[..., Any]:
 
 
 class TestInterrupted:
-    def test_goes_on_from_the_best_so_far(self, swimid: Swimid, tmp_path: Path) -> None:
+    def test_a_fit_continues_from_the_best_point(self, swimid: Swimid, tmp_path: Path) -> None:
         trials = _write(tmp_path, _runs(shared=True), RATES)
         whole = _fit(swimid, trials, "--share", "c_f")
         kept = tmp_path / "kept.yaml"
@@ -514,7 +514,7 @@ class TestInterrupted:
                 assert file.value(name) == pytest.approx(e.value, abs=0.02 * e.stderr)
 
     @pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot send Ctrl-C to one process")
-    def test_by_a_signal(self, tmp_path: Path) -> None:
+    def test_a_signal_interrupts_a_fit(self, tmp_path: Path) -> None:
         trials = _write(tmp_path, _runs(shared=True), RATES)
         kept = tmp_path / "kept.yaml"
         program = """
@@ -562,13 +562,13 @@ TWELVE = (
 
 
 class TestWrongModels:
-    """A model that lacks an effect is the normal case: the fit ends, writes, and says what comes next."""
+    """A fit of a model that lacks an effect ends, writes its result, and names the next command."""
 
     @pytest.mark.slow
-    def test_play_of_the_servos_takes_no_longer(
+    def test_a_fit_with_backlash_takes_no_longer(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        """Twelve runs of a fish whose servos have 0.05 rad of play, against the same without."""
+        """Twelve runs of a fish with 0.05 rad of servo backlash are compared with the same without."""
         spent = {}
         simulate = MultilinkModel.simulate
         counted: list[str] = []
@@ -593,7 +593,7 @@ class TestWrongModels:
                 assert result.value("c_Ia") == pytest.approx(swimmer.TFISH["c_Ia"], rel=0.2)
         assert spent["wrong"] < 3 * spent["right"]
 
-    def test_what_it_came_to_is_written(
+    def test_an_unfinished_result_is_written(
         self, swimid: Swimid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setattr(output_error, "BUDGET", 3)
@@ -601,7 +601,7 @@ class TestWrongModels:
         ran = swimid("fit-graybox", trials, "-o", out)
         assert ran.status == 4
         assert "did not converge: after" in ran.err
-        assert f"what it came to is in {out}, marked so" in ran.err
+        assert f"the result so far is in {out}, marked so" in ran.err
         assert f"swimid diagnose {trials} --params {out}" in ran.err
         assert "check units" in ran.err
         file = parameters.read(out)
@@ -611,7 +611,7 @@ class TestWrongModels:
         assert shown.verdict.level == "bad"
         assert next(c for c in shown.checks if c.name == "converged").text.startswith("after")
 
-    def test_of_several_starts_too(
+    def test_an_unfinished_result_of_several_starts_is_written(
         self, swimid: Swimid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setattr(output_error, "BUDGET", 3)
@@ -622,7 +622,7 @@ class TestWrongModels:
         assert out.exists()
         assert "did not converge" in ran.err
 
-    def test_it_names_the_bounds_it_ran_into(
+    def test_bounds_that_stopped_the_fit_are_named(
         self, swimid: Swimid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setattr(output_error, "BUDGET", 6)
@@ -633,8 +633,8 @@ class TestWrongModels:
 
 
 class TestBrokenSimulations:
-    def test_cost_and_do_not_stop_the_search(self, swimid: Swimid, tmp_path: Path) -> None:
-        """Within these bounds links may have no mass, and drag may drive instead of braking."""
+    def test_broken_simulations_do_not_stop_the_search(self, swimid: Swimid, tmp_path: Path) -> None:
+        """These bounds allow links without mass, and negative drag."""
         trials = _write(tmp_path, _runs(shared=True)[:2], RATES)
         wide = ["--share", "c_f", "--bounds", "c_ma=-2,1e4", "--bounds", "c_Ia=-2,1e4"]
         wide += ["--bounds", "c_d4=-100,1e4", "--bounds", "c_d0=-100,1e4"]
@@ -647,7 +647,7 @@ class TestBrokenSimulations:
         ]
         assert len(starts.rows) == 4
 
-    def test_from_an_absurd_start(self, swimid: Swimid, tmp_path: Path) -> None:
+    def test_a_fit_from_an_absurd_start(self, swimid: Swimid, tmp_path: Path) -> None:
         trials = _write(tmp_path, _runs(shared=True)[:2], RATES)
         file = _fit(swimid, trials, "--share", "c_f")
         absurd = file.model_copy(
@@ -745,7 +745,7 @@ def _starting_at(model_parameters: Sequence[Parameter], truth: dict[str, float])
 
 @pytest.mark.slow
 class TestPublishedFish:
-    """Six runs of 20 s with the coefficients of Table III."""
+    """Write six runs of 20 s with the coefficients of Table III."""
 
     def test_within_three_standard_errors(self, swimid: Swimid, tmp_path: Path) -> None:
         for drag_at, reading in (("mid-link", "mid-link"), ("slices", "strips")):
@@ -764,7 +764,7 @@ class TestPublishedFish:
         assert e.stderr < 0.03 * e.value
 
     def test_every_start_ends_in_one_minimum(self, swimid: Swimid, tmp_path: Path) -> None:
-        """Starts over the whole box of Table III."""
+        """Starts cover the whole range of Table III."""
         trials = _write(tmp_path, _published("mid-link"), RATES)
         _fit(swimid, trials, "--starts", "8", "--seed", "1")
         found = evidence.read(evidence.sidecar(tmp_path / "fit.yaml"))
@@ -777,7 +777,7 @@ class TestPublishedFish:
 
     @pytest.mark.parametrize("noise", [RATES, POSE], ids=["rates", "pose"])
     def test_coverage(self, tmp_path: Path, noise: dict[str, float]) -> None:
-        """95 % intervals over 50 seeds of noise; starts at the truth, the minimum is the same."""
+        """95 % intervals cover the truth over 50 seeds of noise. Fits start at the truth."""
         repeats = 50
         trials = _write(tmp_path, _published("mid-link"), dict.fromkeys(noise, 0.0))
         experiment = swimmer_trials.load(trials, start_state="rest", max_step=0.01)
@@ -818,8 +818,8 @@ class TestPublishedFish:
             assert sum(sums) >= stats.binom.ppf(1e-3, len(sums), 0.95)
 
 
-def test_a_trial_may_set_a_coefficient_of_its_own(swimid: Swimid, tmp_path: Path) -> None:
-    """Two stiffnesses in one fit of the dolphin: each trial is simulated with its own."""
+def test_a_trial_may_set_its_own_coefficient(swimid: Swimid, tmp_path: Path) -> None:
+    """Trials of the dolphin with two stiffnesses are each simulated with their own."""
     drive = {"frequency_hz": 2.5, "amplitude_deg": 27}
     runs = [
         swimmer.Run(f"k{k}", drive, swimmer.simulate("dolphin", {"K_s": k}, drive, 4.0, rtol=FINE))
@@ -847,8 +847,8 @@ def test_a_trial_may_set_a_coefficient_of_its_own(swimid: Swimid, tmp_path: Path
     assert "did you mean 'K_s'" in ran.err
 
 
-def test_a_track_of_one_marker_has_a_heading_of_its_own(tmp_path: Path) -> None:
-    """Of the sample's logs without their heading: begun where the track sets out, and estimated."""
+def test_a_track_of_one_marker_has_an_estimated_heading(tmp_path: Path) -> None:
+    """Logs of the sample without heading start in the direction of the track, which is then estimated."""
     folder = tmp_path / "gap"
     shutil.copytree(SAMPLES / "gap", folder)
     whole = swimmer_trials.load(SAMPLES / "gap" / "trials.yaml")

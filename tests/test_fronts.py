@@ -1,4 +1,4 @@
-"""Fronts of several objectives: the search, its resumption, the choice on it, and the command."""
+"""Pareto fronts: the search, its resumption, the choice of a point, and the command."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from swimid.files.checkpoint import Checkpoint
 from swimid.fitting import global_search
 from swimid.results import evidence
 from swimid.results import parameters as parameters_format
-from swimid.swimmer import front as front_format
-from swimid.swimmer import front as warping
+from swimid.swimmer import front as fronts
 from swimid.swimmer.front import Profiles
 from tests.conftest import SAMPLES, Ran
 from tests.generators import swimmer
@@ -27,7 +26,7 @@ FEW = ("--population", "6", "--generations", "3")
 
 
 def _two_bowls(points: np.ndarray) -> np.ndarray:
-    """Squared distances from (1, 0) and (-1, 0): the front is the straight line between them."""
+    """Return squared distances from (1, 0) and (-1, 0). The front is the straight line between them."""
     x, y = points.T
     return np.column_stack([(x - 1.0) ** 2 + y**2, (x + 1.0) ** 2 + y**2])
 
@@ -53,7 +52,7 @@ def test_the_same_seed_gives_the_same_front() -> None:
     assert not np.array_equal(first.points, other.points)
 
 
-def test_a_search_that_was_stopped_goes_on_as_if_nothing_had_happened(tmp_path: Path) -> None:
+def test_an_interrupted_search_continues_to_the_same_front(tmp_path: Path) -> None:
     settings = {"objectives": 2, "population": 12, "generations": 8, "seed": 5}
     whole = global_search.nsga2(_two_bowls, *BOX, **settings)
     calls = 0
@@ -68,7 +67,7 @@ def test_a_search_that_was_stopped_goes_on_as_if_nothing_had_happened(tmp_path: 
     path = tmp_path / "front.partial"
     with pytest.raises(KeyboardInterrupt):
         global_search.nsga2(stopped, *BOX, checkpoint=Checkpoint(path, "a"), **settings)
-    # a line that was being written when the run was killed is no harm
+    # an incomplete last line of a killed run is ignored
     path.write_text(path.read_text() + '["front: generation 3", [0.1, 0.')
     calls = 100
     rest = global_search.nsga2(stopped, *BOX, checkpoint=Checkpoint(path, "a"), **settings)
@@ -77,7 +76,7 @@ def test_a_search_that_was_stopped_goes_on_as_if_nothing_had_happened(tmp_path: 
         np.testing.assert_array_equal(getattr(rest, name), getattr(whole, name))
 
 
-def test_what_breaks_down_is_left_behind() -> None:
+def test_points_that_break_down_are_not_on_the_front() -> None:
     def broken(points: np.ndarray) -> np.ndarray:
         found = _two_bowls(points)
         found[points[:, 0] > 0] = math.nan
@@ -88,29 +87,29 @@ def test_what_breaks_down_is_left_behind() -> None:
     assert (found.objectives < global_search.BROKEN_OBJECTIVE).all()
 
 
-def test_rules_of_choice() -> None:
+def test_rules_that_choose_a_point() -> None:
     front = np.array([[1.0, 10.0], [2.0, 3.0], [6.0, 1.0]])
     assert global_search.knee(front) == 1
     assert global_search.least_worst(front) == 1
     assert global_search.least_worst(np.array([[1.0, 1.0]])) == 0
 
 
-def test_a_distance_forgives_a_late_clock_within_its_band() -> None:
+def test_a_distance_allows_a_late_clock_within_its_band() -> None:
     time = np.arange(200) / 50.0
     wave = {"x_m": np.sin(2 * np.pi * time), "z_m": np.cos(2 * np.pi * time)}
     late = {"x_m": np.sin(2 * np.pi * (time - 0.1)), "z_m": np.cos(2 * np.pi * (time - 0.1))}
     names, sizes = ["x_m", "z_m"], [0.05, 0.05]
-    # 0.1 s are 5 of 200 samples: six may be shifted, and only the ends do not match then
-    near, far = (warping.distance(wave, late, names, sizes, band=b) for b in (0.03, 0.005))
+    # 0.1 s are 5 of 200 samples: a shift of 6 is allowed, so that only the ends do not match
+    near, far = (fronts.distance(wave, late, names, sizes, band=b) for b in (0.03, 0.005))
     assert near < math.sqrt(2 * 5 / 200) * far
     still = {n: v.copy() for n, v in wave.items()}
     still["x_m"][3] = math.nan
-    assert warping.distance(still, wave, names, sizes) < 1e-12
-    assert math.isnan(warping.distance(wave, {n: v * math.nan for n, v in wave.items()}, names, sizes))
+    assert fronts.distance(still, wave, names, sizes) < 1e-12
+    assert math.isnan(fronts.distance(wave, {n: v * math.nan for n, v in wave.items()}, names, sizes))
 
 
 def _trials(folder: Path, duration: float = 1.5) -> Path:
-    """The opening of one repeat of each stroke of the sample, as a trials file."""
+    """Write a trials file with the first part of one repeat of each stroke of the sample."""
     lines = ["format: swimid-trials/1", "experiment: multibody", "robot: sealion", "trials:"]
     for name in ("characteristic", "characteristic-pelvis"):
         lines.append(
@@ -178,7 +177,6 @@ def test_an_interrupted_command_resumes_to_the_same_front(
             raise KeyboardInterrupt
         return known(self, points, profile)
 
-    assert swimid(*command, "-o", out, "--resume").status == 2
     monkeypatch.setattr(Profiles, "evaluate", stopped)
     ran = swimid(*command, "-o", out)
     assert ran.status == 130
@@ -186,15 +184,15 @@ def test_an_interrupted_command_resumes_to_the_same_front(
     assert "p.yaml.partial keeps them" in ran.err
     assert not out.exists()
     assert (tmp_path / "p.yaml.partial").exists()
-    ran = swimid(*command, "-o", out, "--resume")
+    ran = swimid(*command, "-o", out)
     assert ran.status == 0, ran.err
-    assert calls == 8  # the two generations that were left, and all points in both profiles
+    assert calls == 8  # the two remaining generations, and all points in both profiles
     assert (tmp_path / "p.front.csv").read_bytes() == (tmp_path / "whole.front.csv").read_bytes()
     assert not (tmp_path / "p.yaml.partial").exists()
 
 
 @pytest.mark.kernels
-def test_hybrid_goes_on_to_least_squares(swimid: Run, tmp_path: Path) -> None:
+def test_hybrid_ends_with_least_squares(swimid: Run, tmp_path: Path) -> None:
     trials, out = _trials(tmp_path), tmp_path / "p.yaml"
     ran = swimid("fit-graybox", trials, "--method", "hybrid", *FEW, *ONLY, "-o", out)
     assert ran.status == 0, ran.err
@@ -233,9 +231,7 @@ def test_one_front_of_speed_and_turning_for_a_planar_fish(swimid: Run, tmp_path:
 
 def test_options_of_a_front_need_its_method(swimid: Run, tmp_path: Path) -> None:
     trials = _trials(tmp_path)
-    assert swimid("fit-graybox", trials, "--resume").status == 2
     assert swimid("fit-graybox", trials, "--front", "x.csv").status == 2
-    assert swimid("fit-graybox", trials, "--method", "nsga2", "--resume").status == 2
 
 
 @pytest.mark.parametrize(
@@ -246,11 +242,11 @@ def test_options_of_a_front_need_its_method(swimid: Run, tmp_path: Path) -> None
         ("", "is no table"),
     ],
 )
-def test_a_file_that_is_no_front_is_told_so(tmp_path: Path, text: str, said: str) -> None:
+def test_a_file_that_is_no_front_is_refused(tmp_path: Path, text: str, said: str) -> None:
     path = tmp_path / "front.csv"
     path.write_text(text)
     profiles = SimpleNamespace(labels=["c"], columns=["position[p]"])
     with pytest.raises(InputError, match=said):
-        front_format.read(path, profiles)  # type: ignore[arg-type]
+        fronts.read(path, profiles)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="no such file"):
-        front_format.read(tmp_path / "none.csv", profiles)  # type: ignore[arg-type]
+        fronts.read(tmp_path / "none.csv", profiles)  # type: ignore[arg-type]

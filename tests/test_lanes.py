@@ -1,4 +1,4 @@
-"""Runs side by side against the scalar engines: every element, held bases, unlike lengths, hooks."""
+"""Batches of runs against the scalar engines: every element, held bases, different lengths, effects."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ from swimid.swimmer.planar.assembly import Assembly as PlanarAssembly
 from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.spatial import engine as spatial_engine
 from swimid.swimmer.spatial.assembly import Assembly as SpatialAssembly
-from swimid.swimmer.spatial.assembly import Lifted
 from swimid.swimmer.spatial.model import MultibodyModel
 from tests import lanes_forms
 from tests.generators import lagrange
+from tests.lifted import Lifted
 
 ENGINES: dict[type[Swimmer], ModuleType] = {
     MultilinkModel: planar_engine,
@@ -46,7 +46,7 @@ ENGINES: dict[type[Swimmer], ModuleType] = {
 
 
 def drive_of(rng: np.random.Generator, joints: int, steps: int, step: float) -> np.ndarray:
-    """A smooth table of driven joints on the half-step grid."""
+    """Return a smooth table of driven joints on the half-step grid."""
     time = 0.5 * step * np.arange(2 * steps + 1)
     table = np.empty((len(time), joints, 5))
     for k in range(joints):
@@ -59,7 +59,7 @@ def drive_of(rng: np.random.Generator, joints: int, steps: int, step: float) -> 
 
 
 def scalar(form: type[Swimmer], start: np.ndarray, step: float, drive: np.ndarray, tables: Any) -> Any:
-    """By the engine itself."""
+    """Return states and rates of a run by the scalar engine."""
     return ENGINES[form].integrate(start, step, drive, *tables.values(), *form.engine.extra)
 
 
@@ -76,7 +76,7 @@ def sea_lion() -> SpatialAssembly:
 
 
 def hinged(**changed: Any) -> SpatialAssembly:
-    """A weight with two yielding fins, and every kind of element."""
+    """Return a weight with two passive fins, and every kind of element."""
     inertia = [0.02, 0.03, 0.03, 0.0, 0.001, 0.0]
     fins = [
         {
@@ -121,7 +121,7 @@ CASES: dict[str, tuple[type[Swimmer], Any]] = {
 
 
 def spread(form: type[Swimmer], tree: Any, kernel: Kernel, rng: np.random.Generator) -> list[tuple[Any, ...]]:
-    """Runs that differ in start, step, length, drive and coefficients."""
+    """Return runs that differ in start, step, length, drive and coefficients."""
     given = np.array([c.value for c in tree.body.coefficients.values()])
     runs = []
     for k in range(11):
@@ -137,12 +137,12 @@ def spread(form: type[Swimmer], tree: Any, kernel: Kernel, rng: np.random.Genera
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_the_module_of_lanes_as_plain_python(name: str, rng: np.random.Generator) -> None:
-    """Its text, not compiled, moves every robot as the scalar engine does."""
+def test_the_uncompiled_module_agrees_with_the_engine(name: str, rng: np.random.Generator) -> None:
+    """The generated module, run as Python, moves every robot like the scalar engine."""
     form, make = CASES[name]
     tree = make()
     kernel = Kernel(form.engine, tree.tables, len(tree.body.coefficients))
-    kernel._module = lanes_forms.uncompiled(kernel)
+    kernel.module = lanes_forms.uncompiled(kernel)
     runs = spread(form, tree, kernel, rng)[:3]
     runs = [(start, step, drive[:9], tables) for start, step, drive, tables in runs]
     compare(form, kernel, runs)
@@ -163,38 +163,40 @@ def compare(form: type[Swimmer], kernel: Kernel, runs: list[tuple[Any, ...]]) ->
 
 @pytest.fixture(scope="module")
 def fish() -> Swimmer:
-    """The tendon fish, its kernel compiled."""
+    """Return the tendon fish with a compiled kernel."""
     model = MultilinkModel(robot_format.read("tfish"))
-    model.kernel = Kernel(model.engine, model.tree.tables, len(model.coefficients))
-    model.kernel.compiled()
-    model.side_by_side = True
+    model.kernels.own = Kernel(model.engine, model.tree.tables, len(model.coefficients))
+    model.kernels.own.compiled()
+    model.kernels.use_own = True
     return model
 
 
 @pytest.mark.kernels
-def test_unlike_runs_side_by_side(fish: MultilinkModel, rng: np.random.Generator) -> None:
-    """Eleven runs, of unlike length, step, start, drive and coefficients, in two batches."""
-    assert fish.kernel is not None
-    compare(MultilinkModel, fish.kernel, spread(MultilinkModel, fish.tree, fish.kernel, rng))
+def test_different_runs_of_one_batch_agree_with_the_engine(
+    fish: MultilinkModel, rng: np.random.Generator
+) -> None:
+    """Eleven runs of different length, step, start, drive and coefficients fill two batches."""
+    assert fish.kernels.own is not None
+    compare(MultilinkModel, fish.kernels.own, spread(MultilinkModel, fish.tree, fish.kernels.own, rng))
 
 
 @pytest.mark.kernels
-def test_a_run_that_breaks_down_leaves_the_others_alone(
+def test_a_run_that_breaks_down_does_not_change_the_others(
     fish: MultilinkModel, rng: np.random.Generator
 ) -> None:
-    assert fish.kernel is not None
-    runs = spread(MultilinkModel, fish.tree, fish.kernel, rng)[:5]
+    assert fish.kernels.own is not None
+    runs = spread(MultilinkModel, fish.tree, fish.kernels.own, rng)[:5]
     start, step, drive, tables = runs[2]
     runs[2] = (start, step, drive, {**tables, "drag": -2e3 * tables["drag"] - 1e3 * (tables["drag"] != 0)})
     broken = scalar(MultilinkModel, *runs[2])[0]
     assert np.isnan(broken).any()
     assert not np.isnan(broken[0]).any()
-    compare(MultilinkModel, fish.kernel, runs)
+    compare(MultilinkModel, fish.kernels.own, runs)
 
 
 @pytest.mark.slow
 @pytest.mark.kernels
-def test_a_robot_in_space_side_by_side(rng: np.random.Generator) -> None:
+def test_a_batch_of_a_robot_in_space_agrees_with_the_engine(rng: np.random.Generator) -> None:
     tree = sea_lion()
     kernel = Kernel(MultibodyModel.engine, tree.tables, len(tree.body.coefficients))
     compare(MultibodyModel, kernel, spread(MultibodyModel, tree, kernel, rng))
@@ -207,8 +209,8 @@ def trials(count: int = 3) -> list[Trial]:
     ]
 
 
-def test_many_runs_are_those_of_one_by_one(fish: MultilinkModel) -> None:
-    """Repeats, trials and values mixed; with effects of every stage acting, a force from outside, too."""
+def test_many_runs_agree_with_single_runs(fish: MultilinkModel) -> None:
+    """Repeats, trials and values are mixed, and effects of every stage act."""
     plain = MultilinkModel(robot_format.read("tfish"))
     names = {e.name: e for e in effect_catalogue.catalogue()}
     own = trials()
@@ -237,36 +239,36 @@ def test_many_runs_are_those_of_one_by_one(fish: MultilinkModel) -> None:
                 np.testing.assert_allclose(simulated[channel], series, rtol=0, atol=1e-9, err_msg=f"{chosen}")
 
 
-def test_one_run_takes_the_lanes_too(fish: MultilinkModel) -> None:
-    """So that a simulation does not depend on what it is asked together with."""
+def test_a_single_run_takes_the_kernel_too(fish: MultilinkModel) -> None:
+    """A simulation does not depend on the other runs of its batch."""
     own = trials()
     start = np.array([fish.stated().get(p.name, p.start) for p in fish.parameters])
     runs = [(start * (1 + 0.01 * k), own[k % 3]) for k in range(5)]
     together = fish.simulate_many(runs)
     for values, trial in runs:
-        fish._kept.clear()
+        fish.forget([trial])
         alone = fish.simulate(values, trial)
         expected = together.pop(0)
         for channel, series in alone.items():
             np.testing.assert_array_equal(series, expected[channel])
 
 
-def test_what_cannot_be_simulated_is_nan_among_others(fish: MultilinkModel) -> None:
+def test_a_run_that_cannot_be_simulated_is_nan_among_others(fish: MultilinkModel) -> None:
     class Failing(MultilinkModel):
-        def _drive(self, values: Any, trial: Any, *others: Any) -> Any:
+        def request(self, values: Any, trial: Any, hooks: Any) -> Any:
             if trial.id == "run1":
                 raise FloatingPointError("no drive")
-            return super()._drive(values, trial, *others)
+            return super().request(values, trial, hooks)
 
     for side_by_side in (False, True):
         model = Failing(robot_format.read("tfish"))
-        model.kernel, model.side_by_side = fish.kernel, side_by_side
+        model.kernels.own, model.kernels.use_own = fish.kernels.own, side_by_side
         start = np.array([fish.stated().get(p.name, p.start) for p in fish.parameters])
         seen = model.simulate_many([(start, t) for t in trials()])
         assert [bool(np.isfinite(s["x_m"]).all()) for s in seen] == [True, False, True]
 
 
-def test_a_tied_model_and_a_problem_run_together(fish: MultilinkModel) -> None:
+def test_derivatives_with_shared_coefficients_agree_with_the_engine(fish: MultilinkModel) -> None:
     """The derivatives of a fit with shared coefficients are those of the scalar engine."""
     plain = MultilinkModel(robot_format.read("tfish"))
     groups = {"c_f": ("c_f0", "c_f4")}
@@ -284,25 +286,25 @@ def test_a_tied_model_and_a_problem_run_together(fish: MultilinkModel) -> None:
     assert np.max(np.abs(slopes[1] - slopes[0]) * sizes) < 4e-8
 
 
-def test_memory_is_used_again_once_nobody_holds_its_results(
+def test_memory_is_reused_after_its_results_are_released(
     fish: MultilinkModel, rng: np.random.Generator
 ) -> None:
-    assert fish.kernel is not None
-    runs = spread(MultilinkModel, fish.tree, fish.kernel, rng)[:4]
+    assert fish.kernels.own is not None
+    runs = spread(MultilinkModel, fish.tree, fish.kernels.own, rng)[:4]
     arguments = [list(column) for column in zip(*runs, strict=True)]
-    first = fish.kernel.run(*arguments)
+    first = fish.kernels.own.run(*arguments)
     kept = [states.copy() for states, _ in first]
-    second = fish.kernel.run(*arguments)
+    second = fish.kernels.own.run(*arguments)
     assert not np.shares_memory(first[0][0], second[0][0])
     for (states, _), before in zip(first, kept, strict=True):
         np.testing.assert_array_equal(states, before)
     place = second[0][0].ctypes.data
     del second, states
-    assert fish.kernel.run(*arguments)[0][0].ctypes.data == place
+    assert fish.kernels.own.run(*arguments)[0][0].ctypes.data == place
 
 
-def test_effects_that_are_alike_share_their_runs() -> None:
-    """A trajectory is kept by what acts, not by which object stands for it."""
+def test_equal_effects_share_their_runs() -> None:
+    """The key of a kept trajectory is the effect, not the object that represents it."""
     names = {e.name: e for e in effect_catalogue.catalogue()}
     tether, other = names["tether"], type(names["tether"])()
     assert tether is not other
@@ -311,21 +313,21 @@ def test_effects_that_are_alike_share_their_runs() -> None:
     assert x.content() != y.content()
 
 
-def test_an_effect_that_fills_in_the_tables_does_not_fit(fish: MultilinkModel) -> None:
-    assert fish.kernel is not None
+def test_tables_with_filled_zeros_do_not_fit_the_kernel(fish: MultilinkModel) -> None:
+    assert fish.kernels.own is not None
     start = np.array([fish.stated()[name] for name in fish.coefficients])
     tables = fish.tree.tables(start)
-    assert fish.kernel.fits(tables)
-    nought = np.argwhere((tables["drag"] == 0.0) & ~np.isnan(fish.kernel._fixed["drag"]))[0]
+    assert fish.kernels.own.fits(tables)
+    nought = np.argwhere((tables["drag"] == 0.0) & ~np.isnan(fish.kernels.own.fixed["drag"]))[0]
     filled = tables["drag"].copy()
     filled[tuple(nought)] = 0.1
-    assert not fish.kernel.fits({**tables, "drag": filled})
-    assert not fish.kernel.fits({**tables, "drag": tables["drag"][:-1]})
-    assert not fish.kernel.fits({**tables, "drag_link": tables["drag_link"][::-1].copy()})
+    assert not fish.kernels.own.fits({**tables, "drag": filled})
+    assert not fish.kernels.own.fits({**tables, "drag": tables["drag"][:-1]})
+    assert not fish.kernels.own.fits({**tables, "drag_link": tables["drag_link"][::-1].copy()})
 
 
-def test_a_coefficient_at_zero_changes_no_structure() -> None:
-    """Also of a planar robot lifted into space, whose damping of rotation is a coefficient at its bound."""
+def test_a_coefficient_of_zero_keeps_the_structure() -> None:
+    """A planar robot in space has a damping of rotation with a coefficient at its bound, zero."""
     robot = robot_format.read("tfish")
     body = robot.multilink
     assert body is not None
@@ -342,8 +344,8 @@ def test_a_coefficient_at_zero_changes_no_structure() -> None:
             assert kernel.fits(tree.tables(values)), tree.names[k]
 
 
-def test_threads_share_whole_batches(fish: MultilinkModel) -> None:
-    """Six runs fill one batch: two half-empty ones would take twice the time of the processor."""
+def test_threads_simulate_whole_batches(fish: MultilinkModel) -> None:
+    """Six runs fill one batch. Two half-empty batches would take twice the processor time."""
     parts: list[int] = []
 
     class Counted(Tied):
@@ -362,10 +364,10 @@ def test_threads_share_whole_batches(fish: MultilinkModel) -> None:
     assert sorted(parts[1:]) == [4, 16]
 
 
-def test_sine_and_cosine_of_symbols() -> None:
-    """To the last digit or one beside it, up to a thousand turns."""
+def testsine_and_cosine_of_symbols() -> None:
+    """They agree to one unit in the last place, up to a thousand turns."""
     tracer = tracing.Tracer()
-    results = tracing._sine_and_cosine(tracer.symbol("state", 0))
+    results = tracing.sine_and_cosine(tracer.symbol("state", 0))
     rng = np.random.default_rng(1)
     for angle in [
         0.0,
@@ -384,7 +386,7 @@ def test_sine_and_cosine_of_symbols() -> None:
         assert cosine == pytest.approx(math.cos(angle), abs=3e-16)
 
 
-def test_a_question_of_a_value_cannot_be_traced() -> None:
+def test_a_branch_on_a_value_cannot_be_traced() -> None:
     state = tracing.Tracer().symbol("state", 0)
     with pytest.raises(TypeError, match="positive"):
         _ = 1.0 if state > 0.0 else 2.0
@@ -392,12 +394,12 @@ def test_a_question_of_a_value_cannot_be_traced() -> None:
         bool(state)
 
 
-def test_when_it_pays(fish: MultilinkModel, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Short work stays on the scalar engine, long work compiles at once, else the next command has it."""
-    kernel = fish.kernel
+def test_when_compiling_a_kernel_pays(fish: MultilinkModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Little work stays on the scalar engine, much work compiles at once, other work for later."""
+    kernel = fish.kernels.own
     assert kernel is not None
     asked: list[str] = []
-    monkeypatch.setattr(kernels, "later", lambda text: asked.append("later"))
+    monkeypatch.setattr(kernels, "compile_later", lambda text: asked.append("later"))
     monkeypatch.setattr(kernel, "compiled", lambda: asked.append("now"))
     per_s = 1.0 / (kernels.OPERATION_S * len(kernel.traced().operations))
     for mode, there, seconds, runs_together, did in (
@@ -415,8 +417,8 @@ def test_when_it_pays(fish: MultilinkModel, monkeypatch: pytest.MonkeyPatch) -> 
         assert asked == did
 
 
-def test_the_compiled_module_is_kept(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A process of its own compiles it; then it is on disk, and is not compiled again."""
+def test_the_compiled_module_is_kept_on_disk(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another process compiles it. Then it is on disk, and is not compiled again."""
     monkeypatch.setattr(kernels, "folder", lambda: tmp_path)
     text = (
         "import numba\nSIGNATURE = 'f8(f8)'\n@numba.njit(cache=True)\ndef integrate(x):\n    return 2.0 * x\n"
@@ -430,7 +432,7 @@ def test_the_compiled_module_is_kept(tmp_path: Any, monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.slow
-def test_the_compiled_module_is_kept_where_numba_is_told_to(tmp_path: Any) -> None:
+def test_the_compiled_module_is_kept_in_the_cache_folder_of_numba(tmp_path: Any) -> None:
     code = (
         "from swimid.swimmer.lanes import kernel\n"
         "text = 'import numba\\nSIGNATURE = \"f8(f8)\"\\n'\n"
@@ -448,8 +450,8 @@ def test_the_compiled_module_is_kept_where_numba_is_told_to(tmp_path: Any) -> No
 @pytest.mark.skipif(
     platform.machine() not in ("x86_64", "AMD64"), reason="reads the assembly of one processor"
 )
-def test_the_lanes_are_packed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The compiler takes the loop over lanes whole: arithmetic on packed doubles, hardly any on others."""
+def test_the_compiler_vectorises_the_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The compiler vectorises the loop: almost all arithmetic is on packed doubles."""
     monkeypatch.setattr(numba.config, "BOUNDSCHECK", 0)
     link = {"length_m": 0.2, "mass_kg": 1.0, "com_m": 0.08, "inertia_kg_m2": 0.02, "inertia_about": "com"}
     body = {
@@ -464,8 +466,8 @@ def test_the_lanes_are_packed(monkeypatch: pytest.MonkeyPatch) -> None:
     assert packed > 10 * max(single, 1)
 
 
-def test_what_an_effect_gives_a_passive_joint_fits_the_kernel() -> None:
-    """Stiffness, damping and rest angle of a joint without any: side by side as every other run."""
+def test_changes_of_a_passive_joint_fit_the_kernel() -> None:
+    """An effect may add stiffness, damping and rest angle to a joint that has none."""
     robot = robot_format.read("tfish")
     body = robot.multilink
     assert body is not None

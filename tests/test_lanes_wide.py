@@ -1,4 +1,4 @@
-"""Runs with effects that bring forces and elements: side by side as on the scalar engine."""
+"""Batches of runs with forces and elements of effects, against the scalar engine."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ from tests import lanes_forms
 
 
 def opened(name: str) -> MultilinkModel:
-    """A robot with both kernels, nothing compiled."""
+    """Return a robot with both kernels, not compiled."""
     catalogue.catalogue()
     model = MultilinkModel(robot_format.read(name))
-    model.kernels()
-    model.side_by_side = model.wide_side_by_side = True
+    model.kernels.make()
+    model.kernels.use_own = model.kernels.use_wide = True
     return model
 
 
 @pytest.fixture(scope="module")
 def fish() -> MultilinkModel:
-    """The tendon fish, compiled."""
+    """Return the tendon fish with compiled kernels."""
     model = opened("tfish")
-    assert model.kernel is not None
-    assert model.wide is not None
-    model.kernel.compiled()
-    model.wide.compiled()
+    assert model.kernels.own is not None
+    assert model.kernels.wide is not None
+    model.kernels.own.compiled()
+    model.kernels.wide.compiled()
     return model
 
 
@@ -53,7 +53,7 @@ def given(model: MultilinkModel) -> np.ndarray:
 
 
 def swims(model: MultilinkModel, duration_s: float) -> list[Trial]:
-    """Two trials off the origin and off the axes, with what the model itself makes of them as measured."""
+    """Return two trials off the origin and off the axes, whose data are simulated by the model."""
     plain = MultilinkModel(model.robot)
     found = []
     for k in range(2):
@@ -64,35 +64,35 @@ def swims(model: MultilinkModel, duration_s: float) -> list[Trial]:
 
 
 def widened(model: MultilinkModel, own: list[Trial]) -> dict[str, Effect]:
-    """Every form of every effect, and forces without physics, that the robot's own kernel has no room for."""
+    """Return every variant of every effect, and artificial forces, that need the wide kernel."""
     every = catalogue.applicable(catalogue.catalogue(), model, own)
     every += [ResidualForce(axis, 0.05, 0.3) for axis in AXES]
     found = {}
     for effect in every:
         names = [p.name for p in effect.parameters(model, own)]
         hooks = effect.hooks(acting(Affected(model, [effect], own)), own[0], model)
-        run = model._asked(given(model), own[0], hooks)
-        lane = model.lane(run)
-        if lane is None or lane[0] is model.wide:
+        run = model.request(given(model), own[0], hooks)
+        lane = model.kernels.choose(run, model.frame)
+        if lane is None or lane[0] is model.kernels.wide:
             found[f"{effect.name} {names[0]}"] = effect
     return found
 
 
 def acting(affected: Affected) -> np.ndarray:
-    """Values of its effects at which all of them act."""
+    """Return values of the parameters at which all effects act."""
     own = [p for parameters in affected.own for p in parameters]
     return np.array([np.clip(p.start + 0.4 * p.scale, p.lower, p.upper) for p in own])
 
 
 def compared(model: MultilinkModel, effects: list[Effect], own: list[Trial], count: int) -> None:
-    """Channels within what rounding can add up to: a unit in the last place at each operation of a run."""
+    """Compare channels, with a tolerance of one unit in the last place for each operation of a run."""
     plain = MultilinkModel(model.robot)
     one, many = (Affected(m, effects, own) for m in (plain, model))
     values = np.concatenate([given(model), acting(one)])
     runs = [(values * (1.0 + 0.01 * k), own[k % 2]) for k in range(count)]
-    assert model.wide is not None
+    assert model.kernels.wide is not None
     steps = (own[0].time_s[-1] - own[0].time_s[0]) / model.max_step
-    operations = 4 * len(model.wide.traced().operations) * steps
+    operations = 4 * len(model.kernels.wide.traced().operations) * steps
     model.forget(own)
     for (point, trial), simulated in zip(runs, many.simulate_many(runs), strict=True):
         for channel, series in one.simulate(point, trial).items():
@@ -101,7 +101,7 @@ def compared(model: MultilinkModel, effects: list[Effect], own: list[Trial], cou
 
 
 @pytest.mark.kernels
-def test_every_force_and_element_side_by_side(fish: MultilinkModel) -> None:
+def test_every_force_and_element_agrees_with_the_engine(fish: MultilinkModel) -> None:
     own = swims(fish, 4.0)
     found = widened(fish, own)
     assert {name.split()[0] for name in found} >= {
@@ -110,12 +110,12 @@ def test_every_force_and_element_side_by_side(fish: MultilinkModel) -> None:
     }  # fmt: skip
     for effect in found.values():
         hooks = effect.hooks(acting(Affected(fish, [effect], own)), own[0], fish)
-        assert fish.lane(fish._asked(given(fish), own[0], hooks)) is not None, effect
+        assert fish.kernels.choose(fish.request(given(fish), own[0], hooks), fish.frame) is not None, effect
         compared(fish, [effect], own, 3)
 
 
 @pytest.mark.kernels
-def test_several_effects_side_by_side(fish: MultilinkModel) -> None:
+def test_several_effects_agree_with_the_engine(fish: MultilinkModel) -> None:
     own = swims(fish, 4.0)
     found = widened(fish, own)
     for several in itertools.islice(itertools.combinations(found.values(), 3), 0, None, 23):
@@ -123,9 +123,8 @@ def test_several_effects_side_by_side(fish: MultilinkModel) -> None:
 
 
 @pytest.mark.kernels
-@pytest.mark.kernels
-def test_runs_of_one_batch_share_nothing_of_an_effect(fish: MultilinkModel) -> None:
-    """Coefficients that an effect reads off the tables differ from run to run, as in derivatives to them."""
+def test_runs_of_one_batch_keep_their_own_effects(fish: MultilinkModel) -> None:
+    """An effect may read coefficients from the tables. They differ from run to run, as in derivatives."""
     own = swims(fish, 0.6)
     for effect in widened(fish, own).values():
         affected = Affected(fish, [effect], own)
@@ -145,7 +144,7 @@ def test_two_forces_of_one_kind_stay_on_the_engine(fish: MultilinkModel) -> None
         np.concatenate([given(fish), acting(Affected(fish, walls, own))]), own[0]
     )
     assert len(hooks.force) == 2
-    assert fish.lane(fish._asked(given(fish), own[0], hooks)) is None
+    assert fish.kernels.choose(fish.request(given(fish), own[0], hooks), fish.frame) is None
     compared(fish, walls, own, 2)
 
 
@@ -153,35 +152,36 @@ def test_two_forces_of_one_kind_stay_on_the_engine(fish: MultilinkModel) -> None
 def test_a_run_without_effects_takes_the_robots_own_kernel(fish: MultilinkModel) -> None:
     own = swims(fish, 1.0)
     fish.forget(own)
-    lane = fish.lane(fish._asked(given(fish), own[0], Affected(fish, [], own).hooks(given(fish), own[0])))
+    none = Affected(fish, [], own).hooks(given(fish), own[0])
+    lane = fish.kernels.choose(fish.request(given(fish), own[0], none), fish.frame)
     assert lane is not None
-    assert lane[0] is fish.kernel
+    assert lane[0] is fish.kernels.own
 
 
-def test_a_diagnosis_taken_up_again_keeps_its_kernels(
+def test_a_resumed_diagnosis_keeps_its_kernels(
     fish: MultilinkModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whatever has been compiled meanwhile; and without effects ahead nothing is asked of the wide one."""
+    """A later compilation does not change the decision. Without effects, the wide kernel is not made."""
     monkeypatch.setattr(Kernel, "worth", lambda self, derivatives, progress: True)
     model = MultilinkModel(fish.robot)
     model.prepare(simulated_s=1e3)
-    assert (model.side_by_side, model.wide_side_by_side, model.wide) == (True, False, None)
+    assert (model.kernels.use_own, model.kernels.use_wide, model.kernels.wide) == (True, False, None)
     model.prepare(simulated_s=1e3, affected_s=1e2, checkpoint=Checkpoint.beside(tmp_path / "gap.yaml", []))
-    assert model.wide_side_by_side
+    assert model.kernels.use_wide
     monkeypatch.setattr(Kernel, "worth", lambda self, derivatives, progress: False)
     again = MultilinkModel(fish.robot)
     again.prepare(simulated_s=1e3, affected_s=1e2, checkpoint=Checkpoint.beside(tmp_path / "gap.yaml", []))
-    assert (again.side_by_side, again.wide_side_by_side) == (True, True)
-    assert again.refined().wide is again.wide
+    assert (again.kernels.use_own, again.kernels.use_wide) == (True, True)
+    assert again.refined().kernels.wide is again.kernels.wide
 
 
-def test_forces_in_a_vertical_plane_as_plain_python() -> None:
-    """The module's text, not compiled, for the effects that only a swimmer in a side view has, too."""
+def test_forces_in_a_vertical_plane_agree_with_the_engine() -> None:
+    """The generated module, run as Python, also has the effects of swimmers in a side view."""
     dolphin = opened("dolphin")
-    assert dolphin.kernel is not None
-    assert dolphin.wide is not None
-    for kernel in (dolphin.kernel, dolphin.wide):
-        kernel._module = lanes_forms.uncompiled(kernel)
+    assert dolphin.kernels.own is not None
+    assert dolphin.kernels.wide is not None
+    for kernel in (dolphin.kernels.own, dolphin.kernels.wide):
+        kernel.module = lanes_forms.uncompiled(kernel)
     own = swims(dolphin, 0.06)
     found = widened(dolphin, own)
     assert {name.split()[0] for name in found} >= {"buoyancy", "surface-breach"}
@@ -189,9 +189,9 @@ def test_forces_in_a_vertical_plane_as_plain_python() -> None:
         compared(dolphin, [effect], own, 1)
 
 
-def test_effects_change_no_text_of_the_lanes_without() -> None:
-    """Neither bits nor time cost a run that asks for none."""
-    text = tracing.text(opened("tfish").kernel.traced())
+def test_effects_do_not_change_the_robots_own_kernel() -> None:
+    """The text of the robot's own kernel is the same with and without effects."""
+    text = tracing.text(opened("tfish").kernels.own.traced())
     assert "bits" not in text
     assert "0.5 * n *" not in text
 
@@ -219,7 +219,7 @@ def test_exponential_and_logarithm(function: Any, exact: Any, numbers: np.ndarra
 
 
 def test_every_traceable_force_can_be_traced() -> None:
-    """Those of all modules, with constants of which nothing is known."""
+    """The forces of all modules can be traced with unknown constants."""
     for known in TRACEABLE.values():
         tracer = tracing.Tracer()
         time = tracer.symbol("elapsed", 0)
@@ -233,7 +233,7 @@ def test_every_traceable_force_can_be_traced() -> None:
         assert any(isinstance(part, tracing.Symbol) for part in wrench)
 
 
-def test_a_number_of_a_run_answers_no_question() -> None:
+def test_a_branch_on_an_input_of_a_run_cannot_be_traced() -> None:
     number = tracing.Tracer().symbol("number", 0)
     for ask in (lambda: number > 0.0, lambda: number == 0.0, lambda: number != 0.0, lambda: number < 0.0):
         with pytest.raises(TypeError):
@@ -245,10 +245,10 @@ def test_a_number_of_a_run_answers_no_question() -> None:
 )
 @pytest.mark.kernels
 @pytest.mark.slow
-def test_the_wide_lanes_are_packed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bits, exponentials and powers do not keep the compiler from taking the loop over lanes whole."""
+def test_the_compiler_vectorises_the_wide_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The compiler vectorises the loop in spite of bit operations, exponentials and powers."""
     monkeypatch.setattr(numba.config, "BOUNDSCHECK", 0)
-    kernel = opened("tfish").wide
+    kernel = opened("tfish").kernels.wide
     assert kernel is not None
     packed, single = lanes_forms.arithmetic(kernel)
     assert packed > 10 * max(single, 1)

@@ -1,4 +1,4 @@
-"""The engine in space: against MuJoCo, conservation laws, closed forms, and the planar engine."""
+"""Engine in space against MuJoCo, conservation laws, closed forms, and the planar engine."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ from swimid.fitting.drives import SwimInput
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid
 from swimid.robots.spatial import Multibody
-from swimid.swimmer.model import joint_motion
-from swimid.swimmer.planar import drive
+from swimid.swimmer import drive
+from swimid.swimmer.drive import joint_motion
 from swimid.swimmer.planar import engine as planar_engine
 from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.spatial import engine
-from swimid.swimmer.spatial.assembly import Assembly, Lifted, full, spheroid_coefficients
+from swimid.swimmer.spatial.assembly import Assembly, full, spheroid_coefficients
 from swimid.swimmer.spatial.model import MultibodyModel
 from tests import lanes_forms
+from tests.lifted import Lifted
 
 WATER, G = 1000.0, 9.81
 
@@ -32,7 +33,7 @@ def assembly(body: dict[str, Any]) -> Assembly:
 
 
 def derivative(model: Assembly, state: np.ndarray, motion: np.ndarray | None = None) -> np.ndarray:
-    """Rate of a state; ``motion`` holds angle, rate and acceleration of every driven joint."""
+    """Return the rate of a state; ``motion`` has angle, rate and acceleration of every driven joint."""
     motion = np.zeros((len(model.driven), 3)) if motion is None else motion
     row = np.column_stack([motion, np.cos(motion[:, 0]), np.sin(motion[:, 0])])
     n = 6 + len(model.passive)
@@ -65,7 +66,7 @@ def integrated(model: Assembly, start: np.ndarray, step: float, duration: float)
 
 
 def random_tree(rng: np.random.Generator, links: int, yielding: int, *, driven: bool) -> dict[str, Any]:
-    """Rigid bodies on hinges at odd places, with odd axes; some yield, the rest are driven or stiff."""
+    """Return rigid bodies on hinges with random places and axes, passive, driven or rigid."""
 
     def vector(size: float) -> list[float]:
         return [float(v) for v in rng.normal(0.0, size, 3)]
@@ -139,7 +140,7 @@ def weighed(body: dict[str, Any]) -> dict[str, Any]:
 
 
 def put(model: Assembly, theirs: Any, data: Any, state: np.ndarray) -> list[int]:
-    """Set MuJoCo's state to ours; where its velocities of our unknowns stand."""
+    """Set MuJoCo's state to ours, and return the positions of its velocities for our unknowns."""
     p = len(model.passive)
     turn = Rotation.from_quat(np.roll(state[3:7], -1))
     data.qpos[:3], data.qpos[3:7] = state[:3], state[3:7]
@@ -153,7 +154,7 @@ def put(model: Assembly, theirs: Any, data: Any, state: np.ndarray) -> list[int]
 
 
 def accelerations(model: Assembly, state: np.ndarray, motion: np.ndarray | None = None) -> np.ndarray:
-    """Of the base's origin in the world, of its turning in its own axes, of the passive joints."""
+    """Return accelerations of the base's origin, of its rotation, and of the passive joints."""
     p = len(model.passive)
     rate = derivative(model, state, motion)
     turn = Rotation.from_quat(np.roll(state[3:7], -1))
@@ -216,7 +217,7 @@ class TestMujoco:
 
 
 def with_water(body: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]:
-    """Added masses of unlike size along the axes of each link, at odd places."""
+    """Return added masses of different size along the axes of each link, at random places."""
     elements = [
         {
             "kind": "added-mass", "link": link["name"],
@@ -230,7 +231,7 @@ def with_water(body: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]
 
 
 def momentum(model: Assembly, state: np.ndarray) -> tuple[np.ndarray, float]:
-    """Linear and angular momentum in the world, and kinetic energy, by plain vector mechanics."""
+    """Return linear and angular momentum in the world, and kinetic energy, by vector mechanics."""
     p = len(model.passive)
     tables = model.tables(np.zeros(0))
     turns, places, v, w = {}, {}, {}, {}
@@ -255,8 +256,8 @@ def momentum(model: Assembly, state: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_momentum_and_energy_are_kept(seed: int) -> None:
-    """Free motion in water without loss: what a step changes falls with its fourth power."""
+def test_momentum_and_energy_are_conserved_in_space(seed: int) -> None:
+    """In free motion without losses the error falls with the fourth power of the step."""
     rng = np.random.default_rng(seed)
     body = with_water(random_tree(rng, 5, 3, driven=False), rng)
     for joint in body["joints"]:
@@ -278,8 +279,8 @@ def test_momentum_and_energy_are_kept(seed: int) -> None:
 
 
 @pytest.mark.parametrize("name", ["tfish", "dolphin"])
-def test_planar_robots_move_as_in_their_plane(name: str) -> None:
-    """20 s of swimming: the same to 1e-9 m, and nothing off the plane."""
+def test_planar_robots_move_in_space_as_in_their_plane(name: str) -> None:
+    """Positions agree to 1e-9 m after 20 s of swimming, without motion off the plane."""
     robot = robot_format.read(name)
     body = robot.multilink
     assert body is not None
@@ -293,9 +294,8 @@ def test_planar_robots_move_as_in_their_plane(name: str) -> None:
     n = planar.unknowns
     flat = np.zeros(2 * n)
     flat[n] = 0.1
-    expected, _ = planar_engine.integrate(
-        flat, step, drive.table(len(half), motions, mounts), *planar.tables(values).values(), None, 0.0
-    )
+    told = drive.table(len(half), motions, mounts)
+    expected, _ = planar_engine.integrate(flat, step, told, *planar.tables(values).values(), None, 0.0)
     start = np.zeros(13 + 2 * len(lifted.passive))
     start[3], start[7 + len(lifted.passive)] = 1.0, 0.1
     table = drive.table(len(half), motions, [0.0] * len(motions))
@@ -316,7 +316,7 @@ def one_body(*elements: dict[str, Any], **link: Any) -> Assembly:
 
 
 def wrench(model: Assembly, **at: Any) -> np.ndarray:
-    """Force and moment at the origin, from the accelerations of a body that moves, but does not turn."""
+    """Return force and moment at the origin of a body that moves without rotation."""
     state = at_rest(model)
     state[2] = at.get("z", 0.0)
     if "attitude" in at:
@@ -412,7 +412,7 @@ def test_buoyancy_and_drag_end_at_the_surface() -> None:
         assert force[0] == pytest.approx(-0.5 * WATER * 0.01 * share)
 
 
-def test_water_inside_adds_inertia_and_weighs_where_it_is_told() -> None:
+def test_water_inside_adds_inertia_and_weight_if_asked() -> None:
     plain = {"kind": "water", "volume_m3": 0.001, "at_m": [0.2, 0, 0], "gyration_m": [0.05, 0.1, 0.1]}
     open_hull, closed = one_body(plain), one_body({**plain, "weighs": True})
     matrix = full(open_hull.tables(np.zeros(0))["inertia"][0])
@@ -436,7 +436,7 @@ def test_water_inside_adds_inertia_and_weighs_where_it_is_told() -> None:
         ({"joints": [{"name": "j", "parent": "a", "child": "a", "axis": [0, 0, 1]}]}, "joints.j.child"),
     ],
 )
-def test_what_no_robot_is(change: dict[str, Any], where: str) -> None:
+def test_impossible_robots_are_refused(change: dict[str, Any], where: str) -> None:
     body = {"links": [{"name": "a", "mass_kg": 1.0, "inertia_kg_m2": [0.1, 0.1, 0.1]}]} | change
     with pytest.raises(InputError) as caught:
         assembly(body)

@@ -1,4 +1,4 @@
-"""What moves the driven joints: waveforms, measured angles, servos."""
+"""Motion of the driven joints: waveforms, measured angles, servos."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from swimid.fitting import drives
 from swimid.fitting.drives import SwimInput
 from swimid.fitting.model import Trial
 from swimid.robots.file import Robot
-from swimid.swimmer.planar import drive
+from swimid.swimmer import drive
 from swimid.swimmer.planar.model import MultilinkModel
 
 WAVEFORMS = [("sine", 0.0), ("hopf", 0.0), ("a-cpg", 0.0), ("a-cpg", 0.4), ("a-cpg", -0.6)]
@@ -27,7 +27,7 @@ class TestBeat:
         return drives.Beat(waveform, 1.3, 0.5, asymmetry=asymmetry, **given)
 
     def test_derivatives(self, waveform: str, asymmetry: float) -> None:
-        """Rate and acceleration are those of the angle, except at the turns of an asymmetric beat."""
+        """Rate and acceleration are derivatives of the angle, except where an asymmetric beat turns."""
         beat, step = self.beat(waveform, asymmetry), 1e-4
         times = np.arange(0.0, 5.0, 0.0137) + 1e-3
         early, (_, rate, bend), late = (
@@ -85,7 +85,7 @@ class TestBeat:
 
 @pytest.mark.parametrize("asymmetry", [0.0, 0.3, 0.7, -0.5])
 def test_hopf_solves_eq_10(asymmetry: float) -> None:
-    """Eq 10 with radius one, integrated, settles on :func:`drives.hopf`, wherever its radius started."""
+    """Eq 10 with radius one settles on :func:`drives.hopf` from any initial radius."""
     omega = 2 * math.pi * 1.1
 
     def right(_: float, point: np.ndarray) -> list[float]:
@@ -107,7 +107,7 @@ def test_hopf_solves_eq_10(asymmetry: float) -> None:
         np.testing.assert_allclose(slope[settled], rate[settled], atol=1e-3)
 
 
-def test_one_time_is_eased_as_many_are() -> None:
+def test_one_time_is_eased_like_many() -> None:
     assert drives.eased(0.5, 1.0) == drives.eased(np.array([0.5]), 1.0)[0] == 0.5
 
 
@@ -155,22 +155,24 @@ class TestMeasured:
     @pytest.mark.parametrize("rate_hz", [20.0, 100.0, 1000.0])
     @pytest.mark.parametrize("beat_hz", [0.3, 2.0])
     def test_any_sampling_rate(self, rate_hz: float, beat_hz: float, rng: np.random.Generator) -> None:
-        """The angle comes out closer than the samples: neither a line nor the noise is fitted."""
+        """The smoothed angle is closer to the truth than the samples at any sampling rate."""
         times = 1e3 + np.arange(0.0, 10.0, 1 / rate_hz)
         angle, noise = 0.3 * np.sin(2 * math.pi * beat_hz * times), 0.005
         seen = angle + noise * rng.standard_normal(len(times))
         found = drive.spline_motion(drive.measured(times, seen))(times)[0]
         assert np.sqrt(np.mean((found - angle) ** 2)) < noise
 
-    def test_smoothing_minimises_the_cross_validation_score(self, rng: np.random.Generator) -> None:
-        """The banded score is that of the influence matrix, column by column."""
+    def test_smoothing_minimises_thecross_validation_score_score(self, rng: np.random.Generator) -> None:
+        """The banded score equals that of the full influence matrix."""
         places = np.cumsum(rng.uniform(0.5, 1.5, 30))
         seen = np.sin(places / 3) + 0.1 * rng.standard_normal(30)
         for smoothing in (1e-3, 1.0, 50.0):
             columns = [make_smoothing_spline(places, unit, lam=smoothing)(places) for unit in np.eye(30)]
             left = np.eye(30) - np.column_stack(columns)
             score = 30 * np.sum((left @ seen) ** 2) / np.trace(left) ** 2
-            assert drive._cross_validation(smoothing, np.diff(places), seen) == pytest.approx(score, rel=1e-9)
+            assert drive.cross_validation_score(smoothing, np.diff(places), seen) == pytest.approx(
+                score, rel=1e-9
+            )
 
     def test_clean_samples_are_kept(self, rng: np.random.Generator) -> None:
         times, seen, angle, rate, _ = self.noisy(rng, 0.0)
@@ -190,7 +192,7 @@ class TestMeasured:
         np.testing.assert_allclose(np.gradient(angle, fine)[1:-1], rate[1:-1], atol=1e-5)
         np.testing.assert_allclose(np.gradient(rate, fine)[1:-1], bend[1:-1], atol=0.2)
 
-    def test_gaps_and_turns(self, rng: np.random.Generator) -> None:
+    def test_gaps_and_jumps_of_a_turn(self, rng: np.random.Generator) -> None:
         times, seen, angle, *_ = self.noisy(rng, 0.001)
         seen[100:104] = np.nan
         wrapped = np.angle(np.exp(1j * (seen + math.pi)))
@@ -198,7 +200,7 @@ class TestMeasured:
         offset = 2 * math.pi * np.round((found[0] - angle[0] - math.pi) / (2 * math.pi))
         np.testing.assert_allclose(found - math.pi - offset, angle, atol=0.02)
 
-    def test_held_at_its_ends(self, rng: np.random.Generator) -> None:
+    def test_the_angle_is_held_beyond_its_ends(self, rng: np.random.Generator) -> None:
         times, seen, *_ = self.noisy(rng, 0.001)
         motion = drive.spline_motion(drive.measured(times, seen))
         outside, ends = motion(np.array([-1.0, 100.0])), motion(times[[0, -1]])
@@ -215,7 +217,7 @@ class TestServo:
     OMEGA, DAMPING = 2 * math.pi * 4.0, 0.6
 
     def ramp_answer(self, times: np.ndarray) -> np.ndarray:
-        """Angle of a second-order servo, at rest until its command starts to rise by 1 rad/s."""
+        """Return the angle of a second-order servo at rest whose command starts to rise by 1 rad/s."""
         omega, z = self.OMEGA, self.DAMPING
         damped = omega * math.sqrt(1 - z * z)
         fading = np.exp(-z * omega * times)
@@ -230,7 +232,9 @@ class TestServo:
         errors = []
         for step in (0.01, 0.005, 0.0025):
             times = step * np.arange(round(1.0 / step) + 1)
-            found = drive.servo(0.5 * step * np.arange(2 * len(times) - 1), step, self.OMEGA, self.DAMPING)
+            found = drive.simulate_servo(
+                0.5 * step * np.arange(2 * len(times) - 1), step, self.OMEGA, self.DAMPING
+            )
             errors.append(np.abs(found[:, 0] - self.ramp_answer(times)).max())
             # central differences err by h^2 / 6 of what is largest at the start: omega^2, 2 z omega^3
             jerks = (self.OMEGA**2, 2 * self.DAMPING * self.OMEGA**3)
@@ -240,8 +244,8 @@ class TestServo:
         np.testing.assert_allclose(np.log2(np.divide(errors[:-1], errors[1:])), 4.0, atol=0.3)
         assert errors[1] < 2e-7
 
-    def test_starts_at_its_command(self) -> None:
-        found = drive.servo(np.full(201, 0.3), 0.01, self.OMEGA, self.DAMPING)
+    def test_a_servo_starts_at_its_command(self) -> None:
+        found = drive.simulate_servo(np.full(201, 0.3), 0.01, self.OMEGA, self.DAMPING)
         np.testing.assert_allclose(found, np.tile([0.3, 0.0, 0.0], (101, 1)), atol=1e-15)
 
     def test_sine_in_a_robot(self) -> None:
@@ -284,8 +288,8 @@ class TestInARobot:
         expected = beat.motion(self.TIMES, gain=-0.5, bias_gain=0.25, phase_rad=0.4 - math.radians(30.0))[0]
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
-    def test_turns_of_an_asymmetric_beat_need_not_lie_on_steps(self) -> None:
-        """Second order in the step, where a sampled acceleration that jumps between steps gives first."""
+    def test_turning_points_of_an_asymmetric_beat_may_lie_between_steps(self) -> None:
+        """The error has second order in the step. Sampled accelerations with jumps would give first."""
         beat = drives.Beat("a-cpg", 0.83, 0.5, asymmetry=0.4)
         robot = _two_links({})
         fine = self.run(MultilinkModel(robot, max_step=1e-4), SwimInput(beat))
@@ -295,8 +299,8 @@ class TestInARobot:
             errors.append([np.abs(found[n] - fine[n]).max() for n in ("x_m", "y_m", "yaw_rad")])
         assert np.all(np.array(errors[1]) < 0.4 * np.array(errors[0]))
 
-    def test_measured_angle_moves_it_as_the_beat_did(self) -> None:
-        """A clean record of a joint, sampled every 10 ms, gives the swim that the command gave."""
+    def test_a_measured_angle_gives_the_motion_of_the_beat(self) -> None:
+        """A clean record of a joint, sampled every 10 ms, gives the motion that the command gave."""
         model = MultilinkModel(_two_links({}))
         beat = drives.Beat("sine", 1.0, 0.5)
         told = self.run(model, SwimInput(beat))
@@ -306,7 +310,7 @@ class TestInARobot:
         for name in ("x_m", "y_m", "yaw_rad"):
             np.testing.assert_allclose(seen[name], told[name], atol=1e-4)
 
-    def test_without_a_drive_it_stays(self) -> None:
+    def test_a_joint_without_a_drive_stays_straight(self) -> None:
         found = self.run(MultilinkModel(_two_links({})), SwimInput())
         assert all((np.abs(v) < 1e-15).all() for v in found.values())
 

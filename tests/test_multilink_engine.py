@@ -22,6 +22,7 @@ from swimid.swimmer.planar import engine
 from swimid.swimmer.planar.assembly import Assembly
 from swimid.swimmer.planar.model import MultilinkModel
 from tests import lanes_forms
+from tests.generators import lagrange
 
 pytestmark = pytest.mark.kernels
 
@@ -72,7 +73,7 @@ def integrated(
 
 
 def in_world(state: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
-    """Base acceleration in its own axes, seen from the world; joint accelerations stay."""
+    """Return the base acceleration in the world; joint accelerations are unchanged."""
     n = len(acceleration)
     c, s = math.cos(state[2]), math.sin(state[2])
     u, v, r = state[n : n + 3]
@@ -87,7 +88,7 @@ def world_rates(state: np.ndarray) -> np.ndarray:
 
 
 def chain(links: int = 5, *, water: bool = False) -> dict[str, Any]:
-    """A chain held by springs, without loss; ``water`` adds mass off each link's axis, mostly in sway."""
+    """Return a chain with springs and without losses; ``water`` adds mass off each link's axis."""
     bodies = [
         {
             "name": f"link{i}", "length_m": 0.1, "mass_kg": 0.3 - 0.04 * i, "com_m": 0.045,
@@ -113,7 +114,7 @@ def chain(links: int = 5, *, water: bool = False) -> dict[str, Any]:
 
 
 def one_link(*elements: dict[str, Any], plane: str = "horizontal", **link: Any) -> Assembly:
-    """One link of 0.4 m, 2 kg and 0.03 kg m2, its centre of mass at its front end."""
+    """Return one link of 0.4 m, 2 kg and 0.03 kg m2 with its centre of mass at its front end."""
     body = {
         "name": "body", "length_m": 0.4, "mass_kg": 2.0, "com_m": 0.0, "inertia_kg_m2": 0.03,
         "inertia_about": "com",
@@ -126,7 +127,7 @@ def one_link(*elements: dict[str, Any], plane: str = "horizontal", **link: Any) 
 def wrench(
     model: Assembly, u: float = 0.0, v: float = 0.0, r: float = 0.0, heading: float = 0.0
 ) -> np.ndarray:
-    """Force along and across :func:`one_link`'s body and moment about its front end."""
+    """Return forces along and across the body of :func:`one_link`, and the moment about its front end."""
     u_dot, v_dot, r_dot = accelerations(model, np.array([0.0, 0.0, heading, u, v, r]))
     return np.array([2.0 * (u_dot - r * v), 2.0 * (v_dot + r * u), 0.03 * r_dot])
 
@@ -138,9 +139,7 @@ def wrench(
 class TestLagrange:
     @pytest.mark.parametrize("base", ["free", "fixed"])
     def test_random_trees(self, base: str) -> None:
-        """Branches, offsets, mounts, springs, tendons, weight and every element, to 1e-10."""
-        from tests.generators import lagrange
-
+        """Random trees with every element agree with Lagrange's equations to 1e-10."""
         rng = np.random.default_rng(20)
         branched = 0
         for _ in range(30):
@@ -169,14 +168,12 @@ class TestLagrange:
         assert branched > 8
 
     @pytest.mark.parametrize("water", [False, True], ids=["dry", "added mass"])
-    def test_what_is_conserved(self, water: bool) -> None:
+    def test_momentum_and_energy_are_conserved(self, water: bool) -> None:
         """Energy and impulses drift with the fourth power of the step, and so does the motion.
 
         The energy of a small oscillation drifts with the fifth: the modulus of Runge-Kutta's growth
         factor departs from one by (omega h)^6 / 144 in a step.
         """
-        from tests.generators import lagrange
-
         oracle, model = lagrange.Lagrange(chain(water=water)), assembly(chain(water=water))
         rng = np.random.default_rng(3)
         bent, turning = rng.uniform(-0.3, 0.3, 4), rng.uniform(-1.0, 1.0, 4)
@@ -210,7 +207,7 @@ def tfish_body() -> dict[str, Any]:
 
 
 def values_of(model: MultilinkModel) -> np.ndarray:
-    """Start values, with the published coefficients."""
+    """Return start values with the published coefficients."""
     body = model.robot.multilink
     assert body is not None
     published = {name: c.value for name, c in body.coefficients.items()}
@@ -223,7 +220,7 @@ def swim(
     values: np.ndarray | None = None,
     pose: tuple[float, ...] = (0, 0, 0),
 ) -> np.ndarray:
-    """The built-in fish at 1.4 Hz and 30 degrees: pose, passive angle, velocities, passive rate."""
+    """Return the state of the built-in fish at 1.4 Hz and 30 degrees."""
     model = MultilinkModel(robot_format.read("tfish"), max_step=step)
     beat = drives.Beat("sine", 1.4, math.radians(30.0))
     trial = Trial("run", "fit", times, {}, swim=SwimInput(beat, pose=pose))
@@ -239,9 +236,8 @@ BETWEEN = GRID[:-1] + 0.00731
 
 @pytest.fixture(scope="module")
 def reference() -> tuple[np.ndarray, np.ndarray]:
-    """20 s of the fish by Lagrange's equations and DOP853, on the grid and between."""
+    """Return 20 s of the fish by Lagrange's equations and DOP853, on the grid and between."""
     pytest.importorskip("casadi", reason="casadi derives the equations of the oracle")
-    from tests.generators import lagrange
 
     oracle = lagrange.Lagrange(tfish_body(), density=WATER)
     times = np.sort(np.r_[GRID, BETWEEN])
@@ -264,13 +260,13 @@ class TestTendonFish:
     def test_error_against_step(
         self, step: float, speed_m_s: float, yaw_rate_deg_s: float, angle_deg: float, reference: Any
     ) -> None:
-        """Not more than twice what the documentation's table says."""
+        """The error is at most twice that of the table in the documentation."""
         error = np.abs(swim(GRID, step) - reference[0]).max(axis=0)
         assert max(error[4], error[5]) < speed_m_s
         assert math.degrees(error[6]) < yaw_rate_deg_s
         assert math.degrees(error[3]) < angle_deg
 
-    def test_awkward_sample_times(self, reference: Any) -> None:
+    def test_uneven_sample_times(self, reference: Any) -> None:
         """Interpolation between steps adds no more than the integration itself has lost.
 
         The fin's rate, whose drag has a kink at every reversal, is interpolated about as well as it is
@@ -279,8 +275,8 @@ class TestTendonFish:
         model = MultilinkModel(robot_format.read("tfish"))
         trial = Trial("run", "fit", GRID, {}, swim=SwimInput(drives.Beat("sine", 1.4, math.radians(30.0))))
         run = model.trajectory(values_of(model), trial)
-        found = engine.sampled(BETWEEN, run.begin_s, run.step_s, run.states, run.rates)
-        grid_error = np.abs(run.states[:: round(0.02 / run.step_s)] - reference[0]).max(axis=0)
+        found = engine.sampled(BETWEEN, run.grid.begin_s, run.grid.step_s, run.states, run.rates)
+        grid_error = np.abs(run.states[:: round(0.02 / run.grid.step_s)] - reference[0]).max(axis=0)
         between_error = np.abs(found - reference[1]).max(axis=0)
         assert (between_error < np.r_[np.full(7, 1.1), 3.0] * grid_error).all()
         # an uneven record, whose samples lie on no grid
@@ -297,8 +293,8 @@ class TestTendonFish:
         np.testing.assert_allclose(turned[:, 2], 0.7 + straight[:, 2], atol=1e-12)
         np.testing.assert_allclose(turned[:, 3:], straight[:, 3:], atol=1e-12)
 
-    def test_finite_differences(self) -> None:
-        """One-sided steps of 1e-6 against extrapolated central ones, by the norm of each column."""
+    def test_finite_differences_are_smooth(self) -> None:
+        """One-sided differences with steps of 1e-6 agree with extrapolated central ones by column."""
         times = np.linspace(0.0, 10.0, 501)
         model = MultilinkModel(robot_format.read("tfish"))
         base = values_of(model)
@@ -318,9 +314,7 @@ class TestTendonFish:
 
     @needs_casadi
     def test_sensitivities(self) -> None:
-        """Finite differences of the engine against variations of the independent equations."""
-        from tests.generators import lagrange
-
+        """Finite differences of the engine agree with variations of the independent equations."""
         times = np.linspace(0.0, 4.0, 201)
         model = MultilinkModel(robot_format.read("tfish"))
         names, base = [p.name for p in model.parameters], values_of(model)
@@ -343,7 +337,7 @@ class TestTendonFish:
 
 
 class TestBreakdown:
-    def test_unstable_run_ends_in_nan(self) -> None:
+    def test_an_unstable_run_ends_in_nan(self) -> None:
         body = chain(3)
         for joint in body["joints"]:
             joint["passive"]["stiffness_N_m_rad"] = 1e4
@@ -358,7 +352,7 @@ class TestBreakdown:
         assert np.isnan(rates[first:]).all()
         assert np.abs(states[:first]).max() < engine.BROKEN
 
-    def test_no_inertia_no_motion(self) -> None:
+    def test_a_robot_without_inertia_is_nan(self) -> None:
         """An apparent inertia that is not positive definite gives NaN, not numbers."""
         times = np.linspace(0.0, 1.0, 51)
         model = MultilinkModel(robot_format.read("tfish"))
@@ -411,9 +405,7 @@ def mujoco_model(body: dict[str, Any], step: float) -> Any:
 
 
 def dry_tree(rng: np.random.Generator, links: int, yielding: int, *, driven: bool) -> dict[str, Any]:
-    """A random tree of what MuJoCo knows: rigid bodies, weight, linear springs and dampers."""
-    from tests.generators import lagrange
-
+    """Return a random tree that MuJoCo can simulate: rigid bodies, weight, linear springs and dampers."""
     body = lagrange.random_tree(rng, links, yielding, fluid=False)
     for joint in body["joints"]:
         law = joint.get("passive")
@@ -429,7 +421,7 @@ def dry_tree(rng: np.random.Generator, links: int, yielding: int, *, driven: boo
 @needs_casadi
 class TestMujoco:
     def test_accelerations(self) -> None:
-        """Forward dynamics to 1e-9 of the largest acceleration."""
+        """Accelerations agree to 1e-9 of the largest one."""
         rng = np.random.default_rng(8)
         for _ in range(12):
             body = dry_tree(rng, int(rng.integers(2, 7)), int(rng.integers(1, 4)), driven=False)
@@ -584,7 +576,7 @@ class TestElements:
             assert moment == pytest.approx(-pressure * 0.4**3 / 4, rel=1e-12)
             assert fy == pytest.approx(pressure * 0.4**2 / 3, rel=1e-12)
 
-    def test_part_of_a_link(self) -> None:
+    def test_drag_on_part_of_a_link(self) -> None:
         body = one_link(
             {
                 "kind": "drag",
@@ -607,7 +599,7 @@ class TestElements:
         assert states[-1, 3] == pytest.approx(0.8 * math.exp(-1.5 * 2.0 / 2.0), rel=1e-10)
         assert states[-1, 4] == pytest.approx(-0.5 * math.exp(-3.0 * 2.0 / 2.0), rel=1e-10)
 
-    def test_damping_of_a_turn(self) -> None:
+    def test_damping_of_rotation(self) -> None:
         linear = one_link({"kind": "damping", "linear_N_m_s_rad": 0.02})
         states, _ = integrated(linear, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 3.0]), 0.005, 2.0)
         assert states[-1, 5] == pytest.approx(3.0 * math.exp(-0.02 * 2.0 / 0.03), rel=1e-10)
@@ -688,7 +680,7 @@ JOINTED, MASS_KG, ADDED_KG_M, BEAT_HZ, WAVE_M_S = 20, 1.0, 2.0, 1.0, 0.8
 
 
 def slender(drag_N_s_m: float) -> MultilinkModel:
-    """A bending wave running down a slender body that has lateral added mass and a trailing edge only."""
+    """Return a slender body with lateral added mass and a trailing edge only, and its bending wave."""
     long = 1.0 / JOINTED
     names = [f"s{i}" for i in range(JOINTED)]
     water = {"sway_kg": ADDED_KG_M * long, "inertia_kg_m2": ADDED_KG_M * long**3 / 12}
@@ -715,7 +707,7 @@ def slender(drag_N_s_m: float) -> MultilinkModel:
 
 
 def undulate(model: MultilinkModel, speed: float, times: np.ndarray) -> dict[str, np.ndarray]:
-    """The wave with joint angles of up to 4 degrees, from a given speed."""
+    """Simulate the wave with joint angles of up to 4 degrees, from a given speed."""
     values = np.array([speed if p.name == "initial_surge" else p.start for p in model.parameters])
     beat = drives.Beat("sine", BEAT_HZ, math.radians(4.0))
     return model.simulate(values, Trial("run", "fit", times, {}, swim=SwimInput(beat)))
@@ -737,9 +729,7 @@ class TestTrailingEdge:
 
     @needs_casadi
     def test_energy_goes_into_the_wake(self) -> None:
-        """Springs' energy goes into motion, drag and the wake, m u w^2 / 2 per time, and nowhere else."""
-        from tests.generators import lagrange
-
+        """The energy of springs goes into motion, drag and the wake (m u w^2 / 2 per time) only."""
         body = chain(4, water=True)
         drag = {"kind": "drag", "link": "link0", "strips": 1, "at_m": 0.0, "axial_linear_N_s_m": 0.1}
         body["elements"] += [drag, {"kind": "trailing-edge", "link": "link3", "added_mass_kg_m": 4.0}]
@@ -787,8 +777,8 @@ class TestTrailingEdge:
         assert found == pytest.approx(thrust, abs=0.5 * np.abs(slope).max() ** 2 * largest)
         assert 0.0 < speed < WAVE_M_S
 
-    def test_thrust_turns_where_the_body_outruns_the_wave(self) -> None:
-        """Without drag a body at rest gains speed, and one faster than its wave loses it."""
+    def test_thrust_changes_sign_when_the_body_is_faster_than_the_wave(self) -> None:
+        """Without drag, a body at rest gains speed, and a body faster than its wave loses speed."""
         times = np.arange(0.0, 10.0 + 1e-9, 0.01)
         for speed, sign in ((0.0, 1.0), (0.5, 1.0), (1.6, -1.0)):
             u = undulate(slender(0.0), speed, times)["u_m_s"]
@@ -796,7 +786,7 @@ class TestTrailingEdge:
 
 
 def wrench_of(model: Assembly, u: float, v: float) -> np.ndarray:
-    """Force on a single link with added mass, at a velocity without rotation."""
+    """Return the force on a single link with added mass, at a velocity without rotation."""
     a, b, c, d, e, f = model.tables(defaults(model))["inertia"][0]  # type: ignore[index]
     matrix = np.array([[a, b, c], [b, d, e], [c, e, f]])
     momentum = matrix @ [u, v, 0.0]
@@ -805,7 +795,7 @@ def wrench_of(model: Assembly, u: float, v: float) -> np.ndarray:
 
 
 def test_double_pendulum() -> None:
-    """Two equal rods hung from a wall swing at omega^2 = (3 -+ 6 / sqrt 7) g / l, each mode by itself."""
+    """Two equal rods on a wall swing at omega^2 = (3 -+ 6 / sqrt 7) g / l, one mode at a time."""
     length, mass, gravity = 0.3, 0.5, 9.81
     rod = {
         "length_m": length,

@@ -164,7 +164,9 @@ def viscous(pendulum: tuple[FitResult, Array]) -> FitResult:
 
 @pytest.mark.slow
 class TestDoublePendulum:
-    def test_what_free_swings_tell_agrees_with_the_published(self, pendulum: tuple[FitResult, Array]) -> None:
+    def test_estimates_from_free_swings_agree_with_the_published_values(
+        self, pendulum: tuple[FitResult, Array]
+    ) -> None:
         """Within 1 %; the 3 % asked of them leave room for the dry friction the published model has not."""
         result, published = pendulum
         value = result.value
@@ -187,7 +189,7 @@ class TestDoublePendulum:
         each = [np.sqrt(np.nanmean(s.residual**2)) for s in result.series if s.role == "fit"]
         assert max(each) < 0.036  # the largest with the published parameters from the first sample
 
-    def test_dry_friction_is_seen_and_lowers_the_errors(
+    def test_dry_friction_is_identified_and_lowers_the_errors(
         self, pendulum: tuple[FitResult, Array], viscous: FitResult
     ) -> None:
         """Both hinges have some, and errors fall by a fifth and more, in the windows held out too."""
@@ -218,7 +220,7 @@ class TestDoublePendulum:
 
 
 class TestFishBeat:
-    def test_the_beat_is_not_the_stated_one(self, real_data: Path) -> None:
+    def test_the_beat_differs_from_the_stated_one(self, real_data: Path) -> None:
         """The authors' scripts say 1 Hz; straight runs beat at 2.0 Hz, biased ones at 1.85 to 2.4 Hz."""
         runs = real_logs.read_fish(real_data)
         assert len(runs) == 54
@@ -293,7 +295,7 @@ class TestFish:
         each = [metrics.score(s.measured, s.simulated).nrmse for s in held_out]
         assert np.mean(each) < 0.12
 
-    def test_it_starts_from_rest(self, fish: FitResult) -> None:
+    def test_the_fish_starts_from_rest(self, fish: FitResult) -> None:
         """No speed and no turn are told; larger beats swim faster."""
         values = np.array([fish.value(p.name) if not p.per_trial else 0.0 for p in fish.parameters])
         speeds = []

@@ -241,7 +241,7 @@ def test_through_the_command_line(name: str, tmp_path: Path, swimid: Callable[..
     assert not (tmp_path / "out.csv").exists()
 
 
-def test_the_file_itself_is_right(tmp_path: Path) -> None:
+def test_the_unchanged_file_is_valid(tmp_path: Path) -> None:
     path = tmp_path / "eel.yaml"
     path.write_text(ROBOT)
     _, model = experiment.robot_model(str(path))

@@ -213,9 +213,8 @@ def test_what_the_provenance_records_is_as_ever(spec: CommandSpec) -> None:
 
 def test_the_settings_of_a_front_are_recorded_where_there_is_one() -> None:
     settings = FitGrayboxOptions.of({"method": "nsga2", "fronts": "overall"}).settings()
-    front = ["population", "generations", "crossover", "per_profile", "scales", "band"]
-    assert list(settings)[-6:] == front
-    assert settings["per_profile"] is False
+    assert list(settings)[-4:] == ["population", "generations", "fronts", "scales"]
+    assert settings["fronts"] == "overall"
 
 
 def test_only_what_was_asked_of_an_import_is_recorded() -> None:
@@ -226,7 +225,7 @@ def test_only_what_was_asked_of_an_import_is_recorded() -> None:
 @pytest.mark.parametrize(
     "words, text",
     [
-        (["fit-graybox", "t.yaml", "--resume"], "--front and --resume belong to --method nsga2 or hybrid"),
+        (["fit-graybox", "t.yaml", "--front", "f.csv"], "--front belongs to --method nsga2 or hybrid"),
         (["fit-drag", "t.yaml", "--points", "1"], "--points: '1' should be two numbers with a comma"),
         (["map", "--over", "f=1:2"], "--over: 'f=1:2' should be NAME=LOW:HIGH:COUNT"),
         (["track", "setup", "v.mp4", "--marker", "red", "-o", "s.yaml"], "--marker: 'red' must look like"),

@@ -227,7 +227,7 @@ def test_trim_returns_to_the_angle_of_statics() -> None:
     assert pitch[-1] == pytest.approx(-math.atan2(forward, below), abs=1e-6)
 
 
-def test_what_leaves_the_water_is_a_spheres_cap() -> None:
+def test_the_emerging_part_is_the_cap_of_a_sphere() -> None:
     """Floating at the depth where the cap carries the weight: (1 + d)^2 (2 - d) = 4 x 0.7."""
     body = {**_hull(hydrostatics={"volume_m3": 0.024 / 0.7, "half_height_m": 0.13}), "surface_z_m": 1.0}
     motion, time = sealion.still(body), np.array([0.0, 25.0])
@@ -236,7 +236,7 @@ def test_what_leaves_the_water_is_a_spheres_cap() -> None:
     assert (1.0 + depth) ** 2 * (2.0 - depth) / 4.0 == pytest.approx(0.7, abs=1e-6)
 
 
-def test_drag_keeps_the_files_areas_and_middles() -> None:
+def test_drag_keeps_areas_and_centres_of_the_file() -> None:
     body = sealion.read_robot()
     sums = []
     for water in (sealion.Water(), sealion.Water(slices=None)):
@@ -266,7 +266,7 @@ def test_a_symmetric_stroke_stays_in_its_plane() -> None:
         np.testing.assert_allclose(columns[name], 0.0, atol=1e-9)
 
 
-def test_the_slices_are_enough() -> None:
+def test_the_number_of_slices_is_sufficient() -> None:
     """Twice as many move no sample by a tenth of the camera's noise."""
     coarse = _stroke("characteristic", sealion.Water())
     fine = _stroke("characteristic", sealion.Water(slices=120, flipper_slices=40))
@@ -316,7 +316,7 @@ def _package(
     return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
 
 
-def test_mechanics_agree_with_the_packages(swimid: Any, tmp_path: Path) -> None:
+def test_mechanics_agree_with_the_package(swimid: Any, tmp_path: Path) -> None:
     """The same water in both, flippers out of step, so that the robot rolls, yaws and drifts.
 
     The tolerance is a thousandth of the camera's noise; the package's fixed steps of 1 ms cost less.
@@ -340,7 +340,7 @@ def test_mechanics_agree_with_the_packages(swimid: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("stroke", ["characteristic", "characteristic-pelvis"])
-def test_paths_agree_with_the_packages(swimid: Any, tmp_path: Path, stroke: str) -> None:
+def test_paths_agree_with_the_package(swimid: Any, tmp_path: Path, stroke: str) -> None:
     """Its eight strips and three a flipper against slices, and so on: a few per cent of the way."""
     theirs = _package(swimid, tmp_path, sealion.read_robot(), stroke)
     ours = {k: v[: len(theirs["x_m"])] for k, v in _stroke(stroke, sealion.Water()).items()}
@@ -392,7 +392,7 @@ def test_repeats_differ_within_their_bounds() -> None:
 
 
 @pytest.mark.slow
-def test_what_a_fit_of_the_files_law_would_find() -> None:
+def test_a_fit_of_the_file_recovers_its_coefficients() -> None:
     """Its bias, linearised, is within what a fit is to be good to: 5 % of the water, 10 % of the others."""
     body = sealion.read_robot()
     time = np.arange(262) / sealion.FRAMES_HZ

@@ -28,7 +28,7 @@ def _model(folder: Path, **drag: float) -> tuple[swimmer.Swimmer, np.ndarray]:
     return model, values
 
 
-def test_a_steady_run_is_what_a_run_from_rest_settles_on(tmp_path: Path) -> None:
+def test_a_run_from_rest_settles_on_the_steady_run(tmp_path: Path) -> None:
     model, values = _model(tmp_path, c_d=2.0, c_f=0.2)
     time = np.arange(0.0, 60.0, 0.02)
     rest = model.simulate(values, Trial("rest", "fit", time, {}, swim=SwimInput(BEAT)))

@@ -111,7 +111,7 @@ def test_energy_is_conserved_with_springs_on_all_joints(added_mass: str) -> None
     assert np.ptp(energy) < 1e-7 * energy[0]
 
 
-def test_straight_body_slows_as_quadratic_drag_says() -> None:
+def test_a_straight_body_slows_by_quadratic_drag() -> None:
     animal = swimmer.eel(added_mass="isotropic")
     columns = swimmer.swim(
         animal,
@@ -147,7 +147,7 @@ def test_foil_lifts_across_its_motion_and_drags_along_it() -> None:
         ("eel", {"frequency_hz": 1.0, "amplitude_deg": 25.0, "bias_deg": 3.0}, {}),
     ],
 )
-def test_forty_slices_are_as_good_as_eighty(
+def test_forty_slices_give_the_result_of_eighty(
     kind: str, drive: dict[str, float], options: dict[str, str]
 ) -> None:
     """A systematic error enters a fit of n samples like noise of n times the variance."""
@@ -232,7 +232,7 @@ def test_dolphin_body_has_the_volume_of_its_mass() -> None:
     assert volume == pytest.approx(4.09e-3, abs=0.005e-3)
 
 
-def test_joint_angles_bend_the_way_the_convention_says() -> None:
+def test_joint_angles_follow_the_sign_convention() -> None:
     """A steady positive bend turns the tail counter-clockwise, to starboard, and the fish to starboard."""
     columns = swimmer.simulate("eel", {}, {"frequency_hz": 1.0, "amplitude_deg": 25.0, "bias_deg": 8.0}, 12.0)
     last = columns["t_s"] > 10.0
@@ -241,7 +241,7 @@ def test_joint_angles_bend_the_way_the_convention_says() -> None:
     assert columns["yaw_rate_rad_s"][last].mean() < 0
 
 
-def test_trials_are_written_as_the_format_asks(tmp_path: Path) -> None:
+def test_trials_are_written_in_the_format(tmp_path: Path) -> None:
     drive = {"frequency_hz": 1.4, "amplitude_deg": 20.0}
     columns = swimmer.simulate("tfish", {}, drive, 4.0)
     runs = [swimmer.Run("a", drive, columns), swimmer.Run("b", drive, columns, role="validate")]

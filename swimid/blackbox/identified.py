@@ -84,9 +84,9 @@ def find_working_point(records: Sequence[Record], orders: Orders, mode: str = "a
     """
     data = regression(records, replace(orders, nc=0))
     check_enough(data, orders)
-    means = [float(np.nanmean(np.concatenate(part))) for part in _columns(records)]
+    source, output = (float(np.nanmean(np.concatenate(part))) for part in _columns(records))
     constant, t = constant_term(data)
-    point = WorkingPoint(*means, t, True)
+    point = WorkingPoint(source, output, t, True)
     removed = mode != "none"
     if mode == "auto":
         size = abs(t) * bool(abs(constant) > EXACT * np.sqrt(np.mean(data.outputs**2)))

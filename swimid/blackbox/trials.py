@@ -409,8 +409,9 @@ def _records(log: Log, name: str, columns: Columns, step_s: float, rows: slice) 
     records = []
     for piece in sampling.pieces(time, step_s):
         y = piece.take(log[columns.output][rows])
-        u = None if columns.sine else piece.take(log[columns.source][rows])
         if columns.sine:
             u = sine_input(piece.time_s, *columns.sine)
+        else:
+            u = piece.take(log[columns.source][rows])
         records.append(Record(name, piece.time_s, u, y))
     return records

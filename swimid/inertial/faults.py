@@ -84,7 +84,7 @@ def repair(record: Record) -> tuple[Record, list[Finding]]:
         text = getattr(fault, found.words).format(**found.values, count=found.count)
         if found.words == "refused":
             raise InputError(text, file=record.name, column=found.column, hint=fault.hint or None)
-        findings.append(Finding(name, found.words, text, found.count))
+        findings.append(Finding(name, found.words, text, found.count))  # type: ignore[arg-type]
     return record, findings
 
 

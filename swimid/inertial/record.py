@@ -208,7 +208,7 @@ def read_record(
         np.column_stack([columns[name] for name in names]) if set(names) <= set(columns) else None
         for names in (ACCELERATION, RATE, QUATERNION, MAGNETIC)
     ]
-    record = Record(columns[log.TIME], *parts, metadata=mapped.metadata, name=path.name)  # type: ignore[arg-type]
+    record = Record(columns[log.TIME], *parts, metadata=mapped.metadata, name=path.name)  # type: ignore[arg-type,misc]
     return record, mapped.notes
 
 

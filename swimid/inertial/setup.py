@@ -199,7 +199,8 @@ def measure_noise(record: Record, rests: list[Rest]) -> Noise:
     for values in (record.acceleration, record.rate):
         steps = np.vstack([np.diff(values[r.rows], axis=0) for r in rests])
         densities.append(np.sqrt(record.step_s / 2) * float(np.sqrt(np.mean(steps**2))))
-    return Noise(*densities, "still periods")
+    acceleration, rate = densities
+    return Noise(acceleration, rate, "still periods")
 
 
 def _moving_mean(values: Array, size: int) -> Array:

@@ -390,7 +390,8 @@ def _figures(experiment: Experiment, result: FitResult, points: list[dict[str, A
             over_frequency.append(ev.Trace(x=line, y=law, group=group))
             force.append(_points(runs, "frequency_hz", "propulsive_force_N", 1e3, group))
             terminal = _law(result, trial, line, np.full(len(line), amplitude), FAR_M)
-            force.append(ev.Trace(x=line, y=1e3 * result.model.drag_area_kg_m * terminal**2, group=group))
+            drag = result.model.drag_area_kg_m * terminal**2  # type: ignore[attr-defined]
+            force.append(ev.Trace(x=line, y=1e3 * drag, group=group))
             wake.append(_points(runs, "frequency_hz", "strouhal", 1.0, group))
         runs = [p for p in own if p["frequency_hz"] in swept]
         if runs:

@@ -1,5 +1,5 @@
-"""Robots: what is known of one before any fit, and the built-in ones as YAML.
+"""Robot files, and the built-in robots as YAML.
 
-``file`` is the robot file and finds a robot by name or path; ``planar`` holds the links, joints and
-elements of a robot in its plane, ``spatial`` those of a robot in space.
+``file`` reads a robot file by name or path. ``planar`` has the links, joints and elements of a robot in a
+plane, ``spatial`` those of a robot in space.
 """

@@ -1,7 +1,6 @@
-"""The robot file (``swimid-robot/1``): everything known of a robot before any fit.
+"""Robot file (``swimid-robot/1``): everything that is known of a robot before any fit.
 
-Built-in robots lie in ``swimid/robots`` as YAML; a user's own is a YAML file and needs no
-code.
+Built-in robots are YAML files in ``swimid/robots``. A robot of your own is a YAML file, without code.
 """
 
 from __future__ import annotations
@@ -23,14 +22,14 @@ NonNegative = Annotated[float, Field(ge=0)]
 
 
 class Fluid(yamlio.Document):
-    """The water, and the gravity it lies in."""
+    """Density of the water, and gravity."""
 
     density_kg_m3: PositiveFloat = 997.0
     gravity_m_s2: PositiveFloat = 9.81
 
 
 class Body(yamlio.Document):
-    """The body as one rigid piece."""
+    """Body of the robot as one rigid piece."""
 
     inertial_mass_kg: NonNegative | None = None
     frontal_area_m2: PositiveFloat | None = None
@@ -43,7 +42,7 @@ class Body(yamlio.Document):
 
 
 class Rig(yamlio.Document):
-    """The test rig the robot is pulled or held by."""
+    """Test rig that pulls or holds the robot."""
 
     pulley_inertia_kg: NonNegative = 0.0
     encoder_resolution_m: PositiveFloat | None = None
@@ -51,13 +50,13 @@ class Rig(yamlio.Document):
     roll_stiffness_N_m_rad: NonNegative | None = None
     pitch_stiffness_N_m_rad: NonNegative | None = None
     yaw_stiffness_N_m_rad: NonNegative | None = None
-    #: m g l of a pendulum or m g GM of a ship, whose restoring moment goes with the sine of the angle.
+    #: m g l of a pendulum, or m g GM of a ship. The restoring moment is this times the sine of the angle.
     roll_gravity_stiffness_N_m_rad: NonNegative | None = None
     pitch_gravity_stiffness_N_m_rad: NonNegative | None = None
 
 
 class Theory(yamlio.Document):
-    """An estimate from theory or tables, to put beside a measured parameter."""
+    """Value of a parameter from theory or tables, for comparison with an estimate."""
 
     parameter: str
     value: float
@@ -67,7 +66,7 @@ class Theory(yamlio.Document):
 
 
 class Fin(yamlio.Document):
-    """A caudal fin; a rectangle's inertia follows from its size, another shape's is given."""
+    """A caudal fin. The inertia of a rectangle follows from its size; that of another shape is given."""
 
     shape: Literal["rectangle", "other"] = "rectangle"
     height_m: PositiveFloat
@@ -78,13 +77,13 @@ class Fin(yamlio.Document):
 
 
 class Robot(yamlio.Document):
-    """A robot file: what is known of a robot before any fit.
+    """A robot file: everything that is known of a robot before any fit.
 
     Attributes
     ----------
     name, description : str
     sources : list of str
-        The papers its numbers come from.
+        Papers from which its quantities come.
     fluid : Fluid
         ``density_kg_m3``, ``gravity_m_s2``.
     body : Body
@@ -93,11 +92,11 @@ class Robot(yamlio.Document):
         The test rig: ``pulley_inertia_kg``, ``stiffness_N_m``, ...
     fins : dict of str to Fin
     theory : list of Theory
-        Values that theory gives, to compare estimates with.
+        Values from theory, for comparison with estimates.
     multilink, multibody : Multilink, Multibody or None
         Links, joints and elements of a robot in a plane, and of one in space.
     readings : dict of str to Reading
-        Ambiguities of the sources and how each is read.
+        Ambiguities of the sources, and the reading of each.
     """
 
     format: Literal["swimid-robot/1"]
@@ -109,17 +108,20 @@ class Robot(yamlio.Document):
     rig: Rig = Rig()
     fins: dict[str, Fin] = {}
     theory: list[Theory] = []
-    #: Links, joints and elements of a planar multi-link robot.
+    #: Links, joints and elements of a robot in a plane.
     multilink: Multilink | None = None
-    #: Links, hinges and elements of a robot that moves in space.
+    #: Links, hinges and elements of a robot in space.
     multibody: Multibody | None = None
-    #: Ambiguities of the source and the reading chosen for each.
+    #: Ambiguities of the sources, and the reading of each.
     readings: dict[str, Reading] = {}
 
     def marker_places(self, plane: Literal["horizontal", "vertical"]) -> dict[str, tuple[float, float]]:
-        """Markers seen from the reference point: forward, and to port (up in the vertical plane), m."""
+        """Return the positions of the markers relative to the reference point, m.
+
+        Each is (forward, to port), or (forward, up) in the vertical plane.
+        """
         if self.multibody is not None:
-            aside = 1 if plane == "horizontal" else 2
+            aside = {"horizontal": 1, "vertical": 2}[plane]
             origin = self.multibody.reference.at_m
             return {
                 name: (marker.at_m[0] - origin[0], marker.at_m[aside] - origin[aside])
@@ -135,18 +137,18 @@ class Robot(yamlio.Document):
 
 
 def built_in() -> list[str]:
-    """Names of the robots that ship with swimid."""
+    """Return the names of the built-in robots."""
     folder = resources.files("swimid") / "robots"
     return sorted(item.name.removesuffix(".yaml") for item in folder.iterdir() if item.name.endswith(".yaml"))
 
 
 def locate(name: str, relative_to: Path | None = None) -> Path:
-    """Path of a robot given by built-in name or by file.
+    """Return the path of a robot file from the name of a built-in robot, or from a path.
 
     Raises
     ------
     InputError
-        When it is neither; names the built-in robots.
+        When there is no such robot.
     """
     if name in built_in():
         return Path(str(resources.files("swimid") / "robots" / f"{name}.yaml"))
@@ -157,31 +159,33 @@ def locate(name: str, relative_to: Path | None = None) -> Path:
     hint = f"did you mean '{close}'? " if close else ""
     raise InputError(
         f"there is no robot '{name}'",
-        file=None if path.suffix not in (".yaml", ".yml") else path,
+        file=path if path.suffix in (".yaml", ".yml") else None,
         hint=f"{hint}built-in robots: {', '.join(built_in())}; or give the path of a robot file",
     )
 
 
 def read(name: str, relative_to: Path | None = None, *, readings: Mapping[str, str] | None = None) -> Robot:
-    """Read a robot by built-in name, or by path relative to ``relative_to``.
+    """Read a robot by the name of a built-in one, or by a path relative to ``relative_to``.
 
     Parameters
     ----------
+    name : str
+    relative_to : Path, optional
     readings : mapping of reading to option, optional
-        Other readings of the source's ambiguities than those the file chooses.
+        Readings of the source's ambiguities in place of those of the file.
 
     Raises
     ------
     InputError
         For anything wrong in the file.
     UsageError
-        For a reading or an option that is not there.
+        For an unknown reading or option.
     """
     return RobotFile(locate(name, relative_to)).read(readings or {})
 
 
 class RobotFile:
-    """A robot file, to be read in one way after another.
+    """A robot file that can be read with different readings of its sources.
 
     Parameters
     ----------
@@ -194,23 +198,22 @@ class RobotFile:
         self._written = yamlio.validate(self._data, Robot, path)
 
     def read(self, readings: Mapping[str, str]) -> Robot:
-        """The robot with other readings than those the file chooses (see :func:`read`)."""
+        """Return the robot with other readings than those of the file (see :func:`read`)."""
         written, path = self._written.readings, self.path
         chosen = {key: reading.chosen for key, reading in written.items()}
         for key, option in readings.items():
-            if key not in chosen or option not in written[key].options:
-                known = list(chosen) if key not in chosen else list(written[key].options)
-                what = f"reading '{key}'"
-                if key in chosen:
-                    what = f"option '{option}' of the {what}"
+            unknown, known = f"reading '{key}'", list(chosen)
+            if key in chosen:
+                unknown, known = f"option '{option}' of the {unknown}", list(written[key].options)
+            if (option if key in chosen else key) not in known:
                 raise UsageError(
-                    f"the robot '{self._written.name}' has no {what}",
+                    f"the robot '{self._written.name}' has no {unknown}",
                     hint=f"there are: {', '.join(known) or 'none'}",
                 )
             chosen[key] = option
-        changes = {
-            k: v for key, option in chosen.items() for k, v in written[key].options[option].set.items()
-        }
+        changes: dict[str, Any] = {}
+        for key, option in chosen.items():
+            changes.update(written[key].options[option].set)
         if not changes and all(written[key].chosen == option for key, option in chosen.items()):
             return self._written
         patched = yamlio.plain(self._data)
@@ -227,7 +230,7 @@ class RobotFile:
 
 
 def _put(data: Any, place: str, value: Any, path: Path) -> None:
-    """Set a dotted path; members of lists go by their name or their number."""
+    """Set the value at a dotted path, in which members of lists have their name or number."""
     *way, last = place.split(".")
     for part in way:
         data = data[_key(data, part, place, path)]
@@ -249,16 +252,19 @@ def _key(data: Any, part: str, place: str, path: Path) -> Any:
 
 
 def _member(data: Any, part: str) -> Any:
-    """Key or number of a member, of a list by its name or its number; None where there is no such member."""
+    """Return the key of a member, or its index in a list by name or number; None if there is none."""
     if isinstance(data, list):
-        named = [i for i, m in enumerate(data) if isinstance(m, dict) and m.get("name") == part]
-        index = named[0] if named else int(part) if part.isdigit() else len(data)
-        return index if index < len(data) else None
-    return part if isinstance(data, dict) and part in data else None
+        for index, member in enumerate(data):
+            named = isinstance(member, dict) and member.get("name") == part
+            if named or part == str(index):
+                return index
+    elif isinstance(data, dict) and part in data:
+        return part
+    return None
 
 
 def located(error: InputError, path: Path) -> InputError:
-    """The same error with its file and line, from the dotted path in its ``column``."""
+    """Return an error with its file and line, which follow from the dotted path in its ``column``."""
     whole = data = yamlio.load(path)
     location: list[str | int] = []
     for part in (error.column or "").split("."):

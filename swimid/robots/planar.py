@@ -1,8 +1,8 @@
-"""Links, joints and hydrodynamic elements of a planar multi-link robot, as the robot file holds them.
+"""Links, joints and hydrodynamic elements of a robot in a plane, as they are in the robot file.
 
-Stations along a link are measured from its front end backwards, offsets to port (upwards in the
-vertical plane). Any physical number may be a product with named coefficients, ``"2.133 * c_ma"``:
-those are the parameters a gray-box fit estimates.
+Stations along a link count from its front end backwards, offsets to port (upwards in the vertical plane). Any
+physical quantity may be a product with named coefficients, such as ``"2.133 * c_ma"``. A gray-box fit
+estimates these coefficients.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from pydantic import AfterValidator, BeforeValidator, Field, PositiveFloat, mode
 
 from swimid.files import yamlio
 
-#: A factor of a quantity: the name of a coefficient.
+#: Pattern of the name of a coefficient.
 NAME = re.compile(r"[A-Za-z_]\w*")
 
 
 def factors(quantity: float | str) -> tuple[float, tuple[str, ...]]:
-    """Number and coefficient names of a quantity.
+    """Return the numeric factor and the coefficient names of a quantity.
 
     Raises
     ------
@@ -58,31 +58,36 @@ def _quantity(value: Any) -> Any:
     return value
 
 
-#: A number, or a product of numbers and coefficients.
+#: Number, or product of numbers and coefficients.
 Quantity = Annotated[float | str, BeforeValidator(_quantity)]
 
 
 class Coefficient(yamlio.Document):
-    """A named coefficient: what is known of it before a fit."""
+    """A named coefficient, with what is known before a fit."""
 
     value: float
     unit: str = "1"
     bounds: tuple[float | None, float | None] = (None, None)
-    #: Where a fit starts; default the value.
+    #: Start value of a fit; default: the value.
     start: float | None = None
-    #: Typical size: an uncertainty above half of it (or of the value) is no estimate.
+    #: Typical size. An estimate with a standard error above half of it and of its value is not identifiable.
     scale: PositiveFloat | None = None
-    #: Estimated unless the user says otherwise.
+    #: Whether a fit estimates it by default.
     free: bool = True
-    #: Each trial has a value of its own: how the robot was trimmed, say.
+    #: Whether each trial has a value of its own, such as the trim of the robot.
     per_trial: bool = False
     meaning: str = ""
     source: str = ""
 
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Bounds, infinite where the file has none."""
+        low, high = self.bounds
+        return -math.inf if low is None else low, math.inf if high is None else high
+
     @model_validator(mode="after")
     def _in_bounds(self) -> Coefficient:
-        low = -float("inf") if self.bounds[0] is None else self.bounds[0]
-        high = float("inf") if self.bounds[1] is None else self.bounds[1]
+        low, high = self.limits
         if not low < high:
             raise ValueError(f"the bounds are the wrong way round: {self.bounds[0]} {self.bounds[1]}")
         for name, value in (("value", self.value), ("start", self.start)):
@@ -102,7 +107,7 @@ Coefficients = Annotated[dict[str, Coefficient], AfterValidator(_named)]
 
 
 class Link(yamlio.Document):
-    """A rigid link; its frame sits at its front end, x forward."""
+    """A rigid link with its origin at its front end and x forward."""
 
     name: str
     length_m: PositiveFloat
@@ -111,7 +116,7 @@ class Link(yamlio.Document):
     com_m: Quantity
     com_offset_m: Quantity = 0.0
     inertia_kg_m2: Quantity
-    #: The point the inertia is given about.
+    #: Point about which the inertia is given.
     inertia_about: Literal["front", "com"]
 
 
@@ -123,7 +128,7 @@ class Servo(yamlio.Document):
 
 
 class Tendon(yamlio.Document):
-    """A wire and spring that pull a joint straight (tendon fish, Eqs 3 and 4)."""
+    """A wire with a spring that pulls a joint straight (tendon fish, Eqs 3 and 4)."""
 
     spring_N_m: Quantity
     pretension_m: Quantity
@@ -134,53 +139,53 @@ class Tendon(yamlio.Document):
     def _crank_shorter(self) -> Tendon:
         if self.crank_m >= self.arm_m:
             raise ValueError(
-                "crank_m must be shorter than arm_m, else the wire is loose at zero angle (Eq 3)"
+                "crank_m must be shorter than arm_m; otherwise the wire is loose at zero angle (Eq 3)"
             )
         return self
 
 
 class Driven(yamlio.Document):
-    """A joint that follows the drive, or a measured angle."""
+    """Law of a joint that follows the drive, or a measured angle."""
 
-    #: Share of the drive's amplitude and, unless ``bias_gain`` says otherwise, of its bias.
+    #: Share of the drive's amplitude, and of its bias unless ``bias_gain`` is given.
     gain: float = 1.0
     bias_gain: float | None = None
-    #: Phase of this joint behind the drive's, degrees.
+    #: Phase lag of this joint behind the drive, degrees.
     phase_lag_deg: float = 0.0
     servo: Servo | None = None
 
 
 class Yielding(yamlio.Document):
-    """A hinge that yields: spring and damper."""
+    """Law of a passive joint: spring, damper and dry friction."""
 
     stiffness_N_m_rad: Quantity = 0.0
     cubic_N_m_rad3: Quantity = 0.0
     damping_N_m_s_rad: Quantity = 0.0
     quadratic_damping_N_m_s2_rad2: Quantity = 0.0
-    #: Dry friction, rounded off below ``friction_below_rad_s``.
+    #: Dry friction, smoothed at rates below ``friction_below_rad_s``.
     friction_N_m: Quantity = 0.0
     friction_below_rad_s: PositiveFloat = 0.02
     rest_deg: float = 0.0
 
 
 class Passive(Yielding):
-    """A joint that yields: spring, damper, or wire and spring."""
+    """Law of a passive joint in a plane, which may have a tendon."""
 
     tendon: Tendon | None = None
 
 
 class Joint(yamlio.Document):
-    """A hinge between two links; its angle is positive when the child is turned counter-clockwise."""
+    """A joint between two links. A positive angle turns the child counter-clockwise."""
 
     name: str
     parent: str
     child: str
-    #: Station on the parent; default its rear end.
+    #: Station on the parent; default: its rear end.
     at_m: Quantity | None = None
     offset_m: Quantity = 0.0
-    #: Angle between the links when the joint's own angle is zero.
+    #: Angle between the links at zero joint angle.
     mount_deg: float = 0.0
-    #: One of the two; without either the links are joined rigidly.
+    #: At most one of the two. Without either, the links are joined rigidly.
     driven: Driven | None = None
     passive: Passive | None = None
 
@@ -192,15 +197,15 @@ class Joint(yamlio.Document):
 
 
 class OnLink(yamlio.Document):
-    """What acts on a link."""
+    """An element of a link."""
 
     link: str
-    #: For readings to refer to.
+    #: Name by which readings refer to it.
     name: str = ""
 
 
 class AddedMass(OnLink):
-    """Added mass and inertia of a link, as if a body of that mass sat at a station."""
+    """Added mass and inertia of a link, concentrated at a station."""
 
     kind: Literal["added-mass"]
     surge_kg: Quantity = 0.0
@@ -211,7 +216,7 @@ class AddedMass(OnLink):
 
 
 class Drag(OnLink):
-    """Morison drag, axial and normal, at one station or spread evenly along the link."""
+    """Morison drag along and across a link, at one station or evenly along the link."""
 
     kind: Literal["drag"]
     axial_area_m2: Quantity = 0.0
@@ -221,7 +226,7 @@ class Drag(OnLink):
     #: Linear drag of the whole element.
     axial_linear_N_s_m: Quantity = 0.0
     normal_linear_N_s_m: Quantity = 0.0
-    #: Gauss strips along the link; 1 is a point at ``at_m`` (default mid-link).
+    #: Number of Gauss strips along the link; 1 is a point at ``at_m`` (default: the middle of the link).
     strips: Annotated[int, Field(ge=1, le=200)] = 3
     at_m: Quantity | None = None
     from_m: float | None = None
@@ -238,7 +243,7 @@ class Drag(OnLink):
 
 
 class Damping(OnLink):
-    """Moment against a link's rotation."""
+    """Moment against the rotation of a link."""
 
     kind: Literal["damping"]
     linear_N_m_s_rad: Quantity = 0.0
@@ -246,7 +251,7 @@ class Damping(OnLink):
 
 
 class Section(yamlio.Document):
-    """A cross-section: its station, height normal to the plane of bending forces, and girth."""
+    """A cross-section of a link: its station, its height normal to the plane of motion, and its perimeter."""
 
     station_m: Annotated[float, Field(ge=0)]
     height_m: Annotated[float, Field(ge=0)]
@@ -254,10 +259,10 @@ class Section(yamlio.Document):
 
 
 class SlenderBody(OnLink):
-    """Strips over a link of varying cross-section (dolphin, Eqs 4, 7 and 8)."""
+    """Strips along a link of varying cross-section (dolphin, Eqs 4, 7 and 8)."""
 
     kind: Literal["slender-body"]
-    #: Stations from the link's front end, linear in between.
+    #: Cross-sections from the front end, with linear interpolation between them.
     sections: Annotated[list[Section], Field(min_length=2)]
     added_mass_coefficient: Quantity = 0.0
     friction_coefficient: Quantity = 0.0
@@ -276,14 +281,14 @@ class SlenderBody(OnLink):
 class Foil(OnLink):
     """Lift and drag of a fin at one point (dolphin, Eq 9).
 
-    Polar of a flat plate: C_l = lift sin(2 a), C_d = drag0 + drag1 (1 - cos(2 a)).
+    The polar is that of a flat plate: C_l = lift sin(2 a), C_d = drag0 + drag1 (1 - cos(2 a)).
     """
 
     kind: Literal["foil"]
     area_m2: Quantity
     at_m: Quantity
     offset_m: Quantity = 0.0
-    #: Angle of the chord against the link's axis.
+    #: Angle of the chord from the axis of the link.
     chord_deg: float = 0.0
     lift_coefficient: Quantity
     drag_coefficient_0: Quantity = 0.0
@@ -293,14 +298,14 @@ class Foil(OnLink):
 class TrailingEdge(OnLink):
     """Momentum shed into the wake where a slender body or its caudal fin ends (Lighthill 1971).
 
-    Belongs with lateral added mass of the links, whose impulse is the other part of Lighthill's force.
-    A fin that also has a foil's lift has its force counted twice.
+    Use it with lateral added mass of the links, whose impulse is the other part of Lighthill's force. Use
+    either a trailing edge or a foil on a fin, never both: each accounts for the whole force.
     """
 
     kind: Literal["trailing-edge"]
-    #: Lateral added mass per length at the edge: rho pi h^2 / 4 for an edge h high.
+    #: Lateral added mass per length at the edge: rho pi h^2 / 4 for an edge of height h.
     added_mass_kg_m: Quantity
-    #: Default the link's rear end.
+    #: Station of the edge; default: the rear end of the link.
     at_m: Quantity | None = None
     offset_m: Quantity = 0.0
 
@@ -332,15 +337,15 @@ Element = Annotated[
 
 
 class ReadingOption(yamlio.Document):
-    """One reading of an ambiguous symbol, and what it changes in the file."""
+    """One reading of an ambiguous symbol, and its changes to the file."""
 
     says: str
-    #: Dotted paths into the file (``elements.0.axial_area_m2``; list members by name or number).
+    #: New values by dotted path (``elements.0.axial_area_m2``, with members of lists by name or number).
     set: dict[str, Any] = {}
 
 
 class Reading(yamlio.Document):
-    """An ambiguity of the source, its readings, and the one chosen."""
+    """An ambiguity of the source, its possible readings, and the chosen one."""
 
     question: str
     chosen: str
@@ -354,14 +359,14 @@ class Reading(yamlio.Document):
 
 
 class Reference(yamlio.Document):
-    """A point of the first link: the one whose pose the logs hold, or a marker that a camera follows."""
+    """A point of the first link: the point whose pose is logged, or a marker."""
 
     station_m: float = 0.0
     offset_m: float = 0.0
 
 
 class Multilink(yamlio.Document):
-    """A planar tree of links."""
+    """A tree of links in a plane."""
 
     plane: Literal["horizontal", "vertical"]
     base: Literal["free", "fixed"] = "free"

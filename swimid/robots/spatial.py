@@ -1,9 +1,8 @@
-"""Links, hinges and hydrodynamic elements of a robot that moves in space, as the robot file holds them.
+"""Links, hinges and hydrodynamic elements of a robot in space, as they are in the robot file.
 
-Every link has axes of its own: x forward, y to port, z up when all hinges are straight, with its origin at
-the hinge that holds it (of the first link, the base, wherever the file's author put it). Places are given in
-the axes of the link they belong to. Any physical number may be a product with named coefficients, as in a
-planar robot (:mod:`swimid.robots.planar`).
+Every link has its own axes: x forward, y to port, z up when all hinges are straight. Their origin is at the
+hinge that holds the link; for the first link, the base, it is anywhere. Places are given in the axes of their
+link. Any physical quantity may be a product with named coefficients, as in :mod:`swimid.robots.planar`.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from pydantic import Field, PositiveFloat, model_validator
 from swimid.files import yamlio
 from swimid.robots.planar import Coefficients, Driven, OnLink, Quantity, Yielding
 
-#: Along the axes of a link.
+#: Vector along the axes of a link.
 Vector = tuple[Quantity, Quantity, Quantity]
 Direction = tuple[float, float, float]
 ZERO: Vector = (0.0, 0.0, 0.0)
@@ -29,12 +28,12 @@ def _unit(direction: Direction, name: str) -> None:
 
 
 class Body(yamlio.Document):
-    """A rigid link; one without mass only carries a further hinge."""
+    """A rigid link. A link without mass only connects two hinges."""
 
     name: str
     mass_kg: Quantity = 0.0
     com_m: Vector = ZERO
-    #: About the centre of mass: xx, yy, zz and, where the link is not symmetric, xy, xz, yz.
+    #: Inertia about the centre of mass: xx, yy, zz and, if the link is not symmetric, xy, xz, yz.
     inertia_kg_m2: Annotated[list[Quantity], Field(min_length=3, max_length=6)] = [0.0, 0.0, 0.0]
 
     @model_validator(mode="after")
@@ -45,19 +44,19 @@ class Body(yamlio.Document):
 
 
 class Hinge(yamlio.Document):
-    """A hinge between two links; a positive angle turns the child right-handed about the axis."""
+    """A hinge between two links. A positive angle turns the child right-handed about the axis."""
 
     name: str
     parent: str
     child: str
     #: Place on the parent.
     at_m: Vector = ZERO
-    #: In the axes of the child, where the angle is zero those of the parent turned by ``mount_deg``.
+    #: Axis, in the axes of the child. At zero angle these are the axes of the parent turned by ``mount_deg``.
     axis: Direction
-    #: How the child's axes are turned against the parent's at zero angle: about x, then the old y, then the
-    #: old z, right-handed, degrees.
+    #: Rotation of the child's axes from the parent's at zero angle: about x, then y, then z of the parent,
+    #: right-handed, degrees.
     mount_deg: Direction = (0.0, 0.0, 0.0)
-    #: One of the two; without either the links are joined rigidly.
+    #: At most one of the two. Without either, the links are joined rigidly.
     driven: Driven | None = None
     passive: Yielding | None = None
 
@@ -70,7 +69,7 @@ class Hinge(yamlio.Document):
 
 
 class AddedMass(OnLink):
-    """Added mass along the link's axes at a point, and added inertia about them."""
+    """Added mass along the axes of a link at a point, and added inertia about these axes."""
 
     kind: Literal["added-mass"]
     mass_kg: Vector = ZERO
@@ -86,10 +85,10 @@ class Spheroid(OnLink):
     semi_major_m: PositiveFloat
     semi_minor_m: PositiveFloat
     at_m: Vector = ZERO
-    #: What the added masses along x, y and z are multiplied with; turning about y moves water along z and
-    #: that about z along y, so these factors apply to the added inertias, too.
+    #: Factors on the added masses along x, y and z. Rotation about y moves water along z, and rotation about
+    #: z along y, so that they also apply to the added inertias.
     factors: Vector = (1.0, 1.0, 1.0)
-    #: Whether turning about y and z moves water, too (not in the paper).
+    #: Whether rotation about y and z has added inertia (not in the paper).
     turning: bool = True
 
     @model_validator(mode="after")
@@ -119,8 +118,8 @@ class Plate(OnLink):
 class Drag(OnLink):
     """Drag ``-rho/2 C A |v| v`` along each axis of the link, at a point or on strips between two.
 
-    Strips stand at the points of Gauss and Legendre with their weights: few are enough where the whole row is
-    of one make. A row whose pieces have coefficients of their own is one element for each.
+    The strips are at the points of the Gauss-Legendre rule. A few are enough for a row with one coefficient.
+    A row of pieces with different coefficients needs one element for each.
     """
 
     kind: Literal["drag"]
@@ -128,10 +127,10 @@ class Drag(OnLink):
     coefficient: Vector = (1.0, 1.0, 1.0)
     linear_N_s_m: Vector = ZERO
     at_m: Vector = ZERO
-    #: The far end of a row of strips that begins at ``at_m``; areas are those of the whole row.
+    #: Far end of a row of strips that begins at ``at_m``. The area is that of the whole row.
     to_m: Vector | None = None
     strips: Annotated[int, Field(ge=1, le=200)] = 1
-    #: Half the height over which it leaves the water; without it it never does.
+    #: Half the height over which it leaves the water; without it, it is always in the water.
     half_height_m: PositiveFloat | None = None
 
     @model_validator(mode="after")
@@ -142,7 +141,7 @@ class Drag(OnLink):
 
 
 class Damping(OnLink):
-    """Moments against a link's rotation about its axes."""
+    """Moments against the rotation of a link about its axes."""
 
     kind: Literal["damping"]
     linear_N_m_s_rad: Vector = ZERO
@@ -150,9 +149,10 @@ class Damping(OnLink):
 
 
 class Foil(OnLink):
-    """Lift and drag of a fin at one point, with the polar of a flat plate; flow along its span does nothing.
+    """Lift and drag of a fin at one point, with the polar of a flat plate.
 
-    C_l = lift sin(2 a), C_d = drag0 + drag1 (1 - cos(2 a)), a between the chord and the motion.
+    C_l = lift sin(2 a), C_d = drag0 + drag1 (1 - cos(2 a)), with a the angle between chord and motion. Flow
+    along the span has no effect.
     """
 
     kind: Literal["foil"]
@@ -179,21 +179,20 @@ class Hydrostatics(OnLink):
 
     kind: Literal["hydrostatics"]
     volume_m3: Quantity = 0.0
-    #: Centre of buoyancy; default the centre of mass.
+    #: Centre of buoyancy; default: the centre of mass.
     buoyancy_at_m: Vector | None = None
     half_height_m: PositiveFloat | None = None
 
 
 class Water(OnLink):
-    """Water inside the hull that moves with it."""
+    """Water inside a hull that moves with the hull."""
 
     kind: Literal["water"]
     volume_m3: Quantity
     at_m: Vector = ZERO
-    #: Radii of gyration of the water about its own middle.
+    #: Radii of gyration of the water about its centre.
     gyration_m: Direction = (0.0, 0.0, 0.0)
-    #: Whether the volumes of the hydrostatics count the space it fills as displaced: the water then
-    #: weighs, and moves the trim.
+    #: Whether the volumes of the hydrostatics include the space of this water. Its weight then counts.
     weighs: bool = False
 
 
@@ -213,10 +212,10 @@ Element = Annotated[
 
 
 class Stroke(yamlio.Document):
-    """A cycle of driven hinges: angles at times, smooth and periodic in between."""
+    """A cycle of driven hinges: angles at times, with a smooth and periodic interpolation."""
 
     period_s: PositiveFloat
-    #: Times of the knots, from 0 to the period, and each hinge's angle there; the last equals the first.
+    #: Times of the knots from 0 to the period, and the angles of each hinge there. The last equals the first.
     knots_s: Annotated[list[float], Field(min_length=4)]
     angles_deg: dict[str, list[float]]
 
@@ -235,7 +234,7 @@ class Stroke(yamlio.Document):
 
 
 class Reference(yamlio.Document):
-    """A point of the first link: the one whose pose the logs hold, or a marker that a camera follows."""
+    """A point of the first link: the point whose pose is logged, or a marker."""
 
     at_m: Direction = (0.0, 0.0, 0.0)
 
@@ -246,7 +245,7 @@ class Multibody(yamlio.Document):
     base: Literal["free", "fixed"] = "free"
     reference: Reference = Reference()
     markers: dict[str, Reference] = {}
-    #: Height of the water's surface in the world; without it there is none near.
+    #: Height of the water surface in the world; without it the robot is deep in the water.
     surface_z_m: float | None = None
     coefficients: Coefficients = {}
     links: Annotated[list[Body], Field(min_length=1)]

@@ -34,9 +34,9 @@ from swimid.simulation import catalogue
 from swimid.simulation.catalogue import Applied, Compute, Quantity
 from swimid.simulation.options import SimulateOptions
 from swimid.simulation.swim_quantities import SwimRun, quantity
+from swimid.swimmer import drive
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.model import Swimmer
-from swimid.swimmer.planar import drive
 
 #: Default duration of a run, s, and default sample rate, Hz.
 DURATION_S, RATE_HZ = 15.0, 50.0

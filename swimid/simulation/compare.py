@@ -530,8 +530,8 @@ def _speed_figure(file: ComparisonFile) -> list[ev.Figure]:
         if len(levels) > 2:
             traces += _pair((x, levels), (y, means), tail, group)
             continue
-        measured = [float(np.mean(y[x == level])) for level in levels]
-        for k, (word, bars) in enumerate({"measured": measured, "simulated": means}.items()):
+        heights = {"measured": [float(np.mean(y[x == level])) for level in levels], "simulated": means}
+        for k, (word, bars) in enumerate(heights.items()):
             traces.append(
                 ev.Trace(x=levels, y=bars, style="bars", label=f"{word}{tail}", group=2 * group + k)
             )

@@ -1,8 +1,9 @@
-"""Robots with links, in their plane and in space: ``swimid fit-graybox``.
+"""Robots with links, in a plane and in space: ``swimid fit-graybox``.
 
-``trials`` turns logs into trials, ``fit_graybox`` is the command with its evidence, ``options`` its options;
-``front`` is its search of several objectives. ``model`` simulates a robot whose links are a ``tree`` with
-numbers that are polynomials in the coefficients. ``planar`` and ``spatial`` each hold a compiled engine, the
-assembly of its tables from a robot file, and the model. ``lanes`` compiles an engine for several runs
-side by side. ``limit_cycle`` finds steady swimming, ``energetics`` the powers and energies of a run.
+``fit_graybox`` is the command with its evidence, ``options`` its options, ``front`` its search of Pareto
+fronts. ``trials`` turns logs into trials. ``model`` simulates a robot: ``tree`` has its links with tables
+that are polynomials in the coefficients, ``drive`` the motion of its driven joints, ``steady`` its steady
+swimming on a ``limit_cycle``. ``planar`` and ``spatial`` each hold a compiled engine, the assembly of its
+tables from a robot file, and the model. ``lanes`` compiles an engine for batches of runs. ``energetics``
+computes the powers of a run.
 """

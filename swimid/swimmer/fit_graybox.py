@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from swimid.errors import InputError, Interrupted, NoTrustworthyResult
 from swimid.files import atomic, provenance
+from swimid.files.checkpoint import Checkpoint
 from swimid.fitting import covariance, fit_common, global_search, metrics, mistakes, output_error
 from swimid.fitting.drives import Beat
 from swimid.fitting.experiment import Experiment
@@ -37,10 +38,17 @@ from swimid.swimmer import trials as swimmer
 from swimid.swimmer.options import FitGrayboxOptions
 
 if TYPE_CHECKING:
-    from swimid.swimmer.front import Found
+    from swimid.swimmer.front import FrontResult
 
-#: Jacobians that a fit takes, about; the work ahead need be known to half only.
-STEPS = 20
+#: Typical number of Jacobians in a fit. The amount of simulation ahead need be known within a factor of two.
+N_JACOBIANS = 20
+#: Number of starts if the user gives none and one start is not enough.
+DEFAULT_STARTS = 4
+#: Maximum number of integration steps of a quick fit. They take about a second on one processor (1.3 us for a
+#: step of the tendon fish, benchmarks.bench_lanes).
+MAX_QUICK_STEPS = 1e6
+#: Maximum number of points of a measured path in a figure.
+MAX_PATH_POINTS = 200
 
 
 @takes(FitGrayboxOptions)
@@ -51,29 +59,27 @@ def fit_graybox(
     output: Path | None = None,
     progress: Progress = silent,
 ) -> Fitted:
-    """Identify the coefficients of a multi-link robot by output error over all trials at once.
+    """Identify the coefficients of a robot with links by output error over all trials at once.
 
-    Or by a Pareto front and a point chosen on it, or by output error that starts on the front. Of several
-    starts over the bounds the first is the given one. What a subset leaves out is fixed, least identifiable
-    first. Do not use a coefficient by itself whose status is ``"unidentifiable"`` (the trials tell it only
+    Other methods are a Pareto front with a point chosen on it, and output error that starts on the front. Do
+    not use a coefficient by itself if its status is ``"unidentifiable"`` (the trials determine it only
     together with others) or ``"at-bound"`` (its bound stopped it).
 
     Parameters
     ----------
     trials : path or TrialSet
-        Trials: a file, or what :func:`swimid.load` gives.
-        Of a free-swim or multibody experiment with a robot that has links.
+        Trials of a free-swim or multibody experiment with a robot that has links: a trials file, or the
+        result of :func:`swimid.load`.
     output : path, optional
-        Parameter file to write; its evidence goes beside it.
+        Parameter file to write. Its evidence is written beside it.
     progress : Progress
-        Shows the search.
 
     Returns
     -------
     Fitted
-        ``.parameters`` has the coefficients of the robot file, each in the unit that stands there (mostly 1),
-        and the start of each trial, ``start_x[f10a20]`` (m), ``start_yaw[f10a20]`` (rad). ``.correlation``,
-        ``.converged`` and ``.verdict`` say how far to trust them.
+        ``.parameters`` has the coefficients of the robot file, each in its unit there (mostly 1), and the
+        start of each trial, ``start_x[f10a20]`` (m), ``start_yaw[f10a20]`` (rad). ``.correlation``,
+        ``.converged`` and ``.verdict`` show how far to trust them.
 
     Raises
     ------
@@ -81,7 +87,7 @@ def fit_graybox(
         For bad files and options.
     NoTrustworthyResult
         When nothing can be identified. Also when the search did not converge, or was interrupted
-        (:class:`Interrupted`): what it has is then written first, marked so.
+        (:class:`Interrupted`): the result so far is then written first, and marked.
 
     References
     ----------
@@ -126,125 +132,221 @@ def fit_graybox(
             start_state=options.start_state,
             max_step=options.dt,
         )
-        model, begin = _tied(experiment.model, options.share), options.start_from
-        choices = fit_common.prepare(
+        model, begin = _with_shared(experiment.model, options.share), options.start_from
+        parameters = model.parameters
+        if begin is not None:
+            parameters = _started_from(begin, parameters, options.share)
+        parameters = fit_common.prepare(
             experiment,
             output,
-            parameters=model.parameters if begin is None else _begun(model.parameters, begin, options.share),
+            parameters=parameters,
             fixed=options.fixed,
             freed=options.freed,
             bounds=options.bounds,
             also=[begin] if isinstance(begin, Path) else [],
         )
-        _insist_steady(experiment, choices)
-        ahead_s = _simulated_s(experiment.trials, choices, options)
+        _require_steady_swimming(experiment, parameters)
         files = [parameters_format.origin(p) for p in (begin, options.front) if p is not None]
         origin = provenance.collect([*experiment.inputs, *files], settings=options.settings())
-        found: Found | None = None
-        ends: list[global_search.Start] = []
-        starts = 1
-        if options.method == "least-squares":
-            model.prepare(progress, simulated_s=ahead_s)
-            result, ends, starts = _least_squares(model, experiment.trials, choices, None, options, progress)
-        else:
-            from swimid.swimmer import front
-
-            keep = front.kept(output, [origin["inputs"], origin["settings"]], options)
-            model.prepare(progress, simulated_s=ahead_s, checkpoint=keep)
-            found, result = front.fit(experiment, model, choices, options, keep, progress)
-            if options.method == "hybrid":
-                begins = found.begins(options.starts or 1)
-                result, ends, starts = _least_squares(
-                    model, experiment.trials, choices, begins, options, progress
-                )
-        left_out: list[str] = []
-        if options.subset and result.converged:
-            result = _starting_here(result, experiment)
-            result, left_out = global_search.select_subset(result, jobs=options.jobs, progress=progress)
-        result = output_error.with_held_out(result)
-        file = _file(experiment, result, origin, left_out, output, trials, options)
+        search = _search(experiment, model, parameters, options, output, origin, progress)
+        result = output_error.with_held_out(search.result)
+        file = _parameter_file(experiment, result, origin, search.left_out, output, trials, options)
         checks = [
             *fit_common.checks(result, file),
             *fit_common.error_checks(result),
             fit_common.beat_check(experiment.facts["beats"]),
         ]
-        if ends:
-            checks.append(starts_check(ends, asked=options.starts is not None))
-        told: mistakes.Explanation | None = None
+        if search.ends:
+            checks.append(_starts_check(search.ends, asked=options.starts is not None))
+        explanation: mistakes.Explanation | None = None
+        notes = []
         if options.method == "least-squares":
             before = {t.id: _misfits(result, t) for t in result.trials}
             if mistakes.is_suspect(checks, before):
                 known = mistakes.catalogue(model, result.trials)
-                told = _explained(result, known, before, options, progress)
-                checks.append(mistakes.check(told, len(known)))
+                explanation = _explain(result, known, before, options, progress)
+                checks.append(mistakes.check(explanation, len(known)))
+                notes = [e.sentence for e in (explanation,) if e is not None]
     evidence = ev.Evidence(
         verb="fit-graybox",
         title=f"Gray-box identification of {experiment.robot.name}",
         verdict=ev.judged(fit_common.answer(file), checks),
-        notes=[] if told is None else [told.sentence],
+        notes=notes,
         checks=checks,
-        tables=tables(experiment, result, ends),
-        figures=[*track(experiment, result), *fit_common.figures(result)],
+        tables=_tables(experiment, result, search.ends),
+        figures=[*_track(experiment, result), *fit_common.figures(result)],
         notices=blocks.notices(notices),
-        methods=methods(experiment, result, ends, left_out, options.method),
+        methods=_methods(experiment, result, search, options.method),
         references=list(experiment.robot.sources),
         provenance=origin,
     )
-    if found is not None:
-        front.show_in(evidence, found, result, options)
     with atomic.together():
-        fitted = Fitted.of(file, evidence).saved(output)
-        if found is not None and output is not None:
-            fitted = replace(fitted, outputs=[*fitted.outputs, *front.save(output, found, options)])
-            keep.done()
-    _insist(result, file, ends, starts, trials, output, told)
+        if search.front is None:
+            fitted = Fitted.of(file, evidence).saved(output)
+        else:
+            from swimid.swimmer import front
+
+            front.add_evidence(evidence, search.front, result, options)
+            fitted = Fitted.of(file, evidence).saved(output)
+            if output is not None:
+                points = front.save(output, search.front, options)
+                fitted = replace(fitted, outputs=[*fitted.outputs, *points])
+                search.checkpoint.done()
+    _require_result(result, file, search, trials, output, explanation)
     return fitted
 
 
-def _insist(
+@dataclass(frozen=True)
+class _Search:
+    """A finished search.
+
+    Attributes
+    ----------
+    result : FitResult
+    front : FrontResult or None
+        Pareto front, if one was searched.
+    checkpoint : Checkpoint
+        Generations of the front.
+    ends : list of Start
+        End of each start, if there were several.
+    starts : int
+        Number of starts that were planned.
+    left_out : list of str
+        Coefficients that were fixed because they are not identifiable.
+    """
+
+    result: FitResult
+    front: FrontResult | None = None
+    checkpoint: Checkpoint = field(default_factory=Checkpoint)
+    ends: list[global_search.Start] = field(default_factory=list)
+    starts: int = 1
+    left_out: list[str] = field(default_factory=list)
+
+
+def _search(
+    experiment: Experiment,
+    model: Model,
+    parameters: tuple[Parameter, ...],
+    options: FitGrayboxOptions,
+    output: Path | None,
+    origin: dict[str, Any],
+    progress: Progress,
+) -> _Search:
+    """Estimate the parameters by the method of the options."""
+    ahead_s = _simulated_s(experiment.trials, parameters, options)
+    if options.method == "least-squares":
+        model.prepare(progress, simulated_s=ahead_s)
+        search = _least_squares(model, experiment.trials, parameters, None, options, progress)
+    else:
+        from swimid.swimmer import front
+
+        checkpoint = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
+        model.prepare(progress, simulated_s=ahead_s, checkpoint=checkpoint)
+        found, chosen = front.fit(experiment, model, parameters, options, checkpoint, progress)
+        search = _Search(chosen)
+        if options.method == "hybrid":
+            begins = found.starts(options.starts or 1)
+            search = _least_squares(model, experiment.trials, parameters, begins, options, progress)
+        search = replace(search, front=found, checkpoint=checkpoint)
+    if options.subset and search.result.converged:
+        result, left_out = global_search.select_subset(
+            _started_here(search.result, experiment), jobs=options.jobs, progress=progress
+        )
+        search = replace(search, result=result, left_out=left_out)
+    return search
+
+
+def _least_squares(
+    model: Model,
+    trials: Sequence[Trial],
+    parameters: tuple[Parameter, ...],
+    begins: Sequence[Array] | None,
+    options: FitGrayboxOptions,
+    progress: Progress,
+) -> _Search:
+    """Estimate the parameters by output error from one start, or from several if the user or the fit asks."""
+    settings: dict[str, Any] = {"parameters": parameters, "jobs": options.jobs, "loss": options.loss}
+    begin, starts = None, options.starts or 1
+    if begins is not None:
+        begin, starts = begins[0], max(starts, len(begins))
+    first: FitResult | None = None
+    if starts == 1:
+        first = output_error.fit(model, trials, begin=begin, unfinished=True, progress=progress, **settings)
+        if options.starts is not None or first.interrupted or not _deserves_starts(first):
+            return _Search(first)
+        starts = DEFAULT_STARTS
+    settings |= {"starts": starts, "seed": options.seed, "begins": begins, "first": first}
+    result, ends = global_search.multistart(model, trials, progress=progress, **settings)
+    return _Search(result, ends=ends, starts=starts)
+
+
+def _deserves_starts(first: FitResult) -> bool:
+    """Return whether to search again from other starts: the fit was quick, or its result is bad."""
+    lengths = [float(t.time_s[-1] - t.time_s[0]) for t in first.trials]
+    steps = first.evaluations * float(np.mean(lengths)) / first.model.swimmer.max_step
+    failing = [c for c in fit_common.error_checks(first, roles=("fit",)) if c.verdict == "fail"]
+    return steps < MAX_QUICK_STEPS or not first.converged or bool(failing)
+
+
+def _simulated_s(
+    trials: Sequence[Trial], parameters: Sequence[Parameter], options: FitGrayboxOptions
+) -> float:
+    """Return about how much time of the trials a fit simulates, s."""
+    recorded_s = sum(float(t.time_s[-1] - t.time_s[0]) for t in trials)
+    if options.method != "least-squares":
+        return recorded_s * options.population * options.generations
+    return recorded_s * N_JACOBIANS * (2 + sum(p.free for p in parameters)) * (options.starts or 1)
+
+
+def _require_result(
     result: FitResult,
     file: ParameterFile,
-    ends: Sequence[global_search.Start],
-    starts: int,
+    search: _Search,
     source: str | Path | TrialSet,
     output: Path | None,
-    told: mistakes.Explanation | None,
+    explanation: mistakes.Explanation | None,
 ) -> None:
-    """Raise for a search that did not come to its end, and for one that came to nothing."""
-    if result.interrupted or 0 < len(ends) < starts:
-        done = f"interrupted after {len(ends)} of {starts} starts"
-        kept = f"the best point so far is in {output}" if output else "nothing was written"
+    """Raise if a search was interrupted, did not converge, or identified nothing."""
+    if result.interrupted or 0 < len(search.ends) < search.starts:
+        reason = f"interrupted after {len(search.ends)} of {search.starts} starts"
+        if result.interrupted:
+            reason = result.message
+        if output is None:
+            raise Interrupted(f"{reason}; nothing was written")
         raise Interrupted(
-            f"{result.message if result.interrupted else done}; {kept}",
-            hint=f"--start-from {output} goes on from there" if output else None,
+            f"{reason}; the best point so far is in {output}",
+            hint=f"--start-from {output} goes on from there",
         )
     if not result.converged:
-        kept = f"; what it came to is in {output}, marked so" if output else ""
+        kept = f"; the result so far is in {output}, marked so" if output else ""
         params = f" --params {output}" if output else ""
         hint = (
-            "the model may lack an effect, which this looks for: swimid diagnose "
-            f"{trials_format.place(source)}{params} -o gap.yaml; if not, check units and trial settings"
+            "the model may lack an effect; to find it: swimid diagnose "
+            f"{trials_format.place(source)}{params} -o gap.yaml; if it lacks none, check units and trial "
+            "settings"
         )
-        if told is not None:
-            hint = told.sentence
+        if explanation is not None:
+            hint = explanation.sentence
         raise NoTrustworthyResult(f"the fit did not converge: {result.message}{kept}", hint=hint)
     unknown = [label for label in result.shared if result.status[label] == "unidentifiable"]
     if unknown and unknown == result.shared and not file.derived:
         raise NoTrustworthyResult(
             f"none of {', '.join(unknown)} can be identified from these trials",
-            hint="use longer and more different trials, or fix what is known with --fix",
+            hint="use longer and more different trials, or fix known coefficients with --fix",
         )
 
 
-def _insist_steady(experiment: Experiment, parameters: Sequence[Parameter]) -> None:
-    """Refuse trials that begin in steady swimming where the model has none."""
-    swimmer_model, stated = experiment.model.swimmer, experiment.model.stated()
-    known = {p.name: p.start for p in parameters if p.name in [q.name for q in swimmer_model.parameters]}
-    starts = {p.name: known.get(p.name, p.start) for p in swimmer_model.parameters}
+def _require_steady_swimming(experiment: Experiment, parameters: Sequence[Parameter]) -> None:
+    """Refuse trials that begin in steady swimming if the model never settles under their drive."""
+    model, stated = experiment.model.swimmer, experiment.model.stated()
+    known = {p.name: p.start for p in parameters}
+    starts = {p.name: known.get(p.name, p.start) for p in model.parameters}
     fixed = {p.name for p in parameters if not p.free}
-    sets = [starts, {**starts, **{n: v for n, v in stated.items() if n not in fixed}}]
-    for trial in (t for t in experiment.trials if t.swim.steady):
-        cruises = [swimmer_model.cruise(np.array(list(values.values())), trial) for values in sets]
+    points = [starts, {**starts, **{n: v for n, v in stated.items() if n not in fixed}}]
+    for trial in experiment.trials:
+        if not trial.swim.steady:
+            continue
+        cruises = [model.cruise(np.array(list(point.values())), trial) for point in points]
         if all(c is not None and not np.isfinite(c.speed_m_s) for c in cruises):
             raise NoTrustworthyResult(
                 f"the model has no steady swimming under the drive of '{trial.id}': its speed never settles",
@@ -254,22 +356,22 @@ def _insist_steady(experiment: Experiment, parameters: Sequence[Parameter]) -> N
 
 
 def _misfits(result: FitResult, trial: Trial) -> mistakes.Errors:
-    """Errors of one trial of a fit."""
+    """Return the errors of one trial of a fit."""
     simulated = {s.channel: s.simulated for s in result.series if s.trial == trial.id}
     return mistakes.misfits(trial, simulated)
 
 
-def _explained(
+def _explain(
     result: FitResult,
     known: Sequence[mistakes.Mistake],
     before: Mapping[str, mistakes.Errors],
     options: FitGrayboxOptions,
     progress: Progress,
 ) -> mistakes.Explanation | None:
-    """A usual mistake that explains a bad fit.
+    """Return a common mistake in trials or logs that explains a bad fit; None if none does.
 
-    Each mistake is undone in each trial with the coefficients held, as they were estimated and as the robot
-    file states them. The fits of the few most promising corrections decide.
+    Each mistake is corrected in each trial with fixed coefficients: those of the fit, and those of the robot
+    file. The few most promising corrections are then fitted, and these fits decide.
     """
     model, trials = result.model, result.trials
     sd = {name: noise.value_sd for name, noise in result.noise.items()}
@@ -314,63 +416,21 @@ def _explained(
     return best
 
 
-def _simulated_s(
-    trials: Sequence[Trial], parameters: Sequence[Parameter], options: FitGrayboxOptions
-) -> float:
-    """How much time of the trials a fit simulates, about, s."""
-    lasting = sum(float(t.time_s[-1] - t.time_s[0]) for t in trials)
-    runs = STEPS * (2 + sum(p.free for p in parameters)) * (options.starts or 1)
-    return lasting * (runs if options.method == "least-squares" else options.population * options.generations)
-
-
-def _least_squares(
-    model: Model,
-    trials: Sequence[Trial],
-    parameters: tuple[Parameter, ...],
-    begins: Sequence[Array] | None,
-    options: FitGrayboxOptions,
-    progress: Progress,
-) -> tuple[FitResult, list[global_search.Start], int]:
-    """Return the output-error fit, its starts where there were several, and their planned number."""
-    starts, jobs, loss = max(options.starts or 1, len(begins or [])), options.jobs, options.loss
-    first: FitResult | None = None
-    if starts == 1:
-        first = output_error.fit(
-            model, trials,
-            parameters=parameters, jobs=jobs, loss=loss, begin=None if begins is None else begins[0],
-            unfinished=True, progress=progress,
-        )  # fmt: skip
-        if options.starts is not None or first.interrupted or not _deserves_starts(first):
-            return first, [], starts
-        starts = 4
-    result, ends = global_search.multistart(
-        model, trials, parameters, starts=starts, seed=options.seed, begins=begins,
-        jobs=jobs, loss=loss, first=first, progress=progress,
-    )  # fmt: skip
-    return result, ends, starts
-
-
-def _deserves_starts(first: FitResult) -> bool:
-    """Whether a search is begun again from other points: it was short, or its answer is bad."""
-    lengths = [float(t.time_s[-1] - t.time_s[0]) for t in first.trials]
-    steps = first.evaluations * float(np.mean(lengths)) / first.model.swimmer.max_step
-    failing = [c for c in fit_common.error_checks(first, roles=("fit",)) if c.verdict == "fail"]
-    # about a second on one processor (1.3 us a step of the tendon fish, benchmarks.bench_lanes)
-    return steps < 1e6 or not first.converged or bool(failing)
-
-
-def _tied(model: Model, share: Sequence[str]) -> Model:
+def _with_shared(model: Model, share: Sequence[str]) -> Model:
+    """Return the model with one value for all coefficients of each prefix."""
     groups = {name: members for prefix in share for name, members in groups_by_prefix(model, prefix).items()}
-    return Tied(model, groups) if groups else model
+    if not groups:
+        return model
+    return Tied(model, groups)
 
 
-def _starting_here(result: FitResult, experiment: Experiment) -> FitResult:
-    """The same with the estimates as start values: what a subset leaves out is held at them.
+def _started_here(result: FitResult, experiment: Experiment) -> FitResult:
+    """Return the fit with its estimates as start values, at which a subset fixes coefficients.
 
-    Held where a search starts, often the middle of the bounds, it would pull all others off. An
-    estimate that ran into a bound is no value to hold either: the robot file's is taken then.
+    The start of a search, often the middle of the bounds, would bias all others. An estimate at its bound is
+    replaced by the value of the robot file.
     """
-    known = body_of(experiment.robot).coefficients
+    known = _body_of(experiment.robot).coefficients
 
     def moved(p: Parameter) -> Parameter:
         if p.per_trial:
@@ -384,10 +444,10 @@ def _starting_here(result: FitResult, experiment: Experiment) -> FitResult:
     return replace(result, parameters=tuple(moved(p) for p in result.parameters))
 
 
-def _begun(
-    parameters: tuple[Parameter, ...], source: parameters_format.Source, share: Sequence[str]
+def _started_from(
+    source: parameters_format.Source, parameters: tuple[Parameter, ...], share: Sequence[str]
 ) -> tuple[Parameter, ...]:
-    """The parameters starting from a file's values; a shared one from its members' mean."""
+    """Return the parameters with start values from a file; for a shared one the mean of its members."""
     file = parameters_format.read(source, model=("multilink", "multibody"))
     found = []
     for parameter in parameters:
@@ -404,7 +464,7 @@ def _begun(
     return tuple(found)
 
 
-def _file(
+def _parameter_file(
     experiment: Experiment,
     result: FitResult,
     origin: dict[str, Any],
@@ -413,24 +473,27 @@ def _file(
     source: str | Path | TrialSet,
     options: FitGrayboxOptions,
 ) -> ParameterFile:
+    """Return the parameter file of a fit."""
     model = result.model
-    settings = {
+    settings: dict[str, Any] = {
         "readings": dict(options.readings),
         "shared": {name: list(members) for name, members in model.groups.items()},
         "fixed_as_unidentifiable": left_out,
-        "start_state": options.start_state if options.start_state != "auto" else "",
     }
+    if options.start_state != "auto":
+        settings["start_state"] = options.start_state
+    method = f"output error, {result.loss} loss"
+    if options.method == "nsga2":
+        method = "point of a Pareto front"
     file = fit_common.parameter_file(
         result,
         robot=_robot_reference(experiment, source, output),
         provenance=origin,
         settings={name: value for name, value in settings.items() if value},
-        method="point of a Pareto front"
-        if options.method == "nsga2"
-        else f"output error, {result.loss} loss",
+        method=method,
         unfinished=True,
     )
-    # what lies beyond is extrapolation to whoever uses the coefficients
+    # users of the coefficients are warned of drives outside this range
     drives = swimmer.driven_range([t for t in experiment.trials if t.role == "fit"])
     if file.fit is not None and file.fit.model_extra is not None and drives:
         file.fit.model_extra["drives"] = {name: list(ends) for name, ends in drives.items()}
@@ -438,7 +501,7 @@ def _file(
 
 
 def _robot_reference(experiment: Experiment, source: str | Path | TrialSet, output: Path | None) -> str:
-    """The robot as the parameter file names it: built in, or a path relative to that file."""
+    """Return the name of a built-in robot, or the path of a robot file relative to the parameter file."""
     assert experiment.robot_path is not None
     name, path = experiment.robot.name, experiment.robot_path.resolve()
     if name in robot_format.built_in() and path == robot_format.locate(name).resolve():
@@ -447,23 +510,25 @@ def _robot_reference(experiment: Experiment, source: str | Path | TrialSet, outp
     return Path(os.path.relpath(path, folder.resolve())).as_posix()
 
 
-def body_of(robot: Robot) -> Multilink | Multibody:
-    """Return the links of a robot: in space where its file says how, else in its plane."""
+def _body_of(robot: Robot) -> Multilink | Multibody:
+    """Return the links of a robot, in space if its file describes them so, else in a plane."""
     body = robot.multibody or robot.multilink
     assert body is not None
     return body
 
 
-def track(experiment: Experiment, result: FitResult) -> list[ev.Figure]:
-    """Draw the paths where the pose was fitted; in space from above and from the side."""
-    body = body_of(experiment.robot)
+def _track(experiment: Experiment, result: FitResult) -> list[ev.Figure]:
+    """Draw the paths if the pose was fitted; in space from above and from the side."""
+    body = _body_of(experiment.robot)
     if isinstance(body, Multibody):
         panels = [*_paths(result, "x_m", "z_m"), *_paths(result, "x_m", "y_m")]
     else:
         across, along, *_ = result.model.swimmer.pose
         panels = _paths(result, across, along)
+    if not panels:
+        return []
     caption = "Points are measured, lines simulated with the estimated parameters."
-    return [ev.Figure(id="track", title="Paths", caption=caption, panels=panels, columns=2)] if panels else []
+    return [ev.Figure(id="track", title="Paths", caption=caption, panels=panels, columns=2)]
 
 
 def _paths(result: FitResult, across: str, along: str) -> list[ev.Panel]:
@@ -485,7 +550,7 @@ def _paths(result: FitResult, across: str, along: str) -> list[ev.Panel]:
     panels = []
     for name, word in chosen.items():
         x, y = (paths[name][1][channel] for channel in (across, along))
-        step = max(len(x.measured) // 200, 1)
+        step = max(len(x.measured) // MAX_PATH_POINTS, 1)
         points = ev.Trace(
             x=x.measured[::step], y=y.measured[::step], style="points", label="measured", group=0
         )
@@ -495,8 +560,8 @@ def _paths(result: FitResult, across: str, along: str) -> list[ev.Panel]:
     return panels
 
 
-def starts_check(ends: Sequence[global_search.Start], *, asked: bool) -> ev.Check:
-    """Count the starts that end in the reported minimum; for information unless the user asked for them."""
+def _starts_check(ends: Sequence[global_search.Start], *, asked: bool) -> ev.Check:
+    """Count the starts that end in the reported minimum; a test only if the user asked for several."""
     agree = global_search.agreeing(ends)
     value = f"{agree} of {len(ends)} starts end in it"
     text = "the other starts end higher; the lowest is reported" if agree < len(ends) else ""
@@ -505,7 +570,7 @@ def starts_check(ends: Sequence[global_search.Start], *, asked: bool) -> ev.Chec
     return ev.check("one minimum", value, passed, "every start", text, reason=reason)
 
 
-def tables(experiment: Experiment, result: FitResult, ends: Sequence[global_search.Start]) -> list[ev.Table]:
+def _tables(experiment: Experiment, result: FitResult, ends: Sequence[global_search.Start]) -> list[ev.Table]:
     """List errors of trials, parameters by identifiability, starts, and readings of the source."""
     ranking = [[label, share, result.status[label]] for label, share in covariance.ranked(result)]
     starts = [[k, end.converged, float(end.cost)] for k, end in enumerate(ends, start=1)]
@@ -524,9 +589,9 @@ def tables(experiment: Experiment, result: FitResult, ends: Sequence[global_sear
             "ranking",
             "Parameters by identifiability",
             ["parameter", "share of its own", "status"],
-            ranking if len(ranking) > 1 else [],
-            "The share is the part of the sensitivity to a parameter that those above it, and the start "
-            "states, cannot imitate.",
+            ranking * (len(ranking) > 1),
+            "The share is the part of the sensitivity to a parameter that is not explained by those above it "
+            "and by the start states.",
         ),
         (
             "starts",
@@ -551,6 +616,7 @@ def tables(experiment: Experiment, result: FitResult, ends: Sequence[global_sear
 
 
 def _error_rows(result: FitResult) -> list[list[str]]:
+    """List the errors of each trial and channel."""
     rows = []
     units = {c.name: c.unit for c in result.model.channels}
     drives = {t.id: t.swim.beat for t in result.trials}
@@ -561,7 +627,7 @@ def _error_rows(result: FitResult) -> list[list[str]]:
         rows.append(
             [
                 s.trial,
-                "held out" if s.role == "validate" else "fit",
+                {"validate": "held out"}.get(s.role, "fit"),
                 s.channel,
                 numbers.number(score.rmse, 3, unit),
                 numbers.percent(score.nrmse),
@@ -575,31 +641,29 @@ def _error_rows(result: FitResult) -> list[list[str]]:
 
 
 def _phase(s: Series, drive: Beat | None) -> str:
-    there = np.isfinite(s.measured)
+    """Return the phase of the simulated beat against the measured one, in degrees; empty without a beat."""
+    known = np.isfinite(s.measured)
     highest = None
-    if drive is not None and there.sum() > 1:
-        rate = 1.0 / float(np.median(np.diff(s.time_s[there])))
+    if drive is not None and known.sum() > 1:
+        rate = 1.0 / float(np.median(np.diff(s.time_s[known])))
         # surge beats at twice the frequency of the drive
         highest = min(3.5 * drive.frequency_hz, 0.45 * rate)
-    beat = find_beat(s.time_s[there], s.measured[there], highest_hz=highest)
+    beat = find_beat(s.time_s[known], s.measured[known], highest_hz=highest)
     if beat is None:
         return ""
     error = metrics.phase_error(s.measured, s.simulated, s.time_s, frequency_hz=beat.frequency_hz)
     return numbers.number(float(np.degrees(error)), 2, "deg")
 
 
-def methods(
-    experiment: Experiment,
-    result: FitResult,
-    ends: Sequence[global_search.Start],
-    left_out: list[str],
-    method: str,
-) -> list[str]:
+def _methods(experiment: Experiment, result: FitResult, search: _Search, method: str) -> list[str]:
     """Describe the fit in sentences for a methods section."""
     fitted = sum(t.role == "fit" for t in result.trials)
-    body = body_of(experiment.robot)
-    kind = "planar model" if isinstance(body, Multilink) else "model in space"
-    by = "the search on the front" if method == "nsga2" else "output-error maximum likelihood"
+    body = _body_of(experiment.robot)
+    kind, by = "model in space", "output-error maximum likelihood"
+    if isinstance(body, Multilink):
+        kind = "planar model"
+    if method == "nsga2":
+        by = "the search on the front"
     said = [
         f"{', '.join(result.shared)} were estimated from {fitted} {experiment.name} trials "
         f"({result.samples} samples of {', '.join(result.noise)}) by {by} with a {kind} of "
@@ -610,13 +674,16 @@ def methods(
     ]
     if result.loss == "huber":
         said.append("Huber's loss was used.")
-    if ends:
+    if search.ends:
         drawn = "on the front" if method == "hybrid" else "drawn evenly within the bounds"
-        agree = global_search.agreeing(ends)
-        said.append(f"{agree} of {len(ends)} starts, {drawn}, end in the reported minimum.")
-    if left_out:
-        said.append(f"{', '.join(left_out)} could not be identified and were held at the whole fit's values.")
+        agree = global_search.agreeing(search.ends)
+        said.append(f"{agree} of {len(search.ends)} starts, {drawn}, end in the reported minimum.")
+    if search.left_out:
+        names = ", ".join(search.left_out)
+        said.append(f"{names} could not be identified and were fixed at the values of the whole fit.")
     own = dict.fromkeys(label.split("[")[0] for label in result.labels if "[" in label)
     if own:
-        said.append(f"Each trial has its own {', '.join(own)}; on held-out trials with the rest held.")
+        said.append(
+            f"Each trial has its own {', '.join(own)}; on held-out trials all other parameters were fixed."
+        )
     return said

@@ -1,4 +1,4 @@
-"""The options of ``fit-graybox``, and those of every verb on robots with links."""
+"""Options of ``fit-graybox``, and those that all commands on robots with links share."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from swimid.errors import UsageError
 from swimid.fitting import options as fits
 from swimid.options import Options, Source, option
 
-#: Integration step of a robot with links, at most, s.
+#: Maximum integration step of a robot with links, s.
 STEP_S = 0.005
 
 
 def readings() -> Any:
-    """A mapping of ambiguities of the robot's source to the reading that is taken."""
+    """Return the option for readings of the robot's source, by question."""
     return option(
         {},
         flag="--reading",
@@ -27,7 +27,7 @@ def readings() -> Any:
 
 
 def step(recorded: str = "dt") -> Any:
-    """The longest integration step, s."""
+    """Return the option for the maximum integration step, s."""
     return option(STEP_S, gt=0, help="Integration step, s.", recorded=recorded)
 
 
@@ -35,7 +35,7 @@ SwimStart = Literal["auto", "rest", "estimate", "steady"]
 
 
 def start_state() -> Any:
-    """State of the trials at their first samples."""
+    """Return the option for the state of trials at their first samples."""
     return option(
         "auto",
         help="State at the first sample: at rest, estimated, or steady swimming under the drive (its limit "
@@ -43,7 +43,7 @@ def start_state() -> Any:
     )
 
 
-#: The part of the options that the search for a front depends on.
+#: Name of the part of the options that the search of a front depends on.
 FRONT = "front"
 
 
@@ -57,8 +57,8 @@ class FitGrayboxOptions(
     """Identify the coefficients of a multi-link swimmer.
 
     TRIALS is a trials file of a free-swim or multibody experiment, with a robot that has links: tfish,
-    dolphin, sealion, or a robot file of your own. Ctrl-C keeps the best point so far, and the generations
-    of a front.
+    dolphin, sealion, or a robot file of your own. Ctrl-C keeps the best point so far. The generations of a
+    front are kept beside the output, and the same command goes on from there.
 
     Examples:
       swimid fit-graybox trials.yaml -o tfish.yaml
@@ -80,7 +80,7 @@ class FitGrayboxOptions(
         (),
         separated=True,
         metavar="A,B",
-        help="Columns to fit. Default: the pose where it is logged, else velocities; passive joints.",
+        help="Columns to fit. Default: the pose if it is logged, else velocities; passive joints.",
     )
     start_state: SwimStart = start_state()
     start_from: Source = option(None, help="Parameter file to start the search from.", recorded=False)
@@ -88,24 +88,22 @@ class FitGrayboxOptions(
     starts: int | None = option(
         None,
         ge=1,
-        help="Number of starts within the bounds. Default: 1, or 4 if a search is short or its answer bad.",
+        help="Number of starts within the bounds. Default: 1, or 4 if a fit is quick or its result bad.",
     )
-    seed: int = option(0, help="Of the random starts.")
-    subset: bool = option(False, help="Hold what the trials cannot tell, until all the rest is known.")
+    seed: int = option(0, help="Seed of the random starts and of the front.")
+    subset: bool = option(False, help="Fix coefficients that are not identifiable, one by one.")
     readings: Mapping[str, str] = readings()
     dt: float = step("max_step_s")
     method: Literal["least-squares", "nsga2", "hybrid"] = option(
         "least-squares",
         help="nsga2: a Pareto front of time-warped distances, and a point chosen on it. "
-        "hybrid: least squares that starts there.",
+        "hybrid: least squares that starts at that point.",
     )
     population: int = option(80, ge=4, part=FRONT, help="nsga2, hybrid: population size.")
     generations: int = option(50, ge=1, part=FRONT, help="nsga2, hybrid: number of generations.")
-    crossover: float = option(0.8, ge=0, le=1, part=FRONT, help="nsga2, hybrid: probability of crossover.")
     fronts: Literal["profile", "overall"] = option(
         "profile",
         part=FRONT,
-        recorded="per_profile",
         help="nsga2, hybrid: a front for each motion profile, or one over all trials.",
     )
     pick: str = option(
@@ -128,32 +126,17 @@ class FitGrayboxOptions(
         help="nsga2, hybrid: an error of this size counts as one. "
         "Default: 0.05 m, 0.05 m/s, 5 deg, 10 deg/s.",
     )
-    band: float = option(
-        0.05, ge=0, le=1, part=FRONT, help="nsga2, hybrid: stretch time by at most this share of a record."
-    )
-    resume: bool | None = option(
-        None,
-        flag="--resume/--no-resume",
-        recorded=False,
-        help="nsga2, hybrid: insist on going on with an unfinished search, or begin anew. "
-        "Default: go on where there is one.",
-    )
     jobs: int | None = fits.jobs()
 
     @model_validator(mode="after")
     def _belong_together(self) -> Self:
-        if self.method == "least-squares" and (self.front is not None or self.resume is not None):
-            raise UsageError("--front and --resume belong to --method nsga2 or hybrid")
+        if self.method == "least-squares" and self.front is not None:
+            raise UsageError("--front belongs to --method nsga2 or hybrid")
         return self
 
-    @property
-    def per_profile(self) -> bool:
-        """Whether every motion profile has a front of its own."""
-        return self.fronts == "profile"
-
     def settings(self, **found: Any) -> dict[str, Any]:
-        """The options as the provenance records them; those of the front where one is searched."""
-        every = super().settings(per_profile=self.per_profile, **found)
+        """Return the options for the provenance, with those of the front if one is searched."""
+        every = super().settings(**found)
         if self.method != "least-squares":
             return every
         left_out = {entry.key for entry in self.declared().values() if entry.part == FRONT}

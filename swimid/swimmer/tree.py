@@ -1,15 +1,15 @@
-"""A robot's tree of links, in a plane or in space: what is checked of it, and its tables for an engine."""
+"""Tree of links of a robot, in a plane or in space, with its checks and its tables for an engine."""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from swimid.errors import InputError, suggestion
 from swimid.fitting.model import Array, Parameter
@@ -18,14 +18,17 @@ from swimid.robots.planar import Coefficient, Driven, Joint, factors
 from swimid.robots.spatial import Hinge
 from swimid.swimmer.planar.engine import PASSIVE
 
+#: Maximum number of sets of tables kept.
+MAX_TABLES = 64
+
 
 class Polynomial:
-    """A polynomial with numbers for factors and coefficient names for unknowns.
+    """Polynomial in the coefficients of a robot file.
 
     Attributes
     ----------
     terms : dict of tuple of str to float
-        Sorted names of a monomial's factors, and what it is multiplied by.
+        Factor of each monomial, by the sorted names of its coefficients.
 
     >>> mass = Polynomial.of("2 * c_m")
     >>> (mass * mass + 1.0).at({"c_m": 3.0})
@@ -39,10 +42,10 @@ class Polynomial:
 
     @classmethod
     def of(cls, quantity: float | str | Polynomial | None) -> Polynomial:
-        """A number, a quantity of a robot file (None counts as zero), or a polynomial."""
+        """Return a number, a quantity of a robot file (None is zero), or a polynomial as a polynomial."""
         if isinstance(quantity, Polynomial):
             return quantity
-        number, names = factors(0.0 if quantity is None else quantity)
+        number, names = factors(given(quantity, 0.0))
         return cls({names: number})
 
     def __add__(self, other: Polynomial | float) -> Polynomial:
@@ -70,20 +73,73 @@ class Polynomial:
     def __rsub__(self, other: float) -> Polynomial:
         return Polynomial.of(other) - self
 
-    def at(self, values: dict[str, float]) -> float:
-        """Its value."""
+    @property
+    def names(self) -> set[str]:
+        """Names of all its coefficients."""
+        return {name for factors in self.terms for name in factors}
+
+    def at(self, values: Mapping[str, float]) -> float:
+        """Return the value of the polynomial at values of the coefficients."""
         return float(sum(n * np.prod([values[name] for name in names]) for names, n in self.terms.items()))
 
 
-#: An entry of a table before it is evaluated; words are quantities of a robot file. A row of a table.
+def given(quantity: Any, default: Any) -> Any:
+    """Return an optional entry of a robot file, or its default if the file has none."""
+    if quantity is None:
+        return default
+    return quantity
+
+
+#: Entry of a table before it is evaluated; a string is a quantity of a robot file.
 Entry = Polynomial | float | str
+#: Row of a table before it is evaluated.
 Row = list[Entry]
 
 
-class Table:
-    """A table of polynomials, evaluated together.
+@dataclass
+class Rows:
+    """Rows of the tables of an engine while they are collected.
 
-    The width is that of a table without rows; coefficients are named in the order their values come in.
+    Attributes
+    ----------
+    density_kg_m3, gravity_m_s2 : float
+    index : mapping of link name to int
+    inertia : list of rows, one per link
+        Apparent inertia at the origin of the link.
+    drag, damping, foil, force, wake : list of (link index, row)
+        Elements. Their columns are those of the engine.
+    """
+
+    density_kg_m3: float
+    gravity_m_s2: float
+    index: Mapping[str, int]
+    inertia: list[Row]
+    drag: list[tuple[int, Row]] = field(default_factory=list)
+    damping: list[tuple[int, Row]] = field(default_factory=list)
+    foil: list[tuple[int, Row]] = field(default_factory=list)
+    force: list[tuple[int, Row]] = field(default_factory=list)
+    wake: list[tuple[int, Row]] = field(default_factory=list)
+
+    def add_inertia(self, link: str, terms: Row) -> None:
+        """Add terms to the inertia of a link."""
+        row = self.inertia[self.index[link]]
+        row[:] = [Polynomial.of(a) + Polynomial.of(b) for a, b in zip(row, terms, strict=True)]
+
+    def add(self, table: str, link: str, row: Row) -> None:
+        """Add a row to a table of elements."""
+        getattr(self, table).append((self.index[link], row))
+
+
+class Table:
+    """Table of polynomials that are evaluated together.
+
+    Parameters
+    ----------
+    rows : sequence of rows
+    columns : int
+        Number of columns, also of a table without rows.
+    names : sequence of str
+        Coefficients in the order of the values given to the table.
     """
 
     def __init__(
@@ -93,7 +149,7 @@ class Table:
         entries = [Polynomial.of(entry) for row in rows for entry in row]
         monomials = sorted({m for entry in entries for m in entry.terms if m})
         self.constant = np.array([entry.terms.get((), 0.0) for entry in entries])
-        # monomials of fewer factors are padded by a one behind the coefficients
+        # monomials with fewer factors are padded with the one that follows the coefficients
         longest = max((len(m) for m in monomials), default=0)
         padded = [[names.index(name) for name in m] + [len(names)] * (longest - len(m)) for m in monomials]
         self.factors = np.array(padded, dtype=int).reshape(len(monomials), longest)
@@ -101,13 +157,8 @@ class Table:
             len(entries), len(monomials)
         )
 
-    @property
-    def occupied(self) -> NDArray[np.bool_]:
-        """Entries that are not zero whatever the coefficients, shape (rows, columns)."""
-        return np.asarray(((self.constant != 0.0) | (self.gains != 0.0).any(axis=1)).reshape(self.shape))
-
     def __call__(self, values: Array) -> Array:
-        """The table at the coefficients' values, shape (rows, columns); it may be the object's own."""
+        """Return the table at values of the coefficients, shape (rows, columns); do not write into it."""
         if not len(self.factors):
             return self.constant.reshape(self.shape)
         padded = np.append(values, 1.0)
@@ -117,7 +168,7 @@ class Table:
         return np.asarray((self.constant + self.gains @ products).reshape(self.shape))
 
 
-#: Keys that hold words, not quantities.
+#: Keys of a robot file whose strings are words, not quantities.
 WORDS = {
     "name",
     "link",
@@ -134,7 +185,7 @@ WORDS = {
 
 @dataclass(frozen=True)
 class Axis:
-    """A joint (or hinge) of a robot file that moves, its column in a log, and the link it turns."""
+    """A moving joint or hinge of a robot file, its column in a log, and the link that it turns."""
 
     joint: Any
     column: str
@@ -142,23 +193,23 @@ class Axis:
 
     @property
     def name(self) -> str:
-        """Of the joint."""
+        """Name of the joint."""
         return str(self.joint.name)
 
     @property
     def driven(self) -> Driven | None:
-        """How it follows the drive; None where it yields."""
+        """Law by which it follows the drive; None for a passive joint."""
         law: Driven | None = self.joint.driven
         return law
 
     @property
     def rate(self) -> str:
-        """The column of its rate."""
+        """Column of its rate."""
         return self.column.replace("_rad", "_rate_rad_s")
 
 
 def check_names(body: Any, part: str) -> None:
-    """Refuse names that stand twice or are not there, with their dotted path in a part of the robot file."""
+    """Refuse duplicate and unknown names, with their dotted path in a part of the robot file."""
     links = [link.name for link in body.links]
     for kind, given in (("links", links), ("joints", [joint.name for joint in body.joints])):
         for n, own in enumerate(given):
@@ -173,42 +224,32 @@ def check_names(body: Any, part: str) -> None:
             )
     known = list(body.coefficients)
     for path, quantity in quantities(body, part):
-        for name in Polynomial.of(quantity).terms:
-            for factor in name:
-                if factor not in known:
-                    raise InputError(
-                        f"there is no coefficient '{factor}'",
-                        column=path,
-                        hint=suggestion(factor, known),
-                    )
-
-
-def quantities(body: Any, part: str) -> list[tuple[str, float | str]]:
-    """The quantities of a tree and their dotted paths, list members by their names."""
-    return _leaves(body.model_dump(include={"links", "joints", "elements"}), part)
-
-
-def _leaves(value: object, path: str) -> list[tuple[str, float | str]]:
-    if isinstance(value, dict):
-        return [
-            found
-            for key, member in value.items()
-            if key not in WORDS and key != "coefficients"
-            for found in _leaves(member, f"{path}.{key}")
-        ]
-    if isinstance(value, list | tuple):
-        return [
-            found
-            for n, member in enumerate(value)
-            for found in _leaves(
-                member, f"{path}.{(member.get('name') or n) if isinstance(member, dict) else n}"
+        unknown = sorted(Polynomial.of(quantity).names - set(known))
+        if unknown:
+            raise InputError(
+                f"there is no coefficient '{unknown[0]}'", column=path, hint=suggestion(unknown[0], known)
             )
-        ]
-    return [(path, value)] if isinstance(value, float | int | str) and not isinstance(value, bool) else []
+
+
+def quantities(body: Any, part: str) -> Iterator[tuple[str, float | str]]:
+    """Yield the dotted path and the value of each quantity of a tree, with names for members of lists."""
+    yield from _leaves(body.model_dump(include={"links", "joints", "elements"}), part)
+
+
+def _leaves(value: Any, path: str) -> Iterator[tuple[str, float | str]]:
+    if isinstance(value, dict):
+        for key in (key for key in value if key not in WORDS):
+            yield from _leaves(value[key], f"{path}.{key}")
+    elif isinstance(value, list | tuple):
+        for n, member in enumerate(value):
+            name = isinstance(member, dict) and member.get("name")
+            yield from _leaves(member, f"{path}.{name or n}")
+    elif isinstance(value, float | int | str) and not isinstance(value, bool):
+        yield path, value
 
 
 def ordered(body: Any, part: str) -> tuple[list[Any], list[Any]]:
-    """Links with parents before children, and the joint that holds each (None for the base)."""
+    """Return the links with parents before children, and the joint that holds each (None for the base)."""
     joint_of: dict[str, Any] = {}
     for joint in body.joints:
         where = f"{part}.joints.{joint.name}"
@@ -246,17 +287,17 @@ def ordered(body: Any, part: str) -> tuple[list[Any], list[Any]]:
 
 
 def coefficients(known: Mapping[str, Coefficient]) -> list[Parameter]:
-    """The coefficients of a robot file as parameters."""
+    """Return the coefficients of a robot file as parameters."""
     found = []
     for name, c in known.items():
-        start = c.value if c.start is None else c.start
-        low, high = c.bounds
+        start = given(c.start, c.value)
+        low, high = c.limits
         found.append(
             Parameter(
                 name,
                 c.unit,
-                -math.inf if low is None else low,
-                math.inf if high is None else high,
+                low,
+                high,
                 start,
                 c.scale or abs(c.value) or abs(start) or 1.0,
                 c.free,
@@ -270,7 +311,7 @@ def coefficients(known: Mapping[str, Coefficient]) -> list[Parameter]:
 
 
 class Tree(ABC):
-    """A robot's links, checked, with their tables as functions of the coefficients.
+    """Links of a robot with their tables as functions of the coefficients, after all checks.
 
     Parameters
     ----------
@@ -290,17 +331,20 @@ class Tree(ABC):
     Raises
     ------
     InputError
-        With the dotted path of what is wrong: unknown or repeated names, a link without or with
-        two joints, a cycle, an element on a link that is not there, masses and inertias that no
-        body has.
+        With the dotted path of the error: unknown or duplicate names, a link with no joint or two joints, a
+        cycle, an element on an unknown link, masses and inertias that no body has.
     """
 
-    #: Its place in the robot file, and what a joint is called there.
+    #: Part of the robot file, and the word for a joint there.
     part: str
     hinge: str
-    #: The element tables in the order the engine takes them.
+    #: Tables of elements in the order of the engine's arguments.
     elements: tuple[str, ...]
-    #: The last arguments of the engine, which do not depend on the coefficients.
+    #: Module of the engine, which names the columns of its tables.
+    engine: ModuleType
+    #: Function that adds the rows of an element, by its kind.
+    adders: Mapping[str, Callable[[Any, Any, Rows], None]]
+    #: Last arguments of the engine, which do not depend on the coefficients.
     constants: dict[str, Any]
 
     def __init__(self, body: Any) -> None:
@@ -328,18 +372,16 @@ class Tree(ABC):
         self.constants = {"free_base": self.free_base}
         self._known: dict[bytes, dict[str, Any]] = {}
 
-    def fill(self, fluid: Fluid, rows_of: Any, adders: Mapping[str, Callable[..., None]], engine: Any) -> Any:
-        """Collect and return the rows of links and elements, checked at the file's coefficients.
-
-        ``rows_of`` makes them (``Tables``); the engine names the columns of its tables.
-        """
-        empty = [[0.0] * len(engine.INERTIA) for _ in self.links]
-        rows = rows_of(fluid.density_kg_m3, fluid.gravity_m_s2, self.index, empty)
+    def fill(self, fluid: Fluid) -> Rows:
+        """Collect the rows of links and elements, check them at the file's coefficients, and return them."""
+        engine = self.engine
+        empty: list[Row] = [[0.0] * len(engine.INERTIA) for _ in self.links]
+        rows = Rows(fluid.density_kg_m3, fluid.gravity_m_s2, self.index, empty)
         for link in self.links:
             self._add_rigid(link, rows)
         rigid = [list(row) for row in rows.inertia]
         for element in self.body.elements:
-            adders[element.kind](element, self.links[self.index[element.link]], rows)
+            self.adders[element.kind](element, self.links[self.index[element.link]], rows)
 
         def table(entries: list[Any], columns: tuple[str, ...]) -> Table:
             return Table(entries, len(columns), self.names)
@@ -356,7 +398,7 @@ class Tree(ABC):
         return rows
 
     def tables(self, values: Array) -> dict[str, Any]:
-        """The arguments of the engine's ``integrate`` from ``topology`` on, by their names.
+        """Return the arguments of the engine's ``integrate`` from ``topology`` on, by their names.
 
         Parameters
         ----------
@@ -365,13 +407,13 @@ class Tree(ABC):
         Returns
         -------
         dict
-            Its arrays are kept for the next call with these values: nobody writes into them.
+            Its arrays are kept for the next call with these values. Do not write into them.
         """
         key = values.tobytes()
         known = self._known.get(key)
         if known is None:
             known = self._filled(values)
-            if len(self._known) >= 64:
+            if len(self._known) >= MAX_TABLES:
                 self._known.clear()
             self._known[key] = known
         return dict(known)
@@ -398,20 +440,44 @@ class Tree(ABC):
         """
 
     @abstractmethod
-    def _add_rigid(self, link: Any, rows: Any) -> None:
-        """Add a link's own mass and inertia."""
+    def _add_rigid(self, link: Any, rows: Rows) -> None:
+        """Add the mass and inertia of a link without water."""
 
     @abstractmethod
     def _place(self, joint: Any) -> Row:
-        """A joint's row of the engine's table; of the base with None."""
+        """Return the row of a joint in the engine's table; None stands for the base."""
+
+
+def check_apparent(inertia: Array, sizes: Array, *, column: str, hint: str) -> None:
+    """Refuse an apparent inertia, with added mass, that is not positive definite.
+
+    Parameters
+    ----------
+    inertia : ndarray, shape (n, n)
+    sizes : ndarray, shape (n,)
+        Typical size of each diagonal entry.
+    column, hint : str
+        Dotted path of the link, and possible cause, for the message.
+
+    Raises
+    ------
+    InputError
+    """
+    scale = np.sqrt(np.maximum(sizes, 1e-300))
+    if np.linalg.eigvalsh(inertia / np.outer(scale, scale)).min() <= 0:
+        raise InputError(
+            "its apparent inertia (with added mass) is not positive definite", column=column, hint=hint
+        )
 
 
 def law_of(joint: Joint | Hinge) -> list[Polynomial]:
-    """A passive joint's row of the engine's table."""
+    """Return the row of a passive joint in the engine's table."""
     law = joint.passive
     assert law is not None
     tendon = getattr(law, "tendon", None)
-    wire = (tendon.spring_N_m, tendon.pretension_m, tendon.arm_m, tendon.crank_m) if tendon else (0.0,) * 4
+    wire = (0.0,) * 4
+    if tendon is not None:
+        wire = tendon.spring_N_m, tendon.pretension_m, tendon.arm_m, tendon.crank_m
     row = (
         law.stiffness_N_m_rad,
         law.cubic_N_m_rad3,

@@ -1,14 +1,15 @@
-"""Free-swimming and multibody trials of a robot with links, in its plane or in space."""
+"""Free-swimming and multibody trials of a robot with links, in a plane or in space."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from swimid.errors import InputError, UsageError, suggestion
@@ -24,19 +25,29 @@ from swimid.logs.trials import Drive, FreeSwim, FreeSwimTrial, Multibody, Stroke
 from swimid.notices import warn
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
+from swimid.swimmer import drive as driven
 from swimid.swimmer.model import Swimmer
 from swimid.swimmer.options import STEP_S
-from swimid.swimmer.planar import drive
 from swimid.swimmer.planar.model import MultilinkModel
 
-#: The start state is estimated when a log's first stretch moves faster than this share of its top
-#: speed, by more than this many standard errors.
-MOVING, CERTAIN = 0.05, 4.0
-#: Length of that stretch, s.
-OPENING_S = 0.3
-#: Fewest samples in it from which anything is said, and the F ratio from which a more pliant curve counts.
+#: A log begins in motion if a speed in its opening exceeds this share of the top speed of the log, and this
+#: many of its standard errors.
+MIN_SHARE, MIN_ERRORS = 0.05, 4.0
+#: Length of the opening of a log, s, or in sampling intervals if that is longer.
+OPENING_S, OPENING_STEPS = 0.3, 8
+#: Minimum number of samples in the opening for an estimate.
 MIN_OPENING = 7
-BETTER = 6.0
+#: Minimum F ratio from which a polynomial two orders higher is preferred in the opening.
+MIN_F_RATIO = 6.0
+#: A trial begins in motion if its log starts later than this share of the ramp of its drive.
+MAX_RAMP_SHARE = 0.3
+#: Minimum number of samples of a joint angle that drives a trial, and of a heading whose beat is estimated.
+MIN_JOINT_SAMPLES, MIN_BEAT_SAMPLES = 5, 17
+#: Number of phases of the drive that are tried for a trial that begins in steady swimming.
+N_PHASES = 12
+#: A heading whose values spread over more than this, rad, has no jumps to be removed. It is continuous
+#: already, or not in radians. The margin over one turn is for noise.
+MAX_WRAPPED_RAD = 2.1 * math.pi
 #: The keys of a trials file that are used, by experiment.
 USES = dict.fromkeys(
     ("free-swim", "multibody"),
@@ -44,8 +55,6 @@ USES = dict.fromkeys(
     | {"trials.coefficients", "trials.drive", "trials.start_state"}
     | {f"trials.drive.{key}" for kind in (Drive, StrokeDrive) for key in kind.model_fields},
 )
-#: Phases of the drive tried for a trial that begins in steady swimming.
-PHASES = 12
 
 
 def robot_model(
@@ -55,12 +64,22 @@ def robot_model(
     readings: Mapping[str, str] | None = None,
     max_step: float = STEP_S,
 ) -> tuple[Robot, Swimmer]:
-    """A robot with links and its model: in space where the file says how, else in its plane.
+    """Return a robot with links and its model, in space if the file describes it so, else in a plane.
+
+    Parameters
+    ----------
+    name : str
+        Name of a built-in robot, or path of a robot file.
+    relative_to : Path, optional
+        Folder for relative paths.
+    readings : mapping, optional
+        Readings of the robot's source other than those of the file.
+    max_step : float, s
 
     Raises
     ------
     InputError
-        With file and line, for anything wrong in the robot file, or when it has no links.
+        For anything wrong in the robot file, with file and line, and for a robot without links.
     """
     robot = robot_format.read(name, relative_to, readings=readings)
     path = robot_format.locate(name, relative_to)
@@ -71,13 +90,35 @@ def robot_model(
             hint="fit-drag and fit-propulsion serve robots that are one body",
         )
     try:
-        if robot.multibody is not None:
-            from swimid.swimmer.spatial.model import MultibodyModel
+        if robot.multibody is None:
+            return robot, MultilinkModel(robot, max_step=max_step)
+        from swimid.swimmer.spatial.model import MultibodyModel
 
-            return robot, MultibodyModel(robot, max_step=max_step)
-        return robot, MultilinkModel(robot, max_step=max_step)
+        return robot, MultibodyModel(robot, max_step=max_step)
     except InputError as error:
         raise robot_format.located(error, path) from error
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A trial as its entry in the trials file, as its log, and as the model sees it.
+
+    Attributes
+    ----------
+    entry : FreeSwimTrial
+    log : Log
+    trial : Trial
+    moving : bool
+        Whether the log begins in motion.
+    state : str
+        State at the first sample: ``rest``, ``estimate`` or ``steady``.
+    """
+
+    entry: FreeSwimTrial
+    log: Log
+    trial: Trial
+    moving: bool
+    state: str
 
 
 def load(
@@ -88,25 +129,27 @@ def load(
     start_state: str = "auto",
     max_step: float = STEP_S,
 ) -> Experiment:
-    """Read a free-swim or multibody trials file of a multi-link robot.
+    """Read a free-swim or multibody trials file of a robot with links.
 
     Parameters
     ----------
+    source : path or TrialSet
     readings : mapping, optional
-        Readings of the robot's source other than the file's.
+        Readings of the robot's source other than those of the file.
     channels : sequence of str
-        Columns to fit. By default the pose where it is logged, else the velocities, and the angles of
-        passive joints (and of driven ones behind a servo) where they are logged.
+        Columns to fit. By default the pose if it is logged, otherwise the velocities, and the angles of
+        passive joints (and of driven ones behind a servo) if they are logged.
     start_state : {"auto", "rest", "estimate", "steady"}
-        State at the first sample. ``auto`` takes each trial's own key ``start_state``; where that is
-        absent the log's first stretch decides. ``steady`` is the limit cycle of the trial's drive.
+        State at the first sample. ``auto`` takes the key ``start_state`` of each trial. Without that key, the
+        opening of the log decides. ``steady`` is the limit cycle of the trial's drive.
+    max_step : float, s
 
     Raises
     ------
     InputError
         For anything wrong in the trials file, the robot file or a log.
     UsageError
-        For a channel the robot does not have.
+        For a channel that the robot does not have.
     """
     path = trials_format.place(source)
     entries = trials_format.read(source, FreeSwim, Multibody, uses=USES)
@@ -116,41 +159,14 @@ def load(
     for name in channels:
         if name not in known:
             raise UsageError(f"the robot has no channel '{name}'", hint=suggestion(name, known))
-    pairs = [_trial(entry, path, model, channels) for entry in entries.trials]
-    trials, read = [t for t, _ in pairs], [log for _, log in pairs]
-    found = {e.id: _beat(e, log, model) for e, log in zip(entries.trials, read, strict=True)}
-    moving = [t.id for t, log in pairs if _moving(t, log, model)]
-    # offsets of the start pose, for each measured coordinate
-    free = {
-        name
-        for name, column in zip(model.starts, model.pose, strict=True)
-        if model.free_base and any(column in t.measured for t in trials)
-    }
-    if any(_headless(model, log) and model.pose[0] in t.measured for t, log in pairs):
-        free.add(model.starts[2])
-    states = {
-        e.id: _start_state(e, start_state, moving=e.id in moving, model=model, path=path)
-        for e in entries.trials
-    }
-    initial = set(model.initial([c for t in trials for c in t.measured]))
-    own = {"rest": set(), "estimate": initial, "steady": {"drive_phase"}}
-    free |= set().union(*(own[state] for state in states.values()))
-    trials = [
-        replace(
-            t,
-            held=tuple(sorted(free & {"drive_phase", *initial} - own[states[t.id]])),
-            starts=_starts(t, log, model),
-            swim=t.swim.begun() if states[t.id] == "steady" else t.swim,
-        )
-        for t, log in pairs
-    ]
-    model.parameters = tuple(replace(p, free=p.free or p.name in free) for p in model.parameters)
-    trials = [_in_phase(t, model) if t.swim.steady else t for t in trials]
-    _check_course(path, model, read, [getattr(e.drive, "frequency_hz", None) for e in entries.trials])
+    recordings = [_recording(entry, path, model, channels, start_state) for entry in entries.trials]
+    beats = {r.trial.id: _beat(r.entry, r.log, model) for r in recordings}
+    trials = _with_starts(recordings, model)
+    _check_course(path, model, recordings)
     facts = {
-        "beats": found,
-        "moving": moving,
-        "start_states": states,
+        "beats": beats,
+        "moving": [r.trial.id for r in recordings if r.moving],
+        "start_states": {r.trial.id: r.state for r in recordings},
         "profiles": {entry.id: _profile(entry) for entry in entries.trials},
     }
     return Experiment(
@@ -158,14 +174,222 @@ def load(
         robot,
         model,
         trials,
-        inputs_of(path, entries, [log.source for log in read]),
+        inputs_of(path, entries, [r.log.source for r in recordings]),
         facts=facts,
         robot_path=robot_format.locate(entries.robot, path.parent),
     )
 
 
-def _start_state(entry: FreeSwimTrial, chosen: str, *, moving: bool, model: Swimmer, path: Path) -> str:
-    """State in which a trial begins: ``rest``, ``estimate`` or ``steady``.
+# ---------------------------------------------------------------- one trial
+
+
+def _recording(
+    entry: FreeSwimTrial, path: Path, model: Swimmer, channels: Sequence[str], start_state: str
+) -> Recording:
+    """Read the log of a trial, and return it with the trial."""
+    known = [c.name for c in model.channels]
+    commands = [_command_column(axis.column) for axis in model.driven]
+    log = read_log(entry, path.parent, required=tuple(channels), optional=(*known, *commands))
+    log = replace(log, columns={name: _unwrapped(name, values) for name, values in log.columns.items()})
+    measured = {name: log[name] for name in (channels or _default_channels(model, log))}
+    others = {n: v for n, v in log.columns.items() if n in known and n not in measured}
+    swim = replace(_drive_input(entry, log, path, model), pose=_first_pose(model, log))
+    trial = Trial(entry.id, entry.role, log.time_s, measured, inputs=others, swim=swim)
+    moving = _begins_in_motion(trial, log, model)
+    return Recording(entry, log, trial, moving, _start_state(entry, start_state, moving, model, path))
+
+
+def _drive_input(entry: FreeSwimTrial, log: Log, path: Path, model: Swimmer) -> SwimInput:
+    """Return the coefficients that a trial sets for itself, and what drives it: stroke, beat or joints."""
+    for name in entry.coefficients:
+        if name not in model.coefficients:
+            raise InputError(
+                f"the trial '{entry.id}' sets '{name}', which is no coefficient of the robot",
+                file=path,
+                column="coefficients",
+                hint=suggestion(name, model.coefficients, "it has"),
+            )
+    swim = SwimInput(coefficients=dict(entry.coefficients))
+    if isinstance(entry.drive, StrokeDrive):
+        return replace(swim, stroke=cycle_of(entry.drive, model, path))
+    if entry.drive is not None:
+        return replace(swim, beat=_beat_of(entry.drive))
+    if not model.driven:
+        return swim
+    motions = [_logged_motion(model, k, log) for k in range(len(model.driven))]
+    commanded = any(is_command for _, is_command in motions)
+    return replace(swim, joints=[motion for motion, _ in motions], commanded=commanded)
+
+
+def _beat_of(command: Drive) -> drives.Beat:
+    """Return the drive of a trials file in SI."""
+    return drives.Beat(
+        command.waveform,
+        command.frequency_hz,
+        math.radians(command.amplitude_deg),
+        math.radians(command.bias_deg),
+        command.asymmetry,
+        command.ramp_s,
+        math.radians(command.phase_deg),
+    )
+
+
+def cycle_of(command: StrokeDrive, model: Swimmer, path: Path | None = None) -> Cycle:
+    """Return a stroke of the robot file as a trial commands it.
+
+    Parameters
+    ----------
+    command : StrokeDrive
+    model : Swimmer
+    path : Path, optional
+        Trials file that asks for the stroke; without one the user does.
+
+    Raises
+    ------
+    InputError, UsageError
+        When the robot has no such stroke.
+    """
+    known = {}
+    if model.robot.multibody is not None:
+        known = model.robot.multibody.strokes
+    if command.stroke not in known:
+        text = f"the robot '{model.robot.name}' has no stroke '{command.stroke}'"
+        hint = suggestion(command.stroke, list(known), "it has")
+        if path is None:
+            raise UsageError(text, hint=hint)
+        raise InputError(text, file=path, column="drive.stroke", hint=hint)
+    law = known[command.stroke]
+    return Cycle(
+        command.stroke,
+        law,
+        command.frequency_hz or 1.0 / law.period_s,
+        command.scale,
+        command.ramp_s,
+        command.cycles or math.inf,
+        math.radians(command.phase_deg),
+    )
+
+
+def _command_column(joint: str) -> str:
+    """Return the column of a joint's commanded angle."""
+    return joint.replace("joint", "cmd")
+
+
+def _logged_motion(model: Swimmer, number: int, log: Log) -> tuple[Any, bool]:
+    """Return the motion of a driven joint from its log, and whether it is a command.
+
+    A joint with a servo takes the commanded angle if that is logged, any other the measured one. A joint that
+    no drive moves (gain 0) stays straight if the log has neither.
+    """
+    axis = model.driven[number]
+    law, command = axis.driven, _command_column(axis.column)
+    assert law is not None
+    candidates = [axis.column, command]
+    if law.servo is not None:
+        candidates.reverse()
+    for candidate in candidates:
+        if candidate in log and np.isfinite(log[candidate]).sum() >= MIN_JOINT_SAMPLES:
+            spline = driven.measured(log.time_s, log[candidate])
+            return driven.spline_motion(spline), candidate == command
+    if law.gain == 0.0 and not law.bias_gain:
+        return drives.straight, False
+    raise InputError(
+        f"the driven joint '{axis.name}' needs this column, or '{command}'",
+        file=log.path,
+        line=log.first_line - 1 if log.first_line else None,
+        column=axis.column,
+        hint="or give the trial a 'drive' in the trials file",
+    )
+
+
+def _unwrapped(name: str, values: Array) -> Array:
+    """Return an angle of the body without jumps at half a turn, and other columns unchanged."""
+    known = np.isfinite(values)
+    if not name.endswith("_rad") or name.startswith("joint") or not known.any():
+        return values
+    if np.ptp(values[known]) > MAX_WRAPPED_RAD:
+        return values
+    found = values.copy()
+    found[known] = np.unwrap(values[known])
+    return found
+
+
+def _default_channels(model: Swimmer, log: Log) -> list[str]:
+    """Return the columns that are fitted if the user names none."""
+
+    def logged(names: Sequence[str]) -> list[str]:
+        return [n for n in names if n in log and np.isfinite(log[n]).sum() > 1]
+
+    chosen = []
+    if model.free_base:
+        pose = logged(model.pose)
+        # a side view shows half of a pose in space
+        complete = len(pose) == 3 or (model.in_space and len(pose) > 1)
+        chosen = (complete and pose) or logged(model.velocity) or pose
+    chosen += logged([a.column for a in model.passive])
+    chosen += logged([a.column for a in model.driven if a.driven and a.driven.servo])
+    if not chosen:
+        names = ", ".join(c.name for c in model.channels)
+        raise InputError("holds none of the robot's channels", file=log.path, hint=f"it may have: {names}")
+    return chosen
+
+
+def _profile(entry: FreeSwimTrial) -> str:
+    """Return the drive of a trial in words, or the trial itself if measured joints drive it."""
+    command = entry.drive
+    if command is None:
+        return entry.id
+    if isinstance(command, StrokeDrive):
+        parts = [command.stroke]
+        if command.frequency_hz:
+            parts.append(f"{command.frequency_hz:g} Hz")
+        if command.scale != 1.0:
+            parts.append(f"scale {command.scale:g}")
+        return ", ".join(parts)
+    parts = [command.waveform, f"{command.frequency_hz:g} Hz", f"{command.amplitude_deg:g} deg"]
+    if command.bias_deg:
+        parts.append(f"bias {command.bias_deg:g} deg")
+    return ", ".join(parts)
+
+
+# ---------------------------------------------------------------- its start
+
+
+def _first_pose(model: Swimmer, log: Log) -> tuple[float, ...] | None:
+    """Return the first pose in a log; zero for coordinates that it does not have.
+
+    None if the base is held, or if the log of a robot in a plane lacks the position.
+    """
+    if not model.free_base or (not model.in_space and any(name not in log for name in model.pose[:2])):
+        return None
+    first = []
+    for name in model.pose:
+        values = log.columns.get(name, np.empty(0))
+        first.append(float(next(iter(values[np.isfinite(values)]), 0.0)))
+    if _lacks_heading(model, log):
+        first[2] = _first_course(log[model.pose[0]], log[model.pose[1]])
+    return tuple(first)
+
+
+def _lacks_heading(model: Swimmer, log: Log) -> bool:
+    """Return whether a log shows the position of a robot in a plane without its heading: one marker."""
+    if not model.free_base or model.in_space:
+        return False
+    x, y, heading = (name in log and bool(np.isfinite(log[name]).any()) for name in model.pose)
+    return x and y and not heading
+
+
+def _first_course(x: Array, y: Array) -> float:
+    """Return the direction (rad) from the first point to where a track reaches a quarter of its extent."""
+    known = np.isfinite(x) & np.isfinite(y)
+    along, across = x[known] - x[known][0], y[known] - y[known][0]
+    gone = np.hypot(along, across)
+    at = int(np.argmax(gone >= 0.25 * gone.max()))
+    return math.atan2(across[at], along[at])
+
+
+def _start_state(entry: FreeSwimTrial, chosen: str, moving: bool, model: Swimmer, path: Path) -> str:
+    """Return the state in which a trial begins: ``rest``, ``estimate`` or ``steady``.
 
     Raises
     ------
@@ -176,9 +400,9 @@ def _start_state(entry: FreeSwimTrial, chosen: str, *, moving: bool, model: Swim
     if state == "auto":
         return "estimate" if moving else "rest"
     if state == "steady" and (entry.drive is None or model.in_space):
-        lacking = "robots in space are not supported" if model.in_space else "it has no 'drive'"
+        reason = "robots in space are not supported" if model.in_space else "it has no 'drive'"
         raise InputError(
-            f"the trial '{entry.id}' cannot begin in steady swimming: {lacking}",
+            f"the trial '{entry.id}' cannot begin in steady swimming: {reason}",
             file=path,
             column="start_state" if chosen == "auto" else "drive",
             hint="give the beat under 'drive', or start it from an estimated state (start_state: estimate)",
@@ -186,52 +410,184 @@ def _start_state(entry: FreeSwimTrial, chosen: str, *, moving: bool, model: Swim
     return state
 
 
-def _in_phase(trial: Trial, model: Swimmer) -> Trial:
-    """The trial with the phase from which a search starts: that of the stated robot's best run."""
+def _with_starts(recordings: Sequence[Recording], model: Swimmer) -> list[Trial]:
+    """Free the parameters of the start in the model, and return the trials with start values for them."""
+    measured = {name for r in recordings for name in r.trial.measured}
+    # offsets of the start pose, one for each measured coordinate
+    free = set()
+    if model.free_base:
+        free = {name for name, column in zip(model.starts, model.pose, strict=True) if column in measured}
+    for r in recordings:
+        if _lacks_heading(model, r.log) and model.pose[0] in r.trial.measured:
+            free.add(model.starts[2])
+    initial = set(model.determined_starts(measured))
+    estimated: dict[str, set[str]] = {"rest": set(), "estimate": initial, "steady": {"drive_phase"}}
+    for r in recordings:
+        free |= estimated[r.state]
+    of_states = free & {"drive_phase", *initial}
+    model.parameters = tuple(replace(p, free=p.free or p.name in free) for p in model.parameters)
+    trials = []
+    for r in recordings:
+        held = tuple(sorted(of_states - estimated[r.state]))
+        trial = replace(r.trial, held=held, starts=_start_values(r.trial, r.log, model))
+        if r.state == "steady":
+            trial = _with_phase(replace(trial, swim=trial.swim.begun()), model)
+        trials.append(trial)
+    return trials
+
+
+def _start_values(trial: Trial, log: Log, model: Swimmer) -> dict[str, float]:
+    """Return start values of the start state, as the fitted channels show it in the opening of the log."""
+    lacks_heading = _lacks_heading(model, log)
+
+    def at_start(name: str, derivative: int) -> float | None:
+        if lacks_heading and name == model.pose[2] and derivative == 0:
+            return trial.swim.posed()[2]
+        if name not in trial.measured:
+            return None
+        values = trial.measured[name]
+        known = _is_opening(log) & np.isfinite(values)
+        if known.sum() < MIN_OPENING:
+            return None
+        return _fitted(log.time_s[known] - log.time_s[0], values[known], derivative)[0]
+
+    found: dict[str, float | None] = {}
+    if model.free_base:
+        found = model.start_velocities(at_start)
+    for axis in model.passive:
+        found[f"initial_angle_{axis.name}"] = at_start(axis.column, 0)
+        rate = (axis.rate, 0) if axis.rate in trial.measured else (axis.column, 1)
+        found[f"initial_rate_{axis.name}"] = at_start(*rate)
+    return {name: value for name, value in found.items() if value is not None}
+
+
+def _with_phase(trial: Trial, model: Swimmer) -> Trial:
+    """Return the trial with the start value of the drive's phase at which the stated robot fits best."""
     stated = {**{p.name: p.start for p in model.parameters}, **model.stated()}
     values = np.array([stated[p.name] for p in model.parameters])
-    phase = model.index("drive_phase")
-    tried = np.linspace(0.0, 2.0 * math.pi, PHASES, endpoint=False)
-    runs = [np.array([*values[:phase], angle, *values[phase + 1 :]]) for angle in tried]
-    simulated = [model.attempt(run, trial) for run in runs]
+    phases = np.linspace(0.0, 2.0 * math.pi, N_PHASES, endpoint=False)
+    simulated = []
+    for phase in phases:
+        values[model.index("drive_phase")] = phase
+        simulated.append(model.attempt(values.copy(), trial))
     model.forget([trial])
     if not all(np.isfinite(run[name]).all() for run in simulated for name in trial.measured):
         return trial
-    misses = [_shape_error(trial, run) for run in simulated]
-    return replace(trial, starts={**trial.starts, "drive_phase": float(tried[int(np.nanargmin(misses))])})
+    errors = [_beat_error(trial, run) for run in simulated]
+    return replace(trial, starts={**trial.starts, "drive_phase": float(phases[int(np.nanargmin(errors))])})
 
 
-def _shape_error(trial: Trial, simulated: Mapping[str, Array]) -> float:
-    """Squared error of the beat of a trial, relative to its size, summed over channels.
+def _beat_error(trial: Trial, simulated: Mapping[str, Array]) -> float:
+    """Return the squared error of a trial relative to its size, without trends, summed over channels.
 
-    Trends and the direction of the path are left out: they are no part of the beat.
+    Trends and the direction of the path are no part of the beat.
     """
     total = 0.0
     measured, simulated = metrics.own_axes(trial.measured, simulated)
     for name, values in measured.items():
-        there = np.isfinite(values)
-        trend = np.polynomial.Polynomial.fit
-        y, z = (
-            side[name][there] - trend(trial.time_s[there], side[name][there], 1)(trial.time_s[there])
-            for side in (measured, simulated)
-        )
+        known = np.isfinite(values)
+        time = trial.time_s[known]
+        y, z = (side[name][known] for side in (measured, simulated))
+        y, z = (side - Polynomial.fit(time, side, 1)(time) for side in (y, z))
         total += float(np.sum((y - z) ** 2) / max(float(np.sum(y**2)), 1e-300))
     return total
 
 
-def _check_course(
-    path: Path, model: Swimmer, logs: Sequence[Log], frequencies_hz: Sequence[float | None]
-) -> None:
-    """Warn where the robot does not swim where its heading points."""
+def _begins_in_motion(trial: Trial, log: Log, model: Swimmer) -> bool:
+    """Return whether a log begins after its drive, or shows body or passive joints in motion at first."""
+    beat = trial.swim.drive
+    beats = getattr(beat, "amplitude_rad", 1.0) != 0.0
+    if beat is not None and beats and trial.time_s[0] > max(MAX_RAMP_SHARE * beat.ramp_s, OPENING_S):
+        return True
+    joints = [a.column for a in model.passive]
+    body: list[str] = []
+    if model.free_base:
+        body = [*model.pose, *model.velocity]
+    return any(_moves(log, name, name in joints) for name in (*body, *joints) if name in log)
+
+
+def _moves(log: Log, name: str, is_joint: bool) -> bool:
+    """Return whether a channel shows motion in the opening: a velocity or rate, or a joint off straight."""
+    values, known = log[name], np.isfinite(log[name])
+    opening = _is_opening(log) & known
+    count = int(opening.sum())
+    if count < MIN_OPENING:
+        return False
+    time = log.time_s[opening] - log.time_s[opening][0]
+    largest = float(np.max(np.abs(values[known])))
+    if name.endswith("_s"):
+        return _is_off_zero(time, values[opening], 0, largest)
+    steps = values[known][count - 1 :] - values[known][: 1 - count]
+    rates = steps / (log.time_s[known][count - 1 :] - log.time_s[known][: 1 - count])
+    if _is_off_zero(time, values[opening], 1, float(np.max(np.abs(rates)))):
+        return True
+    return is_joint and _is_off_zero(time, values[opening], 0, largest)
+
+
+def _is_opening(log: Log) -> NDArray[np.bool_]:
+    """Return which samples of a log belong to its opening."""
+    length = max(OPENING_S, OPENING_STEPS * float(np.median(np.diff(log.time_s))))
+    return log.time_s <= log.time_s[0] + length
+
+
+def _is_off_zero(time_s: Array, values: Array, derivative: int, top: float) -> bool:
+    """Return whether a value (0) or its rate (1) at time zero is significant and not small beside ``top``."""
+    value, error = _fitted(time_s, values, derivative)
+    return abs(value) > max(MIN_ERRORS * error, MIN_SHARE * top)
+
+
+def _fitted(time_s: Array, values: Array, derivative: int) -> tuple[float, float]:
+    """Return a value (0) or its rate (1) at time zero, with its standard error.
+
+    They come from a polynomial, of two orders more if that fits much better: a stiff polynomial would take a
+    quick start from rest for motion.
+    """
+    order = 1 + derivative
+    *stiff, stiff_squares = _at_zero(time_s, values, derivative, order)
+    *pliant, pliant_squares = _at_zero(time_s, values, derivative, order + 2)
+    free = len(time_s) - order - 3
+    if stiff_squares - pliant_squares > 2 * MIN_F_RATIO * pliant_squares / free:
+        return pliant[0], pliant[1]
+    return stiff[0], stiff[1]
+
+
+def _at_zero(time_s: Array, values: Array, derivative: int, order: int) -> tuple[float, float, float]:
+    """Return a coefficient of a fitted polynomial, its standard error, and the residual sum of squares."""
+    design = np.vander(time_s, order + 1, increasing=True)
+    weights, *_ = np.linalg.lstsq(design, values, rcond=None)
+    residuals = values - design @ weights
+    squares = float(residuals @ residuals)
+    spread = float(np.linalg.inv(design.T @ design)[derivative, derivative])
+    return float(weights[derivative]), math.sqrt(squares / (len(time_s) - order - 1) * spread), squares
+
+
+# ---------------------------------------------------------------- checks against the logs
+
+
+def _beat(entry: FreeSwimTrial, log: Log, model: Swimmer) -> dict[str, Any] | None:
+    """Return the stated frequency of a drive and the one found in the heading; None without either."""
+    if entry.drive is None or isinstance(entry.drive, StrokeDrive) or not model.free_base:
+        return None
+    for name in (*model.pose[2:], *model.velocity[2:]):
+        if not name.removesuffix("_s").endswith("_rad") or name not in log:
+            continue
+        known = np.isfinite(log[name])
+        if known.sum() >= MIN_BEAT_SAMPLES:
+            time = log.time_s[known]
+            highest = min(8.0 * entry.drive.frequency_hz, 0.45 / float(np.median(np.diff(time))))
+            found = find_beat(time, log[name][known], highest_hz=highest)
+            return stated_against_found(entry.id, entry.drive.frequency_hz, found, used="stated")
+    return None
+
+
+def _check_course(path: Path, model: Swimmer, recordings: Sequence[Recording]) -> None:
+    """Warn if the robot does not swim in the direction of its heading."""
     if tuple(model.pose) != ("x_m", "y_m", "yaw_rad"):
         return
-    tracks = [
-        (log.time_s, log["x_m"], log["y_m"], log["yaw_rad"])
-        for log in logs
-        if all(c in log for c in model.pose)
-    ]
-    slowest = min((f for f in frequencies_hz if f), default=1.0)
-    window_s = max(1.0, 1.0 / slowest)
+    logs = [r.log for r in recordings if all(name in r.log for name in model.pose)]
+    tracks = [(log.time_s, log["x_m"], log["y_m"], log["yaw_rad"]) for log in logs]
+    frequencies = [getattr(r.entry.drive, "frequency_hz", None) or math.inf for r in recordings]
+    window_s = max(1.0, 1.0 / min(frequencies, default=math.inf))
     if consistency.is_in_degrees(tracks, window_s):
         warn(
             "SWM034", f"{path.name}, 'yaw_rad': the courses follow it if it is in degrees (a factor of 57.3)"
@@ -254,277 +610,11 @@ def _check_course(
         )
 
 
-def _profile(entry: FreeSwimTrial) -> str:
-    """The motion a trial repeats: its drive in words; of measured joints, the trial itself."""
-    command = entry.drive
-    if command is None:
-        return entry.id
-    if isinstance(command, StrokeDrive):
-        said = [command.stroke]
-        said += [f"{command.frequency_hz:g} Hz"] if command.frequency_hz else []
-        said += [f"scale {command.scale:g}"] if command.scale != 1.0 else []
-        return ", ".join(said)
-    said = [command.waveform, f"{command.frequency_hz:g} Hz", f"{command.amplitude_deg:g} deg"]
-    said += [f"bias {command.bias_deg:g} deg"] if command.bias_deg else []
-    return ", ".join(said)
-
-
-def beat_of(command: Drive) -> drives.Beat:
-    """A trials file's drive in SI."""
-    return drives.Beat(
-        command.waveform,
-        command.frequency_hz,
-        math.radians(command.amplitude_deg),
-        math.radians(command.bias_deg),
-        command.asymmetry,
-        command.ramp_s,
-        math.radians(command.phase_deg),
-    )
-
-
-def cycle_of(command: StrokeDrive, model: Swimmer, path: Path | None = None) -> Cycle:
-    """A stroke as the robot file has it.
-
-    Raises
-    ------
-    InputError, UsageError
-        When the robot has no such stroke as the trials file at the path, or without one the user, asks for.
-    """
-    body = model.robot.multibody
-    known = {} if body is None else body.strokes
-    if command.stroke not in known:
-        text = f"the robot '{model.robot.name}' has no stroke '{command.stroke}'"
-        hint = suggestion(command.stroke, list(known), "it has")
-        if path is None:
-            raise UsageError(text, hint=hint)
-        raise InputError(text, file=path, column="drive.stroke", hint=hint)
-    law = known[command.stroke]
-    return Cycle(
-        command.stroke,
-        law,
-        command.frequency_hz or 1.0 / law.period_s,
-        command.scale,
-        command.ramp_s,
-        math.inf if command.cycles is None else command.cycles,
-        math.radians(command.phase_deg),
-    )
-
-
-def _trial(entry: FreeSwimTrial, path: Path, model: Swimmer, channels: Sequence[str]) -> tuple[Trial, Log]:
-    known = [c.name for c in model.channels]
-    commands = [a.column.replace("joint", "cmd") for a in model.driven]
-    log = read_log(entry, path.parent, required=tuple(channels), optional=(*known, *commands))
-    log = replace(log, columns={name: _unwrapped(name, values) for name, values in log.columns.items()})
-    swim = SwimInput(coefficients=_own_coefficients(entry, path, model))
-    if isinstance(entry.drive, StrokeDrive):
-        swim = replace(swim, stroke=cycle_of(entry.drive, model, path))
-    elif entry.drive is not None:
-        swim = replace(swim, beat=beat_of(entry.drive))
-    elif model.driven:
-        motions = [_motion(model, k, log) for k in range(len(model.driven))]
-        swim = replace(swim, joints=[m for m, _ in motions], commanded=any(told for _, told in motions))
-    measured = {name: log[name] for name in (channels or _default_channels(model, log))}
-    pose = [log[name] if name in log else np.full(len(log), np.nan) for name in model.pose]
-    # in its plane a robot is where the log says or nowhere; a side view tells half of a pose in space
-    if model.free_base and (len(pose) > 3 or all(name in log for name in model.pose[:2])):
-        first = [float(v[np.isfinite(v)][0]) if np.isfinite(v).any() else 0.0 for v in pose]
-        if _headless(model, log):
-            first[2] = _course(*pose[:2])
-        swim = replace(swim, pose=tuple(first))
-    others = {n: v for n, v in log.columns.items() if n in known and n not in measured}
-    return Trial(entry.id, entry.role, log.time_s, measured, inputs=others, swim=swim), log
-
-
-def _headless(model: Swimmer, log: Log) -> bool:
-    """Whether a log shows where a robot is in its plane, and not its heading: one marker."""
-    *place, heading = model.pose
-    known = [name in log and np.isfinite(log[name]).any() for name in (*place, heading)]
-    return model.free_base and len(place) == 2 and all(known[:2]) and not known[2]
-
-
-def _course(x: Array, y: Array) -> float:
-    """Where a track sets out to, rad: to where it is a quarter of its farthest from its first point."""
-    there = np.isfinite(x) & np.isfinite(y)
-    along, across = x[there] - x[there][0], y[there] - y[there][0]
-    gone = np.hypot(along, across)
-    at = int(np.argmax(gone >= 0.25 * gone.max()))
-    return math.atan2(across[at], along[at])
-
-
-def _own_coefficients(entry: FreeSwimTrial, path: Path, model: Swimmer) -> dict[str, float]:
-    """The coefficients a trial sets for itself."""
-    for name in entry.coefficients:
-        if name not in model.coefficients:
-            raise InputError(
-                f"the trial '{entry.id}' sets '{name}', which is no coefficient of the robot",
-                file=path,
-                column="coefficients",
-                hint=suggestion(name, model.coefficients, "it has"),
-            )
-    return dict(entry.coefficients)
-
-
-def _unwrapped(name: str, values: Array) -> Array:
-    """A heading without its jumps at half a turn; other columns as they are."""
-    if not name.endswith("_rad") or name.startswith("joint"):
-        return values
-    there = np.isfinite(values)
-    found = values.copy()
-    # values beyond one turn do not jump: they go on, or they are no radians
-    # one turn, and the noise of a twentieth
-    if there.any() and np.ptp(values[there]) <= 2.1 * math.pi:
-        found[there] = np.unwrap(values[there])
-    return found
-
-
-def _default_channels(model: Swimmer, log: Log) -> list[str]:
-    def there(names: Sequence[str]) -> list[str]:
-        return [n for n in names if n in log and np.isfinite(log[n]).sum() > 1]
-
-    chosen = []
-    if model.free_base:
-        pose = there(model.pose)
-        whole = len(pose) == 3 or (len(model.pose) > 3 and len(pose) > 1)
-        chosen = pose if whole else there(model.velocity) or pose
-    chosen += there([a.column for a in model.passive])
-    chosen += there([a.column for a in model.driven if a.driven and a.driven.servo])
-    if not chosen:
-        names = ", ".join(c.name for c in model.channels)
-        raise InputError("holds none of the robot's channels", file=log.path, hint=f"it may have: {names}")
-    return chosen
-
-
-def _motion(model: Swimmer, number: int, log: Log) -> tuple[Any, bool]:
-    """A driven joint's motion from its measured angle, or from its commanded one, and whether it was that.
-
-    A joint no drive moves (gain 0) stays straight where the log has neither.
-    """
-    axis = model.driven[number]
-    name, law = axis.column, axis.driven
-    assert law is not None
-    command = name.replace("joint", "cmd")
-    for candidate in (command, name) if law.servo is not None else (name, command):
-        if candidate in log and np.isfinite(log[candidate]).sum() >= 5:
-            return drive.spline_motion(drive.measured(log.time_s, log[candidate])), candidate == command
-    if law.gain == 0.0 and not law.bias_gain:
-        return drives.straight, False
-    raise InputError(
-        f"the driven joint '{axis.name}' needs this column, or '{command}'",
-        file=log.path,
-        line=log.first_line - 1 if log.first_line else None,
-        column=name,
-        hint="or give the trial a 'drive' in the trials file",
-    )
-
-
-def _beat(entry: FreeSwimTrial, log: Log, model: Swimmer) -> dict[str, Any] | None:
-    """The beat found in the heading, against the drive's."""
-    if entry.drive is None or isinstance(entry.drive, StrokeDrive) or not model.free_base:
-        return None
-    for name in (*model.pose[2:], *model.velocity[2:]):
-        if not name.removesuffix("_s").endswith("_rad"):
-            continue
-        if name in log and np.isfinite(log[name]).sum() > 16:
-            seen = np.isfinite(log[name])
-            time = log.time_s[seen]
-            highest = min(8.0 * entry.drive.frequency_hz, 0.45 / float(np.median(np.diff(time))))
-            found = find_beat(time, log[name][seen], highest_hz=highest)
-            return stated_against_found(entry.id, entry.drive.frequency_hz, found, used="stated")
-    return None
-
-
-def _moving(trial: Trial, log: Log, model: Swimmer) -> bool:
-    """Whether the log begins under way, or its first stretch shows the body or a passive joint in motion."""
-    beat = trial.swim.drive
-    still = beat is None or getattr(beat, "amplitude_rad", 1.0) == 0
-    begun = 0.0 if still else trial.time_s[0]
-    if beat is not None and begun > max(0.3 * beat.ramp_s, OPENING_S):
-        return True
-    body = (*model.pose, *model.velocity) if model.free_base else ()
-    joints = tuple(a.column for a in model.passive)
-    for name in (n for n in (*body, *joints) if n in log):
-        values = log[name]
-        seen = np.isfinite(values)
-        there = _opening(log) & seen
-        if there.sum() < MIN_OPENING:
-            continue
-        time = log.time_s[there] - log.time_s[there][0]
-        sizes = np.abs(values[seen])
-        if name.endswith("_s"):
-            tops = {0: float(np.max(sizes))}
-        else:
-            k = int(there.sum()) - 1
-            rates = (values[seen][k:] - values[seen][:-k]) / (log.time_s[seen][k:] - log.time_s[seen][:-k])
-            tops = {1: float(np.max(np.abs(rates)))}
-            if name in joints:
-                tops[0] = float(np.max(sizes))
-        if any(_off_zero(time, values[there], power, top) for power, top in tops.items()):
-            return True
-    return False
-
-
-def _opening(log: Log) -> NDArray[np.bool_]:
-    """The samples of a log's first stretch."""
-    return log.time_s <= log.time_s[0] + max(OPENING_S, 8 * float(np.median(np.diff(log.time_s))))
-
-
-def _starts(trial: Trial, log: Log, model: Swimmer) -> dict[str, float]:
-    """Where a search for the start state begins: what the fitted channels show of it at first."""
-    headless = _headless(model, log)
-
-    def at_start(name: str, derivative: int) -> float | None:
-        if headless and name == model.pose[2] and not derivative:
-            return trial.swim.posed()[2]
-        if name not in trial.measured:
-            return None
-        values = trial.measured[name]
-        there = _opening(log) & np.isfinite(values)
-        if there.sum() < MIN_OPENING:
-            return None
-        return _fitted(log.time_s[there] - log.time_s[0], values[there], derivative)[0]
-
-    found: dict[str, float | None] = model.opening(at_start) if model.free_base else {}
-    for axis in model.passive:
-        joint, rate = axis.name, axis.column.replace("_rad", "_rate_rad_s")
-        found[f"initial_angle_{joint}"] = at_start(axis.column, 0)
-        found[f"initial_rate_{joint}"] = (
-            at_start(rate, 0) if rate in trial.measured else at_start(axis.column, 1)
-        )
-    return {name: value for name, value in found.items() if value is not None}
-
-
-def _off_zero(time_s: Array, values: Array, derivative: int, top: float) -> bool:
-    """Whether a value (0) or its rate (1) at time zero is surely not zero, and not small against ``top``.
-
-    By a polynomial; by one two orders higher where that fits much better: one that is too stiff
-    takes a quick start from rest for motion.
-    """
-    value, error = _fitted(time_s, values, derivative)
-    return abs(value) > max(CERTAIN * error, MOVING * top)
-
-
-def _fitted(time_s: Array, values: Array, derivative: int) -> tuple[float, float]:
-    """A value (0) or its rate (1) at time zero, with its standard error."""
-    order = 1 + derivative
-    stiff, pliant = (_at_zero(time_s, values, derivative, n) for n in (order, order + 2))
-    free = len(time_s) - order - 3
-    better = stiff[2] - pliant[2] > 2 * BETTER * pliant[2] / free
-    value, error, _ = pliant if better else stiff
-    return value, error
-
-
-def _at_zero(time_s: Array, values: Array, derivative: int, order: int) -> tuple[float, float, float]:
-    """Coefficient of a fitted polynomial, its standard error, and the sum of squares left."""
-    design = np.vander(time_s, order + 1, increasing=True)
-    weights, *_ = np.linalg.lstsq(design, values, rcond=None)
-    left = values - design @ weights
-    squares = float(left @ left)
-    spread = float(np.linalg.inv(design.T @ design)[derivative, derivative])
-    return float(weights[derivative]), math.sqrt(squares / (len(time_s) - order - 1) * spread), squares
+# ---------------------------------------------------------------- drives of trials
 
 
 def drive_of(trial: Trial) -> dict[str, float]:
-    """The numbers of a trial's drive; empty where measured joints drive it."""
+    """Return the quantities of the drive of a trial; empty if measured joints drive it."""
     beat, stroke = trial.swim.beat, trial.swim.stroke
     if stroke is not None:
         return {"frequency_hz": stroke.frequency_hz, "scale": stroke.scale}
@@ -532,22 +622,23 @@ def drive_of(trial: Trial) -> dict[str, float]:
         return {}
     return {
         "frequency_hz": beat.frequency_hz,
-        "amplitude_deg": _round(math.degrees(beat.amplitude_rad)),
-        "bias_deg": _round(math.degrees(beat.bias_rad)),
+        "amplitude_deg": _degrees(beat.amplitude_rad),
+        "bias_deg": _degrees(beat.bias_rad),
         "asymmetry": beat.asymmetry,
-        "lag_deg": _round(math.degrees(beat.lag_rad)),
+        "lag_deg": _degrees(beat.lag_rad),
     }
 
 
-def _round(value: float) -> float:
-    return float(f"{value:.12g}")
+def _degrees(value_rad: float) -> float:
+    """Return an angle in degrees, to twelve digits, as a file would state it."""
+    return float(f"{math.degrees(value_rad):.12g}")
 
 
 def driven_range(trials: Sequence[Trial]) -> dict[str, tuple[float, float]]:
-    """The range of each number of the drives of trials; of those that every driven trial has.
+    """Return the range of each quantity that the drives of all driven trials have.
 
-    Empty where measured joints drive them.
+    Empty if measured joints drive them.
     """
     found = [known for trial in trials if (known := drive_of(trial))]
-    names = [name for name in (found[0] if found else {}) if all(name in known for known in found)]
+    names = [name for name in next(iter(found), {}) if all(name in known for known in found)]
     return {n: (min(known[n] for known in found), max(known[n] for known in found)) for n in names}

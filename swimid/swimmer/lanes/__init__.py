@@ -1,5 +1,5 @@
-"""Many runs of one robot at once: an engine's equations, traced on symbols and compiled for SIMD lanes.
+"""Batches of simulations: the equations of one robot, traced with symbols and compiled for vector registers.
 
-``tracing`` runs the text of an engine on symbols and writes the operations that come out as a module,
-``kernel`` compiles, keeps and runs it, also with room for what effects bring.
+``tracing`` runs an engine on symbols and writes its operations as the text of a module. ``kernel`` compiles,
+keeps and runs that module, also with the forces and elements of effects.
 """

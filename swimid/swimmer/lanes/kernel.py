@@ -1,6 +1,7 @@
-"""Compiled lanes of a robot: traced once, kept on disk, run in batches.
+"""Compiled kernels of a robot, which integrate a batch of runs at once. They are kept on disk.
 
-:class:`WideKernel` has room for what effects bring.
+:class:`Kernel` holds the equations of the robot alone, :class:`WideKernel` those with the forces and elements
+of effects. :class:`Kernels` has both, and decides which run takes which.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import llvmlite  # type: ignore[import-untyped]
 import numba
@@ -33,29 +34,42 @@ from swimid.progress import Progress, silent
 from swimid.swimmer.lanes import tracing
 from swimid.swimmer.lanes.tracing import LANES, Traced
 
+if TYPE_CHECKING:
+    from swimid.files.checkpoint import Checkpoint
+    from swimid.swimmer.model import Run
+
 Array = NDArray[np.float64]
 
-#: What one traced operation takes in the scalar engine, and to compile, s: of the built-in robots, printed
-#: by ``python -m benchmarks.bench_lanes --only engine compile``.
+#: Time of one traced operation in the scalar engine, and time to compile one, s. Measured with the built-in
+#: robots by ``python -m benchmarks.bench_lanes --only engine compile``.
 OPERATION_S, COMPILING_S = 3.5e-10, 5e-3
+#: Maximum time of simulation with the scalar engine, s, for which a kernel is not even looked up.
+MAX_SCALAR_S = 0.5
+#: A kernel is compiled at once if the scalar engine would take this many times longer than compiling. The
+#: amount of simulation ahead is known only within a factor of two.
+MIN_GAIN = 2.0
+#: Age of a mark from which the process that set it counts as stopped, s.
+MARK_S = 600.0
+#: Number of arrays for results that are kept for later batches.
+N_BUFFERS = 8
 
 
 @dataclass(frozen=True)
 class Engine:
-    """What a model and its kernel ask of an engine.
+    """Functions and properties of an engine that a model and its kernels use.
 
     Attributes
     ----------
     derivative : compiled function
-        ``derivative(state, row, *tables, *extra, *scratch, rate)``.
+        ``derivative(state, row, *tables, *extra, *work, rate)``.
     shapes : callable
-        Tables -> length of the state, and the shapes of the scratch arrays.
+        From tables to the length of the state and the shapes of the work arrays.
     extra : tuple
-        Arguments of ``derivative`` between the tables and the scratch arrays.
+        Arguments of ``derivative`` between the tables and the work arrays.
     settled : compiled function or None
-        Done to a state after each step.
+        Correction of the state after each step.
     filled : mapping of table to columns
-        Entries that stay numbers of a run also where the robot has a zero there: effects fill them.
+        Entries that effects may change, and that are inputs of a kernel even if the robot has a zero there.
     energetics : compiled function or None
         Inverse dynamics of a finished run: joint torques and powers.
     """
@@ -69,36 +83,37 @@ class Engine:
 
 
 class Kernel:
-    """Up to :data:`LANES` runs of one robot at once.
+    """Compiled equations of one robot, which integrate up to :data:`LANES` runs at once.
 
     Parameters
     ----------
     engine : Engine
     tables : callable
-        Coefficients -> the engine's tables by their names.
+        From coefficients to the tables of the engine, by their names.
     coefficients : int
+        Number of coefficients.
     """
 
     def __init__(self, engine: Engine, tables: Callable[[Array], dict[str, Any]], coefficients: int) -> None:
         self.engine = engine
         self._example = tables(np.ones(coefficients))
         self.size, self._scratch = engine.shapes(self._example)
-        self._fixed = _fixed(tables, coefficients)
+        self.fixed = _fixed(tables, coefficients)
         for name, columns in engine.filled.items():
-            self._fixed[name][:, columns] = np.nan
-        entries = self._entries(self._fixed)
+            self.fixed[name][:, columns] = np.nan
+        entries = self._entries(self.fixed)
         self._taken, self._known = np.flatnonzero(np.isnan(entries)), np.flatnonzero(~np.isnan(entries))
         self._structure = entries[self._known]
         self._lock = threading.RLock()
-        self._rooms: list[Array] = []
+        self._buffers: list[Array] = []
         self._traced: Traced | None = None
-        self._module: ModuleType | None = None
+        self.module: ModuleType | None = None
 
     def fits(self, tables: Mapping[str, Any]) -> bool:
-        """Whether a run's tables have this robot's structure: an effect may have filled in a zero."""
+        """Return whether tables have the structure of this robot. An effect may have filled in a zero."""
         for name, example in self._example.items():
             given = tables[name]
-            if name in self._fixed:
+            if name in self.fixed:
                 if np.shape(given) != np.shape(example):
                     return False
             elif given is not example and not np.array_equal(given, example):
@@ -106,7 +121,7 @@ class Kernel:
         return bool((self._entries(tables)[self._known] == self._structure).all())
 
     def traced(self) -> Traced:
-        """The equations as operations."""
+        """Return the equations as operations."""
         if self._traced is None:
             self._traced = self._trace()
         return self._traced
@@ -116,7 +131,7 @@ class Kernel:
         arguments: dict[str, Any] = {}
         count = 0
         for name, example in self._example.items():
-            fixed = self._fixed.get(name)
+            fixed = self.fixed.get(name)
             if fixed is None:
                 arguments[name] = example
                 continue
@@ -143,46 +158,50 @@ class Kernel:
         return Traced(used, list(rate), (_used(after.operations, settled), list(settled)), count, 5 * driven)
 
     def kind(self, table: str) -> str:
-        """What the entries of a table are as inputs (:class:`swimid.swimmer.lanes.tracing.Symbol`)."""
+        """Return the kind of input of a table's entries (:class:`swimid.swimmer.lanes.tracing.Symbol`)."""
         return "table"
 
     def _arguments(self, tracer: tracing.Tracer, tables: dict[str, Any]) -> list[Any]:
-        """Of the derivative: tables and what follows them."""
+        """Return the arguments of the derivative: tables and what follows them."""
         return [*tables.values(), *self.engine.extra]
 
     def worth(self, derivatives: float, progress: Progress = silent) -> bool:
-        """Whether to run side by side, when the equations are about to be evaluated so many times.
+        """Return whether the kernel pays, and compile it if it does.
 
-        Where the kernel is on this machine, yes. Where it would take longer to compile than what it saves,
-        no; then a process of its own compiles it for the next time. The environment variable
-        ``SWIMID_LANES`` says ``always`` or ``never`` instead: the two forms agree to some fourteen digits,
-        not to the last.
+        It pays if it is on this machine already, or if compiling takes less time than it saves. Otherwise a
+        process in the background compiles it for the next command. The environment variable ``SWIMID_LANES``
+        overrides this by ``always`` or ``never``. Kernel and engine agree to about fourteen digits.
+
+        Parameters
+        ----------
+        derivatives : float
+            Number of evaluations of the equations ahead.
+        progress : Progress
         """
         wanted = os.environ.get("SWIMID_LANES", "auto")
         if wanted == "never":
             return False
         operations = len(self.traced().operations)
         scalar_s = derivatives * OPERATION_S * operations
-        if wanted == "auto" and scalar_s < 0.5:
+        if wanted == "auto" and scalar_s < MAX_SCALAR_S:
             return False
         text = tracing.text(self.traced())
         if on_disk(text):
             self.compiled()
             return True
-        # the work ahead is known to half
-        if wanted == "auto" and scalar_s < 2.0 * COMPILING_S * operations:
-            later(text)
+        if wanted == "auto" and scalar_s < MIN_GAIN * COMPILING_S * operations:
+            compile_later(text)
             return False
         with progress("compiling the simulation for several runs at once (on first use only)"):
             self.compiled()
         return True
 
     def compiled(self) -> ModuleType:
-        """The module, compiled where this machine does not have it yet."""
+        """Return the module, and compile it if this machine does not have it yet."""
         with self._lock:
-            if self._module is None:
-                self._module = _compiled(imported(tracing.text(self.traced())))
-            return self._module
+            if self.module is None:
+                self.module = _compiled(imported(tracing.text(self.traced())))
+            return self.module
 
     def run(
         self,
@@ -191,7 +210,7 @@ class Kernel:
         drives: Sequence[Array],
         tables: Sequence[Mapping[str, Any]],
     ) -> list[tuple[Array, Array]]:
-        """States and rates of each run, as ``engine.integrate`` gives them.
+        """Return states and rates of each run, as ``engine.integrate`` does.
 
         Parameters
         ----------
@@ -204,7 +223,7 @@ class Kernel:
         -------
         list of (states, rates), each shape (steps + 1, size)
         """
-        # runs of like length side by side
+        # runs of similar length share a batch
         order = sorted(range(len(starts)), key=lambda k: len(drives[k]))
         places: dict[int, tuple[Array, Array]] = {}
         for first in range(0, len(order), LANES):
@@ -226,7 +245,7 @@ class Kernel:
         steps = [(len(drives[k]) - 1) // 2 for k in batch]
         start = np.stack([starts[k] for k in lanes], axis=-1)
         parameters = np.stack([self.numbers(tables[k]) for k in lanes], axis=-1)
-        states, rates = self._room((2, len(batch), max(steps) + 1, self.size))
+        states, rates = self._buffer((2, len(batch), max(steps) + 1, self.size))
         module.integrate(
             start.reshape(-1),
             np.array([steps_s[k] for k in lanes], dtype=float),
@@ -240,43 +259,45 @@ class Kernel:
         )
         return [(states[j, : n + 1], rates[j, : n + 1]) for j, n in enumerate(steps)]
 
-    def _room(self, shape: tuple[int, ...]) -> Array:
-        """An array to write into, of memory no result of an earlier batch lives in any more.
+    def _buffer(self, shape: tuple[int, ...]) -> Array:
+        """Return an array to write into, in memory that no earlier result uses any more.
 
-        Fresh memory costs half as much again as the run: every page of it is a fault.
+        Fresh memory would make a run take half as long again, because of its page faults.
         """
         need = math.prod(shape)
         with self._lock:
-            counts = _references(self._rooms)
-            idle = [k for k, n in enumerate(counts) if n == IDLE and len(self._rooms[k]) >= need]
+            counts = _references(self._buffers)
+            idle = [k for k, n in enumerate(counts) if n == IDLE and len(self._buffers[k]) >= need]
             if not idle:
-                self._rooms = [np.empty(need), *self._rooms[:7]]
-            return self._rooms[idle[0] if idle else 0][:need].reshape(shape)
+                self._buffers = [np.empty(need), *self._buffers[: N_BUFFERS - 1]]
+                idle = [0]
+            return self._buffers[idle[0]][:need].reshape(shape)
 
     def numbers(self, tables: Mapping[str, Any]) -> Array:
-        """What of a run's tables the kernel takes as numbers, shape (parameters,)."""
+        """Return the entries of a run's tables that are inputs of the kernel, shape (parameters,)."""
         return self._entries(tables)[self._taken]
 
     def _entries(self, tables: Mapping[str, Any]) -> Array:
-        """All numbers of the tables, one after another."""
-        return np.concatenate([np.reshape(tables[name], -1) for name in self._fixed])
+        """Return all numbers of the tables in one array."""
+        return np.concatenate([np.reshape(tables[name], -1) for name in self.fixed])
 
 
 def _references(arrays: Sequence[Array]) -> list[int]:
+    """Return the number of references to each array."""
     return [sys.getrefcount(array) for array in arrays]
 
 
-#: References to an array that nothing but its list holds.
+#: Number of references to an array that only its list holds.
 IDLE = _references([np.empty(0)])[0]
 
 
 def _fixed(tables: Callable[[Array], dict[str, Any]], coefficients: int) -> dict[str, Array]:
-    """Entries that are 0, 1 or -1 whatever the coefficients, NaN for the rest; of the tables of numbers."""
+    """Return the entries of float tables that are 0, 1 or -1 for any coefficients, and NaN for all others."""
     draws = np.random.default_rng(0).uniform(0.5, 1.5, (3, coefficients))
     samples = [tables(draw) for draw in draws]
     fixed = {}
-    for name, first in samples[0].items():
-        values = np.array([s[name] for s in samples], dtype=object if isinstance(first, bool) else None)
+    for name in samples[0]:
+        values = np.array([s[name] for s in samples])
         if values.dtype.kind != "f":
             continue
         same = (values == values[0]).all(axis=0) & np.isin(values[0], (0.0, 1.0, -1.0))
@@ -285,7 +306,7 @@ def _fixed(tables: Callable[[Array], dict[str, Any]], coefficients: int) -> dict
 
 
 def _used(operations: Sequence[tracing.Symbol], results: Any) -> list[tracing.Symbol]:
-    """The operations that a result needs, in their order."""
+    """Return the operations that results need, in their order."""
     needed, open_ = set(), [x for x in results if isinstance(x, tracing.Symbol)]
     while open_:
         x = open_.pop()
@@ -296,7 +317,7 @@ def _used(operations: Sequence[tracing.Symbol], results: Any) -> list[tracing.Sy
 
 
 def folder() -> Path:
-    """Where generated modules and their compiled forms are kept: with numba's other caches."""
+    """Return the folder of generated modules and their compiled forms, beside numba's other caches."""
     beside = Path(__file__).parent / "__pycache__"
     if numba.config.CACHE_DIR:
         base = Path(numba.config.CACHE_DIR)
@@ -308,20 +329,20 @@ def folder() -> Path:
 
 
 def _path(text: str) -> Path:
-    """Of the module of this text, named by it, by the compiler and by the processor."""
+    """Return the path of a module, whose name is a hash of its text, the compiler and the processor."""
     host = f"{sys.version} {numba.__version__} {llvmlite.__version__} {get_host_cpu_features()}"
     return folder() / f"lanes_{hashlib.sha256(f'{host} {text}'.encode()).hexdigest()[:16]}.py"
 
 
 def on_disk(text: str) -> bool:
-    """Whether the module of this text is compiled on this machine."""
+    """Return whether the module of this text is compiled on this machine."""
     path = _path(text)
     base = Path(numba.config.CACHE_DIR) if numba.config.CACHE_DIR else path.parent / "__pycache__"
     return any(base.rglob(f"{path.stem}.integrate-*.nbc"))
 
 
 def imported(text: str) -> ModuleType:
-    """The module of this text, written where it is not there yet; it compiles at its first call."""
+    """Return the module of this text, and write its file if there is none. It compiles at its first call."""
     path = _path(text)
     if path.stem in sys.modules:
         return sys.modules[path.stem]
@@ -338,16 +359,16 @@ def imported(text: str) -> ModuleType:
 
 
 def _compiled(module: ModuleType) -> ModuleType:
-    """The module, compiled or loaded as it was compiled before."""
+    """Return the module, compiled now or loaded from disk."""
     module.integrate.compile(module.SIGNATURE)
     return module
 
 
-def later(text: str) -> None:
-    """Compile a module in a process of its own, which outlives this one; for the next command."""
+def compile_later(text: str) -> None:
+    """Compile a module for the next command, in a process that outlives this one."""
     imported(text)
     command = "import sys; from swimid.swimmer.lanes import kernel; kernel.compile_file(sys.argv[1])"
-    with contextlib.suppress(OSError):  # without it the next command is as fast as this one
+    with contextlib.suppress(OSError):  # without a process the next command is as slow as this one
         subprocess.Popen(
             [sys.executable, "-c", command, str(_path(text))],
             stdin=subprocess.DEVNULL,
@@ -358,10 +379,10 @@ def later(text: str) -> None:
 
 
 def compile_file(path: str) -> None:
-    """Compile the module at a path, politely; once, however many ask for it."""
+    """Compile the module at a path at low priority, unless another process does so already."""
     mark = Path(path).with_suffix(".compiling")
-    if mark.exists() and time.time() - mark.stat().st_mtime > 600.0:
-        mark.unlink(missing_ok=True)  # of a process that was stopped
+    if mark.exists() and time.time() - mark.stat().st_mtime > MARK_S:
+        mark.unlink(missing_ok=True)
     try:
         mark.touch(exist_ok=False)
     except FileExistsError:
@@ -374,25 +395,26 @@ def compile_file(path: str) -> None:
         mark.unlink(missing_ok=True)
 
 
-#: The table of what a run brings beside the robot's: begin (s), place (:func:`placed` of the engine), and of
-#: each force whether it acts, its point and its constants.
+#: Name of the table of forces of a run: its begin (s), its frame (``placed`` of the engine), and for each
+#: force 1 or 0 (whether it acts), its point and its constants.
 ACTING = "acting"
+#: Number of entries of the frame.
 FRAME = 7
 
 
 @dataclass(frozen=True)
 class Room:
-    """What effects may bring to a robot.
+    """Elements, entries and forces that effects may bring to a robot.
 
     Attributes
     ----------
     rows : mapping of table to links
-        Elements beyond the robot's own, in the order in which effects append them; the links of table ``t``
-        are table ``t_link``.
+        Links of further elements, in the order in which effects append them. The links of table ``t`` are
+        table ``t_link``.
     filled : mapping of table to index
-        Entries that effects change, whatever the robot has there.
+        Entries that effects change.
     forces : sequence of (Traceable, link)
-        Each at most once.
+        Forces, each of which acts at most once in a run.
     """
 
     rows: Mapping[str, Sequence[int]]
@@ -401,15 +423,15 @@ class Room:
 
 
 class WideKernel(Kernel):
-    """Up to :data:`LANES` runs of one robot at once, each with its own effects or none.
+    """Compiled equations of one robot with effects, each run with its own effects or none.
 
-    One for all effects, since compiling takes seconds; what a run pays for the forces of others is little
-    beside what it would take alone.
+    One kernel serves all effects, because compiling takes seconds. A run computes the forces of other effects
+    in vain, which costs little compared with a run of the scalar engine.
 
     Parameters
     ----------
     engine, tables, coefficients
-        As of :class:`Kernel`.
+        See :class:`Kernel`.
     room : Room
     """
 
@@ -422,13 +444,13 @@ class WideKernel(Kernel):
         for known, link in room.forces:
             self._slots[id(known.function), link] = slice(at, at + 3 + known.constants)
             at += 3 + known.constants
-        # a force that does not act takes ones, by which it may divide
+        # the constants of a force that does not act are ones, because it may divide by them
         self._idle = np.ones(at)
         self._idle[[place.start for place in self._slots.values()]] = 0.0
         super().__init__(engine, lambda values: self._roomy(tables(values)), coefficients)
 
     def _roomy(self, tables: dict[str, Any]) -> dict[str, Any]:
-        """Tables with NaN where a run has numbers of its own."""
+        """Return tables with NaN for the entries that effects may change."""
         found = dict(tables)
         for name, links in self.room.rows.items():
             own = tables[name]
@@ -442,15 +464,15 @@ class WideKernel(Kernel):
     def widened(
         self, tables: Mapping[str, Any], forces: Sequence[Force], frame: Array, begin_s: float
     ) -> dict[str, Any] | None:
-        """A run's tables as this kernel takes them; None where it has no room for them.
+        """Return the tables of a run for this kernel; None if it has no room for them.
 
         Parameters
         ----------
         tables : mapping
-            As the engine takes them.
+            Tables of the engine.
         forces : sequence of Force
         frame : ndarray, shape (7,)
-            Where the forces find the run, as the engine has it.
+            Frame of the run in the world (``placed`` of the engine).
         begin_s : float
             Time of the first state.
         """
@@ -473,7 +495,7 @@ class WideKernel(Kernel):
         return found if self.fits(found) else None
 
     def kind(self, table: str) -> str:
-        """Numbers of which nothing is known, also not whether they are there (see :meth:`Kernel.kind`)."""
+        """Return the kind of input of a table's entries; of forces, not even the sign is known."""
         return "number" if table == ACTING else super().kind(table)
 
     def _arguments(self, tracer: tracing.Tracer, tables: dict[str, Any]) -> list[Any]:
@@ -498,7 +520,7 @@ class WideKernel(Kernel):
         return [*tables.values(), forced, time]
 
     def _calls(self) -> Iterator[Callable[..., None]]:
-        """The forces on symbols, each nothing where it does not act."""
+        """Yield the forces as functions of symbols, zero for a force that does not act."""
         for known, _ in self.room.forces:
             plain = tracing.on_symbols(known.function)
 
@@ -510,7 +532,10 @@ class WideKernel(Kernel):
 
 
 def _in_places(rows: Array, links: NDArray[np.int64], places: NDArray[np.int64]) -> Array | None:
-    """Rows of elements each at the next place of its link, zeros between; None where there is no place."""
+    """Return rows of elements, each moved to the next place of its link; None if there is no place.
+
+    Rows of places without an element are zero.
+    """
     if np.array_equal(links, places):
         return rows
     found, at = np.zeros((len(places), rows.shape[1])), 0
@@ -522,3 +547,110 @@ def _in_places(rows: Array, links: NDArray[np.int64], places: NDArray[np.int64])
         found[at] = row
         at += 1
     return found
+
+
+class Kernels:
+    """Kernels of one robot: its own, and a wider one for runs with forces or elements of effects.
+
+    Parameters
+    ----------
+    engine, tables, coefficients
+        See :class:`Kernel`.
+    room : callable
+        Returns the :class:`Room` for effects, or None if there is none.
+
+    Attributes
+    ----------
+    own, wide : Kernel, WideKernel or None
+        Made when first needed.
+    use_own, use_wide : bool
+        Whether runs take them. Otherwise the scalar engine simulates.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        tables: Callable[[Array], dict[str, Any]],
+        coefficients: int,
+        room: Callable[[], Room | None],
+    ) -> None:
+        self._made = engine, tables, coefficients
+        self._room = room
+        self.own: Kernel | None = None
+        self.wide: WideKernel | None = None
+        self.use_own = self.use_wide = False
+
+    def make(self, *, effects: bool = True) -> Kernel:
+        """Make the kernels without compiling them, and return the robot's own."""
+        self.own = self.own or Kernel(*self._made)
+        if effects and self.wide is None:
+            room = self._room()
+            if room is not None:
+                self.wide = WideKernel(*self._made, room)
+        return self.own
+
+    def prepare(
+        self,
+        name: str,
+        derivatives: float,
+        affected: float,
+        checkpoint: Checkpoint | None,
+        progress: Progress = silent,
+    ) -> None:
+        """Decide whether runs take the kernels, and compile those that they take.
+
+        Parameters
+        ----------
+        name : str
+            Name of the decision in the checkpoint.
+        derivatives, affected : float
+            Number of evaluations of the equations ahead, without and with effects.
+        checkpoint : Checkpoint, optional
+            A search that is resumed keeps its decision, because kernel and engine differ in the last digits.
+        progress : Progress
+        """
+        own = self.make(effects=affected > 0.0)
+        begun = None if checkpoint is None else checkpoint.get(name)
+        if begun is not None:
+            self.use_own, self.use_wide = bool(begun[0]), bool(begun[1])
+            return
+        self.use_own = own.worth(derivatives, progress)
+        if self.use_own and self.wide is not None:
+            self.use_wide = self.wide.worth(affected, progress)
+        if checkpoint is not None:
+            checkpoint.put(name, np.array([self.use_own, self.use_wide], dtype=float))
+
+    def choose(self, run: Run, frame: Callable[[Run], Array]) -> tuple[Kernel, Mapping[str, Any]] | None:
+        """Return the kernel that takes a run, and its tables there; None if the engine must simulate it.
+
+        Parameters
+        ----------
+        run : Run
+        frame : callable
+            From a run to its frame in the world, shape (7,).
+        """
+        if self.own is None or not self.use_own:
+            return None
+        if not run.hooks.force and (not run.hooks.tables or self.own.fits(run.tables)):
+            return self.own, run.tables
+        if self.wide is None or not self.use_wide:
+            return None
+        tables = self.wide.widened(run.tables, run.hooks.force, frame(run), run.grid.begin_s)
+        return None if tables is None else (self.wide, tables)
+
+    def run(self, runs: Mapping[Any, Run], frame: Callable[[Run], Array]) -> dict[Any, tuple[Array, Array]]:
+        """Return states and rates of the runs that the kernels take, by the keys of the runs."""
+        found: dict[Any, tuple[Array, Array]] = {}
+        choices = {key: self.choose(run, frame) for key, run in runs.items()}
+        for kernel in (self.own, self.wide):
+            taken = {key: choice[1] for key, choice in choices.items() if choice and choice[0] is kernel}
+            if kernel is None or not taken:
+                continue
+            motions = kernel.run(
+                [runs[key].start for key in taken],
+                [runs[key].grid.step_s for key in taken],
+                [runs[key].drive.table for key in taken],
+                list(taken.values()),
+            )
+            found.update(zip(taken, motions, strict=True))
+        return found

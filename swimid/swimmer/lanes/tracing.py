@@ -1,14 +1,14 @@
-"""The equations of an engine as a list of operations, and these as the text of a module.
+"""Equations of an engine as a list of operations, and the source text of a module that computes them.
 
-The compiled functions of an engine are plain Python underneath. Run on symbols in place of numbers they go
-through their loops over links and elements once and leave the straight line of sums and products behind: of
-the tables, what is structurally 0 or 1 is folded away. An engine written for this asks no question of a value
-but by :func:`swimid.swimmer.planar.engine.positive`, ``max``, ``min`` and ``abs``.
+The compiled functions of an engine are Python functions. Called with symbols in place of numbers, they run
+through their loops over links and elements once, and leave a list of sums and products. Operations with
+entries of the tables that are always 0 or 1 are removed. An engine must be written for this: it branches on a
+value only by :func:`swimid.swimmer.planar.engine.positive`, ``max``, ``min`` and ``abs``.
 
-The module integrates several runs side by side by a fourth-order Runge-Kutta method. The straight line of
-operations stands inside ``for lane in range(LANES)`` over one flat array of work, which the compiler's loop
-vectoriser packs whole. It does so only while no second array is written in that loop, indices are literal and
-nothing leaves it: :func:`text` writes inputs and results in loops of their own.
+The module integrates a batch of runs by a fourth-order Runge-Kutta method. The operations are the body of a
+loop ``for lane in range(LANES)`` over one flat work array, which the compiler vectorises. It does so only if
+the loop writes no second array, all indices are literal, and nothing leaves the loop. Therefore :func:`text`
+copies inputs and results in other loops.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ from numba.extending import intrinsic
 
 from swimid.swimmer.planar.engine import BROKEN
 
-#: Taylor-like polynomials of sine and cosine on a quarter turn (S. Moshier, Cephes: sin.c, double precision).
+#: Coefficients of polynomials for sine and cosine on a quarter turn (S. Moshier, Cephes: sin.c, double
+#: precision).
 SINE = (
     1.58962301576546568060e-10,
     -2.50507477628578072866e-8,
@@ -44,22 +45,24 @@ COSINE = (
     -1.38888888888730564116e-3,
     4.16666666666665929218e-2,
 )
-#: Half a turn over two in three parts, each short enough for exact products (Cody and Waite 1980).
+#: A quarter turn, rad, as a sum of three numbers that are short enough for exact products (Cody and Waite
+#: 1980).
 QUARTER = (1.5707962512969971, 7.549789415861596e-08, 5.390302858158119e-15)
-#: The logarithm of 2 in two parts, the first with zeros at its end (Cephes: exp.c, double precision).
+#: Logarithm of 2 as a sum of two numbers, the first with zeros at its end (Cephes: exp.c, double precision).
 LOG_2 = (6.93145751953125e-1, 1.42860682030941723212e-6)
-#: Taylor's series of the exponential up to half the logarithm of 2, and that of ``artanh(x) / x`` in squares
-#: up to ``(sqrt(2) - 1)^2 / (sqrt(2) + 1)^2``; the first term left out is below 1e-17.
+#: Taylor coefficients of the exponential, for arguments up to half the logarithm of 2, and of ``artanh(x) /
+#: x`` in squares, for squares up to ``(sqrt(2) - 1)^2 / (sqrt(2) + 1)^2``. The first omitted term is below
+#: 1e-17.
 EXPONENTIAL = tuple(1.0 / math.factorial(k) for k in range(13, -1, -1))
 LOGARITHM = tuple(1.0 / (2 * k + 1) for k in range(10, -1, -1))
-#: Exponents whose powers are ordinary doubles.
+#: Minimum and maximum exponents of e whose powers are normal doubles.
 LEAST, MOST = -708.0, 709.0
-#: 1.5 * 2^52: adding and taking it away again rounds to a whole number.
+#: The number 1.5 * 2^52. Adding and subtracting it rounds to a whole number.
 ROUNDER = 6755399441055744.0
 
 
 class Tracer:
-    """Operations in the order in which they were first asked for; the same operation is listed once.
+    """List of operations in the order of their first use, each only once.
 
     Attributes
     ----------
@@ -71,7 +74,7 @@ class Tracer:
         self._known: dict[tuple[Any, ...], Symbol] = {}
 
     def symbol(self, kind: str, *of: Symbol | float | int) -> Symbol:
-        """The symbol of an operation."""
+        """Return the symbol of an operation."""
         key = (kind, *(a.number if isinstance(a, Symbol) else (repr(a),) for a in of))
         if key not in self._known:
             self._known[key] = Symbol(self, kind, of, len(self.operations))
@@ -80,15 +83,15 @@ class Tracer:
 
 
 class Symbol:
-    """The result of an operation, or an input by its place.
+    """Result of an operation, or an input with its position.
 
-    Inputs are ``state``, ``row`` (of the drive), ``table``, ``number`` (what a run brings beside the robot's
-    tables) and ``elapsed`` (the time since the start).
+    Inputs are ``state``, ``row`` (of the drive), ``table``, ``number`` (of the forces of effects) and
+    ``elapsed`` (time since the start).
 
     Raises
     ------
     TypeError
-        Where its value is asked for: an ``if`` over it cannot be traced.
+        When its value is needed: an ``if`` on it cannot be traced.
     """
 
     __slots__ = ("kind", "number", "of", "tracer")
@@ -97,35 +100,49 @@ class Symbol:
         self.tracer, self.kind, self.of, self.number = tracer, kind, of, number
 
     def __add__(self, other: Symbol | float) -> Symbol | float:
-        return self if _is(other, 0.0) else self.tracer.symbol("+", self, other)
+        if _is(other, 0.0):
+            return self
+        return self.tracer.symbol("+", self, other)
 
     __radd__ = __add__
 
     def __sub__(self, other: Symbol | float) -> Symbol | float:
         if other is self:
             return 0.0
-        return self if _is(other, 0.0) else self.tracer.symbol("-", self, other)
+        if _is(other, 0.0):
+            return self
+        return self.tracer.symbol("-", self, other)
 
     def __rsub__(self, other: float) -> Symbol | float:
-        return -self if _is(other, 0.0) else self.tracer.symbol("-", other, self)
+        if _is(other, 0.0):
+            return -self
+        return self.tracer.symbol("-", other, self)
 
     def __mul__(self, other: Symbol | float) -> Symbol | float:
         if _is(other, 0.0):
             return 0.0
-        if _is(other, 1.0) or _is(other, -1.0):
-            return self if other == 1.0 else -self
+        if _is(other, 1.0):
+            return self
+        if _is(other, -1.0):
+            return -self
         return self.tracer.symbol("*", self, other)
 
     __rmul__ = __mul__
 
     def __truediv__(self, other: Symbol | float) -> Symbol | float:
-        return self if _is(other, 1.0) else self.tracer.symbol("/", self, other)
+        if _is(other, 1.0):
+            return self
+        return self.tracer.symbol("/", self, other)
 
     def __rtruediv__(self, other: float) -> Symbol | float:
-        return 0.0 if _is(other, 0.0) else self.tracer.symbol("/", other, self)
+        if _is(other, 0.0):
+            return 0.0
+        return self.tracer.symbol("/", other, self)
 
     def __neg__(self) -> Symbol | float:
-        return self.of[0] if self.kind == "neg" else self.tracer.symbol("neg", self)
+        if self.kind == "neg":
+            return self.of[0]
+        return self.tracer.symbol("neg", self)
 
     def __pow__(self, power: Symbol | float) -> Any:
         if isinstance(power, int) and power > 0:
@@ -136,7 +153,7 @@ class Symbol:
         return self.tracer.symbol("abs", self)
 
     def _given(self, other: object) -> bool:
-        """A table's entry that is not structurally 0 counts as there, and as positive where that is asked."""
+        """Return True for an entry of a table, which is not zero and counts as positive."""
         if self.kind == "table" and _is(other, 0.0):
             return True
         raise TypeError("the equations ask for a value: write positive(), max() or min()")
@@ -155,7 +172,7 @@ class Symbol:
 
 
 class Angle:
-    """An angle of which nothing but sine and cosine can be asked."""
+    """Angle of which only sine and cosine are known."""
 
     __slots__ = ("cosine", "sine")
 
@@ -172,29 +189,31 @@ def _tracer(*values: object) -> Tracer | None:
 
 
 def positive(asked: Any, then: Any, otherwise: Any) -> Any:
-    """``then`` where ``asked`` is above 0, else ``otherwise``."""
-    tracer = asked.tracer if isinstance(asked, Symbol) else None
-    if tracer is None:
-        return then if asked > 0.0 else otherwise
-    return then if then is otherwise else tracer.symbol("positive", asked, then, otherwise)
+    """Return ``then`` where ``asked`` is above 0, else ``otherwise``."""
+    if then is otherwise:
+        return then
+    if isinstance(asked, Symbol):
+        return asked.tracer.symbol("positive", asked, then, otherwise)
+    return then if asked > 0.0 else otherwise
 
 
-def _largest(*values: Any) -> Any:
-    tracer = _tracer(*values)
-    return max(*values) if tracer is None else tracer.symbol("max", *values)
+def _traced(kind: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function of numbers that is an operation of this kind on symbols."""
+
+    def apply(*values: Any) -> Any:
+        tracer = _tracer(*values)
+        if tracer is None:
+            return function(*values)
+        return tracer.symbol(kind, *values)
+
+    return apply
 
 
-def _smallest(*values: Any) -> Any:
-    tracer = _tracer(*values)
-    return min(*values) if tracer is None else tracer.symbol("min", *values)
+_largest, _smallest, _root = _traced("max", max), _traced("min", min), _traced("sqrt", math.sqrt)
 
 
-def _root(x: Any) -> Any:
-    return x.tracer.symbol("sqrt", x) if isinstance(x, Symbol) else math.sqrt(x)
-
-
-def _sine_and_cosine(x: Any) -> tuple[Any, Any]:
-    """Of an angle up to some thousands of turns: sums, products and choices by sign, error below 2.3e-16."""
+def sine_and_cosine(x: Any) -> tuple[Any, Any]:
+    """Return sine and cosine of an angle up to some thousands of turns, with an error below 2.3e-16."""
     if isinstance(x, Angle):
         return x.sine, x.cosine
     if not isinstance(x, Symbol):
@@ -212,14 +231,17 @@ def _sine_and_cosine(x: Any) -> tuple[Any, Any]:
 
 
 def _facing(frame: Any, base: Any, turn: Any) -> Angle:
-    """As :func:`swimid.swimmer.planar.engine.facing`."""
+    """Return the same as :func:`swimid.swimmer.planar.engine.facing`, as sine and cosine."""
     _, c, s = frame
     cosine, sine = turn
     return Angle(s * cosine + c * sine, c * cosine - s * sine)
 
 
 def _exponential(x: Any) -> Any:
-    """A power of two times a series for the rest; error below 3e-16 of the value from e^-708 to e^709."""
+    """Return the exponential from e^-708 to e^709, with a relative error below 3e-16.
+
+    It is a power of two times a series for the rest.
+    """
     if not isinstance(x, Symbol):
         return math.exp(x)
     inside = _largest(_smallest(x, MOST), LEAST)
@@ -230,7 +252,7 @@ def _exponential(x: Any) -> Any:
 
 
 def _logarithm(x: Any) -> Any:
-    """Of a positive number that is not denormal; error below 3e-16 or that share of the value."""
+    """Return the logarithm of a positive normal number, with an absolute or relative error below 3e-16."""
     if not isinstance(x, Symbol):
         return math.log(x)
     power, rest = (x.tracer.symbol(kind, x) for kind in ("exponent", "mantissa"))
@@ -242,19 +264,20 @@ def _logarithm(x: Any) -> Any:
 
 
 def _horner(coefficients: tuple[float, ...], x: Any) -> Any:
+    """Return the value of a polynomial, its highest coefficient first."""
     value: Any = coefficients[0]
     for c in coefficients[1:]:
         value = value * x + c
     return value
 
 
-#: ``math`` for symbols.
+#: Functions of the module ``math`` for symbols.
 MATH = SimpleNamespace(
     sqrt=_root,
     exp=_exponential,
     log=_logarithm,
-    sin=lambda x: _sine_and_cosine(x)[0],
-    cos=lambda x: _sine_and_cosine(x)[1],
+    sin=lambda x: sine_and_cosine(x)[0],
+    cos=lambda x: sine_and_cosine(x)[1],
     pi=math.pi,
     nan=math.nan,
     inf=math.inf,
@@ -262,14 +285,14 @@ MATH = SimpleNamespace(
 
 
 def on_symbols(function: Any) -> Callable[..., Any]:
-    """A compiled function, and all it calls, as plain Python that takes symbols."""
+    """Return a compiled function, with all functions that it calls, as a Python function of symbols."""
     return _plain(function, {})
 
 
 def _plain(function: Any, known: dict[Any, Any]) -> Any:
     if function in known:
         return known[function]
-    # a function of a force is compiled for C
+    # the function of a force is compiled by cfunc, which is no Dispatcher
     text = function.py_func if isinstance(function, Dispatcher) else function.__wrapped__
     names: dict[str, Any] = {}
     known[function] = FunctionType(text.__code__, names, text.__name__, text.__defaults__)
@@ -280,30 +303,30 @@ def _plain(function: Any, known: dict[Any, Any]) -> Any:
 
 
 def array(tracer: Tracer, kind: str, shape: tuple[int, ...]) -> np.ndarray[Any, Any]:
-    """An array of input symbols, numbered from 0."""
+    """Return an array of input symbols, numbered from 0."""
     inputs = np.empty(shape, dtype=object)
     inputs.reshape(-1)[:] = [tracer.symbol(kind, i) for i in range(inputs.size)]
     return inputs
 
 
-#: Runs side by side: eight doubles fill a register of AVX-512, two of AVX2, four of NEON.
+#: Number of runs in a batch. Eight doubles fill one register of AVX-512, two of AVX2, or four of NEON.
 LANES = 8
 
 
 @dataclass(frozen=True)
 class Traced:
-    """What :func:`text` needs of a traced engine.
+    """A traced engine, as :func:`text` needs it.
 
     Attributes
     ----------
     operations : sequence of Symbol
     rates : sequence of Symbol or float, length of the state
     settled : (sequence of Symbol, sequence of Symbol or float)
-        Operations on the state after a step, and that state; both empty where nothing is done.
+        Operations on the state after a step, and the corrected state; both empty without a correction.
     parameters : int
-        Numbers taken from the tables.
+        Number of inputs from the tables.
     width : int
-        Numbers in a row of the drive's table.
+        Number of entries in a row of the drive's table.
     """
 
     operations: Sequence[Symbol]
@@ -370,8 +393,9 @@ def integrate(start, step, {tables}, shared, steps, parameters, states, rates, w
 _BITS = """
 from swimid.swimmer.lanes.tracing import bits, double
 """
-#: Of a double that is positive and not denormal: 52 bits of mantissa below the exponent, counted from 1023.
-#: The last bits of a number to which 1.5 * 2^52 was added are a whole number, as are those of 2^52 (0x433).
+#: Operations on the bits of a positive normal double: 52 bits of mantissa below the exponent, which counts
+#: from 1023. The last bits of a number to which 1.5 * 2^52 was added are a whole number, as are those of 2^52
+#: (0x433).
 _OF_BITS = {
     "two to": "double((bits({0}) + 1023) << 52)",
     "exponent": "double((bits({0}) >> 52) | 0x4330000000000000) - 4503599627371519.0",
@@ -380,17 +404,20 @@ _OF_BITS = {
 
 
 def length(traced: Traced) -> int:
-    """Of the array of work."""
+    """Return the length of the work array."""
     return LANES * (4 * traced.size + 2 + traced.width + traced.parameters)
 
 
 def text(traced: Traced) -> str:
-    """The module: ``integrate(start, step, table0, ..., shared, steps, parameters, states, rates, work)``.
+    """Return the text of the module of a traced engine.
 
-    ``start``, ``step`` and ``parameters`` have the lane as last axis, flat; ``table0`` and so on are the
-    drives' tables, shape (2 steps + 1 or fewer, width), whose last row stands for what is behind it, and
-    where they are ``shared`` the first is read for all; ``states`` and ``rates`` have shape
-    (runs, steps + 1, size), for as many of the lanes as are filled; NaN from where a run breaks down.
+    Its function is ``integrate(start, step, table0, ..., shared, steps, parameters, states, rates, work)``:
+
+    - ``start``, ``step`` and ``parameters`` are flat, with the run as last axis.
+    - ``table0`` and so on are the tables of the drives, shape (2 steps + 1 or fewer, width). The last row
+    holds
+      for all later times. If they are ``shared``, all runs read the first table.
+    - ``states`` and ``rates`` have shape (runs, steps + 1, size). They are NaN from where a run breaks down.
     """
     size = traced.size
     here, total, stage, rate = (LANES * size * k for k in range(4))
@@ -458,24 +485,33 @@ def text(traced: Traced) -> str:
 
 
 def _indented(lines: Sequence[str], by: int) -> str:
+    """Return lines in one text, indented by a number of blanks."""
     return "\n".join(" " * by + line for line in lines)
 
 
 def _value(x: Symbol | float) -> str:
+    """Return the text of a symbol or a number."""
     if isinstance(x, Symbol):
         return f"x{x.number}"
     return "math.nan" if x != x else repr(float(x))
 
 
 def _operations(operations: Sequence[Symbol], given: Any) -> list[str]:
-    """One line for each operation."""
+    """Return one line of text for each operation.
+
+    Parameters
+    ----------
+    operations : sequence of Symbol
+    given : callable
+        From an input symbol to its text.
+    """
     lines, divided = [], set()
     for x in operations:
         of = [_value(a) if isinstance(a, (Symbol, float)) else str(a) for a in x.of]
         if x.kind in "+-*":
             line = f"{of[0]} {x.kind} {of[1]}"
         elif x.kind == "/":
-            # several are divided by the same: once the reciprocal, then products
+            # several quotients may have one divisor: compute its reciprocal once
             if isinstance(x.of[1], Symbol) and of[1] not in divided:
                 lines.append(f"i{of[1]} = 1.0 / {of[1]}")
                 divided.add(of[1])
@@ -500,7 +536,7 @@ def _operations(operations: Sequence[Symbol], given: Any) -> list[str]:
 
 @intrinsic
 def bits(typing: Any, number: Any) -> Any:
-    """The bits of a double as an integer."""
+    """Return the bits of a double as an integer."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.bitcast(arguments[0], ir.IntType(64))
@@ -510,7 +546,7 @@ def bits(typing: Any, number: Any) -> Any:
 
 @intrinsic
 def double(typing: Any, number: Any) -> Any:
-    """The double that an integer's bits are."""
+    """Return the double with the bits of an integer."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.bitcast(arguments[0], ir.DoubleType())

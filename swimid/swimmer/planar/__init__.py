@@ -1,1 +1,1 @@
-"""Planar multi-link swimmers: a robot file's links, joints and elements as one simulated model."""
+"""Robots with links in a plane: their engine, the tables of the engine, and the model."""

@@ -1,21 +1,20 @@
-"""Planar rigid-body tree in water: compiled equations of motion and their integration.
+"""Tree of rigid links in water, in a plane: compiled equations of motion and their integration.
 
-The unknowns are the base's pose and the angles of the passive joints; driven joints enter
-through their angle, rate and acceleration. Every link has one constant symmetric apparent
-inertia ``G`` over its body-frame velocity ``nu = (u, v, r)`` at its origin (rigid body plus added
-mass); its momentum is ``P = G nu`` and the wrench that moves it, by Kirchhoff's equations,
+The unknowns are the base's pose and the angles of the passive joints. Driven joints enter by their angle,
+rate and acceleration. Every link has a constant symmetric apparent inertia ``G`` (rigid body plus added mass)
+for its velocity ``nu = (u, v, r)`` at its origin, in its own axes. Its momentum is ``P = G nu``. By
+Kirchhoff's equations, the wrench that moves it is
 
     ``f = G nu' + (-r P_y, r P_x, u P_y - v P_x)``.
 
-A pass from the base outwards gives velocities, accelerations and wrenches with the unknown
-accelerations at zero (recursive Newton-Euler); a pass back sums them and the composite
-inertias; one LDL^T factorisation gives the accelerations. This equals the Lagrange equations of
-the tendon fish (Eqs 1, 2, 5) and of the dolphin (Eqs 3, 6).
+A pass from the base outwards computes velocities, accelerations and wrenches with the unknown accelerations
+at zero (recursive Newton-Euler). A pass back sums the wrenches and the composite inertias. One LDL^T
+factorisation gives the accelerations. The result equals the Lagrange equations of the tendon fish (Eqs 1, 2,
+5) and of the dolphin (Eqs 3, 6).
 
-State of a robot with p passive joints, n = 3 + p:
-``(x, y, theta, passive angles.., u, v, r, passive rates..)``, the pose in the world, the velocity
-in the base's own frame. Nothing here checks an index: :mod:`swimid.swimmer.planar.assembly`
-has done so.
+The state of a robot with p passive joints, n = 3 + p, is
+``(x, y, theta, passive angles.., u, v, r, passive rates..)``: the pose in the world, and the velocity in the
+base's own axes. The functions check no index. :mod:`swimid.swimmer.planar.assembly` has done so.
 """
 
 from __future__ import annotations
@@ -30,13 +29,13 @@ from numpy.typing import NDArray
 
 from swimid.fitting.hooks import MOST_FORCES, Force, no_force
 
-#: A state farther out than this has broken down.
+#: Magnitude of a state from which a run has broken down.
 BROKEN = 1e6
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def positive(asked, then, otherwise):  # type: ignore[no-untyped-def]
-    """``then`` where ``asked`` is above 0, else ``otherwise`` (also where it is NaN); both have a value.
+    """Return ``then`` if ``asked`` is above 0, and ``otherwise`` if not, or if it is NaN. Both are computed.
 
     >>> positive(1.0, 2.0, 3.0)
     2.0
@@ -46,22 +45,22 @@ def positive(asked, then, otherwise):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def facing(frame, base, turn):  # type: ignore[no-untyped-def]
-    """Heading of a link in the world, rad, without jumps.
+    """Return the heading of a link in the world, rad, without jumps.
 
     Parameters
     ----------
     frame : (heading in rad, its cosine, its sine)
-        Of the run's axes in the world.
+        Direction of the run's axes in the world.
     base : (heading in rad, its cosine, its sine)
-        Of the base in the run's axes.
+        Direction of the base in the run's axes.
     turn : (cosine, sine)
-        Of the link in the run's axes.
+        Direction of the link in the run's axes.
     """
     across = turn[1] * base[1] - turn[0] * base[2]
     return frame[0] + base[0] + math.atan2(across, turn[0] * base[1] + turn[1] * base[2])
 
 
-#: Columns of the tables the kernels read.
+#: Columns of the tables.
 TOPOLOGY = ("parent", "driven", "passive")
 JOINT = ("x", "y", "cos_mount", "sin_mount")
 INERTIA = ("uu", "uv", "ur", "vv", "vr", "rr")
@@ -78,7 +77,7 @@ PASSIVE = (
     "friction",
     "friction_below",
 )
-#: What effects give a passive joint that the robot's file leaves at zero, by table.
+#: Entries of tables that effects may change although the robot file leaves them at zero.
 FILLED = {"passive": slice(0, PASSIVE.index("rest") + 1)}
 DRAG = ("x", "y", "quadratic_x", "quadratic_y", "linear_x", "linear_y", "quadratic_r", "linear_r")
 FOIL = ("x", "y", "half_rho_area", "cl", "cd0", "cd1", "cos_chord", "sin_chord")
@@ -88,7 +87,7 @@ WAKE = ("x", "y", "half_mass")
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def tendon_torque(angle, spring, pretension, arm, crank):  # type: ignore[no-untyped-def]
-    """Torque of a wire and spring that pull a joint straight, N m.
+    """Return the torque of a wire and spring that pull a joint straight, N m.
 
     Parameters
     ----------
@@ -118,7 +117,10 @@ def tendon_torque(angle, spring, pretension, arm, crank):  # type: ignore[no-unt
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def passive_torque(passive, k, angle, w):  # type: ignore[no-untyped-def]
-    """Torque of passive joint ``k``, N m, at an angle (rad) and rate (rad/s); columns :data:`PASSIVE`."""
+    """Return the torque (N m) of passive joint ``k`` at an angle (rad) and a rate (rad/s).
+
+    ``passive`` is the table with columns :data:`PASSIVE`.
+    """
     off = angle - passive[k, 4]
     torque = -(passive[k, 0] + passive[k, 1] * off * off) * off
     torque -= (passive[k, 2] + passive[k, 3] * abs(w)) * w
@@ -131,7 +133,7 @@ def passive_torque(passive, k, angle, w):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _outwards(state, row, topology, joint, inertia, work):  # type: ignore[no-untyped-def]
-    """Velocities, accelerations without the unknown ones, wrenches and inertias of all links."""
+    """Compute velocities, known parts of accelerations, wrenches and inertias of all links."""
     n = len(state) // 2
     for i in range(topology.shape[0]):
         if i == 0:
@@ -176,7 +178,7 @@ def _outwards(state, row, topology, joint, inertia, work):  # type: ignore[no-un
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _push(work, i, x, y, fx, fy):  # type: ignore[no-untyped-def]
-    """A force at a point of link ``i`` lessens the wrench its motion needs."""
+    """Subtract a force at a point of link ``i`` from the wrench that its motion needs."""
     work[i, 8] -= fx
     work[i, 9] -= fy
     work[i, 10] -= x * fy - y * fx
@@ -184,7 +186,7 @@ def _push(work, i, x, y, fx, fy):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _drag(drag_link, drag, work):  # type: ignore[no-untyped-def]
-    """Morison drag at points, and damping of rotation."""
+    """Add Morison drag at points, and damping of rotation."""
     for e in range(drag.shape[0]):
         i = drag_link[e]
         r = work[i, 4]
@@ -198,7 +200,7 @@ def _drag(drag_link, drag, work):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _foils(foil_link, foil, work):  # type: ignore[no-untyped-def]
-    """Lift against and drag along the motion of a fin's point."""
+    """Add lift and drag of fins at their points."""
     for e in range(foil.shape[0]):
         i = foil_link[e]
         r = work[i, 4]
@@ -220,7 +222,7 @@ def _foils(foil_link, foil, work):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _forces(force_link, force, work):  # type: ignore[no-untyped-def]
-    """Constant forces, in a link's axes or in the world's."""
+    """Add constant forces, in the axes of a link or of the world."""
     for e in range(force.shape[0]):
         i = force_link[e]
         x, y = force[e, 0], force[e, 1]
@@ -233,7 +235,7 @@ def _forces(force_link, force, work):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _wakes(wake_link, wake, work):  # type: ignore[no-untyped-def]
-    """Momentum shed at trailing edges; an edge that moves backwards sheds none."""
+    """Add momentum shed at trailing edges. An edge that moves backwards sheds none."""
     for e in range(wake.shape[0]):
         i = wake_link[e]
         r = work[i, 4]
@@ -244,7 +246,7 @@ def _wakes(wake_link, wake, work):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _forced(time, state, work, forced):  # type: ignore[no-untyped-def]
-    """Forces of functions from outside (:class:`swimid.fitting.hooks.Force`)."""
+    """Add the forces of effects (:class:`swimid.fitting.hooks.Force`)."""
     links, places, constants, ends, frame, pose, velocity, wrench, first, second, third, fourth = forced
     for e in range(len(links)):
         i = links[e]
@@ -273,7 +275,7 @@ def _forced(time, state, work, forced):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _coupling(i, k, topology, joint, work, matrix):  # type: ignore[no-untyped-def]
-    """The wrench a unit acceleration of passive joint ``k`` needs, carried down to the base."""
+    """Compute the wrench for a unit acceleration of passive joint ``k``, and transfer it to the base."""
     hx, hy, hm = work[i, 13], work[i, 15], work[i, 16]
     at = i
     while at > 0:
@@ -290,7 +292,7 @@ def _coupling(i, k, topology, joint, work, matrix):  # type: ignore[no-untyped-d
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _to_parent(i, p, joint, work):  # type: ignore[no-untyped-def]
-    """Add a link's wrench and composite inertia to its parent's, in the parent's axes."""
+    """Add the wrench and composite inertia of a link to those of its parent, in the parent's axes."""
     c, s = work[i, 0], work[i, 1]
     jx, jy = joint[i, 0], joint[i, 1]
     fx, fy = work[i, 8], work[i, 9]
@@ -316,9 +318,9 @@ def _to_parent(i, p, joint, work):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _inwards(state, topology, joint, passive, work, matrix, right):  # type: ignore[no-untyped-def]
-    """Sums of wrenches and composite inertias; the passive joints' rows of the equations."""
+    """Sum wrenches and composite inertias, and write the equations of the passive joints."""
     n = len(state) // 2
-    # joints on different branches do not meet; the last factorisation has filled their entries
+    # joints on different branches do not couple, but the last factorisation has filled their entries
     for k in range(3, n):
         for m in range(3, k):
             matrix[k, m] = 0.0
@@ -379,7 +381,7 @@ def derivative(  # type: ignore[no-untyped-def]
     right,
     rate,
 ):
-    """Rate of the state, written into ``rate``.
+    """Compute the rate of the state, and write it into ``rate``.
 
     Parameters
     ----------
@@ -392,13 +394,13 @@ def derivative(  # type: ignore[no-untyped-def]
     drag_link, drag, foil_link, foil, force_link, force, wake_link, wake : ndarray
         Element lists, columns as :data:`DRAG`, :data:`FOIL`, :data:`FORCE`, :data:`WAKE`.
     free_base : bool
-        Whether the base moves; else it holds its pose.
+        Whether the base moves; otherwise it keeps its pose.
     forced : tuple or None
-        Forces from outside, as :func:`outside` packs them; None costs nothing.
+        Forces of effects, as :func:`outside` packs them. None costs no time.
     time : float, s
     work : ndarray, shape (links, 19)
     matrix : ndarray, shape (n, n); right : ndarray, shape (n,)
-        Scratch.
+        Work arrays.
     """
     n = len(state) // 2
     _outwards(state, row, topology, joint, inertia, work)
@@ -447,7 +449,7 @@ def integrate(  # type: ignore[no-untyped-def]
     forced,
     begin,
 ):
-    """States and their rates on the step grid, by fourth-order Runge-Kutta with fixed steps.
+    """Return states and rates on the step grid, by a fourth-order Runge-Kutta method with fixed steps.
 
     Parameters
     ----------
@@ -456,10 +458,10 @@ def integrate(  # type: ignore[no-untyped-def]
     table : ndarray, shape (2 steps + 1, driven joints, 5)
         Driven joints on the half-step grid; see :func:`derivative`.
     begin : float, s
-        Time of the first state, for the forces from outside. Given by name or left to a default, a None for
-        ``forced`` would cost half as much again: it must be an argument for the compiler to leave them out.
+        Time of the first state, for the forces of effects.
     others
-        As :func:`derivative`.
+        See :func:`derivative`. Give ``forced`` by position: the compiler removes the forces only if the None
+        is a positional argument. Otherwise a run takes half as long again.
 
     Returns
     -------
@@ -522,7 +524,7 @@ def integrate(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _powers(work, before):  # type: ignore[no-untyped-def]
-    """Power of the forces added since the wrenches ``before`` were noted, which become those of now."""
+    """Return the power of the forces added since the wrenches ``before``, and update these wrenches."""
     power = 0.0
     for i in range(work.shape[0]):
         for m in range(3):
@@ -533,7 +535,7 @@ def _powers(work, before):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _accelerate(state, rate, topology, joint, inertia, work, moved):  # type: ignore[no-untyped-def]
-    """Add what the accelerations of base and passive joints need to the wrenches; kinetic energy, J."""
+    """Add the wrenches for the accelerations of base and passive joints, and return the kinetic energy, J."""
     n = len(state) // 2
     energy = 0.0
     for i in range(topology.shape[0]):
@@ -559,48 +561,33 @@ def _accelerate(state, rate, topology, joint, inertia, work, moved):  # type: ig
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def energetics(  # type: ignore[no-untyped-def]
-    states,
-    rates,
-    table,
-    topology,
-    joint,
-    inertia,
-    passive,
-    drag_link,
-    drag,
-    foil_link,
-    foil,
-    force_link,
-    force,
-    wake_link,
-    wake,
-    free_base,
-):
-    """Joint torques of a run by inverse dynamics, and where the energy goes.
+def energetics(states, rates, table, *tables):  # type: ignore[no-untyped-def]
+    """Return the joint torques of a run by inverse dynamics, with its energies and powers.
 
     Parameters
     ----------
     states, rates : ndarray, shape (m, 2 n)
-        As :func:`integrate` gives them, without forces from outside.
+        Result of :func:`integrate`, without forces of effects.
     table : ndarray, shape (m, driven joints, 5)
         Driven joints at the same instants.
-    others
-        As :func:`derivative`.
+    tables
+        Arguments of :func:`derivative` from ``topology`` to ``free_base``.
 
     Returns
     -------
     torque : ndarray, shape (m, links), N m
-        Moment through the joint that holds each link, of the link ahead on it: the generalised force of a
-        driven joint, the law of a passive one, what is left on a free base (nothing but rounding).
+        Moment of the link ahead on each link: the generalised force of a driven joint, the law of a passive
+        one, and zero up to rounding for a free base.
     flow : ndarray, shape (m, 3)
-        Kinetic energy with that of the water carried along (J); power given to the water by drag, foils and
-        trailing edges (W); power given to constant forces: weight and buoyancy (W).
+        Kinetic energy with added mass (J); power given to the water by drag, foils and trailing edges (W);
+        power given to constant forces, such as weight and buoyancy (W).
 
     Notes
     -----
     ``sum(torque * joint rate) = d(kinetic energy)/dt + both powers`` over all joints.
     """
+    topology, joint, inertia = tables[:3]
+    drag_link, drag, foil_link, foil, force_link, force, wake_link, wake = tables[4:12]
     count, links = states.shape[0], topology.shape[0]
     torque, flow = np.empty((count, links)), np.empty((count, 3))
     work, before, moved = np.zeros((links, 19)), np.zeros((links, 3)), np.zeros((links, 3))
@@ -623,32 +610,32 @@ def energetics(  # type: ignore[no-untyped-def]
 
 
 def shapes(tables: Mapping[str, Any]) -> tuple[int, list[tuple[int, ...]]]:
-    """Length of the state, and shapes of the scratch arrays of :func:`derivative`."""
+    """Return the length of the state, and the shapes of the work arrays of :func:`derivative`."""
     n = 3 + len(tables["passive"])
     return 2 * n, [(len(tables["topology"]), 19), (n, n), (n,)]
 
 
 def placed(frame: Sequence[float], reference: tuple[float, float]) -> NDArray[np.float64]:
-    """Where forces from outside find a run: shape (7,).
+    """Return the frame of a run for the forces of effects, shape (7,).
 
     Parameters
     ----------
-    frame : (x, y, heading)
-        Of the run's axes in the world.
+    frame : (x, y, heading), m and rad
+        Origin and direction of the run's axes in the world.
     reference : (x, y), m
-        The reference point in the base's axes, whose place the forces are given.
+        Reference point in the base's axes. The forces depend on its position.
     """
     return np.array([frame[0], frame[1], math.cos(frame[2]), math.sin(frame[2]), *reference, frame[2]])
 
 
 def outside(forces: Sequence[Force], frame: NDArray[np.float64], links: int) -> tuple[Any, ...]:
-    """Forces from outside as :func:`integrate` takes them.
+    """Return forces of effects as :func:`integrate` takes them.
 
     Parameters
     ----------
     forces : sequence of Force, at most :data:`swimid.fitting.hooks.MOST_FORCES`
     frame : ndarray, shape (7,)
-        As :func:`placed` gives it.
+        Result of :func:`placed`.
     links : int
         Number of links.
     """
@@ -669,12 +656,12 @@ def outside(forces: Sequence[Force], frame: NDArray[np.float64], links: int) -> 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def sampled(time, begin, step, states, rates):  # type: ignore[no-untyped-def]
-    """States at any times of the run, by cubic Hermite interpolation.
+    """Return states at any times of a run, by cubic Hermite interpolation.
 
     Parameters
     ----------
     time : ndarray, shape (m,), s
-        Times before the run hold its first state, later ones its last.
+        Earlier times give the first state, later ones the last.
     begin, step : float, s
         Time of the first state and step of the grid.
     states, rates : ndarray, shape (steps + 1, k)
@@ -682,7 +669,7 @@ def sampled(time, begin, step, states, rates):  # type: ignore[no-untyped-def]
     Returns
     -------
     ndarray, shape (m, k)
-        Its error is of fourth order in the step, as that of the integration.
+        The error is of fourth order in the step, as that of the integration.
     """
     count, size = len(time), states.shape[1]
     values = np.empty((count, size))
@@ -691,7 +678,7 @@ def sampled(time, begin, step, states, rates):  # type: ignore[no-untyped-def]
         place = min(max((time[i] - begin) / step, 0.0), float(last))
         k = min(int(place), max(last - 1, 0))
         f = place - k
-        # a sample on the grid, up to rounding, is the grid's own state
+        # a sample on the grid, up to rounding, gives the state of the grid
         if abs(f) < 1e-9 or abs(f - 1.0) < 1e-9 or last == 0:
             k = min(k + int(f + 0.5), last)
             for j in range(size):
@@ -708,23 +695,24 @@ def sampled(time, begin, step, states, rates):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def seen(states, speeds, reference, origin, heading, spin):  # type: ignore[no-untyped-def]
-    """Pose and velocity of the reference point as a camera shows them.
+    """Return pose and velocity of the reference point as a camera sees them.
 
     Parameters
     ----------
     states : ndarray, shape (m, k)
-        Of the base: x, y, heading first, surge, sway and yaw rate from column ``speeds`` on.
+        Position and heading of the base in the first columns; surge, sway and yaw rate from column
+        ``speeds``.
     reference : (x, y), m
-        The reference point in the base's axes.
+        Reference point in the base's axes.
     origin : (x, y), m
-        Where it is seen at the first sample.
+        Position of the reference point at the first sample.
     heading, spin : float, rad
-        Added to the heading; angle by which the path is turned about its first point.
+        Angle that is added to the heading, and angle by which the path is turned about its first point.
 
     Returns
     -------
     ndarray, shape (6, m)
-        Place (m), heading (rad), surge and sway speed (m/s), yaw rate (rad/s).
+        Position (m), heading (rad), surge and sway (m/s), yaw rate (rad/s).
     """
     count, n = len(states), speeds
     a, b = reference

@@ -1,4 +1,4 @@
-"""The multi-link robot in a plane as a model, its links as effects see them, and typical sizes of trials."""
+"""The robot in a plane as a model, its links as effects use them, and typical sizes of its trials."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ from swimid.fitting.hooks import TRACEABLE, Hooks
 from swimid.fitting.model import Array, Parameter, Scales, Trial
 from swimid.progress import Progress, silent
 from swimid.robots.planar import Multilink
+from swimid.swimmer import drive
 from swimid.swimmer.lanes.kernel import Engine, Room
-from swimid.swimmer.model import Run, Swimmer, joint_motion, of_trial
-from swimid.swimmer.planar import drive, engine
+from swimid.swimmer.model import Run, Swimmer, trial_parameter
+from swimid.swimmer.planar import engine
 from swimid.swimmer.planar.assembly import Assembly
 from swimid.swimmer.tree import Polynomial
 
@@ -26,26 +27,28 @@ Frames = tuple[Array, Array, Array]
 STIFFNESS, CUBIC, DAMPING = (engine.PASSIVE.index(n) for n in ("stiffness", "cubic", "damping"))
 WIRE = slice(engine.PASSIVE.index("spring"), engine.PASSIVE.index("crank") + 1)
 QUADRATIC = [engine.DRAG.index(n) for n in ("quadratic_x", "quadratic_y", "quadratic_r")]
-#: Angle at which a joint counts as straight, rad.
+#: Angle over which the stiffness of a straight joint is measured, rad.
 SMALL = 1e-4
 
 
 class Body:
-    """The links of a planar robot at the start values of its model's parameters, as effects ask for them.
+    """Links of a planar robot at the start values of its parameters, as effects use them.
 
     Attributes
     ----------
     free : bool
-        The base moves; otherwise it is held.
-    pose, velocity, words : tuple of str
-        Channels of the reference point: two positions and the heading, two velocities in the body's axes and
-        the turning rate; the same in words.
+        Whether the base moves; otherwise it is held.
+    pose, velocity : tuple of str
+        Channels of the reference point: two positions and the heading; two velocities in the body's axes and
+        the turning rate.
+    words : tuple of str
+        Names of these channels in words.
     lengths_m : tuple of float
         Length of each link, the base first.
     reference_m : (float, float)
-        The reference point in the base's axes, m.
+        Reference point in the base's axes, m.
     density_kg_m3, step_s : float
-        Density of the water, and longest step of the integration.
+        Density of the water, and maximum step of the integration.
     driven, passive : sequence of Axis
     """
 
@@ -63,12 +66,12 @@ class Body:
 
     @property
     def vertical(self) -> bool:
-        """Whether its plane of motion is vertical."""
+        """Whether the plane of motion is vertical."""
         return "z_m" in self.pose
 
     @property
     def last(self) -> int:
-        """The last link."""
+        """Index of the last link."""
         return len(self.lengths_m) - 1
 
     @property
@@ -78,15 +81,15 @@ class Body:
 
     @property
     def hull(self) -> int:
-        """The heaviest link."""
+        """Index of the heaviest link."""
         return int(np.argmax(self.masses_kg))
 
     def centre(self, link: int) -> Point:
-        """Centre of mass of a link in its axes, m."""
+        """Return the centre of mass of a link in its axes, m."""
         return self.mass(link)[1]
 
     def mass(self, link: int) -> tuple[float, Point]:
-        """Mass (kg) and centre of mass (m, in its axes) of a link, without water."""
+        """Return mass (kg) and centre of mass (m, in its axes) of a link, without water."""
         if link not in self._masses:
             own = self._model.tree.links[link]
             values = {p.name: p.start for p in self._model.parameters}
@@ -95,14 +98,22 @@ class Body:
         return self._masses[link]
 
     def tables(self) -> dict[str, Any]:
-        """The engine's tables."""
+        """Return the tables of the engine at the start values."""
         tree = self._model.tree
         return tree.tables(np.array([p.start for p in self._model.parameters[: len(tree.names)]]))
 
     # -------------------------------------------------------- where its links are
 
     def frames(self, values: Array, columns: Mapping[str, Array]) -> Frames:
-        """Front end (x, y) and heading of every link over a run, m and rad, shape (links, n) each."""
+        """Return front end (x, y) and heading of every link over a run, m and rad, shape (links, n) each.
+
+        Parameters
+        ----------
+        values : ndarray
+            Parameters of the model.
+        columns : mapping of channel to ndarray, shape (n,)
+            Pose of a free base and angles of all joints.
+        """
         tree, n = self._model.tree, len(next(iter(columns.values())))
         tables = tree.tables(values[: len(tree.names)])
         topology, joint = tables["topology"], tables["joint"]
@@ -125,13 +136,13 @@ class Body:
         return x, y, heading
 
     def rear_ends(self, frames: Frames) -> tuple[Array, Array]:
-        """Rear end (x, y) of every link, m, shape (links, n) each."""
+        """Return the rear end (x, y) of every link, m, shape (links, n) each."""
         x, y, heading = frames
         length = np.array(self.lengths_m)[:, None]
         return x - length * np.cos(heading), y - length * np.sin(heading)
 
     def straight(self, values: Array) -> tuple[Array, Array]:
-        """Distance of every link's front and rear end from the first front end, all joints straight, m."""
+        """Return the distance of each front and rear end of a link from the straight robot's front end, m."""
         columns = {a.column: np.zeros(1) for a in (*self._model.driven, *self._model.passive)}
         if self.free:
             columns |= {name: np.zeros(1) for name in self.pose}
@@ -141,22 +152,24 @@ class Body:
         return front, rear
 
     def length(self, values: Array) -> float:
-        """Length of the robot, m: its file's, or from the front end to the farthest link's rear end."""
-        given = self._model.robot.body.length_m
-        return given if given is not None else float(self.straight(values)[1].max())
+        """Return the length of the robot, m: that of its file, or from front end to farthest rear end."""
+        return self._model.robot.body.length_m or float(self.straight(values)[1].max())
 
-    # -------------------------------------------------------- what tables say
+    # -------------------------------------------------------- properties that follow from tables
 
     def axial_mass(self, tables: dict[str, Any]) -> float:
-        """Mass of all links along their axes, water included, kg."""
+        """Return the mass of all links along their axes, with added mass, kg."""
         return float(tables["inertia"][:, 0].sum())
 
     def axial_drag(self, tables: dict[str, Any]) -> float:
-        """Quadratic drag of all links along their axes, N s2/m2."""
+        """Return the quadratic drag of all links along their axes, N s2/m2."""
         return float(tables["drag"][:, 2].sum() + tables["foil"][:, 2] @ tables["foil"][:, 4])
 
     def fin(self, tables: dict[str, Any]) -> tuple[float, float, Point]:
-        """Gains of the last link's normal force on ``|w| w`` and on ``|u| w``, and the point it acts at."""
+        """Return the last link's normal force per ``|w| w`` and per ``|u| w``, and its point of action.
+
+        The first two are in N s2/m2, with u along and w across the link; the point is in its axes, m.
+        """
         drag = tables["drag"][tables["drag_link"] == self.last]
         foil = tables["foil"][tables["foil_link"] == self.last]
         quadratic = np.concatenate([drag[:, 3], 2.0 * foil[:, 2] * foil[:, 5]])
@@ -168,24 +181,26 @@ class Body:
         return float(quadratic.sum()), float(lift.sum()), (float(place[0]), float(place[1]))
 
     def stiffness(self, tables: dict[str, Any], joint: int) -> float:
-        """Stiffness of a passive joint where it is straight, its wire and spring included, N m/rad."""
+        """Return the stiffness of a straight passive joint, with its wire and spring, N m/rad."""
         row = tables["passive"][joint]
         wire = row[WIRE]
-        taut = -engine.tendon_torque(SMALL, *wire) / SMALL if wire[0] != 0.0 else 0.0
-        return float(row[STIFFNESS] + taut)
+        if wire[0] == 0.0:
+            return float(row[STIFFNESS])
+        return float(row[STIFFNESS] - engine.tendon_torque(SMALL, *wire) / SMALL)
 
     def damping(self, tables: dict[str, Any], joint: int) -> float:
-        """Torque per rate of a passive joint, N m s/rad."""
+        """Return the torque per rate of a passive joint, N m s/rad."""
         return float(tables["passive"][joint, DAMPING])
 
     def joint_inertia(self, tables: dict[str, Any], joint: int) -> float:
-        """Inertia about a passive joint of the link it carries, water included, kg m2."""
+        """Return the inertia of the link behind a passive joint about that joint, with added mass, kg m2."""
         return float(tables["inertia"][self.passive[joint].link, 5])
 
     def carried(self, tables: dict[str, Any], joint: int) -> tuple[float, float]:
-        """What a driven joint turns, all joints beyond it straight: inertia and quadratic drag about it.
+        """Return inertia and quadratic drag, about a driven joint, of all links that it turns.
 
-        In kg m2, water included, and N m s2/rad2, of still water.
+        Joints beyond are straight. The inertia is in kg m2, with added mass; the drag is that of still water,
+        in N m s2/rad2.
         """
         root, topology = self.driven[joint].link, tables["topology"]
         straight = {a.column: np.zeros(1) for a in (*self.driven, *self.passive)}
@@ -200,7 +215,7 @@ class Body:
                 continue
             c, s = np.cos(heading[link]), np.sin(heading[link])
             dx, dy = x[link] - x[root], y[link] - y[root]
-            # velocity of the link at one rad/s: along, across and turning
+            # velocity of the link at one rad/s, along and across it
             along, across = s * dx - c * dy, c * dx + s * dy
             uu, uv, ur, vv, vr, rr = tables["inertia"][link]
             inertia += uu * along**2 + vv * across**2 + rr
@@ -214,21 +229,28 @@ class Body:
         return float(inertia), float(drag)
 
     def normal_drag(self, tables: dict[str, Any]) -> tuple[NDArray[np.int64], Array]:
-        """The points where drag acts across links: link of each; place (x, y) and gain on ``|w| w``."""
+        """Return the points at which drag acts across links.
+
+        Returns
+        -------
+        links : ndarray of int, shape (points,)
+        points : ndarray, shape (points, 3)
+            Place on the link (x, y, m) and force per ``|w| w`` (N s2/m2).
+        """
         there = tables["drag"][:, 3] > 0
         return tables["drag_link"][there], tables["drag"][there][:, [0, 1, 3]]
 
-    # -------------------------------------------------------- what changes them
+    # -------------------------------------------------------- changes of tables
 
     def weigh(self, tables: dict[str, Any], link: int, at: Point, along: float, across: float) -> None:
-        """Add a mass (kg) at a point of a link; it may differ by direction."""
+        """Add a mass at a point of a link, kg along and across the link."""
         x, y = at
         rows = tables["inertia"].copy()
         rows[link] += (along, 0.0, -along * y, across, across * x, along * y * y + across * x * x)
         tables["inertia"] = rows
 
     def shift(self, tables: dict[str, Any], link: int, by: Point) -> None:
-        """Move the centre of mass of a link and the weight that acts there, m."""
+        """Move the centre of mass of a link, and the weight that acts there, by a vector (m)."""
         mass, (x, y) = self.mass(link)
         self.weigh(tables, link, (x, y), -mass, -mass)
         self.weigh(tables, link, (x + by[0], y + by[1]), mass, mass)
@@ -240,12 +262,12 @@ class Body:
         tables["force"] = force
 
     def drag_more(self, tables: dict[str, Any], link: int, at: Point, linear: float) -> None:
-        """Add a drag in proportion to the speed at a point of a link, N s/m."""
+        """Add a drag proportional to the velocity of a point of a link, N s/m."""
         tables["drag_link"] = np.append(tables["drag_link"], link)
         tables["drag"] = np.vstack([tables["drag"], [*at, 0.0, 0.0, linear, linear, 0.0, 0.0]])
 
     def room(self) -> dict[str, list[int]]:
-        """Links of what :meth:`drag_more` at the heaviest link, :meth:`lift` and :meth:`shed` add."""
+        """Return the links to which :meth:`drag_more`, :meth:`lift` and :meth:`shed` may add, by table."""
         links, _ = self.normal_drag(self.tables())
         return {"drag": [self.hull], "foil": [int(link) for link in links], "wake": [self.last]}
 
@@ -254,10 +276,10 @@ class Body:
         tables["drag"][:, QUADRATIC] *= factor
 
     def lift(self, tables: dict[str, Any], links: NDArray[np.int64], points: Array) -> None:
-        """Add forces ``-k V w`` across links, V the speed of a point and w that across (m/s, k in N s2/m2).
+        """Add forces ``-k V w`` across links, at points with speed V and velocity w across the link (m/s).
 
-        A fin whose lift and drag coefficients ``C_L sin(2 a)`` and ``C_L (1 - cos(2 a))`` have no resultant
-        along its chord: across it, ``2 C_L sin(a)``.
+        It is the force of a fin with lift and drag coefficients ``C_L sin(2 a)`` and ``C_L (1 - cos(2 a))``.
+        They have no resultant along the chord, and ``2 C_L sin(a)`` across it.
         """
         one = np.ones(len(points))
         half = 0.5 * one
@@ -266,7 +288,7 @@ class Body:
         tables["foil"] = np.vstack([tables["foil"], rows])
 
     def shed(self, tables: dict[str, Any], mass_kg_m: float) -> None:
-        """Add a trailing edge at the rear end of the last link, added mass per length in kg/m."""
+        """Add a trailing edge at the rear end of the last link, with an added mass per length (kg/m)."""
         tables["wake_link"] = np.append(tables["wake_link"], self.last)
         tables["wake"] = np.vstack([tables["wake"], [-self.lengths_m[-1], 0.0, 0.5 * mass_kg_m]])
 
@@ -279,46 +301,43 @@ class Body:
         cubic: float = 0.0,
         damping: float = 0.0,
     ) -> None:
-        """Add to the law of a passive joint: N m/rad, N m/rad3 and N m s/rad."""
+        """Add to the law of a passive joint, in N m/rad, N m/rad3 and N m s/rad."""
         passive = tables["passive"].copy()
         passive[joint, [STIFFNESS, CUBIC, DAMPING]] += stiffness, cubic, damping
         tables["passive"] = passive
 
 
 class SwimmerScales(Scales):
-    """Typical sizes of a planar robot's trials."""
+    """Typical sizes of the trials of a planar robot."""
 
     model: MultilinkModel
 
     @property
     def inertia(self) -> float:
-        """Mass of all links along their axes, water included, kg."""
+        """Mass of all links along their axes, with added mass, kg."""
         body = self.model.body
         return body.axial_mass(body.tables())
 
     @property
     def force(self) -> float:
-        """Drag at the typical speed, and what gets the body up to it, N."""
+        """Drag at the typical speed, plus the force that reaches this speed within a trial, N."""
         body, speed = self.model.body, self.speed
         return body.axial_drag(body.tables()) * speed**2 + self.inertia * speed / self.duration
 
 
-#: Grid on which the command of a drive is read, s.
-READ_S = 0.0025
-
-#: By plane of motion: its second axis, the velocity along that in the body's axes and in words, and the turn.
+#: Second axis of each plane of motion, velocity along it in the body's axes and in words, and rotation.
 PLANES = {"horizontal": ("y", "v", "sway", "yaw"), "vertical": ("z", "w", "heave", "pitch")}
 
 
 class MultilinkModel(Swimmer):
-    """A planar multi-link robot (:mod:`swimid.swimmer.planar.engine`).
+    """A robot with links in a plane (:mod:`swimid.swimmer.planar.engine`).
 
     Parameters
     ----------
     robot : Robot
         With a ``multilink`` part.
     max_step : float, s
-        Each sampling interval is cut into equal steps no longer than this.
+        Each sampling interval is divided into equal steps no longer than this.
     """
 
     name = "multilink"
@@ -332,14 +351,14 @@ class MultilinkModel(Swimmer):
         energetics=engine.energetics,
     )
     camera = (
-        of_trial(
+        trial_parameter(
             "camera_rotation", "rad", 0.02, "axes of the measured position against those of the heading"
         ),
     )
     pose: tuple[str, str, str]
     velocity: tuple[str, str, str]
     tree: Assembly
-    #: With the parameters it was made of.
+    #: The links, with the parameters from which they were made.
     _body: tuple[tuple[Parameter, ...], Body] | None = None
 
     def _tree(self) -> Assembly:
@@ -352,22 +371,22 @@ class MultilinkModel(Swimmer):
     def _offsets(self) -> tuple[str, ...]:
         return self.starts
 
-    # -------------------------------------------------------- what it offers
+    # -------------------------------------------------------- links and drive
 
     @property
     def links(self) -> Multilink:
-        """The robot's multi-link part."""
+        """Part of the robot file with links, joints and elements."""
         assert self.robot.multilink is not None
         return self.robot.multilink
 
     @property
     def reference_m(self) -> tuple[float, float]:
-        """The reference point in the base's axes, m."""
+        """Reference point in the base's axes, m."""
         return -self.links.reference.station_m, self.links.reference.offset_m
 
     @property
     def body(self) -> Body:
-        """Its links."""
+        """Links at the start values of the parameters."""
         known = self._body
         if known is None or known[0] is not self.parameters:
             known = self._body = self.parameters, Body(self)
@@ -375,39 +394,36 @@ class MultilinkModel(Swimmer):
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Axes of the plane of motion; none where the base is held."""
-        return tuple(name.removesuffix("_m") for name in self.pose[:2]) if self.free_base else ()
+        """Axes of the plane of motion; none if the base is held."""
+        if not self.free_base:
+            return ()
+        return tuple(name.removesuffix("_m") for name in self.pose[:2])
 
     def scales(self, trials: Sequence[Trial]) -> SwimmerScales:
-        """Typical sizes of trials."""
+        """Return typical sizes of trials."""
         return SwimmerScales(self, trials)
 
     def origin(self, trial: Trial) -> dict[str, float]:
-        """Pose at the first sample."""
+        """Return the pose at the first sample."""
         return dict(zip(self.pose, (float(p) for p in trial.swim.posed()), strict=True))
 
     def commanded(self, trial: Trial) -> bool:
-        """Whether a drive or a recorded command moves the joints, not their measured angles."""
-        swim = trial.swim
-        return swim.beat is not None if swim.joints is None else swim.commanded
+        """Return whether a drive or a recorded command moves the joints, not their measured angles."""
+        if trial.swim.joints is None:
+            return trial.swim.beat is not None
+        return trial.swim.commanded
 
     def commands(self, trial: Trial) -> Iterator[tuple[Array, Array, float]]:
-        """What each driven joint is told to do."""
-        known = self._commands.get(trial.id)
-        if known is None or known[0] is not trial.swim or known[1] is not trial.time_s:
-            time = np.arange(float(trial.time_s[0]), float(trial.time_s[-1]) + READ_S, READ_S)
-            motions = [joint_motion(axis, k, trial.swim, time, 0.0) for k, axis in enumerate(self.driven)]
-            told = [(time, angle, float(np.max(np.abs(rate)))) for angle, rate, _ in motions]
-            known = self._commands[trial.id] = trial.swim, trial.time_s, told
-        yield from known[2]
+        """Yield time (s), commanded angle (rad) and largest commanded rate (rad/s) of each driven joint."""
+        yield from self.joints.commands(trial)
 
     def prepare(self, progress: Progress = silent, **how: Any) -> None:
         """Compile the kernels (see :meth:`Swimmer.prepare`)."""
         prepare(progress)
         super().prepare(progress, **how)
 
-    def opening(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
-        """Velocities at the first sample, by parameter (see :meth:`Swimmer.opening`)."""
+    def start_velocities(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
+        """Return the velocities at the first sample, by parameter (see :meth:`Swimmer.start_velocities`)."""
         names = [f"initial_{name}" for name in self.rates]
         found = {name: seen(column, 0) for name, column in zip(names, self.velocity, strict=True)}
         heading = seen(self.pose[2], 0)
@@ -415,29 +431,32 @@ class MultilinkModel(Swimmer):
         if heading is not None and along is not None and across is not None:
             c, s = math.cos(heading), math.sin(heading)
             moved = (c * along + s * across, c * across - s * along, turn)
-            found = {n: v if found[n] is None else found[n] for n, v in zip(names, moved, strict=True)}
+            found.update((n, v) for n, v in zip(names, moved, strict=True) if found[n] is None)
         return found
 
-    def initial(self, measured: Collection[str]) -> list[str]:
-        """The start velocities, angles and rates that these channels can tell: all."""
+    def determined_starts(self, measured: Collection[str]) -> list[str]:
+        """Return the start velocities, angles and rates that these channels determine: all."""
         return [p.name for p in self.parameters if p.name.startswith("initial_")]
 
     # -------------------------------------------------------- simulation
 
-    def _influences(self, hooks: Hooks) -> list[int]:
+    def influences(self, hooks: Hooks) -> list[int]:
+        """Return the positions of the parameters on which a run depends."""
         if self._heading_matters() or hooks.force or hooks.flow:
             return [*self._dynamic, *(self._at[n] for n in self.starts[2:] if n in self._at)]
         return self._dynamic
 
     def _heading_matters(self) -> bool:
+        """Return whether forces fixed in the world act, so that the motion depends on the heading."""
         return self.tree.world_forces and self.free_base
 
-    def _attitude(self) -> list[int]:
-        return [2] if self._heading_matters() else []
+    def attitude(self) -> list[int]:
+        """Return the positions, in a state, of angles of the base that act on the motion."""
+        return [2] * self._heading_matters()
 
     def _heading(self, values: Array, trial: Trial) -> float:
-        """At the first sample."""
-        return float(trial.swim.posed()[2]) + self._value(values, self.starts[2])
+        """Return the heading at the first sample, rad."""
+        return float(trial.swim.posed()[2]) + self.value(values, self.starts[2])
 
     def _mounts(self) -> list[float]:
         return [math.radians(a.joint.mount_deg) for a in self.driven]
@@ -457,15 +476,19 @@ class MultilinkModel(Swimmer):
         if self._heading_matters():
             start[2] = self._heading(values, trial)
 
-    def _integrate(self, run: Run) -> tuple[Array, Array]:
+    def integrate(self, run: Run) -> tuple[Array, Array]:
+        """Return states and rates of a run."""
         forced = None
         if run.hooks.force:
-            forced = engine.outside(run.hooks.force, self._frame(run), len(self.tree.links))
-        tables = run.tables.values()
-        states, rates = engine.integrate(run.start, run.step_s, run.drive.table, *tables, forced, run.begin_s)
+            forced = engine.outside(run.hooks.force, self.frame(run), len(self.tree.links))
+        begin_s, step_s, _ = run.grid
+        states, rates = engine.integrate(
+            run.start, step_s, run.drive.table, *run.tables.values(), forced, begin_s
+        )
         return states, rates
 
-    def _frame(self, run: Run) -> Array:
+    def frame(self, run: Run) -> Array:
+        """Return the frame of a run in the world, in which forces from outside act."""
         x, y, _ = run.trial.swim.posed()
         heading = 0.0 if self._heading_matters() else self._heading(run.values, run.trial)
         return engine.placed((x, y, heading), self.reference_m)
@@ -473,7 +496,7 @@ class MultilinkModel(Swimmer):
     def _room(self) -> Room:
         body = self.body
         links = {"base": 0, "hull": body.hull, "last": body.last}
-        # a mass that moves, and the weights that move with it
+        # an effect may move a mass, and with it the points at which weights act
         filled = {"inertia": body.hull, "force": np.s_[:, :2]}
         return Room(body.room(), filled, [(known, links[known.on]) for _, known in sorted(TRACEABLE.items())])
 
@@ -486,32 +509,32 @@ class MultilinkModel(Swimmer):
         along, across, _ = self.velocity
         found[along], found[across] = found[along] + u, found[across] + v
 
-    def _seen(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
-        # in the camera's axes
+    def observed(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
+        """Return pose and velocity of the reference point, in the axes of the camera."""
         pose = trial.swim.posed()
-        x, y, turned = (self._value(values, name) for name in self.starts)
-        # the run starts at the origin, along x unless the world's axes matter
+        x, y, turned = (self.value(values, name) for name in self.starts)
+        # a run starts at the origin, and along x unless forces fixed in the world act
         heading = 0.0 if self._heading_matters() else float(pose[2]) + turned
-        spin = heading + self._value(values, "camera_rotation")
+        spin = heading + self.value(values, "camera_rotation")
         origin = (float(pose[0]) + x, float(pose[1]) + y)
         seen = engine.seen(states, self.tree.unknowns, self.reference_m, origin, heading, spin)
         return dict(zip((*self.pose, *self.velocity), seen, strict=True))
 
 
 def _flows(hooks: Hooks, time_s: Array) -> tuple[Array, Array]:
-    """Displacement and velocity of the water in the world, shape (n, 2) each."""
+    """Return displacement (m) and velocity (m/s) of the water in the world, shape (n, 2) each."""
     parts = [flow(time_s) for flow in hooks.flow]
     return np.asarray(sum(p[0] for p in parts)), np.asarray(sum(p[1] for p in parts))
 
 
 def _turned(x: Array | float, y: Array | float, angle: Array | float) -> Array:
-    """A vector turned by an angle, shape (2, n)."""
+    """Return a vector turned by an angle (rad), shape (2, n)."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([c * x - s * y, s * x + c * y])
 
 
 def prepare(progress: Progress) -> None:
-    """Compile the kernels where that has not been done on this machine, under a bar that says so."""
+    """Compile the scalar engine, with a progress bar, unless it is compiled on this machine."""
     line = engine.integrate.py_func.__code__.co_firstlineno
     cache = Path(engine.integrate.stats.cache_path)
     if engine.integrate.signatures or any(cache.glob(f"engine.integrate-{line}.*.nbi")):
@@ -521,7 +544,7 @@ def prepare(progress: Progress) -> None:
 
 
 def warm_up() -> None:
-    """Compile the kernels."""
+    """Compile the functions of the scalar engine and of the drive."""
     from swimid.robots import file as robot_format
 
     model = MultilinkModel(robot_format.read("tfish"))
@@ -530,7 +553,7 @@ def warm_up() -> None:
     model.simulate(
         np.array([p.start for p in model.parameters]), Trial("warm", "fit", time, {}, swim=SwimInput(beat))
     )
-    drive.servo(np.zeros(5), 0.1, 1.0, 1.0)
+    drive.simulate_servo(np.zeros(5), 0.1, 1.0, 1.0)
     drive.measured(np.arange(6.0), np.zeros(6))
     engine.seen(np.zeros((1, 6)), 3, (0.0, 0.0), (0.0, 0.0), 0.0, 0.0)
     engine.sampled(np.array([0.0101]), 0.0, 0.005, np.zeros((3, 1)), np.zeros((3, 1)))

@@ -1,1 +1,1 @@
-"""Multi-link robots in space: a tree of rigid bodies in water, on a base free to move and turn."""
+"""Robots with links in space: their engine, the tables of the engine, and the model."""

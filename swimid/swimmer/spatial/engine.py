@@ -1,8 +1,8 @@
-"""Rigid-body tree in space, in water: compiled equations of motion and their integration.
+"""Tree of rigid links in water, in space: compiled equations of motion and their integration.
 
-The unknowns are the base's pose (position and unit quaternion) and the angles of the passive hinges;
-driven hinges enter through their angle, rate and acceleration. Every link has one constant symmetric
-apparent inertia over its velocity ``(v, w)`` at its origin, in its own axes,
+The unknowns are the base's pose (position and unit quaternion) and the angles of the passive hinges. Driven
+hinges enter by their angle, rate and acceleration. Every link has a constant symmetric apparent inertia for
+its velocity ``(v, w)`` at its origin, in its own axes,
 
     ``p = A v + B w``,  ``h = B' v + D w``  (rigid body plus added mass),
 
@@ -10,13 +10,13 @@ and the wrench that moves it follows from Kirchhoff's equations,
 
     ``f = p' + w x p``,  ``m = h' + w x h + v x p``.
 
-A pass from the base outwards gives velocities, accelerations and wrenches with the unknown
-accelerations at zero (recursive Newton-Euler); a pass back sums them and the composite inertias; one
-LDL^T factorisation gives the accelerations (Featherstone 2008, Rigid Body Dynamics Algorithms,
-chapters 5, 6 and 9; Kadapa et al., sea lion, Eq 1).
+A pass from the base outwards computes velocities, accelerations and wrenches with the unknown accelerations
+at zero (recursive Newton-Euler). A pass back sums the wrenches and the composite inertias. One LDL^T
+factorisation gives the accelerations (Featherstone 2008, Rigid Body Dynamics Algorithms, chapters 5, 6 and 9;
+Kadapa et al., sea lion, Eq 1).
 
-State of a robot with p passive hinges: ``(x, y, z, qw, qx, qy, qz, passive angles.., velocity of the base
-in its own axes (u, v, w), its angular velocity, passive rates..)``. Nothing here checks an index:
+The state of a robot with p passive hinges is ``(x, y, z, qw, qx, qy, qz, passive angles.., velocity of the
+base in its own axes (u, v, w), its angular velocity, passive rates..)``. The functions check no index.
 :mod:`swimid.swimmer.spatial.assembly` has done so.
 """
 
@@ -31,22 +31,23 @@ import numpy as np
 
 from swimid.swimmer.planar.engine import BROKEN, passive_torque, positive, solve
 
-#: Columns of the tables the kernels read.
+#: Columns of the tables.
 TOPOLOGY = ("parent", "driven", "passive", "massless")
-#: Place of the hinge on the parent, its axis in the child, and its turn, child to parent, row by row:
-#: ``M0 + sin M1 + (1 - cos) M2``.
+#: Columns of the table of hinges: place on the parent, axis in the child, and rotation from child to parent
+#: row by row, ``M0 + sin M1 + (1 - cos) M2``.
 JOINT = (
     *(f"at_{c}" for c in "xyz"),
     *(f"axis_{c}" for c in "xyz"),
     *(f"turn{m}_{r}{c}" for m in range(3) for r in range(3) for c in range(3)),
 )
-#: Blocks A, B and D of the apparent inertia.
+#: Columns of the table of apparent inertias: blocks A, B and D.
 INERTIA = (
     *(f"A{p}" for p in ("00", "01", "02", "11", "12", "22")),
     *(f"B{r}{c}" for r in range(3) for c in range(3)),
     *(f"D{p}" for p in ("00", "01", "02", "11", "12", "22")),
 )
-#: ``size``: half the height over which a point leaves the water; 0 where it never does.
+#: Columns of the table of drag points; ``size`` is half the height over which a point leaves the water, 0 if
+#: it never does.
 DRAG = (
     "x",
     "y",
@@ -69,8 +70,8 @@ WAKE = (
     "x", "y", "z", "half_mass", "chord_x", "chord_y", "chord_z", "normal_x", "normal_y", "normal_z",
 )  # fmt: skip
 
-#: Columns of the work table: turn to the parent (9), v, w, v', w', f, m, A (6), B (9), D (6), turn to the
-# world (9), place in the world (3)
+#: First columns in the work array: rotation to the parent (9), v, w, v', w', f, m, A (6), B (9), D (6),
+#: rotation to the world (9), place in the world (3), and the number of columns.
 _R, _V, _W, _DV, _DW, _F, _M, _A, _B, _D, _TURN, _PLACE, _WORK = (
     0,
     9,
@@ -90,9 +91,9 @@ _R, _V, _W, _DV, _DW, _F, _M, _A, _B, _D, _TURN, _PLACE, _WORK = (
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def wet(height, size):  # type: ignore[no-untyped-def]
-    """Share of a point's section that is in the water, ``height`` above the surface its middle.
+    """Return the share of a point's section in the water, with its middle at ``height`` above the surface.
 
-    Smooth (cubic) from 1 at ``-size`` to 0 at ``size``; 1 where ``size`` is 0.
+    It falls smoothly (cubic) from 1 at ``-size`` to 0 at ``size``. It is 1 if ``size`` is 0.
     """
     if size <= 0.0:
         return 1.0
@@ -102,14 +103,14 @@ def wet(height, size):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _turn_of(c, s, joint, i, out):  # type: ignore[no-untyped-def]
-    """The turn of hinge ``i`` at an angle of cosine ``c`` and sine ``s``, child to parent."""
+    """Compute the rotation of hinge ``i`` from child to parent at an angle with cosine ``c``, sine ``s``."""
     for m in range(9):
         out[m] = joint[i, 6 + m] + s * joint[i, 15 + m] + (1.0 - c) * joint[i, 24 + m]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _outwards(state, row, topology, joint, inertia, work):  # type: ignore[no-untyped-def]
-    """Velocities, accelerations without the unknown ones, wrenches and inertias of all links."""
+    """Compute velocities, known parts of accelerations, wrenches and inertias of all links."""
     passives = (len(state) - 13) // 2
     twist = 7 + passives
     for i in range(topology.shape[0]):
@@ -144,7 +145,7 @@ def _outwards(state, row, topology, joint, inertia, work):  # type: ignore[no-un
                 c, s = math.cos(state[7 + k]), math.sin(state[7 + k])
             _turn_of(c, s, joint, i, w)
             x, y, z = joint[i, 0], joint[i, 1], joint[i, 2]
-            # at the hinge, in the parent's axes
+            # velocity and acceleration of the hinge, in the parent's axes
             a0 = u[_V] + u[_W + 1] * z - u[_W + 2] * y
             a1 = u[_V + 1] + u[_W + 2] * x - u[_W] * z
             a2 = u[_V + 2] + u[_W] * y - u[_W + 1] * x
@@ -158,7 +159,7 @@ def _outwards(state, row, topology, joint, inertia, work):  # type: ignore[no-un
                 w[_DV + m] = r0 * b0 + r1 * b1 + r2 * b2
                 w[_DW + m] = r0 * u[_DW] + r1 * u[_DW + 1] + r2 * u[_DW + 2]
             if d >= 0 or k >= 0:
-                # what the hinge adds: s = axis rate; v' -= s x v, w' -= s x w_parent, w += s, w' += axis bend
+                # motion of the hinge, s = axis rate: v' -= s x v, w' -= s x w_parent, w += s, w' += axis bend
                 e0, e1, e2 = joint[i, 3] * rate, joint[i, 4] * rate, joint[i, 5] * rate
                 w[_DV] -= e1 * w[_V + 2] - e2 * w[_V + 1]
                 w[_DV + 1] -= e2 * w[_V] - e0 * w[_V + 2]
@@ -186,7 +187,7 @@ def _outwards(state, row, topology, joint, inertia, work):  # type: ignore[no-un
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _newton_euler(w):  # type: ignore[no-untyped-def]
-    """The wrench a link's motion needs, at its origin."""
+    """Compute the wrench that the motion of a link needs, at its origin."""
     v0, v1, v2 = w[_V], w[_V + 1], w[_V + 2]
     w0, w1, w2 = w[_W], w[_W + 1], w[_W + 2]
     a0, a1, a2 = w[_DV], w[_DV + 1], w[_DV + 2]
@@ -221,7 +222,7 @@ def _newton_euler(w):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _push(w, x, y, z, fx, fy, fz):  # type: ignore[no-untyped-def]
-    """A force at a point of a link lessens the wrench its motion needs."""
+    """Subtract a force at a point of a link from the wrench that its motion needs."""
     w[_F] -= fx
     w[_F + 1] -= fy
     w[_F + 2] -= fz
@@ -232,13 +233,13 @@ def _push(w, x, y, z, fx, fy, fz):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _height(w, x, y, z, surface):  # type: ignore[no-untyped-def]
-    """Of a link's point above the water's surface."""
+    """Return the height of a point of a link above the water surface."""
     return w[_PLACE + 2] + w[_TURN + 6] * x + w[_TURN + 7] * y + w[_TURN + 8] * z - surface
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _drags(drag_link, drag, surface, work):  # type: ignore[no-untyped-def]
-    """Drag at points, each axis of the link for itself."""
+    """Add drag at points, along each axis of the link."""
     for e in range(drag.shape[0]):
         w = work[drag_link[e]]
         x, y, z = drag[e, 0], drag[e, 1], drag[e, 2]
@@ -256,7 +257,7 @@ def _drags(drag_link, drag, surface, work):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _dampings(damping_link, damping, work):  # type: ignore[no-untyped-def]
-    """Moments against rotation."""
+    """Add moments against rotation."""
     for e in range(damping.shape[0]):
         w = work[damping_link[e]]
         for m in range(3):
@@ -265,7 +266,7 @@ def _dampings(damping_link, damping, work):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _foils(foil_link, foil, surface, work):  # type: ignore[no-untyped-def]
-    """Lift against and drag along the motion of a fin's point across its span; flow along it does nothing."""
+    """Add lift and drag of fins at their points. Flow along the span has no effect."""
     for e in range(foil.shape[0]):
         w = work[foil_link[e]]
         x, y, z = foil[e, 0], foil[e, 1], foil[e, 2]
@@ -295,7 +296,7 @@ def _foils(foil_link, foil, surface, work):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _forces(force_link, force, surface, work):  # type: ignore[no-untyped-def]
-    """Constant forces, in a link's axes or in the world's; buoyancy ends above the surface."""
+    """Add constant forces, in the axes of a link or of the world. Buoyancy ends above the surface."""
     for e in range(force.shape[0]):
         w = work[force_link[e]]
         x, y, z = force[e, 0], force[e, 1], force[e, 2]
@@ -313,7 +314,7 @@ def _forces(force_link, force, surface, work):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _wakes(wake_link, wake, work):  # type: ignore[no-untyped-def]
-    """Momentum shed at trailing edges; an edge that moves backwards sheds none."""
+    """Add momentum shed at trailing edges. An edge that moves backwards sheds none."""
     for e in range(wake.shape[0]):
         w = work[wake_link[e]]
         x, y, z = wake[e, 0], wake[e, 1], wake[e, 2]
@@ -334,7 +335,7 @@ def _wakes(wake_link, wake, work):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _coupling(i, k, topology, joint, work, matrix):  # type: ignore[no-untyped-def]
-    """The wrench a unit acceleration of passive hinge ``k`` needs, carried down to the base."""
+    """Compute the wrench for a unit acceleration of passive hinge ``k``, and transfer it to the base."""
     w = work[i]
     a0, a1, a2 = joint[i, 3], joint[i, 4], joint[i, 5]
     f0 = w[_B] * a0 + w[_B + 1] * a1 + w[_B + 2] * a2
@@ -368,7 +369,7 @@ def _coupling(i, k, topology, joint, work, matrix):  # type: ignore[no-untyped-d
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _turned_symmetric(w, at, out):  # type: ignore[no-untyped-def]
-    """``R S R'`` of the symmetric block at ``at``, into ``out`` (6)."""
+    """Write ``R S R'`` of the symmetric block at ``at`` into ``out`` (6)."""
     s0, s1, s2, s3, s4, s5 = w[at], w[at + 1], w[at + 2], w[at + 3], w[at + 4], w[at + 5]
     a0, a1, a2 = (
         w[0] * s0 + w[1] * s1 + w[2] * s2,
@@ -395,7 +396,7 @@ def _turned_symmetric(w, at, out):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _to_parent(i, p, joint, work, block):  # type: ignore[no-untyped-def]
-    """Add a link's wrench and composite inertia to its parent's, in the parent's axes, at its origin."""
+    """Add the wrench and composite inertia of a link to those of its parent, in its axes, at its origin."""
     w, u = work[i], work[p]
     x, y, z = joint[i, 0], joint[i, 1], joint[i, 2]
     g0 = w[0] * w[_F] + w[1] * w[_F + 1] + w[2] * w[_F + 2]
@@ -441,7 +442,7 @@ def _to_parent(i, p, joint, work, block):  # type: ignore[no-untyped-def]
         e6 * w[3] + e7 * w[4] + e8 * w[5],
         e6 * w[6] + e7 * w[7] + e8 * w[8],
     )
-    # S = r x: the velocity of the link's origin is v - S w, so B becomes C = B - A S and D becomes
+    # with S = r x, the velocity of the link's origin is v - S w, so that B becomes C = B - A S, and D becomes
     # D - B' S + S C
     c0, c1, c2 = b0 - (a1 * z - a2 * y), b1 - (a2 * x - a0 * z), b2 - (a0 * y - a1 * x)
     c3, c4, c5 = b3 - (a3 * z - a4 * y), b4 - (a4 * x - a1 * z), b5 - (a1 * y - a3 * x)
@@ -471,9 +472,9 @@ def _to_parent(i, p, joint, work, block):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _inwards(state, topology, joint, passive, work, matrix, right, block):  # type: ignore[no-untyped-def]
-    """Sums of wrenches and composite inertias; the passive hinges' rows of the equations."""
+    """Sum wrenches and composite inertias, and write the equations of the passive hinges."""
     passives = passive.shape[0]
-    # hinges on different branches do not meet; the last factorisation has filled their entries
+    # hinges on different branches do not couple, but the last factorisation has filled their entries
     for k in range(6, 6 + passives):
         for m in range(6, k):
             matrix[k, m] = 0.0
@@ -514,7 +515,7 @@ def derivative(  # type: ignore[no-untyped-def]
     block,
     rate,
 ):
-    """Rate of the state, written into ``rate``.
+    """Compute the rate of the state, and write it into ``rate``.
 
     Parameters
     ----------
@@ -527,13 +528,13 @@ def derivative(  # type: ignore[no-untyped-def]
     drag_link, drag, damping_link, damping, foil_link, foil, force_link, force, wake_link, wake : ndarray
         Element lists, columns as :data:`DRAG`, :data:`DAMPING`, :data:`FOIL`, :data:`FORCE`, :data:`WAKE`.
     surface : float, m
-        Height of the water's surface in the world.
+        Height of the water surface in the world.
     free_base : bool
-        Whether the base moves; else it holds its pose.
+        Whether the base moves; otherwise it keeps its pose.
     work : ndarray, shape (links, 60)
     matrix : ndarray, shape (n, n), n = 6 + passive hinges
     right : ndarray, shape (n,); block : ndarray, shape (6,)
-        Scratch.
+        Work arrays.
     """
     passives = passive.shape[0]
     n = 6 + passives
@@ -576,7 +577,7 @@ def derivative(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def settled(state):  # type: ignore[no-untyped-def]
-    """Bring the quaternion back to length 1, in place, after a step."""
+    """Scale the quaternion of a state to length 1, in place."""
     length = 0.0
     for j in range(3, 7):
         length += state[j] ** 2
@@ -607,7 +608,7 @@ def integrate(  # type: ignore[no-untyped-def]
     surface,
     free_base,
 ):
-    """States and their rates on the step grid, by fourth-order Runge-Kutta with fixed steps.
+    """Return states and rates on the step grid, by a fourth-order Runge-Kutta method with fixed steps.
 
     Parameters
     ----------
@@ -616,12 +617,12 @@ def integrate(  # type: ignore[no-untyped-def]
     table : ndarray, shape (2 steps + 1, driven hinges, 5)
         Driven hinges on the half-step grid; see :func:`derivative`.
     others
-        As :func:`derivative`.
+        See :func:`derivative`.
 
     Returns
     -------
     states, rates : ndarray, shape (steps + 1, 13 + 2 passive hinges)
-        NaN from where the motion breaks down. The quaternion is brought back to length 1 after each step.
+        NaN from where the motion breaks down. The quaternion is scaled to length 1 after each step.
     """
     steps = (table.shape[0] - 1) // 2
     size = len(start)
@@ -637,7 +638,7 @@ def integrate(  # type: ignore[no-untyped-def]
     for i in range(steps + 1):
         here = states[i]
         for stage in range(4):
-            # the grid's own state first, then twice the middle of the step, then its end
+            # row of the table: that of the state, twice that of the middle of the step, that of its end
             at = 2 * i + (stage + 1) // 2
             if stage == 0:
                 trial[:] = here
@@ -676,7 +677,7 @@ def integrate(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _powers(work, before):  # type: ignore[no-untyped-def]
-    """Power of the forces added since the wrenches ``before`` were noted, which become those of now."""
+    """Return the power of the forces added since the wrenches ``before``, and update these wrenches."""
     power = 0.0
     for i in range(work.shape[0]):
         for m in range(6):
@@ -687,7 +688,7 @@ def _powers(work, before):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _accelerate(twist, rate, topology, joint, inertia, work, moved):  # type: ignore[no-untyped-def]
-    """Add what the accelerations of base and passive hinges need to the wrenches; kinetic energy, J."""
+    """Add the wrenches for the accelerations of base and passive hinges, and return the kinetic energy, J."""
     energy = 0.0
     full = np.zeros((6, 6))
     for i in range(topology.shape[0]):
@@ -724,32 +725,14 @@ def _accelerate(twist, rate, topology, joint, inertia, work, moved):  # type: ig
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def energetics(  # type: ignore[no-untyped-def]
-    states,
-    rates,
-    table,
-    topology,
-    joint,
-    inertia,
-    passive,
-    drag_link,
-    drag,
-    damping_link,
-    damping,
-    foil_link,
-    foil,
-    force_link,
-    force,
-    wake_link,
-    wake,
-    surface,
-    free_base,
-):
-    """Hinge torques of a run by inverse dynamics, and where the energy goes.
+def energetics(states, rates, table, *tables):  # type: ignore[no-untyped-def]
+    """Return the hinge torques of a run by inverse dynamics, with its energies and powers.
 
-    As :func:`swimid.swimmer.planar.engine.energetics`, with the arguments of :func:`derivative`; the torque
-    of a base is zero.
+    See :func:`swimid.swimmer.planar.engine.energetics`. The torque of a base is zero.
     """
+    topology, joint, inertia, passive = tables[:4]
+    drag_link, drag, damping_link, damping, foil_link, foil, force_link, force = tables[4:12]
+    wake_link, wake, surface, _ = tables[12:]
     count, links = states.shape[0], topology.shape[0]
     torque, flow = np.zeros((count, links)), np.empty((count, 3))
     work, before, moved = np.zeros((links, _WORK)), np.zeros((links, 6)), np.zeros((links, 6))
@@ -775,6 +758,6 @@ def energetics(  # type: ignore[no-untyped-def]
 
 
 def shapes(tables: Mapping[str, Any]) -> tuple[int, list[tuple[int, ...]]]:
-    """Length of the state, and shapes of the scratch arrays of :func:`derivative`."""
+    """Return the length of the state, and the shapes of the work arrays of :func:`derivative`."""
     n = 6 + len(tables["passive"])
     return 2 * n + 1, [(len(tables["topology"]), _WORK), (n, n), (n,), (6,)]

@@ -16,23 +16,21 @@ from swimid.swimmer.lanes.kernel import Engine
 from swimid.swimmer.model import Run, Swimmer
 from swimid.swimmer.planar.engine import FILLED
 from swimid.swimmer.spatial import engine
-from swimid.swimmer.spatial.assembly import Assembly, Lifted
+from swimid.swimmer.spatial.assembly import Assembly
 
-#: Signs of roll, pitch (nose up) and yaw against rotation about x, y and z.
+#: Signs of roll, pitch (positive nose up) and yaw relative to rotations about x, y and z.
 SIGNS = np.array([1.0, -1.0, 1.0])
 
 
 class MultibodyModel(Swimmer):
     """A robot with links in space (:mod:`swimid.swimmer.spatial.engine`).
 
-    A robot of a planar file moves in space as in its plane.
-
     Parameters
     ----------
     robot : Robot
-        With a ``multibody`` or a ``multilink`` part.
+        With a ``multibody`` part.
     max_step : float, s
-        Each sampling interval is cut into equal steps no longer than this.
+        Each sampling interval is divided into equal steps no longer than this.
     """
 
     name = "multibody"
@@ -50,33 +48,34 @@ class MultibodyModel(Swimmer):
     velocity = ("u_m_s", "v_m_s", "w_m_s", "roll_rate_rad_s", "pitch_rate_rad_s", "yaw_rate_rad_s")
     places = ("x", "y", "z", "roll", "pitch", "yaw")
     rates = ("surge", "sway", "heave", "roll_rate", "pitch_rate", "yaw_rate")
-    tree: Assembly | Lifted
+    tree: Assembly
 
-    def _tree(self) -> Assembly | Lifted:
-        if self.robot.multibody is not None:
-            return Assembly(self.robot.multibody, self.robot.fluid)
-        assert self.robot.multilink is not None
-        return Lifted(self.robot.multilink, self.robot.fluid)
+    def _tree(self) -> Assembly:
+        assert self.robot.multibody is not None
+        return Assembly(self.robot.multibody, self.robot.fluid)
 
     def _offsets(self) -> tuple[str, ...]:
-        # the run begins over the origin, heading along x
+        # a run begins above the origin, with its heading along x
         return ("start_x", "start_y", "start_yaw")
 
-    def opening(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
-        """Velocities at the first sample; still where no channel tells (see :meth:`Swimmer.opening`)."""
+    def start_velocities(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
+        """Return the velocities at the first sample, by parameter; unknown ones are 0."""
         names = [f"initial_{name}" for name in self.rates]
         found = {name: seen(column, 0) for name, column in zip(names, self.velocity, strict=True)}
         turned = [seen(column, 0) or 0.0 for column in self.pose[3:]]
         rates = [seen(column, 1) for column in self.pose]
         if any(r is not None for r in rates[:3]):
             body = from_angles(*([a] for a in turned))[0].inv().apply([r or 0.0 for r in rates[:3]])
-            # rates of the angles stand for those about the axes: at the start the body is nearly level
+            # rates of the angles approximate those about the axes, since the body is nearly level at first
             moved = [*(float(v) for v in body), *rates[3:]]
-            found = {n: v if found[n] is None else found[n] for n, v in zip(names, moved, strict=True)}
+            found.update((n, v) for n, v in zip(names, moved, strict=True) if found[n] is None)
         return found
 
-    def initial(self, measured: Collection[str]) -> list[str]:
-        """The start velocities, angles and rates that channels can tell: of a side view, in its plane."""
+    def determined_starts(self, measured: Collection[str]) -> list[str]:
+        """Return the start velocities, angles and rates that channels determine.
+
+        A side view determines those in its plane.
+        """
         blind = [
             f"initial_{name}"
             for name, place, speed in zip(self.rates, self.pose, self.velocity, strict=True)
@@ -85,16 +84,15 @@ class MultibodyModel(Swimmer):
         return [p.name for p in self.parameters if p.name.startswith("initial_") and p.name not in blind]
 
     def with_buoyancy(self, factor: float) -> MultibodyModel | None:
-        """The same model with every volume that displaces water multiplied; None where none does."""
+        """Return the same model with every displaced volume multiplied; None if nothing displaces water."""
         body = self.robot.multibody
         if body is None or not any(isinstance(e, Hydrostatics) and e.volume_m3 for e in body.elements):
             return None
-        elements = [
-            e.model_copy(update={"volume_m3": _times(factor, e.volume_m3)})
-            if isinstance(e, Hydrostatics)
-            else e
-            for e in body.elements
-        ]
+        elements = list(body.elements)
+        for k, element in enumerate(elements):
+            if isinstance(element, Hydrostatics):
+                volume = _times(factor, element.volume_m3)
+                elements[k] = element.model_copy(update={"volume_m3": volume})
         changed = body.model_copy(update={"elements": elements})
         other = MultibodyModel(self.robot.model_copy(update={"multibody": changed}), max_step=self.max_step)
         other.parameters = self.parameters
@@ -103,9 +101,9 @@ class MultibodyModel(Swimmer):
     # -------------------------------------------------------- simulation
 
     def _posed(self, values: Array, trial: Trial) -> Array:
-        """Pose of the reference point at the first sample, shape (6,)."""
+        """Return the pose of the reference point at the first sample, shape (6,)."""
         pose = np.array(trial.swim.posed(6), dtype=float)
-        return pose + [self._value(values, name) for name in self.starts]
+        return pose + [self.value(values, name) for name in self.starts]
 
     def _begin(self, start: Array, values: Array, trial: Trial, begin_s: float, hooks: Hooks) -> None:
         start[3] = 1.0
@@ -117,16 +115,18 @@ class MultibodyModel(Swimmer):
         place = -turn.apply(self.tree.reference)
         start[2] = z + place[2]
         start[3:7] = np.roll(turn.as_quat(), 1)
-        speed = np.array([self._value(values, f"initial_{name}") for name in self.rates])
+        speed = np.array([self.value(values, f"initial_{name}") for name in self.rates])
         spin = speed[3:] * SIGNS
         start[7 + passives : 10 + passives] = speed[:3] - np.cross(spin, self.tree.reference)
         start[10 + passives : 13 + passives] = spin
 
-    def _integrate(self, run: Run) -> tuple[Array, Array]:
-        states, rates = engine.integrate(run.start, run.step_s, run.drive.table, *run.tables.values())
+    def integrate(self, run: Run) -> tuple[Array, Array]:
+        """Return states and rates of a run."""
+        states, rates = engine.integrate(run.start, run.grid.step_s, run.drive.table, *run.tables.values())
         return states, rates
 
-    def _seen(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
+    def observed(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
+        """Return pose and velocity of the reference point."""
         passives = len(self.passive)
         turn = Rotation.from_quat(_sound(states[:, [4, 5, 6, 3]]))
         place = states[:, :3] + turn.apply(self.tree.reference)
@@ -142,11 +142,13 @@ class MultibodyModel(Swimmer):
 
 
 def _times(factor: float, quantity: float | str) -> float | str:
-    """A quantity of a robot file, multiplied."""
-    return f"{factor!r} * {quantity}" if isinstance(quantity, str) else factor * quantity
+    """Return a quantity of a robot file multiplied by a factor."""
+    if isinstance(quantity, str):
+        return f"{factor!r} * {quantity}"
+    return factor * quantity
 
 
 def _sound(quaternions: Array) -> Array:
-    """Quaternions with those of a broken run replaced by none at all."""
+    """Return the quaternions with those of a broken run replaced by the identity."""
     broken = ~np.isfinite(quaternions).all(axis=1, keepdims=True)
     return np.where(broken, [0.0, 0.0, 0.0, 1.0], quaternions)

@@ -1,0 +1,502 @@
+"""Motions of the driven joints: beats, strokes, measured angles, servos, and their tables for the engines."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Collection, Hashable, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from itertools import groupby
+from typing import Generic, NamedTuple, TypeVar
+
+import numba
+import numpy as np
+from scipy.interpolate import BSpline, make_smoothing_spline
+from scipy.optimize import minimize_scalar
+
+from swimid.fitting import drives
+from swimid.fitting.drives import Array, Motion, SwimInput
+from swimid.fitting.hooks import NONE, Hooks
+from swimid.fitting.model import Trial
+from swimid.swimmer.planar.engine import sampled
+from swimid.swimmer.tree import Axis, Polynomial, given
+
+Value = TypeVar("Value")
+#: Natural frequency (Hz) and damping ratio of the servo of each driven joint; None without a servo.
+Servos = tuple[tuple[float, float] | None, ...]
+#: Relative tolerance to which a servo has forgotten its first state when a steady run begins.
+SERVO_RTOL = 1e-10
+#: Maximum number of driven motions kept for each trial: derivatives need the same few in turn.
+MAX_MOTIONS = 12
+#: Maximum number of commanded motions kept for each trial.
+MAX_COMMANDS = 4
+#: Step of the grid on which the command of a drive is read, s.
+READ_S = 0.0025
+#: Half the width of the smoothing bell of an actuator's deviation, s, since a joint cannot jump; and the
+#: minimum in steps of the grid.
+BELL_S, MIN_BELL_STEPS = 0.0075, 1.5
+
+
+class Grid(NamedTuple):
+    """Time grid of an integration: ``steps`` equal steps of ``step_s`` from ``begin_s`` on."""
+
+    begin_s: float
+    step_s: float
+    steps: int
+
+    def times(self, parts: int) -> Array:
+        """Return the times of the grid with each step divided into equal parts, shape (parts steps + 1,)."""
+        return self.begin_s + self.step_s / parts * np.arange(parts * self.steps + 1.0)
+
+
+class TrialCache(Generic[Value]):
+    """Results of each trial, of which the latest are kept; safe for threads."""
+
+    def __init__(self, maximum: int) -> None:
+        self.maximum = maximum
+        self._kept: dict[str, OrderedDict[Hashable, Value]] = {}
+        self._lock = threading.Lock()
+
+    def get(self, trial: str, key: Hashable) -> Value | None:
+        """Return the result that is kept under a key; None if there is none."""
+        with self._lock:
+            kept = self._kept.get(trial, OrderedDict())
+            if key in kept:
+                kept.move_to_end(key)
+            return kept.get(key)
+
+    def put(self, trial: str, key: Hashable, value: Value) -> Value:
+        """Keep a result, drop the oldest beyond the maximum, and return the result."""
+        with self._lock:
+            kept = self._kept.setdefault(trial, OrderedDict())
+            kept[key] = value
+            while len(kept) > self.maximum:
+                kept.popitem(last=False)
+        return value
+
+    def forget(self, trials: Collection[str]) -> None:
+        """Drop the results of trials."""
+        with self._lock:
+            for name in trials:
+                self._kept.pop(name, None)
+
+
+@dataclass(frozen=True)
+class DrivenMotion:
+    """Motion of the driven joints during a run.
+
+    Attributes
+    ----------
+    table : ndarray, shape (2 steps + 1, driven joints, 5)
+        Table of the engine on the half-step grid (:func:`table`).
+    angles, rates : ndarray, shape (steps + 1, driven joints)
+        Angles (rad) and rates (rad/s) on the grid itself, for the channels.
+    """
+
+    table: Array
+    angles: Array
+    rates: Array
+    _kept: dict[bytes, Array] = field(init=False, repr=False, compare=False, default_factory=dict)
+
+    def sampled(self, time_s: Array, grid: Grid) -> Array:
+        """Return the angles at any times, shape (n, driven joints); the latest result is kept."""
+        key = time_s.tobytes()
+        found = self._kept.get(key)
+        if found is None:
+            found = sampled(time_s, grid.begin_s, grid.step_s, self.angles, self.rates)
+            self._kept.clear()
+            self._kept[key] = found
+        return found
+
+
+class DrivenJoints:
+    """Driven joints of a robot, which turn the drive of a trial into motion.
+
+    Parameters
+    ----------
+    axes : sequence of Axis
+    coefficients : sequence of str
+        Names of the coefficients of the robot, on which servos may depend.
+    mounts_rad : sequence of float
+        Angle between the links of each joint at zero joint angle, as the engine's table counts it.
+    """
+
+    def __init__(
+        self, axes: Sequence[Axis], coefficients: Sequence[str], mounts_rad: Sequence[float]
+    ) -> None:
+        self.axes, self.mounts_rad = axes, mounts_rad
+        self._names = coefficients
+        self._servos = [_servo(axis) for axis in axes]
+        self._motions: TrialCache[DrivenMotion] = TrialCache(MAX_MOTIONS)
+        self._commands: TrialCache[list[Motion]] = TrialCache(MAX_COMMANDS)
+        self._read: dict[str, tuple[SwimInput, Array, list[tuple[Array, Array, float]]]] = {}
+
+    def forget(self, trials: Collection[str]) -> None:
+        """Drop what is kept of trials."""
+        self._motions.forget(trials)
+        self._commands.forget(trials)
+        for name in trials:
+            self._read.pop(name, None)
+
+    def commands(self, trial: Trial) -> list[tuple[Array, Array, float]]:
+        """Return time (s), commanded angle (rad) and largest commanded rate (rad/s) of each joint."""
+        known = self._read.get(trial.id)
+        if known is None or known[0] is not trial.swim or known[1] is not trial.time_s:
+            time = np.arange(float(trial.time_s[0]), float(trial.time_s[-1]) + READ_S, READ_S)
+            motions = [joint_motion(axis, k, trial.swim, time, 0.0) for k, axis in enumerate(self.axes)]
+            found = [(time, angle, float(np.max(np.abs(rate)))) for angle, rate, _ in motions]
+            known = self._read[trial.id] = trial.swim, trial.time_s, found
+        return known[2]
+
+    def motion(
+        self, values: Array, trial: Trial, grid: Grid, phase_rad: float, hooks: Hooks = NONE
+    ) -> DrivenMotion:
+        """Return the motion of the joints in a run.
+
+        It is kept: except for those of servos, no coefficient changes it.
+
+        Parameters
+        ----------
+        values : ndarray
+            Coefficients of the robot first.
+        trial : Trial
+        grid : Grid
+        phase_rad : float
+            Phase of the drive at time zero, beyond that of the trial.
+        hooks : Hooks
+            Effects on the actuators. Measured angles show them already.
+        """
+        if trial.swim.measured:
+            hooks = NONE
+        servos = self._servos_at(values)
+        key = (grid, phase_rad, servos, hooks.command_key)
+        known = self._motions.get(trial.id, key)
+        if known is not None:
+            return known
+        return self._motions.put(trial.id, key, self._moved(trial, grid, phase_rad, servos, hooks))
+
+    def fresh_motion(
+        self, values: Array, trial: Trial, grid: Grid, phase_rad: float, hooks: Hooks
+    ) -> DrivenMotion:
+        """Return the same as :meth:`motion`, computed anew and not kept."""
+        return self._moved(trial, grid, phase_rad, self._servos_at(values), hooks)
+
+    def _servos_at(self, values: Array) -> Servos:
+        named = dict(zip(self._names, values, strict=False))
+        return tuple(s and (s[0].at(named), s[1].at(named)) for s in self._servos)
+
+    def _moved(
+        self, trial: Trial, grid: Grid, phase_rad: float, servos: Servos, hooks: Hooks
+    ) -> DrivenMotion:
+        lead_s = _memory_s(trial.swim, servos, hooks)
+        if lead_s == 0.0:
+            return self._actuated(trial, grid, phase_rad, servos, hooks)
+        # begin earlier, so that actuators with memory have followed the steady beat for long
+        before = math.ceil(lead_s / grid.step_s)
+        early = Grid(grid.begin_s - before * grid.step_s, grid.step_s, grid.steps + before)
+        whole = self._actuated(trial, early, phase_rad, servos, hooks)
+        return DrivenMotion(whole.table[2 * before :], whole.angles[before:], whole.rates[before:])
+
+    def _actuated(
+        self, trial: Trial, grid: Grid, phase_rad: float, servos: Servos, hooks: Hooks
+    ) -> DrivenMotion:
+        half = grid.times(2)
+        commands = self._commanded(trial, grid, phase_rad)
+        motions: list[Motion] = []
+        actual: list[Array] = []
+        for k, (motion, servo) in enumerate(zip(commands, servos, strict=True)):
+            if servo is not None:
+                command = np.ascontiguousarray(hooks.actuated(grid.times(4), motion[0], k))
+                answer = simulate_servo(command, 0.5 * grid.step_s, 2.0 * math.pi * servo[0], servo[1])
+                motions.append((answer[:, 0], answer[:, 1], answer[:, 2]))
+            elif hooks.command:
+                actual.append(hooks.actuated(half, motion[0], k))
+                # equal motions stay one object, so that the table is written once for them
+                if k and motion is commands[k - 1] and np.array_equal(actual[-2], actual[-1]):
+                    motions.append(motions[-1])
+                else:
+                    motions.append(deviated(motion, actual[-1], 0.5 * grid.step_s))
+            else:
+                motions.append(motion)
+        found = table(len(half), motions, self.mounts_rad)
+        angles, rates = (np.ascontiguousarray(found[::2, :, k]) for k in range(2))
+        return DrivenMotion(found, angles, rates)
+
+    def _commanded(self, trial: Trial, grid: Grid, phase_rad: float) -> list[Motion]:
+        """Return the command of each joint at every half step, or at every quarter for a servo."""
+        known = self._commands.get(trial.id, (grid, phase_rad))
+        if known is not None:
+            return known
+        found: list[Motion] = []
+        for k, (axis, servo) in enumerate(zip(self.axes, self._servos, strict=True)):
+            if k and self._is_like_last(k, trial.swim):
+                found.append(found[-1])
+                continue
+            parts = 2 if servo is None else 4
+            found.append(joint_motion(axis, k, trial.swim, grid.times(parts), phase_rad))
+        return self._commands.put(trial.id, (grid, phase_rad), found)
+
+    def _is_like_last(self, k: int, swim: SwimInput) -> bool:
+        """Return whether a beat moves a driven joint as the one before it."""
+        if swim.joints is not None or swim.stroke is not None or swim.beat is None:
+            return False
+        return swim.beat.lag_rad == 0.0 and self.axes[k - 1].driven == self.axes[k].driven
+
+
+def joint_motion(axis: Axis, number: int, swim: SwimInput, time_s: Array, phase_rad: float) -> Motion:
+    """Return the commanded motion of a driven joint: measured angle, or its part of a stroke or a beat.
+
+    Parameters
+    ----------
+    axis : Axis
+    number : int
+        Position of the joint among the driven ones.
+    swim : SwimInput
+    time_s : ndarray, shape (n,)
+    phase_rad : float
+        Phase ahead of that of the drive.
+    """
+    if swim.joints is not None:
+        return swim.joints[number](time_s)
+    law = axis.driven
+    assert law is not None
+    phase = phase_rad - math.radians(law.phase_lag_deg)
+    if swim.stroke is not None:
+        return swim.stroke.motion(axis.name, time_s, phase_rad=phase)
+    if swim.beat is None:
+        return drives.straight(time_s)
+    bias_gain = given(law.bias_gain, law.gain)
+    phase -= number * swim.beat.lag_rad
+    return swim.beat.motion(
+        time_s, gain=law.gain, bias_gain=bias_gain, phase_rad=phase, cell_s=drives.cells(time_s)
+    )
+
+
+def _memory_s(swim: SwimInput, servos: Servos, hooks: Hooks) -> float:
+    """Return the time after which an actuator on a steady beat has forgotten its first state, s.
+
+    It is 0 for any other run. A servo forgets at the rate of its damping. Backlash and limits of rate repeat
+    from the second period on.
+    """
+    if not swim.steady or swim.drive is None:
+        return 0.0
+    rates = [2.0 * math.pi * s[0] * min(s[1], 1.0 / max(2.0 * s[1], 1e-9)) for s in servos if s is not None]
+    forgotten = max((-math.log(SERVO_RTOL) / max(rate, 1e-3) for rate in rates), default=0.0)
+    if hooks.command:
+        forgotten += 2.0 / swim.drive.frequency_hz
+    return forgotten
+
+
+def _servo(axis: Axis) -> tuple[Polynomial, Polynomial] | None:
+    law = axis.driven
+    if law is None or law.servo is None:
+        return None
+    return Polynomial.of(law.servo.natural_frequency_hz), Polynomial.of(law.servo.damping_ratio)
+
+
+def measured(time_s: Array, angle_rad: Array) -> BSpline:
+    """Return a cubic smoothing spline through a measured joint angle.
+
+    Angle, rate and acceleration come from this one spline. Its smoothing follows from generalised
+    cross-validation.
+
+    Parameters
+    ----------
+    time_s, angle_rad : ndarray, shape (n,)
+        The angles are NaN where they are missing.
+
+    Raises
+    ------
+    ValueError
+        With fewer than five samples.
+    """
+    there = np.isfinite(angle_rad)
+    if there.sum() < 5:
+        raise ValueError("a measured joint needs at least five samples")
+    times, angles = time_s[there], np.unwrap(angle_rad[there])
+    # in units of the sampling interval the same range of smoothing serves all sampling rates
+    scale = float(np.median(np.diff(times)))
+    places = (times - times[0]) / scale
+    spacing = np.diff(places)
+    grid = np.arange(-8.0, 10.0, 0.5)
+    scores = [cross_validation_score(10.0**power, spacing, angles) for power in grid]
+    best = float(grid[int(np.argmin(scores))])
+    around = (best - 0.5, best + 0.5)
+    power = minimize_scalar(
+        lambda p: cross_validation_score(10.0**p, spacing, angles), bounds=around, method="bounded"
+    ).x
+    found = make_smoothing_spline(places, angles, lam=10.0**power)
+    return BSpline(times[0] + scale * found.t, found.c, 3)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def cross_validation_score(smoothing, spacing, values):  # type: ignore[no-untyped-def]
+    """Return the score ``n |residuals|^2 / trace(I - A)^2`` of a natural cubic spline.
+
+    The curvatures follow from Reinsch's banded system, the trace from the bands of its inverse
+    (Hutchinson and de Hoog, Numerische Mathematik 47, 1985).
+    """
+    n = len(values)
+    m = n - 2
+    left, right = 1.0 / spacing[:-1], 1.0 / spacing[1:]
+    middle = -left - right
+    # the bands of Q'Q, then of R + smoothing Q'Q and its factors
+    square, beside, beyond = left**2 + middle**2 + right**2, np.zeros(m + 2), np.zeros(m + 2)
+    pivot, first, second = np.zeros(m + 2), np.zeros(m + 2), np.zeros(m + 2)
+    curvature = np.zeros(m + 2)
+    for j in range(m):
+        if j < m - 1:
+            beside[j] = middle[j] * left[j + 1] + right[j] * middle[j + 1]
+        if j < m - 2:
+            beyond[j] = right[j] * left[j + 2]
+    for j in range(m):
+        pivot[j] = (spacing[j] + spacing[j + 1]) / 3.0 + smoothing * square[j]
+        first[j] = (spacing[j + 1] / 6.0 if j < m - 1 else 0.0) + smoothing * beside[j]
+        second[j] = smoothing * beyond[j]
+        curvature[j] = values[j] * left[j] + values[j + 1] * middle[j] + values[j + 2] * right[j]
+        if j > 0:
+            pivot[j] -= first[j - 1] ** 2 * pivot[j - 1]
+            first[j] -= second[j - 1] * first[j - 1] * pivot[j - 1]
+            curvature[j] -= first[j - 1] * curvature[j - 1]
+        if j > 1:
+            pivot[j] -= second[j - 2] ** 2 * pivot[j - 2]
+            curvature[j] -= second[j - 2] * curvature[j - 2]
+        first[j] /= pivot[j]
+        second[j] /= pivot[j]
+    trace, inverse, near, far = 0.0, np.zeros(m + 2), np.zeros(m + 2), np.zeros(m + 2)
+    for j in range(m - 1, -1, -1):
+        curvature[j] = curvature[j] / pivot[j] - first[j] * curvature[j + 1] - second[j] * curvature[j + 2]
+        near[j] = -first[j] * inverse[j + 1] - second[j] * near[j + 1]
+        far[j] = -first[j] * near[j + 1] - second[j] * inverse[j + 2]
+        inverse[j] = 1.0 / pivot[j] - first[j] * near[j] - second[j] * far[j]
+        trace += square[j] * inverse[j] + 2.0 * (beside[j] * near[j] + beyond[j] * far[j])
+    residual = np.zeros(n)
+    for j in range(m):
+        residual[j] += left[j] * curvature[j]
+        residual[j + 1] += middle[j] * curvature[j]
+        residual[j + 2] += right[j] * curvature[j]
+    return n * np.sum(residual**2) / trace**2
+
+
+def spline_motion(spline: BSpline) -> Callable[[Array], Motion]:
+    """Return the spline as a motion that holds its first and last angle beyond the ends."""
+    rate, bend = spline.derivative(), spline.derivative(2)
+    low, high = float(spline.t[0]), float(spline.t[-1])
+
+    def motion(time_s: Array) -> Motion:
+        inside = (time_s >= low) & (time_s <= high)
+        t = np.clip(time_s, low, high)
+        return spline(t), np.where(inside, rate(t), 0.0), np.where(inside, bend(t), 0.0)
+
+    return motion
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def simulate_servo(command, step, omega, damping):  # type: ignore[no-untyped-def]
+    """Integrate a second-order servo that starts at its command, at rest.
+
+    Parameters
+    ----------
+    command : ndarray, shape (2 m + 1,), rad
+        Commanded angle, at every half step.
+    step : float, s
+    omega : float, rad/s
+        Natural angular frequency.
+    damping : float
+        Damping ratio.
+
+    Returns
+    -------
+    ndarray, shape (m + 1, 3)
+        Angle (rad), rate (rad/s) and acceleration (rad/s2) at every step.
+    """
+    count = (len(command) - 1) // 2
+    result = np.empty((count + 1, 3))
+    a, w = command[0], 0.0
+    square, loss = omega * omega, 2.0 * damping * omega
+    for i in range(count + 1):
+        result[i, 0], result[i, 1] = a, w
+        result[i, 2] = square * (command[2 * i] - a) - loss * w
+        if i == count:
+            break
+        c0, c1, c2 = command[2 * i], command[2 * i + 1], command[2 * i + 2]
+        w1 = w
+        d1 = square * (c0 - a) - loss * w1
+        w2 = w + 0.5 * step * d1
+        d2 = square * (c1 - (a + 0.5 * step * w1)) - loss * w2
+        w3 = w + 0.5 * step * d2
+        d3 = square * (c1 - (a + 0.5 * step * w2)) - loss * w3
+        w4 = w + step * d3
+        d4 = square * (c2 - (a + step * w3)) - loss * w4
+        a += step / 6.0 * (w1 + 2.0 * (w2 + w3) + w4)
+        w += step / 6.0 * (d1 + 2.0 * (d2 + d3) + d4)
+    return result
+
+
+def deviated(motion: Motion, actual: Array, step_s: float) -> Motion:
+    """Return the motion of an actuator whose angle deviates from its command.
+
+    It is the command plus the deviation. The deviation may have corners, and is smoothed by a cubic B-spline
+    bell so that rate and acceleration are derivatives of the angle.
+
+    Parameters
+    ----------
+    motion : (angle, rate, acceleration), each shape (n,)
+        Command on an even grid.
+    actual : ndarray, shape (n,)
+        Angle that the actuator reaches, rad.
+    step_s : float
+        Step of the grid.
+    """
+    deviation = actual - motion[0]
+    if not deviation.any():
+        return motion
+    bells = _bells(step_s)
+    reach = len(bells[0]) // 2
+    padded = np.concatenate((np.full(reach, deviation[0]), deviation, np.full(reach, deviation[-1])))
+    parts = [np.convolve(padded, bell, mode="valid") for bell in bells]
+    return motion[0] + parts[0], motion[1] + parts[1], motion[2] + parts[2]
+
+
+@lru_cache(maxsize=32)
+def _bells(step_s: float) -> list[Array]:
+    """Return the bell and its first two derivatives on an even grid, each shape (2 reach + 1,)."""
+    spacing = max(BELL_S, MIN_BELL_STEPS * step_s)
+    reach = math.ceil(2.0 * spacing / step_s)
+    at = np.arange(-reach, reach + 1) * step_s / spacing
+    bell = BSpline.basis_element(np.arange(-2.0, 3.0), extrapolate=False)
+    found = []
+    for order in range(3):
+        kernel = np.nan_to_num(bell(at, nu=order)) / spacing**order
+        # correct the moments of the sampled bell, so that constants and lines are smoothed exactly
+        if order:
+            kernel -= kernel.mean()
+        found.append(kernel / float(kernel @ ((-at * spacing) ** order / math.factorial(order))))
+    return found
+
+
+def table(count: int, motions: Sequence[Motion], mounts_rad: Sequence[float]) -> Array:
+    """Return joint motions as the engine reads them, shape (count, joints, 5).
+
+    The columns are angle (rad), rate (rad/s), acceleration (rad/s2), and cosine and sine of the angle with
+    the mounting angle of the joint added.
+    """
+    found = np.empty((count, len(motions), 5))
+    joints = zip(motions, mounts_rad, range(len(motions)), strict=True)
+    # neighbouring joints with the same motion are written together
+    for _, group in groupby(joints, key=lambda joint: (id(joint[0]), joint[1])):
+        (motion, mount, first), *others = group
+        parts = (np.ascontiguousarray(part, dtype=float) for part in motion)
+        _columns(found, first, first + 1 + len(others), *parts, mount)
+    return found
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _columns(found, first, end, angle, rate, acceleration, mount):  # type: ignore[no-untyped-def]
+    for i in range(len(found)):
+        c, s = math.cos(angle[i] + mount), math.sin(angle[i] + mount)
+        for k in range(first, end):
+            found[i, k, 0], found[i, k, 1], found[i, k, 2] = angle[i], rate[i], acceleration[i]
+            found[i, k, 3], found[i, k, 4] = c, s

@@ -1,0 +1,144 @@
+"""Steady swimming of a robot with links: its limit cycle under a periodic drive, and its speed there."""
+
+from __future__ import annotations
+
+import math
+import threading
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from swimid.fitting.drives import Beat, Cycle
+from swimid.fitting.hooks import NONE
+from swimid.fitting.model import Array, Trial
+from swimid.swimmer.drive import Grid
+from swimid.swimmer.limit_cycle import LimitCycle, limit_cycle
+
+if TYPE_CHECKING:
+    from swimid.swimmer.model import Run, Swimmer
+
+#: Maximum number of limit cycles kept.
+MAX_CYCLES = 64
+
+
+class Cruise(NamedTuple):
+    """Steady swimming of a model.
+
+    Attributes
+    ----------
+    speed_m_s : float
+        Length of the path over one period of the drive, divided by the period; NaN if it never settles.
+    settling_s : float
+        Time in which a difference from the steady speed falls by a factor e; infinite if it never settles.
+    """
+
+    speed_m_s: float
+    settling_s: float
+
+
+class SteadySwimming:
+    """Limit cycles of a model, of which the latest are kept.
+
+    Parameters
+    ----------
+    model : Swimmer
+    """
+
+    def __init__(self, model: Swimmer) -> None:
+        self.model = model
+        self._cycles: dict[tuple[Any, ...], LimitCycle | None] = {}
+        self._lock = threading.Lock()
+        # positions in a state that the motion over a period depends on
+        passives, first = len(model.passive), model.coordinates + len(model.passive)
+        angles = list(range(model.coordinates, first))
+        rates = list(range(first + model.speeds, first + model.speeds + passives))
+        self._memory = [*angles, *rates]
+        if model.free_base:
+            self._memory = [*model.attitude(), *angles, *range(first, first + model.speeds), *rates]
+
+    def initial_state(self, run: Run) -> Array:
+        """Return the state of steady swimming at the beginning of a run; NaN if the motion never settles."""
+        cycle = self._limit_cycle(run)
+        start = run.start.copy()
+        start[self._memory] = np.nan
+        if cycle is not None:
+            # integrate from the phase zero before the last one, so that no step becomes small
+            period = 1.0 / _drive_of(run).frequency_hz
+            ahead = self._since_phase_zero(run) + period
+            states = self._states(run, run.grid.begin_s - ahead, cycle.state, ahead / period)
+            start[self._memory] = states[-1, self._memory]
+        return start
+
+    def cruise(self, values: Array, trial: Trial) -> Cruise:
+        """Return the speed at which the model settles under the periodic drive of a trial.
+
+        Parameters
+        ----------
+        values : ndarray
+            Parameters of the model.
+        trial : Trial
+            Of a robot in a plane with a free base.
+        """
+        trial = replace(trial, id=f"{trial.id} (steady)", swim=trial.swim.begun())
+        run = self.model.request(values, trial, NONE)
+        cycle = self._limit_cycle(run)
+        if cycle is None:
+            return Cruise(math.nan, math.inf)
+        period = 1.0 / _drive_of(run).frequency_hz
+        begin = run.grid.begin_s - self._since_phase_zero(run)
+        ends = self._states(run, begin, cycle.state)[[0, -1]]
+        seen = self.model.observed(values, trial, ends)
+        x, y, turned = (float(np.diff(seen[name])[0]) for name in self.model.pose)
+        arc = math.hypot(x, y) / float(np.sinc(turned / (2.0 * math.pi)))
+        return Cruise(arc / period, -period / math.log(max(cycle.multiplier, 1e-12)))
+
+    def _limit_cycle(self, run: Run) -> LimitCycle | None:
+        """Return the limit cycle of a run's drive at phase zero; None if the motion never settles."""
+        section = run.grid.begin_s - self._since_phase_zero(run)
+        phases_and_starts = ("drive_phase", "initial_")
+        names = [p.name for p in self.model.parameters]
+        moved = [i for i in self.model.influences(run.hooks) if not names[i].startswith(phases_and_starts)]
+        kind = (replace(_drive_of(run), phase_rad=0.0), run.hooks.key, self.model.max_step)
+        key = (*kind, run.values[moved].tobytes())
+        with self._lock:
+            if key in self._cycles:
+                return self._cycles[key]
+            near = self._cycles.get(kind)
+
+        def period(state: Array) -> Array:
+            return self._states(run, section, state)[:, self._memory]
+
+        found = limit_cycle(period, np.zeros(len(self._memory)), near=near)
+        with self._lock:
+            self._cycles[key] = found
+            if found is not None:
+                self._cycles[kind] = found
+            while len(self._cycles) > MAX_CYCLES:
+                self._cycles.pop(next(iter(self._cycles)))
+        return found
+
+    def _states(self, run: Run, begin_s: float, state: Array, periods: float = 1.0) -> Array:
+        """Integrate a run from a state on the limit cycle over some periods, and return all states."""
+        period = 1.0 / _drive_of(run).frequency_hz
+        # the number of steps depends on whole periods alone, so that derivatives are smooth
+        steps = math.floor(periods) * math.ceil(period / self.model.max_step)
+        grid = Grid(begin_s, periods * period / steps, steps)
+        phase = self.model.value(run.values, "drive_phase")
+        motion = self.model.joints.fresh_motion(run.values, run.trial, grid, phase, run.hooks)
+        start = run.start.copy()
+        start[self._memory] = state
+        return self.model.integrate(replace(run, grid=grid, start=start, drive=motion))[0]
+
+    def _since_phase_zero(self, run: Run) -> float:
+        """Return the time from the last phase zero of the drive to the beginning of a run, s."""
+        drive = _drive_of(run)
+        phase = drive.phase_rad + self.model.value(run.values, "drive_phase")
+        cycles = drive.frequency_hz * run.grid.begin_s + phase / (2.0 * math.pi)
+        return (cycles % 1.0) / drive.frequency_hz
+
+
+def _drive_of(run: Run) -> Beat | Cycle:
+    drive = run.trial.swim.drive
+    assert drive is not None
+    return drive
