@@ -10,7 +10,7 @@ from swimid.cli.main import track as track_command
 from swimid.errors import InputError
 from swimid.results import evidence
 from swimid.tracking.setup import Setup
-from swimid.tracking.tracker import Follower, bars
+from swimid.tracking.tracker import Follower, inner_picture
 from tests.generators.disc_film import ONE_RED, RED_AND_YELLOW, WATER, YELLOW, Disc, Film, still, straight
 
 
@@ -247,12 +247,12 @@ def test_a_black_bar_is_an_edge(tmp_path, speed):
 def test_a_dark_scene_has_no_bars():
     """Only what is black to the edge, and not most of the picture."""
     frame = np.full((100, 200, 3), 90, np.uint8)
-    assert bars(frame) == (0, 0, 200, 100)
+    assert inner_picture(frame) == (0, 0, 200, 100)
     frame[:, :20] = 5
     frame[90:] = 5
-    assert bars(frame) == (20, 0, 200, 90)
+    assert inner_picture(frame) == (20, 0, 200, 90)
     frame[:] = 5
-    assert bars(frame) == (0, 0, 200, 100)
+    assert inner_picture(frame) == (0, 0, 200, 100)
 
 
 def behind(cover, speed, duration):
