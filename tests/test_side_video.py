@@ -345,8 +345,8 @@ def test_a_robot_of_ones_own_gives_the_places_too(tmp_path):
     )
     path = tmp_path / "setup.yaml"
     path.write_text(
-        'format: swimid-setup/1\nmarkers:\n  - {name: red, colour: "#ff0000"}\n'
-        '  - {name: yellow, colour: "#ffee00", at_m: [-0.2, 0]}\n'
+        "format: swimid-setup/1\nmarkers:\n  - {name: red, hsv: {hue_deg: [340, 20]}}\n"
+        "  - {name: yellow, hsv: {hue_deg: [40, 75]}, at_m: [-0.2, 0]}\n"
         "head: red\ntail: yellow\nrobot: mine.yaml\nscale: {metres_per_pixel: 0.001}\n"
     )
     places = setup_format.read(path).places

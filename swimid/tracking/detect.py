@@ -54,7 +54,7 @@ class ColourModel:
 
     def __init__(self, colours: HsvRange) -> None:
         low, high = (h / 2 for h in colours.hue_deg)
-        width = high - low if high >= low else high - low + _TURN
+        width = (high - low) % _TURN
         if colours.hue_deg == (0.0, 360.0):
             width = _TURN
         self._half_width = width / 2
@@ -130,11 +130,12 @@ class ColourModel:
         high = np.clip(np.where(self._upper >= 255, 255, self._upper + shift[1:] + slack), 0, 255)
         low[0] = max(low[0], min(self._lower[0], MIN_SATURATION))
         centre, half = self._centre[0] + shift[0], self._half_width + hue_slack
+        first, last = (centre - half) % _TURN, (centre + half) % _TURN
         if half >= _HALF:
-            arcs = [(0.0, 179.0)]
-        else:
-            first, last = (centre - half) % _TURN, (centre + half) % _TURN
-            arcs = [(first, last)] if first <= last else [(first, 179.0), (0.0, last)]
+            first, last = 0.0, 179.0
+        arcs = [(first, last)]
+        if first > last:
+            arcs = [(first, 179.0), (0.0, last)]
         ends = [([np.ceil(a), *np.floor(low)], [np.floor(b), *np.ceil(high)]) for a, b in arcs]
         return [(np.array(first, np.uint8), np.array(last, np.uint8)) for first, last in ends]
 
@@ -382,7 +383,7 @@ def find_patches(
         if square * (0.125 * outline * outline + outline) < 0.5 * area_px[0]:
             continue
         # Pick's theorem gives the pixels inside and on the outline, including holes
-        area = square * (cv2.contourArea(contour) + 0.5 * outline + (1 if outline > 1 else 0.5))
+        area = square * (cv2.contourArea(contour) + 0.5 * min(outline, 2) + 0.5 * outline)
         if area < 0.5 * area_px[0]:
             continue
         left, top, width, height = cv2.boundingRect(contour)
@@ -411,19 +412,23 @@ def measure(
         Width and height of the picture, px.
     """
     rows, columns = window.shape[0], window.shape[1]
-    margin = -(-MARGIN // step) if step < 3 else 4
+    margin, rim = -(-MARGIN // step), _KERNEL5
+    if step >= 3:
+        margin, rim = 4, _KERNEL3
     x0, y0 = max(patch.left - margin, 0), max(patch.top - margin, 0)
     x1 = min(patch.right + margin, (columns - step // 2) // step)
     y1 = min(patch.bottom + margin, (rows - step // 2) // step)
     hull = np.zeros((y1 - y0, x1 - x0), np.uint8)
     cv2.fillConvexPoly(hull, cv2.convexHull(patch.contour) - np.array([x0, y0], np.int32), 255)
     # the core of the convex hull has weight 1, so that reflections leave no hole
-    large = min(patch.right - patch.left, patch.bottom - patch.top) >= 10
-    core = cv2.erode(hull, _KERNEL5 if large else _KERNEL3, borderType=cv2.BORDER_CONSTANT, borderValue=255)
+    kernel = _KERNEL3
+    if min(patch.right - patch.left, patch.bottom - patch.top) >= 10:
+        kernel = _KERNEL5
+    core = cv2.erode(hull, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=255)
     if not core.any():
         core = hull
-    near = cv2.dilate(hull, _KERNEL5 if step < 3 else _KERNEL3)
-    far = cv2.dilate(near, _KERNEL5 if step < 3 else _KERNEL3)
+    near = cv2.dilate(hull, rim)
+    far = cv2.dilate(near, rim)
     part = window[step * y0 : step * y1, step * x0 : step * x1]
     column, row, contrast, scatter, colour = _weighted_centre(part, core, near, far, step)
     min_contrast = max(MIN_CONTRAST, MIN_CONTRAST_RATIO * min(scatter, MAX_SCATTER))
@@ -451,6 +456,11 @@ def warm_up() -> None:
     """Compile the functions of this module."""
     mask = np.full((4, 4), 255, np.uint8)
     _weighted_centre(np.zeros((4, 4, 3), np.uint8), mask, mask, mask, 1)
+
+
+#: One detection: x, y, area, confidence, status, and whether the edge of the picture cuts the marker.
+Row = tuple[float, ...]
+NOT_SEEN: Row = (math.nan, math.nan, math.nan, 0.0, LOST, False)
 
 
 @dataclass(frozen=True)
@@ -489,10 +499,18 @@ class RawTrack:
     confidence: NDArray[np.float64]
     status: NDArray[np.int64]
     at_edge: NDArray[np.bool_]
-    drift: dict[str, NDArray[np.float64]]
-    rivals: dict[str, int]
+    drift: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    rivals: dict[str, int] = field(default_factory=dict)
     mistaken: dict[str, tuple[int, float]] = field(default_factory=dict)
     change: NDArray[np.float64] | None = None
+
+    @classmethod
+    def of_rows(cls, times: Any, names: list[str], rows: list[list[Row]], **more: Any) -> RawTrack:
+        """Return the track of one row for each marker in each frame; ``more`` are further attributes."""
+        table = np.array([[row[:6] for row in frame] for frame in rows]).reshape(-1, len(names), 6)
+        x, y, area, confidence, status, at_edge = table.transpose(2, 1, 0).copy()
+        found = (status.astype(int), at_edge.astype(bool))
+        return cls(np.array(times), names, x, y, area, confidence, *found, **more)
 
     @property
     def seen(self) -> NDArray[np.bool_]:

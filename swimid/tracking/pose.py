@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -138,6 +139,11 @@ class Plane:
     def runs_left(self) -> bool:
         """Whether the x axis points to the left of the picture."""
         return bool(self._gradient()[0, 0] < 0)
+
+    @property
+    def faces(self) -> str:
+        """Direction of the x axis in the picture, in a word."""
+        return "left" if self.runs_left else "right"
 
     @property
     def upside_down(self) -> bool:
@@ -302,7 +308,9 @@ def _variants(image: Array, world: Array, residual_px: float) -> tuple[Array, ..
 
 def _is_on_line(points: Array) -> bool:
     """Return whether all points, or for four points all but one, are on a line."""
-    rests = [np.delete(points, k, axis=0) for k in range(len(points))] if len(points) <= 4 else [points]
+    rests = [points]
+    if len(points) <= 4:
+        rests = [np.delete(points, k, axis=0) for k in range(len(points))]
     return any(np.linalg.matrix_rank(rest - rest.mean(0), rtol=1e-3) < 2 for rest in rests)
 
 
@@ -388,8 +396,10 @@ def facing(track: RawTrack, setup: Setup, plane: Plane) -> Plane:
     if setup.tail is None:
         return plane
     (front, _), (rear, _) = (plane.to_world(*track.centre(track.row(name))) for name in setup.roles)
-    ahead = 1.0 if setup.places is None else setup.places[0][0] - setup.places[1][0]
-    return plane if ahead * np.nansum(front - rear) >= 0 else plane.along_x(not plane.runs_left)
+    ahead = np.nansum(front - rear)
+    if setup.places is not None:
+        ahead *= setup.places[0][0] - setup.places[1][0]
+    return plane if ahead >= 0 else plane.along_x(not plane.runs_left)
 
 
 def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
@@ -447,7 +457,9 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
         turn = np.sqrt(2) / max(distance, 1e-12)
         angle = smooth(clock, raw_angle[None], both, segments, min_sd=turn * white, trusted=trusted)
         # the ends of a silhouette have one outline: its length does not show all errors of its direction
-        along = lasting if setup.marker(setup.head_name).method == "background" else centroid[1]
+        along = centroid[1]
+        if setup.markers[0].method == "background":
+            along = lasting
         # the errors of partly hidden markers last as long as they are hidden
         off = np.hypot(*hidden[rows]) * pixel / TWO_SIDED / distance
         angle = _widened(angle, turn * along, off)
@@ -644,15 +656,17 @@ def _weights(track: RawTrack, marker: int, hidden: Array) -> Array:
     if seen.any():
         usual = float(np.median(track.confidence[marker, seen]))
         weights[seen] = np.clip(usual / np.maximum(track.confidence[marker, seen], 1e-3), 1, 5) ** 2
-    noise = max(_noise_px(track, marker), MIN_NOISE_PX)
+    noise = max(centroid_noise_px(track, marker), MIN_NOISE_PX)
     return np.asarray(weights + (hidden / TWO_SIDED / noise) ** 2)
 
 
-def _noise_px(track: RawTrack, marker: int) -> float:
+def centroid_noise_px(track: RawTrack, marker: int) -> float:
     """Return the standard deviation of the white noise of a centroid, from second differences, px."""
     second = np.diff(np.stack(track.centre(marker)), n=2, axis=1)
     known = second[np.isfinite(second)]
-    return 1.4826 * float(np.median(np.abs(known))) / np.sqrt(6) if len(known) else 0.0
+    if not len(known):
+        return 0.0
+    return 1.4826 * float(np.median(np.abs(known))) / math.sqrt(6)
 
 
 def columns(pose: Pose, track: RawTrack, setup: Setup) -> dict[str, Any]:

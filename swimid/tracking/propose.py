@@ -361,7 +361,7 @@ def pick_markers(
             patches.append((name, patch))
     found = [_marker(hsv, name, [mask for kind, mask in patches if kind == name], place) for name in kinds]
     for marker in found:
-        mine = ColourModel(marker.colour_range()).mask(hsv)
+        mine = ColourModel(marker.hsv or HsvRange()).mask(hsv)
         for other, mask in patches:
             if other != marker.name and np.mean(mine[mask > 0] > 0) > 0.5:
                 raise InputError(

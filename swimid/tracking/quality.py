@@ -15,7 +15,7 @@ from swimid.logs.log import runs
 from swimid.notices import warn
 from swimid.results.evidence import Check, check
 from swimid.tracking.detect import RawTrack
-from swimid.tracking.pose import SYSTEMATIC_PX, Pose
+from swimid.tracking.pose import SYSTEMATIC_PX, Pose, centroid_noise_px
 from swimid.tracking.reader import Frame, irregular, reduced
 from swimid.tracking.setup import Setup
 
@@ -78,19 +78,27 @@ def measure_range(track: RawTrack, name: str, scene: Array | None = None) -> Ran
     # A bar 20 times as long as wide that passers-by cover moves by 0.6 radii with this limit of the area.
     whole = seen & (np.abs(area - usual) <= 0.15 * usual)
     part = whole if whole.sum() >= MIN_DETECTIONS else seen
-    x, y = np.stack([track.x[i], track.y[i]]) - (0.0 if scene is None else scene)
+    x, y = track.x[i], track.y[i]
+    if scene is not None:
+        x, y = x - scene[0], y - scene[1]
     away = np.hypot(x - np.median(x[part]), y - np.median(y[part]))[part]
-    noise = math.sqrt(0.5 * sum(scatter(row[seen]) ** 2 for row in (x, y)))
     radius = max(math.sqrt(usual / math.pi), 1.0)
-    return Range(float(np.percentile(away, 95)), radius, noise)
+    return Range(float(np.percentile(away, 95)), radius, centroid_noise_px(track, i))
 
 
-def scatter(values: Array) -> float:
-    """Return the standard deviation of white noise, from second differences; NaN for fewer than 5 samples."""
-    if len(values) < 5:
-        return math.nan
-    second = values[2:] - 2 * values[1:-1] + values[:-2]
-    return 1.4826 * float(np.median(np.abs(second - np.median(second)))) / math.sqrt(6)
+def marker_fault(
+    track: RawTrack, name: str, min_share: float = MIN_SHARE, scene: Array | None = None
+) -> tuple[str, str]:
+    """Return the code and the text of a warning if a marker is hardly found or does not move.
+
+    Both are empty otherwise. ``scene`` is that of :func:`measure_range`.
+    """
+    share, extent = float(track.found[track.row(name)].mean()), measure_range(track, name, scene)
+    if share < min_share:
+        return "SWM040", f"cannot be followed (found in {100 * share:.1f} % of the frames)"
+    if not extent.moves:
+        return "SWM067", f"does not move (stays within {extent.radii:.2g} of its radius of one place)"
+    return "", ""
 
 
 def head_first(track: RawTrack, head: str, tail: str) -> float | None:
@@ -138,7 +146,7 @@ def distance_change(track: RawTrack, one: str, other: str) -> float | None:
         apart = np.log(np.maximum(np.hypot(*np.diff(_rectified(points, view), axis=1)[:, 0]), 1e-9))
         return np.asarray(apart - np.median(apart))
 
-    bound = np.array([0.7, 0.7, 0.6, 0.6] if turns else [0.7, 0.7])
+    bound = np.array([0.7, 0.7, 0.6, 0.6])[: 4 if turns else 2]
     view = least_squares(scatter_of, np.zeros(len(bound)), bounds=(-bound, bound), loss="soft_l1").x
     left = scatter_of(view)
     place = points.mean(axis=1)
@@ -154,7 +162,7 @@ def distance_change(track: RawTrack, one: str, other: str) -> float | None:
 
 def _rectified(points: Array, view: Array) -> Array:
     """Return image points, shape (2, m, n), on the plane; ``view`` holds l and the two parameters of M."""
-    a, b = view[2:] if len(view) > 2 else (0.0, 0.0)
+    a, b = (*view[2:], 0.0, 0.0)[:2]
     x, y = points
     return np.stack([(1 + a) * x + b * y, b * x + (1 - a) * y]) / (1 + view[0] * x + view[1] * y)
 
@@ -233,7 +241,7 @@ def check_camera(shift: Array, width: int, consequence: str) -> tuple[float, flo
 def _judged(
     code: str, name: str, value: str, limit: str, passed: bool, reason: str, *, fails: bool = False
 ) -> Check:
-    """Return a check. If it does not pass and has a code, warn."""
+    """Return a check that warns or fails. If it does not pass and has a code, warn."""
     if code and not passed:
         warn(code, reason)
     return check(name, value, passed, limit, otherwise="fail" if fails else "warn", reason=reason)
@@ -280,9 +288,9 @@ def _presence(track: RawTrack, pose: Pose, setup: Setup) -> Iterator[Check]:
     )
     if count < total:
         warn("SWM040", reason)
-    good = MAX_UNSEEN[0] if count >= 0.95 * total else -1.0
     value = f"{count} of {total} ({100 * count / total:.1f} %)"
-    yield _graded("", "Frames found", value, ">= 95 %", lost, (good, MAX_UNSEEN[1]), reason)
+    passed, fails = max(lost, 1 - count / total) <= MAX_UNSEEN[0], lost > MAX_UNSEEN[1]
+    yield _judged("", "Frames found", value, ">= 95 %", passed, reason, fails=fails)
     reasons = []
     if t[first] - t[0] > setup.max_gap_s:
         before = "cut by the edge of the picture before" if enters else "nothing of it before"
@@ -307,10 +315,11 @@ def _motion(track: RawTrack, setup: Setup) -> Check:
     # distance that the noise of a motionless point exceeds in 0.3 % of the frames (Rayleigh distribution)
     noise = math.sqrt(-2 * math.log(0.003)) * math.hypot(farthest.noise_px, SYSTEMATIC_PX)
     still = farthest.away_px <= noise
-    reason = (
-        f"marker '{name}' stays within {farthest.away_px:.2g} px of one place, {farthest.radii:.2g} of its "
-        f"radius{', which is its noise' if still else ''}: is it the marker, or a still thing of its colour?"
-    )
+    extent = f"{farthest.away_px:.2g} px of one place, {farthest.radii:.2g} of its radius"
+    reason = f"marker '{name}' stays within {extent}"
+    if still:
+        reason += ", which is its noise"
+    reason += ": is it the marker, or a motionless thing of its colour?"
     value, limit = f"{farthest.radii:.2g} radii", f">= {MIN_RADII:g} radius and {noise:.2g} px of noise"
     passed = farthest.moves and not still
     return _judged("SWM067", "Motion", value, limit, passed, reason, fails=still)

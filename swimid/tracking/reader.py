@@ -43,14 +43,16 @@ def is_sequence(path: Path) -> bool:
 
 def _pictures(path: Path, files: list[Path], apply_rotation: bool) -> Iterator[_Read]:
     """Yield pictures in the order of the numbers in their names; a missing picture keeps its place."""
-    flags = cv2.IMREAD_COLOR if apply_rotation else cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+    flags = cv2.IMREAD_COLOR
+    if not apply_rotation:
+        flags |= cv2.IMREAD_IGNORE_ORIENTATION
     bad, first = [], None
     for position, file in zip(_positions(path, files), files, strict=True):
         frame = cv2.imread(str(file), flags)
         if frame is None:
             bad.append(file.name)
             continue
-        first = frame.shape if first is None else first
+        first = first or frame.shape
         if frame.shape != first:
             here, before = (f"{size[1]} x {size[0]}" for size in (frame.shape, first))
             text = f"is {here} pixels, those before it are {before}"
@@ -138,8 +140,11 @@ class Video:
             self.files = [self.path]
             capture = _opened(self.path, apply_rotation)
             rate, count = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
-            self.claimed_rate_hz = rate if np.isfinite(rate) and rate > 0 else 0.0
-            self.claimed = int(count) if 0 < count < 1e9 else 0
+            self.claimed_rate_hz, self.claimed = 0.0, 0
+            if np.isfinite(rate) and rate > 0:
+                self.claimed_rate_hz = rate
+            if 0 < count < 1e9:
+                self.claimed = int(count)
             self._read = _decoded(capture)
         first = next(self._read, None)
         if first is None:
@@ -275,7 +280,9 @@ def _listed(path: Path) -> list[Path]:
     before, after = path.name.split(holders[0])
     width = int(re.sub(r"\D", "", holders[0]) or 0)
     # printf pads numbers up to the width, and does not shorten longer numbers
-    digits = rf"(\d{{{width}}}|[1-9]\d{{{width},}})" if width else r"(\d+)"
+    digits = rf"(\d{{{width}}}|[1-9]\d{{{width},}})"
+    if not width:
+        digits = r"(\d+)"
     name = re.compile(re.escape(before) + digits + re.escape(after))
     matches = [(name.fullmatch(f.name), f) for f in path.parent.iterdir()]
     numbered = [(int(match.group(1)), file) for match, file in matches if match]

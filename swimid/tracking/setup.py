@@ -6,7 +6,6 @@ from a film, and ``docs/tracking.md`` explains each key with an example.
 
 from __future__ import annotations
 
-import colorsys
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -47,14 +46,6 @@ class HsvRange(Document):
     value: _Span = (0.0, 1.0)
 
 
-class Tolerance(Document):
-    """Maximum distance of a pixel from the reference colour."""
-
-    hue_deg: Annotated[float, Field(gt=0, le=180)] = 20.0
-    saturation: Annotated[float, Field(gt=0, le=1)] = 0.35
-    value: Annotated[float, Field(gt=0, le=1)] = 0.4
-
-
 class Marker(Document):
     """One kind of marker: colour, number and size in the picture."""
 
@@ -62,9 +53,6 @@ class Marker(Document):
     #: ``background`` is the whole body, found by its difference from the empty scene; it needs no colour.
     method: Literal["colour", "background"] = "colour"
     hsv: HsvRange | None = None
-    #: ``"#rrggbb"``, the middle of a range of colours with the half-widths of ``tolerance``.
-    colour: str | None = None
-    tolerance: Tolerance | None = None
     number: Annotated[int, Field(ge=1, le=20)] = 1
     area_px: _Area | None = None
     #: Place of each marker in the first frame (px of the picture), which defines the names of equal markers.
@@ -73,19 +61,13 @@ class Marker(Document):
     at_m: _Point | None = None
 
     @model_validator(mode="after")
-    def _one_colour(self) -> Marker:
+    def _has_colour(self) -> Marker:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", self.name):
             raise ValueError(f"marker name '{self.name}' must be letters, digits, - and _, a letter first")
-        if self.method == "background":
-            if self.hsv is not None or self.colour is not None or self.number > 1:
-                text = f"marker '{self.name}' has method: background; it takes no colour, and number 1"
-                raise ValueError(text)
-        elif (self.hsv is None) == (self.colour is None):
-            raise ValueError(f"marker '{self.name}' needs either hsv or colour")
-        if self.tolerance is not None and self.colour is None:
-            raise ValueError(f"marker '{self.name}': tolerance goes with colour, not with hsv")
-        if self.colour is not None and not re.fullmatch(r"#[0-9A-Fa-f]{6}", self.colour):
-            raise ValueError(f"colour '{self.colour}' of marker '{self.name}' must look like \"#d01c1c\"")
+        if self.method == "background" and (self.hsv is not None or self.number > 1):
+            raise ValueError(f"marker '{self.name}' has method: background; it takes no hsv, and number 1")
+        if self.method == "colour" and self.hsv is None:
+            raise ValueError(f"marker '{self.name}' needs hsv")
         if self.start_px is not None and len(self.start_px) != self.number:
             text = f"marker '{self.name}' has number {self.number} and {len(self.start_px)} start points"
             raise ValueError(text)
@@ -97,21 +79,6 @@ class Marker(Document):
         if self.method == "background":
             return [self.name, f"{self.name}_rear"]
         return [self.name] if self.number == 1 else [f"{self.name}{i + 1}" for i in range(self.number)]
-
-    def colour_range(self) -> HsvRange:
-        """Return the range of colours of the marker, from ``hsv`` or ``colour``."""
-        if self.hsv is not None:
-            return self.hsv
-        assert self.colour is not None
-        red, green, blue = (int(self.colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
-        hue, saturation, value = colorsys.rgb_to_hsv(red, green, blue)
-        about = self.tolerance or Tolerance()
-        turn = ((360 * hue - about.hue_deg) % 360, (360 * hue + about.hue_deg) % 360)
-        return HsvRange(
-            hue_deg=turn if about.hue_deg < 180 else (0.0, 360.0),
-            saturation=(max(saturation - about.saturation, 0.0), min(saturation + about.saturation, 1.0)),
-            value=(max(value - about.value, 0.0), min(value + about.value, 1.0)),
-        )
 
 
 class Heights(Document):
@@ -138,16 +105,12 @@ class Scale(Document):
 
     @model_validator(mode="after")
     def _one_kind(self) -> Scale:
-        ways = [n for n in ("metres_per_pixel", "distance_m", "points_m") if getattr(self, n) is not None]
-        if len(ways) > 1:
-            raise ValueError(f"contradicting scales: {' and '.join(ways)} are both given; keep one")
-        if not ways:
-            text = "give metres_per_pixel, or points_px with distance_m, or points_px with points_m"
-            raise ValueError(text)
-        if self.metres_per_pixel is None and self.points_px is None:
-            raise ValueError(f"{ways[0]} needs points_px")
-        if self.metres_per_pixel is not None and self.points_px is not None:
-            raise ValueError("contradicting scales: metres_per_pixel needs no points_px; keep one")
+        given = {key for key, value in self if value is not None and key != "heights"}
+        if given not in ({"metres_per_pixel"}, {"points_px", "distance_m"}, {"points_px", "points_m"}):
+            raise ValueError(
+                "contradicting or incomplete scales: give metres_per_pixel, or points_px with distance_m, or "
+                "points_px with points_m"
+            )
         points = self.points_px or ()
         count = len(points)
         if self.distance_m is not None and count != 2:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.tracking.detect import LOST, WINDOW, RawTrack
+from swimid.tracking.detect import NOT_SEEN, WINDOW, RawTrack, Row
 from swimid.tracking.quality import head_first
 from swimid.tracking.reader import Frame, FrameKeeper, Video, largest_channel, reduced
 from swimid.tracking.setup import Setup
@@ -55,7 +55,8 @@ class Silhouette:
         low, high = setup.markers[0].area_px or (share * width * height for share in AREA_SHARES)
         self._area = (low / self._factor**2, high / self._factor**2)
         self._axis = np.array([1.0, 0.0])
-        self._rows: list[tuple[float, ...]] = []
+        self._rows: list[list[Row]] = []
+        self._changes: list[float] = []
         self._times: list[float] = []
         self._last: tuple[tuple[slice, slice], Frame] | None = None
         left, top, right, bottom = setup.region_px or (0, 0, width, height)
@@ -71,10 +72,11 @@ class Silhouette:
         if self._last is not None:
             change = float(cv2.absdiff(small[self._last[0]], self._last[1]).mean())
         self._times.append(time)
-        self._rows.append((*self._measured(small), change))
+        self._changes.append(change)
+        self._rows.append(self._measure(small))
 
-    def _measured(self, small: Frame) -> tuple[float, ...]:
-        """Return centre, rear point, area, confidence, and whether the edge of the picture cuts the body."""
+    def _measure(self, small: Frame) -> list[Row]:
+        """Return the detections of the centre and of the rear point in a reduced frame."""
         self._last = None
         difference = largest_channel(cv2.absdiff(small, self._scene))
         noise = float(np.median(difference))
@@ -85,7 +87,7 @@ class Silhouette:
         sizes[0] = 0
         label = int(np.argmax(sizes))
         if not sizes[label]:
-            return (math.nan,) * 5 + (0.0, False)
+            return [NOT_SEEN, NOT_SEEN]
         left, top, width, height = (int(v) for v in stats[label, :4])
         rows, columns = mask.shape
         edge = left == 0 or top == 0 or left + width == columns or top + height == rows
@@ -109,28 +111,19 @@ class Silhouette:
         centre = self._factor * (np.array([x, y]) + 0.5) - 0.5
         rear = centre - self._factor * 2 * math.sqrt(shares[1]) * axis
         confidence = contrast / (contrast + 2 * noise + 6.0)
-        return (*centre, *rear, self._factor**2 * m["m00"], confidence, edge)
+        rest = (self._factor**2 * m["m00"], confidence, WINDOW, edge)
+        return [(*centre, *rest), (*rear, *rest)]
 
     def track(self, times: NDArray[np.float64] | None = None) -> RawTrack:
         """Return the track so far; ``times`` replaces the times of the frames.
 
         The direction of the axis is that of most steps.
         """
-        table = np.array(self._rows, dtype=float).reshape(-1, 8)
-        x, y, rear_x, rear_y, area, confidence, edge, change = table.T.copy()
-        seen = np.isfinite(x)
-        track = RawTrack(
-            times=np.array(self._times) if times is None else times,
-            names=self.setup.marker_names,
-            x=np.stack([x, rear_x]),
-            y=np.stack([y, rear_y]),
-            area=np.stack([area, area]),
-            confidence=np.stack([confidence, confidence]),
-            status=np.tile(np.where(seen, WINDOW, LOST), (2, 1)),
-            at_edge=np.tile((edge > 0) & seen, (2, 1)),
-            drift={},
-            rivals={},
-            change=change,
+        track = RawTrack.of_rows(
+            self._times if times is None else times,
+            self.setup.marker_names,
+            self._rows,
+            change=np.array(self._changes),
         )
         ahead = head_first(track, *track.names)
         if ahead is not None and (ahead < 0.5) == (self.setup.swims == "head-first"):

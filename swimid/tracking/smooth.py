@@ -175,7 +175,7 @@ def kalman(  # pragma: no cover - compiled loops
         for i in range(order):
             mean[i] += gain[i] * innovations[k]
             for j in range(order):
-                keep[i, j] = (1.0 if i == j else 0.0) - (gain[i] if j == 0 else 0.0)
+                keep[i, j] = (i == j) - gain[i] * (j == 0)
         _product(keep, covariance, work)
         for i in range(order):
             for j in range(order):
@@ -217,7 +217,7 @@ def rts(  # pragma: no cover - compiled
         _product(turned, transition, keep)
         for i in range(order):
             for j in range(order):
-                keep[i, j] = (1.0 if i == j else 0.0) - keep[i, j]
+                keep[i, j] = (i == j) - keep[i, j]
         predicted[:] = spread[k]
         spread[k] = 0.0
         _sandwich(keep, predicted, work, spread[k])

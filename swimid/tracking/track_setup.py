@@ -148,11 +148,12 @@ def track_setup(
         run, remarks, rejected = _from_film(video, common, progress)
     setup = _with_areas(run)
     shares = {name: float(run.track.found[i].mean()) for i, name in enumerate(run.track.names)}
-    ahead = _doubts(setup, run, shares)
+    ahead = _doubts(setup, run)
     lines = [f"{name}: found in {100 * share:.1f} % of the frames" for name, share in shares.items()]
     lines += [f"passed over: {one}" for one in rejected]
-    tail = f", tail {setup.tail}" if setup.tail else "; no tail, so no yaw"
-    lines.append(f"head {setup.head}{tail}")
+    lines.append(f"head {setup.head}, tail {setup.tail}")
+    if setup.tail is None:
+        lines[-1] = f"head {setup.head}; no tail, so no yaw"
     if ahead is not None:
         lines.append(f"swims head first in {100 * ahead:.0f} % of the steps")
     if setup.scale is None:
@@ -208,7 +209,7 @@ def _from_film(
     reasons: dict[int, str] = {}
     for k, first in enumerate(found[:MAX_TRIALS]):
         for second in [*propose.partners(first, found[k + 1 :])[: MAX_TRIALS - 1], None]:
-            pair = [first] if second is None else [first, second]
+            pair = [one for one in (first, second) if one is not None]
             run = _try(video, _pair_setup(pair, common), progress)
             faults = _faults(
                 run, pair, quality.interpolate_shifts(shift, samples.indices, len(run.track.times))
@@ -251,14 +252,12 @@ def _faults(run: Run, pair: list[Candidate], scene: quality.Array | None) -> dic
 
     ``scene``, shape (2, n), is the shift of the scene in each frame, px.
     """
-    faults: dict[int, str] = {}
     track = run.track
+    faults: dict[int, str] = {}
     for i, (name, candidate) in enumerate(zip(track.names, pair, strict=True)):
-        share, extent = float(track.found[i].mean()), quality.measure_range(track, name, scene)
-        if share < max(quality.MIN_SHARE, 0.3 * candidate.presence):
-            faults[i] = f"cannot be followed (found in {100 * share:.1f} % of the frames)"
-        elif not extent.moves:
-            faults[i] = f"does not move (stays within {extent.radii:.2g} of its radius of one place)"
+        min_share = max(quality.MIN_SHARE, 0.3 * candidate.presence)
+        _, faults[i] = quality.marker_fault(track, name, min_share, scene)
+    faults = {i: fault for i, fault in faults.items() if fault}
     if faults or len(pair) == 1:
         return faults
     first, second = track.names
@@ -315,7 +314,7 @@ def _from_background(video: Path, common: dict[str, Any], progress: Progress) ->
     return run, ["the whole body, by its difference from the empty scene"]
 
 
-def _doubts(setup: Setup, run: Run, shares: dict[str, float]) -> float | None:
+def _doubts(setup: Setup, run: Run) -> float | None:
     """Warn if markers are hardly found or do not move, or if a pair is not rigid or swims tail first.
 
     Returns
@@ -323,13 +322,10 @@ def _doubts(setup: Setup, run: Run, shares: dict[str, float]) -> float | None:
     float or None
         Share of the steps in which the pair moves towards its head.
     """
-    for name, share in shares.items():
-        extent = quality.measure_range(run.track, name)
-        if share < quality.MIN_SHARE:
-            warn("SWM040", f"marker '{name}' is found in {100 * share:.1f} % of the frames only")
-        elif not extent.moves:
-            text = f"marker '{name}' stays within {extent.radii:.2g} of its radius of one place"
-            warn("SWM067", f"{text}: is it the marker, or a still thing of its colour?")
+    for name in run.track.names:
+        code, fault = quality.marker_fault(run.track, name)
+        if fault:
+            warn(code, f"marker '{name}' {fault}")
     if setup.head is None or setup.tail is None:
         return None
     ahead = quality.head_first(run.track, setup.head, setup.tail)
@@ -375,7 +371,9 @@ def _text(
     """Return the setup as commented YAML, with the share of the frames in which each marker is found."""
     markers = [_marker_text(m, shares, remark) for m, remark in zip(setup.markers, remarks, strict=True)]
     markers += [f"# Passed over: {one}\n" for one in rejected]
-    scale, rate = _NO_SCALE, "# frame_rate_hz: 240"
+    scale, rate, facing = _NO_SCALE, "# frame_rate_hz: 240", ""
+    if setup.plane == "vertical":
+        facing = _FACING
     if setup.scale is not None:
         scale = f"scale: {_flow(setup.scale.model_dump(mode='json', exclude_none=True))}\n"
     if setup.frame_rate_hz:
@@ -387,7 +385,7 @@ def _text(
         head=setup.head_name,
         tail=f"tail: {setup.tail}" if setup.tail else "# tail: name of the marker behind it",
         plane=setup.plane,
-        facing=_FACING if setup.plane == "vertical" else "",
+        facing=facing,
         scale=scale,
         rate=rate,
         gap=f"{setup.max_gap_s:g}",
@@ -397,9 +395,9 @@ def _text(
 
 def _marker_text(marker: Marker, shares: dict[str, float], remark: str) -> str:
     found = ", ".join(f"{100 * shares[name]:.1f} %" for name in marker.names)
-    keys: dict[str, Any] = {"method": "background"}
-    if marker.method == "colour":
-        keys = {"hsv": marker.colour_range().model_dump()}
+    keys: dict[str, Any] = {"method": marker.method}
+    if marker.hsv is not None:
+        keys = {"hsv": marker.hsv.model_dump()}
     keys["area_px"] = marker.area_px or (12.0, 1e5)
     if marker.number > 1:
         keys["number"] = marker.number
@@ -417,8 +415,10 @@ def _flow(value: Any) -> str:
         return "{" + ", ".join(f"{key}: {_flow(one)}" for key, one in value.items()) + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(map(_flow, value)) + "]"
-    short = f"{value:g}" if isinstance(value, float) else str(value)
-    return short if isinstance(value, str) or float(short) == value else repr(value)
+    if isinstance(value, float):
+        short = f"{value:g}"
+        return short if float(short) == value else repr(value)
+    return str(value)
 
 
 def _sheet(run: Run) -> NDArray[np.uint8]:

@@ -225,7 +225,7 @@ def _metadata(run: Run, plane: Plane, times: Array) -> dict[str, Any]:
         head["first_stamp_s"] = video.first_stamp_s
     head |= {"image_size_px": [video.width, video.height], "plane": rules.plane}
     if rules.plane == "vertical":
-        head["facing"] = "left" if plane.runs_left else "right"
+        head["facing"] = plane.faces
     if rules.places is None:
         return head | {"reference": rules.head_name, "reference_offset_m": list(rules.reference_offset_m)}
     places = {name: list(place) for name, place in zip(rules.roles, rules.places, strict=True)}
@@ -243,7 +243,9 @@ def _demand_markers(run: Run) -> None:
         count, cut = int(track.found[row].sum()), int(track.at_edge[row].sum())
         if count >= max(quality.MIN_SHARE * total, pose.MIN_SEGMENT):
             continue
-        text = f"in {count} of {total} frames only" if count else f"in no frame of {total}"
+        text = f"in no frame of {total}"
+        if count:
+            text = f"in {count} of {total} frames only"
         if cut:
             text += f" (in {cut} the edge of the picture cuts it)"
         raise NoTrustworthyResult(
@@ -266,8 +268,7 @@ def _swimming(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimmi
         The window holds too few frames with the markers.
     """
     seen, path = pose.times[pose.measured], pose.path
-    begin = seen[0] if window_s[0] is None else window_s[0]
-    end = seen[-1] if window_s[1] is None else window_s[1]
+    begin, end = (one if one is not None else seen[k] for one, k in zip(window_s, (0, -1), strict=True))
     inside = int(((seen >= begin) & (seen <= end)).sum())
     if inside < swimming.SHORTEST and window_s != (None, None):
         raise UsageError(
@@ -277,7 +278,10 @@ def _swimming(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimmi
         )
     (x,), (y,) = pose.plane.to_image(*np.nanmedian(path.position, axis=1, keepdims=True))
     error = SYSTEMATIC_PX * pose.plane.size_of_pixel(float(x), float(y))
-    separation = math.inf if pose.separation is None else float(np.nanmedian(pose.separation))
+    angle, angle_error = None, 0.0
+    if pose.angle is not None and pose.separation is not None:
+        angle = pose.angle.position[0]
+        angle_error = math.sqrt(2) * error / max(float(np.nanmedian(pose.separation)), 1e-12)
     track = swimming.Track(
         time_s=pose.times,
         measured=pose.measured,
@@ -285,9 +289,9 @@ def _swimming(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimmi
         smooth=path.position,
         velocity=path.velocity,
         raw_angle=pose.raw_angle,
-        angle=None if pose.angle is None else pose.angle.position[0],
+        angle=angle,
         error=error,
-        angle_error=math.sqrt(2) * error / max(separation, 1e-12),
+        angle_error=angle_error,
     )
     return swimming.figures(track, window_s)
 
@@ -295,13 +299,17 @@ def _swimming(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimmi
 def _rows(found: Swimming, setup: Setup, unit: str) -> list[Row]:
     """Return key, name, value and unit of each speed, acceleration and amplitude."""
     up, turn, _ = setup.axes
-    sway = "sway" if setup.plane == "horizontal" else "heave"
-    advance = "displacement over time" if found.stroke is None else "advance speed, not steady"
+    sway = {"horizontal": "sway", "vertical": "heave"}[setup.plane]
+    advance, steady = "advance speed, not steady", None
+    if found.stroke is None:
+        advance = "displacement over time"
+    if found.steady:
+        steady = found.advance
     speed, rate = f"{unit}/s", f"{unit}/s^2"
     across = found.acceleration_xy or (None, None)
     rows: list[Row] = [
         ("path_speed", "path speed", found.path_speed, speed),
-        ("steady_speed", "steady speed", found.advance if found.steady else None, speed),
+        ("steady_speed", "steady speed", steady, speed),
         ("advance_speed", advance, found.advance, speed),
         ("speed_change", "change of the advance speed", found.change, speed),
         ("acceleration", "acceleration along the path", found.acceleration, rate),
@@ -382,7 +390,7 @@ def _facts(pose: Pose, setup: Setup, found: Swimming) -> dict[str, str]:
         "Measurement noise": noise,
     }
     if setup.plane == "vertical":
-        facts["Faces"] = "left" if pose.plane.runs_left else "right"
+        facts["Faces"] = pose.plane.faces
     if pose.plane.exact:
         facts["Calibration"] = "four points, which do not tell their error"
     windows = {"given": "as given", "whole track": "the whole track: no part of it is steady"}
@@ -430,7 +438,7 @@ def _segment_table(pose: Pose) -> ev.Table:
 def _methods(setup: Setup, pose: Pose) -> list[str]:
     """Return sentences for the methods section of a paper."""
     kinds = {2: "constant velocity with white acceleration", 3: "constant acceleration with white jerk"}
-    markers = "a marker" if setup.tail is None else "two markers"
+    markers = {1: "a marker", 2: "two markers"}[len(setup.roles)]
     rate, clock = "", ", and frames were timed by their own stamps"
     if setup.frame_rate_hz is not None:
         rate, clock = f" at {setup.frame_rate_hz:g} Hz", ""
@@ -546,8 +554,10 @@ class Painter:
     def _status(self, i: int) -> str:
         if self.pose.measured[i]:
             return STATUS[int(self.track.status[:, i].max())]
-        word = CUT if self.track.at_edge[:, i].any() else STATUS[LOST]
-        return f"{word}, interpolated" if self.pose.interpolated[i] else word
+        words = [CUT if self.track.at_edge[:, i].any() else STATUS[LOST]]
+        if self.pose.interpolated[i]:
+            words.append("interpolated")
+        return ", ".join(words)
 
     def images(self) -> list[ev.Image]:
         """Return the kept frames with the track drawn in, for the report."""

@@ -9,7 +9,6 @@ for a marker.
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
@@ -26,9 +25,9 @@ from swimid.logs.log import runs
 from swimid.notices import warn
 from swimid.progress import Step
 from swimid.tracking import detect, pose, quality
-from swimid.tracking.detect import GROWN, LOST, WINDOW, Blob, ColourModel, Patch, RawTrack
+from swimid.tracking.detect import GROWN, LOST, NOT_SEEN, WINDOW, Blob, ColourModel, Patch, RawTrack, Row
 from swimid.tracking.reader import Frame, FrameKeeper, Video
-from swimid.tracking.setup import Box, Marker, Setup
+from swimid.tracking.setup import Box, HsvRange, Marker, Setup
 
 if TYPE_CHECKING:
     from swimid.tracking.silhouette import Silhouette
@@ -51,16 +50,13 @@ MAX_PATCHES = 24
 #: Maximum grey level of a black pixel (video black is 16 if its range is misread), minimum share of black
 #: pixels in a row or column of a black bar, and minimum width of a bar, px.
 BLACK, BLACK_SHARE, MIN_BAR_PX = 24, 0.98, 4
-#: Number of earlier frames kept, and frames between them, to see whether a thing was there before.
-N_MEMORIES, MEMORY_FRAMES = 2, 120
 #: Maximum relative deviation of the distance from a rigid partner.
 MAX_RIGID_DEVIATION = 0.3
 #: Cost of an impossible assignment.
 IMPOSSIBLE = 1e6
 
-#: One detection: x, y, area, confidence, status, whether cut, and mean hue, saturation and value.
-Row = tuple[float, ...]
-NOT_SEEN: Row = (math.nan, math.nan, math.nan, 0.0, LOST, False, math.nan, math.nan, math.nan)
+#: Mean hue, saturation and value of a detection, after the columns of :data:`detect.Row`.
+NO_COLOUR = (math.nan, math.nan, math.nan)
 
 
 @dataclass
@@ -97,8 +93,9 @@ class Target:
 
     def search_range(self, dt: float) -> float:
         """Return the expected maximum distance from the prediction after ``dt`` seconds, px."""
-        start = 12.0 + self.radius if self.sights < 3 else 6.0
-        moved = 0.3 * math.hypot(self.vx, self.vy) * dt + 3.0 * self.innovation_px
+        start, moved = 6.0, 0.3 * math.hypot(self.vx, self.vy) * dt + 3.0 * self.innovation_px
+        if self.sights < 3:
+            start = 12.0 + self.radius
         return start + moved + self.missed * 0.5 * self.radius
 
     def see(self, blob: Blob, time: float) -> None:
@@ -120,20 +117,22 @@ class Target:
             self.vx = self.vy = 0.0  # found again elsewhere: the velocity is unknown
         else:
             # the second detection gives the velocity, each later one half of its change
-            gain, dt = 1.0 if self.sights == 1 else 0.5, time - self.time
+            gain, dt = max(0.5, 1.0 / self.sights), time - self.time
             self.vx += gain * (blob.x - x) / dt
             self.vy += gain * (blob.y - y) / dt
         self.innovation_px += 0.3 * (min(error, 4 * self.radius + 20) - self.innovation_px)
         self.pace = max(self.pace + 0.05 * (math.hypot(self.vx, self.vy) - self.pace), 0.0)
 
     def _learn(self, blob: Blob) -> None:
-        fast, slow = 0.15 if self.whole else 1.0, max(0.01, 1 / (self.whole + 1))
+        if self.colour is None:
+            self.colour = blob.hsv
+        slow = max(0.01, 1 / (self.whole + 1))
+        fast = max(0.15, float(not self.whole))
         self.contrast += fast * (blob.contrast - self.contrast)
         self.area += fast * (blob.area - self.area)
         self.radius += fast * (blob.radius - self.radius)
         self.usual_area += slow * (blob.area - self.usual_area)
-        old = blob.hsv if self.colour is None else self.colour
-        self.colour = old + slow * detect.colour_difference(blob.hsv, old)
+        self.colour = self.colour + slow * detect.colour_difference(blob.hsv, self.colour)
         self.whole += 1
 
 
@@ -219,10 +218,13 @@ class Group:
             return not like or blob.at_edge or 0.5 < blob.area / max(like) < 2.0
         alone = len(self.targets) == 1
         # equal markers that touch look like one of twice the size, and half hidden ones are off centre
-        low, high = (0.3, 3.0) if alone else (0.7, 1.4)
+        low, high, area = 0.7, 1.4, target.usual_area
+        if alone:
+            low, high = 0.3, 3.0
+        if alone and not gone_s:
+            area = target.area
         if blob.at_edge:
             low = 0.0
-        area = target.area if alone and not gone_s else target.usual_area
         if not low <= blob.area / area <= high or blob.contrast < 0.4 * target.contrast:
             return False
         if not gone_s or target.colour is None:
@@ -232,8 +234,9 @@ class Group:
     def merit(self, blob: Blob) -> float:
         """Return how much a blob looks like a marker of which only the colour is known."""
         fit = 1.5 - min(self.model.distance(blob.hsv), 1.0)
-        edge = 0.3 if blob.at_edge else 1.0
-        return math.sqrt(blob.contrast * blob.area) * fit * edge
+        if blob.at_edge:
+            fit *= 0.3
+        return math.sqrt(blob.contrast * blob.area) * fit
 
     def choose_first(self, new: list[Target], blobs: list[Blob]) -> list[tuple[Target, Blob]]:
         """Return blobs for targets that were never seen, if there are enough for all of them.
@@ -412,7 +415,11 @@ def inner_picture(frame: Frame) -> tuple[int, int, int, int]:
         if not len(lit) or lit[-1] + 1 - lit[0] < len(dark) / 2:
             return 0, len(dark)
         first, last = int(lit[0]), int(lit[-1]) + 1
-        return (first if first >= MIN_BAR_PX else 0), (last if len(dark) - last >= MIN_BAR_PX else len(dark))
+        if first < MIN_BAR_PX:
+            first = 0
+        if len(dark) - last < MIN_BAR_PX:
+            last = len(dark)
+        return first, last
 
     left, right = ends(black.mean(axis=0) >= BLACK_SHARE)
     top, bottom = ends(black.mean(axis=1) >= BLACK_SHARE)
@@ -461,7 +468,7 @@ class Follower:
         self.groups = [
             Group(
                 marker=marker,
-                model=ColourModel(marker.colour_range()),
+                model=ColourModel(marker.hsv or HsvRange()),
                 area_px=marker.area_px or (12.0, 0.05 * width * height),
                 targets=[Target(name) for name in marker.names],
             )
@@ -472,8 +479,6 @@ class Follower:
         if any(len(group.targets) > 1 for group in self.groups):
             for one, other in combinations(setup.markers, 2):
                 self._pairs |= {(a, b): PairDistance() for a in one.names for b in other.names}
-        #: Earlier frames, and the places of the markers in them.
-        self._memory: deque[tuple[Frame, dict[str, tuple[float, float]]]] = deque(maxlen=N_MEMORIES)
         self._rows: list[list[Row]] = []
         #: Part of the last frame about each marker.
         self._last: list[tuple[tuple[slice, slice], Frame]] = []
@@ -500,7 +505,7 @@ class Follower:
                 blob = sights.get(target.name)
                 if blob is None:
                     target.missed += 1
-                    row.append(NOT_SEEN)
+                    row.append(NOT_SEEN + NO_COLOUR)
                     continue
                 row.append(row_of(target, blob))
                 left, top, right, bottom = blob.box
@@ -516,42 +521,23 @@ class Follower:
             a, b = (targets[name] for name in pair)
             if a.time == time == b.time:
                 pair_distance.add(math.hypot(a.x - b.x, a.y - b.y))
-        if self._frame % MEMORY_FRAMES == MEMORY_FRAMES // 6:
-            self._remember(frame, targets)
         self._rows.append(row)
         self._times.append(time)
         self._frame += 1
 
-    def _remember(self, frame: Frame, targets: dict[str, Target]) -> None:
-        """Keep a copy of the frame with the places of the markers that are seen in it."""
-        places = {name: (t.x, t.y) for name, t in targets.items() if t.sights and not t.missed}
-        if places:
-            # the memory of the oldest frame is used again: to allocate it costs more than the copy
-            old = self._memory.popleft()[0] if len(self._memory) == N_MEMORIES else np.empty_like(frame)
-            np.copyto(old, frame)
-            self._memory.append((old, places))
-
     def track(self, times: NDArray[np.float64] | None = None) -> RawTrack:
         """Return the track so far; ``times`` replaces the times of the frames."""
-        names = self.setup.marker_names
-        table = np.array(self._rows, dtype=float).reshape(-1, len(names), len(NOT_SEEN))
-        x, y, area, confidence, status, at_edge = (table[:, :, k].T.copy() for k in range(6))
-        track = RawTrack(
-            times=np.array(self._times) if times is None else times,
-            names=names,
-            x=x,
-            y=y,
-            area=area,
-            confidence=confidence,
-            status=status.astype(int),
-            at_edge=at_edge.astype(bool),
+        track = RawTrack.of_rows(
+            self._times if times is None else times,
+            self.setup.marker_names,
+            self._rows,
             drift={g.marker.name: g.model.largest_drift for g in self.groups if g.model.drifted},
             rivals={g.marker.name: g.most_rivals for g in self.groups if g.most_rivals},
             mistaken=self._mistaken,
             change=np.array(self._changes),
         )
-        for i in range(len(names)):
-            drop_false_detections(track, i, table[:, i, 6:])
+        for i in range(len(track.names)):
+            drop_false_detections(track, i, np.array([row[i][6:] for row in self._rows]).reshape(-1, 3))
         return track
 
     # ------------------------------------------------------------ one colour in one frame
@@ -572,9 +558,6 @@ class Follower:
                 if winner is not None:
                     sights[target.name] = winner
                     blobs = [b for b in blobs if b is not winner]
-        for target in [t for t in group.targets if t.sights and t.missed and t.name in sights]:
-            if self._was_there(group, target, sights[target.name]):
-                group.scenery.append(sights.pop(target.name))
         if not lost and not unsure and self._frame >= group.next_look:
             group.note_rivals(self._others(group, frame, group.targets, sights), self._frame)
         return sights
@@ -652,20 +635,6 @@ class Follower:
         others = [t for t in known if t is not target and t.name not in sights]
         return any(_meet(target, other, sights, time) for other in others)
 
-    def _was_there(self, group: Group, target: Target, blob: Blob) -> bool:
-        """Return whether the blob was there already while the target was seen elsewhere."""
-        for frame, places in self._memory:
-            if target.name not in places:
-                continue
-            if blob.away(*places[target.name]) < 2 * max(target.radius, blob.radius) + 4:
-                continue
-            half = 1.3 * blob.radius + detect.MARGIN
-            old, _ = self._search.in_window(group, frame, blob.x, blob.y, half)
-            taken = [place for name, place in places.items() if name != target.name]
-            if any(is_same_place(blob, b) and all(b.away(*at) > b.radius for at in taken) for b in old):
-                return True
-        return False
-
     def _find_lost(
         self, group: Group, lost: list[Target], blobs: list[Blob], time: float
     ) -> list[tuple[Target, Blob]]:
@@ -685,8 +654,10 @@ class Follower:
         gone_s = time - target.time
         if not group.is_alike(target, blob, gone_s):
             return IMPOSSIBLE
-        recent = gone_s <= self.setup.max_gap_s
-        away = blob.away(*(target.predict(time) if recent else (target.x, target.y)))
+        recent, place = gone_s <= self.setup.max_gap_s, (target.x, target.y)
+        if recent:
+            place = target.predict(time)
+        away = blob.away(*place)
         if recent and target.sights >= 3:
             near = 4 * target.radius + 10 + 0.2 * target.missed * target.radius
             near += 2 * max(math.hypot(target.vx, target.vy), target.pace) * gone_s
@@ -738,7 +709,7 @@ class Follower:
             self._mistaken[target.name] = (count + target.whole, target.usual_area)
         column = self.setup.marker_names.index(target.name)
         for frame, row in enumerate(self._rows):
-            row[column] = rival.rows.get(frame, NOT_SEEN)
+            row[column] = rival.rows.get(frame, NOT_SEEN + NO_COLOUR)
         group.targets[group.targets.index(target)] = rival.target
         group.model.restart()
         return best
@@ -746,27 +717,23 @@ class Follower:
 
 def row_of(target: Target, blob: Blob) -> Row:
     """Return a detection as a row of the table. An unusual area reduces its confidence."""
-    usual = blob.area if blob.at_edge or not target.whole else target.usual_area
-    likeness = min(blob.area / usual, usual / blob.area)
-    confidence = blob.confidence * likeness**0.5
+    confidence = blob.confidence
+    if target.whole and not blob.at_edge:
+        confidence *= min(blob.area / target.usual_area, target.usual_area / blob.area) ** 0.5
     return (blob.x, blob.y, blob.area, confidence, blob.status, blob.at_edge, *blob.hsv)
 
 
 def assign(cost: list[list[float]]) -> list[tuple[int, int]]:
     """Return the possible pairs (row, column) with the least total cost."""
-    if len(cost) == 1:
-        best = min(range(len(cost[0])), key=cost[0].__getitem__)
-        return [(0, best)] if cost[0][best] < IMPOSSIBLE else []
     rows, columns = linear_sum_assignment(np.array(cost))
     return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if cost[i][j] < IMPOSSIBLE]
 
 
 def _meet(first: Target, second: Target, sights: dict[str, Blob], time: float) -> bool:
     """Return whether two equal markers touch, where they are seen or else predicted."""
-    places = [
-        (sights[t.name].x, sights[t.name].y) if t.name in sights else t.predict(time) for t in (first, second)
-    ]
-    return math.dist(*places) < first.radius + second.radius + 4
+    predictions = {target.name: target.predict(time) for target in (first, second)}
+    seen = {name: (blob.x, blob.y) for name, blob in sights.items() if name in predictions}
+    return math.dist(*(predictions | seen).values()) < first.radius + second.radius + 4
 
 
 def drop_false_detections(track: RawTrack, marker: int, hsv: NDArray[np.float64]) -> None:
@@ -787,17 +754,19 @@ def drop_false_detections(track: RawTrack, marker: int, hsv: NDArray[np.float64]
     if not seen.any():
         return
     # at the edge of the picture a marker has neither its size nor, being narrow, its colour
-    whole = track.found[marker] if track.found[marker].any() else seen
+    whole = track.found[marker]
+    if not whole.any():
+        whole = seen
     usual = np.median(hsv[whole], axis=0)
     turn = 2 * np.pi * hsv[whole, 0] / 180
     usual[0] = 90 / np.pi * np.arctan2(np.sin(turn).mean(), np.cos(turn).mean())
     alike = detect.has_colour(hsv.T, usual, RETURN_HUE, RETURN_SATURATION)
     area = track.area[marker] / np.median(track.area[marker, whole])
     confidence = track.confidence[marker] / np.median(track.confidence[marker, whole])
-    starts, ends = runs(seen).T
-    for k, (start, end) in enumerate(zip(starts, ends, strict=True)):
-        before = start - (ends[k - 1] if k else 0)
-        after = (starts[k + 1] if k + 1 < len(starts) else len(seen)) - end
+    parts = runs(seen)
+    befores = parts[:, 0] - np.r_[0, parts[:-1, 1]]
+    afters = np.r_[parts[1:, 0], len(seen)] - parts[:, 1]
+    for (start, end), before, after in zip(parts, befores, afters, strict=True):
         isolated = (before > MIN_RUN or start == 0) and (after > MIN_RUN or end == len(seen))
         sparse = seen[max(start - 15, 0) : end + 15].mean() < 0.35
         part = slice(start, end)
