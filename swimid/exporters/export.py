@@ -89,7 +89,9 @@ def export(params: parameters.Source, *, options: ExportOptions, output: str | P
     if out is None:
         return Text("export", done.text.rstrip("\n"), result | {"text": done.text}, document=done.text)
     atomic.write_text(out, done.text)
-    carried = f"{len(done.limits)} limits, see the warnings" if done.limits else "everything is carried"
+    carried = "everything is carried"
+    if done.limits:
+        carried = f"{len(done.limits)} limits, see the warnings"
     summary = f"{source.robot.name} as {chosen.TITLE}: {carried}"
     return Text("export", summary, result, [out], document=done.text)
 

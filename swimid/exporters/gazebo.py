@@ -34,8 +34,14 @@ from swimid.fitting.model import Array
 from swimid.swimmer.planar import engine
 
 TITLE = "Gazebo SDF"
-#: Letters of force and velocity (SNAME), and axes of the plane among the six: positions and signs.
-HORIZONTAL, VERTICAL = ("xyn", "UVR", (0, 1, 5), (1.0, 1.0, 1.0)), ("xzm", "UWQ", (0, 2, 4), (1.0, 1.0, -1.0))
+#: Letters of force and velocity (SNAME), and axes of the plane among the six with their signs, by whether the
+#: plane is vertical.
+PLANES = {
+    False: ("xyn", "UVR", (0, 1, 5), (1.0, 1.0, 1.0)),
+    True: ("xzm", "UWQ", (0, 2, 4), (1.0, 1.0, -1.0)),
+}
+#: Names of the motions out of the plane, by whether the plane is vertical.
+OUT_OF_PLANE = {False: "roll, pitch and heave", True: "roll, yaw and sway"}
 #: Mass of a helper link as a share of its link's, and its radius of gyration, m.
 HELPER_MASS, HELPER_RADIUS_M = 1e-6, 0.01
 #: Kinds of elements that Gazebo has no plugin for.
@@ -99,7 +105,10 @@ def export(source: Source, options: ExportOptions) -> Exported:
 
 
 def _pose(source: Source, x: float, y: float, turn: float = 0.0) -> tuple[float, ...]:
-    return (x, 0.0, y, 0.0, -turn, 0.0) if source.vertical else (x, y, 0.0, 0.0, 0.0, turn)
+    """Return position and angles of a frame in the plane of the robot."""
+    if source.vertical:
+        return (x, 0.0, y, 0.0, -turn, 0.0)
+    return (x, y, 0.0, 0.0, 0.0, turn)
 
 
 def _joint_name(source: Source, name: str) -> str:
@@ -137,7 +146,7 @@ def _six_by_six(source: Source, added: Array) -> list[list[float]]:
 
     A positive rotation of swimid turns x towards z in the vertical plane, one of Gazebo z towards x.
     """
-    _, _, axes, signs = VERTICAL if source.vertical else HORIZONTAL
+    _, _, axes, signs = PLANES[source.vertical]
     matrix = np.zeros((6, 6))
     matrix[np.ix_(axes, axes)] = added * np.outer(signs, signs)
     return matrix.tolist()
@@ -151,7 +160,7 @@ def _pushes(element: Element) -> bool:
 def _derivatives(source: Source, drag: list[Element]) -> list[tuple[str, float]]:
     """Return the stability derivatives of drag elements by the tag of the plugin."""
     tags = []
-    forces, speeds, _, _ = VERTICAL if source.vertical else HORIZONTAL
+    forces, speeds, _, _ = PLANES[source.vertical]
     for force, speed, key in zip(forces, speeds, "xyr", strict=True):
         for kind, tag in (("linear", speed), ("quadratic", f"{speed}abs{speed}")):
             total = sum(element.numbers[f"{kind}_{key}"] for element in drag)
@@ -188,7 +197,7 @@ def _limits(source: Source, options: ExportOptions) -> list[str]:
             if law[key]:
                 words = {"cubic": "cubic stiffness", "quadratic_damping": "quadratic damping"}[key]
                 limits.append(f"{name}: the {words} is left out")
-    out = "roll, yaw and sway" if source.vertical else "roll, pitch and heave"
+    out = OUT_OF_PLANE[source.vertical]
     return [
         *limits,
         *joint_limits(source, options.servo_hz),

@@ -35,7 +35,10 @@ def export(source: Source, options: ExportOptions) -> Exported:
         "fluid": source.robot.fluid.model_dump(),
         **{key: file[key] for key in ("parameters", "correlation", "identifiability", "derived")},
     }
-    data |= _multilink(source) if source.multilink else {"surge": source.surge()}
+    if source.multilink:
+        data |= _multilink(source)
+    else:
+        data["surge"] = source.surge()
     return Exported(json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
@@ -60,9 +63,10 @@ def _multilink(source: Source) -> dict[str, Any]:
 
 def _link(link: Link, links: list[Link]) -> dict[str, Any]:
     mass, centre, moment = central(link.rigid)
+    parents = {i: parent.name for i, parent in enumerate(links)}
     return {
         "name": link.name,
-        "parent": links[link.parent].name if link.parent >= 0 else None,
+        "parent": parents.get(link.parent),
         "length_m": link.length_m,
         "mass_kg": mass,
         "com_m": list(centre),

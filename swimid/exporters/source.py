@@ -133,7 +133,9 @@ class Source:
     @property
     def heading_rad(self) -> float | None:
         """Heading of a fixed base; None if the base is free."""
-        return math.radians(self.body.heading_deg) if self.body.base == "fixed" else None
+        if self.body.base != "fixed":
+            return None
+        return math.radians(self.body.heading_deg)
 
     @cached_property
     def assembly(self) -> Assembly:
@@ -332,8 +334,10 @@ def added_mass_limits(source: Source, choice: str, native: str) -> list[str]:
     wet = [link for link in source.links if np.any(link.added)]
     if not wet:
         return []
-    if choice != "fold":
-        return ["added mass and inertia are left out, as asked" if choice == "none" else native]
+    if choice == "native":
+        return [native]
+    if choice == "none":
+        return ["added mass and inertia are left out, as asked"]
     limits = [
         "added mass is part of the bodies' masses: their weight, where gravity acts, is that much too large"
     ]

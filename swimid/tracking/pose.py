@@ -138,7 +138,7 @@ class Plane:
     @property
     def runs_left(self) -> bool:
         """Whether the x axis points to the left of the picture."""
-        return bool(self._gradient()[0, 0] < 0)
+        return bool(self._jacobian(*self.middle[:, None])[0, 0, 0] < 0)
 
     @property
     def faces(self) -> str:
@@ -148,13 +148,12 @@ class Plane:
     @property
     def upside_down(self) -> bool:
         """Whether the second axis points down in the picture."""
-        return bool(self._gradient()[1, 1] > 0)
+        return bool(self._jacobian(*self.middle[:, None])[1, 1, 0] > 0)
 
-    def _gradient(self) -> Array:
-        """Return the derivative of the coordinates (rows) by column and row of the picture, in its middle."""
-        u, v = self.middle
-        wx, wy = self.to_world(np.array([u, u + 1, u]), np.array([v, v, v + 1]))
-        return np.array([wx[1:] - wx[0], wy[1:] - wy[0]])
+    def _jacobian(self, x: Array, y: Array) -> Array:
+        """Return the derivatives of the two coordinates by column and row of the picture, shape (2, 2, n)."""
+        here = self.to_world(x, y)
+        return np.stack([self.to_world(x + 1, y) - here, self.to_world(x, y + 1) - here], axis=1)
 
     def size_of_pixel(self, x: float, y: float) -> float:
         """Return the length of a pixel at a point of the picture (geometric mean of the two directions)."""
@@ -162,8 +161,8 @@ class Plane:
 
     def sizes_of_pixels(self, x: Array, y: Array) -> Array:
         """Return :meth:`size_of_pixel` at many points, shape (n,)."""
-        (x0, y0), (x1, y1), (x2, y2) = (self.to_world(x + dx, y + dy) for dx, dy in ((0, 0), (1, 0), (0, 1)))
-        return np.sqrt(np.abs((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)))
+        (xx, xy), (yx, yy) = self._jacobian(x, y)
+        return np.sqrt(np.abs(xx * yy - yx * xy))
 
 
 def _map_known(function: Callable[[Array], Array], x: Array, y: Array) -> Array:

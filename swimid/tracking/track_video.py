@@ -193,7 +193,7 @@ def _evaluate(
         verdict=verdict,
         facts=_facts(made, rules, swum),
         checks=checks,
-        tables=[_table(rows, swum.steady), _segment_table(made)],
+        tables=[_table(rows, swum.steady)],
         figures=_figures(made, rules, swum),
         images=painter.images(),
         notices=blocks.notices(notices),
@@ -421,18 +421,6 @@ def _table(rows: list[Row], steady: bool) -> ev.Table:
         "over a stroke. Amplitudes are half of peak to peak of the fundamental.",
         columns=["quantity", "value", "95 % from", "to", "unit"],
     )
-
-
-def _segment_table(pose: Pose) -> ev.Table:
-    """Return start, end, frames and path length of each segment."""
-    rows: list[list[str | float | int | bool | None]] = []
-    for number in range(1, int(pose.segment.max()) + 1):
-        part = pose.segment == number
-        t, length = pose.times[part], float(np.sum(np.hypot(*np.diff(pose.path.position[:, part], axis=1))))
-        measured = int((part & pose.measured).sum())
-        rows.append([number, float(t[0]), float(t[-1]), int(part.sum()), measured, length])
-    columns = ["segment", "from (s)", "to (s)", "frames", "measured", f"path length ({pose.plane.unit})"]
-    return ev.Table(id="segments", title="Segments", columns=columns, rows=rows, folded=True)
 
 
 def _methods(setup: Setup, pose: Pose) -> list[str]:
