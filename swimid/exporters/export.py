@@ -22,7 +22,7 @@ from swimid.swimmer.planar.model import MultilinkModel
 #: Models whose parameters can be exported.
 MODELS = ("multilink", "falling-weight", "towed")
 #: Modules of the formats by the name that ``--to`` takes.
-FORMATS: dict[str, ModuleType] = {"mjcf": mjcf, "gazebo": gazebo, "json": plain}
+TARGETS: dict[str, ModuleType] = {"mjcf": mjcf, "gazebo": gazebo, "json": plain}
 
 
 @takes(ExportOptions)
@@ -61,7 +61,7 @@ def export(params: parameters.Source, *, options: ExportOptions, output: str | P
     >>> json.loads(made.document)["robot"], made.data["limits"]
     ('boxfish', [])
     """
-    chosen = FORMATS[options.to]
+    chosen = TARGETS[options.to]
     source = load(params, options.robot)
     if not source.multilink and options.to == "mjcf":
         raise UsageError(

@@ -19,7 +19,6 @@ import numpy as np
 from swimid.errors import InputError
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import (
-    NO_ERRORS,
     Element,
     Exported,
     Link,
@@ -27,8 +26,8 @@ from swimid.exporters.source import (
     about,
     added_mass_limits,
     central,
+    export_xml,
     joint_limits,
-    xml_document,
 )
 from swimid.fitting.model import Array
 from swimid.swimmer.planar import engine
@@ -91,17 +90,15 @@ def export(source: Source, options: ExportOptions) -> Exported:
         inertias = source.inertias(fold=options.added_mass == "fold")
         links, limits = _links(source, options, inertias), _limits(source, options)
         joints = [_joint(source, link, inertias) for link in source.links[1:]]
-        servos = [
-            {**vars(servo), "joint": _joint_name(source, servo.joint)}
-            for servo in source.servos(inertias, options.servo_hz)
-        ]
+        servos = source.servos(inertias, options.servo_hz)
+        for servo in servos:
+            servo["joint"] = _joint_name(source, servo["joint"])
         if source.heading_rad is not None:
             heading = _pose(source, 0.0, 0.0, source.heading_rad)
     else:
         links, limits = _rigid_body(source, options)
-    limits.append(NO_ERRORS)
     variables = {"pi": math.pi, "heading": heading, "links": links, "joints": joints, "servos": servos}
-    return Exported(xml_document("gazebo.sdf", source, limits, **variables), limits)
+    return export_xml("gazebo.sdf", source, limits, **variables)
 
 
 def _pose(source: Source, x: float, y: float, turn: float = 0.0) -> tuple[float, ...]:

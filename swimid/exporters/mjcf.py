@@ -16,15 +16,14 @@ import numpy as np
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import (
     COLUMNS,
-    NO_ERRORS,
     Element,
     Exported,
     Link,
     Source,
     added_mass_limits,
     central,
+    export_xml,
     joint_limits,
-    xml_document,
 )
 
 TITLE = "MuJoCo MJCF"
@@ -43,12 +42,11 @@ PREFIX = "water:"
 
 def export(source: Source, options: ExportOptions) -> Exported:
     """Return the MJCF of a multi-link robot."""
-    limits = _limits(source, options)
     inertias = source.inertias(fold=options.added_mass == "fold")
-    text = xml_document(
+    return export_xml(
         "mjcf.xml",
         source,
-        limits,
+        _limits(source, options),
         point=lambda x, y: (x, 0.0, y) if source.vertical else (x, y, 0.0),
         rigid=[central(inertia) for inertia in inertias],
         user=_user,
@@ -57,7 +55,6 @@ def export(source: Source, options: ExportOptions) -> Exported:
         wires=_wires(source),
         servos=source.servos(inertias, options.servo_hz),
     )
-    return Exported(text, limits)
 
 
 def _user(element: Element) -> list[float]:
@@ -112,7 +109,7 @@ def _limits(source: Source, options: ExportOptions) -> list[str]:
             f"{laws}: MuJoCo's fluid models have no such law; the numbers stand at sites and act once "
             "swimid.exporters.mjcf.water is installed as passive callback"
         )
-    return [*limits, *joint_limits(source, options.servo_hz), NO_ERRORS]
+    return [*limits, *joint_limits(source, options.servo_hz)]
 
 
 def water(model: Any) -> Callable[[Any, Any], None]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -84,15 +84,6 @@ class Element:
     def at(self) -> tuple[float, float]:
         """Point of application in the frame of the link, m."""
         return self.numbers["x"], self.numbers["y"]
-
-
-@dataclass(frozen=True)
-class Servo:
-    """Position servo of a joint; gains in N m/rad and N m s/rad."""
-
-    joint: str
-    stiffness: float
-    damping: float
 
 
 @dataclass(frozen=True)
@@ -214,10 +205,10 @@ class Source:
                 inertias[i] = link.rigid + about(np.diag([mass, mass, moment]), -x, -y)
         return inertias
 
-    def servos(self, inertias: list[Array], default_hz: float) -> list[Servo]:
-        """Return position servos of the driven joints.
+    def servos(self, inertias: list[Array], default_hz: float) -> list[dict[str, Any]]:
+        """Return ``joint``, ``stiffness`` (N m/rad) and ``damping`` (N m s/rad) of the servo of each joint.
 
-        Their gains give the bodies behind the joint the natural frequency and the damping ratio of the robot
+        The gains give the bodies behind the joint the natural frequency and the damping ratio of the robot
         file, or ``default_hz`` and 1.
         """
         moments = _moments_behind_joints(self.links, inertias)
@@ -230,7 +221,8 @@ class Source:
                 frequency = Polynomial.of(law.natural_frequency_hz).at(values)
                 ratio = Polynomial.of(law.damping_ratio).at(values)
             omega, moment = 2.0 * math.pi * frequency, moments[axis.link]
-            servos.append(Servo(axis.joint.name, moment * omega**2, 2.0 * ratio * omega * moment))
+            gains = {"stiffness": moment * omega**2, "damping": 2.0 * ratio * omega * moment}
+            servos.append({"joint": axis.joint.name, **gains})
         return servos
 
     def surge(self) -> dict[str, float]:
@@ -373,18 +365,20 @@ def joint_limits(source: Source, servo_hz: float) -> list[str]:
 # ---------------------------------------------------------------- text of XML formats
 
 
-def xml_document(template: str, source: Source, limits: Iterable[str], **more: Any) -> str:
-    """Return the XML text of a template, with the origin of the numbers and the limits in a comment.
+def export_xml(template: str, source: Source, limits: list[str], **more: Any) -> Exported:
+    """Return the XML of a template, with the origin of the numbers and the limits in a comment.
 
     Parameters
     ----------
     template : str
         File name in ``templates``. The template gets ``source`` and ``more``, and may hold numbers and
         sequences of numbers as they are.
-    limits : iterable of str
+    limits : list of str
+        Limits of the format, apart from that of the standard errors.
     **more
         Further variables of the template.
     """
+    limits = [*limits, NO_ERRORS]
     environment = Environment(
         loader=PackageLoader("swimid.exporters"), autoescape=True, undefined=StrictUndefined, finalize=_shown
     )
@@ -402,7 +396,8 @@ def xml_document(template: str, source: Source, limits: Iterable[str], **more: A
     ]
     # a comment must not hold two hyphens in a row
     note = "\n".join(lines).replace("--", "- -")
-    return f'<?xml version="1.0"?>\n<!--\n{note}\n-->\n{ET.tostring(root, encoding="unicode")}\n'
+    text = ET.tostring(root, encoding="unicode")
+    return Exported(f'<?xml version="1.0"?>\n<!--\n{note}\n-->\n{text}\n', limits)
 
 
 def _shown(value: Any) -> Any:

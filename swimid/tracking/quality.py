@@ -15,7 +15,7 @@ from swimid.logs.log import runs
 from swimid.notices import warn
 from swimid.results.evidence import Check, check
 from swimid.tracking.detect import RawTrack
-from swimid.tracking.pose import SYSTEMATIC_PX, Pose, centroid_noise_px
+from swimid.tracking.pose import SYSTEMATIC_PX, Pose
 from swimid.tracking.reader import Frame, irregular, reduced
 from swimid.tracking.setup import Setup
 
@@ -82,8 +82,17 @@ def measure_range(track: RawTrack, name: str, scene: Array | None = None) -> Ran
     if scene is not None:
         x, y = x - scene[0], y - scene[1]
     away = np.hypot(x - np.median(x[part]), y - np.median(y[part]))[part]
+    noise = math.sqrt(0.5 * sum(white_noise_sd(row[seen]) ** 2 for row in (x, y)))
     radius = max(math.sqrt(usual / math.pi), 1.0)
-    return Range(float(np.percentile(away, 95)), radius, centroid_noise_px(track, i))
+    return Range(float(np.percentile(away, 95)), radius, noise)
+
+
+def white_noise_sd(values: Array) -> float:
+    """Return the standard deviation of white noise, from second differences; NaN for fewer than 5 samples."""
+    if len(values) < 5:
+        return math.nan
+    second = np.diff(values, n=2)
+    return 1.4826 * float(np.median(np.abs(second - np.median(second)))) / math.sqrt(6)
 
 
 def marker_fault(

@@ -9,6 +9,7 @@ for a marker.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
@@ -50,6 +51,8 @@ MAX_PATCHES = 24
 #: Maximum grey level of a black pixel (video black is 16 if its range is misread), minimum share of black
 #: pixels in a row or column of a black bar, and minimum width of a bar, px.
 BLACK, BLACK_SHARE, MIN_BAR_PX = 24, 0.98, 4
+#: Number of earlier frames kept, and frames between them, to see whether a thing was there before.
+N_MEMORIES, MEMORY_FRAMES = 2, 120
 #: Maximum relative deviation of the distance from a rigid partner.
 MAX_RIGID_DEVIATION = 0.3
 #: Cost of an impossible assignment.
@@ -479,6 +482,8 @@ class Follower:
         if any(len(group.targets) > 1 for group in self.groups):
             for one, other in combinations(setup.markers, 2):
                 self._pairs |= {(a, b): PairDistance() for a in one.names for b in other.names}
+        #: Earlier frames, and the places of the markers in them.
+        self._memory: deque[tuple[Frame, dict[str, tuple[float, float]]]] = deque(maxlen=N_MEMORIES)
         self._rows: list[list[Row]] = []
         #: Part of the last frame about each marker.
         self._last: list[tuple[tuple[slice, slice], Frame]] = []
@@ -521,9 +526,20 @@ class Follower:
             a, b = (targets[name] for name in pair)
             if a.time == time == b.time:
                 pair_distance.add(math.hypot(a.x - b.x, a.y - b.y))
+        if self._frame % MEMORY_FRAMES == MEMORY_FRAMES // 6:
+            self._remember(frame, targets)
         self._rows.append(row)
         self._times.append(time)
         self._frame += 1
+
+    def _remember(self, frame: Frame, targets: dict[str, Target]) -> None:
+        """Keep a copy of the frame with the places of the markers that are seen in it."""
+        places = {name: (t.x, t.y) for name, t in targets.items() if t.sights and not t.missed}
+        if places:
+            # the memory of the oldest frame is used again: to allocate it costs more than the copy
+            old = self._memory.popleft()[0] if len(self._memory) == N_MEMORIES else np.empty_like(frame)
+            np.copyto(old, frame)
+            self._memory.append((old, places))
 
     def track(self, times: NDArray[np.float64] | None = None) -> RawTrack:
         """Return the track so far; ``times`` replaces the times of the frames."""
@@ -558,6 +574,9 @@ class Follower:
                 if winner is not None:
                     sights[target.name] = winner
                     blobs = [b for b in blobs if b is not winner]
+        for target in [t for t in group.targets if t.sights and t.missed and t.name in sights]:
+            if self._was_there(group, target, sights[target.name]):
+                group.scenery.append(sights.pop(target.name))
         if not lost and not unsure and self._frame >= group.next_look:
             group.note_rivals(self._others(group, frame, group.targets, sights), self._frame)
         return sights
@@ -634,6 +653,20 @@ class Follower:
             return False
         others = [t for t in known if t is not target and t.name not in sights]
         return any(_meet(target, other, sights, time) for other in others)
+
+    def _was_there(self, group: Group, target: Target, blob: Blob) -> bool:
+        """Return whether the blob was there already while the target was seen elsewhere."""
+        half = 1.3 * blob.radius + detect.MARGIN
+        for frame, places in self._memory:
+            if target.name not in places:
+                continue
+            if blob.away(*places[target.name]) < 2 * max(target.radius, blob.radius) + 4:
+                continue
+            old, _ = self._search.in_window(group, frame, blob.x, blob.y, half)
+            taken = [place for name, place in places.items() if name != target.name]
+            if any(is_same_place(blob, b) and all(b.away(*at) > b.radius for at in taken) for b in old):
+                return True
+        return False
 
     def _find_lost(
         self, group: Group, lost: list[Target], blobs: list[Blob], time: float
