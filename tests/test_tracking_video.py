@@ -214,7 +214,11 @@ def test_all_kinds_of_scale_agree(tmp_path, kind):
         },
     }[kind]
     rules = setup_format.Setup.model_validate(
-        {"format": "swimid-setup/1", "markers": [{"name": "a", "colour": "#ff0000"}], "scale": scale}
+        {
+            "format": "swimid-setup/1",
+            "markers": [{"name": "a", "hsv": {"hue_deg": [340, 20]}}],
+            "scale": scale,
+        }
     )
     ground = pose.plane_of(rules, 640, 480)
     x, y = ground.to_world(np.array([0.0, 320.0, np.nan]), np.array([479.0, 100.0, 3.0]))
@@ -236,7 +240,7 @@ def test_lens_distortion_and_height_are_corrected():
     rules = setup_format.Setup.model_validate(
         {
             "format": "swimid-setup/1",
-            "markers": [{"name": "a", "colour": "#ff0000"}],
+            "markers": [{"name": "a", "hsv": {"hue_deg": [340, 20]}}],
             "camera": {"matrix": matrix, "distortion": distortion},
             "scale": {"metres_per_pixel": 2.0 / 600, "heights": {"camera_m": 2.0, "marker_m": 0.05}},
         }
