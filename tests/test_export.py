@@ -1,4 +1,4 @@
-"""Exports: MuJoCo moves as the engine does, Gazebo's derivatives resist, JSON holds every number."""
+"""Exports: MuJoCo moves as the engine does, derivatives of Gazebo resist, and JSON has every number."""
 
 from __future__ import annotations
 
@@ -12,18 +12,21 @@ from typing import Any
 import numpy as np
 import pytest
 
+from swimid.exporters import mjcf
 from swimid.exporters.export import load
 from swimid.exporters.source import Source, about, central
 from swimid.files import yamlio
 from swimid.fitting import drives
 from swimid.fitting.drives import SwimInput
+from swimid.fitting.model import Trial
 from swimid.results import parameters
 from swimid.results.parameters import Correlation, Estimate, ParameterFile
 from swimid.robots import file as robot
 from swimid.swimmer.planar import engine
+from swimid.swimmer.planar.model import MultilinkModel
 from tests.conftest import Ran
 
-#: A branched tree with everything a joint can have, and every element.
+#: A branched tree with every kind of joint; its elements are inserted.
 TREE = """
 format: swimid-robot/1
 name: tree
@@ -110,7 +113,7 @@ WATER = """
 
 
 def _write(folder: Path, text: str, values: dict[str, float] | None = None) -> Path:
-    """A robot file and a parameter file that names it."""
+    """Write a robot file and a parameter file that names it; return the path of the latter."""
     (folder / "robot.yaml").write_text(text)
     held = {
         name: Estimate(value=value, stderr=0.01, unit="1", status="estimated")
@@ -146,14 +149,14 @@ def _tfish(folder: Path, **changes: Any) -> Path:
 
 @pytest.fixture
 def mujoco() -> Iterator[Any]:
-    """MuJoCo, its callbacks cleared afterwards."""
+    """Return MuJoCo, and clear its callbacks afterwards."""
     module = pytest.importorskip("mujoco")
     yield module
     module.set_mjcb_passive(None)
 
 
 def _rate(source: Source, state: np.ndarray, row: np.ndarray) -> np.ndarray:
-    """The engine's rate of the state."""
+    """Return the rate of the state from the engine."""
     tables = source.assembly.tables(source.values).values()
     n = source.assembly.unknowns
     rate = np.zeros(2 * n)
@@ -163,9 +166,7 @@ def _rate(source: Source, state: np.ndarray, row: np.ndarray) -> np.ndarray:
 
 
 def _residual(mujoco: Any, source: Source, text: str, rng: np.random.Generator, *, water: bool) -> float:
-    """Largest generalised force MuJoCo still needs for the engine's accelerations, against its own forces."""
-    from swimid.exporters import mjcf
-
+    """Return the maximum force that MuJoCo lacks for the accelerations of the engine, as a share of all."""
     mujoco.set_mjcb_passive(None)  # MuJoCo compiles no model while a Python callback is set
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
@@ -219,7 +220,7 @@ def test_mujoco_moves_the_dry_tree_as_the_engine_does(
     mujoco: Any,
     rng: np.random.Generator,
 ) -> None:
-    """Bodies, mounts, springs, dampers and wire, without fluid: to rounding."""
+    """Bodies, mounts, springs, dampers and wire agree to rounding, without fluid."""
     path = _write(tmp_path, _tree(plane, "", pretension))
     text = _exported(swimid, path, "--to", "mjcf")
     assert _residual(mujoco, load(path), text, rng, water=False) < 1e-9
@@ -229,12 +230,12 @@ def test_mujoco_moves_the_dry_tree_as_the_engine_does(
 def test_mujoco_moves_the_wet_tree_as_the_engine_does(
     plane: str, tmp_path: Path, swimid: Callable[..., Ran], mujoco: Any, rng: np.random.Generator
 ) -> None:
-    """Folded isotropic added mass and the water's callback leave no difference."""
+    """With folded isotropic added mass and the callback of the water there is no difference."""
     path = _write(tmp_path, _tree(plane, WATER))
     text = _exported(swimid, path, "--to", "mjcf", "--added-mass", "fold")
     source = load(path)
     assert _residual(mujoco, source, text, rng, water=True) < 1e-9
-    # and each of the two matters
+    # each of the two is necessary
     assert _residual(mujoco, source, text, rng, water=False) > 1e-3
     dry = _exported(swimid, path, "--to", "mjcf", "--added-mass", "none")
     assert _residual(mujoco, source, dry, rng, water=True) > 1e-3
@@ -248,12 +249,8 @@ def test_mujoco_moves_the_tfish_as_the_engine_does(
     assert _residual(mujoco, load(path), text, rng, water=True) < 1e-9
 
 
-def test_mujoco_swims(tmp_path: Path, swimid: Callable[..., Ran], mujoco: Any) -> None:
-    """Servos of the exported gains track a beat, and the fish then swims as swimid says it should."""
-    from swimid.exporters import mjcf
-    from swimid.fitting.model import Trial
-    from swimid.swimmer.planar.model import MultilinkModel
-
+def test_mujoco_swims_as_far_as_the_model(tmp_path: Path, swimid: Callable[..., Ran], mujoco: Any) -> None:
+    """Servos with the exported gains follow a beat, and the fish then swims as in swimid."""
     path = _tfish(tmp_path)
     text = _exported(swimid, path, "--to", "mjcf", "--added-mass", "fold")
     model = mujoco.MjModel.from_xml_string(text)
@@ -273,7 +270,7 @@ def test_mujoco_swims(tmp_path: Path, swimid: Callable[..., Ran], mujoco: Any) -
     values[: len(source.values)] = source.values
     truth = twin.simulate(values, Trial("t", "fit", time, {}, swim=SwimInput(beat)))["x_m"]
     assert truth[-1] > 0.3
-    # a critically damped servo of 20 Hz swings (f / f_n)^2 = 0.25 % less at 1 Hz and lags by
+    # a critically damped servo of 20 Hz has (f / f_n)^2 = 0.25 % less amplitude at 1 Hz and lags by
     # 2 f / f_n = 0.1 rad, 16 ms of 6 s; MuJoCo's integrator is of first order in its step of 2 ms
     assert x[-1] == pytest.approx(truth[-1], rel=0.02)
 
@@ -313,7 +310,7 @@ def test_gazebo_numbers_can_be_traced(tmp_path: Path, swimid: Callable[..., Ran]
     path = _tfish(tmp_path)
     text = _exported(swimid, path, "--to", "gazebo")
     plugins = _plugins(text)
-    # head and fin feel their drag at mid-link, away from the centre of mass
+    # drag of head and fin acts at the middle of the link, away from the centre of mass
     assert list(plugins) == ["head", "head_drag0", "tail1", "tail2", "tail3", "fin", "fin_drag0"]
     assert plugins["head"] == {}
     # half of 1000 kg/m3, Table II's areas, the parameter file's coefficients; resistance is negative
@@ -335,7 +332,7 @@ def test_gazebo_numbers_can_be_traced(tmp_path: Path, swimid: Callable[..., Ran]
 
 
 def _plugin_force(tags: dict[str, float], nu: np.ndarray, names: tuple[str, str]) -> np.ndarray:
-    """What the plugin computes: force i = coefficient v_j |v_k|, in its own axes."""
+    """Return what the plugin computes: force i = coefficient v_j |v_k|, in its own axes."""
     forces, speeds = names
     wrench = np.zeros(3)
     for tag, value in tags.items():
@@ -350,7 +347,7 @@ def _plugin_force(tags: dict[str, float], nu: np.ndarray, names: tuple[str, str]
     ("plane", "names", "signs"),
     [("horizontal", ("xyn", "UVR"), (1, 1, 1)), ("vertical", ("xzm", "UWQ"), (1, 1, -1))],
 )
-def test_gazebo_drag_is_the_engines(
+def test_gazebo_drag_equals_that_of_the_engine(
     plane: str,
     names: tuple[str, str],
     signs: tuple[int, int, int],
@@ -358,7 +355,7 @@ def test_gazebo_drag_is_the_engines(
     swimid: Callable[..., Ran],
     rng: np.random.Generator,
 ) -> None:
-    """The plugins of a link and of its helpers, at their frames, add up to the engine's drag."""
+    """The sum of the plugins of a link and of its helpers equals the drag of the engine."""
     path = _write(tmp_path, _tree(plane, WATER))
     text = _exported(swimid, path, "--to", "gazebo")
     plugins, root = _plugins(text), ET.fromstring(text)
@@ -393,7 +390,7 @@ def test_gazebo_drag_is_the_engines(
 @pytest.mark.parametrize(
     ("plane", "axes", "signs"), [("horizontal", "xyr", (1, 1, 1)), ("vertical", "xzq", (1, 1, -1))]
 )
-def test_gazebo_added_mass_has_the_energy_it_should(
+def test_gazebo_added_mass_has_the_right_energy(
     plane: str,
     axes: str,
     signs: tuple[int, int, int],
@@ -401,7 +398,7 @@ def test_gazebo_added_mass_has_the_energy_it_should(
     swimid: Callable[..., Ran],
     rng: np.random.Generator,
 ) -> None:
-    """An anisotropic added mass away from the centre of mass, over velocities at the link's frame."""
+    """An anisotropic added mass is away from the centre of mass; velocities are those of the frame."""
     element = "{kind: added-mass, link: right, surge_kg: 0.1, sway_kg: 0.7 * c_a, at_m: 0.08, offset_m: 0.01}"
     water = f"\n    - {element}"
     path = _write(tmp_path, _tree(plane, water))
@@ -424,7 +421,7 @@ def test_gazebo_added_mass_has_the_energy_it_should(
 
 
 def test_gazebo_names_are_unique(tmp_path: Path, swimid: Callable[..., Ran]) -> None:
-    """Links and joints share one set of names in SDF; a robot file may use one for both."""
+    """Links and joints of SDF share their names, but a robot file may use a name for both."""
     path = _write(tmp_path, _tree("horizontal", WATER).replace("name: j2", "name: right"))
     root = ET.fromstring(_exported(swimid, path, "--to", "gazebo"))
     names = [node.get("name") for tag in ("link", "joint") for node in root.iter(tag) if node.get("name")]
@@ -433,7 +430,7 @@ def test_gazebo_names_are_unique(tmp_path: Path, swimid: Callable[..., Ran]) -> 
     assert {p.get("relative_to") for p in root.iter("pose")} <= known | {None}
 
 
-def test_gazebo_takes_the_drag_of_a_rigid_body(
+def test_gazebo_gets_the_drag_of_a_rigid_body(
     tmp_path: Path, swimid: Callable[..., Ran], samples: Path
 ) -> None:
     drag = tmp_path / "drag.yaml"
@@ -457,7 +454,7 @@ def _towed(folder: Path, robot_name: str, **values: float) -> Path:
     return path
 
 
-def test_gazebo_takes_linear_drag_and_heavy_added_mass(tmp_path: Path, swimid: Callable[..., Ran]) -> None:
+def test_gazebo_gets_linear_drag_and_heavy_added_mass(tmp_path: Path, swimid: Callable[..., Ran]) -> None:
     path = _towed(tmp_path, "boxfish", quadratic_drag=2.5, linear_drag=0.3, added_mass=1.5)
     assert _plugins(swimid("export", path, "--to", "gazebo").out)["body"] == {"xU": -0.3, "xUabsU": -2.5}
     fold = ET.fromstring(swimid("export", path, "--to", "gazebo", "--added-mass", "fold").out)
@@ -489,7 +486,7 @@ def test_json_holds_everything(tmp_path: Path, swimid: Callable[..., Ran]) -> No
     assert all(v["stderr"] == 0.1 and v["unit"] == "1" for v in data["parameters"].values())
     assert file.correlation is not None
     assert data["correlation"]["matrix"] == file.correlation.matrix
-    # what the parameter file does not hold comes from the robot file
+    # coefficients that the parameter file does not hold come from the robot file
     assert data["coefficients"]["c_d4"] == 5.76034
     apparent = np.array([k["apparent_inertia"] for k in data["links"]])
     rows = source.tables["inertia"]
@@ -513,7 +510,7 @@ def test_readings_of_the_fit_are_kept(tmp_path: Path, swimid: Callable[..., Ran]
 # ------------------------------------------------------------ the command
 
 
-def test_every_limit_is_a_warning_and_in_the_result(tmp_path: Path, swimid: Callable[..., Ran]) -> None:
+def test_every_limit_is_a_warning_and_is_in_the_result(tmp_path: Path, swimid: Callable[..., Ran]) -> None:
     path = _write(tmp_path, _tree("horizontal", WATER))
     for target, words in {
         "mjcf": ("added-mass inertia", "lift and drag of foils", "standard errors"),
@@ -547,7 +544,7 @@ def test_quiet_prints_the_document_only(tmp_path: Path, swimid: Callable[..., Ra
     assert ET.fromstring(ran.out).tag == "mujoco"
 
 
-def test_bad_use(tmp_path: Path, swimid: Callable[..., Ran], samples: Path) -> None:
+def test_bad_use_is_refused(tmp_path: Path, swimid: Callable[..., Ran], samples: Path) -> None:
     path = _tfish(tmp_path)
     assert swimid("export", path, "--to", "mjcf", "--added-mass", "plugin").status == 2
     assert swimid("export", path, "--to", "mjcf", "--servo-hz", "-1").status == 2
@@ -558,7 +555,9 @@ def test_bad_use(tmp_path: Path, swimid: Callable[..., Ran], samples: Path) -> N
     assert "multilink" in wrong.err
 
 
-def test_an_impossible_value_names_the_robot_files_line(tmp_path: Path, swimid: Callable[..., Ran]) -> None:
+def test_an_impossible_value_is_reported_with_the_line_of_the_robot_file(
+    tmp_path: Path, swimid: Callable[..., Ran]
+) -> None:
     path = _write(tmp_path, _tree("horizontal", WATER), {"c_a": -5.0})
     ran = swimid("export", path, "--to", "mjcf")
     assert ran.status == 3
@@ -571,7 +570,7 @@ def test_parameters_of_another_robot_are_refused(tmp_path: Path, swimid: Callabl
     ran = swimid("export", path, "--to", "json")
     assert ran.status == 3
     assert "no coefficient 'c_other'" in ran.err
-    # starts and offsets of single trials are not the robot's
+    # initial states of single trials do not belong to the robot
     path = _write(tmp_path, _tree("horizontal", WATER), {"c_a": 0.7, "initial_surge[t1]": 0.1})
     assert swimid("export", path, "--to", "json").status == 0
 
@@ -588,7 +587,7 @@ def test_an_unidentifiable_parameter_is_named(tmp_path: Path, swimid: Callable[.
 
 
 def test_planar_inertia_about_another_point() -> None:
-    """Steiner, both ways, with a mass that differs by direction."""
+    """The parallel-axis theorem holds both ways for a mass that depends on the direction."""
     anisotropic = about(np.diag([2.0, 5.0, 0.3]), -0.1, 0.2)
     assert about(anisotropic, 0.1, -0.2) == pytest.approx(np.diag([2.0, 5.0, 0.3]), abs=1e-15)
     mass, (x, y), moment = central(anisotropic)
@@ -611,7 +610,7 @@ def test_built_in_multilink_robots_export(tmp_path: Path, swimid: Callable[..., 
 
 @pytest.mark.parametrize("target", ["mjcf", "gazebo", "json"])
 def test_dry_friction_and_trailing_edges(target: str, tmp_path: Path, swimid: Callable[..., Ran]) -> None:
-    """Friction is carried by all, as Coulomb's; trailing edges by MuJoCo's callback and JSON only."""
+    """All formats carry Coulomb friction; only JSON and the callback of MuJoCo carry trailing edges."""
     tree = _tree("horizontal", WATER).replace("rest_deg: 5", "friction_N_m: 0.0125")
     ran = swimid("export", _write(tmp_path, tree), "--to", target, "-v")
     assert ran.status == 0

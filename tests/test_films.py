@@ -24,12 +24,12 @@ SIZE = (320, 240)
 
 
 def nose(t):
-    """Place of the red disc at a time: down the picture, with a beat."""
+    """Return the place of the red disc at a time: down the picture, with a beat."""
     return 150 + 4 * math.sin(2 * math.pi * 1.3 * t), 60 + 45 * t
 
 
 def rear(t):
-    """Place of the yellow disc, 40 px behind the red one."""
+    """Return the place of the yellow disc, 40 px behind the red one."""
     x, y = nose(t)
     turn = 0.1 * math.cos(2 * math.pi * 1.3 * t)
     return x - 40 * math.sin(turn), y - 40 * math.cos(turn)
@@ -37,17 +37,17 @@ def rear(t):
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory):
-    """A film of two seconds."""
+    """Return a film of two seconds."""
     discs = (Disc(nose), Disc(rear, colour=YELLOW))
     return Film(discs, duration_s=2.0).write(tmp_path_factory.mktemp("films") / "film.mp4")
 
 
 def verdicts(track):
-    """Verdict of each check, by its name."""
+    """Return the verdict of each check by its name."""
     return {check.name: check.verdict for check in track.evidence.checks}
 
 
-def test_a_robot_that_swims_tail_first_is_bad_unless_the_setup_says_so(film):
+def test_a_robot_that_swims_tail_first_is_bad_unless_the_setup_states_it(film):
     assert verdicts(swimid.track_video(film, setup=SETUP))["Swims head first"] == "pass"
     with pytest.warns(swimid.SwimidWarning, match="SWM100"):
         wrong = swimid.track_video(film, setup=EXCHANGED)
@@ -56,8 +56,8 @@ def test_a_robot_that_swims_tail_first_is_bad_unless_the_setup_says_so(film):
     assert verdicts(stated)["Swims tail first"] == "pass"
 
 
-def test_a_thing_that_stands_in_for_a_marker_has_no_vote(tmp_path):
-    """A red float far ahead of the robot stands in for the hidden head marker for a third of the film."""
+def test_false_detections_do_not_affect_the_direction_check(tmp_path):
+    """A red float ahead of the robot is detected while the head marker is hidden, in a third of the film."""
 
     def hidden(t):
         return None if 0.7 < t < 1.4 else nose(t)
@@ -71,7 +71,7 @@ def test_a_thing_that_stands_in_for_a_marker_has_no_vote(tmp_path):
 
 @pytest.mark.parametrize("size", [(480, 360), (640, 480), (1280, 960)])
 def test_a_camera_matrix_of_a_larger_picture_is_refused_or_scaled(film, size):
-    """Also one of pictures half as large again, whose principal point lies inside the film's."""
+    """One matrix is for pictures 1.5 times as large, and has its principal point inside the film."""
     width, height = size
     matrix = [[width, 0, (width - 1) / 2], [0, width, (height - 1) / 2], [0, 0, 1]]
     setup = SETUP | {"camera": {"matrix": matrix}}
@@ -83,7 +83,7 @@ def test_a_camera_matrix_of_a_larger_picture_is_refused_or_scaled(film, size):
     assert np.allclose(with_size.x_m, plain.x_m, atol=2e-5)
 
 
-def test_a_long_lens_needs_its_picture_size(film):
+def test_a_long_lens_needs_the_size_of_its_pictures(film):
     setup = SETUP | {"camera": {"matrix": [[1300, 0, 159.5], [0, 1300, 119.5], [0, 0, 1]]}}
     with pytest.raises(InputError, match=r"4.1 widths"):
         swimid.track_video(film, setup=setup)
@@ -92,7 +92,7 @@ def test_a_long_lens_needs_its_picture_size(film):
 
 
 def test_a_film_that_repeats_every_other_picture_is_not_good(tmp_path):
-    """15 pictures a second in a film of 30: half of the frames are left out; the band holds the truth."""
+    """With 15 pictures/s in a film of 30 Hz half of the frames are left out; the band holds the truth."""
     taken = Film((Disc(nose), Disc(rear, colour=YELLOW)), duration_s=3.0, rate_hz=15.0)
     pictures = [picture for picture in taken.frames() for _ in range(2)]
     film = film_writer.write(
@@ -108,7 +108,7 @@ def test_a_film_that_repeats_every_other_picture_is_not_good(tmp_path):
 
 
 def test_a_grey_body_in_front_of_its_empty_scene_is_followed(tmp_path):
-    """Centre, heading and direction of a rigid grey body without markers, inside their bands."""
+    """Centre, heading and direction of a rigid grey body without markers are within their bands."""
     rng = np.random.default_rng(4)
     scene = 170 + 90 * cv2.GaussianBlur(rng.normal(0, 1, SIZE[::-1]), (0, 0), 4)
     t = np.arange(60) / 30

@@ -213,8 +213,10 @@ def posed(view, changes, *, places=True):
         {
             "format": "swimid-setup/1",
             "markers": [
-                {"name": "front", "colour": "#d02020"} | ({"at_m": FRONT} if places else {}),
-                {"name": "rear", "colour": "#e0c020"} | ({"at_m": REAR} if places else {}),
+                {"name": "front", "hsv": {"hue_deg": [340, 20], "saturation": [0.49, 1], "value": [0.41, 1]}}
+                | ({"at_m": FRONT} if places else {}),
+                {"name": "rear", "hsv": {"hue_deg": [30, 70], "saturation": [0.5, 1], "value": [0.47, 1]}}
+                | ({"at_m": REAR} if places else {}),
             ],
             "head": "front",
             "tail": "rear",
@@ -315,7 +317,10 @@ def test_exchanged_markers_and_a_wrong_scale_are_noticed():
 )
 def test_setups_that_cannot_be_meant(tmp_path, change, message):
     front, rear = change.pop("at", [FRONT, REAR])
-    markers = [{"name": "front", "colour": "#d02020"}, {"name": "rear", "colour": "#e0c020"}]
+    markers = [
+        {"name": "front", "hsv": {"hue_deg": [340, 20], "saturation": [0.49, 1], "value": [0.41, 1]}},
+        {"name": "rear", "hsv": {"hue_deg": [30, 70], "saturation": [0.5, 1], "value": [0.47, 1]}},
+    ]
     for marker, at in zip(markers, (front, rear), strict=True):
         if at is not None:
             marker["at_m"] = list(at)
@@ -345,8 +350,8 @@ def test_a_robot_of_ones_own_gives_the_places_too(tmp_path):
     )
     path = tmp_path / "setup.yaml"
     path.write_text(
-        'format: swimid-setup/1\nmarkers:\n  - {name: red, colour: "#ff0000"}\n'
-        '  - {name: yellow, colour: "#ffee00", at_m: [-0.2, 0]}\n'
+        "format: swimid-setup/1\nmarkers:\n  - {name: red, hsv: {hue_deg: [340, 20]}}\n"
+        "  - {name: yellow, hsv: {hue_deg: [40, 75]}, at_m: [-0.2, 0]}\n"
         "head: red\ntail: yellow\nrobot: mine.yaml\nscale: {metres_per_pixel: 0.001}\n"
     )
     places = setup_format.read(path).places

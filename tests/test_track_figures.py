@@ -1,4 +1,4 @@
-"""Speed and stroke that ``track video`` prints and keeps, on films made for it."""
+"""Speed and stroke in the output and the result of ``track video``, on rendered films."""
 
 import json
 import math
@@ -28,7 +28,7 @@ def run(*arguments, status=0):
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory):
-    """A fish that swims to the right at a constant speed and sways with its beat; its heading stays."""
+    """Return a film of a fish with constant speed and heading, and with sway at its beat."""
     folder = tmp_path_factory.mktemp("film")
     course = clutter.straight(30, 120, SPEED, 0, sway=SWAY, beat_hz=BEAT)
     things = (clutter.disc(course, 7, RED, ahead=20), clutter.disc(course, 7, YELLOW, ahead=-20))
@@ -42,7 +42,7 @@ def film(tmp_path_factory):
 
 @pytest.mark.parametrize("unit, factor", [("px", 1.0), ("m", 0.002)])
 def test_speed_and_stroke_with_intervals(film, unit, factor):
-    """In metres and in pixels alike: speeds, stroke, sway and accelerations, the truth near each."""
+    """Speeds, stroke, sway and accelerations are near the truth, in metres and in pixels."""
     out = run(
         "video", film / "film.mp4", "--setup", film / f"{unit}.yaml", "-o", film / f"{unit}.csv", "--json"
     )
@@ -72,8 +72,8 @@ def test_speed_and_stroke_with_intervals(film, unit, factor):
     assert "steady speed" in (film / f"{unit}.md").read_text()
 
 
-def test_from_and_to_set_the_window(film):
-    """The figures are over the window, as the summary says; the log keeps every frame."""
+def test_from_and_to_define_the_window(film):
+    """Speeds are those of the window, as the summary states, and the log has all frames."""
     arguments = ("video", film / "film.mp4", "--setup", film / "m.yaml", "-o", film / "cut.csv")
     out = run(*arguments, "--from", 0.5, "--to", 4.0)
     assert "speeds over 0.5 to 4 s, as given" in " ".join(out.output.split())
@@ -91,7 +91,7 @@ def test_from_and_to_set_the_window(film):
         (("--from", 1, "--to", 1.1), "frames with the markers are between"),
     ],
 )
-def test_a_window_that_is_none_is_refused(film, tmp_path, options, words):
+def test_an_impossible_window_is_refused(film, tmp_path, options, words):
     arguments = ("video", film / "film.mp4", "--setup", film / "m.yaml", "-o", tmp_path / "run.csv")
     assert words in run(*arguments, *options, status=2).output
     assert not (tmp_path / "run.csv").exists()
@@ -99,7 +99,7 @@ def test_a_window_that_is_none_is_refused(film, tmp_path, options, words):
 
 @pytest.mark.skipif(not os.environ.get("SWIMID_DATA"), reason="SWIMID_DATA is not set")
 def test_a_block_on_a_ramp_gives_its_acceleration(tmp_path):
-    """Measured by others as 340 px/s²; no stroke is seen in it, and no steady speed."""
+    """The published value is 340 px/s². There is no stroke and no steady speed."""
     video = Path(os.environ["SWIMID_DATA"]) / "phystrack" / "R1.MP4"
     (tmp_path / "setup.yaml").write_text(
         "format: swimid-setup/1\nmarkers:\n  - name: mark\n    area_px: [50, 600]\n"
@@ -115,8 +115,8 @@ def test_a_block_on_a_ramp_gives_its_acceleration(tmp_path):
 
 
 @pytest.mark.parametrize("radius", [5, 7, 9])
-def test_a_whole_marker_is_not_called_hidden(tmp_path, radius):
-    """Its area scatters by the phase of the pixels and by the codec, in single frames by six deviations."""
+def test_a_whole_marker_is_not_reported_as_hidden(tmp_path, radius):
+    """Pixel phase and codec change the area, in single frames by six standard deviations."""
     course = clutter.straight(30, 110, 35, 0, sway=8, beat_hz=0.9)
     things = [clutter.disc(course, radius, colour, ahead=x) for colour, x in ((RED, 20), (YELLOW, -20))]
     clutter.write(tmp_path / "film.mp4", Pool(tuple(things), duration_s=SECONDS, rate_hz=25.0))

@@ -1,4 +1,4 @@
-"""Setups drafted from films with things in them that are no markers, and from markers picked by hand."""
+"""Setups drafted from films with things that are no markers, and from markers picked by hand."""
 
 import json
 
@@ -24,25 +24,25 @@ def run(*arguments, status=0):
 
 
 def rule(colour=YELLOW, y=120):
-    """A rule on the floor of the pool; the fish passes over its middle where y is 120."""
+    """Return a rule on the floor of the pool; the fish passes over its middle at y = 120."""
     return clutter.rule(clutter.still(160, y, 0.2), 150, 12, colour)
 
 
 def two_discs(motion, one=RED, other=YELLOW):
-    """A grey fish with a disc at its front and one at its rear."""
+    """Return a grey fish with a disc at its front and one at its rear."""
     fish = clutter.fish(motion, 80, 30)
     return fish, clutter.disc(motion, 7, one, ahead=24), clutter.disc(motion, 7, other, ahead=-24)
 
 
 @pytest.fixture(scope="module")
 def covered_rule(tmp_path_factory):
-    """A grey fish without a marker passes over a yellow rule, seen through ripples."""
+    """Return a film of a grey fish without a marker over a yellow rule, seen through ripples."""
     folder = tmp_path_factory.mktemp("rule")
     return clutter.write(folder / "rule.mp4", Pool((rule(), clutter.fish(ACROSS)), ripple_px=2.0))
 
 
-def test_a_rule_that_is_covered_at_times_is_no_marker(tmp_path, covered_rule):
-    """It was found in all frames, its centre shifted by the passing fish: only it does not move."""
+def test_a_rule_that_is_covered_at_times_is_not_proposed(tmp_path, covered_rule):
+    """It is found in all frames, and the passing fish shifts its centre, but it does not move."""
     result = run("setup", covered_rule, "-o", tmp_path / "setup.yaml", status=4)
     assert "yellow (hue" in result.output
     assert "does not move (it lies at [8" in result.output
@@ -51,7 +51,7 @@ def test_a_rule_that_is_covered_at_times_is_no_marker(tmp_path, covered_rule):
 
 @pytest.mark.parametrize("scale", ["", "scale: {metres_per_pixel: 0.002}\n"])
 def test_a_motionless_track_is_never_good(tmp_path, covered_rule, scale):
-    """Named in the setup by hand, the rule is followed in every frame; the verdict says what it is."""
+    """With the rule as a marker in the setup, the verdict states that it does not move."""
     (tmp_path / "setup.yaml").write_text(
         "format: swimid-setup/1\nmarkers:\n  - name: mark\n"
         "    hsv: {hue_deg: [40, 70], saturation: [0.4, 1], value: [0.3, 1]}\n" + scale
@@ -64,7 +64,7 @@ def test_a_motionless_track_is_never_good(tmp_path, covered_rule, scale):
 
 
 def test_a_track_within_its_noise_is_bad(tmp_path):
-    """A still disc without ripples: found in all frames, and no track; setup tells it, too."""
+    """A motionless disc without ripples is found in all frames; both commands report it."""
     buoy = clutter.disc(clutter.still(200, 60), 6, YELLOW)
     things = (buoy, clutter.fish(clutter.straight(20, 150, 93, 0)))
     video = clutter.write(tmp_path / "buoy.mp4", Pool(things, duration_s=2.0))
@@ -75,8 +75,8 @@ def test_a_track_within_its_noise_is_bad(tmp_path):
     assert evidence.read(tmp_path / "run.evidence.json").verdict.level == "bad"
 
 
-def test_a_still_thing_before_a_camera_that_sways_is_no_marker(tmp_path):
-    """A buoy that moves as the whole scene does: dropped, and both verbs tell of the camera."""
+def test_a_motionless_thing_in_front_of_a_swaying_camera_is_not_proposed(tmp_path):
+    """A buoy that moves with the whole scene is rejected, and both commands warn of the camera."""
     floor = tuple(
         clutter.rule(clutter.still(40 + 60 * k, 60 + 45 * (k % 4), 0.5 * k), 50, 9, clutter.DARK)
         for k in range(5)
@@ -100,16 +100,16 @@ def test_a_still_thing_before_a_camera_that_sways_is_no_marker(tmp_path):
 
 
 def test_a_robot_near_the_camera_is_not_the_scene():
-    """Over plain water it wears nearly all corners; they shift with it, not with the camera."""
+    """Over plain water nearly all corners are on the robot and move with it, not with the camera."""
     near = clutter.straight(90, 120, 40, 0)
     discs = ((RED, 50), (YELLOW, -50), (WHITE, 0))
     things = (clutter.rule(near, 150, 60, clutter.DARK), *(clutter.disc(near, 9, c, a) for c, a in discs))
     frames = clutter.frames(Pool(things, noise=1.0, flicker=0.0, duration_s=1.5))
-    assert np.isnan(quality.shifts(frames[::10])[1:]).all()
+    assert np.isnan(quality.scene_shifts(frames[::10])[1:]).all()
 
 
 def test_a_marker_beside_a_rule_of_its_colour_is_followed(tmp_path):
-    """What moves is the marker; the rule of the same colour is left out and the other colours named."""
+    """The moving thing is the marker; the rule of its colour is left out, and other colours are listed."""
     fish = clutter.straight(20, 160, 93, 0)
     things = (
         rule(RED, 60),
@@ -128,8 +128,8 @@ def test_a_marker_beside_a_rule_of_its_colour_is_followed(tmp_path):
 
 
 @pytest.mark.parametrize("nod_rad", [0.5, 0.8])
-def test_the_halves_of_a_ball_are_no_rigid_pair(tmp_path, nod_rad):
-    """Red and yellow of one ball keep no distance: one of them is proposed, without a tail."""
+def test_the_halves_of_a_ball_are_not_a_rigid_pair(tmp_path, nod_rad):
+    """The distance of the halves is not constant: one of them is proposed, without a tail."""
     ball = clutter.ball(clutter.straight(40, 60, 80, 40), 18, (RED, YELLOW), nod_rad=nod_rad)
     video = clutter.write(tmp_path / "ball.mp4", Pool((ball,)))
     result = run("setup", video, "-o", tmp_path / "setup.yaml", "--json")
@@ -139,8 +139,8 @@ def test_the_halves_of_a_ball_are_no_rigid_pair(tmp_path, nod_rad):
     assert any("on no rigid part" in p["reason"] for p in found["passed_over"])
 
 
-def test_a_rigid_pair_under_a_camera_askew_stays_a_pair(tmp_path):
-    """Much smaller at the far side, a quarter shorter along the view: one robot that turns, all the same."""
+def test_a_rigid_pair_is_recognised_by_an_inclined_camera(tmp_path):
+    """Lengths are much smaller at the far side and a quarter shorter along the view."""
     pool = Pool(two_discs(clutter.circle(160, 120, 80, 3.0)), far=0.6, flat=0.75)
     video = clutter.write(tmp_path / "askew.mp4", pool)
     result = run("setup", video, "-o", tmp_path / "setup.yaml")
@@ -159,7 +159,7 @@ def test_a_rigid_pair_under_a_camera_askew_stays_a_pair(tmp_path):
     ids=["white", "black", "grey", "white-on-grey"],
 )
 def test_a_marker_of_any_shade_can_be_picked(tmp_path, colour, water):
-    """Grey, white and black have no hue; what tells them from the water is found, and followed."""
+    """Grey, white and black have no hue; saturation and value separate them from the water."""
     motion = clutter.straight(30, 60, 85, 40)
     pool = Pool((clutter.disc(motion, 8, colour),), water=water, flicker=0.04)
     video = clutter.write(tmp_path / "shade.mp4", pool)
@@ -173,15 +173,15 @@ def test_a_marker_of_any_shade_can_be_picked(tmp_path, colour, water):
     assert (log.mark_y_px - (60 + 40 * log.t_s)).abs().max() < 0.6
 
 
-def test_a_pixel_of_the_water_is_no_marker(tmp_path):
-    """Nothing stands out there, and the message gives the colour."""
+def test_a_pixel_of_the_water_is_refused(tmp_path):
+    """No patch differs from its surroundings there, and the message states the colour."""
     video = clutter.write(tmp_path / "w.mp4", Pool(two_discs(ACROSS), duration_s=1.0))
     result = run("setup", video, "-o", tmp_path / "s.yaml", "--marker", "a@200,40", status=3)
     assert "stands out" in result.output or "colour of its surroundings" in result.output
 
 
 def school(count=8):
-    """Equal discs, each on its own course."""
+    """Return equal discs, each on its own course."""
     return tuple(
         clutter.disc(clutter.straight(30 + 34 * k, 30 + 20 * (k % 3), 2 * k, 35 + 4 * (k % 2)), 6, RED)
         for k in range(count)
@@ -189,7 +189,7 @@ def school(count=8):
 
 
 def test_eight_markers_of_one_colour_need_no_tail(tmp_path):
-    """``number: 8`` is a whole setup: every marker has its columns, the first gives the position."""
+    """With ``number: 8`` every marker has its columns, and the first gives the position."""
     video = clutter.write(tmp_path / "school.mp4", Pool(school(), duration_s=2.0))
     (tmp_path / "setup.yaml").write_text(
         "format: swimid-setup/1\nmarkers:\n  - name: red\n    number: 8\n"
@@ -209,7 +209,7 @@ def test_eight_markers_of_one_colour_need_no_tail(tmp_path):
 
 
 def test_picks_of_one_name_are_equal_markers(tmp_path):
-    """Two discs of one colour on one fish become head and tail; on two courses there is no tail."""
+    """Two discs on one fish become head and tail; with two courses there is no tail."""
     fish = clutter.straight(60, 118, 60, 0)
     pair = clutter.write(tmp_path / "pair.mp4", Pool(two_discs(fish, RED, RED), duration_s=2.0))
     apart = clutter.write(tmp_path / "apart.mp4", Pool(school(2), duration_s=2.0))
@@ -231,7 +231,7 @@ def test_picks_of_one_name_are_equal_markers(tmp_path):
 
 
 def test_picks_of_one_colour_and_two_names_are_refused(tmp_path):
-    """Each would be taken for the other: the hint names the way out."""
+    """The markers would be exchanged; the hint suggests one name."""
     video = clutter.write(tmp_path / "pair.mp4", Pool(two_discs(ACROSS, RED, RED), duration_s=1.0))
     marks = ["--marker", "nose@91,118", "--marker", "rear@43,118", "--frame", 10]
     result = run("setup", video, "-o", tmp_path / "s.yaml", *marks, status=3)
@@ -239,8 +239,8 @@ def test_picks_of_one_colour_and_two_names_are_refused(tmp_path):
     assert "name them alike" in result.output
 
 
-def test_a_buoy_among_equal_markers_is_told(tmp_path):
-    """Two discs that swim, a still one, three asked for: the third is named, and the track not good."""
+def test_a_buoy_among_equal_markers_is_reported(tmp_path):
+    """Of three discs one does not move; it is named, and the track is not good."""
     buoy = clutter.disc(clutter.still(280, 200), 7, RED)
     video = clutter.write(tmp_path / "three.mp4", Pool((*school(2), buoy), duration_s=2.0))
     (tmp_path / "setup.yaml").write_text(

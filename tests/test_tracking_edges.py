@@ -1,4 +1,4 @@
-"""Markers where the search ends: at the region's border, at the picture's edge, in and out of the picture."""
+"""Markers at the border of the region, at the edge of the picture, and in and out of the picture."""
 
 import numpy as np
 import pandas as pd
@@ -10,12 +10,12 @@ from swimid.cli.main import track as track_command
 from swimid.errors import InputError
 from swimid.results import evidence
 from swimid.tracking.setup import Setup
-from swimid.tracking.tracker import Follower, bars
+from swimid.tracking.tracker import Follower, inner_picture
 from tests.generators.disc_film import ONE_RED, RED_AND_YELLOW, WATER, YELLOW, Disc, Film, still, straight
 
 
 def followed(film, setup=ONE_RED):
-    """The raw track of a film's pictures, without a codec between."""
+    """Return the raw track of the pictures of a film, without a codec."""
     follower = Follower(Setup.model_validate(yaml.safe_load(setup)), film.width, film.height)
     for time, frame in zip(film.times(), film.frames(), strict=True):
         follower.step(time, frame)
@@ -23,12 +23,12 @@ def followed(film, setup=ONE_RED):
 
 
 def errors(track, film, marker=0):
-    """Distance of each sight from the truth, px."""
+    """Return the distance of each detection from the truth, px."""
     return np.hypot(*(np.array([track.x[marker], track.y[marker]]) - film.places(marker).T))
 
 
 def tracked(folder, film, setup=ONE_RED, *options, status=0):
-    """A film through the command line: its log and what is printed."""
+    """Track a film by the command line; return the log and the output."""
     path, log = folder / "setup.yaml", folder / "run.csv"
     path.write_text(setup)
     video = film.write(folder / "film.mp4")
@@ -39,11 +39,11 @@ def tracked(folder, film, setup=ONE_RED, *options, status=0):
 
 
 def checked(folder):
-    """Verdicts of the self-checks by name."""
+    """Return the checks by name."""
     return {check.name: check for check in evidence.read(folder / "run.evidence.json").checks}
 
 
-#: More large things of the colour, at the top, than are measured in one picture; a small marker below.
+#: A small marker below more large things of its colour than are measured in one picture.
 CROWD = Film(
     (
         Disc(straight(60, 150, 40, 5), radius=5),
@@ -54,15 +54,15 @@ CROWD = Film(
 
 
 @pytest.mark.parametrize("only", ["region_px: [0, 60, 320, 240]", "ignore_px: [[0, 0, 320, 60]]"])
-def test_what_is_outside_the_region_hides_nothing_in_it(only):
-    """Thirty things larger than the marker, where the setup says not to look."""
+def test_things_outside_the_region_do_not_hide_the_marker(only):
+    """Thirty things larger than the marker are where the setup does not allow a search."""
     track = followed(CROWD, ONE_RED + only + "\n")
     assert track.found.all()
     assert np.nanmax(errors(track, CROWD)) < 0.3
 
 
 def test_a_marker_lost_in_a_crowd_is_found_again_by_its_size():
-    """The marker hides and comes back elsewhere among more things of its colour than are measured."""
+    """The marker vanishes and returns elsewhere among more things of its colour than are measured."""
 
     def there_and_back(t):
         return None if 0.8 < t < 2.2 else (60 + 40 * t, 150.0)
@@ -76,7 +76,7 @@ def test_a_marker_lost_in_a_crowd_is_found_again_by_its_size():
 
 
 def test_a_marker_at_the_border_of_the_region_is_measured_whole():
-    """Its centre decides whether it is in the region; what of it is outside still counts."""
+    """The centre decides whether it is in the region, and the part outside is measured too."""
     film = Film((Disc(straight(130, 120, 40), radius=12),), duration_s=2.0)
     track = followed(film, ONE_RED + "region_px: [160, 60, 300, 200]\n")
     inside = film.places()[:, 0] > 160
@@ -91,32 +91,32 @@ def test_a_region_outside_the_picture_is_refused():
 
 
 def whole(film, disc=0):
-    """Frames in which a disc is in the picture and clear of its edge."""
+    """Return the frames in which a disc is inside the picture and away from its edge."""
     return np.isfinite(film.places(disc)[:, 0]) & ~film.cut(disc)
 
 
 @pytest.mark.parametrize("speed", [20, 60, 200])
 def test_a_marker_that_swims_in_is_found_once_it_is_whole(speed):
-    """First seen cut by the edge, as small as may be: that says nothing of its size."""
+    """At first the edge cuts the marker, so that its size is unknown."""
     film = Film((Disc(straight(-15, 120, speed, 4), radius=12),), duration_s=min(300 / speed, 3.0))
     track = followed(film)
-    # A rim that touches the edge counts as cut, too: a frame or two later than the disc itself.
+    # a blurred rim that touches the edge counts as cut too, for a frame or two more than the disc itself
     late = np.flatnonzero(track.found[0])[0] - np.flatnonzero(whole(film))[0]
     assert 0 <= late <= 2 + 60 / speed
     assert track.found[0][np.flatnonzero(track.found[0])[0] : whole(film).nonzero()[0][-1] + 1].all()
     assert np.nanmax(errors(track, film)[track.found[0]]) < 0.3
 
 
-def test_a_marker_that_waits_at_the_edge_is_found_when_it_comes():
-    """Two seconds of a sliver, then the marker swims in."""
+def test_a_marker_that_waits_at_the_edge_is_found_when_it_enters():
+    """A small part is visible for two seconds, then the marker enters."""
     film = Film((Disc(lambda t: (-9.0 + 80 * max(t - 2, 0), 120.0), radius=12),), duration_s=4.0)
     track = followed(film)
     assert track.found[0][whole(film)].mean() > 0.95
     assert np.nanmax(errors(track, film)[track.found[0]]) < 0.3
 
 
-def test_equal_markers_swim_in_one_after_the_other():
-    """Each is itself, and measured only whole."""
+def test_equal_markers_that_enter_one_after_the_other_keep_their_names():
+    """Each marker keeps its name, and is measured only when it is whole."""
     film = Film((Disc(straight(-55, 120, 60, 4), 12), Disc(straight(-15, 120, 60, 4), 12)), duration_s=3.0)
     track = followed(film, ONE_RED + "    number: 2\nhead: red1\ntail: red2\n")
     for marker in (0, 1):
@@ -126,8 +126,8 @@ def test_equal_markers_swim_in_one_after_the_other():
         assert np.nanmax(away[found]) < 0.3
 
 
-def test_a_reflection_taken_for_the_marker_is_given_up():
-    """Six frames of a small bright thing before the marker comes, four times its size and more."""
+def test_the_marker_replaces_a_reflection_that_was_tracked_first():
+    """A small bright thing is visible for six frames before the marker, which is four times larger."""
 
     def reflection(t):
         return (200 + 30 * t, 60.0) if t < 0.17 or 0.4 < t < 0.5 else None
@@ -142,8 +142,8 @@ def test_a_reflection_taken_for_the_marker_is_given_up():
     assert area < 60
 
 
-def test_a_thing_at_the_edge_is_given_up_for_the_marker():
-    """Something of the colour is cut by the edge all the time; the marker appears in the open, at rest."""
+def test_the_marker_replaces_a_thing_at_the_edge():
+    """The edge always cuts a thing of the colour; the marker appears inside the picture, at rest."""
     film = Film(
         (Disc(lambda t: (100.0, 150.0) if t > 0.5 else None), Disc(still(-2, 60), 12)), duration_s=2.0
     )
@@ -154,8 +154,8 @@ def test_a_thing_at_the_edge_is_given_up_for_the_marker():
 
 
 @pytest.mark.parametrize("later", [straight(60, 80, 20), still(60, 80)])
-def test_what_comes_after_the_marker_is_not_taken_for_it(later):
-    """The marker leaves; a larger thing comes, moving for not much longer, or at rest for good."""
+def test_a_thing_that_comes_after_the_marker_is_not_tracked(later):
+    """The marker leaves. Then a larger thing comes, which moves for a similar time or stays at rest."""
     film = Film(
         (
             Disc(lambda t: (60 + 120 * t, 150.0) if t < 1.5 else None, radius=8),
@@ -168,8 +168,8 @@ def test_what_comes_after_the_marker_is_not_taken_for_it(later):
     assert not track.mistaken
 
 
-def test_a_marker_cut_by_the_edge_is_no_measurement(tmp_path):
-    """Out by half and back, again and again: what the log holds is right within its deviation."""
+def test_a_marker_cut_by_the_edge_is_not_measured(tmp_path):
+    """Half of the marker leaves and returns repeatedly; the log is right within its standard deviation."""
 
     def out_and_back(t):
         return (280 + 35 * np.sin(2 * np.pi * t / 1.6), 120.0)
@@ -193,14 +193,14 @@ def test_a_marker_cut_by_the_edge_is_no_measurement(tmp_path):
     assert off[inner & cut].max() < 4
 
 
-def test_a_marker_that_is_always_cut_is_said_to_be(tmp_path):
+def test_a_marker_that_is_always_cut_is_refused_with_the_reason(tmp_path):
     film = Film((Disc(lambda t: (-2.0, 60 + 30 * t), radius=12),), duration_s=1.0)
     _, output = tracked(tmp_path, film, status=4)
     assert "found in no frame of 30 (in 30 the edge of the picture cuts it)" in output
 
 
-def test_a_body_that_leaves_for_good_is_said_to(tmp_path):
-    """A third of the film shows it: found whenever it was there, and told when it went."""
+def test_a_body_that_leaves_the_picture_is_reported(tmp_path):
+    """It is visible in a third of the film. It is found in these frames, and its exit is reported."""
     film = Film((Disc(straight(200, 120, 40, 4), radius=12),), duration_s=8.0)
     log, output = tracked(tmp_path, film)
     last = np.flatnonzero(log.found == 1)[-1]
@@ -209,12 +209,12 @@ def test_a_body_that_leaves_for_good_is_said_to(tmp_path):
     assert "left the picture" in output
     checks = checked(tmp_path)
     assert checks["First and last sight"].verdict == "warn"
-    # Nothing was lost, but most of the film is empty: neither failed nor good.
+    # nothing was lost, but most of the film is empty: the check warns
     assert checks["Frames found"].verdict == "warn"
 
 
-def test_a_body_that_is_lost_in_the_open_is_not_said_to_have_left(tmp_path):
-    """It vanishes in the middle of the picture: that is a failure, and where is said."""
+def test_a_body_lost_inside_the_picture_is_not_reported_as_left(tmp_path):
+    """It vanishes in the middle of the picture: the check fails and states the place."""
     film = Film((Disc(lambda t: (100 + 40 * t, 120.0) if t < 2 else None, radius=12),), duration_s=8.0)
     _, output = tracked(tmp_path, film)
     assert "lost for good" in output
@@ -222,7 +222,7 @@ def test_a_body_that_is_lost_in_the_open_is_not_said_to_have_left(tmp_path):
     assert checked(tmp_path)["Frames found"].verdict == "fail"
 
 
-def test_a_body_that_comes_late_is_said_to(tmp_path):
+def test_a_body_that_enters_late_is_reported(tmp_path):
     film = Film((Disc(lambda t: (-15 + 60 * max(t - 2, 0), 120.0), radius=12),), duration_s=5.0)
     log, output = tracked(tmp_path, film)
     first = np.flatnonzero(log.found == 1)[0]
@@ -232,8 +232,8 @@ def test_a_body_that_comes_late_is_said_to(tmp_path):
 
 
 @pytest.mark.parametrize("speed", [-40, 40])
-def test_a_black_bar_is_an_edge(tmp_path, speed):
-    """A film with bars beside the picture: a marker that swims behind one is cut, not hidden."""
+def test_a_black_bar_counts_as_an_edge_of_the_picture(tmp_path, speed):
+    """A marker that swims behind a bar beside the picture is cut, not hidden."""
     film = Film((Disc(straight(160, 120, speed, 4), radius=12),), duration_s=5.0, bars_px=(24, 0))
     log, output = tracked(tmp_path, film)
     found = (log.found == 1).to_numpy()
@@ -245,18 +245,18 @@ def test_a_black_bar_is_an_edge(tmp_path, speed):
 
 
 def test_a_dark_scene_has_no_bars():
-    """Only what is black to the edge, and not most of the picture."""
+    """A bar is black up to the edge and takes less than half of the picture."""
     frame = np.full((100, 200, 3), 90, np.uint8)
-    assert bars(frame) == (0, 0, 200, 100)
+    assert inner_picture(frame) == (0, 0, 200, 100)
     frame[:, :20] = 5
     frame[90:] = 5
-    assert bars(frame) == (20, 0, 200, 90)
+    assert inner_picture(frame) == (20, 0, 200, 90)
     frame[:] = 5
-    assert bars(frame) == (0, 0, 200, 100)
+    assert inner_picture(frame) == (0, 0, 200, 100)
 
 
 def behind(cover, speed, duration):
-    """A marker that comes out from behind something, or passes behind it."""
+    """Return a film of a marker that emerges from behind a thing, or passes behind it."""
     start, hidden = (80, Disc(still(-900, 120), 1000, WATER)) if cover == "bridge" else (40, POLE)
     return Film((Disc(straight(start, 120, speed), radius=12), hidden), duration_s=duration)
 
@@ -267,8 +267,8 @@ POLE = Disc(still(160, 120), radius=10, colour=WATER)
 @pytest.mark.parametrize(
     "film", [behind("bridge", 30, 4.0), behind("bridge", 60, 3.0), behind("pole", 60, 4.0)]
 )
-def test_a_marker_hidden_in_part_has_a_true_deviation(tmp_path, film):
-    """What is seen of it is up to 10 px aside; the path keeps within its deviation, and it is said."""
+def test_the_standard_deviation_covers_the_error_of_a_partly_hidden_marker(tmp_path, film):
+    """The visible part is up to 10 px off; the path is within its standard deviation, with a warning."""
     log, output = tracked(tmp_path, film)
     raw = np.abs(log.red_x_px - film.places()[:, 0])
     assert raw.max() > 5

@@ -1,4 +1,4 @@
-"""Bad videos and bad setups: the exit status, and a message that says what to do."""
+"""Exit status and message for films and setups that cannot be used."""
 
 import subprocess
 import sys
@@ -38,7 +38,7 @@ def setup(tmp_path):
     return path
 
 
-def test_missing_file(tmp_path, setup):
+def test_a_missing_film_is_refused(tmp_path, setup):
     result = run("video", tmp_path / "none.mp4", "--setup", setup, "-o", tmp_path / "run.csv")
     assert result.exit_code == 3
     assert "none.mp4" in result.output
@@ -46,7 +46,7 @@ def test_missing_file(tmp_path, setup):
 
 
 @pytest.mark.parametrize("content", [b"", b"hello, I am no video\n" * 50, bytes(range(256)) * 400])
-def test_not_a_video(tmp_path, setup, content):
+def test_a_file_that_is_no_film_is_refused(tmp_path, setup, content):
     path = tmp_path / "bad.mp4"
     path.write_bytes(content)
     for verb in (["video", path, "--setup", setup], ["setup", path]):
@@ -57,8 +57,8 @@ def test_not_a_video(tmp_path, setup, content):
         assert not (tmp_path / "out.csv").exists()
 
 
-def test_cut_before_its_index(tmp_path, setup, film):
-    """An MP4 whose index was never written cannot be opened, and the message says so."""
+def test_a_recording_cut_before_its_index_is_refused(tmp_path, setup, film):
+    """An MP4 without an index cannot be opened, and the message gives the reason."""
     path = tmp_path / "cut.mp4"
     path.write_bytes(film.read_bytes()[: film.stat().st_size // 2])
     result = run("video", path, "--setup", setup, "-o", tmp_path / "run.csv")
@@ -66,8 +66,8 @@ def test_cut_before_its_index(tmp_path, setup, film):
     assert "index is missing" in result.output
 
 
-def test_cut_recording_uses_what_there_is(tmp_path, setup, film):
-    """A container with its index in front gives the frames it still has, with a warning."""
+def test_a_cut_recording_is_tracked_up_to_the_cut(tmp_path, setup, film):
+    """A container with its index at the start yields the frames that it still has, with a warning."""
     import av
 
     whole = tmp_path / "whole.mp4"
@@ -86,8 +86,8 @@ def test_cut_recording_uses_what_there_is(tmp_path, setup, film):
     assert 20 < len(rows) < 90
 
 
-def test_damaged_in_the_middle(tmp_path, setup, film):
-    """Overwritten bytes end in a log or a refusal, never in a crash or FFmpeg's chatter."""
+def test_a_film_damaged_in_the_middle_gives_a_log_or_a_refusal(tmp_path, setup, film):
+    """Overwritten bytes never cause a crash or messages of FFmpeg."""
     rng = np.random.default_rng(4)
     data = bytearray(film.read_bytes())
     middle = len(data) // 3
@@ -106,7 +106,7 @@ def test_damaged_in_the_middle(tmp_path, setup, film):
     assert "[h264" not in done.stderr
 
 
-def test_no_marker_of_that_colour(tmp_path, film):
+def test_a_film_without_the_colour_is_refused(tmp_path, film):
     setup = tmp_path / "setup.yaml"
     setup.write_text(SETUP.replace("[345, 15]", "[280, 310]"))
     result = run("video", film, "--setup", setup, "-o", tmp_path / "run.csv")
@@ -126,8 +126,8 @@ def write_film(path, frames):
     writer.release()
 
 
-def test_grey_and_still_films_are_refused_by_setup(tmp_path):
-    """Nothing coloured, and nothing that moves: no proposal, status 4, no file."""
+def test_track_setup_refuses_grey_and_still_films(tmp_path):
+    """Without colour or motion there is no proposal: exit status 4, and no file."""
     rng = np.random.default_rng(0)
     base = cv2.GaussianBlur(rng.integers(60, 190, (120, 160, 1), dtype=np.uint8).repeat(3, axis=2), (9, 9), 0)
     grey = [cv2.circle(base.copy(), (20 + 3 * i, 60), 8, (30, 30, 30), -1) for i in range(40)]
@@ -140,8 +140,8 @@ def test_grey_and_still_films_are_refused_by_setup(tmp_path):
         assert not (tmp_path / f"{name}.yaml").exists()
 
 
-def test_marker_seen_only_for_a_moment_is_no_track(tmp_path, setup):
-    """Fewer than one frame in twenty is refused."""
+def test_a_marker_seen_in_few_frames_is_refused(tmp_path, setup):
+    """The marker is in fewer than one of twenty frames."""
     water = np.full((120, 160, 3), (120, 100, 60), np.uint8)
     frames = [water.copy() for _ in range(200)]
     for i in range(50, 57):
@@ -159,7 +159,7 @@ def test_marker_seen_only_for_a_moment_is_no_track(tmp_path, setup):
         (SETUP + "max_gap: 1\n", ["line 5", "max_gap", "max_gap_s"]),
         (SETUP.replace("value: [0.3, 1]", "value: [0.9, 0.3]"), ["smallest, largest"]),
         (SETUP.replace("value: [0.3, 1]", "value: bright"), ["value"]),
-        (SETUP + "    colour: '#ff0000'\n", ["either hsv or colour"]),
+        (SETUP + "    method: background\n", ["takes no hsv"]),
         (
             SETUP + "scale: {metres_per_pixel: 0.002, points_px: [[0, 0], [9, 9]], distance_m: 1}\n",
             ["contradicting"],
@@ -179,7 +179,7 @@ def test_marker_seen_only_for_a_moment_is_no_track(tmp_path, setup):
         ("", ["is empty"]),
     ],
 )
-def test_bad_setup(tmp_path, film, text, words):
+def test_a_bad_setup_is_refused_with_the_place_of_the_error(tmp_path, film, text, words):
     path = tmp_path / "setup.yaml"
     path.write_text(text)
     result = run("video", film, "--setup", path, "-o", tmp_path / "run.csv")
@@ -197,21 +197,21 @@ def test_bad_setup(tmp_path, film, text, words):
         (["--max-gap", "-1"], "--max-gap"),
     ],
 )
-def test_bad_options(tmp_path, film, setup, arguments, words):
+def test_bad_options_are_refused(tmp_path, film, setup, arguments, words):
     result = run("video", film, "--setup", setup, "-o", tmp_path / "run.csv", *arguments)
     assert result.exit_code == 2
     assert words in result.output
 
 
-def test_output_is_no_input(tmp_path, film, setup):
-    """The setup is not overwritten by the log."""
+def test_the_output_must_not_be_an_input(tmp_path, film, setup):
+    """The log must not overwrite the setup."""
     before = setup.read_text()
     result = run("video", film, "--setup", setup, "-o", setup)
     assert result.exit_code == 2
     assert setup.read_text() == before
 
 
-def test_contradicting_scale_options(tmp_path, film):
+def test_contradicting_scale_options_are_refused(tmp_path, film):
     both = ["--metres-per-pixel", "0.01", "--scale-points", "0", "0", "9", "9", "--scale-distance-m", "1"]
     result = run("setup", film, "-o", tmp_path / "s.yaml", *both)
     assert result.exit_code == 2

@@ -1,4 +1,4 @@
-"""A film as pictures: a folder, or a pattern of names, against the same film as a video."""
+"""A film as a folder of pictures or a pattern of names, compared with the same film as one file."""
 
 import cv2
 import numpy as np
@@ -15,7 +15,7 @@ FILM = Film((Disc(straight(40, 120, 90, 10), radius=10),), duration_s=2.0)
 
 
 def write(folder, name, frames):
-    """Pictures named by a pattern, {number: picture}."""
+    """Write pictures, {number: picture}, with names of a pattern."""
     folder.mkdir(exist_ok=True)
     for number, frame in frames.items():
         assert cv2.imwrite(str(folder / (name % number)), frame)
@@ -29,7 +29,7 @@ def pictures(tmp_path):
 
 @pytest.fixture
 def run(tmp_path):
-    """Track a film; gives the log (None where it fails) and what is printed."""
+    """Track a film; return the log (None if it fails) and the output."""
     setup = tmp_path / "setup.yaml"
     setup.write_text(ONE_RED)
 
@@ -43,13 +43,13 @@ def run(tmp_path):
 
 
 def off(log, times):
-    """Largest distance of the marker from the truth, px."""
+    """Return the maximum distance of the marker from the truth, px."""
     x, y = np.array([FILM.discs[0].place(t) for t in times]).T
     return np.hypot(log.red_x_px - x, log.red_y_px - y).max()
 
 
 @pytest.mark.parametrize("name", ["", "shot_%04d.png", "shot_%d.png"])
-def test_folder_and_pattern(pictures, run, tmp_path, name):
+def test_a_folder_and_a_pattern_give_the_track_of_the_film(pictures, run, tmp_path, name):
     log, output = run(pictures / name, "--fps", 30)
     np.testing.assert_allclose(log.t_s, FILM.times(), atol=1e-9)
     assert log.found.all()
@@ -60,14 +60,14 @@ def test_folder_and_pattern(pictures, run, tmp_path, name):
     assert "first_stamp_s" not in (tmp_path / "run.csv").read_text()
 
 
-def test_numbers_are_no_words(tmp_path, run):
-    """1, 2, ..., 10, 11: in the order of the numbers, not of the alphabet."""
+def test_pictures_are_in_the_order_of_their_numbers(tmp_path, run):
+    """Names 1, 2, ..., 10, 11 are in the order of the numbers, not of the alphabet."""
     folder = write(tmp_path / "shots", "%d.bmp", dict(enumerate(FILM.frames(), start=5)))
     log, _ = run(folder, "--fps", 30)
     assert off(log, FILM.times()) < 0.2
 
 
-def test_a_missing_picture_leaves_its_time_out(pictures, run):
+def test_the_time_of_a_missing_picture_is_left_out(pictures, run):
     for number in (11, 12, 40):
         (pictures / f"shot_{number:04d}.png").unlink()
     log, output = run(pictures, "--fps", 30)
@@ -87,8 +87,8 @@ def test_every_tenth_picture_is_an_even_series(tmp_path, run):
     assert "SWM04" not in output.replace("SWM041", "")
 
 
-def test_uneven_numbers_give_an_order_only(tmp_path, run):
-    """Milliseconds in the names: said, and taken at even steps."""
+def test_uneven_numbers_define_only_the_order(tmp_path, run):
+    """Milliseconds in the names give a warning and even steps."""
     names = {round(1000 * t) + 1_700_000_000_000: f for t, f in zip(FILM.times(), FILM.frames(), strict=True)}
     log, output = run(write(tmp_path / "shots", "%d.png", names), "--fps", 30)
     np.testing.assert_allclose(log.t_s, FILM.times(), atol=1e-9)
@@ -102,8 +102,8 @@ def test_a_damaged_picture_is_left_out(pictures, run):
     np.testing.assert_allclose(log.t_s, np.delete(FILM.times(), 20), atol=1e-9)
 
 
-def test_what_is_no_film_is_refused(pictures, run, tmp_path):
-    """Each with what to do: no rate, two series, two sizes, nothing there."""
+def test_a_series_that_is_no_film_is_refused_with_a_hint(pictures, run, tmp_path):
+    """The cases are: no rate, two series, two sizes, and no pictures."""
     _, output = run(pictures, status=3)
     assert "--fps" in output
     _, output = run(pictures / "none_%04d.png", "--fps", 30, status=3)
@@ -124,7 +124,7 @@ def test_what_is_no_film_is_refused(pictures, run, tmp_path):
     assert "60 like shot_#.png, 1 like mask_#.png" in output
 
 
-def test_setup_is_drafted_from_pictures(pictures, tmp_path):
+def test_a_setup_is_drafted_from_pictures(pictures, tmp_path):
     result = CliRunner().invoke(
         track,
         ["setup", str(pictures), "-o", str(tmp_path / "s.yaml"), "--fps", "30", "--marker", "red@40,120"],
@@ -132,6 +132,6 @@ def test_setup_is_drafted_from_pictures(pictures, tmp_path):
     assert result.exit_code == 0, result.output
 
 
-def test_the_reader_gives_the_pictures_as_they_are(pictures):
+def test_the_reader_returns_the_pictures_unchanged(pictures):
     for (_, frame), true in zip(Video(pictures, frame_rate_hz=30).frames(), FILM.frames(), strict=True):
         np.testing.assert_array_equal(frame, true)

@@ -39,14 +39,14 @@ def tracked(tmp_path, folder, name, proposed, *options):
 
 
 @pytest.mark.parametrize("proposed", [False, True])
-def test_tractor(tmp_path, proposed):
-    """Red tractor: all frames but one at most, and the published speed of 2.49 px a frame."""
+def test_the_tractor_has_its_published_speed(tmp_path, proposed):
+    """It is found in all frames but one at most, and moves by 2.49 px a frame."""
     log = tracked(tmp_path, "tracktor", "tractor_video.mp4", proposed)
     assert log.found.sum() >= 69
     seen = log[log.found == 1]
     slope = [np.polyfit(seen.frame, seen[c], 1)[0] for c in ("x_px", "y_px")]
     assert np.hypot(*slope) == pytest.approx(2.49, rel=0.02)
-    # The published track follows another point of the same tractor: the offset is constant.
+    # the published track is that of another point of the tractor, at a constant offset
     published = pd.read_csv(Path(DATA) / "tracktor" / "tractor_video_tracked.csv")
     marker = next(c for c in log.columns if c.endswith("_y_px") and not c.startswith(("y", "vy")))
     both = log[["frame", marker]].merge(published[["frame", "pos_y"]].astype({"frame": int}), on="frame")
@@ -55,16 +55,16 @@ def test_tractor(tmp_path, proposed):
 
 
 @pytest.mark.parametrize("proposed", [False, True])
-def test_green_ball(tmp_path, proposed):
-    """A ball held in and out of the picture: found when there, nothing invented when not."""
+def test_the_green_ball_is_found_only_when_it_is_visible(tmp_path, proposed):
+    """A ball that is moved in and out of the picture is found only in frames that show it."""
     log = tracked(tmp_path, "green_ball", "ball2.mp4", proposed)
     seen = log.filter(regex="(?<!^)_status$").iloc[:, 0] != "lost"
     cut = log.filter(like="_at_edge").iloc[:, 0] == 1
     assert 860 <= seen.sum() <= 890
-    # Cut by the edge of the picture it is seen, but not measured.
+    # a ball that the edge of the picture cuts is seen, but not measured
     assert 20 <= cut.sum() <= 45
     assert ((log.found == 1) == (seen & ~cut)).all()
-    # Seen by eye: an empty wall.
+    # frames that show an empty wall, by inspection
     for start, end in ((0, 24), (470, 486), (794, 815), (972, 1004)):
         assert log.found[start:end].sum() == 0
         assert (
@@ -74,8 +74,8 @@ def test_green_ball(tmp_path, proposed):
 
 @pytest.mark.parametrize("proposed", [False, True])
 @pytest.mark.parametrize("name, acceleration", [("R1.MP4", 340), ("R3.MP4", 773)])
-def test_block_on_a_ramp(tmp_path, name, acceleration, proposed):
-    """Constant acceleration while the block slides; a like box in the corner is not followed."""
+def test_the_block_on_a_ramp_has_its_published_acceleration(tmp_path, name, acceleration, proposed):
+    """The acceleration is constant while the block slides; a similar box in the corner is not followed."""
     log = tracked(tmp_path, "phystrack", name, proposed, "--fps", "240")
     x, y, t = log.x_px.to_numpy(), log.y_px.to_numpy(), log.t_s.to_numpy()
     seen = (log.found == 1).to_numpy()
@@ -91,8 +91,8 @@ def test_block_on_a_ramp(tmp_path, name, acceleration, proposed):
     assert seen[450:].sum() == 0
 
 
-def test_grey_film_is_refused(tmp_path):
-    """A grey film has no colour marker: both verbs say so and stop."""
+def test_a_grey_film_is_refused(tmp_path):
+    """A grey film has no coloured marker: both commands report it and stop."""
     video = Path(DATA) / "grey_swimmer" / "grey.mp4"
     output = run("setup", video, "-o", tmp_path / "setup.yaml", status=4)
     assert "grey" in output.output

@@ -1,4 +1,4 @@
-"""The filter and smoother against filterpy, and against what noise theory says."""
+"""Filter and smoother compared with filterpy and with the statistics of noise."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ pytestmark = pytest.mark.kernels
 
 
 def _white_acceleration(rng, times, power):
-    """Position and velocity of a body pushed by white acceleration, drawn exactly."""
+    """Return exact draws of position and velocity of a body with white acceleration."""
     x, v = np.zeros(len(times)), np.zeros(len(times))
     for k in range(1, len(times)):
         dt = times[k] - times[k - 1]
@@ -23,7 +23,7 @@ def _white_acceleration(rng, times, power):
 
 @pytest.mark.parametrize("order", [2, 3])
 def test_filter_and_smoother_equal_filterpy(order):
-    """Uneven steps and missing samples; filterpy's smoother method is right with varying steps."""
+    """Steps are uneven and samples are missing; the smoother of filterpy allows both."""
     rng = np.random.default_rng(3)
     times = np.cumsum(rng.uniform(0.01, 0.08, 80))
     values = np.sin(times) + rng.normal(0, 0.02, 80)
@@ -39,7 +39,7 @@ def test_filter_and_smoother_equal_filterpy(order):
     xs, ps, fs, qs = [], [], [], []
     for k, t in enumerate(times):
         dt = 0.0 if k == 0 else t - times[k - 1]
-        # Van Loan's integral, taken numerically: other code than the closed form under test.
+        # numerical integral of Van Loan, independent of the closed form under test
         s = np.linspace(0, dt, 2001)
         impulse = np.array([s ** (order - 1 - i) / np.prod(range(1, order - i)) for i in range(order)])
         oracle.F = np.array(
@@ -66,8 +66,8 @@ def test_filter_and_smoother_equal_filterpy(order):
 
 @pytest.mark.parametrize("order", [2, 3])
 @pytest.mark.parametrize("missing", [(), (0, 1, 2), (1, 3, 4), (78, 79)])
-def test_a_diffuse_start_loses_no_digits(order, missing):
-    """Places and speeds, from a start as diffuse as that of a track, against the least-squares solution."""
+def test_a_diffuse_start_does_not_lose_digits(order, missing):
+    """Positions and velocities from a diffuse start equal the least-squares solution."""
     rng = np.random.default_rng(4)
     times = np.cumsum(rng.uniform(0.02, 0.04, 80))
     values = np.sin(times) + rng.normal(0, 0.02, 80)
@@ -76,7 +76,7 @@ def test_a_diffuse_start_loses_no_digits(order, missing):
     start = module._start(order, 4e-4, 0.03)
     means, covariances, _, _ = module.kalman(times, values, variances, q, order, start)
     means, covariances = module.rts(times, means, covariances, q, order)
-    # all states at once: their information is that of the start, of the steps and of the measurements
+    # the information of all states is the sum over start, steps and measurements
     seen = np.flatnonzero(~np.isnan(values))
     information = np.zeros((80 * order, 80 * order))
     wanted = np.zeros(80 * order)
@@ -100,8 +100,8 @@ def test_a_diffuse_start_loses_no_digits(order, missing):
         np.testing.assert_allclose(np.sqrt(covariances[:, state, state]) / deviation, 1.0, atol=1e-3)
 
 
-def test_noise_is_recovered_and_errors_fit_their_deviations():
-    """Likelihood finds both noises (20 %); normalised errors have size one."""
+def test_the_noise_is_recovered_and_errors_agree_with_it():
+    """The likelihood estimates both noises within 20 %, and normalised errors have a size of one."""
     rng = np.random.default_rng(11)
     times = np.cumsum(rng.choice([0.02, 0.033, 0.05], 3000))
     x, v = _white_acceleration(rng, times, 0.5)
@@ -118,8 +118,8 @@ def test_noise_is_recovered_and_errors_fit_their_deviations():
         assert np.sqrt(np.mean((error / sd) ** 2)) == pytest.approx(1.0, abs=0.2)
 
 
-def test_gap_widens_the_band_and_segments_are_kept_apart():
-    """Inside a gap the deviation grows; outside the segments there is nothing."""
+def test_the_band_widens_in_a_gap_and_segments_are_separate():
+    """The standard deviation grows in a gap, and is NaN outside the segments."""
     rng = np.random.default_rng(5)
     times = np.arange(400) / 30
     values = np.sin(times) + rng.normal(0, 0.005, 400)
@@ -133,8 +133,8 @@ def test_gap_widens_the_band_and_segments_are_kept_apart():
     assert error.max() < 3
 
 
-def test_weight_of_a_doubtful_measurement():
-    """A measurement of large variance hardly moves the path."""
+def test_a_measurement_of_large_variance_has_little_weight():
+    """The path is nearly the same with and without the measurement."""
     rng = np.random.default_rng(6)
     times = np.arange(100) / 30
     values = 0.2 * times + rng.normal(0, 0.001, 100)
@@ -144,7 +144,7 @@ def test_weight_of_a_doubtful_measurement():
     weights[50] = 1e6
     doubted = module.smooth(times, values[None], weights, [(0, 100)])
     truth = 0.2 * times[50]
-    # Left out altogether it would be the same.
+    # the path without the measurement
     values[50] = np.nan
     without = module.smooth(times, values[None], np.ones(100), [(0, 100)])
     assert abs(doubted.position[0, 50] - without.position[0, 50]) < 1e-4

@@ -1,4 +1,4 @@
-"""Rendered pool films with known truth, through the command line to the log."""
+"""Logs of rendered films of a pool, with known truth, by the command line."""
 
 from dataclasses import replace
 
@@ -37,14 +37,14 @@ def pool(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory):
-    """A film of two seconds without a dropout: its path, and its truth."""
+    """Return the path and the truth of a film of two seconds without a dropout."""
     video, _, truth = pool_video.write_scene(tmp_path_factory.mktemp("plain"), PLAIN)
     return video, pd.read_csv(truth, comment="#")
 
 
 @pytest.fixture
 def by_hand(tmp_path):
-    """The setup of the plain film, to be changed."""
+    """Return the setup of the plain film."""
     path = tmp_path / "hand.yaml"
     path.write_text(pool_video.setup_text(PLAIN))
     return path
@@ -70,16 +70,16 @@ def test_position_and_heading_are_accurate(pool):
     assert np.sqrt(np.mean(turn**2)) <= 0.3
 
 
-def test_speeds_follow(pool):
-    """Surge, sway and yaw rate against the exact ones, away from the dropout and the ends."""
+def test_speeds_are_accurate(pool):
+    """Surge, sway and yaw rate agree with the truth, except near the dropout and the ends."""
     _, _, log, truth, _ = pool
     inner = (log.found == 1) & truth.t_s.between(0.3, 5.7) & ~truth.t_s.between(2.9, 3.6)
     for column, limit in (("u_m_s", 0.008), ("v_m_s", 0.008), ("yaw_rate_rad_s", 0.06)):
         assert np.sqrt(np.mean((log[column] - truth[column])[inner] ** 2)) < limit, column
 
 
-def test_dropout_is_bridged_and_said(pool):
-    """The gap is predicted within three of its deviations, flagged, and never called measured."""
+def test_a_gap_is_interpolated_and_reported(pool):
+    """The gap is within three standard deviations, is flagged, and is not reported as measured."""
     _, _, log, truth, output = pool
     gap = truth.t_s.between(3.0, 3.4999)
     assert (log.interpolated[gap] == 1).all()
@@ -97,8 +97,8 @@ def test_dropout_is_bridged_and_said(pool):
     assert "SWM040" in output.output
 
 
-def test_stated_deviations_are_honest(pool):
-    """Normalised errors of the seen frames have size one, within a factor of 1.6."""
+def test_standard_deviations_agree_with_the_errors(pool):
+    """Normalised errors of measured frames have a size of one, within a factor of 1.6."""
     _, _, log, truth, _ = pool
     seen = log.found == 1
     for column in ("x", "y"):
@@ -108,8 +108,8 @@ def test_stated_deviations_are_honest(pool):
         assert 0.5 < size < 1.6
 
 
-def test_log_columns_and_evidence(pool):
-    """The columns a fit reads are there; the evidence holds checks, figures and frames."""
+def test_the_log_has_its_columns_and_its_evidence(pool):
+    """The log has the columns that a fit reads; the evidence has checks, figures and frames."""
     _, folder, log, _, _ = pool
     assert list(log.columns[:7]) == ["t_s", "x_m", "y_m", "yaw_rad", "u_m_s", "v_m_s", "yaw_rate_rad_s"]
     for column in ("x_sd_m", "red_x_px", "yellow_area_px", "segment", "confidence", "red_status"):
@@ -127,8 +127,8 @@ def test_log_columns_and_evidence(pool):
     assert (folder / "run.evidence.json").stat().st_size < 3_000_000
 
 
-def test_speed_and_stroke_are_those_of_the_swim(pool):
-    """The evidence's table against the scene: the nose, averaged over a stroke, circles outside."""
+def test_speed_and_stroke_are_accurate(pool):
+    """The table agrees with the scene; the nose, averaged over a stroke, is on a larger circle."""
     scene, folder, _, _, output = pool
     swim = scene.swims[0]
     table = evidence.read(folder / "run.evidence.json").tables[0]
@@ -146,8 +146,8 @@ def test_speed_and_stroke_are_those_of_the_swim(pool):
     assert "speeds over" in " ".join(output.output.split())
 
 
-def test_overlay_is_a_video_of_the_same_length(pool):
-    """One frame of the overlay for each of the film, with something drawn in it."""
+def test_the_overlay_is_a_film_of_the_same_length(pool):
+    """The overlay has one frame for each of the film, with a drawing in it."""
     _, folder, log, _, _ = pool
     capture = cv2.VideoCapture(str(folder / "overlay.mp4"))
     count = 0
@@ -156,8 +156,8 @@ def test_overlay_is_a_video_of_the_same_length(pool):
     assert count == len(log)
 
 
-def test_variable_frame_rate_uses_the_stamps(tmp_path):
-    """Uneven steps: times are the frames' own to a tick, speeds are right, and it is said."""
+def test_a_variable_frame_rate_is_read_from_the_stamps(tmp_path):
+    """Times equal the stamps to a tick, speeds are right, and a warning is given."""
     scene = Scene(duration_s=2.5, dropout_s=None, variable_rate=True)
     video, setup, truth_path = pool_video.write_scene(tmp_path, scene)
     output = run("video", video, "--setup", setup, "-o", tmp_path / "run.csv")
@@ -174,7 +174,7 @@ def test_variable_frame_rate_uses_the_stamps(tmp_path):
 
 
 def test_equal_markers_keep_their_names_through_a_crossing(tmp_path):
-    """Two robots of the same colours swim through each other: every marker stays its own."""
+    """Two robots of the same colours cross, and every marker keeps its name."""
     scene = pool_video.crossing()
     video, setup, _ = pool_video.write_scene(tmp_path, scene)
     run("video", video, "--setup", setup, "-o", tmp_path / "run.csv")
@@ -185,13 +185,13 @@ def test_equal_markers_keep_their_names_through_a_crossing(tmp_path):
             x = truth.x_m - behind * np.cos(truth.yaw_rad)
             y = truth.y_m - behind * np.sin(truth.yaw_rad)
             error = np.hypot(log[f"{name}{number}_x_m"] - x, log[f"{name}{number}_y_m"] - y)
-            # Another marker is 0.16 m away; half a radius is what a half-hidden disc may be off.
+            # other markers are 0.16 m away, and a half-hidden disc may be off by half a radius
             assert error.max() < 0.012, name
             assert error.notna().mean() > 0.75
 
 
-def test_no_scale_gives_pixels_and_a_warning(tmp_path, plain, by_hand):
-    """Without a calibration nothing is called metres, and y points up."""
+def test_a_setup_without_scale_gives_pixels_and_a_warning(tmp_path, plain, by_hand):
+    """Without a calibration no column is in metres, and y points up."""
     text = by_hand.read_text()
     start, end = text.index("scale:"), text.index("max_gap_s")
     by_hand.write_text(text[:start] + text[end:])
@@ -203,8 +203,8 @@ def test_no_scale_gives_pixels_and_a_warning(tmp_path, plain, by_hand):
 
 
 @pytest.mark.parametrize("kind", ["factor", "distance", "homography"])
-def test_scales_agree(tmp_path, kind):
-    """A factor, two points and four points of the same straight view give the same metres."""
+def test_all_kinds_of_scale_agree(tmp_path, kind):
+    """A factor, two points and four points of the same vertical view give the same metres."""
     scale = {
         "factor": {"metres_per_pixel": 0.002},
         "distance": {"points_px": [[100, 100], [100, 350]], "distance_m": 0.5},
@@ -214,7 +214,11 @@ def test_scales_agree(tmp_path, kind):
         },
     }[kind]
     rules = setup_format.Setup.model_validate(
-        {"format": "swimid-setup/1", "markers": [{"name": "a", "colour": "#ff0000"}], "scale": scale}
+        {
+            "format": "swimid-setup/1",
+            "markers": [{"name": "a", "hsv": {"hue_deg": [340, 20]}}],
+            "scale": scale,
+        }
     )
     ground = pose.plane_of(rules, 640, 480)
     x, y = ground.to_world(np.array([0.0, 320.0, np.nan]), np.array([479.0, 100.0, 3.0]))
@@ -225,8 +229,8 @@ def test_scales_agree(tmp_path, kind):
     np.testing.assert_allclose(back[0][:2], [0, 320], atol=1e-6)
 
 
-def test_lens_and_height():
-    """Distorted points come back to where a pin-hole camera would see them; height shrinks."""
+def test_lens_distortion_and_height_are_corrected():
+    """Distorted points are mapped to those of a pin-hole camera; markers above the plane are scaled down."""
     matrix = [[600.0, 0, 320.0], [0, 600.0, 240.0], [0, 0, 1.0]]
     distortion = [-0.25, 0.08, 0.001, -0.0005, 0.0]
     rays = np.array([[-0.4, -0.3, 1], [0.3, 0.1, 1], [0.0, 0.0, 1]])
@@ -236,28 +240,28 @@ def test_lens_and_height():
     rules = setup_format.Setup.model_validate(
         {
             "format": "swimid-setup/1",
-            "markers": [{"name": "a", "colour": "#ff0000"}],
+            "markers": [{"name": "a", "hsv": {"hue_deg": [340, 20]}}],
             "camera": {"matrix": matrix, "distortion": distortion},
             "scale": {"metres_per_pixel": 2.0 / 600, "heights": {"camera_m": 2.0, "marker_m": 0.05}},
         }
     )
     ground = pose.plane_of(rules, 640, 480)
     x, y = ground.to_world(*seen.T)
-    # Camera 2 m up: a marker 5 cm above the plane is 1.95 m away, so rays meet it at 1.95 m.
+    # the camera is 2 m above the plane, so that a marker 5 cm above the plane is at a distance of 1.95 m
     np.testing.assert_allclose(x - x[2], 1.95 * rays[:, 0], atol=2e-4)
     np.testing.assert_allclose(y - y[2], -1.95 * rays[:, 1], atol=2e-4)
 
 
-def test_vertical_plane_has_z_and_pitch(tmp_path, plain, by_hand):
-    """plane: vertical names the columns of the sagittal plane."""
+def test_the_vertical_plane_has_z_and_pitch(tmp_path, plain, by_hand):
+    """A vertical plane gives the columns of the sagittal plane."""
     by_hand.write_text(by_hand.read_text().replace("plane: horizontal", "plane: vertical"))
     run("video", plain[0], "--setup", by_hand, "-o", tmp_path / "run.parquet")
     names = pd.read_parquet(tmp_path / "run.parquet").columns
     assert list(names[:7]) == ["t_s", "x_m", "z_m", "pitch_rad", "u_m_s", "w_m_s", "pitch_rate_rad_s"]
 
 
-def test_reference_offset_moves_the_path(tmp_path, plain, by_hand):
-    """A reference point behind the nose lies where the body says."""
+def test_a_reference_offset_moves_the_path(tmp_path, plain, by_hand):
+    """A reference point behind the nose is where the geometry of the body places it."""
     video, truth = plain
     by_hand.write_text(by_hand.read_text() + "reference_offset_m: [-0.08, 0.02]\n")
     run("video", video, "--setup", by_hand, "-o", tmp_path / "run.csv")
@@ -267,8 +271,8 @@ def test_reference_offset_moves_the_path(tmp_path, plain, by_hand):
     assert np.sqrt(np.mean((log.x_m - x) ** 2 + (log.y_m - y) ** 2)) < 0.001
 
 
-def test_setup_proposed_unattended_tracks_as_well(tmp_path, plain, by_hand):
-    """From the film alone: both markers, the right head, and the same accuracy in pixels."""
+def test_a_proposed_setup_tracks_as_accurately_as_one_by_hand(tmp_path, plain, by_hand):
+    """From the film alone both markers and the right head are found, with the same accuracy in pixels."""
     video, _ = plain
     proposed = tmp_path / "proposed.yaml"
     output = run("setup", video, "-o", proposed)
@@ -285,8 +289,8 @@ def test_setup_proposed_unattended_tracks_as_well(tmp_path, plain, by_hand):
     assert setup_format.read(proposed).scale.metres_per_pixel == 0.003
 
 
-def test_marker_picked_by_hand(tmp_path, plain):
-    """--marker needs no display; a grey pixel is refused with its colour."""
+def test_a_marker_can_be_picked_by_hand(tmp_path, plain):
+    """--marker needs no display. A grey pixel is refused, and the message states its colour."""
     video, truth = plain
     x, y = pool_video._Canvas(PLAIN).pixel(truth.x_m[0], truth.y_m[0])
     run("setup", video, "-o", tmp_path / "s.yaml", "--marker", f"nose@{x:.0f},{y:.0f}")
@@ -299,8 +303,8 @@ def test_marker_picked_by_hand(tmp_path, plain):
     assert not (tmp_path / "t.yaml").exists()
 
 
-def test_sample_is_small_and_tracks(tmp_path, samples):
-    """The sample that ships with the source stays under 2.5 MB."""
+def test_the_sample_film_is_small_and_can_be_tracked(tmp_path, samples):
+    """The sample in the source has less than 2.5 MB."""
     video, setup, truth = (samples / "pool" / f"pool{end}" for end in (".mp4", "_setup.yaml", "_truth.csv"))
     assert video.stat().st_size < 2_500_000
     run("video", video, "--setup", setup, "-o", tmp_path / "run.csv")
@@ -311,7 +315,7 @@ def test_sample_is_small_and_tracks(tmp_path, samples):
 
 
 def test_a_scale_a_thousand_times_too_large_is_never_good(tmp_path, plain, by_hand):
-    """Corners given in millimetres as metres: a fish of 200 m/s. The stated unit is believed."""
+    """Corners in millimetres that are stated as metres give a fish of 200 m/s."""
     text = by_hand.read_text()
     line = next(line for line in text.splitlines() if "points_m" in line)
     key, numbers = line.split(":", 1)

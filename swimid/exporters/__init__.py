@@ -1,7 +1,6 @@
-"""Identified coefficients in the formats of simulators: ``swimid export``.
+"""Export of estimated coefficients to simulators: ``swimid export``.
 
-``source`` is what is exported, with every quantity evaluated, and what the targets share. One module per
-target turns it into text and names everything it cannot carry: ``mjcf``, ``gazebo``, ``plain`` (JSON).
-``export`` is the verb and lists the targets, with ``options``. A new target is a module with
-``export(source, options)`` and a line in that list.
+``source`` describes bodies, joints, coefficients and elements as numbers, and has the helpers that formats
+share. Each format is one module with ``TITLE`` and ``export(source, options)``: ``mjcf``, ``gazebo`` and
+``plain`` (JSON). The command ``export`` lists them, with its ``options``.
 """

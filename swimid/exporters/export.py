@@ -1,15 +1,15 @@
-"""``export``: identified coefficients as input of a simulator."""
+"""The command ``export``: estimated coefficients in the format of a simulator."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 
 import swimid
 from swimid.errors import InputError, UsageError
 from swimid.exporters import gazebo, mjcf, plain
 from swimid.exporters.options import ExportOptions
-from swimid.exporters.source import Exported, Source
+from swimid.exporters.source import Source
 from swimid.files import atomic
 from swimid.files.provenance import digest_of
 from swimid.notices import warn
@@ -20,44 +20,38 @@ from swimid.robots import file as robot
 from swimid.swimmer.planar.model import MultilinkModel
 
 #: Models whose parameters can be exported.
-RIGID = ("falling-weight", "towed")
-MODELS = ("multilink", *RIGID)
-
-
-#: The targets by the name ``--to`` takes: what each is called, and what makes its text.
-TARGETS: dict[str, tuple[str, Callable[[Source, ExportOptions], Exported]]] = {
-    "mjcf": ("MuJoCo MJCF", mjcf.export),
-    "gazebo": ("Gazebo SDF", gazebo.export),
-    "json": ("JSON", plain.export),
-}
+MODELS = ("multilink", "falling-weight", "towed")
+#: Modules of the formats by the name that ``--to`` takes.
+TARGETS: dict[str, ModuleType] = {"mjcf": mjcf, "gazebo": gazebo, "json": plain}
 
 
 @takes(ExportOptions)
 def export(params: parameters.Source, *, options: ExportOptions, output: str | Path | None = None) -> Text:
-    """Write a parameter file's coefficients as a simulator reads them.
+    """Write the coefficients of a parameter file in the format of a simulator.
 
-    The robot the parameter file names is looked for beside that file. No simulator carries everything: see
-    the limits before trusting a motion it computes (``docs/export.md``).
+    The robot that the parameter file names is looked for beside that file. No simulator carries everything:
+    read the limits before you trust a motion that it computes (``docs/export.md``).
 
     Parameters
     ----------
     params : path, ParameterFile or result of a fit
         Parameters of a multi-link robot, a falling weight or a towed body.
     output : path, optional
-        The file to write. None or ``-`` gives the text only.
+        The file to write. None or ``-`` returns the text only.
 
     Returns
     -------
     Result
-        ``.document`` is the text (XML, or JSON), in SI units; ``.data`` has ``target``, ``added_mass`` and
-        ``limits``. Every limit is also a warning SWM060.
+        ``.document`` is the text (XML or JSON), in SI units; ``.data`` has ``target``, ``added_mass`` and
+        ``limits``. Each limit is also a warning SWM060.
 
     Raises
     ------
     InputError
-        For a broken file, another model, or a robot file without what the target needs.
+        A file is broken, the parameters are those of another model, or the robot file lacks what the format
+        needs.
     UsageError
-        For a target that cannot take this model.
+        The format cannot take this model.
 
     Examples
     --------
@@ -67,7 +61,7 @@ def export(params: parameters.Source, *, options: ExportOptions, output: str | P
     >>> json.loads(made.document)["robot"], made.data["limits"]
     ('boxfish', [])
     """
-    title, make = TARGETS[options.to]
+    chosen = TARGETS[options.to]
     source = load(params, options.robot)
     if not source.multilink and options.to == "mjcf":
         raise UsageError(
@@ -77,16 +71,14 @@ def export(params: parameters.Source, *, options: ExportOptions, output: str | P
     out = None if output is None or str(output) == "-" else Path(output)
     if out is not None:
         atomic.check_writable(out, inputs=[parameters.origin(params)])
-    done = make(source, options)
-    names = source.parameters.parameters
-    unknown = [n for n, e in names.items() if e.status == "unidentifiable" and "[" not in n]
+    done = chosen.export(source, options)
+    held = source.parameters.parameters
+    unknown = [name for name, one in held.items() if one.status == "unidentifiable" and "[" not in name]
     if unknown:
-        warn(
-            "SWM010",
-            f"exported as they stand, though their trials do not determine them: {', '.join(unknown)}",
-        )
+        text = f"exported as they stand, though their trials do not determine them: {', '.join(unknown)}"
+        warn("SWM010", text)
     for limit in done.limits:
-        warn("SWM060", f"{title}: {limit}")
+        warn("SWM060", f"{chosen.TITLE}: {limit}")
     result = {
         "target": options.to,
         "model": source.parameters.model,
@@ -97,52 +89,53 @@ def export(params: parameters.Source, *, options: ExportOptions, output: str | P
     if out is None:
         return Text("export", done.text.rstrip("\n"), result | {"text": done.text}, document=done.text)
     atomic.write_text(out, done.text)
-    carried = f"{len(done.limits)} limits, see the warnings" if done.limits else "everything is carried"
-    return Text("export", f"{source.robot.name} as {title}: {carried}", result, [out], document=done.text)
+    carried = "everything is carried"
+    if done.limits:
+        carried = f"{len(done.limits)} limits, see the warnings"
+    summary = f"{source.robot.name} as {chosen.TITLE}: {carried}"
+    return Text("export", summary, result, [out], document=done.text)
 
 
 def load(params: parameters.Source, robot_name: str | None = None) -> Source:
-    """Parameters with their robot.
+    """Return parameters with their robot, or with the robot of another name or file.
 
     Raises
     ------
     InputError
+        A file is broken, no robot is named, or the parameters are those of another robot.
     """
-    path, given = parameters.place(params), parameters.origin(params)
+    path = parameters.place(params)
     file = parameters.read(params, model=MODELS)
     name = robot_name or file.robot
     if name is None:
         raise InputError("names no robot", file=path, column="robot", hint="give one with --robot")
     folder = None if robot_name else path.parent
-    chosen = file.settings.get("readings")
-    readings = {str(k): str(v) for k, v in chosen.items()} if isinstance(chosen, dict) else {}
+    readings = {str(key): str(value) for key, value in (file.settings.get("readings") or {}).items()}
     if robot_name:
-        # another file may lack the readings of the one the parameters were found with
+        # the other robot file may not have all readings of the one that the parameters were fitted with
         other = robot.read(name).readings
         readings = {k: v for k, v in readings.items() if k in other and v in other[k].options}
-    robot_file = robot.read(name, folder, readings=readings)
-    place = robot.locate(name, folder)
     origin = {
         "file": path.name,
-        "sha256": digest_of(given),
+        "sha256": digest_of(parameters.origin(params)),
         "version": swimid.__version__,
         "robot": name,
     }
-    source = Source(file, robot_file, origin, readings)
+    source = Source(file, robot.read(name, folder, readings=readings), origin, readings)
     if source.multilink:
-        if robot_file.multilink is None:
-            raise InputError("has no multilink part", file=place, column="multilink")
-        try:
-            source.assembly.check(source.values)
-        except InputError as error:
-            raise robot.located(error, place) from error
-        _check_names(source, path)
+        _check_robot(source, robot.locate(name, folder), path)
     return source
 
 
-def _check_names(source: Source, path: Path) -> None:
-    """Refuse parameters that the robot has no use for: they are another robot's."""
-    known = {p.name for p in MultilinkModel(source.robot).parameters}
+def _check_robot(source: Source, place: Path | str, path: Path) -> None:
+    """Raise an InputError unless the robot has links, a possible mass, and all coefficients of the file."""
+    if source.robot.multilink is None:
+        raise InputError("has no multilink part", file=place, column="multilink")
+    try:
+        source.assembly.check(source.values)
+    except InputError as error:
+        raise robot.located(error, place) from error
+    known = {parameter.name for parameter in MultilinkModel(source.robot).parameters}
     known |= set(source.parameters.settings.get("shared") or {})
     for name in source.parameters.parameters:
         if name.partition("[")[0] not in known:

@@ -1,122 +1,124 @@
-"""MuJoCo MJCF: bodies, joints, springs, wires and servos; the water by a callback.
+"""MuJoCo MJCF: bodies, joints, springs, wires and servos. A callback applies the forces of the water.
 
-MuJoCo's own fluid models have no added-mass inertia, and their drag acts along the velocity
-instead of separately along and across the link. What the water does is therefore written into
-sites (``user`` data), from which :func:`water` applies it exactly.
+The fluid models of MuJoCo have no added-mass inertia. Their drag acts along the velocity instead of
+separately along and across the link. Therefore the laws of the water are written as ``user`` data of sites,
+and :func:`water` applies them exactly.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import (
-    NO_ERRORS,
+    COLUMNS,
     Element,
     Exported,
-    Law,
     Link,
     Source,
     added_mass_limits,
-    bodies,
     central,
-    document,
+    export_xml,
     joint_limits,
 )
-from swimid.swimmer.planar import engine
 
-#: Numbers a site holds: its kind, then the row of its table without the point.
-KINDS = ("drag", "foil", "force", "wake")
-USER = 1 + max(len(engine.DRAG), len(engine.FOIL), len(engine.FORCE), len(engine.WAKE)) - 2
+TITLE = "MuJoCo MJCF"
+#: Kinds of elements in the order of their numbers at a site, with their names in a limit.
+KINDS = {
+    "drag": "Morison drag at points",
+    "foil": "lift and drag of foils",
+    "force": "weight, buoyancy and forces",
+    "wake": "momentum shed at trailing edges",
+}
+#: Number of values at a site: its kind, then the row of its table without the point.
+USER_SIZE = 1 + max(len(columns) for columns in COLUMNS.values()) - 2
+#: Beginning of the names of the sites that :func:`water` reads.
 PREFIX = "water:"
 
 
 def export(source: Source, options: ExportOptions) -> Exported:
-    """MJCF of a multi-link robot; see :class:`swimid.exporters.export.Target`."""
-    limits = _limits(source, options)
-    inertias = bodies(source, fold=options.added_mass == "fold")
-    text = document(
+    """Return the MJCF of a multi-link robot."""
+    inertias = source.inertias(fold=options.added_mass == "fold")
+    return export_xml(
         "mjcf.xml",
         source,
-        limits,
+        _limits(source, options),
         point=lambda x, y: (x, 0.0, y) if source.vertical else (x, y, 0.0),
         rigid=[central(inertia) for inertia in inertias],
         user=_user,
-        user_size=USER,
+        user_size=USER_SIZE,
         prefix=PREFIX,
-        wires=[_wire(link, i, law) for i, link, law in _wired(source)],
+        wires=_wires(source),
         servos=source.servos(inertias, options.servo_hz),
     )
-    return Exported(text, limits)
 
 
 def _user(element: Element) -> list[float]:
-    """The kind of an element's site, and the numbers of its law."""
+    """Return the kind of an element as a number, and the coefficients of its law."""
     row = [value for name, value in element.numbers.items() if name not in ("x", "y")]
-    return [KINDS.index(element.kind), *row]
+    return [list(KINDS).index(element.kind), *row]
 
 
-def _wired(source: Source) -> Iterator[tuple[int, Link, Law]]:
-    """The links pulled straight by wire and spring."""
-    for i, link in enumerate(source.links):
-        law = source.laws.get(link.joint.name) if link.joint else None
-        if law is not None and law.spring:
-            yield i, link, law
+def _wires(source: Source) -> list[dict[str, Any]]:
+    """Return the spatial tendons of the links that wire and spring pull straight."""
+    return [
+        _wire(link, i, source.laws[link.joint.name])
+        for i, link in enumerate(source.links)
+        if link.joint and source.laws.get(link.joint.name, {}).get("spring")
+    ]
 
 
-def _wire(link: Link, i: int, law: Law) -> dict[str, Any]:
-    """Wire and spring as a spatial tendon: its path is ``D`` and a constant, so the law is exact."""
+def _wire(link: Link, i: int, law: dict[str, float]) -> dict[str, Any]:
+    """Return wire and spring as a spatial tendon.
+
+    The length of its path is ``D`` and a constant, so that the law is exact at every angle. The tension
+    ``K_t (D + constant)`` needs a longer path if the constant is positive, and a rest length otherwise.
+    """
     assert link.joint is not None
-    # tension K_t (D + constant): a path longer by the constant, or a rest length
-    constant = law.pretension - law.arm + law.crank
+    arm, crank = law["arm"], law["crank"]
+    constant = law["pretension"] - arm + crank
     (x, y), c, s = link.at, math.cos(link.mount_rad), math.sin(link.mount_rad)
-    ends = [("wire", link.parent, (x + law.arm, y)), ("crank", i, (law.crank * c, -law.crank * s))]
+    ends = [("wire", link.parent, (x + arm, y)), ("crank", i, (crank * c, -crank * s))]
+    path = ["wire", "crank"]
     if constant > 0.0:
-        ends.append(("spool", link.parent, (x + law.arm, y + constant)))
+        ends.append(("spool", link.parent, (x + arm, y + constant)))
+        path.insert(0, "spool")
     return {
         "name": link.joint.name,
-        "stiffness": law.spring,
+        "stiffness": law["spring"],
         "length": max(-constant, 0.0),
         "ends": ends,
-        "path": [*(["spool"] if constant > 0.0 else []), "wire", "crank"],
+        "path": path,
     }
 
 
 def _limits(source: Source, options: ExportOptions) -> list[str]:
-    limits = added_mass_limits(source, options.added_mass)
-    wet = [link.name for link in source.links if np.any(link.added)]
-    if options.added_mass == "native" and wet:
+    wet = ", ".join(link.name for link in source.links if np.any(link.added))
+    native = (
+        "MuJoCo has no added-mass inertia (its ellipsoid model neither): added mass and inertia of "
+        f"{wet} are left out; --added-mass fold puts them into the bodies"
+    )
+    limits = added_mass_limits(source, options.added_mass, native)
+    laws = ", ".join(words for kind, words in KINDS.items() if source.links_with(kind))
+    if laws:
         limits.append(
-            "MuJoCo has no added-mass inertia (its ellipsoid model neither): added mass and inertia of "
-            f"{', '.join(wet)} are left out; --added-mass fold puts them into the bodies"
-        )
-    kinds = {e.kind for e in source.elements}
-    words = {
-        "drag": "Morison drag at points",
-        "foil": "lift and drag of foils",
-        "force": "weight, buoyancy and forces",
-        "wake": "momentum shed at trailing edges",
-    }
-    if kinds:
-        what = ", ".join(words[k] for k in KINDS if k in kinds)
-        limits.append(
-            f"{what}: MuJoCo's fluid models have no such law; the numbers stand at sites and act once "
+            f"{laws}: MuJoCo's fluid models have no such law; the numbers stand at sites and act once "
             "swimid.exporters.mjcf.water is installed as passive callback"
         )
-    return [*limits, *joint_limits(source, options.servo_hz), NO_ERRORS]
+    return [*limits, *joint_limits(source, options.servo_hz)]
 
 
 def water(model: Any) -> Callable[[Any, Any], None]:
-    """A passive callback that lets the exported water act: drag, foils, weight, forces, trailing edges.
+    """Return a passive callback that applies drag, foils, weight, forces and trailing edges of an export.
 
     Parameters
     ----------
     model : mujoco.MjModel
-        Loaded from an exported file. Another model simulated meanwhile is left alone.
+        Loaded from an exported file. The callback does nothing for other models.
 
     Returns
     -------
@@ -125,7 +127,7 @@ def water(model: Any) -> Callable[[Any, Any], None]:
 
     Notes
     -----
-    Install it after loading: MuJoCo compiles no model while a Python callback is set.
+    Install the callback after loading: MuJoCo compiles no model while a Python callback is set.
 
     The laws are those of :func:`swimid.swimmer.planar.engine.derivative`: Morison drag along each
     axis (tendon fish, Eq 7), a flat plate's lift and drag (dolphin, Eq 9) and momentum shed at trailing
@@ -147,7 +149,7 @@ def water(model: Any) -> Callable[[Any, Any], None]:
             return
         for site, row in zip(sites, rows, strict=True):
             mujoco.mj_objectVelocity(given, data, mujoco.mjtObj.mjOBJ_SITE, site, six, 1)
-            fx, fy, moment, world = _push(row, six[3], six[3 + side], sign * six[turn])
+            fx, fy, moment, world = _force(row, six[3], six[3 + side], sign * six[turn])
             force, torque = np.zeros(3), np.zeros(3)
             force[0], force[side] = fx, fy
             torque[turn] = sign * moment
@@ -160,9 +162,12 @@ def water(model: Any) -> Callable[[Any, Any], None]:
     return passive
 
 
-def _push(row: Any, u: float, v: float, r: float) -> tuple[float, float, float, bool]:
-    """Force along and across the link and moment of one site; whether it is in the world's axes."""
-    kind = KINDS[int(row[0])]
+def _force(row: Any, u: float, v: float, r: float) -> tuple[float, float, float, bool]:
+    """Return force along and across the link, moment, and whether the force is in the world's axes.
+
+    ``row`` is the data of a site, and u, v, r are its velocities in m/s and rad/s.
+    """
+    kind = list(KINDS)[int(row[0])]
     if kind == "drag":
         qx, qy, lx, ly, qr, lr = row[1:7]
         return -(qx * abs(u) + lx) * u, -(qy * abs(v) + ly) * v, -(qr * abs(r) + lr) * r, False
@@ -174,7 +179,7 @@ def _push(row: Any, u: float, v: float, r: float) -> tuple[float, float, float, 
     speed = math.hypot(u, v)
     if speed == 0.0:
         return 0.0, 0.0, 0.0, False
-    # angle of attack a: sin(2 a) and 1 - cos(2 a)
+    # lift and drag of a flat plate depend on sin(2 a) and 1 - cos(2 a), a the angle of attack
     along, across = (u * cos + v * sin) / speed, (v * cos - u * sin) / speed
     up, back = gain * speed * lift * 2.0 * along * across, gain * speed * (drag0 + drag1 * 2.0 * across**2)
     return up * v - back * u, -up * u - back * v, 0.0, False

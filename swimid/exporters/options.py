@@ -1,4 +1,4 @@
-"""The options of ``export``."""
+"""Options of the command ``export``."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ class ExportOptions(
     stdout={},
     beside=(),
 ):
-    """Write identified coefficients for MuJoCo or Gazebo, or as JSON.
+    """Write estimated coefficients for MuJoCo or Gazebo, or as JSON.
 
     PARAMS is a parameter file of a multi-link robot, or of a falling weight or towed body (Gazebo
-    and JSON). Each thing the simulator cannot carry is named in a warning.
+    and JSON). A warning names each thing that the simulator cannot carry.
 
     Examples:
       swimid export tfish.yaml --to mjcf --added-mass fold -o tfish.xml
@@ -27,17 +27,17 @@ class ExportOptions(
       swimid export tfish.yaml --to json -o tfish.json
     """
 
-    to: Literal["mjcf", "gazebo", "json"] = option(help="What to write.")
+    to: Literal["mjcf", "gazebo", "json"] = option(help="Format to write.")
     robot: str | None = option(
         None, metavar="R", help="Built-in name or path of a robot file. Default: the one PARAMS names."
     )
     added_mass: Literal["native", "fold", "none"] = option(
         "native",
-        help="native: as the simulator itself has it, if it does. fold: part of the bodies' masses. "
+        help="native: as the simulator itself models it, if it does. fold: part of the masses of the bodies. "
         "none: left out.",
     )
     servo_hz: float = option(
         20.0,
         gt=0,
-        help="Natural frequency of the servos of driven joints the robot file gives none for.",
+        help="Natural frequency of the servos of driven joints, if the robot file gives none.",
     )

@@ -1,4 +1,4 @@
-"""JSON: everything that is known, evaluated, for a simulator of one's own."""
+"""JSON with every known number, for simulators of one's own."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import json
 from typing import Any
 
 from swimid.exporters.options import ExportOptions
-from swimid.exporters.source import Exported, Link, Source, central, surge
-from swimid.fitting.model import Array
+from swimid.exporters.source import Exported, Link, Source, central
 
+TITLE = "JSON"
 FORMAT = "swimid-export/1"
+#: Names of the lists of elements by kind of element.
+LISTS = {"drag": "drag_points", "foil": "foils", "force": "forces", "wake": "trailing_edges"}
 CONVENTIONS = (
     "SI units and radians. A link's frame sits at its front end, x forward, y to port (up in the vertical "
     "plane). Inertias are 3x3 over (u, v, r) at the link's origin. With momentum P = G nu the wrench on a "
@@ -22,82 +24,71 @@ CONVENTIONS = (
 
 
 def export(source: Source, options: ExportOptions) -> Exported:
-    """The JSON document; see :class:`swimid.exporters.export.Target`."""
-    file = source.parameters
+    """Return the JSON document of any source; it has no limits."""
+    file = source.parameters.model_dump(mode="json")
     data: dict[str, Any] = {
         "format": FORMAT,
         "generator": f"swimid {source.origin['version']}",
         "source": dict(source.origin),
-        "model": file.model,
+        "model": file["model"],
         "robot": source.robot.name,
         "fluid": source.robot.fluid.model_dump(),
-        "parameters": {name: e.model_dump(mode="json") for name, e in file.parameters.items()},
-        "correlation": file.correlation.model_dump(mode="json") if file.correlation else None,
-        "identifiability": list(file.identifiability),
-        "derived": {name: e.model_dump(mode="json") for name, e in file.derived.items()},
+        **{key: file[key] for key in ("parameters", "correlation", "identifiability", "derived")},
     }
-    data |= _multilink(source) if source.multilink else {"surge": surge(source)}
+    if source.multilink:
+        data |= _multilink(source)
+    else:
+        data["surge"] = source.surge()
     return Exported(json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def _multilink(source: Source) -> dict[str, Any]:
     body, links = source.body, source.links
-    readings = {key: reading.chosen for key, reading in source.robot.readings.items()}
-    columns = {a.joint.name: a.column for a in (*source.assembly.driven, *source.assembly.passive)}
     return {
         "conventions": CONVENTIONS,
         "plane": body.plane,
         "base": body.base,
         "heading_deg": body.heading_deg,
         "reference": body.reference.model_dump(),
-        "readings": readings,
-        "coefficients": dict(zip(source.assembly.names, (float(v) for v in source.values), strict=True)),
+        "readings": {key: reading.chosen for key, reading in source.robot.readings.items()},
+        "coefficients": dict(zip(source.assembly.names, source.values.tolist(), strict=True)),
         "links": [_link(link, links) for link in links],
-        "joints": [
-            {
-                "name": link.joint.name,
-                "column": columns.get(link.joint.name),
-                "parent": links[link.parent].name,
-                "child": link.name,
-                "at_m": list(link.at),
-                "mount_rad": link.mount_rad,
-                "driven": link.joint.driven.model_dump(mode="json") if link.joint.driven else None,
-                "passive": _passive(source, link.joint.name),
-            }
-            for link in links
-            if link.joint is not None
-        ],
+        "joints": [_joint(source, link) for link in links[1:]],
         **{
-            plural: [{"link": links[e.link].name, **e.numbers} for e in source.elements if e.kind == kind]
-            for plural, kind in (
-                ("drag_points", "drag"),
-                ("foils", "foil"),
-                ("forces", "force"),
-                ("trailing_edges", "wake"),
-            )
+            name: [{"link": links[e.link].name, **e.numbers} for e in source.elements if e.kind == kind]
+            for kind, name in LISTS.items()
         },
     }
 
 
-def _passive(source: Source, joint: str) -> dict[str, float] | None:
-    law = source.laws.get(joint)
-    return None if law is None else {**vars(law), "wire_stiffness": law.wire_stiffness}
-
-
 def _link(link: Link, links: list[Link]) -> dict[str, Any]:
     mass, centre, moment = central(link.rigid)
+    parents = {i: parent.name for i, parent in enumerate(links)}
     return {
         "name": link.name,
-        "parent": links[link.parent].name if link.parent >= 0 else None,
+        "parent": parents.get(link.parent),
         "length_m": link.length_m,
         "mass_kg": mass,
         "com_m": list(centre),
         "inertia_about_com_kg_m2": moment,
-        "rigid_inertia": _matrix(link.rigid),
-        "added_inertia": _matrix(link.added),
-        "apparent_inertia": _matrix(link.rigid + link.added),
+        # adding 0.0 turns -0.0 into 0.0
+        "rigid_inertia": (link.rigid + 0.0).tolist(),
+        "added_inertia": (link.added + 0.0).tolist(),
+        "apparent_inertia": (link.rigid + link.added + 0.0).tolist(),
     }
 
 
-def _matrix(inertia: Array) -> list[list[float]]:
-    return [[float(v) + 0.0 for v in row] for row in inertia]
+def _joint(source: Source, link: Link) -> dict[str, Any]:
+    assert link.joint is not None
+    columns = {axis.joint.name: axis.column for axis in (*source.assembly.driven, *source.assembly.passive)}
+    joint = link.joint.model_dump(mode="json")
+    return {
+        "name": link.joint.name,
+        "column": columns.get(link.joint.name),
+        "parent": source.links[link.parent].name,
+        "child": link.name,
+        "at_m": list(link.at),
+        "mount_rad": link.mount_rad,
+        "driven": joint["driven"],
+        "passive": source.laws.get(link.joint.name),
+    }

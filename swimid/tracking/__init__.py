@@ -1,17 +1,15 @@
 """Video to pose: from coloured markers in a film to a log with its uncertainty.
 
-``reader`` gives frames and their own time stamps. ``detect`` measures one marker in a small window by its
-colour, and ``tracker`` keeps every marker from the first frame to the last (``silhouette``: a whole body).
-``pose`` turns pixels into metres and puts the log together; its Kalman smoother, ``smooth``, has process
-noise estimated from the data. ``quality`` judges. The verb ``track_video`` writes log, evidence and frames
-with the track drawn in; the verb ``track_setup`` drafts a ``setup`` from what ``propose`` finds. ``options``
-are those of both.
+``reader`` yields frames with their time stamps. ``detect`` measures one marker by its colour in a small
+window. ``tracker`` follows all markers through the film, and ``silhouette`` a whole body. ``pose`` converts
+pixels to metres and computes the columns of the log with the Kalman smoother of ``smooth``, which estimates
+its noise from the data. ``quality`` has the checks. The command ``track_video`` writes log, evidence and a
+film with the track drawn in. The command ``track_setup`` drafts a ``setup`` with the markers that ``propose``
+finds. ``options`` are those of both.
 
-Frames of reference
--------------------
-Marker columns ``<name>_x_px``, ``<name>_y_px`` are image coordinates: origin in the centre
-of the upper left pixel, x to the right, y **down**. Poses are right-handed: without a
-homography the picture is flipped, so that y (z in the vertical plane) points up from the
-lowest pixel row and yaw is counter-clockwise as seen in the picture. With a homography the
-world axes are those of ``points_m``.
+Frames of reference ------------------- Columns of markers, ``<name>_x_px`` and ``<name>_y_px``, are
+coordinates of the picture: the origin is the centre of the upper left pixel, x points to the right and y
+**down**. Poses are right-handed. Without a homography the picture is flipped: y (z in the vertical plane)
+points up from the lowest row of pixels, and yaw is counter-clockwise in the picture. With a homography the
+axes are those of ``points_m``.
 """

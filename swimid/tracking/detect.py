@@ -1,7 +1,7 @@
-"""What colour a marker has, one marker in a window to a hundredth of a pixel, and those of all frames.
+"""Colour of a marker, its centre in one frame, and the table of all markers in all frames.
 
-:class:`ColourModel` is a range on the hue circle that follows slow changes of light; :func:`measure` gives a
-:class:`Blob`, and a :class:`RawTrack` holds every marker in every frame.
+:class:`ColourModel` is a range of colours that follows slow changes of light. :func:`measure` returns a
+marker in a window as a :class:`Blob`, and :class:`RawTrack` holds all markers in all frames.
 """
 
 from __future__ import annotations
@@ -19,17 +19,21 @@ from numpy.typing import NDArray
 
 from swimid.tracking.setup import HsvRange
 
-#: Share of the way a confident sight moves the model.
+#: Gain by which a confident detection moves the colour model.
 ADAPTATION = 0.12
-#: Farthest the model may drift from the setup: hue (OpenCV steps of 2 deg), saturation, value (of 255).
+#: Maximum drift of the colour model from the setup: hue (OpenCV steps of 2 deg), saturation, value (of 255).
 MAX_DRIFT = np.array([6.0, 40.0, 70.0])
-#: So far outside the range in saturation and value (of 255) pixels count where they touch pixels inside it.
+#: Drift from which a warning is given, in the same units.
+NOTABLE_DRIFT = np.array([3.0, 20.0, 30.0])
+#: Width outside the range, in saturation and value (of 255), of pixels that count if they touch the range.
 SLACK = 20.0
-#: Half a turn of hue in OpenCV's 8-bit scale.
+#: Minimum saturation of a pixel whose hue is compared in the widened range (of 255).
+MIN_SATURATION = 30.0
+#: Half a turn and a turn of hue on the 8-bit scale of OpenCV.
 _HALF, _TURN = 90.0, 180.0
-#: A pixel with less chroma (largest minus smallest channel, grey levels) has no colour to go by.
-LEAST_CHROMA = 24
-#: Names of hues, and the degrees that they reach up to.
+#: Minimum chroma of a pixel that has a colour (largest minus smallest channel, grey levels).
+MIN_CHROMA = 24
+#: Names of hues, and their upper limits in degrees.
 _NAMES = ("red", "orange", "yellow", "green", "cyan", "blue", "violet", "magenta", "red")
 _LIMITS = (15, 45, 70, 165, 200, 260, 290, 345, 361)
 _TOUCH = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
@@ -38,22 +42,19 @@ _Bounds = list[tuple[NDArray[np.uint8], NDArray[np.uint8]]]
 
 
 class ColourModel:
-    """A hue arc with saturation and value bounds, moved along with exposure and white balance.
+    """Range of hue, saturation and value that follows exposure and white balance.
+
+    Hue is stored as centre and half-width, because the range of red lies at both ends of the scale.
 
     Parameters
     ----------
     colours : HsvRange
-        From the setup file.
-
-    Notes
-    -----
-    Hue is kept as centre and half-width: a (low, high) pair loses red, which lies at both
-    ends of the scale.
+        Colours of the marker in the setup.
     """
 
     def __init__(self, colours: HsvRange) -> None:
         low, high = (h / 2 for h in colours.hue_deg)
-        width = high - low if high >= low else high - low + _TURN
+        width = (high - low) % _TURN
         if colours.hue_deg == (0.0, 360.0):
             width = _TURN
         self._half_width = width / 2
@@ -67,45 +68,45 @@ class ColourModel:
         self._refresh()
 
     def mask(self, hsv: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """255 where a pixel of an OpenCV HSV picture belongs, shape (rows, columns).
+        """Return 255 for pixels of an OpenCV HSV picture that belong to the marker, shape (rows, columns).
 
-        Pixels a little outside the range count where they touch pixels inside it (within
-        ``_TOUCH``): a range set a little too tight does not tear the marker apart, and the
-        growth stays bounded where the background is of a like colour.
+        Pixels slightly outside the range belong to it if they touch pixels inside it (within ``_TOUCH``).
+        Therefore a range that is slightly too narrow does not split the marker, and a background of a similar
+        colour adds only a narrow rim.
         """
         strong = _within(hsv, self._strong)
         near = cv2.dilate(strong, _TOUCH)
         return cv2.bitwise_or(strong, cv2.bitwise_and(near, _within(hsv, self._weak)))
 
     def holds(self, hsv: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Whether single colours, shape (n, 3) on OpenCV's scale, count where they touch the range's."""
+        """Return which colours, shape (n, 3) on OpenCV's scale, are in the widened range."""
         pixels = np.clip(np.round(hsv), 0, 255).astype(np.uint8).reshape(1, -1, 3)
         return np.asarray(_within(pixels, self._weak)[0] > 0)
 
     def distance(self, hsv: NDArray[np.float64]) -> float:
-        """How far a mean colour is from the middle of the range: 0 centre, 1 rim."""
+        """Return the distance of a mean colour from the middle of the range; it is 1 at the limits."""
         centre = self._centre + self.drift
         hue = abs(hue_difference(hsv[0], centre[0])) / max(self._half_width, 1.0)
         half = np.maximum((self._upper - self._lower) / 2, 1.0)
         return float(np.max([hue, *(np.abs(hsv[1:] - centre[1:]) / half)]))
 
     def adapt(self, hsv: NDArray[np.float64]) -> None:
-        """Move the model a little towards the mean colour of a marker just seen."""
+        """Move the model by ``ADAPTATION`` towards the mean colour of a detection."""
         if self._first is None:
             self._first = hsv.copy()
         offset = colour_difference(hsv, self._first)
-        # Of a channel that may be anything nothing needs to be followed: of grey the hue is noise.
+        # a channel without bounds needs no adaptation, and the hue of grey is noise
         offset[self._any] = 0.0
         moved = self.drift + ADAPTATION * (offset - self.drift)
         self._move(np.clip(moved, -MAX_DRIFT, MAX_DRIFT))
 
     def forget(self) -> None:
-        """Move a little back to the setup's colours, while the marker is lost."""
+        """Move the model back towards the colours of the setup while the marker is lost."""
         if self.drift.any():
             self._move(self.drift * (1 - 0.2 * ADAPTATION))
 
     def restart(self) -> None:
-        """Go back to the setup's colours: what was followed was another thing."""
+        """Return the model to the colours of the setup, after it followed another thing."""
         self._first = None
         self.largest_drift = np.zeros(3)
         self._move(np.zeros(3))
@@ -122,28 +123,26 @@ class ColourModel:
         self._weak = self._arcs(0.25 * self._half_width + 3.0, SLACK)
 
     def _arcs(self, hue_slack: float, slack: float) -> _Bounds:
-        """Bounds for ``cv2.inRange``: one box of colours, or two where the hue arc crosses 0."""
+        """Return bounds for ``cv2.inRange``: one box of colours, or two if the hue range contains 0."""
         shift = np.round(self.drift)
-        # A bound at the end of the scale stays there: it means "any".
+        # a bound at the end of the scale is no limit and stays there
         low = np.clip(np.where(self._lower <= 0, 0, self._lower + shift[1:] - slack), 0, 255)
         high = np.clip(np.where(self._upper >= 255, 255, self._upper + shift[1:] + slack), 0, 255)
-        # Hue means nothing on grey: the widened range still asks for some saturation.
-        # Saturation (of 255) below which a pixel is grey.
-        low[0] = max(low[0], min(self._lower[0], 30.0))
+        low[0] = max(low[0], min(self._lower[0], MIN_SATURATION))
         centre, half = self._centre[0] + shift[0], self._half_width + hue_slack
+        first, last = (centre - half) % _TURN, (centre + half) % _TURN
         if half >= _HALF:
-            arcs = [(0.0, 179.0)]
-        else:
-            first, last = (centre - half) % _TURN, (centre + half) % _TURN
-            arcs = [(first, last)] if first <= last else [(first, 179.0), (0.0, last)]
+            first, last = 0.0, 179.0
+        arcs = [(first, last)]
+        if first > last:
+            arcs = [(first, 179.0), (0.0, last)]
         ends = [([np.ceil(a), *np.floor(low)], [np.floor(b), *np.ceil(high)]) for a, b in arcs]
         return [(np.array(first, np.uint8), np.array(last, np.uint8)) for first, last in ends]
 
     @property
     def drifted(self) -> bool:
-        """Whether the light changed enough to say so."""
-        # Drift worth a warning, same units.
-        return bool(np.any(np.abs(self.largest_drift) > np.array([3.0, 20.0, 30.0])))
+        """Whether the colour changed enough for a warning."""
+        return bool(np.any(np.abs(self.largest_drift) > NOTABLE_DRIFT))
 
 
 def _within(hsv: NDArray[np.uint8], bounds: _Bounds) -> NDArray[np.uint8]:
@@ -154,24 +153,24 @@ def _within(hsv: NDArray[np.uint8], bounds: _Bounds) -> NDArray[np.uint8]:
 
 
 def hue_difference(a: Any, b: Any) -> Any:
-    """A - b on the circle of 180 steps, in [-90, 90)."""
+    """Return a - b on the circle of 180 steps, in [-90, 90)."""
     return (a - b + _HALF) % _TURN - _HALF
 
 
 def colour_difference(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A - b of two HSV colours, the hue the short way round."""
+    """Return a - b of two HSV colours, with the hue on its circle."""
     out = a - b
     out[0] = hue_difference(a[0], b[0])
     return out
 
 
-def same_hue_and_saturation(hsv: Any, usual: Any, hue: float, saturation: float) -> Any:
-    """Whether colours, shape (3,) or (3, n), differ from a usual one by no more than a hue and a saturation.
+def has_colour(hsv: Any, usual: Any, hue: float, saturation: float) -> Any:
+    """Return whether colours, shape (3,) or (3, n), agree with a usual colour in hue and saturation.
 
-    HSV on OpenCV's scale, ``saturation`` a share of the usual one's. Where that is nearly grey its hue is
-    noise and not compared, and saturations are as they come with so little chroma.
+    HSV is on the scale of OpenCV, and ``saturation`` is relative to the usual one. If the usual colour is
+    nearly grey, its hue is noise and is not compared.
     """
-    least = 255 * LEAST_CHROMA / max(float(usual[2]), 1.0)
+    least = 255 * MIN_CHROMA / max(float(usual[2]), 1.0)
     saturated = np.abs(hsv[1] - usual[1]) <= max(saturation * usual[1], least)
     if usual[1] < least:
         return saturated
@@ -179,28 +178,28 @@ def same_hue_and_saturation(hsv: Any, usual: Any, hue: float, saturation: float)
 
 
 def mean_hsv(bgr: NDArray[np.float64]) -> NDArray[np.float64]:
-    """HSV, on OpenCV's 8-bit scale but not rounded, of one BGR colour (0 .. 255)."""
+    """Return the HSV of one BGR colour (0 .. 255), on the 8-bit scale of OpenCV but not rounded."""
     hue, saturation, value = colorsys.rgb_to_hsv(*(float(c) for c in bgr[::-1]))
     return np.array([_TURN * hue, 255 * saturation, value])
 
 
 def chroma(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Largest minus smallest channel of every pixel, lightly smoothed, shape (rows, columns)."""
+    """Return largest minus smallest channel of the smoothed picture, shape (rows, columns)."""
     blue, green, red = cv2.split(cv2.blur(frame, (3, 3)))
     return cv2.subtract(cv2.max(cv2.max(blue, green), red), cv2.min(cv2.min(blue, green), red))
 
 
 def hue_name(hue_deg: float) -> str:
-    """Everyday name of a hue."""
+    """Return the common name of a hue."""
     return next(name for name, limit in zip(_NAMES, _LIMITS, strict=True) if hue_deg % 360 < limit)
 
 
 def describe_colours(frames: list[NDArray[np.uint8]]) -> str:
-    """One sentence on the colours of some frames, for error messages."""
+    """Return a sentence on the colours in some frames, for error messages."""
     shares: Counter[str] = Counter()
     for frame in frames:
         small = np.ascontiguousarray(frame[::2, ::2])
-        colourful = chroma(small) >= LEAST_CHROMA
+        colourful = chroma(small) >= MIN_CHROMA
         hue = cv2.cvtColor(small, cv2.COLOR_BGR2HSV)[..., 0][colourful].astype(float) * 2
         counts, _ = np.histogram(hue, [0, *_LIMITS])
         for name, count in zip(_NAMES, counts, strict=True):
@@ -211,78 +210,81 @@ def describe_colours(frames: list[NDArray[np.uint8]]) -> str:
     return f"Colours in the picture: {listed}"
 
 
-#: Words of the status column, by code.
+#: Words of the status column by code: not found, found in a window, in a larger window, in the whole picture.
 STATUS = ("lost", "window", "grown", "full")
 LOST, WINDOW, GROWN, FULL = range(4)
-#: Status of a pose in whose frame the edge of the picture cuts a marker.
+#: Status of a pose if the edge of the picture cuts one of its markers.
 CUT = "cut"
-#: Pixels about a blob that are looked at for its rim and its background.
+#: Width of the surroundings of a blob that its rim and its background are measured in, px.
 MARGIN = 8
+#: Minimum contrast of a blob: in grey levels, and over the standard deviation of its background, up to
+#: MAX_SCATTER grey levels.
+MIN_CONTRAST, MIN_CONTRAST_RATIO, MAX_SCATTER = 12.0, 1.2, 15.0
 _KERNEL3 = np.ones((3, 3), np.uint8)
 _KERNEL5 = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 
 
 @dataclass(eq=False, slots=True)
 class Blob:
-    """One connected patch of marker colour, in image pixels."""
+    """A measured patch of the colour of a marker. Lengths are in px of the picture."""
 
-    #: Centre, sub-pixel.
+    #: Centre, with sub-pixel resolution.
     x: float
     y: float
-    #: Pixels of marker colour.
+    #: Number of pixels.
     area: float
     #: Left, top, right, bottom; right and bottom exclusive.
     box: tuple[int, int, int, int]
-    #: Distance of the marker's mean colour from its surroundings', grey levels.
+    #: Distance between the mean colours of the patch and of its background, grey levels.
     contrast: float
-    #: 0 to 1.
+    #: From 0 to 1.
     confidence: float
-    #: Mean colour, OpenCV scale, shape (3,).
+    #: Mean colour on the scale of OpenCV, shape (3,).
     hsv: NDArray[np.float64]
-    #: It touches the edge of the picture, so its centre is biased inwards.
+    #: Whether it touches the edge of the picture, so that its centre is biased inwards.
     at_edge: bool
-    #: How it was found, as in :class:`RawTrack`.
+    #: Index into :data:`STATUS`.
     status: int = FULL
 
     def away(self, x: float, y: float) -> float:
-        """Distance of its centre from a place, px."""
+        """Return the distance of the centre from a place, px."""
         return math.hypot(self.x - x, self.y - y)
 
     @property
     def radius(self) -> float:
-        """Half of the longer side of the box, px."""
+        """Half of the longer side of the box."""
         return 0.5 * max(self.box[2] - self.box[0], self.box[3] - self.box[1])
 
 
 @dataclass(eq=False, slots=True)
 class Patch:
-    """A connected patch of marker colour before it is measured."""
+    """A connected patch of a colour mask, before it is measured."""
 
-    #: Its outline in mask pixels, shape (n, 1, 2).
+    #: Outline in pixels of the mask, shape (n, 1, 2).
     contour: NDArray[np.int32]
-    #: Picture pixels.
+    #: In pixels of the picture.
     area: float
-    #: Box in mask pixels; right and bottom exclusive.
+    #: Box in pixels of the mask; right and bottom exclusive.
     left: int
     top: int
     right: int
     bottom: int
-    #: It goes on beyond the window.
+    #: Whether the border of the window cuts it.
     clipped: bool
 
     def box(self, origin: tuple[int, int], step: int) -> tuple[int, int, int, int]:
-        """Its box in picture pixels, for the place of the mask's corner and the step of its pixels."""
+        """Return the box in px of the picture, for the ``origin`` and the pixel size ``step`` of the mask."""
         x, y = origin
         return x + step * self.left, y + step * self.top, x + step * self.right, y + step * self.bottom
 
 
 @njit(cache=True)
 def _weighted_centre(bgr, inner, near, far, step):  # type: ignore[no-untyped-def]  # noqa: C901 # pragma: no cover
-    """Centre of a marker by soft membership.
+    """Return the centre of a marker, its contrast, the scatter of the background, and the mean colour.
 
-    ``inner`` marks the filled core (weight 1), ``near`` the dilated blob, outside ``far`` is
-    certainly background; one mask pixel covers ``step`` x ``step`` picture pixels. Each
-    picture pixel is projected on the axis from mean background to mean core colour; that
+    ``inner`` is the filled core (weight 1), ``near`` the dilated patch, and all pixels outside ``far`` are
+    background. One pixel of these masks covers ``step`` x ``step`` pixels of the picture. The colour of each
+    pixel is projected on the line from the mean background colour (0) to the mean core colour (1). This
     opacity a gives the weight clip((a - 1/4) / (1/2), 0, 1).
     """
     core, back, square = np.zeros(3), np.zeros(3), np.zeros(3)
@@ -311,7 +313,7 @@ def _weighted_centre(bgr, inner, near, far, step):  # type: ignore[no-untyped-de
     length2 = np.sum(axis * axis)
     if length2 <= 0.0:
         return np.nan, np.nan, 0.0, 0.0, core
-    # Scatter of the background along the axis, channels taken as independent.
+    # standard deviation of the background along the axis, if channels are independent
     spread = np.sum(np.maximum(square / n_back - back * back, 0.0) * axis * axis) / length2
     offset = np.sum(back * axis)
     total = 0.0
@@ -335,12 +337,12 @@ def _weighted_centre(bgr, inner, near, far, step):  # type: ignore[no-untyped-de
 
 
 def marker_mask(window: NDArray[np.uint8], model: ColourModel) -> NDArray[np.uint8]:
-    """255 on pixels of marker colour. Light smoothing first keeps chroma noise from fraying it."""
+    """Return 255 for the pixels of a marker in a window, which is smoothed first against chroma noise."""
     return model.mask(cv2.cvtColor(cv2.blur(window, (3, 3)), cv2.COLOR_BGR2HSV))
 
 
 def thinned(window: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
-    """The middle pixel of every ``step`` x ``step`` block of a window, whole blocks only."""
+    """Return the middle pixel of every complete ``step`` x ``step`` block of a window."""
     if step == 1:
         return window
     half = step // 2
@@ -349,48 +351,44 @@ def thinned(window: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
     return cv2.resize(blocks, (columns, rows), interpolation=cv2.INTER_NEAREST)
 
 
-def patches(
+def find_patches(
     mask: NDArray[np.uint8],
     area_px: tuple[float, float],
     *,
     step: int = 1,
     inside: tuple[bool, bool, bool, bool] = (False, False, False, False),
 ) -> list[Patch]:
-    """Connected patches of a mask with an area in range.
+    """Return the connected patches of a mask whose area is in range, and those that the window cuts.
 
     Parameters
     ----------
     mask : ndarray of uint8, shape (rows, columns)
-        Marker pixels are not 0.
+        Pixels of the marker are not 0.
     area_px : (float, float)
-        Smallest and largest area, picture pixels.
+        Minimum and maximum area in pixels of the picture.
     step : int
-        Picture pixels to a mask pixel.
+        Width of a pixel of the mask in pixels of the picture.
     inside : (bool, bool, bool, bool)
-        Whether the left, top, right, bottom side of the window is inside the picture: a
-        patch touching such a side is ``clipped``.
+        Whether the left, top, right and bottom side of the window are inside the picture. A patch that
+        touches such a side is ``clipped``.
     """
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     rows, columns = mask.shape
     square = step * step
+    sides = np.array(inside)
     found = []
     for contour in contours:
         outline = len(contour)
-        # A patch with an outline of n pixels holds less than n^2 / 8 + n of them.
+        # an outline of n pixels encloses less than n^2 / 8 + n pixels
         if square * (0.125 * outline * outline + outline) < 0.5 * area_px[0]:
             continue
-        # Pick's theorem: pixels inside and on the outline, holes included.
-        area = square * (cv2.contourArea(contour) + 0.5 * outline + (1 if outline > 1 else 0.5))
+        # Pick's theorem gives the pixels inside and on the outline, including holes
+        area = square * (cv2.contourArea(contour) + 0.5 * min(outline, 2) + 0.5 * outline)
         if area < 0.5 * area_px[0]:
             continue
         left, top, width, height = cv2.boundingRect(contour)
         right, bottom = left + width, top + height
-        clipped = (
-            (inside[0] and left == 0)
-            or (inside[1] and top == 0)
-            or (inside[2] and right == columns)
-            or (inside[3] and bottom == rows)
-        )
+        clipped = bool(sides[[left == 0, top == 0, right == columns, bottom == rows]].any())
         if clipped or area_px[0] <= area <= area_px[1]:
             found.append(Patch(contour, area, left, top, right, bottom, clipped))
     return found
@@ -399,55 +397,75 @@ def patches(
 def measure(
     window: NDArray[np.uint8], patch: Patch, *, step: int, origin: tuple[int, int], picture: tuple[int, int]
 ) -> Blob | None:
-    """A patch of a window as a :class:`Blob`, or None where it has no contrast to its surroundings.
+    """Return a patch of a window as a :class:`Blob`, or None if it has no contrast to its background.
 
-    The window, shape (rows, columns, 3), is at full resolution, its upper left corner at ``origin`` in a
-    ``picture`` of (width, height) px; a pixel of its mask stands for ``step`` x ``step`` of them.
+    Parameters
+    ----------
+    window : ndarray of uint8, shape (rows, columns, 3)
+        Part of the picture at full resolution.
+    patch : Patch
+        From a mask with every ``step``-th pixel of the window.
+    step : int
+    origin : (int, int)
+        Upper left corner of the window in the picture, px.
+    picture : (int, int)
+        Width and height of the picture, px.
     """
     rows, columns = window.shape[0], window.shape[1]
-    margin = -(-MARGIN // step) if step < 3 else 4
+    margin, rim = -(-MARGIN // step), _KERNEL5
+    if step >= 3:
+        margin, rim = 4, _KERNEL3
     x0, y0 = max(patch.left - margin, 0), max(patch.top - margin, 0)
     x1 = min(patch.right + margin, (columns - step // 2) // step)
     y1 = min(patch.bottom + margin, (rows - step // 2) // step)
     hull = np.zeros((y1 - y0, x1 - x0), np.uint8)
     cv2.fillConvexPoly(hull, cv2.convexHull(patch.contour) - np.array([x0, y0], np.int32), 255)
-    # The core of the hull has weight 1, so that glints leave no hole; the rim is left soft.
-    large = min(patch.right - patch.left, patch.bottom - patch.top) >= 10
-    core = cv2.erode(hull, _KERNEL5 if large else _KERNEL3, borderType=cv2.BORDER_CONSTANT, borderValue=255)
+    # the core of the convex hull has weight 1, so that reflections leave no hole
+    kernel = _KERNEL3
+    if min(patch.right - patch.left, patch.bottom - patch.top) >= 10:
+        kernel = _KERNEL5
+    core = cv2.erode(hull, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=255)
     if not core.any():
         core = hull
-    near = cv2.dilate(hull, _KERNEL5 if step < 3 else _KERNEL3)
-    far = cv2.dilate(near, _KERNEL5 if step < 3 else _KERNEL3)
+    near = cv2.dilate(hull, rim)
+    far = cv2.dilate(near, rim)
     part = window[step * y0 : step * y1, step * x0 : step * x1]
     column, row, contrast, scatter, colour = _weighted_centre(part, core, near, far, step)
-    # Least contrast of marker over background: over the scatter of the background, and in grey levels.
-    if not math.isfinite(column) or contrast < max(12.0, 1.2 * min(scatter, 15.0)):
+    min_contrast = max(MIN_CONTRAST, MIN_CONTRAST_RATIO * min(scatter, MAX_SCATTER))
+    if not math.isfinite(column) or contrast < min_contrast:
         return None
     left, top, right, bottom = patch.box(origin, step)
-    # Blocks that do not fill up at the right and lower side are not looked at.
+    # incomplete blocks at the right and lower side of the picture are not in the mask
     at_edge = left <= 0 or top <= 0 or right > picture[0] - 1.5 * step or bottom > picture[1] - 1.5 * step
     confidence = min(contrast / (contrast + 2 * scatter + 6.0), 1.0)
+    if at_edge:
+        confidence *= 0.6
     return Blob(
         x=origin[0] + step * x0 + column,
         y=origin[1] + step * y0 + row,
         area=patch.area,
         box=(left, top, right, bottom),
         contrast=contrast,
-        confidence=confidence * (0.6 if at_edge else 1.0),
+        confidence=confidence,
         hsv=mean_hsv(colour),
         at_edge=at_edge,
     )
 
 
 def warm_up() -> None:
-    """Compile the kernels of this module."""
+    """Compile the functions of this module."""
     mask = np.full((4, 4), 255, np.uint8)
     _weighted_centre(np.zeros((4, 4, 3), np.uint8), mask, mask, mask, 1)
 
 
+#: One detection: x, y, area, confidence, status, and whether the edge of the picture cuts the marker.
+Row = tuple[float, ...]
+NOT_SEEN: Row = (math.nan, math.nan, math.nan, 0.0, LOST, False)
+
+
 @dataclass(frozen=True)
 class RawTrack:
-    """Every marker in every frame, in image pixels.
+    """Table of all markers in all frames, in px of the picture.
 
     Attributes
     ----------
@@ -456,22 +474,21 @@ class RawTrack:
     names : list of str
         The m markers.
     x, y, area, confidence : ndarray, shape (m, n)
-        NaN where not seen (confidence 0). The centre is sub-pixel, y down; of a marker cut by the edge of
-        the picture it is that of its visible part.
+        NaN (confidence 0) in frames without a detection. The y axis points down. If the edge of the picture
+        cuts the marker, the centre is that of the visible part.
     status : ndarray of int, shape (m, n)
         Index into :data:`STATUS`.
     at_edge : ndarray of bool, shape (m, n)
-        The marker is cut by the edge of the picture.
+        Whether the edge of the picture cuts the marker.
     drift : dict of str to ndarray, shape (3,)
-        Largest drift of each marker kind's colour: hue (2 deg), saturation, value (of 255).
+        Maximum drift of the colour of each kind of marker: hue (2 deg), saturation, value (of 255).
     rivals : dict of str to int
-        Other things of the colour that were about.
+        Maximum number of other things of the colour in one frame.
     mistaken : dict of str to (int, float)
-        Markers that were first mistaken for something else: how many sights of it were taken back, and its
-        area, px.
+        Number of detections of another thing that was first taken for the marker, and its area in px.
     change : ndarray, shape (n,), optional
-        Mean difference of the picture about the markers from the picture before, grey levels; the largest of
-        all markers, NaN where none was seen in the frame before.
+        Mean difference from the frame before in the neighbourhood of a marker, grey levels; the maximum over
+        all markers, NaN if none was seen in the frame before.
     """
 
     times: NDArray[np.float64]
@@ -482,29 +499,34 @@ class RawTrack:
     confidence: NDArray[np.float64]
     status: NDArray[np.int64]
     at_edge: NDArray[np.bool_]
-    drift: dict[str, NDArray[np.float64]]
-    rivals: dict[str, int]
+    drift: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    rivals: dict[str, int] = field(default_factory=dict)
     mistaken: dict[str, tuple[int, float]] = field(default_factory=dict)
     change: NDArray[np.float64] | None = None
 
+    @classmethod
+    def of_rows(cls, times: Any, names: list[str], rows: list[list[Row]], **more: Any) -> RawTrack:
+        """Return the track of one row for each marker in each frame; ``more`` are further attributes."""
+        table = np.array([[row[:6] for row in frame] for frame in rows]).reshape(-1, len(names), 6)
+        x, y, area, confidence, status, at_edge = table.transpose(2, 1, 0).copy()
+        found = (status.astype(int), at_edge.astype(bool))
+        return cls(np.array(times), names, x, y, area, confidence, *found, **more)
+
     @property
     def seen(self) -> NDArray[np.bool_]:
-        """Where each marker was seen, whole or cut by the edge of the picture, shape (m, n)."""
+        """Frames in which each marker was seen, whole or cut by the edge of the picture, shape (m, n)."""
         return self.status > LOST
 
     @property
     def found(self) -> NDArray[np.bool_]:
-        """Where each marker was measured: seen whole, shape (m, n).
-
-        Where the edge cuts it, neither its centre nor how far that is off can be told.
-        """
+        """Frames in which each marker was seen whole, so that its centre is known, shape (m, n)."""
         return self.seen & ~self.at_edge
 
     def row(self, name: str) -> int:
-        """The row of a marker."""
+        """Return the row of a marker."""
         return self.names.index(name)
 
     def centre(self, marker: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Centre of a marker where it was measured, else NaN, two arrays of shape (n,), px."""
+        """Return x and y of a marker, each of shape (n,), in px; NaN if it was not seen whole."""
         cut = self.at_edge[marker]
         return np.where(cut, np.nan, self.x[marker]), np.where(cut, np.nan, self.y[marker])

@@ -1,4 +1,4 @@
-"""The options of ``track video`` and ``track setup``."""
+"""Options of the commands ``track video`` and ``track setup``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from swimid.options import Options, Source, option
 
 
 def _rate() -> Any:
-    return option(None, gt=0, lt=math.inf, help="True frame rate in Hz, where the container's is wrong.")
+    return option(None, gt=0, lt=math.inf, help="True frame rate in Hz, if that of the container is wrong.")
 
 
 class TrackVideoOptions(
@@ -26,12 +26,11 @@ class TrackVideoOptions(
     required=True,
     beside=(".evidence.json", ".png"),
 ):
-    """Track coloured markers in a video: a log of pose and speeds.
+    """Track coloured markers in a film, and write a log of pose and speeds.
 
-    VIDEO is a film; or a folder of pictures, or a pattern of their names, both with --fps.
-    Writes the log, its evidence (<stem>.evidence.json) and a plot (<stem>.png). Prints the path speed,
-    the steady speed, the stroke's frequency and amplitudes and the accelerations, each with its 95 %
-    interval.
+    VIDEO is a film, or, with --fps, a folder of pictures or a pattern of their names.
+    Writes the log, its evidence (<stem>.evidence.json) and a plot (<stem>.png). Prints path speed, steady
+    speed, frequency and amplitudes of the stroke, and accelerations, each with its 95 % interval.
 
     Example:
       swimid track video pool.mp4 --setup setup.yaml -o run.csv --overlay overlay.mp4
@@ -44,7 +43,7 @@ class TrackVideoOptions(
         flag="--overlay",
         written=True,
         recorded=False,
-        help="Also write the video with the track drawn in.",
+        help="Also write the film with the track drawn in.",
     )
     fps: float | None = _rate()
     max_gap_s: float | None = option(
@@ -52,14 +51,12 @@ class TrackVideoOptions(
         ge=0,
         lt=math.inf,
         flag="--max-gap",
-        help="Longest dropout to bridge, s  [default: the setup's].",
+        help="Longest gap to interpolate, s  [default: that of the setup].",
     )
     from_s: float | None = option(
-        None, flag="--from", help="Speeds and stroke from here on, s  [default: over the steady part]."
+        None, flag="--from", help="Start of the window for speeds and stroke, s  [default: the steady part]."
     )
-    to_s: float | None = option(
-        None, flag="--to", help="Speeds and stroke up to here, s. The log holds every frame."
-    )
+    to_s: float | None = option(None, flag="--to", help="End of that window, s. The log holds every frame.")
 
     @model_validator(mode="after")
     def _window(self) -> Self:
@@ -73,7 +70,7 @@ class TrackVideoOptions(
 
 @dataclass(frozen=True)
 class Pick:
-    """A marker shown by hand: its name and one of its pixels. Several of one name look alike."""
+    """Name and one pixel of a marker. Picks of one name are equal markers."""
 
     name: str
     x: float
@@ -81,12 +78,12 @@ class Pick:
 
     @classmethod
     def of_text(cls, text: str, flag: str) -> Self:
-        """Read ``red@320,240``.
+        """Return the pick that a text such as ``red@320,240`` describes.
 
         Raises
         ------
         UsageError
-            For anything else.
+            The text has another form.
         """
         name, _, place = text.partition("@")
         try:
@@ -107,9 +104,9 @@ class TrackSetupOptions(
     required=True,
     beside=(".markers.png",),
 ):
-    """Draft a setup from a video: propose markers, draw them, write a YAML file to edit.
+    """Draft a setup from a film: propose markers, draw them, and write a YAML file to edit.
 
-    Works unattended and without a display. The file can be used as it is.
+    It needs no display and no input. The file can be used as it is.
 
     Example:
       swimid track setup pool.mp4 -o setup.yaml
@@ -120,18 +117,16 @@ class TrackSetupOptions(
         (),
         flag="--marker",
         metavar="NAME@X,Y",
-        help="Pick a marker of any shade by one of its pixels; head first, then tail. "
-        "Equal markers: one name.",
+        help="One pixel of a marker of any colour or shade; head first, then tail. "
+        "Equal markers have one name.",
     )
-    background: bool = option(
-        False, help="Follow a whole body of any shade, by its difference from the empty scene."
-    )
-    frame: int = option(0, ge=0, help="Frame the --marker pixels are in.")
-    metres_per_pixel: float | None = option(None, gt=0, help="Scale as a factor.")
+    background: bool = option(False, help="Follow a whole body by its difference from the empty scene.")
+    frame: int = option(0, ge=0, help="Frame of the --marker pixels.")
+    metres_per_pixel: float | None = option(None, gt=0, help="Scale: metres per pixel.")
     scale_points: tuple[float, float, float, float] | None = option(
         None, help="Scale: pixels X1 Y1 X2 Y2 of two points."
     )
-    scale_distance_m: float | None = option(None, gt=0, help="Their distance in metres.")
+    scale_distance_m: float | None = option(None, gt=0, help="Distance of these points in metres.")
     plane: Literal["horizontal", "vertical"] = option("horizontal", help="Camera above, or at the side.")
     fps: float | None = _rate()
 
@@ -151,7 +146,7 @@ class TrackSetupOptions(
 
     @property
     def scale(self) -> dict[str, Any] | None:
-        """The scale as a setup holds it; None without any."""
+        """Scale with the keys of a setup; None without one."""
         if self.metres_per_pixel is not None:
             return {"metres_per_pixel": self.metres_per_pixel}
         if self.scale_points is None:

@@ -1,11 +1,11 @@
-"""Raw marker pixels to the log: the plane of motion, then pose, speeds and their standard deviations.
+"""Pose, speeds and their standard deviations from the places of markers in the picture.
 
-A :class:`Plane` (lens, scale or homography, height) turns pixels into metres; :func:`build` makes the
-:class:`Pose`.
+:class:`Plane` (lens, scale or homography, heights) maps pixels to metres, and :func:`build` returns the pose.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -28,17 +28,38 @@ from swimid.tracking.smooth import Smoothed, smooth
 
 Array = NDArray[np.float64]
 
-#: Largest distance of the principal point from the middle of the picture, as a share of its size, where the
-#: size of the calibration's pictures is not known. Calibrated cameras have a few per cent; a matrix for
-#: pictures 4/3 as large, the least ratio of common sizes, has 17 %.
+#: Maximum distance of the principal point from the middle of the picture, relative to the size of the
+#: picture, if the size of the calibration pictures is unknown. Calibrated cameras have a few per cent. A
+#: matrix for pictures 4/3 as large, the smallest ratio of common sizes, has 17 %.
 MAX_OFF_CENTRE = 0.12
-#: Largest focal length in widths of the picture there: a field of view of 19 degrees.
+#: Maximum focal length in widths of the picture in that case: a field of view of 19 degrees.
 MAX_FOCAL_WIDTHS = 3.0
+#: Maximum relative difference of the horizontal and the vertical scale from one picture size to another,
+#: since sizes are rounded to even pixels.
+MAX_SCALE_DIFFERENCE = 0.02
+#: Minimum number of measurements in a segment.
+MIN_SEGMENT = 5
+#: Lower bound of the noise of a centroid, px.
+MIN_NOISE_PX = 0.01
+#: Systematic error of a centroid (phase of the pixels, codec, uneven light), px, measured on rendered H.264
+#: films. It does not average out, and is added to the standard deviations of the smoother.
+SYSTEMATIC_PX = 0.05
+#: Lags over which the errors of centroids are correlated, in frames, and minimum number of such pairs.
+LAGS, MIN_PRODUCTS = (2, 3, 4, 5, 6), 50
+#: Maximum change of the picture about the markers in a frame that repeats the one before: relative to the
+#: maximum nearby, and to the change in the frames on both sides. Maximum length of a run of repeats, frames,
+#: and minimum number of runs: fewer occur by chance.
+MAX_CHANGE, MAX_CHANGE_OF_NEIGHBOURS, MAX_HELD_FRAMES, MIN_HELD_RUNS = 0.2, 0.33, 15, 4
+#: Probability that a film of a whole marker has a frame in which it is said to be partly hidden, if areas
+#: were normal and independent; and factor of the limit for single frames, because they are not.
+FALSE_ALARM, SINGLE_FRAME = 1e-3, 2.0
+#: Standard deviations in half a 95 % interval. The interval of a hidden marker is its maximum error.
+TWO_SIDED = 1.96
 
 
 @dataclass(frozen=True)
 class Plane:
-    """The map from image pixels to world coordinates.
+    """Map from pixels of the picture to coordinates of the world.
 
     Attributes
     ----------
@@ -51,18 +72,17 @@ class Plane:
     shrink : float
         Factor towards ``foot`` for markers above the plane.
     foot : ndarray, shape (2,)
-        World point below the camera.
+        Point of the world below the camera.
     middle : ndarray, shape (2,)
-        Image point in the middle of the picture.
+        Middle of the picture, px.
     far_x : float
-        x of the picture's right edge where the picture sets the origin; 0 where calibration
-        points do.
+        x of the right edge of the picture if the picture defines the origin; 0 if calibration points do.
     residual_px, residual : float
-        Root mean square error of the calibration points, in px and world units; 0 where
-        the map is exact.
+        Root-mean-square error of the calibration points, in px and in units of the world; 0 if the map is
+        exact.
     variants : tuple of ndarray, each shape (3, 3)
-        ``matrix`` with one coordinate of one calibration point moved by its standard deviation, which the
-        residual gives; empty for four points, which have no residual.
+        ``matrix`` with one coordinate of one calibration point moved by its standard deviation, which follows
+        from the residual; empty for four points, which have no residual.
     """
 
     unit: str
@@ -78,19 +98,19 @@ class Plane:
 
     @property
     def exact(self) -> bool:
-        """Whether a homography fits its points exactly, so that nothing tells their error."""
+        """Whether a homography fits its points exactly, so that their error is unknown."""
         return bool(self.matrix[2, :2].any()) and not self.variants
 
     def to_world(self, x: Array, y: Array) -> Array:
-        """World coordinates of image points, shape (2, n); NaN stays NaN."""
-        return _of_known(self._forward, x, y)
+        """Return the coordinates in the world of points of the picture, shape (2, n); NaN stays NaN."""
+        return _map_known(self._forward, x, y)
 
     def to_image(self, x: Array, y: Array) -> Array:
-        """Image points of world coordinates, shape (2, n); the inverse of :meth:`to_world`."""
-        return _of_known(self._backward, x, y)
+        """Return the points of the picture at coordinates of the world, shape (2, n)."""
+        return _map_known(self._backward, x, y)
 
     def variations(self, world: Array) -> Array:
-        """Return how far each of the ``variants`` moves points of the world, shape (k, 2, n), from (2, n)."""
+        """Return the shifts of points of the world, shape (2, n), by the k ``variants``, shape (k, 2, n)."""
         x, y = self.to_image(*world)
         moved = [replace(self, matrix=matrix).to_world(x, y) - world for matrix in self.variants]
         return np.array(moved).reshape(-1, 2, world.shape[1])
@@ -107,7 +127,7 @@ class Plane:
         return cv2.projectPoints(rays, np.zeros(3), np.zeros(3), *self.lens)[0].reshape(-1, 2)
 
     def along_x(self, left: bool) -> Plane:
-        """The plane with x running to the left or to the right of the picture, reversed if need be."""
+        """Return the plane whose x axis points to the left or to the right of the picture."""
         if self.runs_left == left:
             return self
         turn = np.array([[-1.0, 0, self.far_x], [0, 1, 0], [0, 0, 1]])
@@ -117,32 +137,36 @@ class Plane:
 
     @property
     def runs_left(self) -> bool:
-        """Whether x runs to the left of the picture."""
-        return bool(self._gradient()[0, 0] < 0)
+        """Whether the x axis points to the left of the picture."""
+        return bool(self._jacobian(*self.middle[:, None])[0, 0, 0] < 0)
+
+    @property
+    def faces(self) -> str:
+        """Direction of the x axis in the picture, in a word."""
+        return "left" if self.runs_left else "right"
 
     @property
     def upside_down(self) -> bool:
-        """Whether the second coordinate grows downwards in the picture."""
-        return bool(self._gradient()[1, 1] > 0)
+        """Whether the second axis points down in the picture."""
+        return bool(self._jacobian(*self.middle[:, None])[1, 1, 0] > 0)
 
-    def _gradient(self) -> Array:
-        """Change of the world coordinates (rows) with column and row of the picture, in its middle."""
-        u, v = self.middle
-        wx, wy = self.to_world(np.array([u, u + 1, u]), np.array([v, v, v + 1]))
-        return np.array([wx[1:] - wx[0], wy[1:] - wy[0]])
+    def _jacobian(self, x: Array, y: Array) -> Array:
+        """Return the derivatives of the two coordinates by column and row of the picture, shape (2, 2, n)."""
+        here = self.to_world(x, y)
+        return np.stack([self.to_world(x + 1, y) - here, self.to_world(x, y + 1) - here], axis=1)
 
     def size_of_pixel(self, x: float, y: float) -> float:
-        """World length of one pixel about an image point (geometric mean of the two directions)."""
+        """Return the length of a pixel at a point of the picture (geometric mean of the two directions)."""
         return float(self.sizes_of_pixels(np.array([x]), np.array([y]))[0])
 
     def sizes_of_pixels(self, x: Array, y: Array) -> Array:
-        """:meth:`size_of_pixel` about many image points, shape (n,)."""
-        (x0, y0), (x1, y1), (x2, y2) = (self.to_world(x + dx, y + dy) for dx, dy in ((0, 0), (1, 0), (0, 1)))
-        return np.sqrt(np.abs((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)))
+        """Return :meth:`size_of_pixel` at many points, shape (n,)."""
+        (xx, xy), (yx, yy) = self._jacobian(x, y)
+        return np.sqrt(np.abs(xx * yy - yx * xy))
 
 
-def _of_known(function: Callable[[Array], Array], x: Array, y: Array) -> Array:
-    """A map of points, shape (n, 2), on those that are known: shape (2, n), NaN elsewhere."""
+def _map_known(function: Callable[[Array], Array], x: Array, y: Array) -> Array:
+    """Apply a map of points, shape (n, 2), to those that are not NaN; return shape (2, n)."""
     known = np.isfinite(x) & np.isfinite(y)
     out = np.full((2, len(x)), np.nan)
     if known.any():
@@ -161,12 +185,12 @@ def _mapped(points: Array, matrix: NDArray[Any]) -> Array:
 
 
 def plane_of(setup: Setup, width: int, height: int, *, file: str | None = None) -> Plane:
-    """The plane of a setup for a picture size.
+    """Return the plane of a setup for a picture size. ``file`` names the setup in messages.
 
     Raises
     ------
     InputError
-        When the calibration points lie on a line or fit no plane.
+        The calibration points are on a line or fit no plane, or the camera matrix is for other pictures.
     """
     lens = None
     camera_centre = middle = np.array([(width - 1) / 2, (height - 1) / 2])
@@ -188,7 +212,7 @@ def plane_of(setup: Setup, width: int, height: int, *, file: str | None = None) 
             factor = scale.metres_per_pixel
         if scale.heights is not None:
             shrink = 1 - scale.heights.marker_m / scale.heights.camera_m
-    # Images are left-handed (y down): flipped, so that yaw is counter-clockwise.
+    # the picture has y down: it is flipped, so that yaw is counter-clockwise
     matrix = np.array([[factor, 0, 0], [0, -factor, factor * (height - 1)], [0, 0, 1.0]])
     far_x = factor * (width - 1)
     if scale is not None and scale.points_m is not None:
@@ -220,20 +244,18 @@ def camera_matrix(camera: Camera, width: int, height: int, file: str | None) -> 
     Raises
     ------
     InputError
-        The matrix is for pictures of other proportions, or, where their size is not given, the principal
-        point is far from the middle of the picture or the focal length is many picture widths.
+        The matrix is for pictures of other proportions. If their size is not given: the principal point is
+        far from the middle of the picture, or the focal length is many widths of the picture.
     """
     matrix, film = np.array(camera.matrix), f"{width} x {height} pixels"
     if camera.size_px is not None:
         across, down = width / camera.size_px[0], height / camera.size_px[1]
-        # Largest difference of the two scales from one picture size to another: sizes are rounded to even
-        # pixels.
-        if abs(across / down - 1) > 0.02:
+        if abs(across / down - 1) > MAX_SCALE_DIFFERENCE:
             size = " x ".join(f"{v:g}" for v in camera.size_px)
             text = f"the matrix is for pictures of {size} pixels; the film has {film}, no scaled copy"
             hint = "calibrate the camera in the mode in which it films"
             raise InputError(text, file=file, column="camera.size_px", hint=hint)
-        # the middle of the first pixel is at 0: scaled about the corner of the picture, half a pixel before
+        # coordinates scale about the corner of the picture, half a pixel before the middle of the first pixel
         half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
         return np.asarray(np.linalg.inv(half) @ np.diag([across, down, 1.0]) @ half @ matrix)
     off = float(np.abs(matrix[:2, 2] / (width, height) - 0.5).max())
@@ -251,9 +273,9 @@ def camera_matrix(camera: Camera, width: int, height: int, file: str | None) -> 
 
 
 def _homography(image: Array, world: Array, file: str | None) -> tuple[Array, tuple[float, float]]:
-    """The map of calibration points, and its root mean square error in the picture and in the world."""
+    """Return the map of calibration points, and its root-mean-square errors in picture and world."""
     for name, points in (("points_px", image), ("points_m", world)):
-        if _thin(points):
+        if _is_on_line(points):
             text = "the points lie on a line; four corners of an area are needed"
             raise InputError(text, file=file, column=name)
     matrix, _ = cv2.findHomography(image, world)
@@ -272,8 +294,8 @@ def _homography(image: Array, world: Array, file: str | None) -> tuple[Array, tu
 def _variants(image: Array, world: Array, residual_px: float) -> tuple[Array, ...]:
     """Return the maps with one coordinate of one point moved by its standard deviation.
 
-    The residual has ``2 n - 8`` degrees of freedom. The deviation is that of a normal variable whose 95 %
-    interval is Student's with so many.
+    The residual has ``2 n - 8`` degrees of freedom. The standard deviation is enlarged so that the 95 %
+    interval is that of Student's distribution with these degrees of freedom.
     """
     freedom = 2 * len(image) - 8
     if freedom < 1:
@@ -283,62 +305,45 @@ def _variants(image: Array, world: Array, residual_px: float) -> tuple[Array, ..
     return tuple(cv2.findHomography(image + move, world)[0] for move in moves)
 
 
-def _thin(points: Array) -> bool:
-    """Whether all points, or all but one, lie on a line."""
-    rests = [np.delete(points, k, axis=0) for k in range(len(points))] if len(points) <= 4 else [points]
+def _is_on_line(points: Array) -> bool:
+    """Return whether all points, or for four points all but one, are on a line."""
+    rests = [points]
+    if len(points) <= 4:
+        rests = [np.delete(points, k, axis=0) for k in range(len(points))]
     return any(np.linalg.matrix_rank(rest - rest.mean(0), rtol=1e-3) < 2 for rest in rests)
-
-
-#: A stretch with fewer measurements than this has no speed and is left out.
-SHORTEST_SEGMENT = 5
-#: A centroid is not believed to be better than this, px.
-LEAST_NOISE_PX = 0.01
-#: Error of a centroid that does not average out (pixel phase, codec, uneven light), px: measured
-#: on rendered H.264 films, and added to the smoother's standard deviations.
-SYSTEMATIC_PX = 0.05
-#: Distances of samples, in frames, over which errors of centroids are compared, and the fewest such pairs.
-LASTING_LAGS, MIN_PRODUCTS = (2, 3, 4, 5, 6), 50
-#: Change of the picture about the markers below which a frame may repeat the one before: as a share of the
-#: largest nearby, and of that of the frames on both sides; and the longest run of repeats, frames.
-SMALL_CHANGE, MAX_HELD_FRAMES = (0.2, 0.33), 15
-#: Share of films of a whole marker in which it is said to be hidden in part somewhere, were areas normal and
-#: independent from frame to frame; and how much farther a lone frame must be off, since they are not.
-FALSE_ALARM, ALONE = 1e-3, 2.0
-#: Standard deviations to either side of a 95 % interval: that of a hidden marker reaches its bound.
-TWO_SIDED = 1.96
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Path of the reference point, and heading where two markers give one.
+    """Path of the reference point, and heading if there are two markers.
 
     Attributes
     ----------
     times : ndarray, shape (n,)
         s.
     measured : ndarray of bool, shape (n,)
-        Every marker the pose needs was measured: seen, and not cut by the edge of the picture.
+        Whether all markers that the pose needs were found whole.
     segment : ndarray of int, shape (n,)
-        1, 2, ...; 0 before the first sight, after the last, and in gaps over the limit.
+        1, 2, ...; 0 before the first detection, after the last, and in gaps over the limit.
     raw : ndarray, shape (2, n)
-        Measured world position of the reference point (that of the head marker where no place of the
-        markers on the robot is given).
+        Measured position of the reference point. It is the head marker if the places of the markers on the
+        robot are unknown.
     path : Smoothed
-        Two coordinates, world units.
+        Two coordinates, in units of the world.
     raw_angle : ndarray, shape (n,), or None
         Measured heading (pitch in the vertical plane, nose up), rad, unwrapped.
     angle : Smoothed or None
     markers : ndarray, shape (m, 2, n)
-        Measured world position of every marker, NaN where it was not measured.
+        Measured position of every marker in the world; NaN if it was not measured.
     separation : ndarray, shape (n,), or None
-        Distance of head and tail marker, world units.
+        Distance of head and tail marker, in units of the world.
     held : Held
-        Frames that repeat the picture before, and when each picture was taken.
+        Frames that repeat the picture before, and the times at which the pictures were taken.
     hidden : ndarray, shape (m, n)
-        How far each centre may be off because part of the marker is hidden, px; 0 where none is.
+        Maximum error of each centre because part of the marker is hidden, px; 0 if none is.
     plane : Plane
     rows : list of int
-        Of the markers the pose needs: head, and tail.
+        Rows of the markers that the pose needs: head, and tail.
     """
 
     times: Array
@@ -357,7 +362,7 @@ class Pose:
 
     @property
     def body_velocity(self) -> Array | None:
-        """Speed ahead and to port (up in the vertical plane), shape (2, n); None without a heading."""
+        """Velocity ahead and to port (up in the vertical plane), shape (2, n); None without a heading."""
         if self.angle is None:
             return None
         (vx, vy), angle = self.path.velocity, self.angle.position[0]
@@ -365,23 +370,23 @@ class Pose:
 
     @property
     def gaps(self) -> list[tuple[float, float]]:
-        """From the last sight before each gap to the first after it, s."""
+        """Times of the last measurement before each gap and of the first after it, s."""
         fresh = ~self.held.repeated
         seen = self.times[self.measured]
-        holes = np.flatnonzero(np.diff(np.flatnonzero(self.measured[fresh])) > 1)
-        return [(float(seen[k]), float(seen[k + 1])) for k in holes]
+        missing = np.flatnonzero(np.diff(np.flatnonzero(self.measured[fresh])) > 1)
+        return [(float(seen[k]), float(seen[k + 1])) for k in missing]
 
     @property
     def interpolated(self) -> NDArray[np.bool_]:
-        """Inside a segment, and predicted rather than measured."""
+        """Whether the pose is within a segment, but interpolated instead of measured, shape (n,)."""
         return (self.segment > 0) & ~self.measured
 
 
 def facing(track: RawTrack, setup: Setup, plane: Plane) -> Plane:
-    """The plane with x running the way the robot faces, where a camera at the side may see either flank.
+    """Return the plane whose x axis points ahead of the robot, for a camera at the side.
 
-    With ``facing: auto`` that is the way from tail to head, summed over the film (from the rearmost
-    to the foremost, where their places on the robot are known); a lone marker leaves x as it is.
+    With ``facing: auto`` this is the mean direction from tail to head marker, or from the rear to the front
+    marker if their places on the robot are known. A single marker does not change the plane.
     """
     if setup.plane == "horizontal":
         return plane
@@ -390,57 +395,57 @@ def facing(track: RawTrack, setup: Setup, plane: Plane) -> Plane:
     if setup.tail is None:
         return plane
     (front, _), (rear, _) = (plane.to_world(*track.centre(track.row(name))) for name in setup.roles)
-    ahead = 1.0 if setup.places is None else setup.places[0][0] - setup.places[1][0]
-    return plane if ahead * np.nansum(front - rear) >= 0 else plane.along_x(not plane.runs_left)
+    ahead = np.nansum(front - rear)
+    if setup.places is not None:
+        ahead *= setup.places[0][0] - setup.places[1][0]
+    return plane if ahead >= 0 else plane.along_x(not plane.runs_left)
 
 
 def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
-    """Pose from raw pixels.
+    """Return the pose from the places of the markers in the picture.
 
-    Where the places of head and tail marker on the robot are known (``at_m``), the pose is that of a rigid
-    body through both: turned by the angle between the line of the markers in the film and on the robot, its
-    markers' mid-point on theirs. Else the position is the head marker's, moved by
-    ``reference_offset_m``, and the heading that of the line of the markers.
+    If the places of head and tail marker on the robot are known (``at_m``), the pose is that of a rigid body
+    through both markers: its heading differs from the line of the markers by their angle on the robot, and
+    the mid-points of the markers coincide. Otherwise the position is that of the head marker, moved by
+    ``reference_offset_m``, and the heading is the direction of the line of the markers.
 
     Raises
     ------
     NoTrustworthyResult
-        When no stretch has enough measurements.
+        No segment has enough measurements.
     """
-    times = track.times
+    times, rows = track.times, [track.row(name) for name in setup.roles]
     everyone = range(len(track.names))
     markers = np.array([plane.to_world(*track.centre(i)) for i in everyone])
-    rows = [track.row(name) for name in setup.roles]
-    head = rows[0]
+    hidden = np.array([hidden_px(track, i, plane) for i in everyone])
     held = _held_pictures(track, rows)
     clock, clock_sd = _picture_times(times, held)
     measured: NDArray[np.bool_] = np.all(track.found[rows], axis=0) & ~held.repeated
     segment, segments = _segments(times, measured, setup.max_gap_s)
     if not segments:
         raise NoTrustworthyResult(
-            f"the markers are seen together in {int(measured.sum())} frames, never in {SHORTEST_SEGMENT} "
+            f"the markers are seen together in {int(measured.sum())} frames, never in {MIN_SEGMENT} "
             "close enough to each other to give a speed"
         )
     measured &= segment > 0
+    head, tail = rows[0], rows[-1]
     pixel = plane.size_of_pixel(*(float(np.nanmedian(values)) for values in track.centre(head)))
-    hidden = np.array([hidden_px(track, i, plane) for i in everyone])
     trusted = ~np.any(hidden[rows] > 0, axis=0)
     weights = _weights(track, head, hidden[head])
     raw = np.where((segment > 0) & ~held.repeated, markers[head], np.nan)
-    lever = np.array(setup.reference_offset_m)
-    places = None if setup.places is None else np.array(setup.places)
+    lever, forward = np.array(setup.reference_offset_m), markers[head] - markers[tail]
+    white, lasting = MIN_NOISE_PX * pixel, SYSTEMATIC_PX * pixel
     angle = raw_angle = separation = None
-    white, lasting = LEAST_NOISE_PX * pixel, SYSTEMATIC_PX * pixel
-    if len(rows) > 1:
-        tail = rows[1]
-        forward = markers[head] - markers[tail]
-        separation = np.hypot(forward[0], forward[1])
-        seen = _centroid_errors(np.where(measured & trusted, separation, np.nan))
-        white, lasting = max(white, seen[0]), float(np.hypot(seen[1], lasting))
+    if tail != head:
+        separation = np.hypot(*forward)
+        distance = float(np.nanmedian(separation))
+        centroid = _centroid_errors(np.where(measured & trusted, separation, np.nan))
+        white, lasting = max(white, centroid[0]), float(np.hypot(centroid[1], lasting))
         both = np.maximum(weights, _weights(track, tail, hidden[tail]))
-        if places is not None:
-            # Seen from the mid-point; frames with one marker only would mix in errors of the scale.
+        if setup.places is not None:
+            # the mid-point needs both markers: with one of them alone, errors of the scale would enter
             raw = np.where(measured, (markers[head] + markers[tail]) / 2, np.nan)
+            places = np.array(setup.places)
             lever, weights = -places.mean(axis=0), both
             ahead, aside = places[0] - places[1]
             forward = np.array([[ahead, aside], [-aside, ahead]]) @ forward
@@ -448,65 +453,72 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
         known = np.isfinite(raw_angle)
         raw_angle[known] = np.unwrap(raw_angle[known])
         raw_angle[~measured] = np.nan
-        turn = np.sqrt(2) / max(float(np.nanmedian(separation)), 1e-12)
-        angle = smooth(clock, raw_angle[None], both, segments, least_sd=turn * white, trusted=trusted)
-        # Errors of a marker hidden in part last as long as it is: they do not average out.
-        off = np.hypot(*hidden[rows]) * pixel / TWO_SIDED / np.nanmedian(separation)
-        # Both ends of a silhouette are of one outline: its length does not show all errors of its direction.
-        along = lasting if setup.marker(setup.head_name).method == "background" else seen[1]
-        angle = replace(angle, position_sd=np.sqrt(angle.position_sd**2 + (turn * along) ** 2 + off**2))
-        # Tilted by the smoothed heading: the raw one would add its noise to the path.
+        turn = np.sqrt(2) / max(distance, 1e-12)
+        angle = smooth(clock, raw_angle[None], both, segments, min_sd=turn * white, trusted=trusted)
+        # the ends of a silhouette have one outline: its length does not show all errors of its direction
+        along = centroid[1]
+        if setup.markers[0].method == "background":
+            along = lasting
+        # the errors of partly hidden markers last as long as they are hidden
+        off = np.hypot(*hidden[rows]) * pixel / TWO_SIDED / distance
+        angle = _widened(angle, turn * along, off)
+        # the raw heading would add its noise to the path
         raw = raw + _turned(lever, angle.position[0])
-    path = smooth(clock, raw, weights, segments, least_sd=white, trusted=trusted)
-    off = hidden[rows if places is not None else [head]].max(axis=0) * pixel / TWO_SIDED
-    path = replace(path, position_sd=np.sqrt(path.position_sd**2 + lasting**2 + off**2))
+    path = smooth(clock, raw, weights, segments, min_sd=white, trusted=trusted)
+    used = [head] if setup.places is None else rows
+    path = _widened(path, lasting, hidden[used].max(axis=0) * pixel / TWO_SIDED)
     if angle is not None:
-        # An error of the heading moves the reference point across the lever.
+        # an error of the heading moves the reference point across the lever
         across = np.abs(_turned(np.array([-lever[1], lever[0]]), angle.position[0]))
         path = replace(
-            path,
-            position_sd=np.hypot(path.position_sd, across * angle.position_sd),
+            _widened(path, across * angle.position_sd),
             velocity_sd=np.hypot(path.velocity_sd, across * angle.velocity_sd),
         )
     if held.repeated.any():
         path = _at_stamps(path, clock, times, segments, clock_sd)
-        angle = None if angle is None else _at_stamps(angle, clock, times, segments, clock_sd)
+        if angle is not None:
+            angle = _at_stamps(angle, clock, times, segments, clock_sd)
     path, angle = _with_plane_error(path, angle, plane, separation)
     heading = (raw_angle, angle, markers, separation)
     return Pose(times, measured, segment, raw, path, *heading, held, hidden, plane, rows)
 
 
-def _held_pictures(track: RawTrack, rows: list[int]) -> Held:
-    """Return the frames that repeat the picture before, by how little changes about the markers.
+def _widened(values: Smoothed, *sds: Array | float) -> Smoothed:
+    """Return smoothed coordinates with independent errors of these standard deviations added."""
+    variance = values.position_sd**2 + sum(np.square(sd) for sd in sds)
+    return replace(values, position_sd=np.sqrt(variance))
 
-    Nothing changes there either while the robot rests or turns round. Therefore the change must be large
-    right before and after, and the markers must go on in the same direction. The sum of the changes, in which
-    repeats are exact, is the channel whose held samples give the times of the pictures.
+
+def _held_pictures(track: RawTrack, rows: list[int]) -> Held:
+    """Return the frames that repeat the picture before: little changes about the markers.
+
+    Little changes also while the robot rests or reverses. Therefore the change must be large just before and
+    after, and the markers must continue in the same direction. The times of the pictures follow from the
+    cumulative sum of the changes, whose repeats are exact.
     """
     change = np.zeros(len(track.times)) if track.change is None else np.nan_to_num(track.change)
     usual = maximum_filter1d(change, 2 * MAX_HELD_FRAMES + 3)
     place = np.concatenate([np.stack(track.centre(row)) for row in rows])
     repeated = np.zeros(len(change), dtype=bool)
-    for start, end in runs(change < SMALL_CHANGE[0] * usual):
+    for start, end in runs(change < MAX_CHANGE * usual):
         sides = [k for k in (start - 1, end) if 1 <= k < len(change)]
-        sharp = SMALL_CHANGE[1] * change[sides].min() > change[start:end].max()
+        sharp = MAX_CHANGE_OF_NEIGHBOURS * change[sides].min() > change[start:end].max()
         steps = [place[:, k] - place[:, k - 1] for k in sides]
         onward = len(steps) < 2 or steps[0] @ steps[1] > 0
         first = max(start, 1)
         repeated[first:end] = sharp and onward and 0 < end - first <= MAX_HELD_FRAMES
-    # Fewer such runs are chance: a marker that stops, or passes behind something.
-    if len(runs(repeated)) < 4:
+    if len(runs(repeated)) < MIN_HELD_RUNS:
         return Held(np.zeros_like(repeated), usual_step(track.times), 0.0, track.times, 0.0)
     least = float(np.median(change[~repeated]))
     return find_held(track.times, [np.cumsum(np.where(repeated, 0.0, np.maximum(change, least)))])
 
 
 def _picture_times(times: Array, held: Held) -> tuple[Array, float]:
-    """Return when the picture of each frame was taken, and the largest error of a common offset, s.
+    """Return the times at which the pictures were taken, and the maximum error of their common offset, s.
 
-    A picture is stamped up to ``lateness_s`` after it was taken. The times of an even camera are known but
-    for what the spread of their lateness leaves of that; the middle is taken. Frames that repeat a picture
-    lie between.
+    The stamp of a picture is up to ``lateness_s`` after it was taken. The delays of the stamps limit the
+    common offset of an even camera to an interval, of which the middle is used. Frames that repeat a picture
+    are interpolated.
     """
     fresh = np.flatnonzero(~held.repeated)
     taken = held.measured_s[fresh]
@@ -521,16 +533,15 @@ def _picture_times(times: Array, held: Held) -> tuple[Array, float]:
 def _at_stamps(
     values: Smoothed, clock: Array, times: Array, segments: list[tuple[int, int]], clock_sd: float
 ) -> Smoothed:
-    """Return coordinates smoothed at the times of the pictures at the stamps of the frames.
+    """Return coordinates that were smoothed at the times of the pictures, at the stamps of the frames.
 
-    ``clock_sd`` is half of the range of their offset, so that the 95 % band holds every offset in it.
+    ``clock_sd`` is half of the interval of the common offset, so that the 95 % band holds every offset.
     """
     position, velocity = values.position.copy(), values.velocity.copy()
     for a, b in segments:
         curve = CubicHermiteSpline(clock[a:b], values.position[:, a:b], values.velocity[:, a:b], axis=1)
         position[:, a:b], velocity[:, a:b] = curve(times[a:b]), curve(times[a:b], 1)
-    sd = np.hypot(values.position_sd, np.abs(velocity) * clock_sd)
-    return replace(values, position=position, velocity=velocity, position_sd=sd)
+    return _widened(replace(values, position=position, velocity=velocity), velocity * clock_sd)
 
 
 def _with_plane_error(
@@ -538,27 +549,26 @@ def _with_plane_error(
 ) -> tuple[Smoothed, Smoothed | None]:
     """Return path and heading with the error of the calibration points in their standard deviations."""
     moved = plane.variations(path.position)
-    path = replace(path, position_sd=np.sqrt(path.position_sd**2 + np.sum(moved**2, axis=0)))
+    path = _widened(path, *moved)
     if angle is None or separation is None:
         return path, angle
-    way = float(np.nanmedian(separation)) * np.stack([np.cos(angle.position[0]), np.sin(angle.position[0])])
-    # across the line of the markers, as the one end moves against the other
-    apart = (moved - plane.variations(path.position - way)) / np.nansum(way**2, axis=0)
-    turned = apart[:, 1] * way[0] - apart[:, 0] * way[1]
-    return path, replace(angle, position_sd=np.sqrt(angle.position_sd**2 + np.sum(turned**2, axis=0)))
+    line = float(np.nanmedian(separation)) * np.stack([np.cos(angle.position[0]), np.sin(angle.position[0])])
+    # the heading changes as one end of the line moves across it relative to the other end
+    apart = (moved - plane.variations(path.position - line)) / np.nansum(line**2, axis=0)
+    return path, _widened(angle, *(apart[:, 1] * line[0] - apart[:, 0] * line[1]))
 
 
 def _centroid_errors(separation: Array) -> tuple[float, float]:
-    """Standard deviations of a centroid's white and lasting error, from the distance of two rigid markers.
+    """Return the standard deviations of the white and of the lasting error of a centroid.
 
-    The distance is constant: half of its variance is that of one centroid's error along it. The covariance of
-    samples that are :data:`LASTING_LAGS` frames apart is that of errors that last; the rest is white and
-    averages out. A few outliers are drawn in to four robust standard deviations.
+    The distance of two markers on a rigid part is constant. Half of its variance is the variance of one
+    centroid along the line. The covariance at :data:`LAGS` frames is that of lasting errors, and the rest is
+    white noise, which averages out. Outliers are clipped to four robust standard deviations.
     """
     off = separation - np.nanmedian(separation)
     off = np.clip(off, *(np.array([-4.0, 4.0]) * 1.4826 * np.nanmedian(np.abs(off))))
     total = float(np.nanmean(off**2)) / 2
-    products = np.concatenate([off[lag:] * off[:-lag] for lag in LASTING_LAGS])
+    products = np.concatenate([off[lag:] * off[:-lag] for lag in LAGS])
     if np.isfinite(products).sum() < MIN_PRODUCTS:
         return 0.0, 0.0
     lasting = min(max(float(np.nanmean(products)) / 2, 0.0), total)
@@ -566,7 +576,7 @@ def _centroid_errors(separation: Array) -> tuple[float, float]:
 
 
 def _turned(vector: Array, angle: Array) -> Array:
-    """A vector of the body in the world, shape (2, n)."""
+    """Return a vector of the body in the axes of the world, shape (2, n)."""
     cos, sin = np.cos(angle), np.sin(angle)
     return np.stack([vector[0] * cos - vector[1] * sin, vector[0] * sin + vector[1] * cos])
 
@@ -574,87 +584,92 @@ def _turned(vector: Array, angle: Array) -> Array:
 def _segments(
     times: Array, measured: NDArray[np.bool_], max_gap_s: float
 ) -> tuple[NDArray[np.int64], list[tuple[int, int]]]:
+    """Return the number of the segment of each frame, and start and end (exclusive) of each segment."""
     number = np.zeros(len(times), dtype=np.int64)
     seen = np.flatnonzero(measured)
-    if not len(seen):
+    if len(seen) < MIN_SEGMENT:
         return number, []
-    step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
-    # A gap is the time without a measurement: neighbours are one step apart, not a gap.
+    step = float(np.median(np.diff(times)))
+    # the gap between neighbours that are one step apart is zero
     split = np.flatnonzero(np.diff(times[seen]) - step > max_gap_s + 1e-9)
     segments = []
     for part in np.split(seen, split + 1):
-        if len(part) >= SHORTEST_SEGMENT:
+        if len(part) >= MIN_SEGMENT:
             segments.append((int(part[0]), int(part[-1]) + 1))
             number[part[0] : part[-1] + 1] = len(segments)
     return number, segments
 
 
 def hidden_px(track: RawTrack, marker: int, plane: Plane) -> Array:
-    """How far a marker's centre may be off because part of it is hidden, shape (n,), px; 0 where none is.
+    """Return the maximum error of the centre of a partly hidden marker, shape (n,), px; 0 if it is whole.
 
-    The centre of the whole is the mean of those of the visible and of the hidden part, weighted by their
-    areas, and the latter is at most the radius R away from it: with a hidden share e of the area, the
-    visible part's is off by at most R e / (1 - e), and by less than R. The whole area is the usual one on
-    the plane, known to its scatter. A stretch of smaller ones counts as hidden where two in a row fall short
-    by more than the scatter does anywhere in :data:`FALSE_ALARM` of all films, or one by :data:`ALONE` times
-    as much as one does: the codec and the phase of the pixels make single frames look small.
+    The centre of the whole marker is the mean of the centres of the visible and of the hidden part, weighted
+    by their areas. The latter is within the radius R. Therefore, with a hidden share e of the area, the error
+    is at most R e / (1 - e), and less than R. The whole area is the median area on the plane, known to within
+    its scatter. A run of smaller areas counts as hidden if two successive areas are smaller than the scatter
+    explains with probability :data:`FALSE_ALARM` in a film, or one area is :data:`SINGLE_FRAME` times farther
+    off: the codec and the phase of the pixels reduce the areas of single frames.
     """
     off = np.zeros(len(track.times))
     seen = np.flatnonzero(track.found[marker])
-    if len(seen) < SHORTEST_SEGMENT:
+    if len(seen) < MIN_SEGMENT:
         return off
     area = track.area[marker, seen]
     share = area * plane.sizes_of_pixels(track.x[marker, seen], track.y[marker, seen]) ** 2
     share /= float(np.median(share))
     whole = area / share
-    # The least scatter: each pixel of the outline is in or out by chance.
+    # each pixel of the outline belongs to the marker by chance
     least = np.sqrt(2 * np.sqrt(np.pi * whole) / 12) / whole
     short = -np.log(share)
     scatter = np.maximum(_scatter(short), least)
     chance = FALSE_ALARM / len(seen)
-    twice, alone = -float(special.ndtri(np.sqrt(chance))), -ALONE * float(special.ndtri(chance))
+    twice, once = -float(special.ndtri(np.sqrt(chance))), -SINGLE_FRAME * float(special.ndtri(chance))
     far = short / scatter
-    lost = np.exp(short + scatter) - 1  # e / (1 - e)
-    bound = np.sqrt(whole / np.pi) * np.minimum(lost, 1.0)
+    ratio = np.exp(short + scatter) - 1  # e / (1 - e)
+    bound = np.sqrt(whole / np.pi) * np.minimum(ratio, 1.0)
     for start, end in runs(short > 0):
         pairs = np.minimum(far[start : end - 1], far[start + 1 : end])
-        if np.max(far[start:end]) > alone or np.max(pairs, initial=0.0) > twice:
+        if np.max(far[start:end]) > once or np.max(pairs, initial=0.0) > twice:
             off[seen[start:end]] = bound[start:end]
     return off
 
 
 def _scatter(short: Array) -> float:
-    """Standard deviation of what areas fall short by (logarithms, about their median).
+    """Return the standard deviation of the logarithms of areas about their median.
 
-    The larger of two: that of the middle half, and that of the large areas, which nothing hides: they tell
-    how heavy the tails are.
+    It is the larger of two: that of the middle half, and that of the large areas. The latter show how heavy
+    the tails are, because nothing hides these markers.
     """
     middle = 1.4826 * float(np.median(np.abs(short)))
     large = -short[short < 0]
-    # Share of a normal variable within two standard deviations.
-    return max(middle, 0.5 * float(np.quantile(large, 0.9545)) if len(large) else 0.0)
+    if not len(large):
+        return middle
+    # a normal variable is within two standard deviations with probability 0.9545
+    return max(middle, 0.5 * float(np.quantile(large, 0.9545)))
 
 
 def _weights(track: RawTrack, marker: int, hidden: Array) -> Array:
-    """Variance of each centroid over that of a typical one, shape (n,)."""
+    """Return the variance of each centroid relative to a typical one, shape (n,)."""
     seen = track.found[marker]
     weights = np.ones(len(track.times))
     if seen.any():
         usual = float(np.median(track.confidence[marker, seen]))
         weights[seen] = np.clip(usual / np.maximum(track.confidence[marker, seen], 1e-3), 1, 5) ** 2
-    noise = max(_noise_px(track, marker), LEAST_NOISE_PX)
+    noise = max(_noise_px(track, marker), MIN_NOISE_PX)
     return np.asarray(weights + (hidden / TWO_SIDED / noise) ** 2)
 
 
 def _noise_px(track: RawTrack, marker: int) -> float:
-    """Scatter of a centroid from frame to frame, px: that of second differences (over sqrt 6)."""
+    """Return the standard deviation of the white noise of a centroid, from second differences, px."""
     second = np.diff(np.stack(track.centre(marker)), n=2, axis=1)
     known = second[np.isfinite(second)]
-    return 1.4826 * float(np.median(np.abs(known))) / np.sqrt(6) if len(known) else 0.0
+    if not len(known):
+        return 0.0
+    return 1.4826 * float(np.median(np.abs(known))) / math.sqrt(6)
 
 
 def columns(pose: Pose, track: RawTrack, setup: Setup) -> dict[str, Any]:
-    """The columns of the log, in order."""
+    """Return the columns of the log, in order."""
     unit = pose.plane.unit
     up, angle_name, side = setup.axes
     vx, vy = pose.path.velocity
@@ -670,7 +685,7 @@ def columns(pose: Pose, track: RawTrack, setup: Setup) -> dict[str, Any]:
     if pose.angle is not None:
         turn_sd = pose.angle.position_sd[0]
         out[f"{angle_name}_sd_rad"] = turn_sd
-        # A wrong heading mixes surge and sway.
+        # an error of the heading mixes surge and sway
         out[f"u_sd_{unit}_s"] = np.hypot(speed_sd, turn_sd * out[f"{side}_{unit}_s"])
         out[f"{side}_sd_{unit}_s"] = np.hypot(speed_sd, turn_sd * out[f"u_{unit}_s"])
         out[f"{angle_name}_rate_sd_rad_s"] = pose.angle.velocity_sd[0]

@@ -1,7 +1,7 @@
-"""Markers for a draft of a setup: proposed from the film itself, or picked by hand.
+"""Markers for the draft of a setup, proposed from the film or picked by hand.
 
-:func:`candidates` are compact patches of a rare colour that move; :func:`picked` takes the patch about a
-pixel and the colours that are its own.
+:func:`find_candidates` searches for colours whose patches are compact and move. :func:`pick_markers` finds
+the patch about a pixel, and the range of colours that separates it from its surroundings.
 """
 
 from __future__ import annotations
@@ -26,49 +26,68 @@ from swimid.tracking.setup import Box, HsvRange, Marker
 
 Array = NDArray[np.float64]
 
-#: Frames looked at, and the width they are reduced to.
-SAMPLES, SAMPLE_WIDTH = 48, 960
-#: A patch moves where this share of its pixels differs from the empty scene, in colour too.
+#: Number of frames that are evaluated, and the width that they are reduced to, px.
+N_SAMPLES, SAMPLE_WIDTH = 48, 960
+#: Minimum difference of a moving pixel from the background: grey levels, and ratio to the median of the
+#: frame.
+MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO = 16, 4
+#: Minimum share of the pixels of a moving patch that differ from the empty scene, also in colour.
 MOVING = 0.3
-#: A second marker scores at least this share of the first, and is about as far from it in all samples (a
-#: camera askew changes distances by much; the trial run tells whether the pair is rigid).
+#: Minimum score of a proposal, and maximum number of hues that are examined.
+MIN_SCORE, MAX_HUES = 0.02, 8
+#: Minimum score of a second marker relative to the first, and maximum relative deviation of their distance.
+#: An inclined camera changes distances by much; the trial run shows whether the pair is rigid.
 SECOND_SHARE, SECOND_SPREAD = 0.25, 0.3
+#: Ranges of colours for the patch about a pixel, as shares of the widest range. The one is used at which the
+#: patch grows least. Matas, J. et al. (2002), Robust wide baseline stereo from maximally stable extremal
+#: regions, BMVC. doi:10.5244/C.16.36
+SHARES = (0.25, 0.35, 0.5, 0.7, 1.0)
+#: Half-widths of the widest range: hue (deg), saturation, value.
+WIDEST = (20.0, 0.3, 0.3)
+#: Minimum area of a patch, px. Areas above which a patch is unusual, and above which it is no marker, as
+#: shares of the picture.
+MIN_PATCH_PX, LARGE, LARGEST = 5, 0.05, 0.5
+#: Maximum share of the surroundings of a marker that may have its colours.
+MAX_SHARE_AROUND = 0.1
+BACKGROUND = "put the whole marker on a background of another colour or brightness"
+Mask = NDArray[np.uint8]
+_SQUARE = np.ones((3, 3), np.uint8)
 
 
 @dataclass(frozen=True)
 class Samples:
-    """Frames spread over a video, reduced in size."""
+    """Frames spread over a film, reduced in size."""
 
     video: Video
     indices: NDArray[np.int64]
     frames: list[Frame]
-    #: Size of a sample pixel in picture pixels.
+    #: Width of a pixel of a sample in pixels of the picture.
     factor: float
-    #: Median of the samples: the scene without what moves.
+    #: Median of the samples, in which moving things are absent.
     background: Frame
-    #: 255 where a sample differs from the background.
+    #: Masks of the samples, 255 for pixels that differ from the background.
     moving: list[NDArray[np.uint8]]
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A colour that may be a marker's."""
+    """A colour that may be that of a marker. Lengths are in px of the picture."""
 
-    #: Everyday name, and middle.
+    #: Common name and middle of the hue.
     name: str
     hue_deg: float
     colours: HsvRange
-    #: 0 to 1.
+    #: From 0 to 1.
     score: float = 0.0
-    #: Centre of its best patch in each sample, shape (n, 2), picture pixels; NaN where there is none.
+    #: Centre of the largest patch in each sample, shape (n, 2); NaN without one.
     place: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    #: Smallest and largest area worth accepting, picture pixels.
+    #: Minimum and maximum area of the patch.
     area_px: tuple[float, float] = (0.0, 0.0)
-    #: Usual number of moving patches of the colour and a comparable size.
-    like: int = 0
-    #: Motionless patches of the colour, picture pixels.
+    #: Median number of moving patches of similar size in a sample.
+    n_patches: int = 0
+    #: Boxes of motionless patches of the colour.
     still: list[Box] = field(default_factory=list)
-    #: Why it is no marker; empty where it may be one.
+    #: Reason why it is no marker; empty if it may be one.
     reason: str = ""
 
     def __str__(self) -> str:
@@ -76,30 +95,28 @@ class Candidate:
 
     @property
     def presence(self) -> float:
-        """Share of the samples it is seen in."""
+        """Share of the samples in which it is seen."""
         return float(np.mean(np.isfinite(self.place[:, 0])))
 
     @property
     def remark(self) -> str:
-        """What a reader of the setup wants to know of it."""
+        """Remark for a reader of the setup."""
         text = f"score {self.score:.2f}, seen in {100 * self.presence:.0f} % of the samples"
-        if self.like > 1:
-            text += f"; {self.like} patches of this colour move together: the largest is followed"
+        if self.n_patches > 1:
+            text += f"; {self.n_patches} patches of this colour move together: the largest is followed"
         return text
 
     def crosses(self, box: Box) -> bool:
-        """Whether it was seen inside a box."""
-        left, top, right, bottom = box
-        reach = np.sqrt(self.area_px[1] / 3)
-        x, y = self.place.T
-        inside = (x > left - reach) & (x < right + reach) & (y > top - reach) & (y < bottom + reach)
-        return bool(np.any(inside))
+        """Return whether it was seen inside a box."""
+        margin = np.sqrt(self.area_px[1] / 3)
+        inside = (self.place > np.array(box[:2]) - margin) & (self.place < np.array(box[2:]) + margin)
+        return bool(inside.all(axis=1).any())
 
 
 def sample(path: Path, *, apply_rotation: bool = True, step: Step) -> Samples:
-    """Read a video once and keep :data:`SAMPLES` frames of it, evenly spread."""
+    """Return about :data:`N_SAMPLES` frames, evenly spread over a film."""
     video = Video(path, apply_rotation=apply_rotation)
-    keeper = FrameKeeper(2 * SAMPLES, max(video.claimed // SAMPLES, 1), SAMPLE_WIDTH)
+    keeper = FrameKeeper(2 * N_SAMPLES, max(video.claimed // N_SAMPLES, 1), SAMPLE_WIDTH)
     for index, (_, frame) in enumerate(video.frames()):
         step()
         keeper.take(index, frame)
@@ -111,23 +128,23 @@ def sample(path: Path, *, apply_rotation: bool = True, step: Step) -> Samples:
     moving = []
     for frame in frames:
         change = largest_channel(cv2.absdiff(cv2.blur(frame, (3, 3)), still))
-        # A pixel this far (grey levels) from the still background moves.
-        moving.append(np.where(change > max(16, 4 * float(np.median(change))), 255, 0).astype(np.uint8))
+        limit = max(MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO * float(np.median(change)))
+        moving.append(np.where(change > limit, 255, 0).astype(np.uint8))
     factor = max(video.width / SAMPLE_WIDTH, 1.0)
     return Samples(video, np.array(list(keeper.kept)), frames, factor, background, moving)
 
 
-def candidates(samples: Samples) -> tuple[list[Candidate], list[Candidate]]:
-    """Colours that may be markers, best first, and those that are none.
+def find_candidates(samples: Samples) -> tuple[list[Candidate], list[Candidate]]:
+    """Return the colours that may be those of markers, best first, and those that are not.
 
     Raises
     ------
     NoTrustworthyResult
-        When the video has no colour, or nothing coloured moves.
+        The film has no colour, nothing coloured moves, or nothing looks like a marker.
     """
     moving = []
     for frame, mask in zip(samples.frames, samples.moving, strict=True):
-        chosen = (mask > 0) & (detect.chroma(frame) >= detect.LEAST_CHROMA)
+        chosen = (mask > 0) & (detect.chroma(frame) >= detect.MIN_CHROMA)
         moving.append(cv2.cvtColor(cv2.blur(frame, (3, 3)), cv2.COLOR_BGR2HSV)[chosen])
     hsv = np.concatenate(moving)
     if len(hsv) < 4 * len(samples.frames):
@@ -151,12 +168,12 @@ def candidates(samples: Samples) -> tuple[list[Candidate], list[Candidate]]:
 
 
 def listed(passed: list[Candidate]) -> str:
-    """Colours passed over and why, as a sentence; empty without any."""
+    """Return a sentence on the rejected colours and the reasons; an empty text without any."""
     return f"Passed over: {'; '.join(map(str, passed))}. " if passed else ""
 
 
 def _peaks(hsv: NDArray[np.uint8], frames: int) -> list[int]:
-    """Hues (0 .. 179) about which moving coloured pixels gather, most pixels first."""
+    """Return the hues (0 .. 179) of maxima in the histogram of moving coloured pixels, largest first."""
     histogram = np.bincount(hsv[:, 0], minlength=180)[:180].astype(float)
     kernel = np.exp(-0.5 * (np.arange(-9, 10) / 3.0) ** 2)
     smooth = np.convolve(np.pad(histogram, 9, mode="wrap"), kernel / kernel.sum(), "valid")
@@ -165,18 +182,17 @@ def _peaks(hsv: NDArray[np.uint8], frames: int) -> list[int]:
         for h in range(180)
         if smooth[h] >= smooth[h - 1] and smooth[h] > smooth[(h + 1) % 180] and 10 * smooth[h] > 4 * frames
     ]
-    # Hue clusters looked at.
-    return sorted(top, key=lambda h: -smooth[h])[:8]
+    return sorted(top, key=lambda h: -smooth[h])[:MAX_HUES]
 
 
 def colour_range(hsv: NDArray[np.uint8], peak: int) -> HsvRange | None:
-    """The range about a hue that holds nearly all pixels near it, with room for changing light."""
+    """Return the range about a hue that holds nearly all pixels near it, widened for changing light."""
     offset = (hsv[:, 0].astype(float) - peak + 90) % 180 - 90
     near = np.abs(offset) <= 12
     if near.sum() < 10:
         return None
     cluster = hsv[near].astype(float)
-    # The purer half of the cluster is the marker, the rest its blurred rim.
+    # the pixels of pure colour are the marker, and the others are its blurred rim
     purity = cluster[:, 1] * cluster[:, 2]
     core = purity >= np.percentile(purity, 35)
     low, high = np.percentile(offset[near][core], [3, 97])
@@ -194,19 +210,19 @@ def _degrees(hue: float) -> float:
 
 
 def two_digits(value: float) -> float:
-    """A share as a setup holds it."""
+    """Return a share rounded to two digits, as in a setup."""
     return float(round(value, 2))
 
 
 def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | None:
-    """Look for patches of one colour in all samples and score them as a marker; None for hardly a pixel."""
+    """Score the patches of one colour in all samples as a marker; return None for very few pixels."""
     colours = colour_range(hsv, peak)
     if colours is None:
         return None
     model = ColourModel(colours)
     least = max(5.0, 2e-5 * samples.frames[0].shape[0] * samples.frames[0].shape[1])
     places = np.full((len(samples.frames), 2), np.nan)
-    areas, compact, like, purity = [], [], [], []
+    areas, compact, counts, purity = [], [], [], []
     in_range = moving_in_range = 0.0
     scenery = marker_mask(samples.background, model)
     still = _still(scenery, samples.factor, least)
@@ -221,10 +237,11 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | N
         places[k] = samples.factor * (np.array([x, y]) + 0.5) - 0.5
         areas.append(area)
         compact.append(fill)
-        like.append(sum(1 for other in patches if other[0] > 0.4 * area))
+        counts.append(sum(other[0] > 0.4 * area for other in patches))
         chroma = detect.chroma(frame)
         purity.append(float(np.mean(chroma[int(y) - 1 : int(y) + 2, int(x) - 1 : int(x) + 2])))
-    name, hue = detect.hue_name(_degrees(peak)), _degrees(peak)
+    hue = _degrees(peak)
+    name = detect.hue_name(hue)
     if len(areas) < max(3, 0.05 * len(samples.frames)):
         where = "; ".join("[" + ", ".join(f"{v:g}" for v in box) + "]" for box in still[:3])
         reason = f"a compact patch of it moves in {len(areas)} of {len(samples.frames)} samples only"
@@ -247,22 +264,21 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | N
         * math.sqrt(alone)
         * moved
     )
-    # Below this score nothing is proposed.
-    if score < 0.02:
+    if score < MIN_SCORE:
         reason = f"hardly like a marker (score {score:.3f}: scattered, uneven or hardly moving)"
         return Candidate(name, hue, colours, reason=reason)
     low, high = np.percentile(sizes, [5, 95])
     sized = (float(math.floor(0.3 * low)), float(math.ceil(3 * high)))
-    return Candidate(name, hue, colours, float(score), places, sized, int(np.median(like)), still)
+    return Candidate(name, hue, colours, float(score), places, sized, int(np.median(counts)), still)
 
 
 def _patches(
     mask: NDArray[np.uint8], moving: NDArray[np.uint8], scenery: NDArray[np.uint8], least: float
 ) -> list[tuple[float, float, float, float]]:
-    """Moving patches clear of the picture's edge: (area, x, y, how much of a disc), largest first.
+    """Return the moving patches inside the picture as (area, x, y, share of a disc), largest first.
 
-    Where the empty scene has the colour anyway (``scenery``), a change of light or something that passes
-    over it is no motion of it.
+    A patch does not move if the empty scene has its colour too (``scenery``): then the light has changed, or
+    something passes over it.
     """
     count, labels, stats, centres = cv2.connectedComponentsWithStats(mask, connectivity=8)
     if count < 2:
@@ -281,23 +297,20 @@ def _patches(
 
 
 def _still(scenery: NDArray[np.uint8], factor: float, least: float) -> list[Box]:
-    """Boxes about the largest patches of the colour in the empty scene."""
+    """Return boxes about the largest patches of the colour in the empty scene."""
     _, _, stats, _ = cv2.connectedComponentsWithStats(scenery, connectivity=8)
     largest = sorted(stats[1:].tolist(), key=lambda s: -s[4])[:8]
-    return [
-        (
-            float(round(factor * left)),
-            float(round(factor * top)),
-            float(round(factor * (left + width))),
-            float(round(factor * (top + height))),
-        )
-        for left, top, width, height, area in largest
-        if area >= least
-    ]
+    boxes: list[Box] = []
+    for left, top, width, height, area in largest:
+        if area >= least:
+            sides = (left, top, left + width, top + height)
+            a, b, c, d = (float(round(factor * side)) for side in sides)
+            boxes.append((a, b, c, d))
+    return boxes
 
 
 def partners(first: Candidate, others: list[Candidate]) -> list[Candidate]:
-    """The colours that may be the second marker of a rigid part, those at the steadiest distance first."""
+    """Return possible second markers of a rigid part, that with the most constant distance first."""
     found: list[tuple[float, Candidate]] = []
     for other in others:
         if other is first or other.score < SECOND_SHARE * first.score:
@@ -314,36 +327,25 @@ def partners(first: Candidate, others: list[Candidate]) -> list[Candidate]:
     return [other for _, other in sorted(found, key=lambda item: item[0])]
 
 
-#: The patch about a pixel is sought with colours within these shares of the widest range: that at which the
-#: patch grows least with it. Matas, J. et al. (2002), Robust wide baseline stereo from maximally stable
-#: extremal regions, BMVC. doi:10.5244/C.16.36
-SHARES = (0.25, 0.35, 0.5, 0.7, 1.0)
-#: Share of the picture above which a patch is no usual marker, which is said, and above which it is none.
-LARGE, LARGEST = 0.05, 0.5
-BACKGROUND = "a marker wants a background of another colour or brightness all round"
-Mask = NDArray[np.uint8]
-_CROSS = np.ones((3, 3), np.uint8)
-
-
-def picked(
+def pick_markers(
     frame: Frame, kinds: dict[str, list[tuple[float, float]]], *, path: Path, index: int
 ) -> list[Marker]:
-    """Markers from their pixels.
+    """Return markers from one pixel of each.
 
     Parameters
     ----------
     frame : frame
         The full picture.
     kinds : dict of str to list of (x, y)
-        Name of each kind of marker, and a pixel of every marker of it.
+        Name of each kind of marker, and one pixel of every marker of that kind.
     path, index
-        Video and frame number, for messages.
+        Film and index of the frame, for messages.
 
     Raises
     ------
     InputError
-        A place is outside the picture; no patch about it stands out from its surroundings; two
-        places are on one patch, or two kinds have one colour.
+        A pixel is outside the picture, or its patch does not differ from its surroundings; two pixels are on
+        one patch, or two kinds have one colour.
     """
     place: dict[str, Any] = {"file": path, "frame": index}
     hsv = cv2.cvtColor(cv2.blur(frame, (3, 3)), cv2.COLOR_BGR2HSV)
@@ -359,7 +361,7 @@ def picked(
             patches.append((name, patch))
     found = [_marker(hsv, name, [mask for kind, mask in patches if kind == name], place) for name in kinds]
     for marker in found:
-        mine = ColourModel(marker.colour_range()).mask(hsv)
+        mine = ColourModel(marker.hsv or HsvRange()).mask(hsv)
         for other, mask in patches:
             if other != marker.name and np.mean(mine[mask > 0] > 0) > 0.5:
                 raise InputError(
@@ -372,27 +374,26 @@ def picked(
 
 
 def _patch(frame: Frame, hsv: Mask, option: str, pixel: tuple[float, float], place: dict[str, Any]) -> Mask:
-    """The patch of one colour about a pixel: 255 inside, shape (rows, columns)."""
+    """Return the mask of the patch about a pixel: 255 inside, shape (rows, columns)."""
     rows, columns = hsv.shape[:2]
     x, y = pixel
     if not (0 <= x < columns and 0 <= y < rows):
         raise InputError(f"{option} is outside the picture of {columns} x {rows} pixels", **place)
     i, j = int(y), int(x)
-    grey = int(detect.chroma(frame)[i, j]) < detect.LEAST_CHROMA
+    grey = int(detect.chroma(frame)[i, j]) < detect.MIN_CHROMA
     patches: list[Mask] = []
     for share in SHARES:
         mask = ColourModel(_about(hsv[i, j], share, grey)).mask(hsv)
         _, labels = cv2.connectedComponents(mask, connectivity=8)
         patch = np.where((labels == labels[i, j]) & (mask > 0), 255, 0).astype(np.uint8)
-        # A patch of fewer pixels is none.
-        if 5 <= np.count_nonzero(patch) <= LARGEST * patch.size:
+        if MIN_PATCH_PX <= np.count_nonzero(patch) <= LARGEST * patch.size:
             patches.append(patch)
     standing = [patch for patch in patches if _range_of(hsv, patch) is not None]
     if not standing:
         blue, green, red = (int(v) for v in frame[i, j])
         raise InputError(
             f"no patch about {x:g},{y:g} (#{red:02x}{green:02x}{blue:02x}) stands out from its surroundings",
-            hint=f"pick a pixel inside the marker, away from glints; {BACKGROUND}",
+            hint=f"pick a pixel inside the marker, away from reflections; {BACKGROUND}",
             **place,
         )
     if len(standing) == 1:
@@ -402,14 +403,13 @@ def _patch(frame: Frame, hsv: Mask, option: str, pixel: tuple[float, float], pla
 
 
 def _about(pixel: Mask, share: float, grey: bool) -> HsvRange:
-    """The colours about a pixel's; of a grey one every hue."""
+    """Return the range of colours about that of a pixel; a grey pixel gets all hues."""
     hue, saturation, value = 2.0 * pixel[0], pixel[1] / 255, pixel[2] / 255
-    # At the most this far from the pixel's: hue (deg), saturation, value.
-    wide_hue, wide_saturation, wide_value = (share * width for width in (20.0, 0.3, 0.3))
+    wide_hue, wide_saturation, wide_value = (share * width for width in WIDEST)
     value_span = (max(value - wide_value, 0.0), min(value + wide_value, 1.0))
     if grey:
-        # Saturation is chroma over value: on dark pixels noise alone makes it large.
-        most = max(saturation + wide_saturation, detect.LEAST_CHROMA / (255 * max(value, 0.02)))
+        # saturation is chroma over value, so that noise alone makes it large on dark pixels
+        most = max(saturation + wide_saturation, detect.MIN_CHROMA / (255 * max(value, 0.02)))
         return HsvRange(saturation=(0.0, min(most, 1.0)), value=value_span)
     return HsvRange(
         hue_deg=((hue - wide_hue) % 360, (hue + wide_hue) % 360),
@@ -419,10 +419,10 @@ def _about(pixel: Mask, share: float, grey: bool) -> HsvRange:
 
 
 def _marker(hsv: Mask, name: str, masks: list[Mask], place: dict[str, Any]) -> Marker:
-    """One kind of marker from its patches."""
+    """Return one kind of marker from its patches."""
     colours = _range_of(hsv, np.bitwise_or.reduce(masks))
     if colours is None:
-        text = f"marker '{name}' has the colour of its surroundings; nothing tells it from them"
+        text = f"marker '{name}' has the colour of its surroundings"
         raise InputError(text, hint=BACKGROUND, **place)
     areas = [np.count_nonzero(mask) for mask in masks]
     if max(areas) > LARGE * masks[0].size:
@@ -437,61 +437,55 @@ def _marker(hsv: Mask, name: str, masks: list[Mask], place: dict[str, Any]) -> M
 
 
 def _range_of(hsv: Mask, patch: Mask) -> HsvRange | None:
-    """The colours of a patch that are not its surroundings'; None where nothing tells them apart."""
-    core = cv2.erode(patch, _CROSS)
-    # Width of the ring about a patch that shows its surroundings, px, beyond the blurred rim.
-    near = cv2.dilate(patch, _CROSS, iterations=3)
-    ring = cv2.subtract(cv2.dilate(near, _CROSS, iterations=10), near)
+    """Return the colours that separate a patch from its surroundings; None if there are none."""
+    core = cv2.erode(patch, _SQUARE)
+    # the surroundings are a ring of 10 px beyond the blurred rim of 3 px
+    near = cv2.dilate(patch, _SQUARE, iterations=3)
+    ring = cv2.subtract(cv2.dilate(near, _SQUARE, iterations=10), near)
     inside, around = hsv[(core if core.any() else patch) > 0], hsv[ring > 0]
-    return _standing_out(_colours(inside), inside.astype(float), around.astype(float))
+    return _separated(_colours(inside), inside.astype(float), around.astype(float))
 
 
 def _colours(inside: Mask) -> HsvRange:
-    """The range of a patch's colours, with room for changing light; every hue of a grey one."""
+    """Return the range of the colours of a patch, widened for changing light; a grey patch gets all hues."""
     saturation, value = inside[:, 1].astype(float), inside[:, 2].astype(float)
     chroma = float(np.median(saturation * value)) / 255
-    if chroma >= detect.LEAST_CHROMA:
+    if chroma >= detect.MIN_CHROMA:
         turn = np.exp(1j * np.pi * inside[:, 0] / 90)
         middle = round(float(np.angle(turn.mean()) * 90 / np.pi)) % 180
         found = colour_range(inside, middle)
         if found is not None:
             return found
     low, high = np.percentile(value, [3, 97]) / 255
-    most = max(1.35 * np.percentile(saturation, 97) / 255, detect.LEAST_CHROMA / (255 * max(low, 0.02)))
+    most = max(1.35 * np.percentile(saturation, 97) / 255, detect.MIN_CHROMA / (255 * max(low, 0.02)))
     return HsvRange(
         saturation=(0.0, two_digits(min(most, 1.0))),
         value=(two_digits(0.65 * low), two_digits(min(1.35 * high, 1.0))),
     )
 
 
-def _standing_out(
-    colours: HsvRange, inside: NDArray[np.float64], around: NDArray[np.float64]
-) -> HsvRange | None:
-    """The range drawn in where it holds the surroundings; None where nothing tells them apart.
+def _separated(colours: HsvRange, inside: Array, around: Array) -> HsvRange | None:
+    """Return the range, narrowed to exclude the surroundings; None if that is impossible.
 
-    A bound goes half way between the patch and its surroundings (as far as pixels may be outside of it, if
-    that is more), in saturation or in value, where they are farthest apart.
+    A bound in saturation or value, where patch and surroundings differ most, is moved to the middle between
+    them, or to ``SLACK`` from the surroundings if that is farther.
     """
     for _ in range(3):
         held = ColourModel(colours).holds(around)
-        # Share of the surroundings that must not have the marker's colours.
-        if np.mean(held) <= 1 - 0.9:
+        if np.mean(held) <= MAX_SHARE_AROUND:
             return colours
-        rest, bounds = around[held], {"saturation": colours.saturation, "value": colours.value}
         gaps = []
         for channel, key in ((1, "saturation"), (2, "value")):
             low, high = np.percentile(inside[:, channel], [5, 95])
-            below, above = np.percentile(rest[:, channel], [5, 95])
+            below, above = np.percentile(around[held, channel], [5, 95])
             gaps += [
                 (low - above, key, 0, min(low, max((low + above) / 2, above + SLACK))),
                 (below - high, key, 1, max(high, min((below + high) / 2, below - SLACK))),
             ]
         gap, key, side, at = max(gaps)
-        if gap <= 0:
-            return None
-        span = list(bounds[key])
+        span = list(getattr(colours, key))
         span[side] = two_digits(at / 255)
-        if span[0] >= span[1]:
+        if gap <= 0 or span[0] >= span[1]:
             return None
         colours = colours.model_copy(update={key: (span[0], span[1])})
     return None

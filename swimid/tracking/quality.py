@@ -1,4 +1,4 @@
-"""Quality of a track: whether markers move and keep their distance, the camera, and the checks."""
+"""Quality of a track: motion of the markers, distance between them, motion of the camera, and the checks."""
 
 from __future__ import annotations
 
@@ -21,128 +21,141 @@ from swimid.tracking.setup import Setup
 
 Array = NDArray[np.float64]
 
-#: Fewer whole sights than this tell nothing; all are taken.
-LEAST_SIGHTS = 10
-#: What stays within its own radius looks like a still thing that ripples or is half covered at times.
-LEAST_RADII = 1.0
-#: Seen in a smaller share of the frames a marker has no usual place.
-LEAST_SHARE = 0.05
-#: Spread of the distance of two markers of a rigid part, as a share: good up to here, bearable up to here.
-DISTANCE_SPREAD = (0.02, 0.06)
-#: Width frames are reduced to before they are compared.
+#: Minimum number of detections for statistics of a marker.
+MIN_DETECTIONS = 10
+#: Minimum range of a marker that moves, in radii. A motionless thing in ripples, or covered at times, stays
+#: below.
+MIN_RADII = 1.0
+#: Minimum share of frames in which a marker is found.
+MIN_SHARE = 0.05
+#: Limits of relative deviations: a check passes up to the first, and fails beyond the second. They are for
+#: the distance of two markers on a rigid part, the share of frames without a marker, and lengths.
+MAX_DISTANCE_SD, MAX_UNSEEN, MAX_LENGTH_ERROR = (0.02, 0.06), (0.05, 0.5), (0.02, 0.05)
+#: Width that frames are reduced to before they are compared, px.
 SCENE_WIDTH = 480
-#: Normalised innovation from which on a measurement counts as a jump.
+#: Maximum shift of the scene of a camera at rest, px of the reduced picture.
+MAX_SHIFT_PX = 2.0
+#: Minimum normalised innovation of a jump.
 JUMP_SIGMA = 6.0
-#: Maximum share of frames with a marker hidden in part, or cut by the edge of the picture: chance exceeds
-#: three sigma in 0.1 %.
-HIDDEN_SHARE = 0.01
-#: Share of frames without a marker, and share of lengths that differ: good, and bearable, up to here.
-UNSEEN, LENGTH_ERROR = (0.05, 0.5), (0.02, 0.05)
+#: Maximum share of frames with a marker hidden in part, or cut by the edge of the picture.
+MAX_HIDDEN_SHARE = 0.01
 
 
 @dataclass(frozen=True)
 class Range:
-    """How far a marker gets."""
+    """Range of motion of a marker."""
 
-    #: 95th percentile of its distance from its usual place, over sights of the whole marker.
+    #: 95th percentile of its distance from its median place, over detections of the whole marker.
     away_px: float
-    #: Of a disc of its usual area.
+    #: Radius of a disc of its usual area.
     radius_px: float
-    #: Standard deviation of its centre from frame to frame, one axis.
+    #: Standard deviation of its centre from frame to frame, on one axis.
     noise_px: float
 
     @property
     def radii(self) -> float:
-        """The way in radii of the marker."""
+        """Range in radii of the marker."""
         return self.away_px / self.radius_px
 
     @property
     def moves(self) -> bool:
-        """Whether it leaves its own disc."""
-        return self.radii >= LEAST_RADII
+        """Whether the marker leaves the disc of its own size."""
+        return self.radii >= MIN_RADII
 
 
-def reach(track: RawTrack, name: str, scene: Array | None = None) -> Range:
-    """How far a marker gets from its usual place; 0 px where it is hardly seen.
+def measure_range(track: RawTrack, name: str, scene: Array | None = None) -> Range:
+    """Return the range of motion of a marker, 0 px if it is hardly ever found.
 
-    ``scene``, shape (2, n), px, is how far the scene itself is shifted in each frame.
+    ``scene``, shape (2, n), is the shift of the whole scene in each frame, px.
     """
     i = track.row(name)
     seen = track.found[i]
-    if seen.mean() < LEAST_SHARE:
+    if seen.mean() < MIN_SHARE:
         return Range(0.0, 1.0, math.nan)
     area = track.area[i]
     usual = float(np.median(area[seen]))
-    # Sights whose area is farther from the usual one show a part of the marker only: the centre of what is
-    # left moves though nothing does. Of a bar twenty times as long as broad that a passer-by covers, what
-    # remains whole by this measure moves by 0.6 of the radius of a disc of its area.
+    # Detections of another area show a part of the marker, whose centre moves if the covered part changes.
+    # A bar 20 times as long as wide that passers-by cover moves by 0.6 radii with this limit of the area.
     whole = seen & (np.abs(area - usual) <= 0.15 * usual)
-    part = whole if whole.sum() >= LEAST_SIGHTS else seen
-    x, y = np.stack([track.x[i], track.y[i]]) - (0.0 if scene is None else scene)
+    part = whole if whole.sum() >= MIN_DETECTIONS else seen
+    x, y = track.x[i], track.y[i]
+    if scene is not None:
+        x, y = x - scene[0], y - scene[1]
     away = np.hypot(x - np.median(x[part]), y - np.median(y[part]))[part]
-    noise = math.sqrt(0.5 * sum(scatter(row[seen]) ** 2 for row in (x, y)))
+    noise = math.sqrt(0.5 * sum(white_noise_sd(row[seen]) ** 2 for row in (x, y)))
     radius = max(math.sqrt(usual / math.pi), 1.0)
     return Range(float(np.percentile(away, 95)), radius, noise)
 
 
-def scatter(values: Array) -> float:
-    """Standard deviation of what changes from sample to sample; NaN for fewer than five.
-
-    That of second differences (over sqrt 6), which slow changes leave alone.
-    """
+def white_noise_sd(values: Array) -> float:
+    """Return the standard deviation of white noise, from second differences; NaN for fewer than 5 samples."""
     if len(values) < 5:
         return math.nan
-    second = values[2:] - 2 * values[1:-1] + values[:-2]
+    second = np.diff(values, n=2)
     return 1.4826 * float(np.median(np.abs(second - np.median(second)))) / math.sqrt(6)
 
 
+def marker_fault(
+    track: RawTrack, name: str, min_share: float = MIN_SHARE, scene: Array | None = None
+) -> tuple[str, str]:
+    """Return the code and the text of a warning if a marker is hardly found or does not move.
+
+    Both are empty otherwise. ``scene`` is that of :func:`measure_range`.
+    """
+    share, extent = float(track.found[track.row(name)].mean()), measure_range(track, name, scene)
+    if share < min_share:
+        return "SWM040", f"cannot be followed (found in {100 * share:.1f} % of the frames)"
+    if not extent.moves:
+        return "SWM067", f"does not move (stays within {extent.radii:.2g} of its radius of one place)"
+    return "", ""
+
+
 def head_first(track: RawTrack, head: str, tail: str) -> float | None:
-    """Return the share of steps in which two markers move towards the head; None below four steps."""
+    """Return the share of steps in which two markers move towards the head; None for fewer than 4 steps."""
     i, j = track.row(head), track.row(tail)
-    # Over a hundred steps of the film, however many frames it has.
+    # the film is divided into about 100 steps
     every = slice(None, None, max(len(track.times) // 100, 1))
     front, rear = (np.stack(track.centre(row))[:, every] for row in (i, j))
     line = front - rear
     length = np.hypot(*line)
-    # Where their distance is farther from its median another thing stood in for one of them; a camera askew
-    # changes it by less.
+    # A distance far from its median means that one of the detections is false. An inclined camera changes the
+    # distance by less.
     sound = np.abs(length / np.nanmedian(length) - 1) <= 0.3
     ahead = np.sum(np.diff(front + rear, axis=1) * line[:, :-1], axis=0)[sound[1:] & sound[:-1]]
     return float(np.mean(ahead > 0)) if len(ahead) >= 4 else None
 
 
 def distance_change(track: RawTrack, one: str, other: str) -> float | None:
-    """Return by how much the distance of two markers changes, as a share; None where hardly seen together.
+    """Return the relative change of the distance of two markers, apart from the effect of perspective.
 
-    It is the larger of two: the robust standard deviation that no view of a plane explains, and the change by
-    that view which the size of the markers does not share.
+    It is the larger of two values: the robust standard deviation after rectification, and the change by the
+    rectification that the areas of the markers do not show. It is None if the markers are hardly ever found
+    together.
 
-    Notes
-    -----
-    A camera askew shows the same length smaller where it is farther away, and shorter along the view than
-    across it. The picture is therefore first laid back on the plane, by the homography
-    ``M p / (1 + l p)``, M symmetric with trace 2, under which the distance varies least (Liebowitz and
-    Zisserman 1998, Metric rectification for perspective images of planes, CVPR,
-    doi:10.1109/CVPR.1998.698649: equal lengths fix it up to a similarity). M is left out where the robot
-    turns by no more than a body bends. The same homography changes the markers' areas; what of it they do
-    not show is no view of a plane.
+    Notes ----- An inclined camera shows a length smaller where it is farther away, and shorter along the view
+    than across it. Therefore the picture is first rectified by the homography ``M p / (1 + l p)``, with M
+    symmetric of trace 2, for which the distance varies least. Equal lengths determine it up to a similarity
+    (Liebowitz and Zisserman 1998, Metric rectification for perspective images of planes, CVPR,
+    doi:10.1109/CVPR.1998.698649). M is the identity if the robot turns by no more than its body may bend. The
+    same homography changes the areas of the markers. A change of the distance without the corresponding
+    change of the areas is not due to perspective.
     """
     i, j = track.row(one), track.row(other)
     both = track.found[i] & track.found[j]
-    if both.sum() < LEAST_SIGHTS:
+    if both.sum() < MIN_DETECTIONS:
         return None
     points = np.stack([track.x[[i, j]][:, both], track.y[[i, j]][:, both]])  # (xy, marker, frame)
     middle = points.mean(axis=(1, 2), keepdims=True)
     points = (points - middle) / max(float(np.abs(points - middle).max()), 1.0)
     heading = np.unwrap(np.arctan2(*(points[:, 0] - points[:, 1])[::-1]))
-    # A robot that turns by less may owe a change of the distance to a bend of its body, rad.
+    # if the robot turns by less, a bend of its body may change the distance
     turns = float(np.ptp(heading)) > math.radians(60.0)
 
     def scatter_of(view: Array) -> Array:
-        apart = np.log(np.maximum(np.hypot(*np.diff(_laid_back(points, view), axis=1)[:, 0]), 1e-9))
+        apart = np.log(np.maximum(np.hypot(*np.diff(_rectified(points, view), axis=1)[:, 0]), 1e-9))
         return np.asarray(apart - np.median(apart))
 
-    bound = np.array([0.7, 0.7, 0.6, 0.6] if turns else [0.7, 0.7])
+    bound = np.array([0.7, 0.7, 0.6, 0.6])[: 4 if turns else 2]
     view = least_squares(scatter_of, np.zeros(len(bound)), bounds=(-bound, bound), loss="soft_l1").x
     left = scatter_of(view)
     place = points.mean(axis=1)
@@ -150,37 +163,37 @@ def distance_change(track: RawTrack, one: str, other: str) -> float | None:
     size = 0.5 * np.log(track.area[[i, j]][:, both].sum(axis=0))
     design = np.column_stack([np.ones(both.sum()), *place])
     smooth, unshared = (design @ np.linalg.lstsq(design, v, rcond=None)[0] for v in (size, size + shrunk))
-    # The outline of a patch is known to a pixel: of small markers the size says less.
+    # the outline of a patch is known to one pixel, so that the areas of small markers are uncertain
     blurred = float(np.ptp(math.sqrt(2 * math.pi) / np.exp(smooth)))
     drift = min(float(np.ptp(shrunk)), max(float(np.ptp(unshared)) - blurred, 0.0))
     return max(1.4826 * float(np.median(np.abs(left))), drift)
 
 
-def _laid_back(points: Array, view: Array) -> Array:
-    """Image points, shape (2, m, n), on the plane, for ``view`` = l and the two freedoms of M."""
-    a, b = view[2:] if len(view) > 2 else (0.0, 0.0)
+def _rectified(points: Array, view: Array) -> Array:
+    """Return image points, shape (2, m, n), on the plane; ``view`` holds l and the two parameters of M."""
+    a, b = (*view[2:], 0.0, 0.0)[:2]
     x, y = points
     return np.stack([(1 + a) * x + b * y, b * x + (1 - a) * y]) / (1 + view[0] * x + view[1] * y)
 
 
-def shifts(frames: Sequence[Frame]) -> Array:
-    """How far the scene is shifted in each frame against the first one.
+def scene_shifts(frames: Sequence[Frame]) -> Array:
+    """Return the shift of the scene in each frame from the first frame.
 
     Parameters
     ----------
     frames : sequence of n frames
-        Of one size.
+        Frames of one size.
 
     Returns
     -------
     ndarray, shape (n, 2)
-        px, x to the right and y down; NaN where no common shift of most corners is found (ripples, plain
-        water, another scene).
+        In px, x to the right and y down; NaN if most corners have no common shift (ripples, plain water,
+        another scene).
 
     Notes
     -----
-    Corners of the first frame followed there and back by Lucas and Kanade's optical flow in pyramids
-    (Bouguet 2001); the median of those that come back, where most of all corners agree with it.
+    Corners of the first frame are followed forth and back by the pyramidal optical flow of Lucas and Kanade
+    (Bouguet 2001). The shift is the median of the corners that return to their place.
     """
     out = np.full((len(frames), 2), np.nan)
     if not frames:
@@ -188,7 +201,7 @@ def shifts(frames: Sequence[Frame]) -> Array:
     factor = max(frames[0].shape[1] / SCENE_WIDTH, 1.0)
     greys = (np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), np.uint8) for frame in frames)
     small = [reduced(grey, SCENE_WIDTH) for grey in greys]
-    # 300 corners are sought; fewer than 12 tell nothing of a scene.
+    # up to 300 corners are used, and at least 12 are needed
     corners = cv2.goodFeaturesToTrack(small[0], 300, 0.02, 7)
     if corners is None or len(corners) < 12:
         return out
@@ -196,24 +209,24 @@ def shifts(frames: Sequence[Frame]) -> Array:
         there, found, _ = cv2.calcOpticalFlowPyrLK(small[0], picture, corners, None)
         back, again, _ = cv2.calcOpticalFlowPyrLK(picture, small[0], there, None)
         sound = (found[:, 0] > 0) & (again[:, 0] > 0)
-        # A corner found in the other frame is found back from there within half a px of the reduced picture.
+        # the way back must end within half a pixel of the start
         sound &= np.linalg.norm((back - corners)[:, 0], axis=1) < 0.5
         if not sound.any():
             continue
         flow = (there - corners)[sound, 0]
         middle = np.median(flow, axis=0)
-        # Corners whose shift is within a px of the median (of the reduced picture) go together.
+        # corners belong to the scene if their shift is within one pixel of the median
         alike = np.linalg.norm(flow - middle, axis=1) < 1.0
-        # Half of the corners must do so, in 8 of the 4 x 4 cells of a grid over the picture: a robot near the
-        # camera may wear most of the corners.
+        # They must be half of all corners, and in 8 of 4 x 4 cells of the picture: a robot near the camera
+        # may hold most of the corners.
         cells = (corners[sound, 0][alike] * 4 / np.array(picture.shape[::-1])).astype(int)
         if alike.sum() >= 0.5 * len(corners) and len(np.unique(cells, axis=0)) >= 8:
             out[k] = factor * middle
     return out
 
 
-def between(shift: Array, indices: NDArray[np.int64], count: int) -> Array | None:
-    """The shift in each of ``count`` frames from that in some, shape (2, count); None where unknown."""
+def interpolate_shifts(shift: Array, indices: NDArray[np.int64], count: int) -> Array | None:
+    """Return the shift in all ``count`` frames from that in some, shape (2, count); None if unknown."""
     known = np.isfinite(shift[:, 0])
     if known.sum() < 2:
         return None
@@ -221,11 +234,10 @@ def between(shift: Array, indices: NDArray[np.int64], count: int) -> Array | Non
     return np.array([np.interp(frames, indices[known], row[known]) for row in shift.T])
 
 
-def moving_camera(shift: Array, width: int, consequence: str) -> tuple[float, float]:
-    """Return the largest shift of the scene and its limit in a picture of ``width`` px; warn beyond that."""
+def check_camera(shift: Array, width: int, consequence: str) -> tuple[float, float]:
+    """Return the maximum shift of the scene and its limit for a ``width`` in px; warn if it is exceeded."""
     largest = float(np.nanmax(np.hypot(*shift.T), initial=0.0))
-    # A scene that shifts by more than 2 px of the reduced picture has a camera that moves.
-    limit = 2.0 * max(width / SCENE_WIDTH, 1.0)
+    limit = MAX_SHIFT_PX * max(width / SCENE_WIDTH, 1.0)
     if largest > limit:
         text = f"the whole scene shifts by {largest:.1f} px in the film: the camera moves"
         warn("SWM068", f"{text}{consequence}")
@@ -238,21 +250,21 @@ def moving_camera(shift: Array, width: int, consequence: str) -> tuple[float, fl
 def _judged(
     code: str, name: str, value: str, limit: str, passed: bool, reason: str, *, fails: bool = False
 ) -> Check:
-    """Return a check; warn with its code, where it has one, if it does not pass."""
+    """Return a check that warns or fails. If it does not pass and has a code, warn."""
     if code and not passed:
         warn(code, reason)
     return check(name, value, passed, limit, otherwise="fail" if fails else "warn", reason=reason)
 
 
 def _graded(
-    code: str, name: str, value: str, limit: str, size: float, ends: tuple[float, float], reason: str
+    code: str, name: str, value: str, limit: str, size: float, limits: tuple[float, float], reason: str
 ) -> Check:
-    """Return a check of a size that passes up to the first end, and fails beyond the second."""
-    return _judged(code, name, value, limit, size <= ends[0], reason, fails=not size <= ends[1])
+    """Return a check of a size that passes up to the first limit, and fails beyond the second."""
+    return _judged(code, name, value, limit, size <= limits[0], reason, fails=not size <= limits[1])
 
 
 def checks(track: RawTrack, pose: Pose, setup: Setup, kept: dict[int, Frame] | None = None) -> list[Check]:
-    """Every check of a track in order of importance; ``kept`` are some of its frames."""
+    """Return all checks of a track in order of importance; ``kept`` are some of its frames."""
     return [
         *_presence(track, pose, setup),
         _motion(track, setup),
@@ -270,12 +282,12 @@ def checks(track: RawTrack, pose: Pose, setup: Setup, kept: dict[int, Frame] | N
 def _presence(track: RawTrack, pose: Pose, setup: Setup) -> Iterator[Check]:
     fresh, t, head = ~pose.held.repeated, pose.times, pose.rows[0]
     first, last = (int(f) for f in np.flatnonzero(pose.measured)[[0, -1]])
-    # where the edge of the picture cuts a marker in the frame before the first sight, or after the last, the
-    # body is not lost but out of the picture
+    # if the edge of the picture cuts a marker just before the first detection, or just after the last, the
+    # body is not lost but outside the picture
     cut = np.any(track.at_edge[pose.rows], axis=0)
     enters, leaves = bool(cut[first - 1 : first].any()), bool(cut[last + 1 : last + 2].any())
     count, total = int(pose.measured.sum()), int(fresh.sum())
-    # a film that shows the body for a part only is never all good
+    # frames before it enters and after it leaves are no losses, but do not pass the check either
     inside = slice(first if enters else 0, last + 1 if leaves else len(fresh))
     lost = 1 - float(pose.measured[inside][fresh[inside]].mean())
     bridged, empty = int((pose.interpolated & fresh).sum()), int(((pose.segment == 0) & fresh).sum())
@@ -285,9 +297,9 @@ def _presence(track: RawTrack, pose: Pose, setup: Setup) -> Iterator[Check]:
     )
     if count < total:
         warn("SWM040", reason)
-    good = UNSEEN[0] if count >= 0.95 * total else -1.0
     value = f"{count} of {total} ({100 * count / total:.1f} %)"
-    yield _graded("", "Frames found", value, ">= 95 %", lost, (good, UNSEEN[1]), reason)
+    passed, fails = max(lost, 1 - count / total) <= MAX_UNSEEN[0], lost > MAX_UNSEEN[1]
+    yield _judged("", "Frames found", value, ">= 95 %", passed, reason, fails=fails)
     reasons = []
     if t[first] - t[0] > setup.max_gap_s:
         before = "cut by the edge of the picture before" if enters else "nothing of it before"
@@ -306,49 +318,50 @@ def _presence(track: RawTrack, pose: Pose, setup: Setup) -> Iterator[Check]:
 
 
 def _motion(track: RawTrack, setup: Setup) -> Check:
-    """Whether what was followed moves: a still thing is found in every frame and passes all else."""
-    reaches = {name: reach(track, name) for name in setup.roles}
+    """Check that the marker that moves most does move. A motionless thing passes all other checks."""
+    reaches = {name: measure_range(track, name) for name in setup.roles}
     name, farthest = max(reaches.items(), key=lambda item: item[1].radii)
-    # What a still point's noise exceeds in 0.3 % of the frames (Rayleigh's distribution).
+    # distance that the noise of a motionless point exceeds in 0.3 % of the frames (Rayleigh distribution)
     noise = math.sqrt(-2 * math.log(0.003)) * math.hypot(farthest.noise_px, SYSTEMATIC_PX)
     still = farthest.away_px <= noise
-    reason = (
-        f"marker '{name}' stays within {farthest.away_px:.2g} px of one place, {farthest.radii:.2g} of its "
-        f"radius{', which is its noise' if still else ''}: is it the marker, or a still thing of its colour?"
-    )
-    value, limit = f"{farthest.radii:.2g} radii", f">= {LEAST_RADII:g} radius and {noise:.2g} px of noise"
+    extent = f"{farthest.away_px:.2g} px of one place, {farthest.radii:.2g} of its radius"
+    reason = f"marker '{name}' stays within {extent}"
+    if still:
+        reason += ", which is its noise"
+    reason += ": is it the marker, or a motionless thing of its colour?"
+    value, limit = f"{farthest.radii:.2g} radii", f">= {MIN_RADII:g} radius and {noise:.2g} px of noise"
     passed = farthest.moves and not still
     return _judged("SWM067", "Motion", value, limit, passed, reason, fails=still)
 
 
 def _camera(kept: dict[int, Frame]) -> Iterator[Check]:
-    """Whether the camera stood still, where most of the scene can be recognised."""
-    shift = shifts(list(kept.values()))
+    """Check that the camera is at rest, if most of the scene can be recognised."""
+    shift = scene_shifts(list(kept.values()))
     if np.isfinite(shift[:, 0]).sum() < 2:
         return
     width = next(iter(kept.values())).shape[1]
-    largest, limit = moving_camera(shift, width, ", and so do positions and speeds in the log")
+    largest, limit = check_camera(shift, width, ", and so do positions and speeds in the log")
     reason = f"the camera moves: the whole scene shifts by {largest:.1f} px"
     yield _judged("", "Camera", f"{largest:.1f} px", f"<= {limit:.1f} px", largest <= limit, reason)
 
 
 def _others(track: RawTrack, setup: Setup) -> Iterator[Check]:
-    """How often the markers are seen that the pose does not need, and whether they move."""
+    """Check how often the markers are found that the pose does not need, and whether they move."""
     shares = {n: float(track.found[track.row(n)].mean()) for n in track.names if n not in setup.roles}
     if not shares:
         return
     worst = min(shares, key=lambda n: shares[n])
     value = f"{worst} in {100 * shares[worst]:.1f} %"
     reason = f"marker '{worst}' is found in {100 * shares[worst]:.1f} % of the frames only"
-    yield _graded("", "Other markers found", value, ">= 95 %", 1 - shares[worst], UNSEEN, reason)
-    still = [n for n in shares if shares[n] > 0 and not reach(track, n).moves]
+    yield _graded("", "Other markers found", value, ">= 95 %", 1 - shares[worst], MAX_UNSEEN, reason)
+    still = [n for n in shares if shares[n] > 0 and not measure_range(track, n).moves]
     reason = f"markers never left the radius of one place: {', '.join(still)}. Are they still things?"
-    value, limit = f"{len(shares) - len(still)} of {len(shares)}", f">= {LEAST_RADII:g} radius"
+    value, limit = f"{len(shares) - len(still)} of {len(shares)}", f">= {MIN_RADII:g} radius"
     yield _judged("SWM067", "Other markers move", value, limit, not still, reason)
 
 
 def _separation(pose: Pose, setup: Setup) -> Iterator[Check]:
-    """Whether two markers keep their distance, everywhere in the picture, and as on the robot."""
+    """Check that the distance of two markers is constant over time and place, and is that on the robot."""
     if pose.separation is None:
         return
     known = pose.measured & np.isfinite(pose.separation)
@@ -357,14 +370,14 @@ def _separation(pose: Pose, setup: Setup) -> Iterator[Check]:
     spread = 1.4826 * float(np.median(np.abs(separation - middle))) / middle
     value = f"{middle:.4g} {pose.plane.unit} ± {100 * spread:.2f} %"
     reason = f"the distance of head and tail marker scatters by {100 * spread:.1f} %"
-    yield _graded("", "Marker separation", value, "± 2 %", spread, DISTANCE_SPREAD, reason)
+    yield _graded("", "Marker separation", value, "± 2 %", spread, MAX_DISTANCE_SD, reason)
     design = np.column_stack([np.ones(known.sum()), *pose.raw[:, known]])
     design[:, 1:] -= design[:, 1:].mean(0)
     fit, *_ = np.linalg.lstsq(design, separation, rcond=None)
     drift = float(np.ptp(design[:, 1:] @ fit[1:])) / middle
     reason = f"the distance of head and tail marker changes by {100 * drift:.1f} % across the picture"
     name, value = "Separation across the picture", f"{100 * drift:.2f} %"
-    yield _graded("SWM042", name, value, "<= 2 %", drift, LENGTH_ERROR, reason)
+    yield _graded("SWM042", name, value, "<= 2 %", drift, MAX_LENGTH_ERROR, reason)
     if setup.places is None:
         return
     known_m = math.dist(*setup.places)
@@ -374,20 +387,22 @@ def _separation(pose: Pose, setup: Setup) -> Iterator[Check]:
         "so is every length in the log, or their places on the robot are wrong"
     )
     name, value = "Marker distance against the robot", f"{100 * off:+.2f} % of {known_m:g} m"
-    yield _graded("SWM042", name, value, "within 2 %", abs(off), LENGTH_ERROR, reason)
+    yield _graded("SWM042", name, value, "within 2 %", abs(off), MAX_LENGTH_ERROR, reason)
 
 
 def _direction(pose: Pose, setup: Setup, track: RawTrack) -> Iterator[Check]:
-    """Whether the robot swims the way that head and tail say.
+    """Check that the robot swims in the direction that head and tail define.
 
-    It swims the other way if that is most of its way, and it gets that way by more than the distance of the
-    markers, or by more than a marker's radius and than its longest stretch in the stated direction: a robot
-    on the spot moves to and fro.
+    The check fails if most of the path is in the other direction and the difference is more than the distance
+    of the markers, or more than the radius of a marker and the longest stretch in the stated direction. A
+    robot that stays in place moves to and fro.
     """
     if pose.body_velocity is None or pose.separation is None:
         return
     step = np.gradient(pose.times) * pose.body_velocity[0]
-    step = np.where(np.isfinite(step), step, 0.0) * (1 if setup.swims == "head-first" else -1)
+    step = np.where(np.isfinite(step), step, 0.0)
+    if setup.swims == "tail-first":
+        step = -step
     ahead, astern = float(step[step > 0].sum()), float(-step[step < 0].sum())
     longest = max((float(step[a:b].sum()) for a, b in runs(step > 0)), default=0.0)
     head = pose.rows[0]
@@ -418,23 +433,23 @@ def _timing(pose: Pose) -> Iterator[Check]:
 
 
 def _sight(track: RawTrack, pose: Pose) -> Iterator[Check]:
-    """Whether the markers are cut by the edge of the picture, hidden in part, or jump."""
+    """Check whether the edge of the picture cuts markers, and whether they are partly hidden or jump."""
     count, seen = int(np.any(track.at_edge[pose.rows], axis=0).sum()), track.seen[pose.rows].any(axis=0)
     share = count / max(int(seen.sum()), 1)
     reason = f"in {count} frames the edge of the picture cuts a marker; these frames count as not found"
     if count:
         warn("SWM045", reason)
     value = f"{count} frames"
-    yield _judged("", "At the edge of the picture", value, "<= 1 %", share <= HIDDEN_SHARE, reason)
+    yield _judged("", "At the edge of the picture", value, "<= 1 %", share <= MAX_HIDDEN_SHARE, reason)
     off, measured = pose.hidden[pose.rows].max(axis=0), max(int(pose.measured.sum()), 1)
     count = int(np.sum(off > 0))
     reason = (
         f"in {count} frames a marker is hidden in part or seen aslant; its centre may be {off.max():.1f} "
         f"px off in frame {int(np.argmax(off))}"
     )
-    passed = count / measured <= HIDDEN_SHARE
+    passed = count / measured <= MAX_HIDDEN_SHARE
     yield _judged("SWM066", "Hidden in part", f"{count} frames", "<= 1 %", passed, reason)
-    innovations = [pose.path.innovation] + ([] if pose.angle is None else [pose.angle.innovation])
+    innovations = [one.innovation for one in (pose.path, pose.angle) if one is not None]
     far = np.nanmax(np.abs(np.concatenate(innovations)), axis=0, initial=0.0) > JUMP_SIGMA
     count, limit = int(far.sum()), f"0 beyond {JUMP_SIGMA:g} sigma"
     reason = f"{count} measurements jump, the first in frame {int(np.argmax(far))}: is it the marker?"
@@ -453,7 +468,7 @@ def _calibration(pose: Pose) -> Iterator[Check]:
 
 
 def _looks(track: RawTrack) -> Iterator[Check]:
-    """Whether something else came before the marker, and whether its colour drifted."""
+    """Check whether another thing was taken for the marker first, and whether its colour drifted."""
     for name, (count, area) in track.mistaken.items():
         now = float(np.nanmedian(track.area[track.row(name)]))
         value = f"{count} sights of a thing of {area:.0f} px, then one of {now:.0f} px"

@@ -1,4 +1,4 @@
-"""Frames of a video, or of a series of pictures, with the stamps they carry."""
+"""Frames of a film, or of a series of pictures, with their time stamps."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-# FFmpeg's own remarks on damaged frames would stand on stderr between swimid's messages.
+# FFmpeg would write remarks on damaged frames between the messages of swimid.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")
 
@@ -24,35 +24,35 @@ from swimid.notices import warn
 
 Frame = NDArray[np.uint8]
 
-#: Endings of pictures.
+#: File name extensions of pictures.
 ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm")
-#: Colour of what was measured, drawn into a frame, BGR (Okabe and Ito's).
-SEEN = (0, 159, 230)
-#: A place holder of C's printf for a whole number.
+#: Colour of measured points in a drawing, BGR (Okabe and Ito).
+MEASURED = (0, 159, 230)
+#: Placeholder of the printf function of C for a whole number.
 _HOLDER = re.compile(r"%0?\d*d")
-#: A step of the stamps this far from the median step is irregular.
+#: Maximum relative deviation of a regular time step from the median step.
 JITTER = 0.25
-
-
-#: A frame as it was read: its place in the film, its stamp (s; NaN for pictures), and the picture.
+#: A frame: its place in the film, its stamp (s; NaN for pictures), and the picture.
 _Read = tuple[int, float, Frame]
 
 
 def is_sequence(path: Path) -> bool:
-    """Whether a path means many pictures: a folder, or a pattern that is not itself a file."""
+    """Return whether a path is a series of pictures: a folder, or a pattern that is not a file itself."""
     return path.is_dir() or (not path.exists() and _HOLDER.search(path.name) is not None)
 
 
 def _pictures(path: Path, files: list[Path], apply_rotation: bool) -> Iterator[_Read]:
-    """Pictures in the order of the numbers in their names; a missing one leaves its place."""
-    flags = cv2.IMREAD_COLOR if apply_rotation else cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+    """Yield pictures in the order of the numbers in their names; a missing picture keeps its place."""
+    flags = cv2.IMREAD_COLOR
+    if not apply_rotation:
+        flags |= cv2.IMREAD_IGNORE_ORIENTATION
     bad, first = [], None
     for position, file in zip(_positions(path, files), files, strict=True):
         frame = cv2.imread(str(file), flags)
         if frame is None:
             bad.append(file.name)
             continue
-        first = frame.shape if first is None else first
+        first = first or frame.shape
         if frame.shape != first:
             here, before = (f"{size[1]} x {size[0]}" for size in (frame.shape, first))
             text = f"is {here} pixels, those before it are {before}"
@@ -65,12 +65,12 @@ def _pictures(path: Path, files: list[Path], apply_rotation: bool) -> Iterator[_
 
 
 def _opened(path: Path, apply_rotation: bool) -> cv2.VideoCapture:
-    """A video file, to be decoded."""
+    """Open a film."""
     if not path.is_file():
         raise InputError("cannot be read: no such file", file=path, hint="check the path")
     if path.stat().st_size == 0:
         raise InputError("is empty", file=path)
-    # One thread more than cores: the decoder goes on while a frame is looked at.
+    # with one thread more than cores the decoder continues while a frame is evaluated
     threads = min(os.cpu_count() or 1, 16) + 1
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, threads])
     if not capture.isOpened():
@@ -82,7 +82,7 @@ def _opened(path: Path, apply_rotation: bool) -> cv2.VideoCapture:
 
 
 def _decoded(capture: cv2.VideoCapture) -> Iterator[_Read]:
-    """Frames of a video file, each in the memory of the one before."""
+    """Yield the frames of a film, each in the memory of the one before."""
     picture: Frame | None = None
     for position in itertools.count():
         ok, frame = capture.read(picture)
@@ -94,41 +94,40 @@ def _decoded(capture: cv2.VideoCapture) -> Iterator[_Read]:
 
 
 class Video:
-    """A video that is read once, from its first frame to its last.
+    """A film that is read once, from its first frame to its last.
 
     Parameters
     ----------
     path : path
-        A video file; or a folder of pictures, or a pattern of their names (``pool/%05d.png``).
+        A film, a folder of pictures, or a pattern of their names (``pool/%05d.png``).
     frame_rate_hz : float, optional
-        True frame rate where the stamps of the container lie; frame i is then at
-        i / frame_rate_hz. Pictures have no other clock.
+        True frame rate, if the stamps of the container are wrong. Frame i is then at i / frame_rate_hz.
+        Pictures have no other clock.
     apply_rotation : bool
-        Turn the picture as the rotation tag says. Set explicitly, because the default
-        changed between OpenCV versions.
+        Whether the rotation tag is applied. The default of OpenCV depends on its version.
 
     Attributes
     ----------
     files : list of path
-        The file, or the pictures.
+        The film, or the pictures.
     width, height : int
-        Of the picture, px.
+        Size of the picture, px.
     claimed_rate_hz, claimed : float, int
-        Mean rate and number of frames the container claims; 0 where it claims none.
+        Mean rate and number of frames according to the container; 0 if it does not state them.
     first_stamp_s : float
-        The container's stamp of the first frame, which is t = 0; NaN of pictures.
+        Stamp of the first frame, which is t = 0; NaN for pictures.
 
     Raises
     ------
     InputError
-        When the file is missing or no frame of it decodes.
+        The file does not exist, or no frame of it can be decoded.
     """
 
     def __init__(
         self, path: str | Path, *, frame_rate_hz: float | None = None, apply_rotation: bool = True
     ) -> None:
         self.path = Path(path)
-        # On few cores decoding uses them all; threads for small images only cost.
+        # decoding uses all cores, and threads for small pictures only cost time
         cv2.setNumThreads(1)
         self._rate = frame_rate_hz
         self._stamps: list[float] = []
@@ -141,8 +140,11 @@ class Video:
             self.files = [self.path]
             capture = _opened(self.path, apply_rotation)
             rate, count = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
-            self.claimed_rate_hz = rate if np.isfinite(rate) and rate > 0 else 0.0
-            self.claimed = int(count) if 0 < count < 1e9 else 0
+            self.claimed_rate_hz, self.claimed = 0.0, 0
+            if np.isfinite(rate) and rate > 0:
+                self.claimed_rate_hz = rate
+            if 0 < count < 1e9:
+                self.claimed = int(count)
             self._read = _decoded(capture)
         first = next(self._read, None)
         if first is None:
@@ -153,31 +155,34 @@ class Video:
         self.height, self.width = first[2].shape[:2]
 
     def demand_clock(self) -> None:
-        """Raise where nothing tells the time of the frames: pictures without a frame rate."""
+        """Raise if the times of the frames are unknown: pictures without a frame rate."""
         if self._rate is None and np.isnan(self.first_stamp_s):
             hint = "give their rate with --fps, or frame_rate_hz in the setup"
             raise InputError("is a series of pictures, which carry no time stamps", file=self.path, hint=hint)
 
     def frames(self) -> Iterator[tuple[float, Frame]]:
-        """Every frame as (time in s, picture in BGR). The picture is overwritten by the next.
+        """Yield the time in s and the BGR picture of every frame. The next picture overwrites it.
 
-        The time of pictures without a frame rate is NaN.
+        Pictures without a frame rate have the time NaN.
         """
         for position, stamp, frame in itertools.chain([self._first], self._read):
             self._stamps.append(stamp)
             self._positions.append(position)
             since = position - self._positions[0]
-            yield since / self._rate if self._rate else stamp - self.first_stamp_s, frame
+            if self._rate:
+                yield since / self._rate, frame
+            else:
+                yield stamp - self.first_stamp_s, frame
         count, claimed = len(self._stamps), self.claimed
-        # Some containers count one or two frames more than they hold.
+        # some containers state one or two frames more than they hold
         if len(self.files) == 1 and claimed and count < claimed - max(2, 0.01 * claimed):
             text = f"{count} of {claimed} frames could be decoded"
             warn("SWM044", f"{self.path.name}: {text}; the video is damaged or cut after frame {count - 1}")
 
     def times(self) -> NDArray[np.float64]:
-        """Times of the frames read so far, s, strictly increasing, from 0 at the first.
+        """Return the times of the frames read so far, s, strictly increasing from 0.
 
-        Stamps that stand still or run backwards are replaced by even steps, with a warning.
+        Stamps that do not increase are replaced by even steps, with a warning.
         """
         if self._rate:
             positions = np.array(self._positions, dtype=float)
@@ -197,7 +202,7 @@ class Video:
 
 
 def reduced(frame: Frame, width: int) -> Frame:
-    """A copy of a picture, at most ``width`` px wide."""
+    """Return a copy of a picture that is at most ``width`` px wide."""
     factor = max(frame.shape[1] / width, 1.0)
     if factor == 1:
         return frame.copy()
@@ -212,15 +217,15 @@ def largest_channel(picture: Frame) -> Frame:
 
 
 def write_text(image: Frame, text: str, where: tuple[int, int], size: float, line: int = 1) -> None:
-    """Write into a picture, outlined: legible on light and dark water."""
+    """Write text with an outline into a picture, in place."""
     for shade, width in (((0, 0, 0), 3 * line), ((255, 255, 255), line)):
         cv2.putText(image, text, where, cv2.FONT_HERSHEY_SIMPLEX, size, shade, width, cv2.LINE_AA)
 
 
 class FrameKeeper:
-    """Keeps some frames spread evenly over a video of unknown length, at most ``width`` px wide.
+    """Keep up to ``most`` frames, spread evenly over a film of unknown length and at most ``width`` px wide.
 
-    At first every ``every``-th is kept; as soon as there are more than ``most`` every second one is dropped.
+    At first every ``every``-th frame is kept. If there are more than ``most``, every second one is dropped.
     """
 
     def __init__(self, most: int, every: int = 1, width: int | None = None) -> None:
@@ -228,7 +233,7 @@ class FrameKeeper:
         self._most, self._every, self._width = most, every, width
 
     def take(self, index: int, frame: Frame) -> None:
-        """Look at the next frame; a copy is kept now and then."""
+        """Keep a copy of the next frame if it is its turn."""
         if index % self._every:
             return
         self.kept[index] = reduced(frame, self._width or frame.shape[1])
@@ -238,7 +243,7 @@ class FrameKeeper:
 
 
 def irregular(times: NDArray[np.float64]) -> tuple[float, float]:
-    """Share of time steps farther than ``JITTER`` from the median step, and the longest over the median."""
+    """Return the share of irregular time steps, and the ratio of the longest step to the median."""
     steps = np.diff(times)
     if len(steps) < 2:
         return 0.0, 1.0
@@ -247,14 +252,14 @@ def irregular(times: NDArray[np.float64]) -> tuple[float, float]:
 
 
 def check_output(path: Path, output: Path) -> None:
-    """Refuse an output among the pictures of a folder: its plot would be one of them in the next run."""
+    """Raise if the output is in the folder of the pictures, where its plot would become one of them."""
     if path.is_dir() and output.resolve().parent == path.resolve():
         text = f"the output {output} would lie among the pictures of {path}"
         raise UsageError(text, hint="name another folder")
 
 
 def _listed(path: Path) -> list[Path]:
-    """The pictures in order."""
+    """Return the pictures in order."""
     if path.is_dir():
         files = [f for f in path.iterdir() if f.suffix.lower() in ENDINGS and f.is_file()]
         files = [f for f in files if not f.name.startswith(".")]
@@ -274,8 +279,10 @@ def _listed(path: Path) -> list[Path]:
         raise InputError("cannot be read: no such folder", file=path, hint="check the path")
     before, after = path.name.split(holders[0])
     width = int(re.sub(r"\D", "", holders[0]) or 0)
-    # printf fills up to the width, and writes longer numbers in full.
-    digits = rf"(\d{{{width}}}|[1-9]\d{{{width},}})" if width else r"(\d+)"
+    # printf pads numbers up to the width, and does not shorten longer numbers
+    digits = rf"(\d{{{width}}}|[1-9]\d{{{width},}})"
+    if not width:
+        digits = r"(\d+)"
     name = re.compile(re.escape(before) + digits + re.escape(after))
     matches = [(name.fullmatch(f.name), f) for f in path.parent.iterdir()]
     numbered = [(int(match.group(1)), file) for match, file in matches if match]
@@ -290,7 +297,7 @@ def _numbers(name: str) -> list[int]:
 
 
 def _positions(path: Path, files: list[Path]) -> list[int]:
-    """Place of each picture in an even series: by the number that counts in the names, else by the order."""
+    """Return the place of each picture in an even series, from the number in the names that counts."""
     table = np.array([_numbers(f.name) or [0] for f in files], dtype=object)
     counting = [k for k in range(table.shape[1]) if len(set(table[:, k])) > 1]
     order = list(range(len(files)))
@@ -312,4 +319,5 @@ def _positions(path: Path, files: list[Path]) -> list[int]:
 
 
 def _some(names: list[str]) -> str:
-    return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+    shown = names if len(names) <= 3 else [*names[:3], "..."]
+    return ", ".join(shown)

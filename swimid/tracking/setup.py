@@ -1,12 +1,11 @@
-"""The video setup file, ``swimid-setup/1``: markers, camera and scale of one camera set-up.
+"""The setup file, ``swimid-setup/1``: markers, camera and scale.
 
-One file serves every video taken with the same camera and lights. ``swimid track setup``
-drafts it from a video; ``docs/tracking.md`` explains each key with an example.
+One file serves all films that are taken with the same camera and lights. ``swimid track setup`` drafts it
+from a film, and ``docs/tracking.md`` explains each key with an example.
 """
 
 from __future__ import annotations
 
-import colorsys
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -40,52 +39,35 @@ _Hue = Annotated[float, Field(ge=0, le=360)]
 
 
 class HsvRange(Document):
-    """A range of colours. Hue is an angle: ``[345, 15]`` runs through red at 0."""
+    """Range of colours. Hue is an angle: ``[345, 15]`` contains red at 0."""
 
     hue_deg: tuple[_Hue, _Hue] = (0.0, 360.0)
     saturation: _Span = (0.0, 1.0)
     value: _Span = (0.0, 1.0)
 
 
-class Tolerance(Document):
-    """How far a pixel may be from the reference colour."""
-
-    hue_deg: Annotated[float, Field(gt=0, le=180)] = 20.0
-    saturation: Annotated[float, Field(gt=0, le=1)] = 0.35
-    value: Annotated[float, Field(gt=0, le=1)] = 0.4
-
-
 class Marker(Document):
-    """One kind of marker: its colour, how many there are, and how large they look."""
+    """One kind of marker: colour, number and size in the picture."""
 
     name: Annotated[str, Field(min_length=1, max_length=40)]
-    #: ``background``: the whole body, by its difference from the empty scene; it needs no colour.
+    #: ``background`` is the whole body, found by its difference from the empty scene; it needs no colour.
     method: Literal["colour", "background"] = "colour"
     hsv: HsvRange | None = None
-    #: ``"#rrggbb"``, with ``tolerance`` about it.
-    colour: str | None = None
-    tolerance: Tolerance | None = None
     number: Annotated[int, Field(ge=1, le=20)] = 1
     area_px: _Area | None = None
-    #: Where each is in the first frame (image pixels), to name equal ones.
+    #: Place of each marker in the first frame (px of the picture), which defines the names of equal markers.
     start_px: _Points | None = None
-    #: Place on the robot, seen from its reference point: forward, and to port (up in the vertical plane), m.
+    #: Place on the robot relative to its reference point: forward, and to port (up in the vertical plane), m.
     at_m: _Point | None = None
 
     @model_validator(mode="after")
-    def _one_colour(self) -> Marker:
+    def _has_colour(self) -> Marker:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", self.name):
             raise ValueError(f"marker name '{self.name}' must be letters, digits, - and _, a letter first")
-        if self.method == "background":
-            if self.hsv is not None or self.colour is not None or self.number > 1:
-                text = f"marker '{self.name}' has method: background; it takes no colour, and number 1"
-                raise ValueError(text)
-        elif (self.hsv is None) == (self.colour is None):
-            raise ValueError(f"marker '{self.name}' needs either hsv or colour")
-        if self.tolerance is not None and self.colour is None:
-            raise ValueError(f"marker '{self.name}': tolerance goes with colour, not with hsv")
-        if self.colour is not None and not re.fullmatch(r"#[0-9A-Fa-f]{6}", self.colour):
-            raise ValueError(f"colour '{self.colour}' of marker '{self.name}' must look like \"#d01c1c\"")
+        if self.method == "background" and (self.hsv is not None or self.number > 1):
+            raise ValueError(f"marker '{self.name}' has method: background; it takes no hsv, and number 1")
+        if self.method == "colour" and self.hsv is None:
+            raise ValueError(f"marker '{self.name}' needs hsv")
         if self.start_px is not None and len(self.start_px) != self.number:
             text = f"marker '{self.name}' has number {self.number} and {len(self.start_px)} start points"
             raise ValueError(text)
@@ -93,29 +75,14 @@ class Marker(Document):
 
     @property
     def names(self) -> list[str]:
-        """Names of the single markers: the name, or name1, name2, ... when there are several."""
+        """Names of the single markers: the name, or name1, name2, ... if there are several."""
         if self.method == "background":
             return [self.name, f"{self.name}_rear"]
         return [self.name] if self.number == 1 else [f"{self.name}{i + 1}" for i in range(self.number)]
 
-    def colour_range(self) -> HsvRange:
-        """The colours that belong to the marker, however the file gives them."""
-        if self.hsv is not None:
-            return self.hsv
-        assert self.colour is not None
-        red, green, blue = (int(self.colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
-        hue, saturation, value = colorsys.rgb_to_hsv(red, green, blue)
-        about = self.tolerance or Tolerance()
-        turn = ((360 * hue - about.hue_deg) % 360, (360 * hue + about.hue_deg) % 360)
-        return HsvRange(
-            hue_deg=turn if about.hue_deg < 180 else (0.0, 360.0),
-            saturation=(max(saturation - about.saturation, 0.0), min(saturation + about.saturation, 1.0)),
-            value=(max(value - about.value, 0.0), min(value + about.value, 1.0)),
-        )
-
 
 class Heights(Document):
-    """Height of the camera and of the markers over the plane the scale was measured in."""
+    """Height of the camera and of the markers above the plane in which the scale was measured."""
 
     camera_m: _Positive
     marker_m: float
@@ -128,7 +95,7 @@ class Heights(Document):
 
 
 class Scale(Document):
-    """Pixels to metres: a factor, two points and their distance, or four points and more."""
+    """Scale from pixels to metres: a factor, two points and their distance, or four or more points."""
 
     metres_per_pixel: _Positive | None = None
     points_px: _Points | None = None
@@ -138,16 +105,12 @@ class Scale(Document):
 
     @model_validator(mode="after")
     def _one_kind(self) -> Scale:
-        ways = [n for n in ("metres_per_pixel", "distance_m", "points_m") if getattr(self, n) is not None]
-        if len(ways) > 1:
-            raise ValueError(f"contradicting scales: {' and '.join(ways)} are both given; keep one")
-        if not ways:
-            text = "give metres_per_pixel, or points_px with distance_m, or points_px with points_m"
-            raise ValueError(text)
-        if self.metres_per_pixel is None and self.points_px is None:
-            raise ValueError(f"{ways[0]} needs points_px")
-        if self.metres_per_pixel is not None and self.points_px is not None:
-            raise ValueError("contradicting scales: metres_per_pixel needs no points_px; keep one")
+        given = {key for key, value in self if value is not None and key != "heights"}
+        if given not in ({"metres_per_pixel"}, {"points_px", "distance_m"}, {"points_px", "points_m"}):
+            raise ValueError(
+                "contradicting or incomplete scales: give metres_per_pixel, or points_px with distance_m, or "
+                "points_px with points_m"
+            )
         points = self.points_px or ()
         count = len(points)
         if self.distance_m is not None and count != 2:
@@ -161,10 +124,10 @@ class Scale(Document):
 
 
 class Camera(Document):
-    """Lens calibration as OpenCV gives it."""
+    """Calibration of the camera and its lens, with the conventions of OpenCV."""
 
     matrix: tuple[tuple[float, float, float], ...]
-    #: Width and height of the pictures that the matrix was estimated from; it is scaled to the film's.
+    #: Width and height of the calibration pictures. The matrix is scaled to the pictures of the film.
     size_px: tuple[_Positive, _Positive] | None = None
     distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
 
@@ -180,34 +143,34 @@ class Camera(Document):
 
 
 class Setup(Document):
-    """How to read one camera's videos."""
+    """Setup of the films of one camera."""
 
     format: Literal["swimid-setup/1"]
     markers: Annotated[list[Marker], Field(min_length=1, max_length=20)]
-    #: The marker whose path is the log's (the nose), and the one behind it. Of markers of one kind the first
-    #: is the head unless said otherwise, and they need no tail.
+    #: Marker whose path is that of the log (the nose), and marker behind it. The first of markers of one kind
+    #: is the default head, and they need no tail.
     head: str | None = None
     tail: str | None = None
     plane: Literal["horizontal", "vertical"] = "horizontal"
-    #: Vertical plane: which way the robot faces in the picture, and x of the log runs.
+    #: Direction in the picture in which the robot faces and x of the log increases, in the vertical plane.
     facing: Literal["auto", "right", "left"] = "auto"
-    #: Direction of motion: a track that goes the other way most of the time is bad.
+    #: Direction of motion. A track that goes the other way most of the time fails a check.
     swims: Literal["head-first", "tail-first"] = "head-first"
-    #: Robot whose file gives the places of the markers named as its own, where ``at_m`` does not.
+    #: Robot whose file gives the places of the markers without ``at_m``, by their names.
     robot: str | None = None
-    #: Reference point seen from the head marker: forward, and to port (up in the vertical plane), m.
+    #: Reference point relative to the head marker: forward, and to port (up in the vertical plane), m.
     reference_offset_m: _Point = (0.0, 0.0)
     scale: Scale | None = None
     camera: Camera | None = None
-    #: Overrides the stamps of the container.
+    #: Frame rate that replaces the stamps of the container.
     frame_rate_hz: _Positive | None = None
-    #: Longest dropout that is bridged.
+    #: Maximum length of a gap that is interpolated.
     max_gap_s: Annotated[float, Field(ge=0)] = 1.0
-    #: Turn the picture as the container's rotation tag says.
+    #: Whether the rotation tag of the container is applied.
     apply_rotation: bool = True
-    #: Search here only: [left, top, right, bottom].
+    #: The only box in which markers are searched for: [left, top, right, bottom].
     region_px: Box | None = None
-    #: Never search here.
+    #: Boxes in which no markers are searched for.
     ignore_px: list[Box] = []
 
     @model_validator(mode="after")
@@ -255,42 +218,42 @@ class Setup(Document):
 
     @property
     def name(self) -> str:
-        """What the provenance of a result calls a setup that is no file."""
+        """Name of a setup that is no file, in the provenance of a result."""
         return "setup"
 
     @property
     def marker_names(self) -> list[str]:
-        """Names of all single markers in the order of the file."""
+        """Names of all single markers, in the order of the file."""
         return [name for marker in self.markers for name in marker.names]
 
     @property
     def head_name(self) -> str:
-        """The marker that gives the position."""
+        """Marker that gives the position."""
         return self.head or self.marker_names[0]
 
     @property
     def roles(self) -> list[str]:
-        """The markers the pose needs: that of the position, and the one behind it where there is one."""
+        """Markers that the pose needs: head, and tail if there is one."""
         return [self.head_name] if self.tail is None else [self.head_name, self.tail]
 
     @property
     def axes(self) -> tuple[str, str, str]:
-        """Names of the second coordinate, of the heading, and of the speed across it."""
+        """Names of the second coordinate, of the heading, and of the velocity across it."""
         return ("y", "yaw", "v") if self.plane == "horizontal" else ("z", "pitch", "w")
 
     def marker(self, name: str) -> Marker:
-        """The kind of a single marker."""
+        """Return the kind of a single marker."""
         return next(marker for marker in self.markers if name in marker.names)
 
     @property
     def places(self) -> tuple[_Point, _Point] | None:
-        """Where head and tail marker are, seen from the reference point (``at_m``); None if not known."""
+        """Places of head and tail marker relative to the reference point (``at_m``); None if unknown."""
         known = [at for at in (self.marker(name).at_m for name in self.roles) if at is not None]
         return (known[0], known[1]) if len(known) > 1 else None
 
 
 def of(given: str | Path | Setup | Mapping[str, Any]) -> Setup:
-    """The setup that was handed over: a file, an object, or a dictionary with the keys of the file.
+    """Return a setup from a file, an object, or a dictionary with the keys of the file.
 
     Raises
     ------
@@ -304,12 +267,12 @@ def of(given: str | Path | Setup | Mapping[str, Any]) -> Setup:
 
 
 def read(path: str | Path) -> Setup:
-    """Read and check a setup file; with a ``robot``, its markers' places are put in.
+    """Read and check a setup file, and add the places of the markers from its ``robot``.
 
     Raises
     ------
     InputError
-        With line, key and what is allowed.
+        A key is missing, unknown or has a value that is not allowed. The message names its line.
     """
     return _complete(yamlio.load(path), Path(path))
 
@@ -330,7 +293,7 @@ def _complete(data: Mapping[str, Any], path: Path) -> Setup:
 
 
 def _robot_places(setup: Setup, name: str, path: Path) -> dict[str, tuple[float, float]]:
-    """Places of the robot's markers; raises when head or tail is none of them."""
+    """Return the places of the markers of a robot; raise if head or tail is not among them."""
     from swimid.robots import file as robot_format
 
     def refuse(text: str, hint: str | None = None) -> InputError:

@@ -1,4 +1,4 @@
-"""A body without markers in front of its empty scene: centre and main axis of its silhouette."""
+"""Tracking of a body without markers: centre and main axis of its silhouette in front of the empty scene."""
 
 from __future__ import annotations
 
@@ -9,18 +9,22 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.tracking.detect import LOST, WINDOW, RawTrack
+from swimid.tracking.detect import NOT_SEEN, WINDOW, RawTrack, Row
 from swimid.tracking.quality import head_first
 from swimid.tracking.reader import Frame, FrameKeeper, Video, largest_channel, reduced
 from swimid.tracking.setup import Setup
 
-#: Frames from which the empty scene is taken, and the width that all frames are reduced to, px.
+#: Number of frames whose median is the empty scene, and width that all frames are reduced to, px.
 SCENE_FRAMES, WIDTH = 41, 960
+#: Minimum difference of the body from the empty scene: grey levels, and ratio to the median of the frame.
+MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO = 16.0, 4.0
+#: Default minimum and maximum area of the body, as shares of the picture.
+AREA_SHARES = (5e-4, 0.5)
 _KERNEL = np.ones((5, 5), np.uint8)
 
 
 def empty_scene(path: Path, setup: Setup) -> Frame:
-    """Return the median of frames spread over a film: the scene without what moves."""
+    """Return the median of frames spread over a film, in which moving things are absent."""
     video = Video(path, apply_rotation=setup.apply_rotation)
     keeper = FrameKeeper(SCENE_FRAMES, max(video.claimed // SCENE_FRAMES, 1), WIDTH)
     for index, (_, frame) in enumerate(video.frames()):
@@ -30,10 +34,10 @@ def empty_scene(path: Path, setup: Setup) -> Frame:
 
 
 class Silhouette:
-    """Follows the largest thing that differs from the empty scene, frame by frame.
+    """Follow the largest thing that differs from the empty scene, frame by frame.
 
-    Two points stand for it: the centre of the silhouette, and a point behind it on the main axis, at the
-    half-axis of the ellipse that has the same second moments.
+    Two points represent it: the centre of the silhouette, and a point behind it on the main axis, at the
+    half-axis of the ellipse with the same second moments.
 
     Parameters
     ----------
@@ -48,12 +52,11 @@ class Silhouette:
     def __init__(self, setup: Setup, scene: Frame, width: int, height: int) -> None:
         self.setup, self._scene = setup, cv2.blur(scene, (3, 3))
         self._factor = width / scene.shape[1]
-        # Smallest and largest area of a body without one in the setup, as shares of the picture.
-        shares = tuple(share * width * height for share in (5e-4, 0.5))
-        low, high = setup.markers[0].area_px or shares
+        low, high = setup.markers[0].area_px or (share * width * height for share in AREA_SHARES)
         self._area = (low / self._factor**2, high / self._factor**2)
         self._axis = np.array([1.0, 0.0])
-        self._rows: list[tuple[float, ...]] = []
+        self._rows: list[list[Row]] = []
+        self._changes: list[float] = []
         self._times: list[float] = []
         self._last: tuple[tuple[slice, slice], Frame] | None = None
         left, top, right, bottom = setup.region_px or (0, 0, width, height)
@@ -69,65 +72,58 @@ class Silhouette:
         if self._last is not None:
             change = float(cv2.absdiff(small[self._last[0]], self._last[1]).mean())
         self._times.append(time)
-        self._rows.append((*self._measured(small), change))
+        self._changes.append(change)
+        self._rows.append(self._measure(small))
 
-    def _measured(self, small: Frame) -> tuple[float, ...]:
-        """Return centre, rear point, area, confidence, and whether the edge of the picture cuts the body."""
+    def _measure(self, small: Frame) -> list[Row]:
+        """Return the detections of the centre and of the rear point in a reduced frame."""
         self._last = None
         difference = largest_channel(cv2.absdiff(small, self._scene))
         noise = float(np.median(difference))
-        # Smallest difference from the empty scene, grey levels, and its ratio to the median difference of a
-        # frame.
-        changed = np.where(difference > max(16.0, 4.0 * noise), 255, 0).astype(np.uint8)
-        mask = cv2.bitwise_and(changed, self._allowed)
+        limit = max(MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO * noise)
+        mask = np.where(difference > limit, self._allowed, 0).astype(np.uint8)
         _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
         sizes = np.where((stats[:, 4] >= self._area[0]) & (stats[:, 4] <= self._area[1]), stats[:, 4], 0)
         sizes[0] = 0
         label = int(np.argmax(sizes))
         if not sizes[label]:
-            return (math.nan,) * 5 + (0.0, False)
+            return [NOT_SEEN, NOT_SEEN]
         left, top, width, height = (int(v) for v in stats[label, :4])
         rows, columns = mask.shape
         edge = left == 0 or top == 0 or left + width == columns or top + height == rows
         here = (slice(max(top - 3, 0), top + height + 3), slice(max(left - 3, 0), left + width + 3))
         body = np.where(labels[here] == label, 255, 0).astype(np.uint8)
         core = cv2.erode(body, _KERNEL)
-        contrast = float(np.median(difference[here][(core if core.any() else body) > 0]))
-        # As far as a pixel of the rim differs from the scene it is body; the inside counts in full.
+        inside = core if core.any() else body
+        contrast = float(np.median(difference[here][inside > 0]))
+        # pixels of the rim count by their difference from the scene, and the inside counts fully
         near, filled = cv2.dilate(body, _KERNEL), _filled(core)
         weight = np.clip(2 * difference[here].astype(float) / contrast - 0.5, 0, 1) * (near > 0)
         m = cv2.moments(np.where(filled > 0, 1.0, weight))
         x, y = m["m10"] / m["m00"] + here[1].start, m["m01"] / m["m00"] + here[0].start
         spread = np.array([[m["mu20"], m["mu11"]], [m["mu11"], m["mu02"]]]) / m["m00"]
         shares, axes = np.linalg.eigh(spread)
-        axis = axes[:, 1] * (1.0 if axes[:, 1] @ self._axis >= 0 else -1.0)
+        axis = axes[:, 1]
+        if axis @ self._axis < 0:
+            axis = -axis
         self._axis = axis
         self._last = (here, small[here].copy())
         centre = self._factor * (np.array([x, y]) + 0.5) - 0.5
         rear = centre - self._factor * 2 * math.sqrt(shares[1]) * axis
         confidence = contrast / (contrast + 2 * noise + 6.0)
-        return (*centre, *rear, self._factor**2 * m["m00"], confidence, edge)
+        rest = (self._factor**2 * m["m00"], confidence, WINDOW, edge)
+        return [(*centre, *rest), (*rear, *rest)]
 
     def track(self, times: NDArray[np.float64] | None = None) -> RawTrack:
-        """Return what was found so far; ``times`` replaces the times given with the frames.
+        """Return the track so far; ``times`` replaces the times of the frames.
 
-        The axis has no sign of its own: its front is where most steps go.
+        The direction of the axis is that of most steps.
         """
-        table = np.array(self._rows, dtype=float).reshape(-1, 8)
-        x, y, rear_x, rear_y, area, confidence, edge, change = table.T.copy()
-        seen = np.isfinite(x)
-        track = RawTrack(
-            times=np.array(self._times) if times is None else times,
-            names=self.setup.marker_names,
-            x=np.stack([x, rear_x]),
-            y=np.stack([y, rear_y]),
-            area=np.stack([area, area]),
-            confidence=np.stack([confidence, confidence]),
-            status=np.tile(np.where(seen, WINDOW, LOST), (2, 1)),
-            at_edge=np.tile((edge > 0) & seen, (2, 1)),
-            drift={},
-            rivals={},
-            change=change,
+        track = RawTrack.of_rows(
+            self._times if times is None else times,
+            self.setup.marker_names,
+            self._rows,
+            change=np.array(self._changes),
         )
         ahead = head_first(track, *track.names)
         if ahead is not None and (ahead < 0.5) == (self.setup.swims == "head-first"):
@@ -137,6 +133,6 @@ class Silhouette:
 
 
 def _filled(core: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return a mask with its holes filled: glints on the body."""
+    """Return a mask without the holes that reflections leave."""
     outlines, _ = cv2.findContours(core, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     return np.asarray(cv2.drawContours(np.zeros_like(core), outlines, -1, 255, cv2.FILLED), np.uint8)

@@ -1,17 +1,17 @@
 """Kalman filter and Rauch-Tung-Striebel smoother with uneven steps, gaps and estimated noise.
 
-The state of one coordinate is position and speed (driven by white acceleration) or
-position, speed and acceleration (driven by white jerk). The strength of the driving noise
-and the measurement noise are found by maximum likelihood of the innovations; of the two
-models the likelier is taken.
+The state of one coordinate is position and velocity (driven by white acceleration), or position, velocity and
+acceleration (driven by white jerk). The powers of the driving noise and of the measurement noise maximise the
+likelihood of the innovations. The model with the larger likelihood is used.
 
-The search for the noise, and the hidden stretches that calibrate the deviation in a gap, run the filter
-hundreds of times: it is a compiled loop.
+The estimation of the noise, and the calibration of the standard deviation in gaps, run the filter hundreds of
+times. Therefore it is a compiled loop.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numba import njit
@@ -22,25 +22,31 @@ from swimid.logs.log import runs
 
 Array = NDArray[np.float64]
 
-#: Hidden stretches tried to calibrate the deviation in a gap, and known samples about each.
-_TRIALS, _MARGIN = 40, 20
+#: Number of hidden stretches that calibrate the standard deviation in a gap, and known samples on each side.
+N_STRETCHES, MARGIN = 40, 20
+#: Minimum number of samples in a piece of the record that the noise is estimated from.
+MIN_SAMPLES = 6
+#: Powers of ten searched for the ratio of driving noise to measurement noise in one step.
+RATIOS = np.arange(-9.0, 4.5)
+#: Variance of the unknown initial state, relative to the measurement variance (and per step for its rates).
+START_VARIANCE = 1e7
 
 
 @dataclass(frozen=True)
 class Smoothed:
-    """One or more coordinates, smoothed together.
+    """Coordinates that were smoothed together.
 
     Attributes
     ----------
     position, velocity, position_sd, velocity_sd : ndarray, shape (d, n)
     measurement_sd : float
-        Estimated noise of a measurement of weight 1, in the coordinate's unit.
+        Estimated standard deviation of a measurement of weight 1, in the unit of the coordinate.
     process_noise : float
         Power of the driving white noise: unit^2/s^3 for order 2, unit^2/s^5 for order 3.
     order : int
-        2: white acceleration, 3: white jerk.
+        2 for white acceleration, 3 for white jerk.
     innovation : ndarray, shape (d, n)
-        Normalised innovation of each measurement, NaN where none.
+        Normalised innovation of each measurement, NaN without one.
     """
 
     position: Array
@@ -53,34 +59,29 @@ class Smoothed:
     innovation: Array
 
 
-# Plain loops over matrices of two or three rows: array expressions and linear algebra routines
-# take ten times as long to compile and run no faster at this size.
+# The matrices have two or three rows. Array expressions and linear algebra routines take ten times as long to
+# compile as these loops, and run no faster.
 
 
 @njit(cache=True)
 def _step(dt, q, order, transition, noise):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Fill the transition matrix and the noise of a step of ``dt`` seconds."""
+    """Fill the transition matrix and the noise of a step of ``dt`` seconds of a chain of integrators.
+
+    Noise of power q drives the highest derivative. Entry (i, j) of the transition is dt^(j - i) / (j - i)!.
+    """
+    factorial = (1.0, 1.0, 2.0)
     for i in range(order):
-        transition[i, i] = 1.0
-    transition[0, 1] = dt
-    if order == 2:
-        noise[0, 0] = q * dt**3 / 3
-        noise[0, 1] = noise[1, 0] = q * dt**2 / 2
-        noise[1, 1] = q * dt
-    else:
-        transition[0, 2] = dt * dt / 2
-        transition[1, 2] = dt
-        noise[0, 0] = q * dt**5 / 20
-        noise[0, 1] = noise[1, 0] = q * dt**4 / 8
-        noise[0, 2] = noise[2, 0] = q * dt**3 / 6
-        noise[1, 1] = q * dt**3 / 3
-        noise[1, 2] = noise[2, 1] = q * dt**2 / 2
-        noise[2, 2] = q * dt
+        for j in range(i, order):
+            transition[i, j] = dt ** (j - i) / factorial[j - i]
+        for j in range(order):
+            a, b = order - 1 - i, order - 1 - j
+            power = a + b + 1
+            noise[i, j] = q * dt**power / (factorial[a] * factorial[b] * power)
 
 
 @njit(cache=True)
 def _product(a, b, result):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """result = a b."""
+    """Write the product a b into ``result``."""
     n = len(a)
     for i in range(n):
         for j in range(n):
@@ -92,7 +93,7 @@ def _product(a, b, result):  # type: ignore[no-untyped-def]  # pragma: no cover 
 
 @njit(cache=True)
 def _sandwich(a, b, work, result):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """result += a b a'."""
+    """Add a b a' to ``result``."""
     n = len(a)
     _product(a, b, work)
     for i in range(n):
@@ -103,7 +104,7 @@ def _sandwich(a, b, work, result):  # type: ignore[no-untyped-def]  # pragma: no
 
 @njit(cache=True)
 def _solve(a, b):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """b becomes a^-1 b for a positive definite a, which is used up."""
+    """Replace b by a^-1 b for a positive definite a, which is overwritten."""
     n = len(a)
     for i in range(n):
         for j in range(i + 1, n):
@@ -122,25 +123,25 @@ def _solve(a, b):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
 def kalman(  # pragma: no cover - compiled loops
     times: Array, values: Array, variances: Array, q: float, order: int, start: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Kalman filter of one coordinate.
+    """Apply the Kalman filter to one coordinate.
 
     Parameters
     ----------
     times, values, variances : ndarray, shape (n,)
-        NaN in ``values`` is a missing measurement.
+        ``values`` is NaN for a missing measurement.
     q : float
         Power of the driving noise.
     order : int
         2 or 3.
     start : ndarray, shape (order, order)
-        Covariance of the state at times[0]; its mean is the first measurement at rest.
+        Covariance of the state at times[0]. Its mean is the first measurement, at rest.
 
     Returns
     -------
     means, covariances : ndarray, shapes (n, order), (n, order, order)
-        Filtered.
+        Filtered states.
     innovations, innovation_variances : ndarray, shape (n,)
-        NaN where there is no measurement.
+        NaN without a measurement.
     """
     transition, noise = np.zeros((order, order)), np.zeros((order, order))
     work, keep = np.zeros((order, order)), np.zeros((order, order))
@@ -170,11 +171,11 @@ def kalman(  # pragma: no cover - compiled loops
         spreads[k] = expected
         for i in range(order):
             gain[i] = covariance[i, 0] / expected
-        # Joseph form: stays positive where the start is diffuse.
+        # the Joseph form stays positive definite for a diffuse start
         for i in range(order):
             mean[i] += gain[i] * innovations[k]
             for j in range(order):
-                keep[i, j] = (1.0 if i == j else 0.0) - (gain[i] if j == 0 else 0.0)
+                keep[i, j] = (i == j) - gain[i] * (j == 0)
         _product(keep, covariance, work)
         for i in range(order):
             for j in range(order):
@@ -189,7 +190,7 @@ def kalman(  # pragma: no cover - compiled loops
 def rts(  # pragma: no cover - compiled
     times: Array, means: Array, covariances: Array, q: float, order: int
 ) -> tuple[Array, Array]:
-    """Rauch-Tung-Striebel pass over the output of :func:`kalman`."""
+    """Smooth the output of :func:`kalman` by the method of Rauch, Tung and Striebel."""
     smooth, spread = means.copy(), covariances.copy()
     transition, noise = np.zeros((order, order)), np.zeros((order, order))
     work, keep, after = np.zeros((order, order)), np.zeros((order, order)), np.zeros((order, order))
@@ -212,11 +213,11 @@ def rts(  # pragma: no cover - compiled
         for i in range(order):
             for j in range(order):
                 smooth[k, i] += turned[i, j] * work[0, j]
-        # A sum of covariances: a difference would lose its digits where the start is diffuse.
+        # a sum of covariances is accurate for a diffuse start, and a difference is not
         _product(turned, transition, keep)
         for i in range(order):
             for j in range(order):
-                keep[i, j] = (1.0 if i == j else 0.0) - keep[i, j]
+                keep[i, j] = (i == j) - keep[i, j]
         predicted[:] = spread[k]
         spread[k] = 0.0
         _sandwich(keep, predicted, work, spread[k])
@@ -225,18 +226,18 @@ def rts(  # pragma: no cover - compiled
 
 
 def _start(order: int, variance: float, step: float) -> Array:
-    # Variance of the unknown start, over the measurement variance (and per step for its rates).
-    return np.diag([1e7 * variance / step ** (2 * i) for i in range(order)])
+    """Return the covariance of the unknown initial state."""
+    return np.diag([START_VARIANCE * variance / step ** (2 * i) for i in range(order)])
 
 
 def _likelihood(
     pieces: list[tuple[Array, Array, Array]], ratio: float, order: int, step: float
 ) -> tuple[float, float]:
-    """Concentrated log-likelihood and the measurement variance it implies.
+    """Return the concentrated log-likelihood, and the measurement variance that maximises it.
 
-    With the driving noise given over the measurement variance, the latter scales all
-    innovation variances alike and its best value is the mean of the squared normalised
-    innovations. The first ``order`` innovations of each piece only fix the unknown start.
+    For a given ratio of driving noise to measurement variance, the latter scales all innovation variances.
+    Its best value is the mean of the squared normalised innovations. The first ``order`` innovations of each
+    piece determine the unknown initial state and do not count.
     """
     squares, logs, count = 0.0, 0.0, 0
     q, start = ratio / step ** (2 * order - 1), _start(order, 1.0, step)
@@ -252,45 +253,55 @@ def _likelihood(
     return -0.5 * (count * np.log(variance) + logs + count), variance
 
 
-def _best(pieces: list[tuple[Array, Array, Array]], order: int, step: float) -> tuple[float, ...]:
-    """Log-likelihood, driving noise over measurement noise, measurement variance."""
+def _estimate_noise(
+    pieces: list[tuple[Array, Array, Array]], order: int, step: float
+) -> tuple[float, float, float]:
+    """Return the maximum log-likelihood, the ratio of the noises, and the measurement variance."""
 
-    def score(exponent: float) -> float:
-        return _likelihood(pieces, 10.0**exponent, order, step)[0]
+    def cost(exponent: float) -> float:
+        return -_likelihood(pieces, 10.0**exponent, order, step)[0]
 
-    # Range searched for the driving noise over the measurement noise in one step, log10.
-    grid = np.arange(-9.0, 4.0 + 0.5, 1.0)
-    middle = int(np.argmax([score(g) for g in grid]))
-    bounds = (grid[max(middle - 1, 0)], grid[min(middle + 1, len(grid) - 1)])
-    found = minimize_scalar(lambda g: -score(g), bounds=bounds, method="bounded", options={"xatol": 0.02})
-    best, variance = _likelihood(pieces, 10.0**found.x, order, step)
-    return best, float(10.0**found.x), variance
+    middle = int(np.argmin([cost(exponent) for exponent in RATIOS]))
+    bounds = (RATIOS[max(middle - 1, 0)], RATIOS[min(middle + 1, len(RATIOS) - 1)])
+    ratio = float(10.0 ** minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 0.02}).x)
+    likelihood, variance = _likelihood(pieces, ratio, order, step)
+    return likelihood, ratio, variance
+
+
+def _smooth_piece(
+    times: Array, values: Array, weights: Array, noise: tuple[float, float, int], step: float
+) -> tuple[Array, Array, Array]:
+    """Return means, covariances and normalised innovations of one coordinate of a segment."""
+    variance, power, order = noise
+    start = _start(order, variance, step)
+    means, covariances, innovations, expected = kalman(times, values, variance * weights, power, order, start)
+    means, covariances = rts(times, means, covariances, power, order)
+    normalised = innovations / np.sqrt(expected)
+    normalised[np.flatnonzero(~np.isnan(normalised))[:order]] = np.nan
+    return means, covariances, normalised
 
 
 def _gap_factor(
     times: Array, row: Array, weights: Array, path: Array, length: int, noise: tuple[float, float, int]
 ) -> float:
-    """How much wider than stated the errors are in a gap of ``length`` samples, at least 1.
+    """Return the ratio, at least 1, of the errors in a gap of ``length`` samples to their standard deviation.
 
-    Measured stretches of that length are hidden, with ``_MARGIN`` samples about them known,
-    and compared with the path smoothed from all.
+    Measured stretches of that length, with ``MARGIN`` known samples on each side, are hidden, interpolated
+    and compared with the path.
     """
-    variance, power, order = noise
-    whole = length + 2 * _MARGIN
+    whole = length + 2 * MARGIN
     known = runs(~np.isnan(row))
     starts = np.concatenate([np.zeros(0, int), *(np.arange(a, b - whole + 1) for a, b in known)])
     if len(row) <= whole or len(starts) < 5:
         return 1.0
-    first_step = float(np.median(np.diff(times)))
+    step = float(np.median(np.diff(times)))
     errors = []
-    for start in starts[np.unique(np.linspace(0, len(starts) - 1, _TRIALS).astype(int))]:
+    inside = slice(MARGIN, MARGIN + length)
+    for start in starts[np.unique(np.linspace(0, len(starts) - 1, N_STRETCHES).astype(int))]:
         part = slice(start, start + whole)
         hidden = row[part].copy()
-        hidden[_MARGIN:-_MARGIN] = np.nan
-        clock, start_state = times[part], _start(order, variance, first_step)
-        filtered = kalman(clock, hidden, variance * weights[part], power, order, start_state)[:2]
-        means, covariances = rts(clock, *filtered, power, order)
-        inside = slice(_MARGIN, _MARGIN + length)
+        hidden[inside] = np.nan
+        means, covariances, _ = _smooth_piece(times[part], hidden, weights[part], noise, step)
         error = means[inside, 0] - path[part][inside]
         errors.append(np.abs(error) / np.sqrt(np.maximum(covariances[inside, 0, 0], 1e-300)))
     return max(1.0, float(np.percentile(np.concatenate(errors), 95)) / 1.96)
@@ -302,7 +313,7 @@ def smooth(
     weights: Array,
     segments: list[tuple[int, int]],
     *,
-    least_sd: float = 0.0,
+    min_sd: float = 0.0,
     trusted: NDArray[np.bool_] | None = None,
 ) -> Smoothed:
     """Smooth coordinates that share their noise, segment by segment.
@@ -312,79 +323,64 @@ def smooth(
     times : ndarray, shape (n,)
         s, strictly increasing.
     values : ndarray, shape (d, n)
-        Measurements, NaN where missing.
+        Measurements, NaN if missing.
     weights : ndarray, shape (n,)
-        Variance of each measurement over that of a good one.
+        Variance of each measurement relative to a good one.
     segments : list of (start, end)
-        Stretches to smooth, ``end`` exclusive; outside of them the result is NaN.
-    least_sd : float
-        Lower bound of the measurement noise.
+        Segments to smooth, ``end`` exclusive. The result is NaN outside of them.
+    min_sd : float
+        Lower bound of the standard deviation of a measurement.
     trusted : ndarray of bool, shape (n,), optional
-        Measurements that the noise is estimated from. The errors of the others are not independent from
-        sample to sample: with them the likelihood would take the noise for motion.
+        Measurements that the noise is estimated from. The errors of the others are correlated from sample to
+        sample, so that the likelihood would take them for motion.
 
     Returns
     -------
     Smoothed
 
-    Notes
-    -----
-    In gaps the stated deviation is calibrated: stretches of the same length that were
-    measured are hidden and predicted, and where the errors come out larger than stated the
-    deviation is widened by that factor (a beating swimmer is no white noise).
+    Notes ----- The acceleration of a beating swimmer is no white noise. Therefore the standard deviation in a
+    gap is calibrated: measured stretches of the same length are hidden and interpolated, and the standard
+    deviation is multiplied by the ratio of their errors to it.
 
-    Maximum likelihood of the innovations, the measurement variance concentrated out:
-    Harvey, A. C. (1989), *Forecasting, structural time series models and the Kalman
-    filter*, section 3.4. Smoother: Rauch, Tung & Striebel (1965), AIAA J. 3(8), 1445-1450,
-    doi:10.2514/3.3166.
+    The noise maximises the likelihood of the innovations, with the measurement variance concentrated out
+    (Harvey, A. C., 1989, *Forecasting, structural time series models and the Kalman filter*, section 3.4).
+    The smoother is that of Rauch, Tung and Striebel (1965, AIAA J. 3(8), 1445-1450, doi:10.2514/3.3166).
     """
-    d, n = values.shape
     names = ("position", "velocity", "position_sd", "velocity_sd", "innovation")
-    out = {name: np.full((d, n), np.nan) for name in names}
-    told = values if trusted is None else np.where(trusted, values, np.nan)
+    out = {name: np.full(values.shape, np.nan) for name in names}
+    known = values if trusted is None else np.where(trusted, values, np.nan)
     pieces = [
         (times[a:b], row[a:b], weights[a:b])
-        for a, b in segments
-        for row in told
-        if np.count_nonzero(~np.isnan(row[a:b])) >= 6
+        for row, (a, b) in product(known, segments)
+        if np.count_nonzero(~np.isnan(row[a:b])) >= MIN_SAMPLES
     ]
-    typical = float(np.median(np.diff(times))) if n > 1 else 1.0
-    order, (_, ratio, fitted) = 2, (0.0, 1e-2, max(least_sd, 1e-12) ** 2)
+    step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
+    order, ratio, fitted = 2, 1e-2, max(min_sd, 1e-12) ** 2
     if pieces:
-        fits = {order: _best(pieces, order, typical) for order in (2, 3)}
+        fits = {order: _estimate_noise(pieces, order, step) for order in (2, 3)}
         order, (_, ratio, fitted) = max(fits.items(), key=lambda item: item[1][0])
-    variance = max(fitted, least_sd**2)
-    power = ratio * fitted / typical ** (2 * order - 1)
-    for a, b in segments:
-        for i in range(d):
-            row = values[i, a:b]
-            if np.isnan(row).all():
-                continue
-            start = _start(order, variance, typical)
-            means, covariances, innovations, expected = kalman(
-                times[a:b], row, variance * weights[a:b], power, order, start
-            )
-            means, covariances = rts(times[a:b], means, covariances, power, order)
-            out["position"][i, a:b] = means[:, 0]
-            out["velocity"][i, a:b] = means[:, 1]
-            out["position_sd"][i, a:b] = np.sqrt(np.maximum(covariances[:, 0, 0], 0))
-            out["velocity_sd"][i, a:b] = np.sqrt(np.maximum(covariances[:, 1, 1], 0))
-            normalised = innovations / np.sqrt(expected)
-            normalised[np.flatnonzero(~np.isnan(normalised))[:order]] = np.nan
-            out["innovation"][i, a:b] = normalised
-    noise = (variance, power, order)
-    for a, b in segments:
-        for i, row in enumerate(values):
-            for first, last in a + runs(np.isnan(row[a:b])):
-                factor = _gap_factor(times, row, weights, out["position"][i], int(last - first), noise)
-                out["position_sd"][i, first:last] *= factor
-                out["velocity_sd"][i, first:last] *= factor
-    sd = float(np.sqrt(variance))
-    return Smoothed(**out, measurement_sd=sd, process_noise=float(power), order=order)
+    variance = max(fitted, min_sd**2)
+    noise = (variance, ratio * fitted / step ** (2 * order - 1), order)
+    for (i, row), (a, b) in product(enumerate(values), segments):
+        if np.isnan(row[a:b]).all():
+            continue
+        means, covariances, innovation = _smooth_piece(times[a:b], row[a:b], weights[a:b], noise, step)
+        out["position"][i, a:b], out["velocity"][i, a:b] = means[:, 0], means[:, 1]
+        sds = np.sqrt(np.maximum(covariances.diagonal(axis1=1, axis2=2), 0))
+        out["position_sd"][i, a:b], out["velocity_sd"][i, a:b] = sds[:, 0], sds[:, 1]
+        out["innovation"][i, a:b] = innovation
+    for (i, row), (a, b) in product(enumerate(values), segments):
+        for first, last in a + runs(np.isnan(row[a:b])):
+            factor = _gap_factor(times, row, weights, out["position"][i], int(last - first), noise)
+            out["position_sd"][i, first:last] *= factor
+            out["velocity_sd"][i, first:last] *= factor
+    return Smoothed(
+        **out, measurement_sd=float(np.sqrt(variance)), process_noise=float(noise[1]), order=order
+    )
 
 
 def warm_up() -> None:
-    """Compile the kernels of this module."""
+    """Compile the functions of this module."""
     times, ones = np.arange(3.0), np.ones(3)
     for order in (2, 3):
         means, covariances = kalman(times, ones, ones, 1.0, order, np.eye(order))[:2]

@@ -1,4 +1,4 @@
-"""``swimid track setup``: draft a setup file from a video."""
+"""The command ``track setup``: draft a setup file from a film."""
 
 from __future__ import annotations
 
@@ -20,14 +20,16 @@ from swimid.tracking import detect, propose, quality
 from swimid.tracking import setup as setup_format
 from swimid.tracking.options import TrackSetupOptions
 from swimid.tracking.propose import Candidate
-from swimid.tracking.reader import SEEN, Frame, Video, write_text
+from swimid.tracking.reader import MEASURED, Frame, Video, write_text
 from swimid.tracking.setup import FORMAT, Marker, Setup
 from swimid.tracking.tracker import Run, follow
 
-#: Candidates that are tried as first marker, and trials of each: every trial reads the film once.
-_TRIES = 3
+#: Maximum number of candidates for the first marker, and of trials of each. Every trial reads the film once.
+MAX_TRIALS = 3
+#: Number of pictures on the contact sheet, and their width, px.
+N_TILES, TILE_WIDTH = 4, 640
 _FACING = """\
-# Which way in the picture the robot faces and x runs: right, left, or auto (tail to head).
+# Direction in which the robot faces and x increases: right, left, or auto (tail to head).
 facing: auto
 """
 _NO_SCALE = """\
@@ -37,7 +39,7 @@ _NO_SCALE = """\
 # scale: {points_px: [four corners], points_m: [the same corners]}
 """
 _TEXT = """\
-# Drafted by swimid track setup from {video}; edit what is wrong. Every key: docs/tracking.md
+# Drafted by swimid track setup from {video}; correct it if needed. All keys: docs/tracking.md
 format: {format}
 markers:
 {markers}\
@@ -47,34 +49,34 @@ head: {head}
 # horizontal: camera above, x, y and yaw. vertical: camera at the side, x, z and pitch.
 plane: {plane}
 {facing}\
-# The pose is that of the head marker; that of the robot's reference point with at_m of head and
-# tail, or with the name of a robot whose file names markers like these.
+# The pose is that of the head marker. To get that of the reference point of the robot, give at_m of
+# head and tail, or the robot whose file has markers of these names.
 # robot: sealion
 {scale}\
-# True frame rate, where the container's stamps are wrong.
+# True frame rate, if the stamps of the container are wrong.
 {rate}
-# Longest dropout that is bridged, s.
+# Longest gap that is interpolated, s.
 max_gap_s: {gap}
-# Motionless things of a marker's colour: [left, top, right, bottom].
+# Motionless things of the colour of a marker: [left, top, right, bottom].
 ignore_px: {ignored}
 """
 
 
 @dataclass(frozen=True, eq=False)
 class SetupDraft(Result):
-    """A setup to look through, as ``track_setup`` gives it; ``document`` is its commented YAML.
+    """Draft of a setup, as ``track_setup`` returns it; ``document`` is its commented YAML.
 
     Attributes
     ----------
     sheet : ndarray of uint8, shape (height, width, 3)
-        Frames of the film with the markers circled and named, RGB: ``plt.imshow(draft.sheet)``.
+        RGB picture of frames with the markers circled and named: ``plt.imshow(draft.sheet)``.
     """
 
     sheet: NDArray[np.uint8] | None = None
 
     @property
     def setup(self) -> Setup:
-        """The setup itself, for ``track_video``."""
+        """The setup, for ``track_video``."""
         return setup_format.of(yamlio.parse_scalar(self.document))
 
     def _write(self, path: Path) -> list[Path]:
@@ -97,32 +99,32 @@ def track_setup(
     force: bool = False,
     progress: Progress = silent,
 ) -> SetupDraft:
-    """Propose markers, draw them, and draft a setup that ``track_video`` takes as it is.
+    """Propose markers, draw them, and draft a setup that ``track_video`` can use as it is.
 
-    Without picks the markers are proposed from what moves. Without any scale positions are in pixels.
+    Without picks, coloured patches that move are proposed. Without a scale, positions are in pixels.
 
     Parameters
     ----------
     video : path
-        The film to draft from.
+        A film.
     output : path, optional
-        The setup file; a PNG with the markers drawn in goes beside it. Without it nothing is written.
+        The setup file. A PNG with the markers drawn in is written beside it. Without it nothing is written.
     force : bool
-        Replace an existing setup.
+        Whether an existing setup is replaced.
     progress : Progress
-        Shows the passes over the video.
+        Shows the progress of each reading of the film.
 
     Returns
     -------
     SetupDraft
-        ``.setup`` for ``track_video``, ``.sheet`` the picture, shape (height, width, 3).
+        ``.setup`` is for ``track_video``, ``.sheet`` is the picture.
 
     Raises
     ------
     UsageError
-        The setup exists and ``force`` was not given; scale options that contradict.
+        The setup exists and ``force`` was not given, or options contradict each other.
     InputError
-        The video cannot be read.
+        The film cannot be read.
     NoTrustworthyResult
         No marker can be proposed.
 
@@ -137,19 +139,21 @@ def track_setup(
             raise UsageError(f"{output} exists", hint="name another file, or give --force to replace it")
     video = Path(video)
     common = {"scale": options.scale, "plane": options.plane, "frame_rate_hz": options.fps}
-    passed: list[Candidate] = []
+    rejected: list[Candidate] = []
     if options.picks:
-        run, remarks = _by_hand(video, options, common, progress)
+        run, remarks = _from_picks(video, options, common, progress)
     elif options.background:
-        run, remarks = _by_background(video, common, progress)
+        run, remarks = _from_background(video, common, progress)
     else:
-        run, remarks, passed = _unattended(video, common, progress)
-    setup = _measured(run)
+        run, remarks, rejected = _from_film(video, common, progress)
+    setup = _with_areas(run)
     shares = {name: float(run.track.found[i].mean()) for i, name in enumerate(run.track.names)}
-    ahead = _doubts(setup, run, shares)
+    ahead = _doubts(setup, run)
     lines = [f"{name}: found in {100 * share:.1f} % of the frames" for name, share in shares.items()]
-    lines += [f"passed over: {one}" for one in passed]
-    lines.append(f"head {setup.head}{f', tail {setup.tail}' if setup.tail else '; no tail, so no yaw'}")
+    lines += [f"passed over: {one}" for one in rejected]
+    lines.append(f"head {setup.head}, tail {setup.tail}")
+    if setup.tail is None:
+        lines[-1] = f"head {setup.head}; no tail, so no yaw"
     if ahead is not None:
         lines.append(f"swims head first in {100 * ahead:.0f} % of the steps")
     if setup.scale is None:
@@ -165,58 +169,71 @@ def track_setup(
         "tail": setup.tail,
         "head_first_share": ahead,
         "found_share": shares,
-        "passed_over": [{"colour": p.name, "hue_deg": p.hue_deg, "reason": p.reason} for p in passed],
+        "passed_over": [{"colour": p.name, "hue_deg": p.hue_deg, "reason": p.reason} for p in rejected],
     }
-    text, sheet = _text(setup, shares, remarks, passed, video.name), _sheet(run)
+    text, sheet = _text(setup, shares, remarks, rejected, video.name), _sheet(run)
     return SetupDraft("track setup", "\n".join(lines), data, document=text, sheet=sheet).saved(output)
 
 
 def _setup(markers: list[Marker], common: dict[str, Any]) -> Setup:
-    """A setup whose first marker is the head and whose second, if any, the tail."""
+    """Return a setup whose first marker is the head, and whose second marker, if any, is the tail."""
     head, *rest = [name for marker in markers for name in marker.names]
     return Setup(format=FORMAT, markers=markers, head=head, tail=rest[0] if rest else None, **common)
 
 
-def _unattended(
+def _try(video: Path, setup: Setup, progress: Progress) -> Run:
+    """Follow the markers of a setup through the film."""
+    with progress(f"trying {', '.join(marker.name for marker in setup.markers)}") as step:
+        return follow(video, setup, step=step)
+
+
+def _from_film(
     video: Path, common: dict[str, Any], progress: Progress
 ) -> tuple[Run, list[str], list[Candidate]]:
-    """The best candidate that can be followed and moves, with the partner it keeps its distance to.
+    """Return a trial of the best candidate that moves, with a partner at a constant distance if there is one.
 
-    Its trial, a remark on each marker, and the colours passed over.
+    Returns
+    -------
+    run : Run
+    remarks : list of str
+        One for each marker.
+    rejected : list of Candidate
+        Other colours.
     """
     with progress(f"looking at {video.name}") as step:
         samples = propose.sample(video, step=step)
-    found, passed = propose.candidates(samples)
-    shift = samples.factor * quality.shifts(samples.frames)
-    taken = ". What moves with it is taken for no marker, but a log will hold the camera's motion"
-    quality.moving_camera(shift, samples.video.width, taken)
+    found, rejected = propose.find_candidates(samples)
+    shift = samples.factor * quality.scene_shifts(samples.frames)
+    consequence = ". What moves with it is taken for no marker, but a log will hold the camera's motion"
+    quality.check_camera(shift, samples.video.width, consequence)
     reasons: dict[int, str] = {}
-    for k, first in enumerate(found[:_TRIES]):
-        for second in [*propose.partners(first, found[k + 1 :])[: _TRIES - 1], None]:
-            pair = [first] if second is None else [first, second]
-            run = _tried(video, pair, common, progress)
-            scene = quality.between(shift, samples.indices, len(run.track.times))
-            faults = _faults(run, pair, scene)
+    for k, first in enumerate(found[:MAX_TRIALS]):
+        for second in [*propose.partners(first, found[k + 1 :])[: MAX_TRIALS - 1], None]:
+            pair = [one for one in (first, second) if one is not None]
+            run = _try(video, _pair_setup(pair, common), progress)
+            faults = _faults(
+                run, pair, quality.interpolate_shifts(shift, samples.indices, len(run.track.times))
+            )
             reasons |= {id(pair[i]): text for i, text in faults.items()}
             if not faults:
                 head, tail = run.setup.roles[0], run.setup.tail
                 if tail is not None and (quality.head_first(run.track, head, tail) or 0.0) < 0.5:
                     run = replace(run, setup=run.setup.model_copy(update={"head": tail, "tail": head}))
                 rest = [c for c in found if c not in pair]
-                passed += [replace(c, reason=reasons.get(id(c)) or _weaker(c, pair)) for c in rest]
-                return run, [c.remark for c in pair], passed
+                rejected += [replace(c, reason=reasons.get(id(c)) or _why_weaker(c, pair)) for c in rest]
+                return run, [c.remark for c in pair], rejected
             if any(pair[i] is first for i in faults):
                 break
-    passed = [replace(c, reason=reasons[id(c)]) for c in found if id(c) in reasons] + passed
+    rejected = [replace(c, reason=reasons[id(c)]) for c in found if id(c) in reasons] + rejected
     raise NoTrustworthyResult(
-        f"no marker of {video.name} can be followed and moves. {propose.listed(passed)}"
+        f"no marker of {video.name} can be followed and moves. {propose.listed(rejected)}"
         f"{detect.describe_colours(samples.frames[::6])}",
         hint="pick the markers by hand: --marker name@x,y with --frame",
     )
 
 
-def _tried(video: Path, pair: list[Candidate], common: dict[str, Any], progress: Progress) -> Run:
-    """Follow one or two candidates through the film, each named by its hue."""
+def _pair_setup(pair: list[Candidate], common: dict[str, Any]) -> Setup:
+    """Return a setup of one or two candidates, each named by its hue."""
     names = [candidate.name for candidate in pair]
     if len(set(names)) < len(names):
         names[1] += "-b"
@@ -224,26 +241,23 @@ def _tried(video: Path, pair: list[Candidate], common: dict[str, Any], progress:
         Marker(name=name, hsv=candidate.colours, area_px=candidate.area_px)
         for name, candidate in zip(names, pair, strict=True)
     ]
-    # where a marker was seen it must not be ignored
-    still = [box for c in pair for box in c.still if not any(other.crosses(box) for other in pair)]
-    setup = _setup(markers, common).model_copy(update={"ignore_px": still})
-    with progress(f"trying {', '.join(names)}") as step:
-        return follow(video, setup, step=step)
+    # a place in which a marker was seen must not be ignored
+    boxes = [box for candidate in pair for box in candidate.still]
+    still = [box for box in boxes if not any(candidate.crosses(box) for candidate in pair)]
+    return _setup(markers, common).model_copy(update={"ignore_px": still})
 
 
 def _faults(run: Run, pair: list[Candidate], scene: quality.Array | None) -> dict[int, str]:
-    """Why candidates of a trial are no markers, by their place in ``pair``.
+    """Return the reasons why candidates of a trial are no markers, by their index in ``pair``.
 
-    ``scene``, shape (2, n), px, is how far the scene is shifted in each frame.
+    ``scene``, shape (2, n), is the shift of the scene in each frame, px.
     """
-    faults: dict[int, str] = {}
     track = run.track
+    faults: dict[int, str] = {}
     for i, (name, candidate) in enumerate(zip(track.names, pair, strict=True)):
-        share, reach = float(track.found[i].mean()), quality.reach(track, name, scene)
-        if share < max(quality.LEAST_SHARE, 0.3 * candidate.presence):
-            faults[i] = f"cannot be followed (found in {100 * share:.1f} % of the frames)"
-        elif not reach.moves:
-            faults[i] = f"does not move (stays within {reach.radii:.2g} of its radius of one place)"
+        min_share = max(quality.MIN_SHARE, 0.3 * candidate.presence)
+        _, faults[i] = quality.marker_fault(track, name, min_share, scene)
+    faults = {i: fault for i, fault in faults.items() if fault}
     if faults or len(pair) == 1:
         return faults
     first, second = track.names
@@ -252,73 +266,66 @@ def _faults(run: Run, pair: list[Candidate], scene: quality.Array | None) -> dic
     other = track.names[1 - weaker]
     if separation is None:
         faults[weaker] = f"is hardly seen together with {other}"
-    elif separation > quality.DISTANCE_SPREAD[1]:
+    elif separation > quality.MAX_DISTANCE_SD[1]:
         change = f"{100 * separation:.0f} %"
         faults[weaker] = f"its distance to {other} changes by {change}: they are on no rigid part"
     return faults
 
 
-def _weaker(candidate: Candidate, pair: list[Candidate]) -> str:
+def _why_weaker(candidate: Candidate, pair: list[Candidate]) -> str:
     best = max(pair, key=lambda c: c.score)
     if candidate.score >= propose.SECOND_SHARE * best.score and len(pair) == 1:
         return f"not seen together with {best.name} at one distance"
     return f"less like a marker (score {candidate.score:.2f}, {best.name} {best.score:.2f})"
 
 
-def _by_hand(
+def _from_picks(
     video: Path, options: TrackSetupOptions, common: dict[str, Any], progress: Progress
 ) -> tuple[Run, list[str]]:
-    """The markers picked, tried, and a remark on each kind; those of one name are told by their places."""
+    """Return a trial of the picked markers, and a remark on each kind."""
     kinds: dict[str, list[tuple[float, float]]] = {}
-    for one in options.picks:
-        kinds.setdefault(one.name, []).append((one.x, one.y))
-    markers = propose.picked(_frame(video, options.frame), kinds, path=video, index=options.frame)
-    setup = _setup(markers, common)
-    with progress(f"trying {', '.join(kinds)}") as step:
-        run = follow(video, setup, step=step)
-    remarks = ["picked by hand"] * len(markers)
-    head, tail = setup.head, setup.tail
+    for pick in options.picks:
+        kinds.setdefault(pick.name, []).append((pick.x, pick.y))
+    frame = _frame(video, options.frame)
+    markers = propose.pick_markers(frame, kinds, path=video, index=options.frame)
+    run, remarks = _try(video, _setup(markers, common), progress), ["picked by hand"] * len(markers)
+    head, tail = run.setup.head, run.setup.tail
     if head is not None and tail is not None and markers[0].number > 1:
-        # Equal markers may be on one body or on several; only a rigid pair gives a heading.
+        # equal markers may be on several bodies, and only a rigid pair gives a heading
         separation = quality.distance_change(run.track, head, tail)
-        if separation is None or separation > quality.DISTANCE_SPREAD[1]:
-            setup = setup.model_copy(update={"tail": None})
+        if separation is None or separation > quality.MAX_DISTANCE_SD[1]:
+            run = replace(run, setup=run.setup.model_copy(update={"tail": None}))
             remarks[0] += f"; {head} and {tail} keep no distance, so there is no tail"
-    return replace(run, setup=setup), remarks
+    return run, remarks
 
 
-def _by_background(video: Path, common: dict[str, Any], progress: Progress) -> tuple[Run, list[str]]:
+def _from_background(video: Path, common: dict[str, Any], progress: Progress) -> tuple[Run, list[str]]:
     """Return a trial of the body that differs from the empty scene, and a remark on it.
 
     Raises
     ------
     NoTrustworthyResult
-        When nothing differs in most frames.
+        Nothing differs from the empty scene in most frames.
     """
-    setup = _setup([Marker(name="body", method="background")], common)
-    with progress(f"trying {setup.head}") as step:
-        run = follow(video, setup, step=step)
-    if run.track.found[0].mean() < quality.LEAST_SHARE:
+    run = _try(video, _setup([Marker(name="body", method="background")], common), progress)
+    if run.track.found[0].mean() < quality.MIN_SHARE:
         hint = "the scene is the film's median: the body must leave its place for more than half of it"
         raise NoTrustworthyResult(f"nothing in {video.name} differs from the empty scene", hint=hint)
     return run, ["the whole body, by its difference from the empty scene"]
 
 
-def _doubts(setup: Setup, run: Run, shares: dict[str, float]) -> float | None:
-    """Warn of markers hardly found or without motion, and of a pair that is not rigid or swims tail first.
+def _doubts(setup: Setup, run: Run) -> float | None:
+    """Warn if markers are hardly found or do not move, or if a pair is not rigid or swims tail first.
 
     Returns
     -------
     float or None
         Share of the steps in which the pair moves towards its head.
     """
-    for name, share in shares.items():
-        reach = quality.reach(run.track, name)
-        if share < quality.LEAST_SHARE:
-            warn("SWM040", f"marker '{name}' is found in {100 * share:.1f} % of the frames only")
-        elif not reach.moves:
-            text = f"marker '{name}' stays within {reach.radii:.2g} of its radius of one place"
-            warn("SWM067", f"{text}: is it the marker, or a still thing of its colour?")
+    for name in run.track.names:
+        code, fault = quality.marker_fault(run.track, name)
+        if fault:
+            warn(code, f"marker '{name}' {fault}")
     if setup.head is None or setup.tail is None:
         return None
     ahead = quality.head_first(run.track, setup.head, setup.tail)
@@ -329,13 +336,14 @@ def _doubts(setup: Setup, run: Run, shares: dict[str, float]) -> float | None:
             f"'{setup.head}' and tail '{setup.tail}' in the setup, or say there 'swims: tail-first'",
         )
     separation = quality.distance_change(run.track, setup.head, setup.tail)
-    if separation is not None and separation > quality.DISTANCE_SPREAD[0]:
+    if separation is not None and separation > quality.MAX_DISTANCE_SD[0]:
         text = f"the distance of '{setup.head}' and '{setup.tail}' changes by {100 * separation:.1f} %"
         warn("SWM042", f"{text} beyond what a camera askew explains: on one rigid part it would not")
     return ahead
 
 
 def _frame(video: Path, index: int) -> Frame:
+    """Return one frame of a film; raise an InputError if it does not exist."""
     count = 0
     for count, (_, frame) in enumerate(Video(video).frames(), start=1):
         if count - 1 == index:
@@ -343,8 +351,8 @@ def _frame(video: Path, index: int) -> Frame:
     raise InputError(f"has {count} frames; frame {index} does not exist", file=video)
 
 
-def _measured(run: Run) -> Setup:
-    """The setup of a run with area ranges from what the tracker measured."""
+def _with_areas(run: Run) -> Setup:
+    """Return the setup of a trial with ranges of the areas that were measured in it."""
     markers = []
     for marker in run.setup.markers:
         i = run.track.row(marker.names[0])
@@ -358,12 +366,14 @@ def _measured(run: Run) -> Setup:
 
 
 def _text(
-    setup: Setup, shares: dict[str, float], remarks: list[str], passed: list[Candidate], video: str
+    setup: Setup, shares: dict[str, float], remarks: list[str], rejected: list[Candidate], video: str
 ) -> str:
-    """Return the setup as commented YAML, with the share of the frames each marker is found in."""
+    """Return the setup as commented YAML, with the share of the frames in which each marker is found."""
     markers = [_marker_text(m, shares, remark) for m, remark in zip(setup.markers, remarks, strict=True)]
-    markers += [f"# Passed over: {one}\n" for one in passed]
-    scale, rate = _NO_SCALE, "# frame_rate_hz: 240"
+    markers += [f"# Passed over: {one}\n" for one in rejected]
+    scale, rate, facing = _NO_SCALE, "# frame_rate_hz: 240", ""
+    if setup.plane == "vertical":
+        facing = _FACING
     if setup.scale is not None:
         scale = f"scale: {_flow(setup.scale.model_dump(mode='json', exclude_none=True))}\n"
     if setup.frame_rate_hz:
@@ -375,7 +385,7 @@ def _text(
         head=setup.head_name,
         tail=f"tail: {setup.tail}" if setup.tail else "# tail: name of the marker behind it",
         plane=setup.plane,
-        facing=_FACING if setup.plane == "vertical" else "",
+        facing=facing,
         scale=scale,
         rate=rate,
         gap=f"{setup.max_gap_s:g}",
@@ -385,9 +395,9 @@ def _text(
 
 def _marker_text(marker: Marker, shares: dict[str, float], remark: str) -> str:
     found = ", ".join(f"{100 * shares[name]:.1f} %" for name in marker.names)
-    keys: dict[str, Any] = {"method": "background"}
-    if marker.method == "colour":
-        keys = {"hsv": marker.colour_range().model_dump()}
+    keys: dict[str, Any] = {"method": marker.method}
+    if marker.hsv is not None:
+        keys = {"hsv": marker.hsv.model_dump()}
     keys["area_px"] = marker.area_px or (12.0, 1e5)
     if marker.number > 1:
         keys["number"] = marker.number
@@ -405,18 +415,19 @@ def _flow(value: Any) -> str:
         return "{" + ", ".join(f"{key}: {_flow(one)}" for key, one in value.items()) + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(map(_flow, value)) + "]"
-    short = f"{value:g}" if isinstance(value, float) else str(value)
-    return short if isinstance(value, str) or float(short) == value else repr(value)
+    if isinstance(value, float):
+        short = f"{value:g}"
+        return short if float(short) == value else repr(value)
+    return str(value)
 
 
 def _sheet(run: Run) -> NDArray[np.uint8]:
-    """Return a contact sheet: frames with the markers circled and named, ignored boxes framed."""
+    """Return a contact sheet of frames with circled and named markers, and with ignored boxes."""
     tiles, track = [], run.track
     ranked = sorted(run.kept, key=lambda k: (not track.found[:, k].all(), k))
-    # Number of pictures on the contact sheet, and their width, px.
-    for index in sorted(ranked[:4]):
+    for index in sorted(ranked[:N_TILES]):
         frame = run.kept[index]
-        factor = 640 / frame.shape[1]
+        factor = TILE_WIDTH / frame.shape[1]
         tile = cv2.resize(frame, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
         for box in run.setup.ignore_px:
             corners = [round(factor * v) for v in box]
@@ -424,7 +435,7 @@ def _sheet(run: Run) -> NDArray[np.uint8]:
         for i in np.flatnonzero(track.found[:, index]):
             x, y = round(factor * track.x[i, index]), round(factor * track.y[i, index])
             radius = round(factor * float(np.sqrt(track.area[i, index] / np.pi))) + 5
-            cv2.circle(tile, (x, y), radius, SEEN, 2, cv2.LINE_AA)
+            cv2.circle(tile, (x, y), radius, MEASURED, 2, cv2.LINE_AA)
             write_text(tile, track.names[i], (x + radius + 3, y + 4), 0.5)
         write_text(tile, f"frame {index}", (8, tile.shape[0] - 8), 0.5)
         tiles.append(tile)
