@@ -134,7 +134,7 @@ def _check_robot(source: Source, place: Path | str, path: Path) -> None:
     try:
         source.assembly.check(source.values)
     except InputError as error:
-        raise robot.located(error, place) from error
+        raise robot.located(error, Path(place)) from error
     known = {parameter.name for parameter in MultilinkModel(source.robot).parameters}
     known |= set(source.parameters.settings.get("shared") or {})
     for name in source.parameters.parameters:

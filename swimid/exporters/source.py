@@ -243,11 +243,11 @@ class Source:
         area = self.robot.body.frontal_area_m2
         if "quadratic_drag" not in held:
             if "drag_coefficient" not in held:
-                place = {"file": self.origin["file"], "column": "parameters.drag_coefficient"}
-                raise InputError("holds no surge drag", **place)
+                file, column = self.origin["file"], "parameters.drag_coefficient"
+                raise InputError("holds no surge drag", file=file, column=column)
             if area is None:
-                place = {"file": self.origin["robot"], "column": "body.frontal_area_m2"}
-                raise InputError("the drag coefficient needs a frontal area", **place)
+                file, column = self.origin["robot"], "body.frontal_area_m2"
+                raise InputError("the drag coefficient needs a frontal area", file=file, column=column)
             held["quadratic_drag"] = 0.5 * self.robot.fluid.density_kg_m3 * area * held["drag_coefficient"]
         return {
             "quadratic": held["quadratic_drag"],
