@@ -318,7 +318,7 @@ def drag(folder: Path, name: str = "drag.yaml", *, proof: bool = True) -> Path:
 def drag_evidence(block: dict[str, Any]) -> Evidence:
     """The evidence of :func:`drag`."""
     return Evidence(
-        verb="fit-drag",
+        command="fit-drag",
         title="Drag and added mass of the boxfish",
         verdict=Verdict(
             level="caution",
@@ -398,7 +398,7 @@ def arma(folder: Path) -> Path:
     )
     path = folder / "arma.yaml"
     record = Evidence(
-        verb="rwls",
+        command="rwls",
         title="ARX model of the long-fin vehicle",
         verdict=Verdict(level="bad", text="The model is unstable: a free run grows without end."),
         checks=[
@@ -431,7 +431,7 @@ def track(folder: Path, *, proof: bool = True, name: str = "run.csv") -> Path:
     )
     if proof:
         record = Evidence(
-            verb="track video",
+            command="track video",
             title="Track of pool.mp4",
             verdict=Verdict(level="good", text="The marker was found in 2040 of 2100 frames."),
             checks=[

@@ -381,7 +381,7 @@ class TestEvidence:
         trace = evidence.Trace(x=np.array([0.0, 1.0]), y=np.array([1.0, np.nan]))
         panel = evidence.Panel(x_label="t", y_label="y", traces=[trace])
         page = evidence.Evidence(
-            verb="rwls",
+            command="rwls",
             title="<b>",
             verdict=evidence.Verdict(level="good", text="fine"),
             figures=[evidence.Figure(id="f", title="f", caption="c", panels=[panel])],

@@ -115,7 +115,7 @@ region_px: [0, 0, 640, 480]
 EVIDENCE = json.dumps(
     {
         "format": "swimid-evidence/1",
-        "verb": "fit-drag",
+        "command": "fit-drag",
         "title": "Rig",
         "verdict": {"level": "good", "text": "It holds."},
         "checks": [{"name": "converged", "value": "yes", "verdict": "pass"}],

@@ -369,7 +369,7 @@ def _evidence(
     if m.options.forgetting < 1:
         figures.append(_trajectories(m))
     return Evidence(
-        verb="rwls",
+        command="rwls",
         title=f"{m.kind} model, {columns.source} to {columns.output}",
         verdict=ev.judged(answer, checks),
         facts={"Orders": str(m.estimate.orders), "Rows": str(len(m.estimate.data))},

@@ -170,7 +170,7 @@ def _print(
         document = {
             "schema": 1,
             "ok": "result" in answer,
-            "verb": run.command,
+            "command": run.command,
             **answer,
             "warnings": [{"code": one.code, "text": one.text} for one in notices],
             "outputs": [str(path) for path in outputs],
@@ -214,7 +214,7 @@ def _next_command(outcome: Result | None) -> str:
     provenance = getattr(outcome.evidence, "provenance", {})
     if not provenance and outcome.path.suffix not in LOG_ENDINGS:
         return ""
-    return next_command(outcome.verb, shlex.quote(str(outcome.path)), provenance)
+    return next_command(outcome.command, shlex.quote(str(outcome.path)), provenance)
 
 
 def protect(output: Path | None, shared: Shared, *, inputs: Iterable[str | Path] = ()) -> None:

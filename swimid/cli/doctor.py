@@ -123,4 +123,4 @@ def _evidence(findings: dict[str, Any], missing: list[str]) -> Evidence:
     facts["Video decoding"] = numbers.number(findings["video_decoding"])
     table = Table(id="packages", title="Packages", columns=["package", "state", "use"], rows=rows)
     title = f"swimid {findings['swimid']}"
-    return Evidence(verb="doctor", title=title, verdict=verdict, facts=facts, tables=[table])
+    return Evidence(command="doctor", title=title, verdict=verdict, facts=facts, tables=[table])

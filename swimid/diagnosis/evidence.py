@@ -71,7 +71,7 @@ def evidence(
     if file.advice:
         cited.append(BOX)
     return ev.Evidence(
-        verb="diagnose",
+        command="diagnose",
         title=f"Gap between trials and model: {file.robot}, {file.experiment}",
         verdict=verdict.model_copy(update={"word": word}),
         facts=_facts(file),

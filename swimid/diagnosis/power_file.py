@@ -73,7 +73,7 @@ def evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord] = ()) -> ev.Evi
         for r in file.effects
     ]
     return ev.Evidence(
-        verb="diagnose",
+        command="diagnose",
         title=f"What trials could show: {file.robot}, {file.experiment}",
         verdict=ev.judged(answer, [check]),
         facts={"Trials": f"{len(file.trials)} against {file.params}"},

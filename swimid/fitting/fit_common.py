@@ -448,7 +448,7 @@ def fit_model(
     robot: str = "",
     inputs: Sequence[Path | Held] = (),
     output: str | Path | None = None,
-    verb: str = "fit",
+    command: str = "fit",
     progress: Progress = silent,
 ) -> Fitted:
     """Estimate the parameters of any model from trials in memory, with all the evidence of a fit.
@@ -473,7 +473,7 @@ def fit_model(
         Sources of the trials for the provenance: ``log.source`` of each log.
     output : path, optional
         Parameter file to write, with its evidence beside it; nothing is written without.
-    verb : str
+    command : str
         Name of the command, for the evidence.
     progress : Progress
         Shows the search.
@@ -545,7 +545,7 @@ def fit_model(
     fitted_trials = sum(trial.role == "fit" for trial in trials)
     whose = f"{model.name} of {robot}" if robot else model.name
     evidence = ev.Evidence(
-        verb=verb,
+        command=command,
         title=f"Fit of {whose}",
         verdict=ev.judged(answer(file), tested),
         checks=tested,

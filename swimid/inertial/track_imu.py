@@ -184,7 +184,7 @@ def _result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> 
     if record.quaternion is None:
         references.append(VQF)
     evidence = Evidence(
-        verb="track imu",
+        command="track imu",
         title=f"Motion of {record.name}",
         verdict=judged(_answer(run), checks),
         facts=_facts(run),

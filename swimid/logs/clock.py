@@ -281,7 +281,7 @@ class Order:
 
     @property
     def summary(self) -> str:
-        """What was done with the rows out of order, in words."""
+        """Description of what was done with the rows out of order."""
         return "; ".join(f"{count} {ODD_ROWS[name]}" for name, count in self.counts.items() if count)
 
 

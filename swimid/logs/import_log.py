@@ -242,7 +242,7 @@ def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]
     with recorded(repeat=True) as drawn:
         shown = figures_of([Log(found.path, {}, found.columns)], found=found.stroke)
     return Evidence(
-        verb="import",
+        command="import",
         title=f"Log imported from {found.path.name}",
         verdict=judged(f"{len(found.time_s)} samples in {len(found.columns) - 1} channels.", checks),
         facts=_facts(found),

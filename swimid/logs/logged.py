@@ -118,7 +118,7 @@ class Logged(Result):
         if self.log.metadata.get("made_by") == "swimid simulate":
             verdict = Verdict(level="good", text="A simulated run.")
         return Evidence(
-            verb=self.verb,
+            command=self.command,
             title=f"Log {self.path.name}",
             verdict=verdict,
             figures=figures_of([self.log]),

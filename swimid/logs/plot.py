@@ -141,7 +141,7 @@ def plot(
                 inputs.append(records[-1])
         figures = figures_of(records)
     proof = Evidence(
-        verb="plot",
+        command="plot",
         title=options.title or " and ".join(record.name for record in records),
         verdict=Verdict(level="good", text="Drawn as logged, nothing judged."),
         facts={record.name: f"{len(record)} samples" for record in records},

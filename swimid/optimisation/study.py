@@ -1,4 +1,4 @@
-"""What maps, rules and gaits share: the first keys of their files, parallel work, evidence and checks."""
+"""Common parts of maps, rules and gaits: keys of their files, parallel work, evidence and checks."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def in_parallel(
 
 def evidence(
     file: Any,
-    verb: str,
+    command: str,
     answer: str,
     checks: Sequence[ev.Check],
     facts: Mapping[str, str],
@@ -138,7 +138,7 @@ def evidence(
         checks = [*checks, ev.check(name, "no", False, limit, reason=doubts)]
     robot = {"Robot": file.robot, "Parameters": file.params or "the robot file's"}
     return ev.Evidence(
-        verb=verb,
+        command=command,
         title=f"{file.kind.removesuffix(' file').capitalize()} of {file.robot}",
         verdict=ev.judged(answer, checks),
         facts={**robot, "Runs": f"{file.duration_s:g} s from rest", **facts},

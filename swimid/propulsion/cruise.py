@@ -109,7 +109,7 @@ def fit(
         *exponent_checks,
     ]
     evidence = ev.Evidence(
-        verb="fit-propulsion",
+        command="fit-propulsion",
         title=f"Propulsion of {experiment.robot.name}: energy recoil law",
         verdict=ev.judged(fit_common.answer(file), checks),
         checks=checks,

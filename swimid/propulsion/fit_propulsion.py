@@ -204,7 +204,7 @@ def _fit_surge(
     if from_rest:
         starts = "with every trial from rest"
     evidence = ev.Evidence(
-        verb="fit-propulsion",
+        command="fit-propulsion",
         title=f"Propulsion of {experiment.robot.name}: beat-averaged surge",
         verdict=ev.judged(fit_common.answer(file), checks),
         checks=checks,

@@ -182,7 +182,7 @@ class Evidence(_Part):
     #: Name and SHA-256 of the content of the file that it was written for; empty in memory.
     result: str = ""
     sha256: str = ""
-    verb: str
+    command: str
     title: str
     verdict: Verdict
     #: Short particulars: robot, model, number of trials.

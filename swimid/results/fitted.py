@@ -117,7 +117,7 @@ class Fitted(FileResult[ParameterFile]):
             if any(e.status == "estimated" for _, e in parameters):
                 verdict.level = "caution"
         title = f"Parameters of {self.file.model}"
-        return Evidence(verb=self.verb, title=title, verdict=verdict, provenance=self.file.provenance)
+        return Evidence(command=self.command, title=title, verdict=verdict, provenance=self.file.provenance)
 
 
 def _is_records(value: Any) -> bool:

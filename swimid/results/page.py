@@ -117,7 +117,7 @@ def render(
     for k, section in enumerate(sections):
         section["anchor"] = f"r{k + 1}"
     for section, result in zip(sections[len(groups) :], results, strict=True):
-        command = terminal.next_command(result.verb, result.path.name, section["content"].provenance)
+        command = terminal.next_command(result.command, result.path.name, section["content"].provenance)
         section.update(kind=result.kind, path=result.path, next=command, folded=result in grouped)
     return environment.get_template(template).render(
         title=title,
@@ -229,7 +229,7 @@ def _side_by_side(fits: Sequence[Fitted]) -> Evidence:
     caption = "Estimates of each file; bars are 95 % intervals."
     columns = ["parameter", *names]
     return Evidence(
-        verb="report",
+        command="report",
         title=f"{len(fits)} fits of {fits[0].file.model} side by side",
         verdict=Verdict(
             level=max(levels, key=list(LEVELS).index),

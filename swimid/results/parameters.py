@@ -65,7 +65,7 @@ class Pole(yamlio.Document):
 
 
 class Fit(yamlio.Document):
-    """How well the parameters describe the trials."""
+    """Errors of the fit by channel, and its convergence."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -122,7 +122,7 @@ class HasFile(Protocol):
 
     @property
     def file(self) -> ParameterFile:
-        """What it writes."""
+        """File that it writes."""
 
 
 #: Parameters: a file, or what a fit gave.

@@ -45,7 +45,7 @@ class Result:
 
     Attributes
     ----------
-    verb : str
+    command : str
         The command that gives the same, ``"fit-drag"``.
     text : str
         What the command prints where that is no summary of the evidence.
@@ -72,7 +72,7 @@ class Result:
     (True, 'good', {'pass'})
     """
 
-    verb: str
+    command: str
     text: str = ""
     data: dict[str, Any] = field(default_factory=dict)
     outputs: Sequence[Path] = ()
@@ -109,7 +109,7 @@ class Result:
     @property
     def path(self) -> Path:
         """The file it was written to, or the name that file would have."""
-        unwritten = Path((self.verb or self.kind).replace(" ", "-") + self.ending)
+        unwritten = Path((self.command or self.kind).replace(" ", "-") + self.ending)
         written = [path for path in self.outputs if path.suffix == self.ending]
         return next(iter([*written, *self.outputs, unwritten]))
 
@@ -231,7 +231,7 @@ class Result:
         if not sidecar(path).exists():
             return loaded
         evidence = _of_document(read_evidence(sidecar(path)), document, Path(path).name)
-        return replace(loaded, verb=evidence.verb, evidence=evidence)
+        return replace(loaded, command=evidence.command, evidence=evidence)
 
     def _own_facts(self) -> dict[str, str]:
         """Return the facts that the file itself holds."""
@@ -253,7 +253,7 @@ class Result:
     def bare(self) -> Evidence:
         """Return what a report shows of a file whose evidence is missing."""
         return Evidence(
-            verb=self.verb,
+            command=self.command,
             title=f"{self.kind} {self.path.name}",
             verdict=Verdict(level="caution", text="No evidence file, so its checks cannot be shown."),
             tables=[leaf_table("content", "Content of the file", self.data)],
@@ -265,7 +265,7 @@ class Result:
         raise UsageError(f"{path} cannot be read as {cls.__name__}")
 
     def _write(self, path: Path) -> list[Path]:
-        raise UsageError(f"the result of {self.verb} is no file", hint="its text is .summary()")
+        raise UsageError(f"the result of {self.command} is no file", hint="its text is .summary()")
 
     def _shown(self, what: str) -> Sequence[Any]:
         """Return checks, tables, figures or notices of the evidence; none without it."""
@@ -285,7 +285,7 @@ class Result:
 
     def __repr__(self) -> str:
         parts = [self.verdict, f"{len(self.figure_names)} figures"]
-        return f"<{type(self).__name__} of {self.verb}: {', '.join(filter(None, parts))}>"
+        return f"<{type(self).__name__} of {self.command}: {', '.join(filter(None, parts))}>"
 
     def __str__(self) -> str:
         return self.summary()
@@ -355,14 +355,14 @@ class FileResult(Result, Generic[File]):
 
     @property
     def file(self) -> File:
-        """What :meth:`save` writes."""
+        """File that :meth:`save` writes."""
         file: File = self.document
         return file
 
     @classmethod
     def of(cls, file: File, evidence: Evidence) -> Self:
         """Return the result whose file and evidence these are."""
-        return cls(evidence.verb, "", cls._plain(file), evidence=evidence, document=file)
+        return cls(evidence.command, "", cls._plain(file), evidence=evidence, document=file)
 
     @classmethod
     def _plain(cls, document: Any) -> dict[str, Any]:

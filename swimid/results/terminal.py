@@ -84,9 +84,9 @@ NEXT = {
 }
 
 
-def next_command(verb: str, file: str, provenance: dict[str, Any]) -> str:
+def next_command(command: str, file: str, provenance: dict[str, Any]) -> str:
     """Return the next command after a result; empty if none is known."""
     files = [name for name in provenance.get("inputs") or {} if name.endswith((".yaml", ".yml"))]
     trials, *others = files or ["TRIALS.yaml"]
     params = (others or ["PARAMETERS.yaml"])[-1]
-    return NEXT.get(verb, "").format(file=file, trials=trials, params=params)
+    return NEXT.get(command, "").format(file=file, trials=trials, params=params)

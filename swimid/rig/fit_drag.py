@@ -155,7 +155,7 @@ def fit_drag(
         figures.append(_speed_figure(pair))
         notes.append(_two_point_text(pair))
     evidence = ev.Evidence(
-        verb="fit-drag",
+        command="fit-drag",
         title=f"Rig identification of {experiment.robot.name}: {experiment.name}",
         verdict=ev.judged(fit_common.answer(file), checks),
         checks=checks,

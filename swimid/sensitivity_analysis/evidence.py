@@ -120,7 +120,7 @@ def evidence(
     """
     checks = _checks(file, step_change, strongest)
     return ev.Evidence(
-        verb="sensitivity",
+        command="sensitivity",
         title=f"Sensitivity of {file.robot}, {file.experiment}",
         verdict=ev.judged(_answer(file), checks),
         facts={

@@ -161,7 +161,7 @@ def compare(
     verdict = ev.judged(_answer(file), checks)
     file.verdict = verdict.level
     evidence = ev.Evidence(
-        verb="compare",
+        command="compare",
         title=f"Measured against simulated: {experiment.robot.name}, {experiment.name}",
         verdict=verdict,
         facts=_facts(file),

@@ -449,7 +449,7 @@ def _evidence(done: Sequence[Simulated], options: SimulateOptions, notes: list[s
     if first.quantities and not first.case.applied.uncertain()[0]:
         notes = [*notes, "No uncertainty known: the parameters have no standard errors."]
     return ev.Evidence(
-        verb="simulate",
+        command="simulate",
         title=f"Simulation of {robot}",
         verdict=ev.judged(answer, checks),
         facts=facts,

@@ -168,7 +168,7 @@ def fit_graybox(
                 checks.append(mistakes.check(explanation, len(known)))
                 notes = [e.sentence for e in (explanation,) if e is not None]
     evidence = ev.Evidence(
-        verb="fit-graybox",
+        command="fit-graybox",
         title=f"Gray-box identification of {experiment.robot.name}",
         verdict=ev.judged(fit_common.answer(file), checks),
         notes=notes,

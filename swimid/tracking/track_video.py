@@ -188,7 +188,7 @@ def _evaluate(
     verdict = ev.judged(_answer(made, swum), checks)
     rows = _rows(swum, rules, plane.unit)
     evidence = ev.Evidence(
-        verb="track video",
+        command="track video",
         title=f"Track of {video.path.name}",
         verdict=verdict,
         facts=_facts(made, rules, swum),
