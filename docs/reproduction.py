@@ -25,6 +25,7 @@ from scipy.optimize import minimize_scalar
 
 from swimid.fitting.drives import Beat, SwimInput
 from swimid.fitting.model import Trial
+from swimid.logs.kinematics import PER_CYCLE
 from swimid.optimisation.optimise_stiffness import RuleFile, StiffnessRule, optimise_stiffness
 from swimid.optimisation.performance import Performance
 from swimid.optimisation.performance_map import performance_map
@@ -32,7 +33,7 @@ from swimid.results import blocks, drawing
 from swimid.results.evidence import Figure, Panel, Trace
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
-from swimid.simulation.swim_quantities import PER_BEAT, Steady
+from swimid.simulation.swim_quantities import SwimRun
 from swimid.swimmer.planar.model import MultilinkModel
 
 SAMPLE_RATE_HZ = 100
@@ -454,11 +455,11 @@ def sweep(file: RuleFile, amplitude_deg: float) -> tuple[float, float, float]:
         point = {"frequency_hz": frequency, "amplitude_deg": amplitude_deg}
         swim, _ = replace(performance, ramp_s=ramp_s).swim(point)
         duration_s = math.ceil(performance.duration_s * frequency - 1e-9) / frequency
-        run = Steady.driven(model, f"sweep {number}", swim, frequency, duration_s)
+        run = SwimRun.driven(model, f"sweep {number}", swim, frequency, duration_s)
         for values, k in zip(states, stiffness[:, number], strict=True):
             values[model.index(file.coefficient)] = k
         columns = model.simulate_many([(values, run.trial) for values in states])
-        paths = np.array([[column[name][::PER_BEAT] for name in model.pose[:2]] for column in columns])
+        paths = np.array([[column[name][::PER_CYCLE] for name in model.pose[:2]] for column in columns])
         ways += np.hypot(*np.diff(paths, axis=2).transpose(1, 0, 2)).sum(axis=1)
         for values, seen in zip(states, columns, strict=True):
             for name, value in model.final_state(seen).items():

@@ -69,13 +69,15 @@ def proof(path: Path) -> dict[str, Any]:
     """Evidence as it lies on disk, without when and from where it was made; it has the name of its log."""
     read = json.loads(ev.sidecar(path).read_text())
     assert read["result"] == path.name
-    return {k: v for k, v in read.items() if k not in ("provenance", "result")}
+    return {k: v for k, v in read.items() if k not in ("provenance", "result", "sha256")}
 
 
 def proved(made: Any) -> dict[str, Any]:
     """The same of evidence in memory."""
     return {
-        k: v for k, v in made.evidence.model_dump(mode="json").items() if k not in ("provenance", "result")
+        k: v
+        for k, v in made.evidence.model_dump(mode="json").items()
+        if k not in ("provenance", "result", "sha256")
     }
 
 

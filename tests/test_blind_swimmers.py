@@ -139,7 +139,7 @@ def test_a_second_order_servo_lags_as_it_says() -> None:
     ramp = np.array([t, np.ones_like(t), np.zeros_like(t)])[:, None, :]
     lagged = actuation.second_order(t, ramp, 20.0, 0.9)
     assert ramp[0, 0, -1] - lagged[0, 0, -1] == pytest.approx(2 * 0.9 / 20.0, rel=1e-6)
-    held = actuation.apply_delay(t, ramp, 0.05)
+    held = actuation.delayed(t, ramp, 0.05)
     assert ramp[0, 0, -1] - held[0, 0, 4000:].mean() - (t[-1] - t[4000:].mean()) == pytest.approx(
         0.05, abs=2e-3
     )

@@ -596,7 +596,7 @@ class TestWrongModels:
     def test_an_unfinished_result_is_written(
         self, swimid: Swimid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(output_error, "BUDGET", 3)
+        monkeypatch.setattr(output_error, "UNFINISHED_ITERATIONS", 3)
         trials, out = _write(tmp_path, _runs(), RATES), tmp_path / "fit.yaml"
         ran = swimid("fit-graybox", trials, "-o", out)
         assert ran.status == 4
@@ -614,7 +614,7 @@ class TestWrongModels:
     def test_an_unfinished_result_of_several_starts_is_written(
         self, swimid: Swimid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(output_error, "BUDGET", 3)
+        monkeypatch.setattr(output_error, "UNFINISHED_ITERATIONS", 3)
         monkeypatch.setattr(output_error, "MAX_ITERATIONS", 3)
         trials, out = _write(tmp_path, _runs(), RATES), tmp_path / "fit.yaml"
         ran = swimid("fit-graybox", trials, "--starts", "2", "-o", out)
@@ -625,7 +625,7 @@ class TestWrongModels:
     def test_bounds_that_stopped_the_fit_are_named(
         self, swimid: Swimid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(output_error, "BUDGET", 6)
+        monkeypatch.setattr(output_error, "UNFINISHED_ITERATIONS", 6)
         trials = _write(tmp_path, _runs(), RATES)
         ran = swimid("fit-graybox", trials, "--bounds", "c_d4=0,3", "-o", tmp_path / "fit.yaml")
         assert ran.status == 4

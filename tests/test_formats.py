@@ -279,7 +279,7 @@ class TestCruiseTable:
             (HEADER + "A,2,16,1.15,10,\n", ["line 2", "6 cells", "5 columns"]),
             (HEADER + "# remark\n\nA,2,16,1.15\n", ["line 4", "4 cells"]),
             (HEADER + "A,2,16,1.15,\n", ["time_s", "every run's value is missing"]),
-            (HEADER + "A,2,16,1.15,1e-320\n", ["line 2", "time_s", "a speed of inf"]),
+            (HEADER + "A,2,16,1.15,1e-320\n", ["line 2", "time_s", "the speed is inf"]),
             (HEADER.replace("time_s", "time"), ["line 1", "neither time_s nor", "did you mean 'time'"]),
             (HEADER.replace(",", ";"), ["line 1", "semicolons"]),
         ],

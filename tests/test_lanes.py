@@ -280,7 +280,6 @@ def test_derivatives_with_shared_coefficients_agree_with_the_engine(fish: Multil
         problem = Problem(tied, tied.parameters, measured, jobs=2)
         problem._typical_s = 1.0
         slopes.append(problem.jacobian(problem.start))
-        problem.close()
     # trajectories agree to 1e-14; forward differences divide by a step of 1e-6 of each number
     sizes = np.maximum(np.abs(problem.start), problem.scale)
     assert np.max(np.abs(slopes[1] - slopes[0]) * sizes) < 4e-8
@@ -360,7 +359,6 @@ def test_threads_simulate_whole_batches(fish: MultilinkModel) -> None:
     assert parts == [6]
     problem._typical_s = 1.0
     problem.simulated([(problem.start, k % 3) for k in range(20)])
-    problem.close()
     assert sorted(parts[1:]) == [4, 16]
 
 

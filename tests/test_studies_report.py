@@ -30,7 +30,7 @@ def test_studies_on_one_page(swimid: Callable[..., Ran], samples: Path, tmp_path
     assert swimid("report", *files, "-o", page).status == 0
     text = page.read_text()
     for shown in (
-        "Over the grid of gaits", "Stiffness rule", "What the robot comes to with the best gait",
+        "Over the grid of gaits", "Stiffness rule", "Quantities of the best gait",
         "Sensitivity of each output", "4 s from rest",
     ):  # fmt: skip
         assert shown in text, shown

@@ -147,7 +147,8 @@ def _argument(metavar: str) -> list[click.Parameter]:
     count = (1, -1)[metavar.endswith("...")]
     if metavar.startswith("["):
         return [click.Argument(["files"], nargs=count, required=False, metavar=metavar, type=str)]
-    return [click.Argument(["files"], nargs=count, metavar=metavar, type=click.Path(path_type=Path))]
+    path = click.Path(path_type=Path)
+    return [click.Argument(["files"], nargs=count, required=True, metavar=metavar, type=path)]
 
 
 def _option(entry: Declared) -> click.Option:

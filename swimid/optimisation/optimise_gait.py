@@ -12,7 +12,6 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.stats import qmc
 
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, yamlio
@@ -277,6 +276,8 @@ def _limits(performance: Performance, options: OptimiseGaitOptions) -> dict[str,
 def _choose_starts(problem: Problem, options: OptimiseGaitOptions) -> Array:
     """Return the best points of a Sobol sequence as starts of the search; set the scale of the goal."""
     exponent = math.ceil(math.log2(N_POINTS_PER_START * options.starts))
+    from scipy.stats import qmc
+
     points = qmc.Sobol(len(problem.vary), seed=options.seed).random_base2(exponent)
     table = problem.table(points)
     problem.performance.insist(table)

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from swimid.errors import NoTrustworthyResult
 from swimid.files import yamlio
@@ -198,6 +197,8 @@ def descend(
 @cache
 def _cube(width: int) -> Array:
     """Return points that fill the cube from -1 to 1 evenly, its centre first."""
+    from scipy.stats import qmc
+
     points = 2.0 * qmc.Sobol(width, scramble=False).random(N_MODEL_POINTS) - 1.0
     return np.vstack([np.zeros(width), points])
 
