@@ -21,7 +21,7 @@ FROM_THE_DEMO = {
     "fit-drag": ("drag.yaml", "overlay-x_m"),
     "fit-graybox": ("tfish.yaml", "overlay-x_m"),
     "fit-propulsion": ("propulsion.yaml", "speeds"),
-    "compare": ("comparison.yaml", "overlay-u_m_s"),
+    "compare": ("comparison.yaml", "overlay"),
     "rwls": ("arma.yaml", "free-run"),
 }
 
@@ -30,7 +30,7 @@ def draw(name: str, result: swimid.Result, figure: str) -> None:
     """Draw one figure of a result, and write it as docs/figures/NAME.svg."""
     axes = result.plot(figure)
     first = axes[0] if isinstance(axes, list) else axes
-    canvas = first.figure
+    canvas = first.get_figure(root=True)
     canvas.savefig(FIGURES / f"{name}.svg", metadata={"Date": None})
     plt.close(canvas)
 
@@ -40,21 +40,10 @@ def main() -> None:
     plt.rcParams["svg.hashsalt"] = "swimid"
     for name, (file, figure) in FROM_THE_DEMO.items():
         draw(name, swimid.load_result(DEMO / file), figure)
-    draw(
-        "import",
-        swimid.import_log(SAMPLES / "camera" / "polled.csv", map_path=ROOT / "docs/examples/camera.yaml"),
-        "spectra",
-    )
-    draw(
-        "simulate",
-        swimid.simulate(robot="dolphin", frequency_hz=2.5, amplitude_deg=27, duration_s=10),
-        "track",
-    )
-    draw(
-        "sensitivity",
-        swimid.sensitivity(SAMPLES / "tfish" / "trials.yaml", ranges=["20%"], samples=64),
-        "total",
-    )
+    rules = ROOT / "docs" / "examples" / "camera.yaml"
+    draw("import", swimid.import_log(SAMPLES / "camera" / "polled.csv", map_path=rules), "spectra-polled")
+    trials = SAMPLES / "tfish" / "trials.yaml"
+    draw("sensitivity", swimid.sensitivity(trials, ranges=["20%"], samples=64), "indices")
 
 
 if __name__ == "__main__":

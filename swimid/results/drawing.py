@@ -329,15 +329,18 @@ def _heat(axes: Axes, heat: Heat) -> None:
     low, high = (known.min(), known.max()) if len(known) else (0.0, 0.0)
     if heat.scale == "log":
         low, high = 0.0, max(high, math.log(3.0))
-    size = min(FONT, 72 * WIDTH * 0.75 / max(len(heat.columns), 1) / (4.4 * LETTER))
+    rows = [_cut(name) for name in heat.rows]
+    texts = [[numbers.number(float(value), 2) for value in row] for row in values]
+    letters = max((len(text) for row in texts for text in row), default=1) + 1
+    room = 72 * WIDTH - LETTER * FONT * max((len(row) for row in rows), default=0)
+    size = min(FONT, room / max(len(heat.columns), 1) / (letters * LETTER))
     for (i, j), shade in np.ndenumerate(shades):
         if np.isfinite(shade):
             alpha = DARKEST * (shade - low) / (high - low) if high > low else 0.0
             axes.add_patch(Rectangle((j - 0.5, i - 0.5), 1, 1, facecolor=_colour(0), alpha=alpha, lw=0))
-        text = numbers.number(float(values[i, j]), 2)
-        axes.text(j, i, text, ha="center", va="center", fontsize=max(size, 4.5))
+        axes.text(j, i, texts[i][j], ha="center", va="center", fontsize=max(size, 4.5))
     axes.set_xticks(range(len(heat.columns)), [_cut(name) for name in heat.columns])
-    axes.set_yticks(range(len(heat.rows)), [_cut(name) for name in heat.rows])
+    axes.set_yticks(range(len(heat.rows)), rows)
     axes.set(xlim=(-0.5, len(heat.columns) - 0.5), ylim=(len(heat.rows) - 0.5, -0.5))
     _slant(axes, heat.columns)
     axes.tick_params(length=0)

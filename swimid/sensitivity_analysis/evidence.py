@@ -249,7 +249,7 @@ def _trials(file: SensitivityFile) -> ev.Table:
 def _map(file: SensitivityFile) -> ev.Figure:
     outputs = [o for o in _headline(file) if o.shares]
     names = list(file.ranges)
-    values = [[round(o.shares[name].total.value, 3) for name in names] for o in outputs]
+    values = [[round(o.shares[name].total.value, 2) for name in names] for o in outputs]
     heat = ev.Heat(rows=[o.quantity for o in outputs], columns=names, values=values, scale="linear")  # type: ignore[arg-type]
     caption = "Total Sobol indices: the share of an output's variance that a coefficient takes part in."
     title = "Sensitivity of each output"
