@@ -1,4 +1,4 @@
-"""Find the next experiment: the setting or the sensor that would distinguish the rivals."""
+"""Propose the next experiment: the setting or the additional sensor that best distinguishes rival causes."""
 
 from __future__ import annotations
 
@@ -16,12 +16,15 @@ from swimid.diagnosis.noise_model import NoiseModel
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.problem import Problem
 
-#: Maximum number of proposals in a report.
+#: Maximum number of proposed experiments in a report.
 MOST = 4
 
 
 def proposals(trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
-    """Return trials that could be run next, each with a description."""
+    """Return descriptions and trials of experiments that could be run next.
+
+    A proposed trial differs from the given trials in its beat, its driving force or its duration.
+    """
     template = max(trials, key=lambda t: len(t.time_s))
     found: list[tuple[str, Trial]] = []
     beat = template.swim.beat
@@ -64,7 +67,7 @@ def proposals(trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
         longer = time[0] + step * np.arange(int(2.0 * span / step) + 1)
         words = f"one of the same settings, {2.0 * span:.3g} s long"
         found.append((words, replace(template, time_s=longer)))
-    # Simulations are cached by the id of their trial.
+    # Each proposed trial gets its own id, because simulations are cached by the id of the trial.
     return [(words, replace(trial, id=f"proposed {n}")) for n, (words, trial) in enumerate(found)]
 
 
@@ -75,16 +78,17 @@ def advise(
     floors: Mapping[str, float],
     now: float,
 ) -> list[Advice]:
-    """Rank proposed trials by how well they distinguish the first rival from the others.
+    """Rank experiments by how well they would distinguish the first rival cause from the others.
 
     Parameters
     ----------
     rivals : sequence of Fit
-        At least two, each the model with one rival.
+        At least two fits, each with one of the rival causes.
     floors : mapping of channel to float
         Noise floor, in the channel's unit.
     now : float
-        Distance between the rivals on the present trials, in units of the noise.
+        Difference between the first two rival fits on the present trials, in noise standard deviations. It is
+        the square root of the difference of their held-out squared residuals.
     """
     known = information(context, rivals[0], noise_model)
 
@@ -101,7 +105,7 @@ def advise(
             continue
         size = difference(template, {name: noise}, [name])
         words = f"log {channel.meaning or name} ({name}) as well, to {noise:.2g} {channel.unit}"
-        # One joint represents all.
+        # Joint channels have the key "joint" in common, so that at most one of them is proposed.
         kind = name[:5]
         if kind not in sensed or size > sensed[kind][0]:
             sensed[kind] = size, words
@@ -112,20 +116,25 @@ def advise(
 
 
 def typical_noise(channel: str) -> float | None:
-    """Return the noise of a common sensor of a channel (encoder 0.01 rad, gyro 0.02 rad/s), or None."""
+    """Return the typical noise standard deviation of the sensor of a channel, or None if it is unknown.
+
+    It is 0.01 rad for the encoder of a joint and 0.02 rad/s for a gyro.
+    """
     if channel.startswith("joint") and channel.endswith("_rad"):
         return 0.01
     return 0.02 if channel in ("yaw_rate_rad_s", "pitch_rate_rad_s") else None
 
 
 def information(context: FitContext, fit: Fit, noise_model: NoiseModel) -> tuple[list[str], Array]:
-    """Return labels and normal matrix of the shared parameters from the present trials, start states
-    projected out.
+    """Return the labels and the normal matrix of the parameters that all trials share.
+
+    The normal matrix is computed from the present trials. Parameters of single trials (start states, random
+    effects) are projected out.
     """
     shared = [j for j, (_, owner) in enumerate(fit.problem.slots) if owner is None]
     normal = np.zeros((len(shared), len(shared)))
     for k, rows in enumerate(fit.rows):
-        # The last column is that of the residuals.
+        # The function project_out() expects the residuals in the last column.
         block = np.column_stack((rows[:, shared], fit.residuals[k]))
         seen = crossval.project_out(context, fit, noise_model, k, block)[:, :-1]
         normal += seen.T @ seen
@@ -141,8 +150,10 @@ def apart(
     known: tuple[Sequence[str], Array],
     channels: Sequence[str],
 ) -> float:
-    """Return the predicted difference of two rivals on a trial, in units of the noise, with all else
-    refitted.
+    """Return the difference of two rival models on a proposed trial, in noise standard deviations.
+
+    It is the square root of the sum of squared differences that remain after the parameters of the first
+    model have been refitted to the simulation of the second model.
     """
     proposed = replace(trial, measured={c: np.zeros(len(trial.time_s)) for c in channels})
 

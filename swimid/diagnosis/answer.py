@@ -1,4 +1,4 @@
-"""Assemble the answer of a diagnosis from the fitted hypotheses."""
+"""Assemble the gap file of a diagnosis (verdict, causes, next experiment) from the fitted hypotheses."""
 
 from __future__ import annotations
 
@@ -55,11 +55,12 @@ from swimid.fitting.model import Array, Parameter, Trial
 from swimid.progress import Progress, silent
 from swimid.results.parameters import Estimate
 
-#: Probability that a parameter is reported as moved although none has (two-sided, all parameters together).
+#: Significance level (two-sided, for all parameters together) at which a parameter is reported as moved.
 MOVED = 0.05
-#: Standard deviation of the prior that holds a parameter at its given value, in typical sizes.
+#: Standard deviation of the prior that holds a parameter at its given value, in units of the parameter's
+#: typical scale.
 PINNED = 1e-6
-#: Advice when coefficients imitate the gap, or it may be chance.
+#: Texts that advise the user to run another setting, and to repeat a setting.
 ANOTHER = "run another setting: what coefficients imitate at one they do not imitate at all"
 REPEAT = "repeat one setting three times: what repeats is physics, what does not is chance"
 
@@ -74,25 +75,26 @@ def answer(
     seed: int = 0,
     progress: Progress = silent,
 ) -> tuple[GapFile, list[Piece]]:
-    """Return verdict, causes, shrinkage, remaining residuals, and the next experiment.
+    """Return the gap file of a diagnosis, and the held-out trial with the largest errors.
 
     Parameters
     ----------
     validation : sequence of Trial
-        Trials that take part in no fit.
+        Trials that no fit uses.
     given : mapping of name to Estimate
-        The coefficients of the parameter file.
+        Parameters of the parameter file.
     raw : sequence of Trial
         The fitted trials, failed samples included.
     unweighed : mapping of name to Estimate
-        Coefficients that were estimated from other trials and whose change is no hypothesis.
+        Parameters of the parameter file that were estimated from other trials, and whose change is not a
+        hypothesis of the diagnosis.
 
     Returns
     -------
     GapFile
-        Without the names of what was diagnosed.
+        The caller adds the names of the model, the robot, the experiment, the parameter file and the trials.
     list of Piece
-        The held-out trial with the largest errors.
+        Measured and simulated samples of this held-out trial.
 
     Raises
     ------
@@ -101,7 +103,7 @@ def answer(
     """
     context = state.context
     if state.changed:
-        # The gap is that of the parameters as given.
+        # A changed parameter is among the causes, so the gap is measured with the parameters as given.
         state.nominal = _as_given(state)
     nominal = state.nominal
     ranges = _ranges(context, nominal)
@@ -114,8 +116,9 @@ def answer(
     )
     floor = noise.inside
     failed = dropout_cause.misfit(state, raw, floor)
-    # A random effect may have absorbed a cause, or a cause the between-trial variation. Each model is
-    # therefore fitted with and without random effects, and the fit that predicts better is used.
+    # A random effect may absorb a cause, and a cause may absorb between-trial variation. Each model is
+    # therefore fitted with and without random effects, and the fits that predict held-out data better are
+    # used.
     fits = [(nominal, state.base), alike] if state.noise_model.random_effects else [alike]
     shipped = {p.name: p.start for p in context.parameters if not p.per_trial}
     total = len(validation) or context.folds.count
@@ -134,9 +137,11 @@ def answer(
     predicted = None
     if state.base.effects:
         predicted = compared(context, nominal, state.base, state.noise_model, validation)
-    # If structure remains, the part of it that a fit absorbs also belongs to the remainder.
+    # The floor in ``noise.levels`` is increased for the noise that fitted parameters absorb. If the residuals
+    # have structure, this increase would include absorbed structure, so the floor without it is used.
     more = state.left is not None and state.left.found
-    # In trials that are not predicted, the gap may look like between-trial variation.
+    # The expected between-trial variation of the held-out trials is used only if the model with the causes
+    # predicts these trials. Otherwise a gap could be taken for between-trial variation.
     chance = {} if predicted is None or predicted.after.shown else predicted.after.chance
     levels = noise.of_held_out(chance)
     outside = shrinkage.capped(floor if more else levels, held)
@@ -147,7 +152,8 @@ def answer(
     )
     how = noise.how
     if told.verdict == "none":
-        # The residuals are indistinguishable from noise and between-trial variation.
+        # The residuals are indistinguishable from noise and between-trial variation, so all of them count as
+        # noise.
         floor = {c: max(floor[c], rms(v)) for c, v in by_channel(nominal, gap).items()}
         how = "all that the model leaves: noise, and what differs from trial to trial"
     rows = _scores(state)
@@ -202,7 +208,7 @@ def answer(
 
 
 def _as_given(state: State) -> Fit:
-    """Return the model with the parameters as given, with only the start states of the trials fitted."""
+    """Return the model with all shared parameters as given; only parameters of single trials are fitted."""
     context, noise_model = state.context, state.noise_model
     problem = context.problem((), noise_model.random_effects)
     noise_model.install(problem)
@@ -227,7 +233,7 @@ def _insist_simulated(nominal: Fit, ranges: Mapping[str, float]) -> None:
 
 
 def _alone(state: State, fit: Fit) -> Fit:
-    """Refit a model without random effects, which may have absorbed the cause."""
+    """Refit a model without random effects, which may have absorbed a cause."""
     if not state.noise_model.random_effects:
         return fit
     context, noise_model = state.context, replace(state.noise_model, random_effects=())
@@ -248,7 +254,10 @@ def _reasons(state: State) -> list[str]:
 
 
 def _ranges(context: FitContext, nominal: Fit) -> dict[str, float]:
-    """Return the measured range of each channel over the fitted trials, in its unit; 1 if undefined."""
+    """Return the measured range of each channel over the fitted trials, in the channel's unit.
+
+    A range of zero is replaced by 1.
+    """
     parts: dict[str, list[Array]] = {}
     for k, trial in enumerate(context.trials):
         for channel, series in split(nominal, k, nominal.residuals[k]).items():
@@ -313,7 +322,7 @@ def _causes(
 
 
 def _changed(known: Estimate, value: float, stderr: float, unit: str, *, inside: bool) -> ChangedValue:
-    """Return the new value of a parameter and its value in the file."""
+    """Compare the estimate of a parameter with its value in the parameter file."""
     return ChangedValue(
         value=value,
         stderr=stderr if inside else None,
@@ -327,8 +336,9 @@ def _changed(known: Estimate, value: float, stderr: float, unit: str, *, inside:
 def _values(
     base: Fit, cause: Named, sd: Mapping[str, float], given: Mapping[str, Estimate]
 ) -> dict[str, Value | ChangedValue]:
-    """Return the size of a cause: the parameters of its effect, those of single trials as a root mean
-    square.
+    """Return the estimated parameters of a cause, by name.
+
+    A parameter with a separate value for each trial is reported as the root mean square of these values.
     """
     effect = cause.best.tried.effect
     found: dict[str, Value | ChangedValue] = {}
@@ -349,8 +359,8 @@ def _values(
         if p.per_trial:
             found[f"{p.name}_rms"] = Value(value=rms(np.array(values)), unit=p.unit)
             continue
-        # A value within its standard error of a bound counts as at the bound, unless the effect vanishes
-        # there.
+        # An estimate whose distance from a bound is within its standard error counts as at the bound. This
+        # does not apply to a bound that is the null value.
         near = sd.get(labels[0], 0.0)
         if any(b != p.start and abs(values[0] - b) <= near for b in (p.lower, p.upper)):
             found[p.name] = Value(value=values[0], unit=p.unit, status="at-bound")
@@ -360,9 +370,9 @@ def _values(
 
 
 def _moved(state: State, base: Fit, given: Mapping[str, Estimate]) -> dict[str, ChangedValue]:
-    """Return the parameters of the file that a fit moved by more than their standard errors allow.
+    """Return the parameters of the file that a refit changed significantly.
 
-    The level is two-sided 5 % for all of them together (Bonferroni).
+    The significance level is 5 % (two-sided) for all parameters together (Bonferroni).
     """
     sd = parameter_errors(state, base)
     inside = dict(zip(base.labels, base.inside, strict=True))
@@ -377,7 +387,7 @@ def _moved(state: State, base: Fit, given: Mapping[str, Estimate]) -> dict[str, 
 
 
 def _at_bounds(context: FitContext, fit: Fit) -> dict[str, float]:
-    """Return the shared coefficients of the model that end at a bound, and the bound."""
+    """Return the shared coefficients of the model that are at a bound, with the value of the bound."""
     own = {p.name for p in context.parameters if not p.per_trial}
     ends = zip(fit.labels, fit.theta, fit.inside, strict=True)
     return {label: float(value) for label, value, inside in ends if label in own and not inside}
@@ -388,7 +398,7 @@ def _absorbed(
 ) -> list[Absorbed]:
     nominal = state.nominal
     plain = parameter_errors(state, nominal)
-    # A changed parameter is a cause itself.
+    # A changed parameter is a cause itself, so it is not listed as a coefficient that absorbed a cause.
     causes = {e.adds_to for e in base.effects}
     found = []
     for p in state.context.parameters:
@@ -411,8 +421,10 @@ def _estimate(fit: Fit, p: Parameter, errors: Mapping[str, float]) -> Value:
 
 
 def _extrapolations(state: State, base: Fit) -> dict[str, Distance]:
-    """Return the distance of the outermost frequency, amplitude or force from the prediction by the other
-    trials.
+    """Return the prediction errors of the outermost settings without and with the causes.
+
+    The outermost settings are the highest and the lowest frequency, amplitude and force. Each of them is
+    predicted by a fit to all other trials.
     """
     context = state.context
     if not context.folds.whole:
@@ -447,7 +459,7 @@ def _advice(state: State, told: Judgement, left: str, floor: Mapping[str, float]
     if not told.causes:
         return _repeat(left) if told.verdict == "unexplained" else []
     first = state.rounds[0]
-    # A changed parameter cannot be distinguished from an effect that changes the trials in the same way.
+    # No experiment distinguishes a changed parameter from an effect that changes the trials in the same way.
     names = [n for n in told.causes[0].alike if n not in first.same]
     rivals = [next(r for r in first.ranked if r.tried.effect.name == n) for n in names]
     if len(rivals) == 1:
@@ -466,7 +478,7 @@ def _repeat(left: str) -> list[Advice]:
 
 
 def _scores(state: State) -> list[Score]:
-    """Return the score of each effect alone."""
+    """Return the score of each effect, from the fit with this effect alone or else from the screen."""
     rows: dict[str, Score] = {}
     for r in state.singles:
         name = r.tried.effect.name
@@ -494,7 +506,7 @@ def _score(tried: Tried, gains: Array, stderr: float | None, probability: float,
 
 
 def _hypotheses(state: State) -> list[Hypothesis]:
-    """Return every hypothesis that was weighed; the first is the model without effects."""
+    """Return every fitted hypothesis with its probability. The model without effects comes first."""
     found = state.posterior
     return [
         Hypothesis(
@@ -511,7 +523,7 @@ def _hypotheses(state: State) -> list[Hypothesis]:
 
 
 def _stages(rows: Sequence[Score], *, gap: bool) -> dict[Stage, float]:
-    """Return the share of the evidence for each stage."""
+    """Return the probability of each simulation stage: the sum over the effects of the stage, normalised."""
     applied = {row.stage for row in rows}
     shares = {stage: 0.0 for stage in STAGES if stage != "rig" or "rig" in applied}
     if not gap:
@@ -524,7 +536,10 @@ def _stages(rows: Sequence[Score], *, gap: bool) -> dict[Stage, float]:
 
 
 def _structured_share(state: State) -> float:
-    """Return the share of the final squared whitened residuals that a generic description still finds."""
+    """Return the fraction of the squared residuals that smooth terms without physics still explain.
+
+    The residuals are those of the model with the causes, whitened.
+    """
     left = state.left
     if left is None or not left.found:
         return 0.0
@@ -536,12 +551,13 @@ def _structured_share(state: State) -> float:
 
 
 def parameter_errors(state: State, fit: Fit) -> Mapping[str, float]:
-    """Return the standard errors of a fit's parameters by label.
+    """Return the standard errors of the parameters of a fit, by label.
 
-    The standard error of a changed parameter has the name of its effect. The residuals of a few trials are
-    correlated, by noise or by the gap: the errors are enlarged accordingly.
+    The sum of a model parameter and its change has a standard error of its own, labelled with the name of the
+    effect. If a few trials do not determine the memory of the noise, the standard errors are at least those
+    of a sandwich estimate with correlated residuals.
     """
-    # Rows that select the parameters, and the sum of each changed parameter and its change.
+    # Each row of the matrix selects one parameter, or sums a model parameter and its change.
     names, rows = list(fit.labels), list(np.eye(len(fit.labels)))
     for effect in fit.effects:
         if effect.adds_to is not None:

@@ -1,4 +1,4 @@
-"""Screen effects at several sizes, then refit them together with the model."""
+"""Screen effects: predict how much each of them would reduce the held-out residuals if it were refitted."""
 
 from __future__ import annotations
 
@@ -15,15 +15,20 @@ from swimid.effects.base import Effect
 from swimid.fitting.model import Array, Parameter
 from swimid.fitting.parallel import map_in_processes
 
-#: A squared change below this, in units of the noise, counts as zero.
+#: Threshold of the sum of squared changes by an effect, in units of the noise variance. A smaller sum counts
+#: as zero.
 NOTHING = 1e-6
-#: A change above this, in units of the noise, means that the simulation diverged.
+#: Maximum change of a sample by an effect, in noise standard deviations. A larger change means that the
+#: simulation diverged.
 BROKEN = 3e4
-#: Minimum share of trials that must not diverge for an effect to be evaluated.
+#: Minimum fraction of trials whose simulation does not diverge with an effect. Parameter values with a
+#: smaller fraction are left out.
 SOUND = 0.7
-#: Number of starts of a fit beyond the predicted one: the sizes at which the effect helped most.
+#: Number of parameter vectors from the screen at which a refit starts, in addition to the predicted optimum.
+#: They are the vectors with the largest gains.
 STARTS = 3
-#: Number of parts of a trial for cross-validation of an effect with a value for each trial.
+#: Number of parts into which a trial is divided to cross-validate an effect with a separate value for each
+#: trial.
 PARTS = 4
 
 
@@ -34,15 +39,15 @@ class Tried:
     Attributes
     ----------
     point : ndarray
-        Predicted values of its parameters.
+        Predicted optimum of the effect's parameters.
     gains : ndarray, shape (folds,)
-        Predicted decrease of the held-out squared residuals of each fold.
+        Predicted decrease of the squared held-out residuals in each fold.
     absorbed : float
-        Share of the squared change that the coefficients of the model imitate.
-    signature : list of ndarray
-        Change of each trial at ``point``, weighted.
+        Fraction of the squared change by the effect that the coefficients of the model can imitate.
+    signature : list of ndarray, each shape (n_k,)
+        Change of the samples of each trial at ``point``, divided by the noise standard deviation.
     starts : list of ndarray
-        Points at which it reduced the residuals as it was: starting points of a refit.
+        Screened points at which the effect reduced the held-out residuals most. A refit also starts there.
     """
 
     effect: Effect
@@ -55,18 +60,18 @@ class Tried:
 
     @property
     def gain(self) -> float:
-        """Return the gain over all folds."""
+        """Return the predicted decrease of the squared held-out residuals, summed over folds."""
         return float(self.gains.sum())
 
 
 @dataclass(frozen=True)
 class Refitted:
-    """One effect fitted together with the model.
+    """Fit of a model with one more effect than a reference model.
 
     Attributes
     ----------
     gains : ndarray, shape (folds,)
-        Decrease of the held-out squared residuals of each fold against the model without the effect.
+        Decrease of the squared held-out residuals in each fold, compared with the reference model.
     """
 
     tried: Tried
@@ -75,26 +80,26 @@ class Refitted:
 
     @property
     def gain(self) -> float:
-        """Return the gain over all folds."""
+        """Return the decrease of the squared held-out residuals, summed over folds."""
         return float(self.gains.sum())
 
     @property
     def stderr(self) -> float:
-        """Return the standard error of the gain, from its variation over folds."""
+        """Return the standard error of the summed gain, estimated from its variation over folds."""
         n = len(self.gains)
         return float(np.sqrt(n * np.var(self.gains, ddof=1))) if n > 1 else float("nan")
 
 
 @dataclass
 class Screen:
-    """Screening results of all effects on one base.
+    """Screening results of all effects, each added to the same fit.
 
     Attributes
     ----------
     tried : list of Tried
-        Best first.
+        Results, largest predicted gain first.
     left_out : dict of name to reason
-        Effects that change nothing here.
+        Effects that change no measured sample or make the simulation diverge, with the reason.
     """
 
     tried: list[Tried]
@@ -102,13 +107,20 @@ class Screen:
 
 
 def within(change: Array) -> bool:
-    """Return whether a change is neither zero nor a divergence."""
+    """Return whether a change is finite and smaller than that of a diverged simulation (:data:`BROKEN`)."""
     return bool(np.isfinite(change).all() and np.max(np.abs(change), initial=0.0) < BROKEN)
 
 
 @dataclass(frozen=True)
 class Trialled:
-    """Changes by an effect at each tried size."""
+    """Simulated changes by one effect.
+
+    Attributes
+    ----------
+    points : list of (ndarray, list of ndarray)
+        Values of the effect's parameters, and the resulting change of each trial, divided by the noise
+        standard deviation.
+    """
 
     effect: Effect
     parameters: tuple[Parameter, ...]
@@ -116,7 +128,7 @@ class Trialled:
 
 
 def simulate(context: FitContext, base: Fit, effects: Sequence[Effect]) -> list[Trialled]:
-    """Return the changes by all effects at several sizes."""
+    """Simulate each effect with several parameter values and return the changes of the trials."""
 
     def one(effect: Effect) -> list[tuple[Array, list[Array]]]:
         parameters = effect.parameters(context.model, context.trials)
@@ -124,7 +136,7 @@ def simulate(context: FitContext, base: Fit, effects: Sequence[Effect]) -> list[
         points = list(effect.tries(parameters))
         for point, changed in zip(points, context.changes(base, effect, points), strict=True):
             sound = [within(c) for c in changed]
-            # A trial that nearly diverges says nothing about the effect; the others do.
+            # The change of a diverged trial is set to zero. The other trials still show the effect.
             if sum(sound) > SOUND * len(sound):
                 found.append(
                     (point, [c if ok else np.zeros(len(c)) for c, ok in zip(changed, sound, strict=True)])
@@ -138,7 +150,10 @@ def simulate(context: FitContext, base: Fit, effects: Sequence[Effect]) -> list[
 
 
 def screen(context: FitContext, base: Fit, noise_model: NoiseModel, simulated: Sequence[Trialled]) -> Screen:
-    """Screen all effects at all sizes, with the base's parameters projected out."""
+    """Predict the decrease of the squared held-out residuals by each effect.
+
+    The parameters of ``base`` are projected out.
+    """
     columns = [changed for tried in simulated for _, changed in tried.points]
     inner = crossval.normal_equations(context, base, noise_model, columns)
     plain = crossval.held_out(inner)
@@ -165,18 +180,24 @@ def screen(context: FitContext, base: Fit, noise_model: NoiseModel, simulated: S
 
 
 def absorbed(left: float, whole: float) -> float:
-    """Return the share of a squared change that the model's parameters imitate."""
+    """Return the fraction of a squared change that the parameters of the model can imitate.
+
+    Parameters
+    ----------
+    left, whole : float
+        Squared change with and without these parameters projected out.
+    """
     return float(np.clip(1.0 - left / whole, 0.0, 1.0)) if whole > 0 else 1.0
 
 
 def _strength(parameters: Sequence[Parameter], point: Array) -> float:
-    """Return the largest distance of a point from the null value, in typical sizes."""
+    """Return the largest distance of a parameter from its null value, in units of its typical scale."""
     sizes = (abs(v - p.start) / p.scale for v, p in zip(point, parameters, strict=True))
     return max(sizes, default=1.0) or 1.0
 
 
 def _allowed(null: Array, step: Array, factor: float, lower: Array, upper: Array) -> float:
-    """Return the factor of a step from the null value, limited by the bounds."""
+    """Return the factor of a step from the null value, limited by the bounds of the parameters."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = np.array([(lower - null) / step, (upper - null) / step])
     ends = ends[:, step != 0.0]
@@ -188,24 +209,25 @@ def _allowed(null: Array, step: Array, factor: float, lower: Array, upper: Array
 def _best(
     inner: NormalEquations, tried: Trialled, first: int, plain: Array, left: Array, whole: Array
 ) -> Tried | None:
-    """Return the best try of an effect, from single tries and from combinations of one try for each
-    parameter.
+    """Return the screening result of an effect at the point with the largest predicted gain.
+
+    The points are all screened points, and the best points of different parameters combined.
 
     Parameters
     ----------
     first : int
-        Index of its first column among the further ones.
+        Index of the effect's first column among the columns of all effects.
     plain : ndarray, shape (folds,)
-        Held-out squared residuals without any effect.
+        Squared held-out residuals without any effect.
     left, whole : ndarray
-        Squared changes of the further columns, with and without the shared parameters projected out.
+        Squared changes by all columns, with and without the shared parameters projected out.
     """
     parameters, points = tried.parameters, tried.points
     null = np.array([p.start for p in parameters])
     lower, upper = np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
 
     def fitted(*chosen: int) -> tuple[Array, Array]:
-        """Return the gains of some tries together, and the factors of their changes."""
+        """Return the gains by some points fitted together, and the fitted factors of the changes."""
         prior = [(_strength(parameters, points[i][0]) / EFFECT_PRIOR) ** 2 for i in chosen]
         where = [first + i for i in chosen]
         gains = plain - crossval.held_out(inner, where, prior)
@@ -220,8 +242,8 @@ def _best(
         moved = tuple(np.flatnonzero(point != null).tolist())
         if gains.sum() > leaders.get(moved, (-np.inf, 0))[0]:
             leaders[moved] = (float(gains.sum()), i)
-        # The effect of a size beyond its bound is that at the bound. An effect without parameters acts as a
-        # whole.
+        # The factor of the change is limited so that the parameters are within their bounds. An effect
+        # without parameters always acts fully (factor 1).
         allowed = _allowed(null, point - null, float(factors[0]), lower, upper) if parameters else 1.0
         if allowed != factors[0]:
             gains = np.minimum(gains, plain - crossval.held_out_less(inner, first + i, allowed))
@@ -250,11 +272,11 @@ def _best(
 
 
 def _apart(context: FitContext, base: Fit, noise_model: NoiseModel, tried: Trialled) -> Tried | None:
-    """Return the best try of an effect that has parameters with a value for each trial."""
+    """Return the screening result of an effect with separate parameter values for each trial."""
     single = [j for j, p in enumerate(tried.parameters) if p.per_trial]
     null = [p.start for p in tried.parameters]
-    # The change is linear in the per-trial parameter, so that one try for each set of other parameters is
-    # enough.
+    # The change is linear in a per-trial parameter. One point is therefore enough for each combination of the
+    # other parameters.
     groups: dict[bytes, dict[tuple[int, ...], tuple[Array, list[Array]]]] = {}
     for point, changed in tried.points:
         moved = tuple(j for j in single if point[j] != null[j])
@@ -274,19 +296,19 @@ def _apart(context: FitContext, base: Fit, noise_model: NoiseModel, tried: Trial
 
 
 def alike(context: FitContext, base: Fit, noise_model: NoiseModel, first: Tried, second: Tried) -> float:
-    """Return the cosine between two effects' changes, with the base's parameters projected out."""
+    """Return the cosine between the changes by two effects, with the parameters of ``base`` projected out."""
     columns = [first.signature, second.signature]
     return cosine(crossval.projected(crossval.normal_equations(context, base, noise_model, columns)), 0, 1)
 
 
 def cosine(inner: Array, i: int, j: int) -> float:
-    """Return the cosine of two columns from the inner products of all; 0 if one is zero."""
+    """Return the cosine between two columns from the matrix of inner products; 0 if a column is zero."""
     norm = np.sqrt(max(inner[i, i], 0.0) * max(inner[j, j], 0.0))
     return float(inner[i, j] / norm) if norm > 0 else 0.0
 
 
 def own(fit: Fit, name: str, scale: float) -> list[Array]:
-    """Return derivatives of each trial with respect to its own value of a parameter, per typical size."""
+    """Return the derivative of each trial with respect to its own value of a parameter, times ``scale``."""
     slots = enumerate(zip(fit.labels, fit.problem.slots, strict=True))
     column = {owner: j for j, (label, (_, owner)) in slots if label.split("[")[0] == name}
     return [
@@ -297,15 +319,16 @@ def own(fit: Fit, name: str, scale: float) -> list[Array]:
 def own_gains(
     context: FitContext, base: Fit, noise_model: NoiseModel, own: Sequence[Sequence[Array]]
 ) -> Array:
-    """Return the decrease of squared residuals by changes with a size for each trial, shape (folds,).
+    """Return the decrease of the squared held-out residuals by changes that are scaled in each trial.
 
-    The size is estimated from three quarters of a trial and evaluated on the other quarter, in turn. A change
-    that only fits a start or a drift gains nothing then.
+    The result has shape (folds,). The factor of a change is estimated from three quarters of a trial and
+    evaluated on the remaining quarter, for each quarter in turn. A change that only fits the start of a trial
+    or a drift therefore has no gain.
 
     Parameters
     ----------
     own : sequence of lists of ndarray
-        Changes of each trial, weighted, per typical size.
+        Changes of each trial by one typical scale of a parameter, divided by the noise standard deviation.
     """
     problem = base.problem
     gains = np.zeros(context.folds.count)

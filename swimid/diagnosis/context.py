@@ -1,4 +1,4 @@
-"""Fit hypotheses: a model with effects and random effects on its trials, through a noise model."""
+"""Fit hypotheses: the model with effects and random effects, to trials with coloured noise."""
 
 from __future__ import annotations
 
@@ -19,30 +19,35 @@ from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.parallel import map_in_processes
 from swimid.fitting.problem import Problem, Solution
 
-#: Prior standard deviation of an effect's parameters, in typical sizes.
+#: Prior standard deviation of the parameters of an effect, in units of their typical scales.
 EFFECT_PRIOR = 5.0
-#: Prior standard deviation of the start state of a trial about its first samples, in typical sizes.
+#: Prior standard deviation of the start state of a trial, in units of the typical scales of its parameters.
+#: The prior mean comes from the first samples of the trial.
 START_PRIOR = 30.0
-#: Relative tolerance of the cost.
+#: Relative tolerance of the cost (sum of squared residuals and prior terms).
 TOLERANCE = 1e-5
-#: Multistart search: number of steps with borrowed derivatives between halvings, number of finalists that use
-#: their own derivatives, maximum number of steps of the best one, and the relative tolerances meanwhile and
-#: at the end.
+#: Constants of the multistart search: maximum number of iterations before the last halving and of each
+#: finalist (HEAT), number of finalists (FINALISTS), maximum number of iterations of the best finalist
+#: (STEPS), relative tolerance of the cost before these last iterations (ROUGH) and in them (FINE).
 HEAT, FINALISTS, STEPS, ROUGH, FINE = 4, 2, 80, 1e-3, 1e-4
-#: Distance, in typical sizes and in relative cost, below which two starts are the same.
+#: Tolerance for equal optima: difference of effect parameters in units of their typical scales, and relative
+#: difference of the costs.
 ALIKE = 0.1
-#: Number of prior standard deviations from which a coefficient counts as distorted.
+#: Threshold of the distance of a coefficient from its prior mean, in prior standard deviations. A coefficient
+#: beyond the threshold may be distorted by a missing effect.
 DISTORTED = 2.0
-#: A prior as wide as this share of a coefficient says little.
+#: Maximum standard deviation of an informative prior, as a fraction of the coefficient. In place of a wider
+#: prior, a prior of this width about the published value is used.
 LOOSE = 0.3
-#: Number of standard errors by which parameters must move before derivatives are recomputed.
+#: Maximum change of the parameters, in standard errors, for which derivatives are used again.
 NEAR = 0.3
 
 
-#: Names of coefficients and the correlation of their priors.
+#: Names of coefficients, and the correlation matrix of their priors.
 Correlation = tuple[Sequence[str], Array]
 NO_CORRELATION: Correlation = ((), np.empty((0, 0)))
-#: Added to the diagonal of a correlation, which files state to a few digits.
+#: Number added to the diagonal of a correlation matrix to make it positive definite. Files round correlations
+#: to a few digits.
 ROUNDING = 1e-6
 
 
@@ -52,7 +57,7 @@ class Mixed(Problem):
     Parameters
     ----------
     random_effects : sequence of RandomEffect
-        Each has a value for each trial.
+        Random effects. Each of them has a separate value for each trial.
     """
 
     def __init__(
@@ -74,20 +79,20 @@ class Mixed(Problem):
         self._differ = {i for i, p in enumerate(self.parameters) if p.name in known}
 
     def differs(self, j: int) -> bool:
-        """Return whether a parameter is a random effect of a trial."""
+        """Return whether the parameter with index ``j`` is a random effect of a trial."""
         return self.slots[j][0] in self._differ
 
     def begun(self, trial: int) -> list[int]:
-        """Return the indices of a trial's start state."""
+        """Return the indices of the start state of a trial."""
         return [j for j in self.own(trial) if not self.differs(j)]
 
     def differing(self, trial: int) -> list[int]:
-        """Return the indices of a trial's random effects."""
+        """Return the indices of the random effects of a trial."""
         return [j for j in self.own(trial) if self.differs(j)]
 
 
 class Optimum(NamedTuple):
-    """End of a search: a :class:`Fit` without its problem.
+    """Result of a search: the estimates, cost, residuals and derivatives of a :class:`Fit`.
 
     Attributes
     ----------
@@ -105,24 +110,29 @@ class Optimum(NamedTuple):
 
 @dataclass(frozen=True)
 class Fit:
-    """An optimum.
+    """Fitted hypothesis.
 
     Attributes
     ----------
     effects : tuple of Effect
         Effects of the hypothesis.
     acting : tuple of Effect
-        Random effects, then effects of the hypothesis.
+        All effects in the model: random effects, then effects of the hypothesis.
     labels : list of str
+        Labels of the parameters.
     theta : ndarray, shape (p,)
+        Estimates of the parameters.
     cost : float
-        Squared whitened residuals, prior included.
-    residuals : list of ndarray
-        Of each trial, weighted (not yet whitened), shape (n_k,).
-    rows : list of ndarray
-        Derivatives of the simulated samples, weighted, shape (n_k, p); the derivatives of the residuals are
-        their negative.
-    lower, upper, scale : ndarray, shape (p,)
+        Sum of squared whitened residuals and squared prior terms.
+    residuals : list of ndarray, each shape (n_k,)
+        Residuals of each trial, divided by the noise standard deviation, not yet whitened.
+    rows : list of ndarray, each shape (n_k, p)
+        Derivatives of the simulated samples, divided by the noise standard deviation. The derivatives of the
+        residuals have the opposite sign.
+    scale : ndarray, shape (p,)
+        Typical scales of the parameters.
+    problem : Mixed
+        The residual problem that was solved.
     """
 
     effects: tuple[Effect, ...]
@@ -137,22 +147,23 @@ class Fit:
 
     @property
     def optimum(self) -> Optimum:
-        """Return its values without its problem."""
+        """Return the estimates, the cost, the residuals and the derivatives of the fit."""
         return Optimum(self.theta, self.cost, self.residuals, self.rows)
 
     @property
     def inside(self) -> NDArray[np.bool_]:
-        """Return which parameters are not at a bound, shape (p,)."""
+        """Return a mask of the parameters that are not at a bound, shape (p,)."""
         return np.asarray((self.theta > self.problem.lower) & (self.theta < self.problem.upper))
 
     def free_of_trial(self, k: int) -> NDArray[np.intp]:
-        """Return the indices of the parameters of trial ``k`` that are not at a bound."""
+        """Return the indices of the parameters that only trial ``k`` has and that are not at a bound."""
         inside = self.inside
         return np.array([j for j in self.problem.own(k) if inside[j]], dtype=int)
 
     def own(self, k: int) -> Array:
-        """Return the derivatives with respect to the start state of trial ``k``, per typical size, shape
-        (n_k, m).
+        """Return the derivatives with respect to the start state of trial ``k``, shape (n_k, m).
+
+        The derivatives are multiplied by the typical scales of the m parameters.
         """
         mine = self.problem.begun(k)
         return np.asarray(self.rows[k][:, mine] * self.scale[mine])
@@ -163,8 +174,8 @@ class Fit:
         Parameters
         ----------
         without : collection of str
-            Effects whose parameter a random effect shares and that do not act here: the random effect is left
-            out as well.
+            Names of effects that do not act in this model. A random effect of the same name has its null
+            value in place of the mean.
         """
         null = {p.name: p.start for p in self.problem.parameters}
         apart = {kind.label for kind in self.problem.random_effects if kind.name.replace("_", "-") in without}
@@ -174,9 +185,10 @@ class Fit:
         }
 
     def scatter(self) -> dict[str, float]:
-        """Return the standard deviation over trials of each random effect, by parameter name, in its unit.
+        """Return the standard deviation of each random effect over trials, by parameter name, in its unit.
 
-        A value that all trials share is an effect, not chance.
+        The mean over trials does not count, because a value that all trials share is an effect and not
+        random.
         """
         return {
             name: float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
@@ -184,7 +196,7 @@ class Fit:
         }
 
     def _differing(self) -> dict[str, list[float]]:
-        """Return the random effects of each trial, by parameter name."""
+        """Return the values of each random effect in all trials, by parameter name."""
         values: dict[str, list[float]] = {}
         for j, (index, _) in enumerate(self.problem.slots):
             if self.problem.differs(j):
@@ -192,8 +204,9 @@ class Fit:
         return values
 
     def fixed_effects_residual(self, k: int, without: Collection[str] = ()) -> Array:
-        """Return the residuals of trial ``k`` with its random effects at their mean, to first order, shape
-        (n_k,).
+        """Return the residuals of trial ``k`` with its random effects at their mean, shape (n_k,).
+
+        The simulation is linearised in the random effects.
 
         Parameters
         ----------
@@ -207,7 +220,7 @@ class Fit:
         return np.asarray(self.residuals[k] + self.rows[k][:, mine] @ away)
 
     def marginal_residuals(self, without: Collection[str] = ()) -> list[Array]:
-        """Return the residuals of each trial with its random effects unknown and its start state refitted.
+        """Return the residuals of each trial with random effects at their mean and the start state refitted.
 
         Parameters
         ----------
@@ -220,25 +233,27 @@ class Fit:
         ]
 
     def value(self, label: str) -> float:
-        """Return an estimate by its label."""
+        """Return the estimate of the parameter with a given label."""
         return float(self.theta[self.labels.index(label)])
 
 
 class FitContext:
-    """A model, its trials, and the prior of its coefficients.
+    """Model, trials and priors of the coefficients, which all fits of a diagnosis share.
 
     Parameters
     ----------
     model : Model
     parameters : sequence of Parameter
-        Of the model; the free ones are refitted in every fit.
+        Parameters of the model. Every fit estimates the free ones.
     trials : sequence of Trial
-        Trials that take part in fits.
+        Trials that are fitted.
     prior : mapping of name to (mean, sd)
-        Of shared coefficients.
+        Normal priors of shared coefficients.
     correlation : tuple of sequence of str and ndarray, shape (m, m), optional
-        Names of coefficients, and the correlation of their priors; others are independent.
+        Names of coefficients, and the correlation matrix of their priors. The priors of all other
+        coefficients are independent.
     jobs : int
+        Number of fits or simulations that run in parallel.
     """
 
     def __init__(
@@ -264,7 +279,7 @@ class FitContext:
         self.folds = self._folds(plain)
 
     def replaced(self, model: Model, trials: Sequence[Trial]) -> FitContext:
-        """Return the same context with another model and other trials."""
+        """Return a context with the same priors, but with another model and other trials."""
         more = {"correlation": self.correlation, "jobs": self.jobs}
         return FitContext(model, self.parameters, trials, self.prior, **more)  # type: ignore[arg-type]
 
@@ -281,7 +296,7 @@ class FitContext:
 
     def affected(self, effects: Sequence[Effect]) -> Affected:
         """Return the model with effects."""
-        # The scales of effects depend on the trials: cache them.
+        # Typical scales of effects are computed from the trials, so the model with effects is cached.
         key = tuple(id(e) for e in effects)
         if key not in self._known:
             self._known[key] = Affected(self.model, effects, self.trials)
@@ -301,9 +316,9 @@ class FitContext:
         Parameters
         ----------
         trials : sequence of Trial, optional
-            Default: those of the context.
+            Default: the trials of the context.
         known : mapping of label to float, optional
-            Shared parameters that are held.
+            Shared parameters that are held at these values.
         """
         acting = _acting(effects, random_effects)
         model = self.affected(acting)
@@ -323,9 +338,10 @@ class FitContext:
         return problem
 
     def single(self, problem: Problem) -> NDArray[np.bool_]:
-        """Return the parameters that are refitted in each held-out fold, shape (p,).
+        """Return a mask of the parameters that are refitted in each held-out fold, shape (p,).
 
-        These are the start states, and if whole trials are held out the per-trial values of effects.
+        The start states of trials are refitted. If whole trials are held out, per-trial values of effects are
+        refitted as well.
         """
         return np.array(
             [
@@ -336,20 +352,22 @@ class FitContext:
         )
 
     def shared(self, fit: Fit) -> NDArray[np.intp]:
-        """Return the indices of the parameters that folds share, without those at bounds."""
+        """Return the indices of the parameters that all folds share and that are not at a bound."""
         return np.flatnonzero(~self.single(fit.problem) & fit.inside)
 
     def apart(self, fit: Fit, k: int) -> NDArray[np.intp]:
-        """Return the indices of the parameters of trial ``k`` that are refitted in its fold, without those
-        at bounds.
+        """Return the indices of the parameters of trial ``k`` that are refitted in a held-out fold.
+
+        Parameters at a bound are left out.
         """
         single = self.single(fit.problem)
         return np.array([j for j in fit.free_of_trial(k) if single[j]], dtype=int)
 
     def loosened(self, problem: Problem) -> dict[str, tuple[float, float]]:
-        """Return the priors of coefficients that are less well known under another reading of the robot.
+        """Return wider priors of coefficients for a model with another interpretation of the robot's source.
 
-        Other trials determined them for the robot as read in the robot file.
+        The priors come from other trials that were fitted with the interpretation in the robot file. They are
+        too narrow for another interpretation.
         """
         if getattr(problem.model, "model", self.model) is self.model:
             return {}
@@ -357,7 +375,10 @@ class FitContext:
         return {name: (mean, own[name]) for name, (mean, sd) in self.prior.items() if 0 < sd < own[name]}
 
     def expected(self, problem: Mixed) -> tuple[Array, Array]:
-        """Return the prior mean and inverse standard deviation of each parameter; 0 without a prior."""
+        """Return the prior mean and the inverse prior standard deviation of each parameter.
+
+        The inverse standard deviation of a parameter without a prior is 0.
+        """
         mean, weight = np.array(problem.start), np.zeros(len(problem.labels))
         known = {**self.prior, **self.loosened(problem)}
         for j, (index, owner) in enumerate(problem.slots):
@@ -374,7 +395,10 @@ class FitContext:
         return mean, weight
 
     def root(self, problem: Mixed) -> Array:
-        """Return a root of the prior precision, shape (m, p): m of the p parameters have a prior."""
+        """Return a square root of the prior precision matrix, shape (m, p).
+
+        The prior precision matrix is ``root.T @ root``. The number m counts the parameters with a prior.
+        """
         _, weight = self.expected(problem)
         root, loosened = np.diag(weight), self.loosened(problem)
         names, correlation = self.correlation
@@ -388,15 +412,15 @@ class FitContext:
         return np.asarray(root[weight > 0])
 
     def precision(self, problem: Mixed) -> Array:
-        """Return the prior precision of the parameters, shape (p, p); see :meth:`root`."""
+        """Return the prior precision matrix of all parameters, shape (p, p); see :meth:`root`."""
         root = self.root(problem)
         return np.asarray(root.T @ root)
 
     def begins(self, problem: Mixed, theta: Array) -> list[Array]:
-        """Return starting points: the given ones and, if their coefficients are far from the prior, the prior
-        means.
+        """Return starting points: ``theta``, and the prior means if ``theta`` is far from them.
 
-        A model that is distorted by a missing effect may hold an effect in a poor local optimum.
+        A missing effect may have distorted the coefficients in ``theta``. A fit with the effect that starts
+        there may end in a poor local optimum.
         """
         plain, distorted = theta.copy(), False
         known = {**self.prior, **self.loosened(problem)}
@@ -407,7 +431,8 @@ class FitContext:
             mean, sd = known[p.name]
             size = max(abs(mean), p.scale)
             if p.known is not None and sd > LOOSE * size:
-                # The prior was estimated from these trials, so the missing effect biases it too.
+                # The prior was estimated from these trials, so a missing effect biases the prior too. The
+                # published value is used in its place.
                 mean, sd = p.known, LOOSE * max(abs(p.known), p.scale)
             plain[j] = mean
             distorted = distorted or abs(theta[j] - mean) > DISTORTED * sd
@@ -424,13 +449,15 @@ class FitContext:
         jobs: int | None = None,
         warm: Fit | None = None,
     ) -> Fit:
-        """Return the best optimum from several starts.
+        """Return the best optimum from several starting points.
 
         Parameters
         ----------
         starts : sequence of ndarray, shape (p,)
+            Starting points.
         warm : Fit, optional
-            Fit from which derivatives are borrowed; a nearby optimum then costs a fifth.
+            Fit whose derivatives are used first. If the optimum is near this fit, the search is five times as
+            fast.
         """
         problem = self.problem(effects, noise_model.random_effects, jobs=jobs)
         noise_model.install(problem)
@@ -449,17 +476,19 @@ class FitContext:
         finalists: int = FINALISTS,
         jobs: int = 1,
     ) -> Fit:
-        """Return the best optimum from many starts by successive halving [1]_.
+        """Return the best optimum from many starting points by successive halving [1]_.
 
-        All starts begin with the derivatives of a nearby fit. After each step the better half continues.
+        All starting points begin with the derivatives of a nearby fit. After each round the better half
+        continues.
 
         Parameters
         ----------
         starts : sequence of ndarray, shape (p,)
+            Starting points.
         warm : Fit
-            Fit whose derivatives are borrowed.
+            Nearby fit whose derivatives are used first.
         finalists : int
-            Number of starts that continue with their own derivatives.
+            Number of starting points that continue with derivatives of their own.
 
         References
         ----------
@@ -475,13 +504,14 @@ class FitContext:
         def cost(found: Solution) -> float:
             return found.cost if math.isfinite(found.cost) else math.inf
 
-        # Coefficients do not distinguish two starts, because any step changes them.
+        # Starting points are compared by the parameters of effects only, because every iteration changes the
+        # coefficients.
         own = np.where(["/" in label for label in problem.labels], problem.scale, np.inf)
 
         def ranked(starts: Sequence[Array], tolerance: float, steps: int) -> list[Solution]:
             found: list[Solution] = []
             for ended in sorted((one(s, tolerance, steps) for s in starts), key=cost):
-                # Starts that reached the same point continue once.
+                # Only one of several starting points that lead to the same optimum continues.
                 if not any(_same(ended, other, own) for other in found):
                     found.append(ended)
             return found
@@ -508,14 +538,15 @@ class FitContext:
         prior: tuple[Array, Array] | None = None,
         kept: Sequence[NDArray[np.bool_]] | None = None,
     ) -> Solution:
-        """Return the best optimum of a problem from several starts.
+        """Return the optimum with the lowest cost from several starting points.
 
         Parameters
         ----------
         kept : sequence of ndarray of bool, shape (n_k,), optional
-            Samples that take part; default all.
+            Mask of the samples of each trial that are fitted. By default all samples are fitted.
         prior : tuple of ndarray, shapes (p,) and (m, p), optional
-            Mean of the parameters, and a root of their precision; default that of a fit.
+            Prior mean of the parameters, and a root of their prior precision. By default it is the prior of
+            :meth:`fit`.
         """
         problem.prior = prior or (self.expected(problem)[0], self.root(problem))
 
@@ -531,16 +562,16 @@ class FitContext:
         return min(found, key=lambda one: one.cost)
 
     def without_each(self, fit: Fit, noise_model: NoiseModel) -> list[Array]:
-        """Return the parameters of a fit refitted without each fold, shape (p,) each.
+        """Return the estimates of refits that leave out one fold each, one array of shape (p,) for each fold.
 
-        The noise model stays that of all trials. Per-trial parameters of the held-out fold are not estimated.
+        The noise model is not re-estimated. Per-trial parameters of the held-out fold are not estimated.
         """
 
         def one(f: int) -> Array:
             problem = self.problem(fit.effects, fit.problem.random_effects, jobs=1)
             noise_model.install(problem)
             kept = [owner != f for owner in self.folds.owner]
-            # The derivatives of the fit to all trials are used first, as far as they lead.
+            # The search begins with the derivatives of the fit to all data, which saves simulations.
             problem.hold_derivatives(fit.labels, fit.rows)
             begun = self.search(problem, noise_model, [fit.theta], ROUGH, STEPS, kept=kept)
             problem.hold_derivatives((), ())
@@ -554,7 +585,7 @@ class FitContext:
         return found
 
     def at(self, effects: Sequence[Effect], noise_model: NoiseModel, theta: Array) -> Fit:
-        """Return the state of a fit at given parameters, without a search."""
+        """Return a fit with given parameters, without a search."""
         problem = self.problem(effects, noise_model.random_effects)
         noise_model.install(problem)
         return self._at(problem, effects, theta, math.nan)
@@ -572,7 +603,7 @@ class FitContext:
         )
 
     def fitted(self, effects: Sequence[Effect], noise_model: NoiseModel, found: Optimum) -> Fit:
-        """Return the fit that ended with some parameters."""
+        """Return the fit that belongs to an optimum of an earlier search."""
         problem = self.problem(effects, noise_model.random_effects)
         noise_model.install(problem)
         return self._fit(problem, effects, found)
@@ -584,8 +615,10 @@ class FitContext:
         fit: Fit,
         own: Mapping[str, float] | None = None,
     ) -> Array:
-        """Return starting parameters for a fit with other effects or noise: those of an earlier fit, given
-        or null values.
+        """Return the starting point of a fit with other effects or another noise model.
+
+        A parameter starts at its value in ``own``, otherwise at its estimate in ``fit``, otherwise at its
+        null value.
         """
         problem = self.problem(effects, noise_model.random_effects)
         known = dict(zip(fit.labels, fit.theta, strict=True))
@@ -598,15 +631,17 @@ class FitContext:
         )
 
     def changes(self, base: Fit, effect: Effect, points: Sequence[Array]) -> list[list[Array]]:
-        """Return the changes by an effect at some sizes in each trial, weighted, shape (n_k,), one list for
-        each size.
+        """Return the changes of the simulated samples by an effect for several parameter values.
+
+        The result has one list for each item of ``points``, with one array for each trial, shape (n_k,). All
+        changes are divided by the noise standard deviation.
 
         Parameters
         ----------
         base : Fit
-            Fit with the values of the other parameters; its effects stay.
+            Fit that gives the values of the other parameters. The model includes the effects of this fit.
         points : sequence of ndarray
-            Values of all the effect's parameters.
+            Values of all parameters of the effect.
         """
         model = self.affected((*base.acting, effect))
         own = [base.problem.vector(base.theta, k) for k in range(len(self.trials))]
@@ -627,8 +662,9 @@ class FitContext:
         ]
 
     def moved(self, base: Fit, index: int, step: float) -> list[Array]:
-        """Return the change of each trial by a step of one of the model's own parameters, weighted, shape
-        (n_k,).
+        """Return the change of each trial, shape (n_k,), by a step of one parameter of the model itself.
+
+        All changes are divided by the noise standard deviation.
         """
         runs = []
         for k, trial in enumerate(self.trials):
@@ -644,29 +680,29 @@ class FitContext:
 
 
 def _same(one: Solution, other: Solution, scale: Array) -> bool:
-    """Return whether two searches lead to the same point: equal effect parameters and equal cost."""
+    """Return whether two searches ended with equal effect parameters and equal cost."""
     near = np.all(np.abs(one.x - other.x) <= ALIKE * scale)
     return bool(near and abs(one.cost - other.cost) <= ALIKE * other.cost)
 
 
 def _acting(effects: Sequence[Effect], random_effects: Sequence[RandomEffect]) -> tuple[Effect, ...]:
-    """Return everything that acts on the model: random effects, then effects."""
+    """Return all effects that act on the model: random effects, then the effects of the hypothesis."""
     return (*(kind.acting for kind in random_effects if kind.acting is not None), *effects)
 
 
 def beyond(columns: Array, values: Array) -> Array:
-    """Return the residuals of least squares of some values on some columns, shape (n,)."""
+    """Return the residuals of a linear least-squares fit of ``values`` by ``columns``, shape (n,)."""
     scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
     return np.asarray(values - scaled @ np.linalg.lstsq(scaled, values, rcond=1e-10)[0])
 
 
 def covariance(fit: Fit, noise_model: NoiseModel, precision: Array) -> Array:
-    """Return the covariance of a fit's parameters, shape (p, p), prior included.
+    """Return the covariance matrix of the parameters of a fit, shape (p, p); the prior counts as data.
 
     Parameters
     ----------
     precision : ndarray, shape (p, p)
-        Of the prior.
+        Prior precision matrix of the parameters.
     """
     normal = precision.copy()
     for k, rows in enumerate(fit.rows):

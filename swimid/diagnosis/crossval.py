@@ -1,9 +1,10 @@
 """Approximate leave-group-out cross-validation by linear algebra.
 
-Near an optimum, refits without a fold, the squared residuals of that fold, and what noise alone would give
-follow from the inner products of a few columns in each fold: derivatives with respect to shared parameters,
-changes by effects, residuals. A fold is left out by one Gauss-Newton step from the fit to all (Rad and Maleki
-2020, J. R. Stat. Soc. B 82(4)). The noise model stays that of all trials.
+Near an optimum the simulation is linear in the parameters. A refit without one fold is then one Gauss-Newton
+step from the fit to all data (Rad and Maleki 2020, J. R. Stat. Soc. B 82(4)). This step and the squared
+residuals of the held-out fold follow from the inner products of a few columns in each fold: derivatives with
+respect to shared parameters, changes by effects, and residuals. The gain that noise alone would reach follows
+from the same inner products. The noise model is not re-estimated without the fold.
 """
 
 from __future__ import annotations
@@ -19,25 +20,27 @@ from swimid.diagnosis.context import Fit, FitContext
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.fitting.model import Array
 
-#: If the other folds hardly determine a shared parameter, the information of all folds enters with this
-#: weight. Without it the held-out fold would be predicted arbitrarily badly, which hides the gain of an
-#: effect.
+#: Weight of the information of all folds in a refit without one fold. It matters if the other folds hardly
+#: determine a shared parameter. Without it the held-out fold would be predicted arbitrarily badly, which
+#: would hide the gain of an effect.
 SHRINKAGE = 0.1
 
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Inner products of columns in each fold, start states of single trials projected out.
+    """Inner products of columns in each fold, with the start states of single trials projected out.
 
     Attributes
     ----------
     products : ndarray, shape (folds, c, c)
-        Columns: shared parameters first (``shared`` of them), then others, the residual last.
+        Inner products of c columns: first the ``shared`` parameters, then changes by effects, last the
+        residual.
     prior : ndarray, shape (shared, shared)
         Prior precision of the shared parameters.
     pull : ndarray, shape (shared,)
-        Prior mean minus present value of the shared parameters.
+        Prior mean minus estimate of the shared parameters.
     samples : ndarray, shape (folds,)
+        Number of samples in each fold.
     """
 
     products: Array
@@ -47,20 +50,20 @@ class NormalEquations:
 
     @property
     def shared(self) -> int:
-        """Return the number of columns that are shared parameters."""
+        """Return the number of shared parameters."""
         return len(self.prior)
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """Random draws of noise.
+    """Random samples of noise residuals and of prior means.
 
     Attributes
     ----------
     right : ndarray, shape (folds, c - 1, m)
-        Inner products of the columns with m residuals of noise.
+        Inner products of the columns with m random noise residuals.
     pull : ndarray, shape (shared, m)
-        Deviations of the prior means.
+        Random deviations of the prior means.
     """
 
     right: Array
@@ -76,20 +79,21 @@ def project_out(
     *,
     to: NDArray[np.intp] | None = None,
 ) -> Array:
-    """Return whitened columns of a trial with the trial's own parameters projected out.
+    """Return whitened columns of a trial with the parameters of this trial alone projected out.
 
     Parameters
     ----------
     block : ndarray, shape (n_k, c)
-        Weighted; the last column is the residual.
+        Columns divided by the noise standard deviation; the last column is the residual.
     to : ndarray of int, optional
-        Own parameters that are projected out; default all of this trial that are not at a bound.
+        Indices of the parameters that are projected out. By default these are all parameters of this trial
+        alone that are not at a bound.
 
     Returns
     -------
     ndarray, shape (n_k + m, c)
-        The trial's samples, then the prior of its own parameters. All inner products are those in the noise
-        that includes the unknown own parameters.
+        One row for each sample, then one row for the prior of each of the m projected parameters. Inner
+        products of the columns account for the uncertainty of these parameters.
     """
     problem = fit.problem
     mine = fit.free_of_trial(k) if to is None else to
@@ -108,12 +112,13 @@ def project_out(
 def normal_equations(
     context: FitContext, fit: Fit, noise_model: NoiseModel, columns: Sequence[Sequence[Array]] = ()
 ) -> NormalEquations:
-    """Return inner products of a fit's derivatives, further columns and its residuals, fold by fold.
+    """Return the inner products between derivatives, further columns and residuals of a fit in each fold.
 
     Parameters
     ----------
     columns : sequence of lists of ndarray
-        Each a change of all trials, weighted, shape (n_k,) each.
+        Each item is a change of all trials, divided by the noise standard deviation: one array of shape
+        (n_k,) for each trial.
     """
     problem = fit.problem
     whole = context.folds.whole
@@ -133,7 +138,7 @@ def normal_equations(
             products[f] += seen.T @ seen
             samples[f] += len(block)
         else:
-            # The samples determine a start state so well that its prior has no effect.
+            # The samples determine a start state so well that the rows of its prior are left out.
             for f in np.unique(owner):
                 part = seen[: len(block)][owner == f]
                 products[f] += part.T @ part
@@ -148,23 +153,25 @@ def held_out(
     prior: Sequence[float] = (),
     draws: Drawn | None = None,
 ) -> Array:
-    """Return the squared residuals of each fold with all parameters fitted to the other folds.
+    """Return the sum of squared residuals of each fold, with all parameters fitted to the other folds.
 
-    The prior of the shared parameters counts as data: each fold has its share of the distance to the prior.
+    The prior of the shared parameters counts as data. The squared distance of the parameters from their prior
+    means is divided equally among the folds.
 
     Parameters
     ----------
     chosen : sequence of int
-        Further columns that take part, counted from the first one after the shared parameters.
+        Further columns that are fitted as well. Index 0 is the first column after the shared parameters.
     prior : sequence of float
-        Inverse variance of each of their factors.
+        Inverse prior variance of the factor of each chosen column.
     draws : Drawn, optional
-        Draws of m other residuals; the result is then without the squared residuals themselves.
+        Random noise residuals that replace the residuals of the fit. The result then excludes the sum of
+        squares of these random residuals themselves.
 
     Returns
     -------
     ndarray, shape (folds,) or (folds, m)
-        Squared residuals.
+        Sums of squared residuals.
     """
     at = np.concatenate(
         (np.arange(equations.shared), equations.shared + np.asarray(chosen, dtype=int))
@@ -180,9 +187,10 @@ def held_out(
 
 
 def predictive(equations: NormalEquations) -> Array:
-    """Return the squared Mahalanobis distance of each fold from its prediction by the others, shape (folds,).
+    """Return the squared Mahalanobis distance of each fold from its prediction by the other folds.
 
-    It is the amount by which the fold raises the squared residuals of the fit to all.
+    The distance is the increase of the squared residuals if the fold is added to a fit of the other folds.
+    The result has shape (folds,).
     """
     shared = equations.shared
     off = float(equations.pull @ equations.prior @ equations.pull)
@@ -197,7 +205,11 @@ def predictive(equations: NormalEquations) -> Array:
 
 
 def _without(inner: Array, ridge: Array, right: Array, pull: Array, shared: int) -> Array:
-    """Return parameters fitted without each fold, shape (folds, c, m); see `SHRINKAGE`."""
+    """Return the parameters from fits that leave out one fold each, shape (folds, c, m).
+
+    There are c parameters and m residual vectors. Some information of the fold that is left out remains
+    (:data:`SHRINKAGE`).
+    """
     total, all_right = inner.sum(axis=0), right.sum(axis=0)
     whole = solved(total + ridge, all_right + pull)
     lean = np.zeros_like(total)
@@ -206,14 +218,19 @@ def _without(inner: Array, ridge: Array, right: Array, pull: Array, shared: int)
 
 
 def _strain(equations: NormalEquations, theta: Array, off: Array) -> Array:
-    """Return each fold's share of the distance of parameters from their prior, shape (folds, m)."""
+    """Return the squared distance of parameters from their prior means, divided by the number of folds.
+
+    The result has shape (folds, m).
+    """
     apart = theta[:, : equations.shared] - off
     return np.asarray(np.einsum("jk,fjm,fkm->fm", equations.prior, apart, apart) / len(theta))
 
 
 def held_out_less(equations: NormalEquations, column: int, factor: float = 1.0) -> Array:
-    """Return the squared residuals of each fold, as :func:`held_out`, after subtracting a multiple of a
-    further column.
+    """Return the squared held-out residuals of each fold with a multiple of one column subtracted.
+
+    The residual is reduced by ``factor`` times the further column ``column``. Everything else is as in
+    :func:`held_out`.
     """
     at = np.arange(equations.shared)
     c = equations.shared + column
@@ -229,12 +246,14 @@ def held_out_less(equations: NormalEquations, column: int, factor: float = 1.0) 
 
 
 def solved(normal: Array, right: Array) -> Array:
-    """Return solutions of scaled normal equations, stacked or single; undetermined directions stay at zero.
+    """Solve scaled normal equations. Undetermined directions of the solution stay at zero.
 
     Parameters
     ----------
     normal : ndarray, shape (..., n, n)
+        One matrix or a stack of matrices.
     right : ndarray, shape (..., n, m)
+        Right-hand sides.
     """
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal, axis1=-2, axis2=-1), 1e-300))
     scaled = scale[..., :, None] * normal * scale[..., None, :]
@@ -246,8 +265,9 @@ def solved(normal: Array, right: Array) -> Array:
 
 
 def together(equations: NormalEquations, chosen: Sequence[int], prior: Sequence[float]) -> Array:
-    """Return factors of shared parameters and chosen columns fitted to all folds, shape (shared +
-    chosen,).
+    """Fit shared parameters and the factors of chosen columns to all folds.
+
+    The result has shape (shared + chosen,): first the steps of the shared parameters, then the factors.
     """
     at = np.concatenate(
         (np.arange(equations.shared), equations.shared + np.asarray(chosen, dtype=int))
@@ -259,11 +279,12 @@ def together(equations: NormalEquations, chosen: Sequence[int], prior: Sequence[
 
 
 def projected(equations: NormalEquations) -> Array:
-    """Return inner products of further columns and residual with all shared parameters projected out.
+    """Return inner products of further columns and residual, with all shared parameters projected out.
 
     Returns
     -------
     ndarray, shape (m + 1, m + 1)
+        The residual comes after the m further columns.
     """
     total = equations.products.sum(axis=0)
     s = equations.shared
@@ -273,7 +294,7 @@ def projected(equations: NormalEquations) -> Array:
 
 
 def noise_draws(equations: NormalEquations, rng: np.random.Generator, count: int) -> Drawn:
-    """Return random draws of pure noise and of the prior."""
+    """Return random samples of noise residuals and of prior means, for use in :func:`held_out`."""
     found = np.empty((len(equations.products), equations.products.shape[1] - 1, count))
     for f, inner in enumerate(equations.products[:, :-1, :-1]):
         scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))

@@ -1,4 +1,4 @@
-"""``diagnose``: where the gap between a model and its trials lies, and which effect causes it."""
+"""The command ``diagnose``: locate the gap between a model and its trials, and find the cause."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from swimid.simulation import compare_series
 from swimid.simulation.catalogue import Loaded
 from swimid.simulation.compare_series import ChannelScore
 
-#: Reason why no changed parameter is a hypothesis without a parameter file.
+#: Reason for which a diagnosis without a parameter file considers no change of a parameter.
 NOT_GIVEN = (
     "no parameter file was given: the refit began at the values of the robot file, of which nothing is taken "
     "as known, and no change of a parameter can be named"
@@ -37,8 +37,9 @@ NOT_GIVEN = (
 
 
 def _as_given(loaded: Loaded) -> dict[str, ChannelScore]:
-    """Return the errors of the model with the parameters as given, by channel, as ``compare`` computes
-    them.
+    """Return the errors of the model with the parameters as given, by channel.
+
+    The errors are those that the command ``compare`` computes.
     """
     experiment, applied = loaded
     try:
@@ -47,7 +48,7 @@ def _as_given(loaded: Loaded) -> dict[str, ChannelScore]:
             for trial in experiment.trials
         ]
     except NoTrustworthyResult:
-        # The simulation diverges with these parameters. There are no errors, and the refit may do better.
+        # The simulation diverges with the given parameters, so they have no errors. A refit may still work.
         return {}
     return compare_series.pool(done, experiment.model)
 
@@ -62,46 +63,47 @@ def diagnose(
 ) -> Diagnosis | DetectionPower:
     """Find the effect behind the gap between a model and its trials.
 
-    Without a parameter file the refit begins at the values of the robot file, which are no prior. The result
-    does not depend on the number of jobs. An effect that the coefficients imitate is not detected. An
-    explained gap does not exclude an effect outside the catalogue that acts in the same way.
+    Without a parameter file the refit starts at the values of the robot file, which are not used as a prior.
+    The result does not depend on the number of jobs. An effect that refitted coefficients can imitate is not
+    detected. An explained gap does not rule out an effect outside the catalogue that acts in the same way.
 
     Parameters
     ----------
     trials : path or TrialSet
         Trials of any experiment: a file, or the result of :func:`swimid.load`.
     output : path, optional
-        Gap file to write; its evidence goes beside it.
+        Gap file to write. The evidence file is written next to it.
     progress : Progress
-        Shows the effects that are fitted.
+        Progress display of the fitted effects.
 
     Returns
     -------
     Diagnosis or DetectionPower
-        The second with ``power=True``: the detection power of the trials.
-        ``.answer`` is ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``; ``.causes`` has the
-        parameters of each cause in their units; ``.shrinkage`` the errors before and after on held-out data
-        (over the measured range); ``.where`` the gap of each channel against its noise floor.
+        With ``power=True`` the detection power of the trials, otherwise the diagnosis.
+        ``.answer`` is ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``. ``.causes`` has the
+        parameters of each cause with their units. ``.shrinkage`` has the errors on held-out data without and
+        with the causes, divided by the measured range. ``.where`` has the gap and the noise floor of each
+        channel.
 
     Raises
     ------
     InputError, UsageError
-        For bad files and options.
+        If a file or an option is invalid.
     NoTrustworthyResult
         If there is no trial of role ``fit``, or the model cannot be simulated.
 
     References
     ----------
     .. [1] M. C. Kennedy, A. O'Hagan, "Bayesian calibration of computer models", J. R. Stat. Soc. B 63(3),
-       2001: the gap as part of the model.
+       2001: model discrepancy as part of the model.
     .. [2] V. Klein, E. A. Morelli, *Aircraft System Identification: Theory and Practice*, AIAA, 2006.
        Output error, coloured residuals.
     .. [3] Y. Yao et al., "Using stacking to average Bayesian predictive distributions", Bayesian Analysis
        13(3), 2018: weights of hypotheses by the Bayesian bootstrap.
     .. [4] K. R. Rad, A. Maleki, "A scalable estimate of the out-of-sample prediction error via approximate
-       leave-one-out cross-validation", J. R. Stat. Soc. B 82(4), 2020: leaving out by one step.
-    .. [5] G. E. P. Box, W. J. Hill, "Discrimination among mechanistic models", Technometrics 9(1), 1967: the
-       next experiment.
+       leave-one-out cross-validation", J. R. Stat. Soc. B 82(4), 2020: refit by one step.
+    .. [5] G. E. P. Box, W. J. Hill, "Discrimination among mechanistic models", Technometrics 9(1), 1967:
+       choice of the next experiment.
 
     Examples
     --------
@@ -124,7 +126,7 @@ def diagnose(
         experiment = loaded.experiment
         model = experiment.model
         own = [e for path in options.own_effects for e in effect_catalogue.from_file(path)]
-        # The noise is estimated with the whole catalogue, whichever effects are asked for.
+        # The noise is estimated with the whole catalogue, even if only some effects are asked for.
         known = [*effect_catalogue.catalogue(), *own]
         as_given = _as_given(loaded)
         begun = nominal.begun(loaded)

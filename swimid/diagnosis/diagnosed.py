@@ -1,4 +1,4 @@
-"""The result of ``diagnose``: where the gap is, which effect causes it, and how far it shrinks."""
+"""The result of ``diagnose``: the gap by channel, the causes, and the errors without and with the causes."""
 
 from __future__ import annotations
 
@@ -16,38 +16,42 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis(FileResult[GapFile]):
-    """The gap between trials and a model, and its causes, as ``diagnose`` returns it.
+    """Result of ``diagnose``: the gap between trials and a model, and the causes of the gap.
 
     Attributes
     ----------
     answer : str
-        ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``.
+        Verdict: ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``.
     causes : DataFrame
-        One row for each parameter of each cause, the most probable cause first: ``effect``, ``probability``
-        (that this effect or an equivalent one is among the causes), ``parameter``, ``value`` and ``stderr``
-        (in ``unit``), ``status``.
+        One row for each parameter of each cause, the most probable cause first. Columns: ``effect``,
+        ``probability`` (that this effect or an equivalent one is among the causes), ``parameter``, ``value``
+        and ``stderr`` (in ``unit``), ``status``.
     shrinkage : DataFrame
-        By cause and channel: the error on held-out data ``before`` and ``after``, the noise ``floor`` (all
-        over the measured range), and the share ``closed`` with its ``ci95``.
+        One row for each cause and channel. Columns: error on held-out data ``before`` and ``after`` the
+        causes are added, noise ``floor`` (all divided by the measured range), fraction ``closed`` of the
+        error above the floor, and its 95 % interval ``ci95``.
     where : DataFrame
-        By channel: ``nrmse`` of the refitted model, its ``floor``, the error ``within`` trials without
-        between-trial variation (all over the measured range), ``share`` of the whole gap, ``rmse`` (in
-        ``unit``).
+        One row for each channel. Columns: error ``nrmse`` of the refitted model, noise ``floor``, error
+        ``within`` trials without between-trial variation (all divided by the measured range), ``share``
+        (fraction of the squared gap), ``rmse`` (in ``unit``).
     file : GapFile
-        The file that :meth:`save` writes. It also has rivals, remaining residuals, advice and the scores of
-        all effects.
+        Content of the file that :meth:`save` writes. It also has rival causes, remaining residuals, proposed
+        experiments and the scores of all effects.
     """
 
     file_type = GapFile
 
     @property
     def answer(self) -> str:
-        """Return ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``."""
+        """Return the verdict: ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``."""
         return self.file.verdict
 
     @property
     def causes(self) -> pd.DataFrame:
-        """Return one row for each parameter of each cause; a reading has one row without a parameter."""
+        """Return one row for each parameter of each cause.
+
+        A cause without parameters, such as another interpretation of the robot's source, has one row.
+        """
         import pandas as pd
 
         none = {"": Value(value=None, unit="")}
@@ -63,7 +67,7 @@ class Diagnosis(FileResult[GapFile]):
 
     @property
     def shrinkage(self) -> pd.DataFrame:
-        """Return how far each cause shrinks the gap of each channel on held-out trials."""
+        """Return the held-out errors of each channel without and with the causes."""
         import pandas as pd
 
         rows = [{"effect": c.effect, **s.model_dump()} for c in self.file.causes for s in c.shrinkage]
@@ -71,13 +75,13 @@ class Diagnosis(FileResult[GapFile]):
 
     @property
     def where(self) -> pd.DataFrame:
-        """Return the gap of each channel and its noise floor."""
+        """Return the gap and the noise floor of each channel."""
         import pandas as pd
 
         return pd.DataFrame([c.model_dump() for c in self.file.where.channels])
 
     def bare(self) -> Evidence:
-        """Return what a report shows of a gap file whose evidence is missing."""
+        """Return the evidence that can be shown if the evidence file is missing."""
         found = evidence.evidence(self.file)
         text = f"No evidence file, so its figures cannot be shown. {found.verdict.text}"
         level = "bad" if found.verdict.level == "bad" else "caution"

@@ -1,4 +1,4 @@
-"""Treat failed samples (frozen, jumped, displaced markers) as one of the causes."""
+"""Report failed samples (frozen, jumped or displaced markers) as a cause of the gap."""
 
 from __future__ import annotations
 
@@ -15,15 +15,18 @@ from swimid.diagnosis.search import State
 from swimid.effects.sensing import MarkerDropout
 from swimid.fitting.model import Trial
 
-#: Minimum number of failed samples, and minimum squared residual in units of the noise, for a cause.
+#: Minimum number of failed samples, and minimum sum of their squared residuals in units of the noise
+#: variance. Failed samples below either minimum are not reported as a cause.
 FAILED, FAILED_MISFIT = 4, 50.0
-#: Share of blind cases with failed samples and a cause outside the catalogue in which a marker had really
-#: failed (one of two). A body that slips or sticks also jumps.
+#: Probability that a marker really failed if there are failed samples and a cause outside the catalogue. In
+#: blind tests this was true in one of two such cases, because a body that slips or sticks also jumps.
 REAL = 0.5
 
 
 def misfit(state: State, raw: Sequence[Trial], floor: Mapping[str, float]) -> float:
-    """Return the squared residual of the failed samples in units of the noise; 0 if they are too few.
+    """Return the sum of squared residuals of the failed samples, in units of the noise variance.
+
+    The result is 0 if there are too few failed samples, or if the sum is too small.
 
     Parameters
     ----------
@@ -38,7 +41,7 @@ def misfit(state: State, raw: Sequence[Trial], floor: Mapping[str, float]) -> fl
 
 
 def _squares(state: State, raw: Sequence[Trial]) -> dict[str, tuple[float, int]]:
-    """Return the sum of squared errors of the model at failed samples, and their number, by channel."""
+    """Return, by channel, the sum of squared model errors at failed samples and the number of samples."""
     found: dict[str, tuple[float, int]] = {}
     simulated = state.nominal.problem.simulations(state.nominal.theta)
     for trial, run in zip(raw, simulated, strict=True):
@@ -57,12 +60,12 @@ def among(
     size: float,
     ranges: Mapping[str, float],
 ) -> list[Cause]:
-    """Return the causes with the failed samples inserted at their rank.
+    """Return the causes in the order of their gain, with the failed samples inserted as one of them.
 
     Parameters
     ----------
     size : float
-        Squared residual of the failed samples.
+        Sum of squared residuals of the failed samples, in units of the noise variance.
     ranges : mapping of channel to float
         Measured range, in the channel's unit.
     """

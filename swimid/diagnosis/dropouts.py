@@ -1,4 +1,4 @@
-"""Detect samples that are no measurements: a marker lost, frozen, or confused with another."""
+"""Detect failed samples: a marker was lost, frozen, or confused with another marker."""
 
 from __future__ import annotations
 
@@ -12,23 +12,27 @@ from scipy.ndimage import label, median_filter
 
 from swimid.fitting.model import Array, Trial
 
-#: Number of robust standard deviations of a change of the residual from which it is a jump.
+#: Minimum change of the residual at a jump, in robust standard deviations of the differences between
+#: residuals.
 JUMP = 9.0
-#: Minimum number of equal consecutive values, and minimum motion in standard deviations meanwhile, of a
-#: frozen stretch.
+#: Minimum number of equal consecutive values in a frozen segment, and minimum motion of the simulation over
+#: the segment, in robust standard deviations of the differences between residuals.
 FROZEN, MOVED = 4, 6.0
-#: Channels that a marker tracker measures.
+#: Channels that a camera measures by tracking markers.
 CAMERA = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
-#: Minimum number of samples for any detection.
+#: Minimum number of samples of a channel for a detection of failures.
 FEWEST = 60
-#: Mean offset of a displaced stretch, in robust standard deviations.
+#: Minimum offset of a displaced segment, in robust standard deviations of the differences between residuals.
 OFF = 6.0
-#: Number of samples beside a jump whose median is the level there.
+#: Maximum number of samples on one side of a jump whose median is the level of the residual on that side.
 BESIDE = 8
 
 
 class Stretch(NamedTuple):
-    """Consecutive failed samples of one trial and channel, s; the kind is that of the first."""
+    """Segment of consecutive failed samples in one channel of one trial.
+
+    The fields ``begin`` and ``end`` are times in s. The field ``kind`` is the failure of the first sample.
+    """
 
     trial: str
     channel: str
@@ -44,7 +48,9 @@ class Dropouts:
     Attributes
     ----------
     masks : dict of trial id to dict of channel to ndarray of bool
+        Whether each sample failed.
     stretches : list of Stretch
+        Segments of failed samples.
     """
 
     masks: Mapping[str, Mapping[str, NDArray[np.bool_]]]
@@ -56,7 +62,7 @@ class Dropouts:
         return sum(int(m.sum()) for by in self.masks.values() for m in by.values())
 
     def confirmed(self, other: Dropouts) -> Dropouts:
-        """Return the stretches that a second detection with a better model finds as well."""
+        """Return only the failures that a second detection with a better model finds as well."""
         again = {s[:2] for s in other.stretches}
         kept = [
             s
@@ -71,7 +77,7 @@ class Dropouts:
         return Dropouts(masks, kept)
 
     def without(self, trials: Sequence[Trial]) -> list[Trial]:
-        """Return the trials without the frames in which a marker failed, in all channels."""
+        """Return the trials with all camera channels set to NaN in the frames in which a marker failed."""
         found = []
         for trial in trials:
             masks = self.masks.get(trial.id, {})
@@ -85,12 +91,12 @@ class Dropouts:
 
 
 def look(trials: Sequence[Trial], simulated: Sequence[Mapping[str, Array]]) -> Dropouts:
-    """Return failed samples, detected by jumps of the residuals and by values that do not change.
+    """Detect failed samples by jumps of the residuals and by values that do not change.
 
     Parameters
     ----------
     simulated : sequence of mappings
-        Simulated channels of each trial. They need not be right, only smooth.
+        Simulated channels of each trial. The simulation need not be accurate, but it must be smooth.
     """
     masks: dict[str, dict[str, NDArray[np.bool_]]] = {}
     stretches = []
@@ -111,7 +117,7 @@ def look(trials: Sequence[Trial], simulated: Sequence[Mapping[str, Array]]) -> D
 
 
 def _runs(mask: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
-    """Return runs of consecutive indices."""
+    """Return the indices of each run of consecutive true values."""
     parts, count = label(mask)
     return [np.flatnonzero(parts == i) for i in range(1, count + 1)]
 
@@ -121,7 +127,7 @@ def _robust(x: Array) -> float:
 
 
 def _failed(values: Array, simulated: Array) -> NDArray[np.str_]:
-    """Return how each sample of one channel failed; empty if it did not."""
+    """Return the kind of failure of each sample of one channel; the kind of a valid sample is empty."""
     kinds = np.full(len(values), "", dtype="U9")
     there = np.flatnonzero(np.isfinite(values) & np.isfinite(simulated))
     x, r = values[there], (values - simulated)[there]
@@ -134,7 +140,8 @@ def _failed(values: Array, simulated: Array) -> NDArray[np.str_]:
     smooth = median_filter(r, size=5, mode="nearest")
     spikes = there[np.abs(r - smooth) > JUMP * max(_robust(r - smooth), size / np.sqrt(2.0))]
     kinds[spikes[kinds[spikes] == ""]] = "spike"
-    # Detect a shift: between two jumps of the median-filtered residual, or from one to the end.
+    # Detect a displacement: an offset of the median-filtered residual between two jumps, or from a jump to
+    # the end of the trial.
     well = kinds[there] == ""
     there, r = there[well], r[well]
     smooth = median_filter(r, size=5, mode="nearest")
@@ -142,7 +149,7 @@ def _failed(values: Array, simulated: Array) -> NDArray[np.str_]:
     jumps = np.flatnonzero(np.abs(smooth[4:] - smooth[:-4]) > JUMP * local[2:-1])
     if len(jumps):
         edges = [int(g[len(g) // 2]) + 2 for g in np.split(jumps, np.flatnonzero(np.diff(jumps) > 3) + 1)]
-        # A sample that agrees with the last valid samples is valid again.
+        # Level of the last valid samples. A segment that returns to this level is valid again.
         sound = float(np.median(r[max(edges[0] - BESIDE, 0) : edges[0]]))
         for begin, end in zip(edges, [*edges[1:], len(r)], strict=True):
             level = float(np.median(r[begin : min(begin + BESIDE, end)])) if end > begin else sound

@@ -1,4 +1,4 @@
-"""Evidence of a diagnosis: checks, tables and figures."""
+"""Create the evidence of a diagnosis: checks, tables and figures."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
     from swimid.diagnosis.shrinkage import Piece
 
 Rows = list[list[Any]]
-#: The causes should close at least this share of a channel's gap.
+#: Minimum fraction of the gap of a channel that the causes should close.
 HALF = 0.5
-#: Warnings that logs contradict what is written of them: of the beat, and of the course.
+#: Codes of the warnings that a log contradicts the beat or the course that is stated for it.
 CONTRADICTING = ("SWM032", "SWM063")
-#: Maximum number of effects in a figure, of panels, and of points of a curve.
+#: Maximum number of effects in a figure, of panels in a figure, and of points of a curve.
 MAX_EFFECTS, MAX_PANELS, MAX_POINTS = 10, 4, 800
 
-#: Heading of the noise floor; before it in a table of errors stand those of models.
+#: Heading of the noise-floor column in a table of errors. The columns to the left of it are errors of models.
 FLOOR = "floor (%)"
-#: Sources of the method, and that of the choice of the next experiment.
+#: References of the method (REFERENCES), and of the choice of the next experiment (BOX).
 REFERENCES = (
     "Kennedy, M. C., & O'Hagan, A. (2001). Bayesian calibration of computer models. Journal of the Royal "
     "Statistical Society B, 63(3), 425-464.",
@@ -50,12 +50,12 @@ def evidence(
     sources: Sequence[str] = (),
     notices: Sequence[ev.NoticeRecord] = (),
 ) -> ev.Evidence:
-    """Return what a diagnosis rests on.
+    """Return the evidence of a diagnosis: verdict, checks, tables and figures.
 
     Parameters
     ----------
     worst : sequence of Piece
-        The channels of the held-out trial with the largest errors.
+        Channels of the held-out trial with the largest errors.
     sources : sequence of str
         References of the robot.
     """
@@ -104,7 +104,7 @@ def _facts(file: GapFile) -> dict[str, str]:
 
 
 def checks(file: GapFile) -> Iterable[ev.Check]:
-    """Yield the tests that the answer has to pass; the level of the verdict follows from them."""
+    """Yield the checks that determine the level of the verdict."""
     yield from _of_trials(file)
     if file.verdict == "none":
         yield from _of_no_gap(file)
@@ -124,7 +124,7 @@ def checks(file: GapFile) -> Iterable[ev.Check]:
         yield ev.check("settings", "1", False, "≥ 2", reason=said)
     passed: bool | None = file.remaining.white
     if file.verdict == "unexplained":
-        passed = False  # something is left, whatever a description of it says
+        passed = False  # unexplained, even if smooth terms find no structure
         if file.remaining.share is not None and file.remaining.share <= HALF:
             failed = "warn"
     elif file.verdict != "none":
@@ -208,7 +208,7 @@ def _of_causes(file: GapFile) -> Iterable[ev.Check]:
         said = f"{number(before, 2)} without, {number(after, 2)} with the causes"
         reason = f"{name} left out of the fit is predicted worse with the causes"
         passed = after < before
-        if name != "held-out data":  # a single setting may be predicted as well as before
+        if name != "held-out data":  # the prediction of a single setting need not improve
             passed = after <= before
         yield ev.check(f"prediction of {name}", said, passed, "smaller with them", text, reason=reason)
     for s in [s for s in file.closing if s.closed is not None][:1]:
@@ -220,7 +220,7 @@ def _of_causes(file: GapFile) -> Iterable[ev.Check]:
 
 
 def interval_text(s: Shrinkage) -> str:
-    """Return the 95 % interval of the closed share: ``(81 … 94 %)``."""
+    """Return the 95 % interval of the closed fraction as text, for example ``(81 … 94 %)``."""
     low, high = s.ci95
     if low is None or high is None:
         return ""
@@ -235,13 +235,15 @@ def _percents(*values: float | None) -> list[float | None]:
 
 
 def _table(id: str, title: str, columns: str, rows: Rows, caption: str, *, folded: bool = True) -> ev.Table:
-    """Return a table; its headings stand in one text with bars between them."""
+    """Return a table. Its column headings are given as one text, separated by vertical bars."""
     names = columns.split(" | ")
     return ev.Table(id=id, title=title, columns=names, rows=list(rows), caption=caption, folded=folded)
 
 
 def _errors(file: GapFile) -> ev.Table:
-    """Return errors on held-out data; without a cause those of all trials."""
+    """Return the table of errors on held-out data. Without a cause, the table has the errors on all
+    trials.
+    """
     rows: Rows = [
         [s.channel, *_percents(s.shipped, s.before, s.after, s.floor, s.closed), interval_text(s)]
         for s in file.closing
@@ -339,7 +341,7 @@ def _parts(file: GapFile) -> ev.Table:
 
 
 def _levels(table: ev.Table) -> ev.Figure:
-    """Draw the columns of a table of errors up to the noise floor, side by side for each channel."""
+    """Plot the columns of a table of errors up to the noise floor, side by side for each channel."""
     names, *columns = zip(*table.rows, strict=True) if table.rows else ((),)
     titles = table.columns[1 : table.columns.index(FLOOR) + 1]
     shown = [(t, v) for t, v in zip(titles, columns, strict=False) if any(one is not None for one in v)]
@@ -361,7 +363,8 @@ def _levels(table: ev.Table) -> ev.Figure:
 def _ranked(file: GapFile) -> list[ev.Figure]:
     gains = {s.effect: (s.gain, s.stderr) for s in file.scores if s.refitted and s.gain is not None}
     best = max((gain for gain, _ in gains.values()), default=0.0)
-    # another reading of the robot may lose millions
+    # Leave out effects that make the fit much worse (such as another interpretation of the robot's source),
+    # because their gains would compress the axis.
     shown = [name for name, (gain, _) in gains.items() if best <= 0 or gain >= -best][:MAX_EFFECTS]
     if not shown:
         return []

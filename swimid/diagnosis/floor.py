@@ -1,4 +1,4 @@
-"""Estimate the noise floor, from repeats if there are any."""
+"""Estimate the noise floor of each channel, from repeats of a setting if there are any."""
 
 from __future__ import annotations
 
@@ -13,12 +13,15 @@ from swimid.diagnosis.noise_model import NoiseModel
 from swimid.diagnosis.settings import repeated
 from swimid.fitting.model import Array
 
-#: Minimum number of samples in the longest trial for a comparison of repeats.
+#: Minimum number of samples in the longest trial for a noise floor from repeats.
 MIN_SAMPLES = 20
 
 
 def split(fit: Fit, k: int, residual: Array) -> dict[str, Array]:
-    """Split a trial's stacked weighted residual by channel, in the channels' units; NaN if missing."""
+    """Split the stacked weighted residuals of a trial by channel, in the channels' units.
+
+    The value is NaN where the channel has no sample.
+    """
     found, at = {}, 0
     for i, (channel, mask) in enumerate(zip(fit.problem.channels[k], fit.problem.masks[k], strict=True)):
         count = int(mask.sum())
@@ -30,10 +33,10 @@ def split(fit: Fit, k: int, residual: Array) -> dict[str, Array]:
 
 
 def repeats(context: FitContext) -> list[list[int]]:
-    """Return the trials of each setting that was repeated; a recording that is given twice is no repeat.
+    """Return the trials of each setting that was repeated.
 
-    The setting defines a repeat, not the samples: an encoder logs the same positions in every drop, at other
-    times.
+    A recording that is given twice counts once. Repeats have the same setting, but need not have different
+    samples: an encoder logs the same positions in every drop, at other times.
     """
     groups: dict[str, list[int]] = {}
     seen: set[tuple[str, ...]] = set()
@@ -48,18 +51,19 @@ def repeats(context: FitContext) -> list[list[int]]:
 
 
 def nuisance_residuals(fit: Fit, residuals: Sequence[Array], random_effects: Sequence[Array]) -> list[Array]:
-    """Return weighted residuals after each trial had its own start state, trims, gains and clock.
+    """Return weighted residuals after each trial was fitted by its own start state, trims, gains and clock.
 
     Parameters
     ----------
     residuals : sequence of ndarray, shape (n_k,)
+        Weighted residuals before this fit.
     random_effects : sequence of ndarray, shape (n_k, q)
-        Weighted changes by quantities that may differ between trials.
+        Weighted changes of each trial by the q quantities that may differ between trials.
 
     Returns
     -------
     list of ndarray, shape (n_k,)
-        For trials that are too short, the residuals as they are.
+        Residuals of the fit. A trial with too few samples keeps its residuals.
     """
     found = []
     for k, r in enumerate(residuals):
@@ -69,7 +73,7 @@ def nuisance_residuals(fit: Fit, residuals: Sequence[Array], random_effects: Seq
 
 
 def by_channel(fit: Fit, residuals: Sequence[Array]) -> dict[str, Array]:
-    """Return the residuals of all trials by channel, in its unit."""
+    """Return the residuals of all trials by channel, in the channel's unit."""
     parts: dict[str, list[Array]] = {}
     for k, r in enumerate(residuals):
         for channel, series in split(fit, k, r).items():
@@ -78,12 +82,12 @@ def by_channel(fit: Fit, residuals: Sequence[Array]) -> dict[str, Array]:
 
 
 def rms(values: Array) -> float:
-    """Return the root mean square."""
+    """Return the root mean square of an array."""
     return float(np.sqrt(np.mean(values**2)))
 
 
 def excess(fit: Fit, residuals: Sequence[Array], floor: Mapping[str, float]) -> dict[str, float]:
-    """Return the squared residuals beyond those of the noise, in units of the noise, by channel."""
+    """Return, by channel, the sum of squared residuals beyond the noise, in units of the noise variance."""
     found = by_channel(fit, residuals)
     more = {c: float(np.sum((v / max(floor[c], 1e-300)) ** 2 - 1.0)) for c, v in found.items()}
     return {c: m if m > 1e-9 * len(found[c]) else 0.0 for c, m in more.items()}
@@ -96,21 +100,22 @@ class Floor:
     Attributes
     ----------
     levels : dict of channel to float
-        In its unit. The difference between repeats of one setting, if there are repeats and it is smaller
-        than the residuals of the model. Otherwise the noise within trials that the model leaves, without the
-        share that has structure, and the random effects. Never more than the residuals of the model without
-        random effects. Except for repeats, it includes the part that fitted parameters absorb
-        (:func:`taken_up`).
+        Noise floor, in the channel's unit. It is the standard deviation between repeats of a setting, if
+        there are repeats and this deviation is smaller than the residuals of the model. Otherwise it is the
+        noise within trials (without the fraction that has structure) together with the random effects. It is
+        never larger than the residuals of the model without random effects. Unless it comes from repeats, it
+        includes the noise that fitted parameters absorb (:func:`taken_up`).
     inside : dict of channel to float
-        The levels without the part that fitted parameters absorb, for comparison with residuals of the fit.
+        Noise floor without the noise that fitted parameters absorb, for comparison with residuals of the fit.
     within : dict of channel to float
-        The levels without between-trial variation.
+        Noise floor without between-trial variation.
     squares : dict of channel to dict of trial to (float, int)
-        Contribution of each trial to the squared level, up to a common factor, and its number of samples.
+        Contribution of each trial to the squared noise floor (up to a common factor), and number of samples
+        of the trial.
     how : str
-        Source of the floor, in words.
+        Source of the noise floor, in words.
     repeated : bool
-        Whether the source is repeats.
+        Whether the noise floor comes from repeats.
     """
 
     levels: dict[str, float]
@@ -121,7 +126,7 @@ class Floor:
     repeated: bool = False
 
     def less(self, shares: Mapping[str, float]) -> Floor:
-        """Return the floor reduced by a share of the squared noise of some channels."""
+        """Return the noise floor without a given fraction of the squared noise of some channels."""
         left = {c: float(np.sqrt(1.0 - share)) for c, share in shares.items()}
         levels, inside, within = (
             {c: v * left.get(c, 1.0) for c, v in kind.items()}
@@ -130,7 +135,14 @@ class Floor:
         return replace(self, levels=levels, inside=inside, within=within)
 
     def of_held_out(self, chance: Mapping[str, float]) -> dict[str, float]:
-        """Return the levels of trials with a known mean square of between-trial variation, by channel."""
+        """Return the noise floor of held-out trials, by channel.
+
+        Parameters
+        ----------
+        chance : mapping of channel to float
+            Mean square of the between-trial variation in these trials, in the channel's unit squared. It
+            replaces the between-trial variation of the fitted trials.
+        """
         return {
             c: math.hypot(self.within[c], math.sqrt(chance[c])) if c in chance else v
             for c, v in self.levels.items()
@@ -142,10 +154,11 @@ def _mean_squares(fit: Fit, residuals: Sequence[Array]) -> dict[str, float]:
 
 
 def taken_up(context: FitContext, fit: Fit, noise_model: NoiseModel) -> dict[str, float]:
-    """Return the factor of the squared errors of each channel for the part that fitted parameters absorb.
+    """Return, by channel, a correction factor of squared residuals for the noise that parameters absorb.
 
-    With leverage h of a fold, a fit's squared residuals are 1 - h of the noise, and 1 / (1 - h) if the fold
-    is held out (the deletion residual). The noise is the geometric mean.
+    Let h be the leverage of a fold. The expected squared residuals of the fold are 1 - h times the noise
+    variance if the fold is fitted, and 1 / (1 - h) times the noise variance if the fold is held out (deletion
+    residuals). The noise variance is the geometric mean of the two.
 
     References
     ----------
@@ -174,20 +187,21 @@ def floors(
     alike: Fit,
     noise_model: NoiseModel,
 ) -> Floor:
-    """Return the noise floor of each channel, in its unit: no model of these trials can have smaller errors.
+    """Return the noise floor of each channel: no model of these trials can have smaller errors.
 
     Parameters
     ----------
     last : Fit
         The model with all causes.
     residuals : sequence of ndarray, shape (n_k,)
-        Its residuals, weighted, without between-trial variation.
+        Weighted residuals of ``last`` without between-trial variation.
     share : float
-        Share of its squared whitened residuals that a generic description still finds.
+        Fraction of the squared whitened residuals of ``last`` that smooth terms without physics still
+        explain.
     alike : Fit
-        The same model refitted without random effects.
+        The model with all causes, refitted without random effects.
     noise_model : NoiseModel
-        Noise model of that refit.
+        Noise model for refits of ``alike`` without each fold.
     """
     rest = max(1.0 - share, 0.05)
     marginal_residuals = last.marginal_residuals()
@@ -217,9 +231,10 @@ def floors(
 def _between_repeats(
     context: FitContext, last: Fit, residuals: Sequence[Array]
 ) -> tuple[dict[str, float], str | None]:
-    """Return the difference between repeats of one setting, by channel, and the number of repeats in words.
+    """Return the standard deviation between repeats of a setting, by channel, and the number of repeats.
 
-    The result is empty if there are no repeats, or too few samples in every trial.
+    The number of repeats is given in words. The result is empty if there are no repeats, or too few samples
+    in every trial.
     """
     groups = repeats(context)
     if not groups or all(len(r) < MIN_SAMPLES for r in last.residuals):
@@ -239,10 +254,11 @@ def _between_repeats(
 
 
 def disagreement(series: Sequence[tuple[Array, Array]]) -> Array:
-    """Return the variance between repeats at the times of the first one that all of them cover, shape (n,).
+    """Return the variance between repeats at the times of the first repeat that the others cover, too.
 
-    The others are interpolated linearly. An interpolated sample is a weighted mean of its two neighbours, and
-    has less noise than these: the variance is divided by the mean share of it that is left.
+    The result has shape (n,). The other repeats are interpolated linearly. An interpolated sample is a
+    weighted mean of two samples, and has less noise variance than each of them. The variance is therefore
+    divided by the mean fraction of the noise variance that remains after interpolation.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Divide the data into folds: repeats of one setting, runs of a table, or stretches of a single log."""
+"""Divide the data into folds: repeats of one setting, runs of a table, or segments of trials."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ import numpy as np
 from swimid.diagnosis import settings
 from swimid.fitting.model import Array, Trial
 
-#: Minimum number of settings for holding out whole trials; below it, stretches of trials are held out.
+#: Minimum number of settings or trials for folds of whole trials. With fewer, segments of trials are held
+#: out.
 FEWEST = 4
-#: Minimum total number of stretches that a few long trials are divided into.
+#: Minimum total number of segments into which a few trials are divided.
 STRETCHES = 8
-#: Number of folds of a table of many runs.
+#: Number of folds of a table of runs. A table with at most this number of settings has one fold for each
+#: setting.
 TABLE_FOLDS = 10
 
 
@@ -25,12 +27,12 @@ class Folds:
     Attributes
     ----------
     whole : bool
-        Whether whole trials are held out (their own start states are then estimated from themselves), or
-        stretches of trials.
+        True if whole trials are held out; the start state of a held-out trial is then fitted to this trial.
+        False if segments of trials are held out.
     owner : list of ndarray of int
-        For each trial the fold of each of its rows, shape (n_k,).
+        Fold of each row of each trial, shape (n_k,).
     labels : list of str
-        By fold.
+        Name of each fold.
     """
 
     whole: bool
@@ -44,7 +46,7 @@ class Folds:
 
 
 def folds(trials: Sequence[Trial], rows: Sequence[int]) -> Folds:
-    """Return the folds of some trials.
+    """Divide trials into folds.
 
     Parameters
     ----------
@@ -60,7 +62,8 @@ def folds(trials: Sequence[Trial], rows: Sequence[int]) -> Folds:
         place = {g: i for i, g in enumerate(groups)}
         labels = [" ".join(t.id for t, n in zip(trials, names, strict=True) if n == g) for g in groups]
         if all(n == 1 for n in rows) and len(groups) > TABLE_FOLDS:
-            # Rows of a table that are far apart in it form one fold.
+            # Runs are assigned to the folds in turn, so that neighbouring rows of the table are in different
+            # folds.
             place = {g: i % TABLE_FOLDS for i, g in enumerate(groups)}
             labels = [f"part {i + 1}" for i in range(TABLE_FOLDS)]
         return Folds(True, [np.full(n, place[name]) for n, name in zip(rows, names, strict=True)], labels)
@@ -71,7 +74,7 @@ def folds(trials: Sequence[Trial], rows: Sequence[int]) -> Folds:
 
 
 def stretches(folds: Folds, k: int, times: Sequence[Array]) -> Array:
-    """Return the fold of each row of trial ``k``, divided into stretches of equal duration.
+    """Return the fold of each row of trial ``k``, which is divided into segments of equal duration.
 
     Parameters
     ----------

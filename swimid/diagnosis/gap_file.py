@@ -16,56 +16,60 @@ from swimid.simulation.compare_series import ChannelScore
 FORMAT: Literal["swimid-gap/1"] = "swimid-gap/1"
 Verdict = Literal["none", "explained", "ambiguous", "unexplained"]
 HeldOut = Literal["validation", "trials", "stretches"]
-#: Meaning of each way to hold out data.
+#: Description of each way to hold out data.
 HELD_OUT: dict[HeldOut | None, str] = {
     None: "on held-out data",
     "validation": "on the validation trials",
     "trials": "in cross-validation over trials",
     "stretches": "in cross-validation over stretches of trials",
 }
-#: ``params`` of a diagnosis without a parameter file.
+#: Value of ``params`` in a diagnosis without a parameter file.
 ROBOT_FILE = "the robot file"
 Stage = Literal["actuation", "structure", "fluid", "environment", "sensing", "rig"]
 
 
 class ChannelGap(yamlio.Document):
-    """One channel over all trials, with the model refitted; errors over the measured range."""
+    """Errors of one channel over all trials, with the model refitted.
+
+    All errors except ``rmse`` are divided by the measured range.
+    """
 
     channel: str
     nrmse: Number
-    #: Error of noise alone.
+    #: Error that noise alone causes.
     floor: Number
-    #: Share of the squared size of the whole gap.
+    #: Fraction of the squared gap that this channel has, of the sum over all channels.
     share: Number
     rmse: Number = None
     unit: str = "1"
-    #: Error without between-trial variation: noise within trials.
+    #: Error within trials, without between-trial variation.
     within: Number = None
 
     @property
     def differs(self) -> bool:
-        """Return whether most of its squared error is between-trial variation."""
+        """Return whether between-trial variation causes most of the squared error."""
         if self.within is None or self.nrmse is None:
             return False
         return self.within**2 < 0.5 * self.nrmse**2
 
 
 class Cell(yamlio.Document):
-    """One part of the data: of the stroke, of the settings, or of the time."""
+    """Gap in one part of the data: a phase of the stroke, a setting, or an interval of time."""
 
-    #: Quantity that is divided: ``phase``, ``frequency``, ``amplitude``, ``time``, ``change`` ...
+    #: Quantity by which the data are divided, for example ``phase``, ``frequency``, ``amplitude``, ``time``
+    #: or ``change``.
     kind: str
     label: str
-    #: Root-mean-square residual over the noise floor.
+    #: Root-mean-square residual divided by the noise floor.
     ratio: Number
     share: Number
 
 
 class Where(yamlio.Document):
-    """Places of the gap; every list begins with the largest."""
+    """Location of the gap. Every list is sorted by size, largest first."""
 
     channels: list[ChannelGap]
-    #: Share of the evidence for each stage.
+    #: Probability of each stage of the simulation: the sum over the effects of the stage, normalised to one.
     stage: dict[Stage, Number]
     phase: list[Cell] = []
     regime: list[Cell] = []
@@ -73,7 +77,7 @@ class Where(yamlio.Document):
 
 
 class Value(yamlio.Document):
-    """An estimate."""
+    """Estimate of a parameter."""
 
     value: Number
     stderr: Number = None
@@ -82,21 +86,21 @@ class Value(yamlio.Document):
 
 
 class ChangedValue(Value):
-    """An estimate of a parameter that has changed since the parameter file."""
+    """Estimate of a parameter that has changed since the parameter file was written."""
 
     model_config = ConfigDict(populate_by_name=True, serialize_by_alias=True)
 
     #: Value in the parameter file.
     given: float = Field(alias="from")
-    #: Size of the change in standard errors, those of the file and of the estimate combined.
+    #: Absolute change divided by the combined standard error of the file and of the estimate.
     standard_errors: Number = None
 
 
 class Distance(yamlio.Document):
-    """Distance of held-out data from the prediction without and with the causes.
+    """Distance of held-out data from their prediction, without and with the causes.
 
-    It is a root mean square, over what noise, uncertain coefficients and between-trial variation allow: 1 for
-    a correct model.
+    The distance is the root-mean-square error divided by the error that noise, uncertain coefficients and
+    between-trial variation explain. It is 1 for a correct model.
     """
 
     before: Number
@@ -104,22 +108,25 @@ class Distance(yamlio.Document):
 
 
 class Shrinkage(yamlio.Document):
-    """One channel on held-out data (see ``held_out`` of the file); errors over the measured range."""
+    """Errors of one channel on held-out data, divided by the measured range.
+
+    The field ``held_out`` of the gap file states which data are held out.
+    """
 
     channel: str
-    #: Error of the refitted model, without and with the causes.
+    #: Errors of the refitted model without and with the causes.
     before: Number
     after: Number
     floor: Number
-    #: (before - after) / (before - floor).
+    #: Closed fraction of the error above the noise floor: (before - after) / (before - floor).
     closed: Number
     ci95: Pair = (None, None)
-    #: Error of the parameters as given.
+    #: Error of the model with the parameters as given.
     shipped: Number = None
 
 
 class Absorbed(yamlio.Document):
-    """A coefficient of the model: as given, refitted without the causes, and with them."""
+    """A coefficient of the model as given, refitted without the causes, and refitted with the causes."""
 
     coefficient: str
     given: Value | None = None
@@ -128,82 +135,87 @@ class Absorbed(yamlio.Document):
 
 
 class Cause(yamlio.Document):
-    """An effect that is part of the answer."""
+    """Effect that is reported as a cause of the gap."""
 
     effect: str
     #: Probability that the effect, or one of its equivalents, is missing in the model.
     probability: Number
-    #: Effects that these trials cannot distinguish from it.
+    #: Effects that these trials cannot distinguish from this effect.
     equivalent: list[str] = []
-    #: Empty for another reading of the robot (``reading:NAME=OPTION``), which has no parameters.
+    #: Estimates. There are none for another interpretation of the robot's source (``reading:NAME=OPTION``).
     parameters: dict[str, Value | ChangedValue]
     shrinkage: list[Shrinkage] = []
     stage: Stage | None = None
     meaning: str = ""
     sources: list[str] = []
-    #: Decrease of the held-out squared residuals, in units of the noise.
+    #: Decrease of the squared held-out residuals by the effect, in units of the noise variance.
     gain: Number = None
     gain_stderr: Number = None
     absorbed: list[Absorbed] = []
-    #: Distances of the outermost settings, each from a fit to all others.
+    #: Prediction errors of the outermost settings (:class:`Distance`), each by a fit to all other trials.
     extrapolation: dict[str, Distance] = {}
 
 
 class Remaining(yamlio.Document):
-    """Residuals that the causes leave."""
+    """Residuals that remain with the causes in the model."""
 
-    #: Share of the squared size of the gap.
+    #: Fraction of the squared gap that remains.
     share: Number
     where: str
-    #: Whether no structure is left.
+    #: Whether the remaining residuals have no structure.
     white: bool
-    #: Held-out gain of a generic description.
+    #: Decrease of the squared held-out residuals by smooth terms without physics.
     gain: Number = None
 
 
 class Advice(yamlio.Document):
-    """A next experiment."""
+    """Proposed next experiment."""
 
     text: str
-    #: Rivals that it distinguishes.
+    #: Rival causes that the experiment would distinguish.
     separates: list[str] = []
-    #: Predicted difference between them, in units of the noise; and on the present trials.
+    #: Difference between the rival causes in noise standard deviations: predicted for the experiment, and on
+    #: the present trials.
     difference: Number = None
     now: Number = None
 
 
 class Score(yamlio.Document):
-    """Score of one effect of the catalogue."""
+    """Results for one effect of the catalogue that was added to the model alone."""
 
     effect: str
     stage: Stage | None = None
     variant: str = ""
     gain: Number
     stderr: Number = None
-    #: Number of trials on which it helps, and number of trials.
+    #: Number of folds in which the effect decreases the squared residuals, and number of folds.
     won: tuple[int, int] = (0, 0)
-    #: Share of its change that the coefficients imitate.
+    #: Fraction of the squared change by the effect that the coefficients can imitate.
     absorbed: Number = None
-    #: Gain predicted by the screen, and whether the effect was fitted.
+    #: Decrease of the squared held-out residuals that the screen predicted, and whether the effect was also
+    #: fitted.
     screened: Number = None
     refitted: bool = True
-    #: Probability that it is among the causes.
+    #: Probability that the effect is among the causes.
     probability: Number = None
 
 
 class Hypothesis(yamlio.Document):
-    """A set of effects that was fitted together with the model; the empty set is the model itself."""
+    """Set of effects that was fitted together with the model; the empty set is the model without effects."""
 
     effects: list[str]
-    #: Number of kinds of parameters of its effects; the per-trial values of one parameter are one kind.
+    #: Number of parameters of the effects; a parameter with a separate value for each trial counts once.
     numbers: int = 0
-    #: Squared residuals at the optimum in units of the noise, and the penalty for its parameters.
+    #: Sum of squared residuals at the optimum in units of the noise variance, plus the penalty for the
+    #: parameters of the effects.
     score: Number
-    #: The same with noise of long memory, if the trials are too few to decide.
+    #: Score with noise of long memory. It is given if the trials are too few to determine the memory of the
+    #: noise.
     slow: Number = None
-    #: For each effect of a set, the largest squared cosine between its change and that of another one.
+    #: Largest squared cosine between the change of the trials by an effect and by another effect, for each
+    #: effect of a hypothesis with several effects.
     alike: dict[str, float] = {}
-    #: Squared residuals of each fold.
+    #: Sum of squared residuals of each fold in the fit to all data.
     folds: list[Number] = []
     probability: Number = None
 
@@ -214,10 +226,11 @@ class GapFile(yamlio.ResultFile):
     kind: ClassVar[str] = "gap file"
     format: Literal["swimid-gap/1"] = FORMAT
     verdict: Verdict
-    #: Errors of the parameters as given over all trials, by channel, as ``compare`` computes them.
+    #: Errors of the model with the parameters as given, by channel, as the command ``compare`` computes them
+    #: over all trials.
     as_given: dict[str, ChannelScore] = {}
     where: Where
-    #: Ranked. Several causes form one answer.
+    #: Causes, the most important first. Several causes act together.
     causes: list[Cause]
     remaining: Remaining
     advice: list[Advice] = []
@@ -226,63 +239,68 @@ class GapFile(yamlio.ResultFile):
     experiment: str = ""
     params: str = ""
     trials: list[str] = []
-    #: Probability of no gap, and of a cause outside the catalogue.
+    #: Probability that there is no gap (``no_gap``), and probability of a cause outside the catalogue
+    #: (``outside``).
     no_gap: Number = None
     outside: Number = None
-    #: Inputs of these probabilities, with the numbers of samples and of effects.
+    #: Hypotheses, number of samples and number of effects. The probabilities in this file are computed from
+    #: them.
     hypotheses: list[Hypothesis] = []
     samples: int | None = None
     tried: int | None = None
-    #: Data of the errors before and after: ``validation`` trials, or each part of the data held out of a
-    #: refit in turn (``trials`` or ``stretches`` of trials).
+    #: Data on which the errors before and after are computed: ``validation`` trials, or parts of the data
+    #: (``trials`` or ``stretches`` of trials) that are held out of a refit in turn.
     held_out: HeldOut | None = None
-    #: Distance of these data from the prediction of the causes.
+    #: Prediction error of the held-out data without and with the causes.
     predicted: Distance | None = None
-    #: Source of the noise floor.
+    #: Source of the noise floor, in words.
     floor_from: str = ""
-    #: Whether settings were repeated often enough to estimate the between-trial variation.
+    #: Whether a setting was repeated, so that the between-trial variation can be estimated.
     repeats: bool = False
     #: Number of settings of fitted and validation trials.
     setting_count: int | None = None
-    #: Every effect that was tried, best first.
+    #: Scores of all effects, best first.
     scores: list[Score] = []
-    #: Held-out gain of generic residual forces and sensor terms, by axis.
+    #: Decrease of the squared held-out residuals by smooth residual forces and sensor errors, by place.
     forces: dict[str, Number] = {}
-    #: Parameters of the file that the refit moved by more than their standard errors allow, and whose change
-    #: is no hypothesis: the file states no standard error, or the model is a black box.
+    #: Parameters of the file that the refit changed significantly. Their change is not a hypothesis, because
+    #: the file states no standard error or the model is a black box.
     moved: dict[str, ChangedValue] = {}
-    #: Share of its output that a black-box model reproduces, if it is less than half.
+    #: Fraction of the output that a black-box model reproduces, for each channel with less than one half. The
+    #: fraction is one minus the root-mean-square error divided by the standard deviation of the output.
     unreproduced: dict[str, Number] = {}
-    #: Coefficients that end at a bound in the refit without effects, and the bound.
+    #: Coefficients that are at a bound in the refit without effects, with the value of the bound.
     at_bound: dict[str, float] = {}
-    #: Evidence for each larger set of effects, in words.
+    #: Reasons why larger sets of effects were accepted or rejected.
     rounds: list[str] = []
-    #: Reasons for the verdict, and why the causes are not certain: clauses.
+    #: Reasons for the verdict, and reasons why the causes are not certain. Each reason is a clause.
     reasons: list[str] = []
     unsure: list[str] = []
-    #: Effects that could not be evaluated, and the reason.
+    #: Effects that could not be evaluated, with the reason.
     left_out: dict[str, str] = {}
-    #: Trial that contradicts the others, and its prediction error over the typical one of the others.
+    #: Trial that contradicts the others, with its prediction error divided by the typical prediction error of
+    #: the others.
     odd_trial: dict[str, float] = {}
-    #: Causes that the fits favour but that enlarge the held-out errors by more than the gap.
+    #: Causes that fit the trials best, but that increase the held-out errors.
     refuted: list[str] = []
-    #: Validation trials that are not predicted, the farthest first: error over what noise and uncertain
-    #: coefficients allow.
+    #: Validation trials that the model does not predict, largest error first. The value is the root-mean-
+    #: square error divided by the error that noise and uncertain coefficients explain.
     unpredicted: dict[str, float] = {}
     provenance: dict[str, Any] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _largest_first(self) -> GapFile:
-        """Sort every list by size; unknown values come last.
+        """Sort every list by size, largest first; unknown values come last.
 
-        Scores of refitted effects are sorted by their gain, the others by the gain that the screen predicted.
+        Scores of refitted effects come first, sorted by gain. The other scores are sorted by the gain that
+        the screen predicted.
         """
         where = self.where
         where.channels.sort(key=lambda c: -_size(c.share))
         for cells in (where.phase, where.regime, where.time):
             cells.sort(key=lambda c: -_size(c.ratio))
         where.stage = dict(sorted(where.stage.items(), key=lambda item: -_size(item[1])))
-        # A channel that only held-out trials have comes last.
+        # A channel without samples in the fitted trials comes last.
         order = {c.channel: place for place, c in enumerate(where.channels)}
         for cause in self.causes:
             cause.shrinkage.sort(key=lambda s: order.get(s.channel, len(order)))
@@ -296,18 +314,16 @@ class GapFile(yamlio.ResultFile):
 
     @property
     def told_of_gap(self) -> bool:
-        """Return whether no gap is more probable than not."""
+        """Return whether the probability of no gap is unknown or larger than one half."""
         return self.no_gap is None or self.no_gap > 0.5
 
     @property
     def closing(self) -> list[Shrinkage]:
-        """Return errors on held-out data with all causes, by channel, the channel with most of the gap
-        first.
-        """
+        """Return the held-out errors of each channel without and with all causes, largest gap first."""
         return self.causes[0].shrinkage if self.causes else []
 
     def write(self, path: str | Path) -> None:
-        """Write the file completely or not at all; unknown values are null."""
+        """Write the file completely or not at all; unknown values are written as null."""
         yamlio.write(path, self.model_dump(mode="python"))
 
 

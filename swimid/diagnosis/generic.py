@@ -1,7 +1,8 @@
-"""Describe the remaining residuals without physics: smooth forces, strokes and sensor terms.
+"""Describe remaining residuals without physics: by smooth forces, stroke changes and sensor errors.
 
-They show whether structure is left and where it acts. They are never a cause. After Kennedy and O'Hagan
-(2001): a model discrepancy with a prior of its own.
+These smooth effects show whether the residuals have structure, and where in the simulation the structure
+arises. They are never reported as a cause. They are a model discrepancy with a prior, as in Kennedy and
+O'Hagan (2001).
 """
 
 from __future__ import annotations
@@ -18,21 +19,24 @@ from swimid.effects.base import Effect, Stage
 from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks, traceable
 from swimid.fitting.model import Array, Model, Parameter, Trial
 
-#: Variables of a residual force, in the order of its factors.
+#: Terms of the residual force on a robot, in the order of their factors.
 TERMS = (
     "constant", "speed", "speed squared", "sway", "yaw rate", "time", "cos phase", "sin phase", "cos 2 phase",
     "sin 2 phase", "cos phase x time", "sin phase x time",
 )  # fmt: skip
-#: A setting of a table is a level of its own if at least this many runs share it, within this relative
-#: tolerance, and there are at most this many levels.
+#: Constants for the levels of a setting in a table of runs: minimum number of runs that share a level,
+#: relative tolerance of the setting within a level, and maximum number of levels. With more levels, none is
+#: used.
 SHARED, LEVEL, LEVELS = 3, 1e-3, 12
 AXES = {"surge": 0, "sway": 1, "yaw": 2}
 
 
 @traceable(on="base", constants=17)
 def smooth_force(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Return a smooth force for (axis, beat frequency (Hz), start and length of the trial, typical speed,
-    factors).
+    """Add a smooth force along one axis (a moment for yaw) to the wrench.
+
+    The constants are the axis, the beat frequency (Hz), the start time and duration of the trial (s), the
+    typical speed (m/s), and one factor for each of :data:`TERMS`.
     """
     u, v, r = velocity[0] / constants[4], velocity[1] / constants[4], velocity[2]
     late = (t - constants[2]) / constants[3]
@@ -42,23 +46,25 @@ def smooth_force(t, pose, velocity, constants, wrench):  # type: ignore[no-untyp
     f += constants[10] * late + constants[11] * c + constants[12] * s
     f += constants[13] * (c * c - s * s) + constants[14] * 2.0 * c * s
     f += (constants[15] * c + constants[16] * s) * late
-    # Only the requested axis has a force.
+    # Add the force to the selected axis only. A traceable function must not branch on values.
     for axis in range(3):
         wrench[axis] += f * max(1.0 - abs(constants[0] - axis), 0.0)
 
 
-#: Variables of a residual force on a body with one coordinate.
+#: Terms of the residual force on the body of a rig, which has one coordinate, in the order of their factors.
 RIG_TERMS = (
     "constant", "speed", "speed squared", "speed cubed", "place", "place squared", "place cubed", "time",
 )  # fmt: skip
-#: Terms of the error of a channel.
+#: Terms of the error of a sensor channel.
 SENSOR_TERMS = ("gain", "drift", "drift squared", "cos phase", "sin phase", "quadratic")
 
 
 @cfunc(FORCE_SIGNATURE, cache=True)
 def smooth_push(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Return a smooth force on a rig for (start and length of the trial, typical speed and place,
-    factors).
+    """Add a smooth force on the body of a rig to the wrench.
+
+    The constants are the start time and duration of the trial (s), the typical speed and position, and one
+    factor for each of :data:`RIG_TERMS`.
     """
     late = (t - constants[0]) / constants[1]
     u, x = velocity[0] / constants[2], pose[0] / constants[3]
@@ -67,32 +73,35 @@ def smooth_push(t, pose, velocity, constants, wrench):  # type: ignore[no-untype
 
 
 class Description(Effect):
-    """A description without physics."""
+    """Smooth effect without physics: a sum of terms, each with a free factor."""
 
     stage: ClassVar[Stage] = "fluid"
     meaning: ClassVar[str] = "what is left, without physics"
-    #: Place where it acts, in words.
+    #: Place in the simulation where the effect acts, in words.
     place: str = ""
-    #: Terms, prefix of their names, and unit and typical size of their factors.
+    #: Names of the terms, prefix of these names, and unit and typical scale of the factors.
     terms: tuple[str, ...] = ()
     prefix: str = ""
     unit: str = "1"
     size: float
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
-        """Return one factor for each term."""
+        """Return the factor of each term as a parameter."""
         return tuple(
             Parameter(f"{self.prefix}{term}", self.unit, -math.inf, math.inf, 0.0, self.size)
             for term in self.terms
         )
 
     def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
-        """Return each parameter at its typical size: the change is nearly linear."""
+        """Return one point for each factor, at which all other factors are zero.
+
+        The factor has its typical scale. One size is enough, because the change by a factor is nearly linear.
+        """
         return [np.eye(len(parameters))[k] * p.scale for k, p in enumerate(parameters)]
 
 
 class ResidualForce(Description):
-    """A smooth force on the base link, or on the body of a rig, along one axis."""
+    """Smooth force on the base link of a robot along one axis (a moment for yaw)."""
 
     name: ClassVar[str] = "residual-force"
     needs: ClassVar[frozenset[str]] = frozenset({"force"})
@@ -106,13 +115,13 @@ class ResidualForce(Description):
         self.place = f"{axis} {kind}"
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return the force of one trial."""
+        """Return the hook that adds the force in one trial."""
         known = [AXES[self.axis], beat_hz(trial), *_window(trial), self.speed]
         return Hooks(force=(Force(smooth_force, np.concatenate((known, values))),))
 
 
 class ResidualPush(Description):
-    """A smooth force on the body of a rig."""
+    """Smooth force on the body of a rig, which has one coordinate."""
 
     name: ClassVar[str] = "residual-push"
     needs: ClassVar[frozenset[str]] = frozenset({"force"})
@@ -125,13 +134,16 @@ class ResidualPush(Description):
         self.size, self.speed, self.span = size, speed, span
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return the force of one trial."""
+        """Return the hook that adds the force in one trial."""
         known = [*_window(trial), self.speed, self.span]
         return Hooks(force=(Force(smooth_push, np.concatenate((known, values))),))
 
 
 class StrokeDeviation(Description):
-    """A smooth change of the actuator motion: harmonics of the command and their drift."""
+    """Smooth change of the commanded joint angle: gain, bias, phase and cubic distortion.
+
+    The gain and the bias may drift.
+    """
 
     name: ClassVar[str] = "residual-stroke"
     stage: ClassVar[Stage] = "actuation"
@@ -141,7 +153,7 @@ class StrokeDeviation(Description):
     size = 0.03
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return the stroke of one trial."""
+        """Return the hook that changes the joint angles in one trial."""
         begin, length = _window(trial)
         quarter = 0.25 / beat_hz(trial)
 
@@ -158,7 +170,7 @@ class StrokeDeviation(Description):
 
 
 class SensorTerm(Description):
-    """A smooth error of one channel."""
+    """Smooth error of one sensor channel."""
 
     name: ClassVar[str] = "residual-sensor"
     stage: ClassVar[Stage] = "sensing"
@@ -173,7 +185,7 @@ class SensorTerm(Description):
         self.place = f"sensor of {channel}"
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return the channel of one trial."""
+        """Return the hook that adds the error to the channel in one trial."""
         begin, length = _window(trial)
         turn = 2.0 * math.pi * beat_hz(trial)
 
@@ -196,8 +208,10 @@ class SensorTerm(Description):
 
 
 class StrokeTable(Description):
-    """A factor on the thrust of a table of steady runs: smooth in frequency, amplitude and order, and one
-    for each fin and each setting.
+    """Smooth factor on the thrust of the steady runs of a table.
+
+    The logarithm of the factor is quadratic in the logarithms of frequency and amplitude, and linear in the
+    order of the runs. It has one more term for each fin and for each level of frequency and amplitude.
     """
 
     name: ClassVar[str] = "residual-thrust"
@@ -223,7 +237,7 @@ class StrokeTable(Description):
         self.terms = (*self.curve, *each, *(f"fin {name}" for name in self.fins))
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return the thrust of one trial."""
+        """Return the hook that changes the thrust in one trial."""
 
         def change(stroke):  # type: ignore[no-untyped-def]
             f = np.log(stroke.frequency_hz / self.frequency_hz)
@@ -240,19 +254,22 @@ class StrokeTable(Description):
 
 
 def _levels(values: Array) -> list[float]:
-    """Return settings that several runs of a table share; none if there are many."""
+    """Return the levels of a setting that several runs of a table share.
+
+    The result is empty if there is only one such level, or more than :data:`LEVELS`.
+    """
     rounded = np.unique(values.round(6))
     shared = [float(v) for v in rounded if np.isclose(values, v, rtol=LEVEL).sum() >= SHARED]
     return shared if 1 < len(shared) <= LEVELS else []
 
 
 def _window(trial: Trial) -> tuple[float, float]:
-    """Return the start of a trial and its length."""
+    """Return the start time and the duration of a trial, s."""
     return float(trial.time_s[0]), max(float(trial.time_s[-1] - trial.time_s[0]), 1e-9)
 
 
 def beat_hz(trial: Trial) -> float:
-    """Return the frequency of the drive, or the lowest one that the trial resolves without a drive."""
+    """Return the beat frequency of a trial in Hz; without a beat, the lowest that the trial resolves."""
     drive = trial.swim.drive
     if drive is not None and drive.frequency_hz > 0:
         return float(drive.frequency_hz)
@@ -263,13 +280,15 @@ def beat_hz(trial: Trial) -> float:
 
 
 def descriptions(model: Model, trials: Sequence[Trial]) -> list[Description]:
-    """Return all descriptions that the model's hooks allow and the trials can determine."""
+    """Return all smooth effects for which the model has hooks and the trials have data."""
     found: list[Description] = []
     dynamic = any(len(t.time_s) > 1 for t in trials)
     channels = sorted({c for t in trials for c in t.measured})
 
     def top(name: str, least: float) -> float:
-        """Return the largest distance of a channel from its start."""
+        """Return the largest absolute change of a channel since the start of a trial, but at least
+        ``least``.
+        """
         series = (t.measured[name][np.isfinite(t.measured[name])] for t in trials if name in t.measured)
         return max([least, *(float(np.max(np.abs(y - y[0]))) for y in series if len(y) > 1)])
 
