@@ -1,15 +1,17 @@
 """Motion from accelerations and turn rates: ``swimid track imu``.
 
-``record`` reads a recording, ``faults`` finds what is wrong with it, and ``setup`` contains all that is known
-before the motion: sensor, rests, mounting, attitude. ``smoother`` integrates the readings and estimates the
-errors of the path with the observations of ``aiding``: for a unit by itself in ``alone``, with another log in
-``fusion`` after their ``alignment``. ``motion`` is that path at the reference point of the body. ``paper``
-contains the steps of the long-fin paper. ``track_imu`` is the command with its evidence, ``options`` are its
-options.
+``record`` reads a recording and ``faults`` finds and repairs its faults. ``setup`` determines what must be
+known before the motion is estimated: sensor errors, rests, mounting and attitude. ``smoother`` integrates the
+readings to a path and estimates the errors of this path from the observations in ``aiding``. ``alone``
+applies the smoother to the inertial unit by itself. ``fusion`` applies it to the unit together with another
+log of the same trial, after ``alignment`` of the two logs. ``motion`` computes the motion of the reference
+point of the body. ``paper`` contains the method of the long-fin paper. ``track_imu`` is the command with its
+evidence, and ``options`` contains its options.
 
 Frames
 ------
-``i`` the sensor, ``b`` the body (x forward, y to port, z up), ``w`` the world (z up). ``R_wi`` turns
-components in the sensor into those in the world. Rotations are :class:`scipy.spatial.transform.Rotation`. An
-accelerometer measures specific force: at rest it shows 1 g upwards.
+``i`` is the frame of the sensor, ``b`` that of the body (x forward, y to port, z up), and ``w`` that of the
+world (z up). ``R_wi`` converts components along sensor axes to components along world axes. Rotations are
+:class:`scipy.spatial.transform.Rotation`. An accelerometer measures specific force: at rest it shows 1 g
+upwards.
 """

@@ -1,4 +1,7 @@
-"""Observations of a path for :mod:`swimid.inertial.smoother`: rests, attitudes, statements, another log."""
+"""Observations that correct a path in :mod:`swimid.inertial.smoother`.
+
+They come from rests, attitudes, statements of the user and another log of the same trial.
+"""
 
 from __future__ import annotations
 
@@ -14,27 +17,30 @@ from swimid.inertial.setup import FILTER_MEMORY_S, QUATERNION_MEMORY_S, QUATERNI
 from swimid.inertial.smoother import Nominal, Observation, cross_matrix, jacobian
 from swimid.logs.rotation import angles
 
-#: Drift of a robot at rest in water: m/s, and rad/s.
+#: Standard deviations of the velocity, m/s, and turn rate, rad/s, of a robot at rest in drifting water.
 REST_SPEED_SD, REST_RATE_SD = 0.01, 5e-4
-#: Largest residual that is no outlier, in standard deviations.
+#: Maximum normalised residual, in standard deviations. Larger residuals are outliers.
 GATE = 6.0
-#: Body axes. The mean velocity along the last two can be stated as 0.
+#: Names of the body axes. The user can state a mean velocity of 0 along the last two axes.
 AXES = ("surge", "sway", "heave")
-#: Standard deviation of a mean velocity that is stated as 0, m/s.
+#: Standard deviation of a mean velocity that the user states as 0, m/s.
 ZERO_MEAN_SD = 0.02
-#: Interval between observations of a rest, and between those of attitude and speed, s.
+#: Interval between observations of velocity at rest, and between observations of attitude and top speed, s.
 REST_STEP_S, STEP_S = 0.5, 1.0
 
 
 def observe_alone(setup: Setup, path: Nominal) -> list[Observation]:
-    """Return the observations of a path without another log."""
+    """Return the observations of a path that need no other log."""
     stated = [AXES.index(name) for name in dict.fromkeys(setup.options.zero_mean)]
     means = [seen for axis in stated for seen in _zero_mean(setup, axis, path)]
     return [*_rests(setup, path), *_attitudes(setup, path), *means]
 
 
 def _rests(setup: Setup, path: Nominal) -> list[Observation]:
-    """Return zero velocity at rests (Skog et al. 2010), and the gyroscope's bias in still periods."""
+    """Return observations of zero velocity at rests, and of the gyroscope bias in still periods.
+
+    The method is that of Skog et al. (2010).
+    """
     record, still = setup.record, setup.still
     observations = []
     by_velocity = jacobian(path.states, 3, velocity=np.eye(3))
@@ -56,10 +62,11 @@ def _rests(setup: Setup, path: Nominal) -> list[Observation]:
 
 
 def _attitudes(setup: Setup, path: Nominal) -> list[Observation]:
-    """Return the attitude before smoothing, whose errors last.
+    """Return observations of the attitude before smoothing, whose errors are correlated in time.
 
-    The tilt of a filter is wrong for some seconds while the body accelerates. The quaternions of a sensor may
-    be wrong by the same turn all the time, so that a log of them counts as one measurement.
+    The tilt of an attitude filter is wrong for some seconds while the body accelerates. The quaternions of a
+    sensor may have the same rotation error throughout a log, so that all of them together count as one
+    measurement.
     """
     source = setup.source
     nodes = _spaced(path, np.arange(len(path.nodes)), STEP_S)
@@ -75,9 +82,10 @@ def _attitudes(setup: Setup, path: Nominal) -> list[Observation]:
 
 
 def observe_speed_limit(top_m_s: float, path: Nominal) -> list[Observation]:
-    """Return the top speed as an observation: velocity 0 with half of it as standard deviation.
+    """Return observations of velocity 0 with half of the top speed as standard deviation.
 
-    All observations of a log together weigh as one, so that a steady cruise is not pulled to rest.
+    All these observations of a log together have the weight of a single one, so that a steady cruise is not
+    pulled to rest.
     """
     nodes = _spaced(path, np.arange(len(path.nodes)), STEP_S)
     h = jacobian(path.states, 3, velocity=np.eye(3))
@@ -87,7 +95,7 @@ def observe_speed_limit(top_m_s: float, path: Nominal) -> list[Observation]:
 
 
 def _zero_mean(setup: Setup, axis: int, path: Nominal) -> Iterator[Observation]:
-    """Yield a mean body velocity of 0 in every window, as stated for sway or heave."""
+    """Yield an observation of zero mean body velocity in every window, for an axis stated by the user."""
     t, window_s = path.time_s, setup.options.window_s
     direction = (path.rotation * path.mount).apply(np.eye(3)[axis])
     for first, last in pairwise(np.searchsorted(t, np.arange(t[0], t[-1] - window_s, window_s))):
@@ -101,42 +109,44 @@ def _zero_mean(setup: Setup, axis: int, path: Nominal) -> Iterator[Observation]:
 
 @dataclass(frozen=True)
 class Fixes(Poses):
-    """Poses of another log, with their noise."""
+    """Poses measured by another log (fixes), with their noise."""
 
-    #: Standard deviations of coordinates, m, and angles, rad, shape (6,).
+    #: Standard deviations of the three coordinates, m, and the three angles, rad, shape (6,).
     noise: Array
-    #: Weights of position and attitude, shape (m, 2): 1, or less for a stray one. They divide the variance.
+    #: Weights of position and attitude, shape (m, 2). A weight is 1, or less for an outlier. It divides the
+    #: variance.
     weight: Array
-    #: Poses within the record for every clock offset, shape (m,); only these count in likelihoods.
+    #: Flags of the poses that are within the record for every candidate clock offset, shape (m,). Only these
+    #: poses contribute to the log-likelihood.
     counted: Flags
 
     @property
     def sd(self) -> Array:
-        """Standard deviations of coordinates and angles, shape (m, 6), with the weights."""
+        """Standard deviations of coordinates and angles after weighting, shape (m, 6)."""
         return np.asarray(self.noise / np.sqrt(np.repeat(self.weight, 3, axis=1)))
 
     @property
     def stray(self) -> Flags:
-        """Whether position and attitude are stray, shape (m, 2)."""
+        """Flags of positions and attitudes that are outliers, shape (m, 2)."""
         return self.weight < 1
 
     def take(self, rows: Flags) -> Fixes:
-        """Return some of the poses, given by flags of shape (m,)."""
+        """Return the poses that are selected by ``rows``, flags of shape (m,)."""
         each = ("time_s", "position", "angles", "weight", "counted")
         return replace(self, **{name: getattr(self, name)[rows] for name in each})
 
     def unweighted(self) -> Fixes:
-        """Return the poses with no stray one."""
+        """Return the poses with all weights reset to 1."""
         return replace(self, weight=np.ones_like(self.weight))
 
 
 def observe_fixes(seen: Fixes, path: Nominal, gate: float = np.inf) -> list[Observation]:
-    """Return every pose within a path as an observation.
+    """Return an observation for every pose within the time range of a path.
 
     Parameters
     ----------
     gate : float
-        Largest innovation that is no outlier, in standard deviations.
+        Maximum innovation, in standard deviations. Larger innovations are outliers.
     """
     t = path.time_s
     clock_times = seen.time_s + path.clock_s
@@ -185,32 +195,34 @@ def observe_fixes(seen: Fixes, path: Nominal, gate: float = np.inf) -> list[Obse
 
 
 def _nearest(times: Array, when: Array) -> np.ndarray:
-    """Return the indices of the nearest of some times."""
+    """Return, for each time in ``when``, the index of the nearest element of ``times``."""
     index = np.clip(np.searchsorted(times, when), 1, len(times) - 1)
     return index - ((when - times[index - 1]) < (times[index] - when))
 
 
 def _turned(measured: Rotation, turns: Flags, body: Rotation) -> tuple[Array, Array]:
-    """Return measured minus estimated attitude, shape (k, 3), and its derivative by a small turn, (k, 3, 3).
+    """Return measured minus estimated attitude and its derivative with respect to a small rotation.
 
-    Three angles together make a small turn about world axes. A single one is compared as an angle: the yaw of
-    a tilted body is not its turn about the vertical.
+    The difference has shape (k, 3), its derivative shape (k, 3, 3). If all three angles are measured, the
+    difference is a small rotation about world axes. A single measured angle is compared as an angle, because
+    the yaw of a tilted body differs from its rotation about the vertical.
     """
     if turns.all(axis=1).any():
         return (measured * body.inv()).as_rotvec(), np.broadcast_to(np.eye(3), (len(turns), 3, 3))
     off = np.column_stack(angles(measured)) - np.column_stack(angles(body))
     by_turn, pitch = turn_to_angles(body), angles(body)[1][:, None]
-    # a turn about the heading changes roll, and yaw by the tangent of the pitch
+    # at a pitch other than 0, a rotation about the heading direction changes roll by 1/cos(pitch), and also
+    # yaw
     by_turn[:, 0] /= np.maximum(np.cos(pitch), 0.1)
     by_turn[:, 2] -= np.sin(pitch) * by_turn[:, 0]
     return np.angle(np.exp(1j * off)), by_turn
 
 
 def turn_to_angles(body: Rotation) -> Array:
-    """Return the change of roll, pitch and yaw by small turns about world axes, shape (n, 3, 3).
+    """Return the derivatives of roll, pitch and yaw with respect to small rotations, shape (n, 3, 3).
 
-    The body is nearly level. Roll is about the heading, pitch about starboard (nose up), yaw about the
-    vertical.
+    The rotations are about world axes, and the body is nearly level. Roll is then about the heading
+    direction, pitch about starboard (nose up), and yaw about the vertical.
     """
     yaw = angles(body)[2]
     out = np.zeros((len(yaw), 3, 3))
@@ -221,12 +233,12 @@ def turn_to_angles(body: Rotation) -> Array:
 
 
 def rest_nodes(rest: Rest, path: Nominal) -> np.ndarray:
-    """Return the nodes within a rest."""
+    """Return the indices of the nodes of a path that lie within a rest."""
     return np.flatnonzero((path.nodes >= rest.first) & (path.nodes < rest.last))
 
 
 def _spaced(path: Nominal, nodes: np.ndarray, step_s: float) -> np.ndarray:
-    """Return some of the nodes, at least ``step_s`` apart."""
+    """Return a subset of the nodes, at least ``step_s`` apart."""
     times = path.node_s[nodes]
     marks = np.arange(times[0], times[-1] + 1e-9, step_s)
     return nodes[np.unique(np.clip(np.searchsorted(times, marks), 0, len(nodes) - 1))]

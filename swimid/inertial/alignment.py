@@ -1,7 +1,7 @@
-"""Alignment of a sensor with another log: clock offset, mounting, and the turn between the two worlds.
+"""Alignment of a sensor with another log: clock offset, mounting, and rotation between the two worlds.
 
-Each log predicts the other up to unknown factors and slow drift. The clock offset is the one at which the
-prediction is best.
+One log predicts the other by linear regression, up to slow drift. The clock offset is the one with the best
+prediction.
 """
 
 from __future__ import annotations
@@ -17,45 +17,47 @@ from swimid.inertial.record import GRAVITY_M_S2, Array, Poses, Record, integral,
 from swimid.inertial.setup import BAND, Source
 from swimid.logs.rotation import angles
 
-#: Minimum number of samples that are compared.
+#: Minimum number of samples for a comparison of two logs.
 MIN_SAMPLES = 16
-#: Longest sample time in which motion can be distinguished from drift, in periods of the drift.
+#: Maximum sample time, in periods of the drift. With a longer one, motion cannot be distinguished from drift.
 MAX_STEP = 0.2
-#: Minimum overlap of the records, relative to the shorter one.
+#: Minimum overlap of the two records, as a fraction of the shorter one.
 MIN_OVERLAP = 0.3
-#: Range of the search about its start, on each side, in periods of the signal, and number of offsets in it.
+#: Half-width of the grid in which the clock offset is searched, in periods of the signal, and number of
+#: offsets in this grid.
 SEARCH_PERIODS, N_OFFSETS = 0.6, 61
-#: Lag from which on residuals are independent, s.
+#: Maximum lag of correlated residuals, s. Residuals further apart are taken as independent.
 INDEPENDENT_S = 1.0
-#: Periods above which a signal is drift, s: of integrated turn rates, and of twice integrated accelerations.
+#: Minimum periods of drift, s: for integrated turn rates, and for accelerations integrated twice.
 SLOW_TURN_S, SLOW_PATH_S = 10.0, 2.0
-#: Minimum share of the variance that logs of one trial explain of each other.
+#: Minimum fraction of the variance of one log that the other log must explain.
 MIN_EXPLAINED = 0.2
-#: Minimum share of samples in which a coordinate is measured.
+#: Minimum fraction of samples in which a coordinate is measured.
 MIN_MEASURED = 0.1
-#: Windows over which gravity is averaged, s, and their minimum duration.
+#: Length of the windows over which gravity is averaged, s, and minimum length of a window at the end.
 GRAVITY_S, MIN_GRAVITY_S = 1.0, 0.5
-#: Smallest singular value, relative to the largest, with which turns about all axes show mirrored ones.
+#: Minimum ratio of the smallest to the largest singular value of the correlation between rotations. Below it,
+#: a mirrored axis cannot be detected.
 MIN_SINGULAR = 0.02
 
 
 @dataclass(frozen=True)
 class Offset:
-    """Offset to add to the times of one log to have those of the reference."""
+    """Time to add to one log so that its clock agrees with that of the reference log."""
 
     value_s: float
     stderr_s: float
-    #: 95 % interval.
+    #: Limits of the 95 % interval, s.
     low_s: float
     high_s: float
-    #: Share of the variance of the channels, without slow parts, that the reference explains.
+    #: Fraction of the variance of the compared channels, without drift, that the reference explains.
     explained: float
-    #: Factors of the reference channels, shape (k, d).
+    #: Regression coefficients of the other log's channels on the reference channels, shape (k, d).
     factors: Array
 
     @property
     def excludes_zero(self) -> bool:
-        """Whether equal clocks lie outside of the interval."""
+        """Whether the 95 % interval excludes an offset of 0."""
         return not self.low_s <= 0.0 <= self.high_s
 
 
@@ -68,25 +70,26 @@ def clock_offset(
     ----------
     time_s : ndarray, shape (n,)
     reference : ndarray, shape (n, k)
-        Channels of the faster, smoother log (integrated turn rates, say).
+        Channels of the log with the higher sample rate and less noise, for instance integrated turn rates.
     seen_time_s : ndarray, shape (m,)
     seen : ndarray, shape (m, d)
-        Channels of the other log: linear in those of the reference, with white noise and slow drift. NaN
-        where missing.
+        Channels of the other log: linear functions of the reference channels plus white noise and slow drift.
+        NaN where missing.
     slow_s : float
         Period above which a signal is drift, s. Drift is not compared.
 
     Returns
     -------
     Offset or None
-        None if the records hardly overlap, or do not both move.
+        None if the records hardly overlap, or if one of them does not move.
 
     Notes
     -----
-    The start is the maximum of the cross-correlation, summed over pairs of channels. From there the profile
-    likelihood of the offset is maximised (Pawitan 2001, In All Likelihood, sec. 3.4): factors, drift (cosines
-    slower than ``slow_s``) and the noise of every channel are estimated for each offset. The standard error
-    allows for correlated residuals (Newey and West 1987, doi:10.2307/1913610).
+    The search starts at the maximum of the cross-correlation, summed over pairs of channels. From there the
+    profile likelihood of the offset is maximised (Pawitan 2001, In All Likelihood, sec. 3.4). For each
+    offset, the regression coefficients, the drift (cosines slower than ``slow_s``) and the noise of every
+    channel are estimated. The standard error accounts for correlated residuals (Newey and West 1987,
+    doi:10.2307/1913610).
 
     >>> t = np.arange(0.0, 20.0, 0.01)
     >>> wave = np.sin(6 * t) + 0.3 * np.sin(14 * t)
@@ -128,7 +131,7 @@ def clock_offset(
 
 
 class _Profile:
-    """Log-likelihood of a clock offset, with all other parameters estimated."""
+    """Log-likelihood of a clock offset, maximised over all other parameters."""
 
     def __init__(self, t: Array, reference: Array, seen_t: Array, seen: Array, slow_s: float) -> None:
         self.t, self.reference = t, reference
@@ -159,7 +162,8 @@ class _Profile:
             for one in a.T:
                 energy_a = np.maximum(signal.correlate(one**2, ones_b), 1e-3 * np.sum(one**2))
                 alike += signal.correlate(one, other) ** 2 / (energy_a * energy_b) / b.shape[1]
-        # the gain of likelihood, so that a short overlap does not win by chance
+        # score the gain in log-likelihood instead of the correlation, so that a short overlap does not win by
+        # chance
         score = -0.5 * overlap * np.log(1 - np.clip(alike, 0.0, 0.999))
         shifts = signal.correlation_lags(len(a), len(b)) * step + a_t[0] - b_t[0]
         allowed = overlap >= MIN_OVERLAP * min(len(a), len(b))
@@ -168,7 +172,10 @@ class _Profile:
         return float(shifts[allowed][np.argmax(score[allowed])])
 
     def fit(self, shift: float) -> tuple[Array, Array, Array, Array] | None:
-        """Return reference, seen channels, factors and times of the overlap; None if it is too short."""
+        """Return reference channels, other channels, regression coefficients and times in the overlap.
+
+        The result is None if the overlap is too short.
+        """
         when = self.seen_t + shift
         inside = (when >= self.t[0]) & (when <= self.t[-1])
         if inside.sum() < MIN_SAMPLES:
@@ -185,11 +192,11 @@ class _Profile:
             return -np.inf
         x, y, factors, _ = fitted
         variance = np.mean((y - x @ factors) ** 2, axis=0)
-        # for the number of all samples, so that a smaller overlap is no advantage
+        # scale the log-likelihood to the number of all samples, so that a smaller overlap has no advantage
         return float(-0.5 * len(self.seen_t) * np.sum(np.log(np.maximum(variance, 1e-30))))
 
     def standard_error(self, shift: float) -> float:
-        """Return the standard error of an offset, NaN where it is undetermined."""
+        """Return the standard error of an offset, s; NaN if it cannot be determined."""
         tiny = 1e-3 * self.period_s
         here, after, before = self.fit(shift), self.fit(shift + tiny), self.fit(shift - tiny)
         if here is None or after is None or before is None:
@@ -199,7 +206,8 @@ class _Profile:
         x, y, factors, times = here
         residual = y - x @ factors
         slope = (after[0] @ factors - before[0] @ factors) / (2 * tiny)
-        # the part that other parameters can imitate has no information about the offset
+        # remove the part of the slope that other parameters can reproduce: it has no information about the
+        # offset
         slope = slope - x @ np.linalg.lstsq(x, slope, rcond=1e-9)[0]
         variance = np.maximum(np.mean(residual**2, axis=0), 1e-30)
         information = float(np.sum(slope**2 / variance))
@@ -214,38 +222,38 @@ class _Profile:
 
 
 def without_slow(t: Array, channels: Array, slow_s: float) -> Array:
-    """Return channels, shape (n, k), without the cosines whose period exceeds ``slow_s``."""
+    """Return channels, shape (n, k), after subtraction of cosines with periods above ``slow_s``."""
     duration = float(t[-1] - t[0])
     count = max(int(2 * duration / slow_s), 1) + 1
     basis = np.cos(np.pi * np.outer((t - t[0]) / max(duration, 1e-12), np.arange(count)))
-    # cosines are nearly orthogonal, so that the fast normal equations are accurate
+    # the cosines are nearly orthogonal, so that the fast normal equations are accurate
     gram = basis.T @ basis
     gram[np.diag_indices(count)] *= 1 + 1e-10
     return channels - basis @ np.linalg.solve(gram, basis.T @ channels)
 
 
 def _normal(channels: Array) -> Array:
-    """Return the channels that vary, with standard deviation 1."""
+    """Return the channels that vary, scaled to a standard deviation of 1."""
     spread = np.std(channels, axis=0)
     return channels[:, spread > 0] / spread[spread > 0]
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """Relation of a sensor to the body of another log."""
+    """Clock offset and mounting of a sensor with respect to another log of the same trial."""
 
-    #: Offset to add to the times of the other log.
+    #: Clock offset: time to add to the times of the other log.
     offset: Offset
-    #: Signal that shows it: "turn rates", "yaw", "pitch", "path"; or "given".
+    #: Signal from which the offset was estimated ("turn rates", "yaw", "pitch" or "path"), or "given".
     by: str
-    #: From body to sensor, if the other log has three angles.
+    #: Rotation from body to sensor axes; None unless the other log has three angles.
     mount: Rotation | None = None
-    #: Sign of the determinant between the turns: -1 if an axis is mirrored, 0 if unknown.
+    #: Sign of the correlation between the rotations in both logs: -1 if an axis is mirrored, 0 if unknown.
     handed: float = 0.0
 
 
 def align(record: Record, source: Source, poses: Poses) -> list[Alignment]:
-    """Return the alignments by turns and by the path, the most certain first.
+    """Return the alignments by rotations and by the path, in order of increasing standard error.
 
     Raises
     ------
@@ -265,7 +273,7 @@ def align(record: Record, source: Source, poses: Poses) -> list[Alignment]:
 
 
 def align_at(record: Record, poses: Poses, offset_s: float) -> Alignment:
-    """Return the alignment with a clock offset that is given."""
+    """Return the alignment for a given clock offset."""
     offset = Offset(offset_s, 0.0, offset_s, offset_s, np.nan, np.zeros((0, 0)))
     return _with_mount(record, poses, offset, "given")
 
@@ -307,15 +315,16 @@ def _by_path(record: Record, source: Source, poses: Poses) -> Alignment | None:
 
 
 def _summed_turns(rotation: Rotation) -> Array:
-    """Return the sum of the turns about body axes up to each attitude, shape (m, 3)."""
+    """Return the cumulative sum of the rotations about body axes up to each attitude, rad, shape (m, 3)."""
     return np.vstack([np.zeros((1, 3)), np.cumsum(turns_of(rotation), axis=0)])
 
 
 def _find_mount(record: Record, poses: Poses) -> tuple[Rotation, float]:
-    """Return the mounting from body to sensor by turns and by gravity, and the sign of the determinant.
+    """Return the mounting (body to sensor) and the sign of the correlation between the rotations.
 
-    Wahba's problem (1965, doi:10.1137/1007077), solved by SVD (Markley 1988). Gravity has the weight of all
-    turns, so that a body that turns about one axis is placed, too.
+    The mounting solves Wahba's problem (1965, doi:10.1137/1007077) by SVD (Markley 1988). The vectors are
+    rotations about body axes and the direction of gravity. Gravity has the same weight as all rotations
+    together, so that the mounting is also determined for a body that rotates about one axis only.
     """
     t = record.time_s
     rows = np.flatnonzero(poses.turned & (poses.time_s > t[0]) & (poses.time_s < t[-1]))
@@ -323,7 +332,8 @@ def _find_mount(record: Record, poses: Poses) -> tuple[Rotation, float]:
     body = without_slow(when, _summed_turns(rotation), SLOW_TURN_S)
     turned = integral(t, record.rate - record.rate.mean(axis=0))
     sensor = without_slow(when, resampled(when, t, turned), SLOW_TURN_S)
-    # means over a window from each pose: by the integral of specific force, and by the sum over poses
+    # means of gravity over a window from each pose: in the sensor from the integral of specific force, in the
+    # body from the sum over poses
     last = np.clip(np.searchsorted(when, when + GRAVITY_S), 0, len(when) - 1)
     span, count = when[last] - when, np.maximum(last - np.arange(len(when)), 1)
     long = span > MIN_GRAVITY_S
@@ -341,10 +351,10 @@ def _find_mount(record: Record, poses: Poses) -> tuple[Rotation, float]:
 
 
 def find_world_turn(record: Record, source: Source, poses: Poses, mount: Rotation) -> Rotation:
-    """Return the turn from the world of the source to that of the other log.
+    """Return the rotation from the world axes of the source to those of the other log.
 
-    It follows from the angles, if these contain a yaw. Otherwise it is the turn about the vertical that makes
-    the path by accelerations most like the measured one.
+    If the other log has a yaw, the rotation follows from its angles. Otherwise it is the rotation about the
+    vertical that best aligns the path from the accelerations with the measured path.
 
     Parameters
     ----------
@@ -376,7 +386,7 @@ def find_world_turn(record: Record, source: Source, poses: Poses, mount: Rotatio
 
 
 def _fast_path(record: Record, source: Source) -> Array:
-    """Return the accelerations integrated twice, world axes, without the drift of :data:`SLOW_PATH_S`."""
+    """Return accelerations integrated twice, along world axes, without drift slower than ``SLOW_PATH_S``."""
     force = source.rotation.apply(record.acceleration)
     path = integral(record.time_s, integral(record.time_s, force - force.mean(axis=0)))
     return without_slow(record.time_s, path, SLOW_PATH_S)

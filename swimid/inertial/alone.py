@@ -1,8 +1,8 @@
-"""Motion from an inertial unit alone, and contradictions of a motion with attitude and rests.
+"""Motion from an inertial unit alone, and checks of the motion against attitude and rests.
 
-An observation is compared with the motion that it corrects. A rest states the velocity and, through the
-accelerometer, the tilt. An attitude filter states the tilt, too. A motion that contradicts either by more
-than their uncertainty is not written.
+The smoother uses rests and attitudes as observations. Afterwards the motion is compared with them: a rest
+implies a velocity of 0 and, through the accelerometer, a tilt; an attitude filter also gives the tilt. If the
+motion contradicts either by more than their uncertainty, no position or velocity is written.
 """
 
 from __future__ import annotations
@@ -18,25 +18,26 @@ from swimid.inertial.record import Array, Finding
 from swimid.inertial.setup import DEG, QUATERNION_SD, Rest, Sensor, Setup, Stillness
 from swimid.inertial.smoother import PARTS, Nominal, Observation, Smoothed, cross_matrix, jacobian
 
-#: Standard deviation of a quantity that defines the origin, at the first sample: position, m, and yaw, rad.
+#: Standard deviation, at the first sample, of the quantities that define the origin: position, m, and yaw,
+#: rad.
 ORIGIN_SD = 1e-6
 #: Standard deviation of roll and pitch at the first sample, rad.
 START_TILT_SD = 0.05
-#: Maximum number of steps of leaving rests out. The last step leaves out all.
+#: Maximum number of iterations that exclude rests. The last iteration excludes all rests.
 MAX_STEPS = 3
-#: Minimum gain of log-likelihood of another class of sensor: "strong" evidence (Kass and Raftery 1995,
-#: doi:10.1080/01621459.1995.10476572, sec. 3.2).
+#: Minimum increase in log-likelihood for replacing the stated class of sensor by another one: "strong"
+#: evidence (Kass and Raftery 1995, doi:10.1080/01621459.1995.10476572, sec. 3.2).
 MIN_GAIN = 3.0
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Most likely motion."""
+    """Most likely motion, with the sensor errors and rests that it assumes."""
 
     smoothed: Smoothed
-    #: Still periods with the rests that were used.
+    #: Still periods, with the rests that were used.
     still: Stillness
-    #: Sensor with the errors that the log shows.
+    #: Sensor with the error class that is most likely for this recording.
     sensor: Sensor
     findings: list[Finding]
     #: Reasons why the motion is impossible; empty if it is possible.
@@ -44,10 +45,11 @@ class Estimate:
 
 
 def estimate(setup: Setup) -> Estimate:
-    """Estimate the motion, choose the class of the sensor, and test every rest.
+    """Estimate the motion, choose the error class of the sensor, and test every rest.
 
-    The errors of a consumer's chip are taken if they make the observations clearly likelier. The rest that
-    contradicts the motion most is left out, then the next, and at last all of them.
+    The errors of a consumer's chip are assumed if they clearly increase the likelihood of the observations.
+    If the motion contradicts a rest, the rest with the largest contradiction is excluded first, then the next
+    one, and finally all rests.
     """
     used, (smoothed, sensor) = setup, _choose_class(setup)
     first = smoothed, sensor
@@ -77,7 +79,7 @@ def estimate(setup: Setup) -> Estimate:
 
 
 def class_findings(stated: Sensor, shown: Sensor) -> list[Finding]:
-    """Return the finding about a log that shows the errors of another class of sensor."""
+    """Return a finding if the recording shows the errors of another class of sensor than the stated one."""
     names = [name for name, other in stated.classes().items() if other == shown != stated]
     text = "the log shows the errors of {}; bands are made for one"
     return [Finding("sensor class", "noted", text.format(name)) for name in names[:1]]
@@ -86,13 +88,14 @@ def class_findings(stated: Sensor, shown: Sensor) -> list[Finding]:
 def most_likely_class(
     stated: Smoothed, sensor: Sensor, attempt: Callable[[Sensor], Smoothed]
 ) -> tuple[Smoothed, Sensor]:
-    """Return the most likely motion and the class of its sensor.
+    """Return the most likely motion and the corresponding class of sensor.
 
     Parameters
     ----------
     stated : Smoothed
-        Motion with the stated sensor. Another class must be clearly likelier.
+        Motion with the stated class. Another class must be more likely by ``MIN_GAIN``.
     sensor : Sensor
+        Sensor of the stated class.
     attempt : callable
         Estimates the motion with another sensor.
     """
@@ -118,7 +121,7 @@ def _choose_class(setup: Setup) -> tuple[Smoothed, Sensor]:
 def smooth(
     setup: Setup, sensor: Sensor, after: Smoothed | None = None, passes: int = smoother.PASSES
 ) -> Smoothed:
-    """Return the most likely motion from the origin of the world, for one class of sensor.
+    """Return the most likely motion for one class of sensor; the path starts at the origin of the world.
 
     Parameters
     ----------
@@ -154,7 +157,7 @@ def smooth(
 
 
 def find_contradictions(setup: Setup, smoothed: Smoothed) -> list[str]:
-    """Return the contradictions of a motion with rests and attitude, a sentence each."""
+    """Return the contradictions of a motion with rests and attitude, one sentence each."""
     if not np.isfinite(smoothed.errors.mean).all():
         return ["the smoothing has no finite result"]
     sentences = [_contradiction(setup, rest, size) for rest, size in _doubted_rests(setup, smoothed)]
@@ -173,7 +176,7 @@ def find_contradictions(setup: Setup, smoothed: Smoothed) -> list[str]:
 
 
 def _doubted_rests(setup: Setup, smoothed: Smoothed) -> list[tuple[Rest, float]]:
-    """Return the rests in which the motion differs from rest by more than :data:`GATE`, and by how much."""
+    """Return the rests that the motion contradicts by more than ``GATE``, each with its contradiction."""
     sizes = [(rest, _departure(setup, smoothed, rest)) for rest in setup.still.rests]
     return [(rest, size) for rest, size in sizes if size > GATE]
 
@@ -184,7 +187,7 @@ def _contradiction(setup: Setup, rest: Rest, size: float) -> str:
 
 
 def _departure(setup: Setup, smoothed: Smoothed, rest: Rest) -> float:
-    """Return the largest departure of the motion from rest, in standard deviations."""
+    """Return the largest difference between the motion and a robot at rest, in standard deviations."""
     record, path, errors = setup.record, smoothed.path, smoothed.errors
     nodes = rest_nodes(rest, path)
     if not len(nodes):

@@ -1,7 +1,7 @@
-"""Faults of a recording: the table :data:`FAULTS` contains the test and the words of each.
+"""Faults of a recording: :data:`FAULTS` contains the test of each fault and its messages.
 
-The tests run in the order of the table. First come faults of single samples, then units and axes that differ
-from those stated, which gravity, turn rates and quaternions show by contradicting each other.
+The tests run in the order of :data:`FAULTS`. Faults of single samples come first. Faults of units and axes
+follow: they show as contradictions between gravity, turn rates and quaternions.
 """
 
 from __future__ import annotations
@@ -37,14 +37,15 @@ from swimid.logs.rotation import rearranged
 
 @dataclass(frozen=True)
 class Found:
-    """Result of a test: which words of the fault apply, with their values, and the repaired record."""
+    """Result of a test: message to use, values to insert in it, and repaired record."""
 
-    #: "handled", "noted", "refuted" or "refused"; empty for a repair that needs no words.
+    #: Name of the message: "handled", "noted", "refuted" or "refused". It is empty for a repair without a
+    #: message.
     words: str
     record: Record | None = None
-    #: Number of samples concerned, 0 for a fault that has none.
+    #: Number of affected samples; 0 if the fault does not concern single samples.
     count: int = 0
-    #: Column of a refused record.
+    #: Name of the column that made the record unusable.
     column: str = ""
     values: dict[str, Any] = field(default_factory=dict)
 
@@ -54,19 +55,19 @@ Test = Callable[[Record], Found | None]
 
 @dataclass(frozen=True)
 class Fault:
-    """Fault of a recording, with the words for each result of its test (see :class:`Finding`)."""
+    """Fault of a recording, with a message for each result of its test (see :class:`Finding`)."""
 
     test: Test
     handled: str = ""
     noted: str = ""
     refuted: str = ""
-    #: Words for a record that cannot be repaired, and what to do then.
+    #: Message for a record that cannot be repaired, and hint for the user.
     refused: str = ""
     hint: str = ""
 
 
 def repair(record: Record) -> tuple[Record, list[Finding]]:
-    """Return the record with every fault repaired, and the faults found.
+    """Return the record with every fault repaired, and the faults that were found.
 
     Raises
     ------
@@ -90,30 +91,34 @@ def repair(record: Record) -> tuple[Record, list[Finding]]:
 
 # ---------------------------------------------------------------- samples
 
-#: Maximum share of samples without a time, and of missing cells in a channel.
+#: Maximum fraction of samples without a time, and of missing values in a channel.
 MAX_MISSING = 0.5
-#: Magnitude that no sensor exceeds, in any unit.
+#: Maximum magnitude of a sensor reading, in any unit. Larger values are not measurements.
 MAX_READING = 1e5
-#: Distance of a wild reading from the others, in ranges of those, and number of samples about a single one.
+#: Maximum distance of a reading from the median of the others, in units of their range, and number of samples
+#: in the running median.
 WILD_RANGES, WINDOW = 30.0, 7
-#: Minimum duration of a stuck channel (s, samples) and the maximum share of other samples at its value.
+#: Minimum length of a stuck period, s and samples, and maximum fraction of the other samples with the same
+#: value.
 STUCK_S, STUCK_SAMPLES, STUCK_SHARE = 0.5, 25, 0.01
-#: Maximum share of stuck samples in a channel.
+#: Maximum fraction of stuck samples in a channel.
 MAX_STUCK = 0.3
-#: Share of samples that repeat the one before: rarer by chance, more often a recording without motion.
+#: Minimum and maximum fraction of samples that repeat the previous one. A smaller fraction occurs by chance;
+#: a larger one means a recording without motion.
 MIN_REPEATED, MAX_REPEATED = 0.005, 0.9
-#: Maximum share of clipped samples in a channel.
+#: Maximum fraction of clipped samples in a channel.
 MAX_CLIPPED = 0.1
-#: Step with lost samples, in sample times, and longest step without an estimate of the motion, s.
+#: Minimum time step that contains lost samples, in median sample times, and maximum time step over which the
+#: motion can be estimated, s.
 LONG_STEP, MAX_STEP_S = 1.6, 2.0
-#: Root-mean-square jitter of the time stamps worth a warning, in sample times.
+#: Minimum root-mean-square jitter of the time stamps for a warning, in sample times.
 MIN_JITTER = 0.05
-#: Maximum deviation of the length of a quaternion from 1.
+#: Maximum deviation of the norm of a quaternion from 1.
 QUATERNION_TOL = 0.05
 
 
 def find_clock_reset(record: Record) -> Found | None:
-    """Find a clock that goes back and counts on."""
+    """Find a clock that jumps back and continues from the earlier time."""
     row = in_order(record.time_s, {}).reset_row
     if row is None:
         return None
@@ -121,7 +126,10 @@ def find_clock_reset(record: Record) -> Found | None:
 
 
 def find_stamps(record: Record) -> Found | None:
-    """Find time stamps that repeat or come late; keep the first of each, in order."""
+    """Find time stamps that repeat or are out of order.
+
+    The repaired record is in order of time and has the first sample of each repeated time stamp.
+    """
     order = in_order(record.time_s, dict(zip(CHANNELS, record.channels.T, strict=True)))
     gone = order.untimed + order.repeated + order.clashing
     values = {"gone": gone, "late": order.late, "total": len(record)}
@@ -133,7 +141,7 @@ def find_stamps(record: Record) -> Found | None:
 
 
 def bridge(record: Record, bad: Flags) -> Record:
-    """Return the record with bad samples, shape (n, 6), interpolated linearly and marked as filled."""
+    """Return the record with bad samples, shape (n, 6), interpolated linearly and flagged as filled."""
     values = record.channels
     for column, hole in zip(values.T, bad.T, strict=True):
         if hole.any() and not hole.all():
@@ -147,12 +155,14 @@ def bridge(record: Record, bad: Flags) -> Record:
 
 
 def find_samples(is_bad: Callable[[Record], Flags], max_share: float) -> Test:
-    """Make a test that bridges bad samples, and refuses a channel with more than a share of them.
+    """Return a test that interpolates bad samples and refuses a channel with too many of them.
 
     Parameters
     ----------
     is_bad : callable
-        Returns the bad samples of a record, shape (n, 6).
+        Returns flags of the bad samples of a record, shape (n, 6).
+    max_share : float
+        Maximum fraction of bad samples in a channel.
     """
 
     def test(record: Record) -> Found | None:
@@ -178,12 +188,12 @@ def _by_channel(is_bad: Callable[[Record, Array], Flags]) -> Callable[[Record], 
 
 
 def is_wild(_: Record, values: Array) -> Flags:
-    """Return the readings of a channel that no motion causes: codes for "no sample", and glitches."""
+    """Return flags of readings that no motion causes: glitches, and codes that mean "no sample"."""
     flags = np.abs(np.nan_to_num(values)) > MAX_READING
     known = np.flatnonzero(np.isfinite(values) & ~flags)
     if len(known) < 2 * WINDOW:
         return flags
-    # a code is one value far from all others, however often it occurs
+    # a code is a single value far from all others, however often it occurs
     for extreme in (float(values[known].max()), float(values[known].min())):
         others = values[known][values[known] != extreme]
         if len(others) > WINDOW and abs(extreme - np.median(others)) > WILD_RANGES * np.ptp(others) > 0:
@@ -197,7 +207,10 @@ def is_wild(_: Record, values: Array) -> Flags:
 
 
 def is_stuck(record: Record, values: Array) -> Flags:
-    """Return the long runs of one value, except where the channel often has this value (coarse rounding)."""
+    """Return flags of samples in long runs of one value.
+
+    A value that also occurs often outside the run is excluded: it results from coarse rounding.
+    """
     if np.ptp(values) == 0:
         return np.ones(len(values), dtype=bool)
     flags = np.zeros(len(values), dtype=bool)
@@ -213,7 +226,7 @@ def is_stuck(record: Record, values: Array) -> Flags:
 
 
 def is_repeated(record: Record) -> Flags:
-    """Return the samples that repeat the one before: the logger reads faster than the sensor measures."""
+    """Return flags of samples that repeat the previous one because the logger is faster than the sensor."""
     same = np.concatenate(([False], np.all(np.diff(record.channels, axis=0) == 0, axis=1)))
     if not MIN_REPEATED <= np.mean(same) <= MAX_REPEATED:
         same[:] = False
@@ -221,10 +234,11 @@ def is_repeated(record: Record) -> Flags:
 
 
 def is_clipped(_: Record, values: Array) -> Flags:
-    """Return the samples at the end of a closed range.
+    """Return flags of samples that are clipped at the maximum or minimum of a channel.
 
-    The values of an open range become rare towards its ends. A closed range holds its last value for several
-    samples, three times at least, and has it more often than the last 1 % before it.
+    Without clipping, values become rare towards the maximum. A clipped channel stays at its maximum for two
+    samples or more, at least three times, and has the maximum more than twice as often as values within 1 %
+    of the range below it. The same holds for the minimum.
     """
     flags = np.zeros(len(values), dtype=bool)
     for extreme in (float(np.max(values)), float(np.min(values))):
@@ -238,7 +252,10 @@ def is_clipped(_: Record, values: Array) -> Flags:
 
 
 def find_dead_magnetometer(record: Record) -> Found | None:
-    """Find a magnetometer without measurements; interpolate one that is slower than the log."""
+    """Find a magnetometer without measurements, and remove its readings.
+
+    If the magnetometer has a lower sample rate than the log, its readings are interpolated.
+    """
     if record.magnetic is None:
         return None
     rows = _measured_rows(record, record.magnetic)
@@ -249,7 +266,10 @@ def find_dead_magnetometer(record: Record) -> Found | None:
 
 
 def find_dead_quaternion(record: Record) -> Found | None:
-    """Find quaternions that are no measured attitude; interpolate those slower than the log."""
+    """Find quaternions that are not a measured attitude, and remove them.
+
+    Quaternions with a lower sample rate than the log are interpolated.
+    """
     q, t = record.quaternion, record.time_s
     if q is None:
         return None
@@ -264,7 +284,7 @@ def find_dead_quaternion(record: Record) -> Found | None:
 
 
 def _measured_rows(record: Record, values: Array) -> np.ndarray:
-    """Return the rows with values; none if a gap between them is too long for interpolation."""
+    """Return the indices of rows with values; none if a gap is too long for interpolation."""
     rows = np.flatnonzero(np.isfinite(values).all(axis=1))
     times = np.concatenate([record.time_s[:1], record.time_s[rows], record.time_s[-1:]])
     if len(rows) < 2 or np.max(np.diff(times)) > max(STUCK_S, 2 * record.step_s):
@@ -273,7 +293,7 @@ def _measured_rows(record: Record, values: Array) -> np.ndarray:
 
 
 def find_dropped(record: Record) -> Found | None:
-    """Find missing samples. The integrals span them, and the noise model allows for them."""
+    """Find missing samples. The integrals span the gaps, and the noise model accounts for them."""
     steps = np.diff(record.time_s)
     wide, row = steps > LONG_STEP * record.step_s, int(np.argmax(steps))
     if not wide.any():
@@ -285,7 +305,7 @@ def find_dropped(record: Record) -> Found | None:
 
 
 def find_jitter(record: Record) -> Found | None:
-    """Find uneven steps. All integrals use the time stamps of the samples."""
+    """Find uneven time steps. All integrals use the time stamps of the samples."""
     steps = np.diff(record.time_s)
     single = steps[steps < LONG_STEP * record.step_s]
     jitter = sampling.rate(record.time_s).jitter
@@ -298,39 +318,45 @@ def find_jitter(record: Record) -> Found | None:
 
 # ---------------------------------------------------------------- units and axes
 
-#: Relative tolerance of gravity at rest: sensors are off by some percent, gliding adds some.
+#: Maximum relative difference between the specific force at rest and g. Scale errors are some percent, and
+#: gliding adds some.
 GRAVITY_RTOL = 0.12
-#: Minimum size of a specific force that contains gravity, in g.
+#: Minimum magnitude of a specific force that includes gravity, in g.
 MIN_GRAVITY = 0.5
-#: Units of acceleration, m/s^2. The nearest one is taken: mg and cm/s2 differ by 2 %.
+#: Units of acceleration, in m/s^2. The nearest unit is chosen; mg and cm/s2 differ by 2 %.
 UNITS = {"g": GRAVITY_M_S2, "mg": 1e-3 * GRAVITY_M_S2, "ft/s2": 0.3048, "cm/s2": 0.01}
-#: Windows in which the specific force is judged, s, and the maximum number of them for turn rates.
+#: Length of the windows in which the specific force is analysed, s, and maximum number of windows for turn
+#: rates.
 WINDOW_S, MAX_WINDOWS = 0.5, 200
-#: Averages over BLOCK_S, s, that are BLOCKS apart show the turning of gravity: over about a second
-#: accelerations weigh less than turns.
+#: Length of the blocks over which the specific force is averaged, s, and distance in blocks between compared
+#: averages. Over about a second, rotation changes the average more than acceleration does.
 BLOCK_S, BLOCKS = 0.3, 3
-#: Minimum number of averages, and minimum root-mean-square turn of gravity between them, rad.
+#: Minimum number of compared averages, and minimum root-mean-square rotation of gravity between them, rad.
 MIN_BLOCKS, MIN_TURN = 16, 0.02
-#: Maximum residual of the right unit or convention, relative to that of another one.
+#: Maximum ratio between the residual of the chosen unit or convention and that of the alternative.
 CLEAR_RATIO = 0.5
-#: Minimum correlation between the turning of gravity and the turn rates.
+#: Minimum correlation coefficient between the rotation of gravity and the turn rates.
 MIN_CORRELATION = 0.5
-#: Maximum residual of another arrangement of axes, relative to the one in the log and to the runner-up. An
-#: arrangement that explains half of the turning stays: its residual is acceleration (in a yawing swimmer
-#: ``u r`` looks like roll).
+#: Criteria for rearranging the axes of the gyroscope. BETTER and DECIDED are the maximum residuals of the
+#: best arrangement, divided by those of the logged and of the second-best arrangement. EXPLAINED is the
+#: maximum unexplained fraction of the rotation of gravity. The axes stay as logged if their unexplained
+#: fraction is below EXPLAINED: this residual can be acceleration (in a yawing swimmer ``u r`` looks like
+#: roll).
 BETTER, DECIDED, EXPLAINED = 0.5, 0.8, 0.5
-#: Turn rate above which an unconfirmed unit is doubted (99th percentile), rad/s.
+#: Threshold of the turn rate (99th percentile), rad/s. Faster turn rates in an unconfirmed unit cause a
+#: warning.
 FAST_RAD_S = 12.0
-#: Interval between compared quaternions, s, and their minimum root-mean-square turn, rad.
+#: Interval between compared quaternions, s, and minimum root-mean-square rotation between them, rad.
 STRIDE_S, MIN_STEP_RAD = 0.1, 1e-3
 
 
 def _compare_gravity(record: Record) -> tuple[float, str]:
-    """Return the size of the specific force and its unit: "m/s2", a key of :data:`UNITS`, or empty for none.
+    """Return the magnitude of the specific force, in the logged unit, and the name of the actual unit.
 
-    The stated unit is believed unless quiet samples show gravity in another one. The readings of a sensor
-    that moves all the time can have any size. Gravity then shows in their mean, or in the typical size if the
-    sensor tumbles.
+    The name is "m/s2", a key of :data:`UNITS`, or empty if no unit fits. The stated unit is assumed unless
+    samples at rest show gravity in another unit. If the sensor moves all the time, the magnitude only has to
+    exceed a minimum. Gravity then shows in the mean of the readings or, if the sensor tumbles, in their
+    median magnitude.
     """
     size = _size_at_rest(record)
     if size is None:
@@ -345,9 +371,10 @@ def _compare_gravity(record: Record) -> tuple[float, str]:
 
 
 def _size_at_rest(record: Record) -> float | None:
-    """Return the median size of the specific force in windows in which it hardly changes; None without any.
+    """Return the median magnitude of the specific force at rest, or None if the sensor is never at rest.
 
-    Its standard deviation there, relative to its size, is at most that of a sensor at rest relative to g.
+    A window is at rest if the standard deviation divided by the magnitude is at most that of a sensor at
+    rest.
     """
     size = max(round(WINDOW_S / record.step_s), 4)
     count = len(record) // size
@@ -358,7 +385,7 @@ def _size_at_rest(record: Record) -> float | None:
 
 
 def find_acceleration_unit(record: Record) -> Found | None:
-    """Find accelerations in another unit, and those in no unit that is known."""
+    """Find accelerations that are not in the stated unit or not in any known unit."""
     size, unit = _compare_gravity(record)
     if unit == "m/s2":
         return None
@@ -369,7 +396,7 @@ def find_acceleration_unit(record: Record) -> Found | None:
 
 
 def find_rate_unit(record: Record) -> Found | None:
-    """Find turn rates in degrees, judged by the turning of the quaternions or of gravity."""
+    """Find turn rates in degrees, by comparison with the rotation of the quaternions or of gravity."""
     scale, judge = _rate_scale(record)
     if scale is None or abs(np.log(scale / DEG)) >= abs(np.log(scale)):
         return None
@@ -377,7 +404,7 @@ def find_rate_unit(record: Record) -> Found | None:
 
 
 def find_unconfirmed_rates(record: Record) -> Found | None:
-    """Find fast turn rates whose unit nothing confirms."""
+    """Find fast turn rates whose unit cannot be confirmed by other columns."""
     fast = float(np.quantile(np.linalg.norm(record.rate, axis=1), 0.99))
     if fast <= FAST_RAD_S or _rate_scale(record)[0] is not None:
         return None
@@ -385,7 +412,7 @@ def find_unconfirmed_rates(record: Record) -> Found | None:
 
 
 def _rate_scale(record: Record) -> tuple[float | None, str]:
-    """Return the factor from logged to true turn rates, None if unknown, and what shows it."""
+    """Return the factor from logged to true turn rates, or None, and the name of the signal that shows it."""
     scale = _scale_by_quaternion(record)
     if scale is not None:
         return scale, "the quaternions"
@@ -396,10 +423,12 @@ def _rate_scale(record: Record) -> tuple[float | None, str]:
 
 
 def _scale_by_constant_gravity(record: Record) -> float | None:
-    """Return the unit (1, or a degree) with which the specific force is constant in the world.
+    """Return the turn-rate unit for which the specific force is constant in the world.
 
-    It works for turns of any size and speed. It is None if neither unit is clearly better than the other and
-    than no turn: for small turns, turns about the vertical, and swapped axes.
+    The unit is 1, or a degree in rad.
+    The method works for rotations of any size and speed. The result is None unless one unit is clearly better
+    than both the other unit and no rotation at all. It is None for small rotations, rotations about the
+    vertical, and swapped axes.
     """
     size = max(round(WINDOW_S / record.step_s), 4)
     starts = np.arange(0, len(record) - size, size)
@@ -418,7 +447,7 @@ def _scale_by_constant_gravity(record: Record) -> float | None:
 
 
 def _scale_by_gravity(record: Record) -> float | None:
-    """Return the factor by which the turn rates explain the turning of gravity; None if it hardly turns."""
+    """Return the factor from turn rates to the rotation of gravity, or None if gravity hardly rotates."""
     seen, up, turned = _up_turning(record)
     if len(seen) < MIN_BLOCKS:
         return None
@@ -433,7 +462,7 @@ def _scale_by_gravity(record: Record) -> float | None:
 
 
 def _scale_by_quaternion(record: Record) -> float | None:
-    """Return the factor by which the turn rates explain the quaternions; None if these hardly turn."""
+    """Return the factor from turn rates to the rotation of the quaternions, or None if they hardly rotate."""
     if record.quaternion is None:
         return None
     stride = max(round(STRIDE_S / record.step_s), 1)
@@ -454,9 +483,10 @@ def _rms_size(vectors: Array) -> float:
 
 
 def find_swapped_axes(record: Record) -> Found | None:
-    """Find the arrangement of the gyroscope's axes, of all 48, that explains the turning of gravity.
+    """Find the arrangement of the gyroscope's axes, out of 48, that explains the rotation of gravity.
 
-    Turns about the vertical, and turns that are small against accelerations, have no information.
+    Rotations about the vertical carry no information, nor do rotations that are small compared with
+    accelerations.
     """
     seen, up, turned = _up_turning(record)
     if len(seen) < MIN_BLOCKS or _rms_size(seen) < MIN_TURN:
@@ -481,14 +511,14 @@ def find_swapped_axes(record: Record) -> Found | None:
 
 
 def _up_turning(record: Record) -> tuple[Array, Array, Array]:
-    """Return how the direction of gravity turns in the sensor, by the accelerometer and by the gyroscope.
+    """Return the rotation of gravity in the sensor, by the accelerometer and by the gyroscope.
 
     Returns
     -------
     seen : ndarray, shape (m, 3)
-        Change of the unit vector of the averaged specific force.
+        Change of the unit vector along the averaged specific force.
     up, turned : ndarray, shape (m, 3)
-        That vector, and the integral of the turn rate: the change should be ``-turned x up``.
+        Unit vector and integral of the turn rate, rad. The change should be ``-turned x up``.
     """
     size = max(round(BLOCK_S / record.step_s), 1)
     m = len(record) // size
@@ -503,9 +533,9 @@ def _up_turning(record: Record) -> tuple[Array, Array, Array]:
 
 
 def find_wrong_quaternions(record: Record) -> Found | None:
-    """Find quaternions of another convention by the turns of the gyroscope; do not use them.
+    """Find quaternions of another convention by comparison with the gyroscope, and remove them.
 
-    Each order of the elements is tried with each direction.
+    Each order of the elements is tried with each direction of the rotation.
     """
     if record.quaternion is None:
         return None

@@ -1,4 +1,7 @@
-"""Motion from an inertial unit and another log of the same trial, for instance of a camera."""
+"""Motion from an inertial unit and another log of the same trial, for instance from a camera.
+
+The poses in the other log are called fixes.
+"""
 
 from __future__ import annotations
 
@@ -18,70 +21,74 @@ from swimid.inertial.setup import BAND, DEG, Sensor, Setup
 from swimid.inertial.smoother import FUSED, PARTS, Nominal, Observation, Prior, Smoothed, State
 from swimid.logs.sampling import white_noise_sd
 
-#: Standard deviations before any observation: lever, m; mounting by gravity and by turns, rad; tilt of the
-#: other log's world, rad; offset of its clock, s.
+#: Standard deviations before any observation: lever, m; mounting from gravity and from rotations, rad; tilt
+#: of the world of the other log, rad; offset of its clock, s.
 LEVER_SD, MOUNT_SD, TURNS_MOUNT_SD, TILT_SD, CLOCK_SD = 0.3, 3 * DEG, 6 * DEG, 2 * DEG, 0.05
-#: Standard deviations of a stated lever, m, of a stated mounting, rad, and of a clock offset that is held, s.
+#: Standard deviations of a stated lever, m, of a stated mounting, rad, and of a fixed clock offset, s.
 STATED_LEVER_SD, STATED_MOUNT_SD, HELD_CLOCK_SD = 1e-3, 0.5 * DEG, 1e-9
-#: Standard deviations at the first sample: velocity, m/s; tilt, and yaw of a log with and without yaw, rad.
+#: Standard deviations at the first sample: velocity, m/s; tilt, rad; and yaw, rad, if the other log has a yaw
+#: and if it has none.
 VELOCITY_SD, TILT_START_SD, YAW_SD, FREE_YAW_SD = 1.0, 0.05, 0.05, 0.2
-#: Standard deviation of the reference point about the plane of a planar log, m.
+#: Standard deviation of the reference point about the plane of motion, m, if the other log is planar.
 PLANE_SD = 0.05
-#: Minimum noise of a fix, m and rad; maximum of its first estimate (m and rad), because the third difference
-#: of sparse fixes contains motion.
+#: Minimum standard deviation of a fix, m and rad, and maximum of its first estimate, m and rad. The maximum
+#: is needed because the third differences of sparse fixes contain motion.
 MIN_SD_M, MIN_SD_RAD, MAX_START_M, MAX_START_RAD = 1e-4, 1e-3, 0.01, 0.1
-#: Maximum number of noise iterations, and the convergence tolerance of the logarithms of the noise.
+#: Maximum number of noise iterations, and convergence tolerance of the logarithm of the standard deviations.
 NOISE_STEPS, NOISE_TOL = 3, 0.1
-#: Largest share of outliers. Beyond it the path is doubted, and not the fixes.
+#: Maximum fraction of outliers among the fixes. With more outliers, a second path is estimated without
+#: rejecting them, and a warning is given.
 MAX_STRAY = 0.05
-#: Largest share of stray fixes of a possible motion.
+#: Maximum fraction of outliers among the fixes. With more outliers, the motion is impossible.
 MAX_WRONG = 0.5
-#: Factor on the bands by lasting errors of fixes that is worth a warning: four fixes then count as one.
+#: Maximum factor by which correlated errors of the fixes widen the bands. A check fails for a larger factor.
+#: At this value four fixes count as one.
 MAX_LASTING = 2.0
-#: Largest root-mean-square error of held-out fixes, in standard deviations.
+#: Maximum root-mean-square error of held-out fixes, in standard deviations.
 MAX_HELD_OUT = 1.5
-#: Duration of a block of fixes that is held out, s, and the minimum number of held-out fixes.
+#: Duration of a block of held-out fixes, s, and minimum number of held-out fixes.
 BLOCK_S, MIN_HELD_OUT = 0.5, 20
-#: Difference between mountings by turns and by gravity that is worth a finding, rad.
+#: Minimum difference between the mountings from rotations and from gravity that is reported, rad.
 MIN_MOUNT_CHANGE = 15 * DEG
-#: Ratio of standard deviation and median absolute value of normal noise, inverse.
+#: Median absolute value of normally distributed noise, divided by its standard deviation.
 MEDIAN_SHARE = 0.6745
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Errors of predicted fixes that were held out."""
+    """Errors of held-out fixes that are predicted from the other fixes."""
 
     fixes: int
-    #: Root-mean-square error of coordinates; None without positions.
+    #: Root-mean-square error of the coordinates; None if the other log has no positions.
     rms_m: float | None
-    #: Root-mean-square error in stated standard deviations. Every band is widened by it if it exceeds 1.
+    #: Root-mean-square error divided by the predicted standard deviation. If it exceeds 1, it multiplies
+    #: every band.
     deviations: float
 
 
 @dataclass(frozen=True)
 class Fused(Estimate):
-    """Most likely motion, with the relation of the two logs."""
+    """Most likely motion, with the relation between the two logs."""
 
-    #: Comparison of the two logs before they were fused.
+    #: Alignment of the two logs before they were fused.
     alignment: Alignment
-    #: Clock offset of the fused motion.
+    #: Clock offset estimated together with the motion.
     offset: Offset
-    #: Whether equal clocks explain both logs as well as an offset (Bayesian information criterion).
+    #: Whether both logs have equal clocks. This is decided by the Bayesian information criterion.
     agree: bool
     #: Fixes with their estimated noise and weights.
     fixes: Fixes
-    #: Number of fixes beyond :data:`swimid.inertial.aiding.GATE`.
+    #: Number of fixes with a residual above :data:`swimid.inertial.aiding.GATE`.
     stray: int
-    #: Factor on every band by lasting errors of the fixes; 1 if their errors are independent.
+    #: Factor by which correlated errors of the fixes widen every band; 1 if the errors are independent.
     lasting: float
-    #: None if there are too few fixes.
+    #: Errors of held-out fixes; None if there are too few fixes.
     held_out: HeldOut | None
 
 
 @dataclass(frozen=True)
 class _Problem:
-    """Both logs with the start of the mounting (body to sensor) and its standard deviation, rad."""
+    """Both logs, with the initial mounting (body to sensor) and its standard deviation, rad."""
 
     setup: Setup
     poses: Poses
@@ -92,7 +99,7 @@ class _Problem:
 
 @dataclass(frozen=True)
 class _Trial:
-    """Result of smoothing both logs; the attitude of ``setup`` is in the world of the other log."""
+    """Result of smoothing both logs. The attitude in ``setup`` refers to the world of the other log."""
 
     setup: Setup
     prior: Prior
@@ -106,10 +113,10 @@ class _Trial:
 
 
 def estimate(setup: Setup, poses: Poses) -> Fused:
-    """Align the logs, and smooth both together.
+    """Align the two logs, and smooth both together.
 
-    Equal clocks compete with every offset found. They win unless an offset makes both logs clearly likelier.
-    The bands are compared with the errors of held-out fixes.
+    Equal clocks are compared with every offset that the alignment found. They are used unless an offset
+    clearly increases the likelihood of both logs. The bands are compared with the errors of held-out fixes.
 
     Raises
     ------
@@ -164,10 +171,10 @@ def estimate(setup: Setup, poses: Poses) -> Fused:
 
 
 def _align(setup: Setup, poses: Poses) -> tuple[list[Alignment], NoTrustworthyResult | None]:
-    """Return the clock offsets found, the most certain first.
+    """Return the alignments found, in order of increasing standard error, and an exception or None.
 
-    If none is found, the clocks are assumed to agree, and the refusal is kept until the held-out fixes show
-    whether the logs move together.
+    If no offset is found, equal clocks are assumed. The exception is raised later if the held-out fixes also
+    show that the logs do not move together.
     """
     stated_s = setup.options.clock_offset_s
     if stated_s is not None:
@@ -179,7 +186,11 @@ def _align(setup: Setup, poses: Poses) -> tuple[list[Alignment], NoTrustworthyRe
 
 
 def _start_mount(setup: Setup, found: Alignment) -> tuple[Rotation, float, list[Finding]]:
-    """Return the start of the mounting: as stated, else by three angles of the other log, else by gravity."""
+    """Return the initial mounting, its standard deviation (rad), and findings.
+
+    The mounting is the stated one. Otherwise it follows from the three angles of the other log or, if these
+    are missing, from gravity.
+    """
     by_gravity = setup.mount.rotation
     if setup.mount.by == "given":
         return by_gravity, STATED_MOUNT_SD, []
@@ -196,7 +207,8 @@ def _start_mount(setup: Setup, found: Alignment) -> tuple[Rotation, float, list[
 def _first_fixes(setup: Setup, poses: Poses, alignments: list[Alignment]) -> Fixes:
     """Return the poses with a first estimate of their noise.
 
-    The poses within the record by every offset count, so that likelihoods compare the same ones.
+    Only poses within the record for every candidate offset contribute to the log-likelihood, so that offsets
+    are compared on the same poses.
     """
     position = poses.position.copy()
     sd = np.array([white_noise_sd(position[:, k], MIN_SD_M) for k in range(3)])
@@ -219,7 +231,7 @@ def _first_fixes(setup: Setup, poses: Poses, alignments: list[Alignment]) -> Fix
 
 
 def _set_clocks(problem: _Problem, alignments: list[Alignment]) -> tuple[_Trial, Offset, bool]:
-    """Return the most likely result, its clock offset, and whether it has equal clocks."""
+    """Return the most likely result, its clock offset, and whether it assumes equal clocks."""
     sensor, stated_s = problem.setup.sensor, problem.setup.options.clock_offset_s
     first = alignments[0]
     if stated_s is not None:
@@ -234,7 +246,8 @@ def _set_clocks(problem: _Problem, alignments: list[Alignment]) -> tuple[_Trial,
     counted = problem.fixes.counted.sum()
     if not counted:
         return free, _final_offset(free.smoothed, first), False
-    # Schwarz (1978, doi:10.1214/aos/1176344136): an offset is one parameter more
+    # half of the penalty of the Bayesian information criterion (Schwarz 1978, doi:10.1214/aos/1176344136) for
+    # one additional parameter, the offset
     price = 0.5 * float(np.log(counted))
     if abs(free.smoothed.path.clock_s) <= BAND * CLOCK_SD:
         equal = _smooth(problem, 0.0, free.sensor, held=True, after=free)
@@ -252,16 +265,16 @@ def _set_clocks(problem: _Problem, alignments: list[Alignment]) -> tuple[_Trial,
 def _smooth(
     problem: _Problem, offset_s: float, sensor: Sensor, *, held: bool, after: _Trial | None = None
 ) -> _Trial:
-    """Smooth both logs, and estimate noise, weights and the class of the sensor from the residuals.
+    """Smooth both logs, and estimate noise, weights and error class of the sensor from the residuals.
 
     Parameters
     ----------
     offset_s : float
-        Clock offset at the start.
+        Initial clock offset.
     held : bool
-        Whether it stays as it is.
+        Whether the clock offset is fixed at its initial value.
     after : _Trial, optional
-        Result from which to continue.
+        Result from which the iteration continues.
     """
     setup, prior = _start(problem, offset_s)
     if after is not None:
@@ -271,7 +284,8 @@ def _smooth(
         return _with_noise(begun, held=held, noise_known=True)
 
     def first(gate: float) -> _Trial:
-        # the clock is held until the velocity is known, which the effect of an offset depends on
+        # the effect of a clock offset depends on the velocity: the offset is fixed until the velocity is
+        # known
         smoothed = _fuse(setup, prior, sensor, problem.fixes, held=True, passes=2, gate=gate)
         return _Trial(setup, prior, problem.fixes, sensor, smoothed)
 
@@ -279,12 +293,12 @@ def _smooth(
     gated = _with_noise(begun, held=held)
     if begun.smoothed.errors.rejected <= MAX_STRAY * len(problem.fixes.time_s):
         return gated
-    # many outliers: either they are wrong, or the path was
+    # with many outliers, either the fixes or the path can be wrong: compare both assumptions
     return max(gated, _with_noise(first(np.inf), held=held), key=lambda trial: trial.likelihood)
 
 
 def _start(problem: _Problem, offset_s: float) -> tuple[Setup, Prior]:
-    """Return the setup in the world of the other log, and the start of the search."""
+    """Return the setup in the world of the other log, and the prior of the smoother."""
     setup, poses, mount = problem.setup, problem.poses, problem.mount
     on_record = replace(poses, time_s=poses.time_s + offset_s)
     guide = alignment.find_world_turn(setup.record, setup.source, on_record, mount) * setup.source.rotation
@@ -325,7 +339,7 @@ def _fuse(
     passes: int = 1,
     gate: float = np.inf,
 ) -> Smoothed:
-    """Smooth both logs with known noise; ``held``: the clock offset stays as it is."""
+    """Smooth both logs with known noise; ``held`` fixes the clock offset."""
     if held:
         prior = replace(prior, sd={**prior.sd, "clock_s": HELD_CLOCK_SD})
 
@@ -340,7 +354,7 @@ def _fuse(
 
 
 def _with_noise(begun: _Trial, *, held: bool, noise_known: bool = False) -> _Trial:
-    """Iterate noise, weights, the class of the sensor and the motion until the noise converges."""
+    """Iterate noise, weights, error class of the sensor and motion until the noise converges."""
     setup, prior, fixes, shown = begun.setup, begun.prior, begun.fixes, begun.sensor
     smoothed = begun.smoothed
     for step in range(NOISE_STEPS):
@@ -358,9 +372,9 @@ def _with_noise(begun: _Trial, *, held: bool, noise_known: bool = False) -> _Tri
 
 
 def _residuals(fixes: Fixes, smoothed: Smoothed) -> tuple[Array, Array]:
-    """Return the residuals of coordinates and angles, and their variance by the motion's, each shape (m, 6).
+    """Return residuals of coordinates and angles, and their variances due to the motion, each shape (m, 6).
 
-    They are NaN where nothing was measured, or outside of the record.
+    Elements are NaN where nothing was measured and for fixes outside of the record.
     """
     residual, variance = np.full((2, len(fixes.time_s), 6), np.nan)
     measured = np.hstack([np.isfinite(fixes.position), fixes.turns])
@@ -374,17 +388,20 @@ def _residuals(fixes: Fixes, smoothed: Smoothed) -> tuple[Array, Array]:
 
 
 def _is_measured(fixes: Fixes, residual: Array) -> Flags:
-    """Return the residuals of measured values, shape (m, 6), without the plane of a planar log."""
+    """Return flags of the residuals of measured values, shape (m, 6).
+
+    In a planar log, the coordinates across the plane are assumed and not measured.
+    """
     plane = np.append(fixes.noise[:3] == PLANE_SD, np.zeros(3, dtype=bool))
     return np.asarray(np.isfinite(residual) & ~plane)
 
 
 def _estimate_noise(smoothed: Smoothed, fixes: Fixes, fix_sd_m: float | None) -> Fixes:
-    """Return the fixes with noise and weights from their residuals.
+    """Return the fixes with noise and weights that are estimated from their residuals.
 
-    The noise is one step of expectation maximisation (Shumway and Stoffer 1982, sec. 3) over the fixes that
-    are not stray. The weight of a stray one decreases with the square of its distance (Cauchy). No fix is
-    excluded, so that a path that follows stray ones can recover.
+    The noise follows from one step of expectation maximisation (Shumway and Stoffer 1982, sec. 3) over the
+    fixes that are not outliers. The weight of an outlier decreases with the square of its residual (Cauchy).
+    No fix is excluded, so that a path that follows outliers can recover.
     """
     residual, variance = _residuals(fixes, smoothed)
     (place_sd, place), (turn_sd, turn) = (
@@ -419,7 +436,7 @@ def _noise_and_weight(residual: Array, variance: Array, sd: Array) -> tuple[Arra
 
 
 def _final_offset(smoothed: Smoothed, first: Alignment) -> Offset:
-    """Return the clock offset of the whole motion; innovations above their noise widen its interval."""
+    """Return the final clock offset, with an interval that is widened if innovations are too large."""
     scores = smoothed.errors.scores
     seen = [score for kind in ("position", "orientation") for score in scores.get(kind, ())]
     widening = 1.0
@@ -444,9 +461,9 @@ def _contradictions(trial: _Trial) -> list[str]:
 
 
 def _hold_out(problem: _Problem, trial: _Trial, held: bool) -> HeldOut | None:
-    """Predict every fourth block of fixes from the others.
+    """Predict every fourth block of fixes from the other blocks; return None for too few fixes.
 
-    A block lasts half a second, because neighbours would determine a single fix.
+    A block lasts half a second, because neighbouring fixes would determine a single fix.
     """
     fixes = trial.fixes
     block = np.floor((fixes.time_s - fixes.time_s[0]) / BLOCK_S).astype(int)
@@ -468,7 +485,7 @@ def _hold_out(problem: _Problem, trial: _Trial, held: bool) -> HeldOut | None:
 
 
 def _predicts(held_out: HeldOut | None, poses: Poses) -> bool:
-    """Return whether the errors of held-out fixes are small enough to say that both logs move together."""
+    """Return whether the errors of held-out fixes are small enough to show that both logs move together."""
     if held_out is None or held_out.rms_m is None or held_out.deviations > MAX_HELD_OUT:
         return False
     place = poses.position[:, np.isfinite(poses.position).any(axis=0)]
@@ -478,10 +495,10 @@ def _predicts(held_out: HeldOut | None, poses: Poses) -> bool:
 
 
 def _lasting_factor(trial: _Trial) -> float:
-    """Return the factor by which correlated errors of fixes enlarge the standard error of their mean.
+    """Return the factor by which correlated errors of the fixes enlarge the standard error of their mean.
 
-    It is the root of the integrated autocorrelation of the residuals, summed while it is positive (initial
-    sequence of Geyer 1992, doi:10.1214/ss/1177011137).
+    It is the square root of the integrated autocorrelation of the residuals. The sum ends before the first
+    autocorrelation that is not positive (initial sequence of Geyer 1992, doi:10.1214/ss/1177011137).
     """
     fixes = trial.fixes
     residual, _ = _residuals(fixes, trial.smoothed)

@@ -1,4 +1,4 @@
-"""Motion of the reference point of the body, with its standard deviations and its part within a stroke."""
+"""Motion of the reference point of the body, its standard deviations, and surge within a stroke."""
 
 from __future__ import annotations
 
@@ -19,37 +19,38 @@ from swimid.logs import beat, rhythm
 from swimid.logs.rhythm import Rhythm
 from swimid.logs.rotation import angles
 
-#: Largest half-width of the 95 % band of a trusted position: m, or relative to the distance travelled.
+#: Maximum half-width of the 95 % band of a usable position: in m, and relative to the distance travelled.
 TRUSTED_WIDTH_M, TRUSTED_SHARE = 0.1, 0.1
-#: Lowest frequency of motion within a stroke: relative to the stroke, or Hz without a stroke.
+#: Minimum frequency of motion within a stroke: relative to the stroke frequency, and in Hz if that is
+#: unknown.
 STROKE_SHARE, LOWEST_HZ = 0.5, 0.3
-#: Number of drawn trajectories of errors. It gives a standard deviation to 1 / sqrt(2 N_DRAWS) = 6 %.
+#: Number of random error trajectories. They give a standard deviation to 1 / sqrt(2 N_DRAWS) = 6 %.
 N_DRAWS = 128
-#: Minimum number of samples, and maximum cut-off frequency in sample rates, of the high-pass filter.
+#: Minimum number of samples for the high-pass filter, and its maximum cut-off frequency in sample rates.
 MIN_FILTERED, MAX_CUTOFF = 32, 0.45
-#: Names of the angles.
+#: Names of the three angles of an attitude.
 ANGLES = ("roll", "pitch", "yaw")
-#: Quantities that are empty where the motion is impossible.
+#: Quantities that are left empty where the motion is impossible.
 EMPTIED = ("position", "velocity", "body_velocity", "position_sd", "velocity_sd", "body_velocity_sd")
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Motion of the reference point at n samples; arrays have shape (n, 3)."""
+    """Motion of the reference point at n samples. Arrays have shape (n, 3)."""
 
     time_s: Array
-    #: From body to world, shape (n,).
+    #: Rotation from body to world axes, n elements.
     rotation: Rotation
-    #: World axes, m and m/s.
+    #: Position, m, and velocity, m/s, along world axes.
     position: Array
     velocity: Array
-    #: Surge, sway and heave, m/s.
+    #: Surge, sway and heave velocity, m/s.
     body_velocity: Array
-    #: Turn rate, body axes, rad/s.
+    #: Turn rate about body axes, rad/s.
     rate: Array
-    #: Acceleration of the sensor without gravity, world axes, m/s^2.
+    #: Acceleration of the sensor without gravity, along world axes, m/s^2.
     acceleration: Array
-    #: Standard deviations; angles are roll, pitch and yaw, rad.
+    #: Standard deviations, in the units of their quantities. The angles are roll, pitch and yaw, rad.
     position_sd: Array
     velocity_sd: Array
     body_velocity_sd: Array
@@ -59,17 +60,17 @@ class Motion:
 def attitude_only(
     time_s: Array, rotation: Rotation, rate: Array, acceleration: Array, attitude_sd: float
 ) -> Motion:
-    """Return a motion with empty position and velocity; see :class:`Motion` for shapes and units."""
+    """Return a motion without position and velocity; see :class:`Motion` for shapes and units."""
     empty = np.full((len(time_s), 3), np.nan)
     sd = np.full((len(time_s), 3), attitude_sd)
     return Motion(time_s, rotation, empty, empty, empty, rate, acceleration, empty, empty, empty, sd)
 
 
 def _carried(path: Nominal) -> tuple[Array, Array, Array, Array]:
-    """Return velocity and derivatives at the reference point.
+    """Return the velocity at the reference point, and the derivatives of the motion there.
 
-    The velocity has world axes and shape (n, 3). The derivatives of position, velocity and turn of the body
-    with respect to the errors at the nodes have shape (nodes, 3, states).
+    The velocity is along world axes and has shape (n, 3). The derivatives are those of position, velocity and
+    body rotation with respect to the errors at the nodes. Each has shape (nodes, 3, states).
     """
     rows = path.nodes
     rate, rotation = path.rate[rows], path.rotation[rows]
@@ -116,25 +117,26 @@ def at_reference(smoothed: Smoothed) -> Motion:
 
 
 def _in_body(body: Rotation, velocity: Array, speed_error: Array, turn_error: Array) -> Array:
-    """Return errors of the velocity along body axes, from those of velocity and turn in world axes.
+    """Return velocity errors along body axes, from the errors of velocity and rotation along world axes.
 
-    ``velocity`` has shape (n, 3). The errors have shape (n, 3, m): samples, or derivatives.
+    ``velocity`` has shape (n, 3). The errors have shape (n, 3, m), where m counts random samples or
+    derivatives.
     """
     to_body = np.swapaxes(body.as_matrix(), 1, 2)
     return np.asarray(to_body @ (speed_error + cross_matrix(velocity) @ turn_error))
 
 
 def surge_within_stroke(motion: Motion, smoothed: Smoothed, cutoff_hz: float) -> tuple[Array, Array]:
-    """Return the surge within a stroke and its standard deviation, m/s, each of shape (n,).
+    """Return the surge velocity within a stroke and its standard deviation, m/s, each of shape (n,).
 
-    The velocity is high-pass filtered along world axes before it is turned to body axes: a drift would leak
-    into the surge as the heading swings.
+    The velocity is high-pass filtered along world axes before it is converted to body axes. Otherwise drift
+    would enter the surge velocity as the heading oscillates.
 
     Notes
     -----
-    The standard deviation is that of :data:`N_DRAWS` trajectories of the errors, filtered like the velocity.
-    It contains every error above the cut-off frequency: noise, errors of scale and alignment times gravity
-    and motion, and errors of the attitude times gravity.
+    The standard deviation is that of :data:`N_DRAWS` random trajectories of the errors, filtered like the
+    velocity. It contains every error above the cut-off frequency: noise, errors of scale and alignment times
+    gravity and motion, and errors of the attitude times gravity.
     """
     fast = _high_pass(motion.time_s, motion.velocity, cutoff_hz)
     surge = motion.rotation.inv().apply(fast)[:, 0]
@@ -148,10 +150,10 @@ def surge_within_stroke(motion: Motion, smoothed: Smoothed, cutoff_hz: float) ->
 
 
 def _high_pass(time_s: Array, values: Array, cutoff_hz: float) -> Array:
-    """Return channels, shape (n, k), without their parts below ``cutoff_hz``.
+    """Return channels, shape (n, k), after a high-pass filter with the cut-off frequency ``cutoff_hz``.
 
-    The filter is a Butterworth filter of fourth order without phase shift. The result is NaN for a record
-    that is too short or too slow for it.
+    The filter is a Butterworth filter of fourth order without phase shift. The result is NaN if the record is
+    too short for the filter or has too low a sample rate.
     """
     from scipy import signal
 
@@ -169,10 +171,10 @@ def _high_pass(time_s: Array, values: Array, cutoff_hz: float) -> Array:
 
 
 def is_too_fast(velocity: Array, velocity_sd: Array, top_m_s: float) -> Flags:
-    """Return the samples that are faster than the robot can be, shape (n,).
+    """Return flags of samples in which the robot is faster than it can be, shape (n,).
 
-    Their speed exceeds the top speed by more than the 95 % band, or by more than :data:`GATE` times the
-    standard deviation that the smoother assumes for speed (half of the top speed).
+    In these samples the speed exceeds the top speed by more than the 95 % band, or it exceeds :data:`GATE`
+    times the standard deviation that the smoother assumes for the speed (half of the top speed).
     """
     speed = np.linalg.norm(velocity, axis=1)
     along = np.sqrt(np.sum((velocity * velocity_sd) ** 2, axis=1)) / np.maximum(speed, 1e-9)
@@ -183,21 +185,21 @@ def is_too_fast(velocity: Array, velocity_sd: Array, top_m_s: float) -> Flags:
 class Trust:
     """Time up to which an integrated position can be used."""
 
-    #: On the clock of the log; None if the whole position can be used.
+    #: Time on the clock of the log, s; None if the whole position can be used.
     until_s: float | None
-    #: The same from the end of a rest at the start, or from the first sample.
+    #: Usable duration from the end of a rest at the start, or from the first sample, s; None as above.
     seconds: float | None
-    #: Largest half-width of the 95 % band of the horizontal position.
+    #: Maximum half-width of the 95 % band of the horizontal position, m.
     widest_m: float
 
 
 def find_trust(time_s: Array, position: Array, position_sd: Array, moving_from_s: float) -> Trust:
-    """Find when the horizontal 95 % band first exceeds 0.1 m and 10 % of the distance travelled.
+    """Find the time at which the horizontal 95 % band exceeds both 0.1 m and 10 % of the distance travelled.
 
     Parameters
     ----------
     position, position_sd : ndarray, shape (n, 3)
-        An empty position (NaN) cannot be used.
+        Position and standard deviation, m. A position of NaN cannot be used.
     moving_from_s : float
         End of the rest at the start.
     """
@@ -218,15 +220,15 @@ def find_trust(time_s: Array, position: Array, position_sd: Array, moving_from_s
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """Motion of a recording, with all that a log and its evidence contain."""
+    """Motion of a recording, with everything that the log and its evidence contain."""
 
-    #: With the sensor and the rests that were used.
+    #: Setup, with the sensor and the rests that were used.
     setup: Setup
     findings: list[Finding]
     stroke: Rhythm | None
     cutoff_hz: float
     motion: Motion
-    #: Surge within a stroke, m/s, and its standard deviation; NaN without.
+    #: Surge velocity within a stroke and its standard deviation, m/s; NaN if not estimated.
     surge_osc: Array
     surge_osc_sd: Array
     poses: Poses | None = None
@@ -234,19 +236,19 @@ class Run:
     trust: Trust | None = None
     #: Biases of accelerometer (m/s^2) and gyroscope (rad/s) at the end, shape (6,).
     bias: Array | None = None
-    #: Root-mean-square innovation at rests, in standard deviations.
+    #: Root-mean-square innovation of the velocity at rests, in standard deviations.
     rest_score: float | None = None
-    #: Reasons for empty positions and velocities.
+    #: Reasons why positions and velocities are empty.
     impossible: tuple[str, ...] = ()
 
     @property
     def by_paper(self) -> bool:
-        """Whether the motion is that of :mod:`swimid.inertial.paper`, without standard deviations."""
+        """Whether the method is that of :mod:`swimid.inertial.paper`, which has no standard deviations."""
         return self.setup.options.method == "paper"
 
     @property
     def body_to_sensor(self) -> Rotation:
-        """Mounting of the fused motion, or else of the setup."""
+        """Rotation from body to sensor axes: the fused mounting if available, otherwise that of the setup."""
         return self.setup.mount.rotation if self.fused is None else self.fused.smoothed.path.mount
 
     @property
@@ -257,13 +259,13 @@ class Run:
 
     @property
     def stated_hz(self) -> float | None:
-        """Stroke frequency in the metadata, Hz."""
+        """Stroke frequency in the metadata, Hz; None if absent."""
         value = self.setup.record.metadata.get("frequency_hz")
         return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
     @property
     def contradiction(self) -> str | None:
-        """Contradiction between the measured and the stated stroke frequency, in words; None without."""
+        """Sentence on the contradiction between measured and stated stroke frequency; None if they agree."""
         stroke, stated = self.stroke, self.stated_hz
         if stroke is None or stated is None:
             return None
@@ -303,7 +305,7 @@ def _named(name: str, values: Array, parts: Sequence[str] = "xyz") -> dict[str, 
 
 
 def estimate(setup: Setup, findings: list[Finding], poses: Poses | None) -> Run:
-    """Estimate the motion of a recording by the method of the options.
+    """Estimate the motion of a recording by the method chosen in the options.
 
     Parameters
     ----------

@@ -1,10 +1,10 @@
-"""Motion by the steps of the long-fin paper: ``swimid track imu --method paper``.
+"""Motion by the method of the long-fin paper: ``swimid track imu --method paper``.
 
-Shang, Wang, Tan and Cheng (2012, doi:10.1017/S0263574711001159), section 5. The constant part of the readings
-is subtracted, small readings are set to zero, accelerations are turned to the earth's axes (Eq 10), and
-velocity and position follow by the trapezoidal rule (Eqs 12 and 13). The paper states neither its filter nor
-the thresholds, and no uncertainty. Subtracting the mean acceleration makes the last velocity equal the first,
-whatever the vehicle did.
+The method is that of Shang, Wang, Tan and Cheng (2012, doi:10.1017/S0263574711001159), section 5. The
+constant part of the readings is subtracted, small readings are set to zero, and accelerations are converted
+to the earth's axes (Eq 10). Velocity and position follow by the trapezoidal rule (Eqs 12 and 13). The paper
+states neither its filter, nor the thresholds, nor an uncertainty. Because the mean acceleration is
+subtracted, the final velocity always equals the initial one.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ def compute_motion(
         Attitude from body to earth, shape (n,): the inverse of ``M_e^f`` of the paper.
     options : TrackImuOptions
         Thresholds ("discarded", sec. 5.2) and motion mode. In the modes ``marching`` and ``receding`` the
-        constant part of all six channels is error and gravity. In ``rotating`` the vehicle turns at a mean
-        yaw rate, which is kept.
+        constant parts of all six channels are errors and gravity, and are subtracted. In the mode
+        ``rotating`` the mean yaw rate is motion, and is not subtracted.
 
     Returns
     -------

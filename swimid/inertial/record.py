@@ -1,4 +1,4 @@
-"""Recordings of an inertial unit, poses of another log of the same trial, and dead reckoning."""
+"""Recordings of an inertial unit, poses in another log of the same trial, and dead reckoning."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ from swimid.progress import Progress
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-#: Columns of specific force, turn rate, attitude (sensor to world) and magnetic field.
+#: Names of the columns of specific force, turn rate, both together, attitude (sensor to world) and magnetic
+#: field.
 ACCELERATION = ("ax_m_s2", "ay_m_s2", "az_m_s2")
 RATE = ("wx_rad_s", "wy_rad_s", "wz_rad_s")
 CHANNELS = (*ACCELERATION, *RATE)
@@ -36,25 +37,25 @@ MAGNETIC = ("mx", "my", "mz")
 GRAVITY_M_S2 = 9.80665
 #: Minimum number of samples of a recording.
 MIN_SAMPLES = 64
-#: Largest coordinate of a position, m: larger numbers are codes for "no sample".
+#: Maximum coordinate of a position, m. Larger values are codes for "no sample".
 MAX_POSITION_M = 1e4
-#: Minimum number of samples and maximum sample time (s) of a track in which jumps can be found.
+#: Minimum number of samples and maximum sample time (s) of a track that is searched for jumps.
 MIN_TRACK_SAMPLES, MAX_TRACK_STEP_S = 40, 0.25
 
 
 @dataclass(frozen=True)
 class Record:
-    """n samples of an inertial unit, in the axes of the sensor."""
+    """Recording of n samples of an inertial unit, in the axes of the sensor."""
 
     time_s: Array
-    #: Specific force, m/s^2, and turn rate, rad/s, shape (n, 3).
+    #: Specific force, m/s^2, and turn rate, rad/s, each of shape (n, 3).
     acceleration: Array
     rate: Array
-    #: Attitude from sensor to world (w, x, y, z), shape (n, 4).
+    #: Attitude from sensor to world as quaternions (w, x, y, z), shape (n, 4).
     quaternion: Array | None = None
     #: Magnetic field in any unit, shape (n, 3).
     magnetic: Array | None = None
-    #: Samples that were interpolated, shape (n,).
+    #: Flags of samples that were interpolated, each of shape (n,).
     filled_acceleration: Flags = field(default_factory=lambda: np.zeros(0, dtype=bool))
     filled_rate: Flags = field(default_factory=lambda: np.zeros(0, dtype=bool))
     metadata: Mapping[str, Any] = field(default_factory=dict)
@@ -80,47 +81,48 @@ class Record:
         return np.hstack([self.acceleration, self.rate])
 
     def with_channels(self, values: Array) -> Record:
-        """Return the record with other accelerations and turn rates, shape (n, 6)."""
+        """Return the record with accelerations and turn rates replaced by ``values``, shape (n, 6)."""
         acceleration, rate = (np.ascontiguousarray(half) for half in np.hsplit(values, 2))
         return replace(self, acceleration=acceleration, rate=rate)
 
     def take(self, rows: Any) -> Record:
-        """Return the record with some of its rows, given by their indices or flags."""
+        """Return the record with the rows selected by indices or flags."""
         arrays = {name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
         return replace(self, **arrays)
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Fault of a recording that was found."""
+    """Fault that was found in a recording."""
 
     #: Name of the fault, as in ``docs/imu.md``.
     fault: str
-    #: "handled": repaired, or a doubt; "noted": reported only; "refuted": a column is wrong and not used.
+    #: "handled": repaired, or suspected; "noted": reported only; "refuted": a column is wrong and is not
+    #: used.
     verdict: Literal["handled", "noted", "refuted"]
-    #: Sentence that says what was found and done.
+    #: Sentence that says what was found and what was done.
     text: str
-    #: Number of samples concerned, 0 for a fault that has none.
+    #: Number of affected samples; 0 if the fault does not concern single samples.
     count: int = 0
 
 
 def resampled(at_s: Array, time_s: Array, values: Array) -> Array:
-    """Return columns, shape (n, k), at other times by linear interpolation, shape (m, k)."""
+    """Return columns, shape (n, k), interpolated linearly to the times ``at_s``, shape (m, k)."""
     return np.column_stack([np.interp(at_s, time_s, column) for column in values.T])
 
 
 def rotations(quaternion: Array) -> Rotation:
-    """Return rotations of quaternions (w, x, y, z), shape (n, 4)."""
+    """Return the rotations given by quaternions (w, x, y, z), shape (n, 4)."""
     return Rotation.from_quat(quaternion, scalar_first=True)
 
 
 def turns_of(rotation: Rotation) -> Array:
-    """Return the turns from each attitude to the next about body axes, rad, shape (n - 1, 3)."""
+    """Return the rotation vectors from each attitude to the next about body axes, rad, shape (n - 1, 3)."""
     return np.asarray((rotation[:-1].inv() * rotation[1:]).as_rotvec())
 
 
 def level(up: Array) -> Rotation:
-    """Return the smallest turn that makes ``up``, shape (3,), the z axis.
+    """Return the smallest rotation that turns the direction ``up``, shape (3,), into the z axis.
 
     >>> level(np.array([0.0, 2.0, 0.0])).apply([0.0, 1.0, 0.0]).round(9).tolist()
     [0.0, 0.0, 1.0]
@@ -136,10 +138,10 @@ def level(up: Array) -> Rotation:
 
 @dataclass(frozen=True)
 class Poses:
-    """m poses of the robot in another log, on the clock of that log."""
+    """Poses of the robot at m times in another log, on the clock of that log."""
 
     time_s: Array
-    #: World axes, m, shape (m, 3); NaN where not measured.
+    #: Position along world axes, m, shape (m, 3); NaN where not measured.
     position: Array
     #: Roll, pitch and yaw, rad, with the signs of :func:`swimid.logs.rotation.angles`, shape (m, 3); NaN
     #: where not measured. A log has all three, or only yaw, or only pitch, or none.
@@ -147,7 +149,7 @@ class Poses:
 
     @property
     def measured(self) -> Flags:
-        """Whether each angle was measured, shape (3,)."""
+        """Flags of the angles that were measured at any time, shape (3,)."""
         return np.asarray(np.isfinite(self.angles).any(axis=0))
 
     @property
@@ -157,18 +159,18 @@ class Poses:
 
     @property
     def rotation(self) -> Rotation:
-        """Attitudes from body to world; missing angles are taken as 0."""
+        """Attitudes from body to world, with missing angles set to 0."""
         return from_angles(*np.nan_to_num(self.angles).T)
 
     @property
     def turned(self) -> Flags:
-        """Rows with every measured angle, shape (m,)."""
+        """Flags of the rows in which no measured angle is missing, shape (m,)."""
         used = self.measured
         return np.asarray(used.any() & np.isfinite(self.angles[:, used]).all(axis=1))
 
     @property
     def turns(self) -> Flags:
-        """Angles that are compared, shape (m, 3): those of rows with every measured angle."""
+        """Flags of the angles that can be compared, shape (m, 3): those in rows without a missing angle."""
         return np.isfinite(self.angles) & self.turned[:, None]
 
 
@@ -178,7 +180,7 @@ class Poses:
 def read_record(
     given: Path | Log, rules: mapping.Mapping | None, named: Path, progress: Progress
 ) -> tuple[Record, list[str]]:
-    """Return a recording, with its faults, and notes on how it was read.
+    """Return a recording without repairing its faults, and notes on how it was read.
 
     Parameters
     ----------
@@ -186,7 +188,7 @@ def read_record(
     rules : Mapping or None
         Columns and units of a foreign log.
     named : path
-        File that names the columns, for errors: the mapping, or the recording itself.
+        File that defines the columns, for error messages: the mapping, or the recording itself.
     progress : Progress
 
     Raises
@@ -213,7 +215,7 @@ def read_record(
 
 
 def read_poses(read: Log) -> Poses:
-    """Return positions and angles of another log; interpolated samples count as missing.
+    """Return positions and angles in another log; interpolated samples count as missing.
 
     Measured columns (``x_raw_m``) are preferred to smoothed ones (``x_m``).
 
@@ -254,7 +256,7 @@ def read_poses(read: Log) -> Poses:
 
 
 def _remove_wrong(read: Log, position: Array, turn: Array) -> None:
-    """Set the samples of a dense track that repeat a picture or jump to NaN, in place."""
+    """Set samples of a dense track to NaN, in place, if they repeat a picture or jump."""
     wrong = (np.abs(position) > MAX_POSITION_M).any(axis=1)
     position[wrong] = np.nan
     repeated = np.zeros_like(wrong)
@@ -274,7 +276,7 @@ def _remove_wrong(read: Log, position: Array, turn: Array) -> None:
 
 @njit(cache=True)
 def _integrate(vectors, start):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Return quaternions (x, y, z, w) after each turn (rotation vector) about body axes."""
+    """Return the quaternions (x, y, z, w) after each of the rotation vectors, which are about body axes."""
     n = len(vectors)
     q = np.empty((n + 1, 4))
     q[0] = start
@@ -306,7 +308,7 @@ def integrated_attitude(time_s: Array, rate: Array, start: Rotation) -> Rotation
 
     Notes
     -----
-    Each step turns by the trapezoidal integral of the rates plus the coning term ``(w0 x w1) dt^2 / 12``
+    Each step rotates by the trapezoidal integral of the rates plus the coning term ``(w0 x w1) dt^2 / 12``
     (Bortz 1971, doi:10.1109/TAES.1971.310252, for rates that change linearly).
     """
     dt = np.diff(time_s)[:, None]
@@ -317,6 +319,6 @@ def integrated_attitude(time_s: Array, rate: Array, start: Rotation) -> Rotation
 def integral(time_s: Array, values: Array, start: Any = 0.0) -> Array:
     """Return the trapezoidal integral of every column from the first sample, shape (n, d).
 
-    Shang et al. (2012), Eqs 12 and 13, with the steps between the samples.
+    The formulas are Eqs 12 and 13 of Shang et al. (2012), with the actual time steps between samples.
     """
     return np.asarray(cumulative_trapezoid(values, time_s, axis=0, initial=0)) + start

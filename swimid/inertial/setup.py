@@ -1,4 +1,4 @@
-"""Knowledge about a recording before its motion is estimated: sensor, rests, noise, mounting and attitude."""
+"""Sensor errors, rests, noise, mounting and attitude of a recording, before its motion is estimated."""
 
 from __future__ import annotations
 
@@ -16,31 +16,34 @@ from swimid.inertial.record import GRAVITY_M_S2, Array, Finding, Record, level, 
 from swimid.logs.log import runs
 from swimid.logs.rotation import from_angles
 
-#: m/s^2, and rad.
+#: Conversion factors: 1 mg in m/s^2, and 1 degree in rad.
 MILLI_G = 1e-3 * GRAVITY_M_S2
 DEG = np.pi / 180
-#: Standard deviations in half of a 95 % band.
+#: Half-width of a 95 % interval, in standard deviations.
 BAND = 1.96
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """Standard deviations of the errors of an inertial unit, by default of the class of the 3DM-GX1."""
+    """Standard deviations of the errors of an inertial unit. The defaults are those of the 3DM-GX1."""
 
     #: Bias before any calibration, m/s^2 and rad/s.
     acceleration_bias_sd: float = 10 * MILLI_G
     rate_bias_sd: float = 1.0 * DEG
-    #: Change of a bias in :data:`DRIFT_TIME_S`: 0.2 mg ("short-term stability", Table I of Shang et al. 2012)
-    #: and 0.02 deg/s.
+    #: Change of a bias in :data:`DRIFT_TIME_S`, m/s^2 and rad/s: 0.2 mg ("short-term stability", Table I of
+    #: Shang et al. 2012) and 0.02 deg/s.
     acceleration_drift: float = 0.2 * MILLI_G
     rate_drift: float = 0.02 * DEG
-    #: Relative error of scale and alignment of both sensors.
+    #: Relative error of scale and alignment of accelerometer and gyroscope.
     scale_sd: float = 0.005
-    #: Relative change of the scale with the reading (nonlinearity) of both sensors.
+    #: Relative change of the scale over the range of motion (nonlinearity) of accelerometer and gyroscope.
     bending_sd: float = 0.002
 
     def classes(self) -> dict[str, Sensor]:
-        """Return the unit with the errors of other classes of sensors, by name; stated errors stay."""
+        """Return copies of this unit with the errors of other classes of sensors, by name of the class.
+
+        Errors stated by the user are unchanged.
+        """
         usual = vars(Sensor())
         free = {name for name, value in vars(self).items() if value == usual[name]}
         return {
@@ -49,13 +52,14 @@ class Sensor:
         }
 
 
-#: Errors of chips as they are soldered: limits of their data sheets over sqrt(3) (uniform distribution).
-#: InvenSense MPU-6050 (PS-MPU-6000A rev. 3.4, sec. 6.1 and 6.2: +-50 mg, +-20 deg/s, scale +-3 %, cross-axis
-#: +-2 %), ICM-20948 (DS-000189: +-50 mg on a board, +-5 deg/s, +-1.5 %), Bosch BMI160 (+-40 mg, +-3 deg/s),
-#: ST LSM6DSO (+-20 mg, +-1 deg/s, +-1 %). Once warm, their biases are as steady as those of better units.
+#: Errors of chips as soldered: limits of their data sheets divided by sqrt(3) (uniform distribution). The
+#: chips are InvenSense MPU-6050 (PS-MPU-6000A rev. 3.4, sec. 6.1 and 6.2: +-50 mg, +-20 deg/s, scale +-3 %,
+#: cross-axis +-2 %), ICM-20948 (DS-000189: +-50 mg on a board, +-5 deg/s, +-1.5 %), Bosch BMI160 (+-40 mg,
+#: +-3 deg/s), and ST LSM6DSO (+-20 mg, +-1 deg/s, +-1 %). Once warm, these chips have biases as constant as
+#: those of better units.
 CHIP: dict[str, float] = {"acceleration_bias_sd": 30 * MILLI_G, "rate_bias_sd": 5.0 * DEG, "scale_sd": 0.015}
-#: Change of their biases in 100 s while they warm up: ten degrees in five minutes, at 0.5 mg and 0.16 deg/s
-#: for each (MPU-6050: +-35 mg over 70 degrees, +-20 deg/s over 125).
+#: Change of the biases of these chips in 100 s while they warm up by ten degrees in five minutes, at 0.5 mg
+#: and 0.16 deg/s per degree (MPU-6050: +-35 mg over 70 degrees, +-20 deg/s over 125 degrees).
 WARMING: dict[str, float] = {"acceleration_drift": 1.7 * MILLI_G, "rate_drift": 0.5 * DEG}
 CLASSES = {
     "a consumer's chip (biases of 30 mg, scales off by 1.5 %)": CHIP,
@@ -70,19 +74,22 @@ DRIFT_TIME_S = 100.0
 # ---------------------------------------------------------------- still periods
 
 
-#: Length of a window in which motion is judged, and minimum length of a still period, s.
+#: Length of the windows in which motion is detected, and minimum length of a still period, s.
 WINDOW_S, MIN_REST_S = 0.5, 1.0
-#: Share of the windows with the smallest standard deviations, whose maximum is the noise.
+#: Fraction of the windows that are assumed to be still. The maximum standard deviation among them is the
+#: noise.
 NOISE_SHARE = 0.05
 #: Maximum standard deviation in a still window, in units of the noise.
 NOISE_RATIO = 2.0
-#: Smallest standard deviations that are motion, however low the noise is: m/s^2 and rad/s.
+#: Minimum values of the threshold between still and moving windows, however low the noise is: standard
+#: deviations of the specific force, m/s^2, and of the turn rate, rad/s.
 MIN_MOTION_ACCELERATION, MIN_MOTION_RATE = 0.03, 0.01
-#: Largest standard deviations of a sensor at rest: m/s^2 and rad/s.
+#: Maximum standard deviations of the readings of a sensor at rest, m/s^2 and rad/s.
 MAX_REST_ACCELERATION, MAX_REST_RATE = 0.25, 0.05
-#: Largest mean turn rate of a gyroscope at rest, rad/s: 20 deg/s on each axis (InvenSense MPU-6050).
+#: Maximum mean turn rate shown by a gyroscope at rest, rad/s: 20 deg/s on each axis (InvenSense MPU-6050).
 MAX_STILL_RATE = 20 * np.sqrt(3) * DEG
-#: Share of a recording at each end within which a rest counts as one at the start or end.
+#: Fraction of a recording at each end. A still period within the first fraction is at the "start", and one
+#: within the last fraction at the "end".
 EDGE_SHARE = 0.02
 
 
@@ -96,20 +103,21 @@ class Rest:
 
     @property
     def rows(self) -> slice:
-        """Rows of the record."""
+        """Rows of the still period in the record."""
         return slice(self.first, self.last)
 
 
 def find_rests(record: Record) -> list[Rest]:
     """Return the still periods of a record.
 
-    A window is still if the standard deviations of accelerations and turn rates are within those of the least
-    moving 5 % of the record, and its mean turn rate is that of such windows.
+    A window is still if the standard deviations of specific force and turn rate are at most ``NOISE_RATIO``
+    times those of the least moving 5 % of the record, and if its mean turn rate is close to the median of
+    such windows.
 
     Notes
     -----
-    The detector of Skog et al. (2010, doi:10.1109/TBME.2010.2060723, SHOE) with a threshold from the record.
-    A body that glides without turning looks still to any inertial sensor.
+    The detector is that of Skog et al. (2010, doi:10.1109/TBME.2010.2060723, SHOE), with a threshold derived
+    from the record. A body that glides without rotation looks still to any inertial sensor.
     """
     size = max(round(WINDOW_S / record.step_s), 4)
     if len(record) < 3 * size:
@@ -135,13 +143,16 @@ def find_rests(record: Record) -> list[Rest]:
 
 
 def mean_accelerations(record: Record, rests: list[Rest]) -> Array:
-    """Return the mean acceleration of each still period, shape (periods, 3); of the record without any."""
+    """Return the mean acceleration in each still period, shape (periods, 3).
+
+    Without still periods it is the mean over the whole record.
+    """
     parts = [record.acceleration[r.rows] for r in rests] or [record.acceleration]
     return np.array([part.mean(axis=0) for part in parts])
 
 
 def mean_rate(record: Record, rests: list[Rest]) -> Array:
-    """Return the median of the mean turn rates of still periods, rad/s, shape (3,); 0 without any."""
+    """Return the median of the mean turn rates in still periods, rad/s, shape (3,); 0 without any."""
     if not rests:
         return np.zeros(3)
     return np.asarray(np.median([record.rate[r.rows].mean(axis=0) for r in rests], axis=0))
@@ -153,7 +164,7 @@ def _declared(record: Record, windows: Sequence[tuple[float, float]]) -> list[Re
     Raises
     ------
     InputError
-        When the sensor turns in one of them.
+        When the sensor rotates in a stated rest.
     """
     rests = []
     for start, end in windows:
@@ -180,19 +191,22 @@ def _rest(record: Record, first: int, last: int) -> Rest:
 class Noise:
     """White noise of the sensor."""
 
-    #: Densities, m/s^2/sqrt(Hz) and rad/s/sqrt(Hz).
+    #: Noise densities, m/s^2/sqrt(Hz) and rad/s/sqrt(Hz).
     acceleration: float
     rate: float
-    #: "still periods", "given" or "data sheet".
+    #: Source of the noise densities: "still periods", "given" or "data sheet".
     source: str
 
 
-#: Noise of a unit without still periods (MicroStrain 3DM-GX1 data sheet; Shang et al. 2012, Table I).
+#: Noise assumed without still periods (MicroStrain 3DM-GX1 data sheet; Shang et al. 2012, Table I).
 DATA_SHEET = Noise(0.4 * MILLI_G, 3.5 * DEG / 60.0, "data sheet")
 
 
 def measure_noise(record: Record, rests: list[Rest]) -> Noise:
-    """Return the white noise in still periods, all axes together; that of the data sheet without any."""
+    """Return the white noise in still periods, averaged over the axes.
+
+    Without still periods it is the noise of the data sheet.
+    """
     if not rests:
         return DATA_SHEET
     densities = []
@@ -208,7 +222,10 @@ def _moving_mean(values: Array, size: int) -> Array:
 
 
 def _deviation(values: Array, size: int) -> Array:
-    """Return the standard deviation in a window about each sample, all axes together, shape (n,)."""
+    """Return the standard deviation in a window about each sample, shape (n,).
+
+    It is the square root of the sum of the variances of all axes.
+    """
     centred = values - values.mean(axis=0)
     spread = _moving_mean(centred**2, size) - _moving_mean(centred, size) ** 2
     return np.sqrt(np.maximum(spread.sum(axis=1), 0.0))
@@ -217,59 +234,62 @@ def _deviation(values: Array, size: int) -> Array:
 # ---------------------------------------------------------------- mounting and attitude
 
 
-#: Kind of an attitude that the log itself contains.
+#: Name of the attitude source for quaternions in the log itself.
 QUATERNIONS = "quaternion columns"
-#: Standard deviation of an attitude: quaternions of a log (3DM-GX1, Table I of Shang et al.), filter (rad).
+#: Standard deviations of the attitude, rad: of quaternions in a log (3DM-GX1, Table I of Shang et al.), and
+#: of an attitude filter.
 QUATERNION_SD, FILTER_SD = 2.0 * DEG, 1.0 * DEG
-#: Minimum duration of the errors of such attitudes, s: samples within it count as one measurement.
+#: Correlation times of the attitude errors, s: minimum for quaternions, and value for a filter. Samples
+#: within this time count as one measurement.
 QUATERNION_MEMORY_S, FILTER_MEMORY_S = 10.0, 20.0
-#: Largest angle between gravity and the z axis of an upright sensor, rad.
+#: Maximum angle between the vertical and the z axis of an upright sensor, rad.
 UPRIGHT = 45 * DEG
-#: Positions of the still periods that are rests of the robot, by the option ``--rest``.
+#: Positions of the still periods that are rests of the robot, for each value of the option ``--rest``.
 REST_PLACES = {"ends": ("start", "end"), "all": ("start", "between", "end"), "none": ()}
 
 
 @dataclass(frozen=True)
 class Source:
-    """Attitude at every sample before smoothing."""
+    """Attitude at every sample before smoothing, and its source."""
 
-    #: From sensor to world, shape (n,).
+    #: Rotation from sensor to world axes, n elements.
     rotation: Rotation
-    #: Whether a compass or the filter of the sensor measures the yaw.
+    #: Whether the yaw is measured, by a compass or by the filter in the sensor.
     heading: bool
-    #: "quaternion columns", "gyroscope and accelerometer", "gyroscope, accelerometer and magnetometer".
+    #: Name of the source: "quaternion columns", "gyroscope and accelerometer" or "gyroscope, accelerometer
+    #: and magnetometer".
     kind: str
 
 
 @dataclass(frozen=True)
 class Stillness:
-    """Still periods, those of them in which the robot rests, and the noise of the sensor."""
+    """Still periods, the rests of the robot among them, and the noise of the sensor."""
 
     stretches: list[Rest]
     rests: list[Rest]
     noise: Noise
 
     def without(self, rests: list[Rest]) -> Stillness:
-        """Return the still periods without some rests."""
+        """Return the still periods without the given rests."""
         stretches, kept = ([r for r in some if r not in rests] for some in (self.stretches, self.rests))
         return replace(self, stretches=stretches, rests=kept)
 
 
 @dataclass(frozen=True)
 class Mount:
-    """Mounting of the sensor."""
+    """Mounting of the sensor on the body."""
 
-    #: From body to sensor.
+    #: Rotation from body to sensor axes.
     rotation: Rotation
-    #: How it is known.
+    #: Source of the mounting, in words: "given", "quaternions", "level at rest" or others.
     by: str
-    #: Direction of gravity in the sensor at rest, unit vector.
+    #: Unit vector opposite to gravity at rest, along sensor axes.
     up: Array
 
 
 @dataclass(frozen=True, kw_only=True)
 class Setup:
-    """Record with all that is known before its motion is estimated."""
+    """Record with everything that is determined before its motion is estimated."""
 
     record: Record
     options: TrackImuOptions
@@ -277,7 +297,7 @@ class Setup:
     still: Stillness
     mount: Mount
     source: Source
-    #: Called after each smoothing.
+    #: Function that is called after each smoothing, to show the progress.
     advance: Callable[[], Any] = lambda: None
 
     @property
@@ -289,18 +309,18 @@ class Setup:
 
     @property
     def still_rate(self) -> Array:
-        """Turn rate of the sensor in its still periods, rad/s, shape (3,)."""
+        """Median turn rate shown by the sensor in its still periods, rad/s, shape (3,)."""
         return mean_rate(self.record, self.still.stretches)
 
     @property
     def body(self) -> Record:
-        """Record in body axes, with the mounting known by gravity or stated by the user."""
+        """Record in body axes, with the mounting from gravity or as stated by the user."""
         turn, record = self.mount.rotation.inv(), self.record
         return replace(record, acceleration=turn.apply(record.acceleration), rate=turn.apply(record.rate))
 
     @property
     def attitude(self) -> Rotation:
-        """Attitude from body to world before smoothing, shape (n,)."""
+        """Attitude from body to world before smoothing, n elements."""
         return self.source.rotation * self.mount.rotation
 
     def lever(self, mount: Rotation) -> Array:
@@ -316,7 +336,10 @@ class Setup:
         return np.asarray(mount.apply(-np.asarray(self.options.lever_m)))
 
     def without(self, rests: list[Rest]) -> Setup:
-        """Return the setup without some rests, with the attitude that a filter estimates then."""
+        """Return the setup without the given rests.
+
+        An attitude that comes from a filter is estimated again.
+        """
         still, source = self.still.without(rests), self.source
         if source.kind != QUATERNIONS:
             source = _attitude(self.record, still.stretches)
@@ -324,7 +347,7 @@ class Setup:
 
 
 def prepare(record: Record, options: TrackImuOptions) -> tuple[Setup, list[Finding]]:
-    """Return rests, mounting and attitude of a record, and findings about its mounting."""
+    """Return the setup of a record (rests, mounting and attitude), and findings about its mounting."""
     still = _stillness(record, options)
     mount, findings = find_mount(record, still.stretches, options)
     setup = Setup(
@@ -341,8 +364,8 @@ def prepare(record: Record, options: TrackImuOptions) -> tuple[Setup, list[Findi
 def find_mount(record: Record, rests: list[Rest], options: TrackImuOptions) -> tuple[Mount, list[Finding]]:
     """Find the mounting without another log.
 
-    A log with quaternion columns is in body axes, since these turn the body to the world. A robot that comes
-    to rest in another position than at the start is placed by its first rest.
+    A log with quaternion columns is in body axes, since the quaternions convert from body to world. If the
+    robot comes to rest in another attitude than at the start, the mounting follows from its first rest.
 
     Raises
     ------
@@ -382,7 +405,7 @@ def find_mount(record: Record, rests: list[Rest], options: TrackImuOptions) -> t
 
 
 def _stillness(record: Record, options: TrackImuOptions) -> Stillness:
-    """Find the still periods, and decide which of them are rests."""
+    """Find the still periods, and decide which of them are rests of the robot."""
     named = _declared(record, options.still)
     free = [r for r in find_rests(record) if not any(r.first < d.last and d.first < r.last for d in named)]
     places = REST_PLACES[options.rests]
@@ -399,9 +422,10 @@ def _stillness(record: Record, options: TrackImuOptions) -> Stillness:
 def _attitude(record: Record, rests: list[Rest]) -> Source:
     """Return the attitude before smoothing.
 
-    It is that of the quaternion columns. Without them it is estimated from turn rates, accelerations and the
-    magnetic field by the offline form of VQF, which runs forwards and backwards (Laidig and Seel 2023,
-    doi:10.1016/j.inffus.2022.10.014). The yaw of the first sample is 0 without a magnetic field.
+    The attitude is that of the quaternion columns. Without quaternions it is estimated from turn rates,
+    accelerations and the magnetic field by the offline form of VQF, which runs forwards and backwards (Laidig
+    and Seel 2023, doi:10.1016/j.inffus.2022.10.014). Without a magnetic field the yaw of the first sample is
+    0.
     """
     if record.quaternion is not None:
         return Source(rotations(record.quaternion), True, QUATERNIONS)
@@ -420,5 +444,5 @@ def _attitude(record: Record, rests: list[Rest]) -> Source:
     if field is None:
         yaw = rotation[0].as_euler("ZYX")[0]
         return Source(Rotation.from_rotvec([0.0, 0.0, -yaw]) * rotation, False, "gyroscope and accelerometer")
-    # the world of VQF is east-north-up, and yaw is counted from x, which is east
+    # the world axes of VQF are east, north and up; yaw is counted from x, which is east
     return Source(rotation, True, "gyroscope, accelerometer and magnetometer")

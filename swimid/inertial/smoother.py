@@ -1,16 +1,17 @@
 """Estimation of a motion with its uncertainty by an error-state Kalman filter and smoother.
 
-Accelerations and a first attitude are integrated to a path. Its errors are estimated from the samples and
-from all observations (rests, attitudes, statements of the user, another log). The same follows about the
-corrected path, until it converges: the iterated smoother of Bell (1994, doi:10.1137/0804035), which makes
-Gauss-Newton steps on the whole path. The search does not start from integrated turn rates: after a minute of
-fast turning their attitude is off by radians, which small corrections cannot repair.
+Accelerations are integrated along a first estimate of the attitude. The result is a path. Its errors are
+estimated from the samples and from all observations (rests, attitudes, statements of the user, another log).
+This is repeated about the corrected path until it converges: the iterated smoother of Bell (1994,
+doi:10.1137/0804035), which makes Gauss-Newton steps on the whole path. The iteration does not start from
+integrated turn rates: after a minute of fast rotation their attitude is wrong by radians, and small
+corrections cannot repair it.
 
-The errors are those of position, velocity and attitude (true minus estimated, a small turn about world axes),
-the biases of accelerometer and gyroscope (sensor axes), and their errors of scale and alignment. With another
-log there are also the lever from the sensor to the reference point, the mounting turn, the tilt of the world
-against gravity, and the offset between the clocks. The smoother is that of Rauch, Tung and Striebel (1965,
-doi:10.2514/3.3166).
+The errors are those of position, velocity and attitude (true minus estimated, a small rotation about world
+axes), the biases of accelerometer and gyroscope (sensor axes), and their errors of scale and alignment. With
+another log there are also the errors of the lever from the sensor to the reference point, of the mounting, of
+the tilt of the world against gravity, and of the offset between the clocks. The smoother is that of Rauch,
+Tung and Striebel (1965, doi:10.2514/3.3166).
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from threadpoolctl import threadpool_limits
 from swimid.inertial.record import GRAVITY_M_S2, Array, Record, integral, integrated_attitude, resampled
 from swimid.inertial.setup import DRIFT_TIME_S, Noise, Sensor
 
-#: Place of each part in the vector of errors; scales are matrices by rows.
+#: Position of each part in the vector of errors. Errors of scale are 3 x 3 matrices, stored by rows.
 PARTS = {
     "position": slice(0, 3),
     "velocity": slice(3, 6),
@@ -43,33 +44,35 @@ PARTS = {
 }
 #: Number of errors without and with another log.
 ALONE, FUSED = 33, 42
-#: Number of errors that change by the equations of motion. The others are constant or drift.
+#: Number of errors that change by the equations of motion. The other errors are constant or drift.
 MOVING = 9
 
 
 #: Errors that change from sample to sample.
 CHANGING = ("position", "velocity", "rotation", "acceleration_bias", "rate_bias")
-#: Number of linearisations; biases and attitude converge in two.
+#: Number of linearisations. Biases and attitude converge in two.
 PASSES = 3
-#: Step with lost samples, in sample times.
+#: Minimum time step that contains lost samples, in median sample times.
 LONG_STEP = 1.5
-#: Correlation time of motion that interpolated samples hide, and of errors of scale (half a stroke), s.
+#: Correlation time of the motion hidden by interpolated samples, and of nonlinearity errors (half a stroke),
+#: s.
 HIDDEN_S, RHYTHM_S = 0.1, 0.5
-#: Maximum step between nodes, s, and maximum number of nodes.
+#: Maximum step between nodes, s, and maximum number of nodes. Errors are estimated at the nodes.
 NODE_S, MAX_NODES = 0.02, 20_000
-#: Smallest eigenvalue that is added to a predicted covariance so that it is regular.
+#: Value added to the diagonal of a predicted covariance, so that the matrix can be inverted.
 RIDGE = 1e-18
 
 
 def jacobian(states: int, *shape: int, **by: Array) -> Array:
-    """Return derivatives with respect to all errors, shape (*shape, states), from those of the parts.
+    """Return derivatives with respect to all errors, shape (*shape, states).
 
     Parameters
     ----------
     states : int
-        Number of errors; without another log the parts beyond it are left out.
+        Number of errors. Parts of the vector of errors beyond this number, which need another log, are
+        omitted.
     **by : ndarray
-        Derivatives with respect to a part, by its name in :data:`PARTS`.
+        Derivatives with respect to a part, by its name in :data:`PARTS`. Other derivatives are 0.
     """
     out = np.zeros((*shape, states))
     for name, values in by.items():
@@ -83,19 +86,21 @@ class Observation:
     """Measurement of m values that depend on the errors at one node."""
 
     node: int
-    #: Kind of observation: innovations are reported by kind.
+    #: Kind of observation. Innovations are reported separately for each kind.
     kind: str
-    #: Measured minus predicted, shape (m,).
+    #: Measured minus predicted values, shape (m,).
     residual: Array
-    #: Derivatives with respect to the errors, shape (m, states).
+    #: Derivatives of the values with respect to the errors, shape (m, states).
     sensitivity: Array
-    #: Standard deviations of independent noise, shape (m,).
+    #: Standard deviations of the independent noise of the values, shape (m,).
     sd: Array
-    #: Largest innovation in standard deviations; observations beyond it are outliers and not used.
+    #: Maximum innovation, in standard deviations. Observations with larger innovations are outliers and are
+    #: not used.
     gate: float = np.inf
-    #: Whether it counts in the likelihood. One that other clock offsets put outside of the record does not.
+    #: Whether the observation contributes to the log-likelihood. Observations that are outside of the record
+    #: for another candidate clock offset do not.
     counted: bool = True
-    #: Index of the pose in another log; -1 for none.
+    #: Index of the pose in another log; -1 for other observations.
     fix: int = -1
 
 
@@ -103,22 +108,22 @@ class Observation:
 class Errors:
     """Smoothed errors at the nodes."""
 
-    #: Shape (nodes, states).
+    #: Means of the errors, shape (nodes, states).
     mean: Array
-    #: Shape (nodes, states, states).
+    #: Covariances of the errors, shape (nodes, states, states).
     covariance: Array
-    #: Smoother gains, shape (nodes - 1, states, states): they relate the errors of successive nodes.
+    #: Smoother gains, shape (nodes - 1, states, states). They relate the errors at successive nodes.
     gain: Array
-    #: Log-likelihood of the observations that count.
+    #: Log-likelihood of the observations with ``counted``.
     likelihood: float
-    #: Normalised innovations by kind of observation.
+    #: Normalised innovations for each kind of observation.
     scores: dict[str, list[Array]]
-    #: Number of outliers.
+    #: Number of observations that are outliers.
     rejected: int
 
     @threadpool_limits.wrap(limits=1)
     def draw(self, sensitivity: Array, count: int) -> Array:
-        """Draw trajectories of functions of the errors, about their mean.
+        """Draw random trajectories of linear functions of the errors, about their mean.
 
         Parameters
         ----------
@@ -130,14 +135,14 @@ class Errors:
         Returns
         -------
         ndarray, shape (nodes, m, count)
-            The seed is fixed, so that the same errors give the same trajectories.
+            Values of the functions. The seed is fixed, so that equal errors give equal trajectories.
 
         Notes
         -----
-        Backward sampling (Fruehwirth-Schnatter 1994, doi:10.1111/j.1467-9892.1994.tb00184.x). Given the
-        errors x at node k + 1, those at node k are Gaussian with mean G x and covariance
-        P(k) - G P(k + 1) G', where G is the smoother gain and P the smoothed covariance. The trajectories
-        have the smoothed covariance at every node, and the right correlation between nodes.
+        The method is backward sampling (Fruehwirth-Schnatter 1994, doi:10.1111/j.1467-9892.1994.tb00184.x).
+        Given the errors x at node k + 1, the errors at node k are Gaussian with mean G x and covariance P(k)
+        - G P(k + 1) G', where G is the smoother gain and P the smoothed covariance. The trajectories have the
+        smoothed covariance at every node and the correct correlation between nodes.
         """
         rng = np.random.default_rng(0)
         nodes, states = self.mean.shape
@@ -165,7 +170,7 @@ def smooth_errors(
     observations: list[Observation],
     defect: Array,
 ) -> Errors:
-    """Return the errors, by a Kalman filter forwards and a smoother backwards.
+    """Return the smoothed errors, by a Kalman filter forwards and a smoother backwards.
 
     Parameters
     ----------
@@ -212,7 +217,10 @@ def smooth_errors(
 
 
 def _update(mean: Array, cov: Array, seen: Observation) -> tuple[Array, Array, Array | None, float]:
-    """Return mean, covariance, normalised innovation and log-likelihood; an outlier changes nothing."""
+    """Return mean, covariance, normalised innovation and log-likelihood after an observation.
+
+    An outlier leaves mean and covariance unchanged, and its innovation is None.
+    """
     h = seen.sensitivity
     innovation = seen.residual - h @ mean
     shared = h @ cov
@@ -239,30 +247,31 @@ def cross_matrix(vectors: Array) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class State:
-    """Quantities that have the errors of :data:`PARTS`, at one time; of a path, at n samples."""
+    """Quantities whose errors are in :data:`PARTS`, at one time or, for a path, at n samples."""
 
-    #: From sensor to world.
+    #: Rotation from sensor to world axes.
     rotation: Rotation
-    #: Of the sensor in world axes, shape (3,) or (n, 3).
+    #: Position, m, and velocity, m/s, of the sensor along world axes, shape (3,) or (n, 3).
     position: Array = field(default_factory=partial(np.zeros, 3))
     velocity: Array = field(default_factory=partial(np.zeros, 3))
-    #: Sensor axes, shape (3,) or (n, 3).
+    #: Biases of accelerometer, m/s^2, and gyroscope, rad/s, along sensor axes, shape (3,) or (n, 3).
     acceleration_bias: Array = field(default_factory=partial(np.zeros, 3))
     rate_bias: Array = field(default_factory=partial(np.zeros, 3))
-    #: Errors of scale and alignment, shape (3, 3): their product with the reading is subtracted.
+    #: Errors of scale and alignment, shape (3, 3). The product of this matrix and a reading is subtracted
+    #: from the reading.
     acceleration_scale: Array = field(default_factory=partial(np.zeros, (3, 3)))
     rate_scale: Array = field(default_factory=partial(np.zeros, (3, 3)))
     #: Vector from the sensor to the reference point, sensor axes, m, shape (3,).
     lever: Array = field(default_factory=partial(np.zeros, 3))
-    #: From body to sensor.
+    #: Rotation from body to sensor axes.
     mount: Rotation = field(default_factory=Rotation.identity)
-    #: Horizontal components of gravity in the world, over g, shape (2,).
+    #: Horizontal components of gravity along world axes, divided by g, shape (2,).
     tilt: Array = field(default_factory=partial(np.zeros, 2))
-    #: Offset to add to the times of the other log.
+    #: Clock offset: time to add to the times of the other log, s.
     clock_s: float = 0.0
 
     def corrected(self, error: Array) -> Self:
-        """Return the state with its error added, shape (states,), or (n, states) for a path."""
+        """Return the state with an error added, shape (states,), or (n, states) for a path."""
         parts: dict[str, Any] = {}
         for name, part in PARTS.items():
             off, value = error[..., part], getattr(self, name)
@@ -277,7 +286,7 @@ class State:
         return replace(self, **parts)
 
     def minus(self, other: State) -> Array:
-        """Return the difference to another state as an error, shape (FUSED,)."""
+        """Return the difference from another state as an error, shape (FUSED,)."""
         parts = []
         for name in PARTS:
             here, there = getattr(self, name), getattr(other, name)
@@ -293,13 +302,13 @@ class Nominal(State):
     """Path at n samples about which the errors are estimated."""
 
     time_s: Array
-    #: Corrected specific force, sensor axes, shape (n, 3).
+    #: Corrected specific force, sensor axes, m/s^2, shape (n, 3).
     force: Array
-    #: Corrected turn rate, sensor axes, shape (n, 3).
+    #: Corrected turn rate, sensor axes, rad/s, shape (n, 3).
     rate: Array
     #: Rows at which the errors are estimated, shape (nodes,).
     nodes: np.ndarray
-    #: Number of errors.
+    #: Number of errors: :data:`ALONE` or :data:`FUSED`.
     states: int
 
     @property
@@ -309,19 +318,19 @@ class Nominal(State):
 
     @property
     def acceleration(self) -> Array:
-        """Acceleration of the sensor, world axes, gravity removed, shape (n, 3)."""
+        """Acceleration of the sensor without gravity, world axes, m/s^2, shape (n, 3)."""
         return self.rotation.apply(self.force) + gravity(self.tilt)
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Knowledge before any observation."""
+    """Knowledge about the motion before any observation."""
 
-    #: Attitude from sensor to world at which the search starts, shape (n,).
+    #: Attitude from sensor to world at which the iteration starts, n elements.
     guide: Rotation
     #: State at the first sample.
     state: State
-    #: Standard deviations of its parts, except for the biases and scales of the sensor.
+    #: Standard deviations of the parts of the state, except for the biases and scales of the sensor.
     sd: Mapping[str, Any]
 
 
@@ -330,20 +339,20 @@ class Smoothed:
     """Corrected path with the covariance of its errors."""
 
     path: Nominal
-    #: Errors of the last pass.
+    #: Errors estimated in the last linearisation.
     errors: Errors
-    #: State at the first sample from which a next pass starts.
+    #: State at the first sample, with which another linearisation would start.
     origin: State
 
     def score(self, kind: str) -> float | None:
-        """Return the root-mean-square normalised innovation of a kind of observation; None without any."""
+        """Return the root-mean-square normalised innovation of a kind of observation; None if it has none."""
         if kind not in self.errors.scores:
             return None
         return float(np.sqrt(np.mean(np.concatenate(self.errors.scores[kind]) ** 2)))
 
 
 def gravity(tilt: Array) -> Array:
-    """Return gravity in the world, m/s^2, shape (3,)."""
+    """Return gravity along world axes, m/s^2, shape (3,)."""
     return -GRAVITY_M_S2 * np.array([tilt[0], tilt[1], 1.0])
 
 
@@ -358,7 +367,7 @@ def smooth(
     after: Smoothed | None = None,
     passes: int = PASSES,
 ) -> Smoothed:
-    """Estimate the most likely motion.
+    """Estimate the most likely motion of the sensor, with the covariance of its errors.
 
     Parameters
     ----------
@@ -369,9 +378,10 @@ def smooth(
     observe : callable
         Returns the observations of a path; see :mod:`swimid.inertial.aiding`.
     states : int
-        :data:`ALONE`, or :data:`FUSED` to estimate lever, mounting, tilt of the world and clock, too.
+        Number of errors: :data:`ALONE`, or :data:`FUSED` to estimate also lever, mounting, tilt of the world
+        and clock.
     after : Smoothed, optional
-        Result from which to continue.
+        Result from which the iteration continues.
     passes : int
         Number of linearisations.
     """
@@ -387,7 +397,7 @@ def smooth(
         transition, defect = _transitions(record, path)
         mean = prior.state.minus(now)[:states]
         errors = smooth_errors(mean, covariance, transition, driving, observe(path), defect)
-        # the next linearisation has constant biases: their means over the record
+        # the next linearisation assumes constant biases, equal to the means over the record
         begin, mean = errors.mean[0].copy(), errors.mean.mean(axis=0)
         begin[MOVING:ALONE] = mean[MOVING:ALONE]
         now, path = now.corrected(begin), _corrected(record, path, errors)
@@ -395,7 +405,7 @@ def smooth(
 
 
 def _node_rows(time_s: Array) -> np.ndarray:
-    """Return the rows of a record at which its errors are estimated, shape (m,)."""
+    """Return the rows of a record at which the errors are estimated, shape (nodes,)."""
     spacing = max(NODE_S, float(time_s[-1] - time_s[0]) / MAX_NODES)
     if np.median(np.diff(time_s)) >= spacing:
         return np.arange(len(time_s))
@@ -404,7 +414,7 @@ def _node_rows(time_s: Array) -> np.ndarray:
 
 
 def _integrated(record: Record, prior: Prior, states: int) -> Nominal:
-    """Return the path that accelerations make in the first attitude."""
+    """Return the path by integration of the accelerations along the attitude of the prior."""
     t, start = record.time_s, prior.state
     known = {**vars(start), "rotation": prior.guide, "nodes": _node_rows(t), "states": states}
     path = _about(record, start, Nominal(**known, time_s=t, force=record.acceleration, rate=record.rate))
@@ -413,7 +423,7 @@ def _integrated(record: Record, prior: Prior, states: int) -> Nominal:
 
 
 def _about(record: Record, origin: State, path: Nominal) -> Nominal:
-    """Return the path with readings that are corrected by the biases and scales of a state."""
+    """Return the path with its readings corrected by the biases and scales of the state ``origin``."""
     force = record.acceleration - origin.acceleration_bias - record.acceleration @ origin.acceleration_scale.T
     rate = record.rate - origin.rate_bias - record.rate @ origin.rate_scale.T
     constant = {name: getattr(origin, name) for name in PARTS if name not in CHANGING}
@@ -423,7 +433,7 @@ def _about(record: Record, origin: State, path: Nominal) -> Nominal:
 
 
 def _corrected(record: Record, path: Nominal, errors: Errors) -> Nominal:
-    """Return the path and its readings with their errors corrected."""
+    """Return the path with the estimated errors added and its readings corrected accordingly."""
     x = resampled(path.time_s, path.node_s, errors.mean)
     bias_a, bias_w = x[:, PARTS["acceleration_bias"]], x[:, PARTS["rate_bias"]]
     scale_a, scale_w = (x[-1, PARTS[name]].reshape(3, 3) for name in ("acceleration_scale", "rate_scale"))
@@ -449,9 +459,9 @@ def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:
     """Return the transition matrices of the steps between nodes, and their defects, shape (steps, 9).
 
     The matrices are exp(F dt) to third order in dt, with means over the step (Groves 2013, Principles of
-    GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed., sec. 14.2, without the turning of
-    the earth). A defect is the change of position, velocity and attitude that the samples make in a step,
-    less that of the path. It is 0 for a path that was integrated from the samples.
+    GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed., sec. 14.2, without the rotation of
+    the earth). A defect is the change of position, velocity and attitude in a step according to the samples,
+    minus the change of the path in this step. It is 0 for a path that was integrated from the samples.
     """
     t, rows, states, turn = path.time_s, path.nodes, path.states, path.rotation.as_matrix()
     dt = np.diff(t[rows])[:, None]
@@ -461,7 +471,10 @@ def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:
         return steps.reshape(-1, *values.shape[1:])
 
     def turn_by(readings: Array) -> Array:
-        """Return products of columns of the rotation matrix and components of readings (fastest)."""
+        """Return products of columns of the rotation matrix and components of readings.
+
+        The index of the component varies fastest.
+        """
         parts = [mean(turn * readings[:, None, j, None]) for j in range(3)]
         return np.stack(parts, axis=-1).reshape(-1, 3, 9)
 
@@ -495,7 +508,7 @@ def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:
 
 
 def _driving_noise(record: Record, sensor: Sensor, noise: Noise, path: Nominal) -> Array:
-    """Return the covariance that each step between nodes adds, shape (steps, states, states).
+    """Return the covariance that is added in each step between nodes, shape (steps, states, states).
 
     It contains the noise of the sensor, its nonlinearity, and the motion that missing samples hide.
     """
@@ -506,7 +519,7 @@ def _driving_noise(record: Record, sensor: Sensor, noise: Noise, path: Nominal) 
         lost = filled[1:] | filled[:-1]
         variance = density**2 * dt
         variance += float(np.sum(np.std(readings, axis=0) ** 2)) * (hidden**2 + lost * dt * HIDDEN_S)
-        # nonlinearity follows the rhythm of the motion: white noise beyond half a stroke
+        # nonlinearity errors are correlated over half a stroke; over longer times they act as white noise
         variance += sensor.bending_sd**2 * np.sum(moving[1:] ** 2, axis=1) * dt * RHYTHM_S
         return np.diff(np.concatenate([[0.0], np.cumsum(variance)])[path.nodes])
 

@@ -1,4 +1,4 @@
-"""``swimid track imu``: a log of motion, with its evidence, from an inertial recording."""
+"""The command ``swimid track imu``: from an inertial recording to a log of motion and its evidence."""
 
 from __future__ import annotations
 
@@ -46,28 +46,30 @@ from swimid.results.evidence import (
 def track_imu(
     imu: LogLike, *, options: TrackImuOptions, output: str | Path | None = None, progress: Progress = silent
 ) -> Logged:
-    """Compute velocity, position and attitude from an inertial recording, with their bands.
+    """Compute velocity, position and attitude from an inertial recording, with 95 % bands.
 
-    The other log can be a table, with positions (m), angles (rad), or both. The mapping can be a dict of
-    names and units of foreign columns.
+    The other log (``other``) can be a table with positions (m), angles (rad), or both. The mapping
+    (``map_path``) can be a dict of names and units of foreign columns.
 
     Parameters
     ----------
     imu : path, Log or DataFrame
-        The recording, shape (n, k), n at least 64: ``t_s``, specific force ``ax_m_s2`` to ``az_m_s2``, turn
-        rate ``wx_rad_s`` to ``wz_rad_s``, in the sensor's axes, optionally with ``qw`` to ``qz`` and ``mx``
-        to ``mz``. Logs with other columns need a mapping.
+        Recording with at least 64 rows and the columns ``t_s``, ``ax_m_s2`` to ``az_m_s2`` (specific force)
+        and ``wx_rad_s`` to ``wz_rad_s`` (turn rate), in the sensor's axes. Optional columns are ``qw`` to
+        ``qz`` (quaternion) and ``mx`` to ``mz`` (magnetic field). Logs with other columns need a mapping.
     output : path, optional
-        Log to write, CSV or Parquet by its ending, with ``<stem>.evidence.json`` beside it. Without it
-        nothing is written; :meth:`~swimid.results.result.Result.save` writes the same later.
+        Log to write, CSV or Parquet by its ending. ``<stem>.evidence.json`` is written to the same folder.
+        Without ``output`` nothing is written; :meth:`~swimid.results.result.Result.save` writes the files
+        later.
     progress : Progress
-        Shows reading and smoothing.
+        Shows the progress of reading and smoothing.
 
     Returns
     -------
     Logged
-        ``.frame`` has n rows: position (m), attitude (rad), velocity in the body and in the world (m/s),
-        turn rates (rad/s), accelerations (m/s^2), each with its standard deviation.
+        ``.frame`` has one row for each sample: position (m), attitude (rad), velocity along body axes and
+        along world axes (m/s), all with standard deviations, and turn rates (rad/s) and accelerations
+        (m/s^2).
 
     Raises
     ------
@@ -80,8 +82,8 @@ def track_imu(
 
     Notes
     -----
-    An error-state Kalman filter and Rauch-Tung-Striebel smoother (Rauch, Tung and Striebel, 1965,
-    doi:10.2514/3.3166; Groves, 2013, ch. 14); ``method="paper"`` follows Shang et al. (2012),
+    The method is an error-state Kalman filter and Rauch-Tung-Striebel smoother (Rauch, Tung and Striebel,
+    1965, doi:10.2514/3.3166; Groves, 2013, ch. 14). ``method="paper"`` follows Shang et al. (2012),
     doi:10.1017/S0263574711001159.
 
     Examples
@@ -141,31 +143,31 @@ VQF = (
     "Laidig, D., Seel, T. (2023). VQF: Highly accurate IMU orientation estimation with bias estimation and "
     "magnetic disturbance rejection. Information Fusion 91, 187-204. doi:10.1016/j.inffus.2022.10.014"
 )
-#: Largest root-mean-square innovation at rests, in standard deviations. Two rests make at least six
-#: innovations. Their chi-square exceeds four times its degrees of freedom in 1 of 2000 cases.
+#: Maximum root-mean-square innovation of the velocity at rests, in standard deviations. Two rests give at
+#: least six innovations. Their chi-square exceeds four times its degrees of freedom in 1 of 2000 cases.
 MAX_REST_SCORE = 2.0
-#: Maximum number of samples, and of poses of the other log, in a figure.
+#: Maximum number of samples, and of poses in the other log, in a figure.
 N_DRAWN, N_DRAWN_POSES = 2000, 800
-#: Verdict of a check by that of a finding, and the code of its warning.
+#: Verdict of a check and code of its warning, for each verdict of a finding.
 GRADES: dict[str, tuple[Literal["info", "warn", "fail"], str]] = {
     "noted": ("info", ""),
     "handled": ("warn", "SWM080"),
     "refuted": ("fail", "SWM090"),
 }
-#: Checks that fail if they do not pass. The others warn.
+#: Names of the checks that fail if they do not pass. The other checks warn.
 FAIL = ("Possible motion", "Lasting errors of fixes", "Fixes left out")
 
-#: Code of the warning, name, value and limit of a check, whether it passes, and the reason if not.
+#: Code of the warning, name, value and limit of a check, whether it passes, and the reason if it does not.
 Test = tuple[str, str, str, str, bool, str]
 
 
 def _result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> Logged:
-    """Return the log of a run with its evidence; warn of the checks that do not pass.
+    """Return the log of a recording with its evidence; warn of the checks that do not pass.
 
     Parameters
     ----------
     notices : sequence of Notice
-        Warnings recorded so far, to which the recorder adds those of the checks.
+        Warnings recorded so far. The recorder adds those of the checks.
     """
     record, options = run.setup.record, run.setup.options
     columns, checks = run.columns(), _checks(run)
@@ -202,7 +204,7 @@ def _result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> 
 
 
 def _still_periods(run: Run) -> Iterator[tuple[float, float, str, bool]]:
-    """Yield start, end and place of each still period, and whether it is used as a rest."""
+    """Yield start, end and position of each still period, and whether it is used as a rest."""
     t, still = run.setup.record.time_s, run.setup.still
     for rest in still.stretches:
         yield float(t[rest.first]), float(t[rest.last - 1]), rest.at, rest in still.rests
@@ -213,7 +215,7 @@ def _rms(values: Array) -> float | None:
 
 
 def _largest(values: Any) -> float | None:
-    """Return the maximum of the finite values; None without any."""
+    """Return the maximum of the finite values; None if there are none."""
     finite = np.asarray(values)[np.isfinite(values)]
     return float(finite.max()) if finite.size else None
 
@@ -313,7 +315,7 @@ def _fusion(fused: Fused) -> dict[str, Any]:
 
 
 def _checks(run: Run) -> list[Check]:
-    """Return the checks of a run; warn of each that has a code and does not pass."""
+    """Return the checks of a recording; warn of each check that does not pass and has a code."""
     checks, name = [], run.setup.record.name
     for f in run.findings:
         grade, code = GRADES[f.verdict]
@@ -338,7 +340,7 @@ def _motion_tests(run: Run) -> Iterator[Test]:
     reason = "no still period found; the biases are known to data-sheet accuracy only"
     yield "SWM082", "Still periods", str(count), "at least one", count > 0, reason
     size = float(np.mean(np.linalg.norm(mean_accelerations(setup.record, setup.still.stretches), axis=1)))
-    # the 95 % band of the bias and scale of the sensor's class
+    # half-width of the 95 % band, relative to g, from bias and scale of the sensor's class
     share = BAND * float(np.hypot(setup.sensor.acceleration_bias_sd / GRAVITY_M_S2, setup.sensor.scale_sd))
     value, limit = f"{size:.3f} m/s²", f"{GRAVITY_M_S2:.3f} ± {100 * share:.1f} %"
     yield "", "Gravity", value, limit, abs(size / GRAVITY_M_S2 - 1) <= share, f"gravity is {value}"
@@ -493,7 +495,7 @@ def _figures(run: Run) -> list[Figure]:
 def _panels(
     run: Run, names: Sequence[str], unit: str, values: Array, sds: Array, *, fixes: bool = False
 ) -> list[Panel]:
-    """Return a panel over time for each column with its band; ``fixes`` adds positions of the other log."""
+    """Return a panel over time for each column, with its band; ``fixes`` adds positions in the other log."""
     t = run.setup.record.time_s
     spans = [Span(start=start, end=end, label="rest") for start, end, _, used in _still_periods(run) if used]
     every = slice(None, None, max(len(t) // N_DRAWN, 1))

@@ -1,7 +1,7 @@
-"""Colour of a marker, its centre in one frame, and the table of all markers in all frames.
+"""Colour of a marker, position of its centre in one frame, and positions of all markers in all frames.
 
 :class:`ColourModel` is a range of colours that follows slow changes of light. :func:`measure` returns a
-marker in a window as a :class:`Blob`, and :class:`RawTrack` holds all markers in all frames.
+marker in a window as a :class:`Blob`. :class:`RawTrack` contains all markers in all frames.
 """
 
 from __future__ import annotations
@@ -19,21 +19,22 @@ from numpy.typing import NDArray
 
 from swimid.tracking.setup import HsvRange
 
-#: Gain by which a confident detection moves the colour model.
+#: Fraction of a colour difference by which a confident detection moves the colour model.
 ADAPTATION = 0.12
 #: Maximum drift of the colour model from the setup: hue (OpenCV steps of 2 deg), saturation, value (of 255).
 MAX_DRIFT = np.array([6.0, 40.0, 70.0])
-#: Drift from which a warning is given, in the same units.
+#: Threshold of the drift of the colour model, in the same units. A larger drift causes a warning.
 NOTABLE_DRIFT = np.array([3.0, 20.0, 30.0])
-#: Width outside the range, in saturation and value (of 255), of pixels that count if they touch the range.
+#: Extension of the range of saturation and value (of 255). Pixels in the extended range belong to the marker
+#: if they touch pixels in the original range.
 SLACK = 20.0
-#: Minimum saturation of a pixel whose hue is compared in the widened range (of 255).
+#: Minimum saturation (of 255) in the extended range. Less saturated pixels have no reliable hue.
 MIN_SATURATION = 30.0
-#: Half a turn and a turn of hue on the 8-bit scale of OpenCV.
+#: Half and whole period of the hue on the 8-bit scale of OpenCV.
 _HALF, _TURN = 90.0, 180.0
-#: Minimum chroma of a pixel that has a colour (largest minus smallest channel, grey levels).
+#: Minimum chroma of a coloured pixel, in grey levels. Chroma is the largest minus the smallest channel.
 MIN_CHROMA = 24
-#: Names of hues, and their upper limits in degrees.
+#: Names of hues, and upper limits of these hues in degrees.
 _NAMES = ("red", "orange", "yellow", "green", "cyan", "blue", "violet", "magenta", "red")
 _LIMITS = (15, 45, 70, 165, 200, 260, 290, 345, 361)
 _TOUCH = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
@@ -70,21 +71,21 @@ class ColourModel:
     def mask(self, hsv: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return 255 for pixels of an OpenCV HSV picture that belong to the marker, shape (rows, columns).
 
-        Pixels slightly outside the range belong to it if they touch pixels inside it (within ``_TOUCH``).
-        Therefore a range that is slightly too narrow does not split the marker, and a background of a similar
-        colour adds only a narrow rim.
+        Pixels slightly outside the range belong to the marker if they touch pixels inside the range (within
+        ``_TOUCH``). Therefore a range that is slightly too narrow does not split the marker, and a background
+        of a similar colour adds only a narrow rim.
         """
         strong = _within(hsv, self._strong)
         near = cv2.dilate(strong, _TOUCH)
         return cv2.bitwise_or(strong, cv2.bitwise_and(near, _within(hsv, self._weak)))
 
     def holds(self, hsv: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which colours, shape (n, 3) on OpenCV's scale, are in the widened range."""
+        """Return flags of the colours, shape (n, 3) on OpenCV's scale, that are in the extended range."""
         pixels = np.clip(np.round(hsv), 0, 255).astype(np.uint8).reshape(1, -1, 3)
         return np.asarray(_within(pixels, self._weak)[0] > 0)
 
     def distance(self, hsv: NDArray[np.float64]) -> float:
-        """Return the distance of a mean colour from the middle of the range; it is 1 at the limits."""
+        """Return the distance of a mean colour from the middle of the range, divided by the half-width."""
         centre = self._centre + self.drift
         hue = abs(hue_difference(hsv[0], centre[0])) / max(self._half_width, 1.0)
         half = np.maximum((self._upper - self._lower) / 2, 1.0)
@@ -106,7 +107,7 @@ class ColourModel:
             self._move(self.drift * (1 - 0.2 * ADAPTATION))
 
     def restart(self) -> None:
-        """Return the model to the colours of the setup, after it followed another thing."""
+        """Reset the model to the colours of the setup, after another object was taken for the marker."""
         self._first = None
         self.largest_drift = np.zeros(3)
         self._move(np.zeros(3))
@@ -123,9 +124,9 @@ class ColourModel:
         self._weak = self._arcs(0.25 * self._half_width + 3.0, SLACK)
 
     def _arcs(self, hue_slack: float, slack: float) -> _Bounds:
-        """Return bounds for ``cv2.inRange``: one box of colours, or two if the hue range contains 0."""
+        """Return bounds for ``cv2.inRange``: one colour range, or two ranges if the hues include 0."""
         shift = np.round(self.drift)
-        # a bound at the end of the scale is no limit and stays there
+        # a bound at the end of the scale is no limit and is not moved
         low = np.clip(np.where(self._lower <= 0, 0, self._lower + shift[1:] - slack), 0, 255)
         high = np.clip(np.where(self._upper >= 255, 255, self._upper + shift[1:] + slack), 0, 255)
         low[0] = max(low[0], min(self._lower[0], MIN_SATURATION))
@@ -153,22 +154,23 @@ def _within(hsv: NDArray[np.uint8], bounds: _Bounds) -> NDArray[np.uint8]:
 
 
 def hue_difference(a: Any, b: Any) -> Any:
-    """Return a - b on the circle of 180 steps, in [-90, 90)."""
+    """Return a - b for hues, modulo the period of 180 steps, in [-90, 90)."""
     return (a - b + _HALF) % _TURN - _HALF
 
 
 def colour_difference(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a - b of two HSV colours, with the hue on its circle."""
+    """Return a - b for two HSV colours, with the difference in hue modulo its period."""
     out = a - b
     out[0] = hue_difference(a[0], b[0])
     return out
 
 
 def has_colour(hsv: Any, usual: Any, hue: float, saturation: float) -> Any:
-    """Return whether colours, shape (3,) or (3, n), agree with a usual colour in hue and saturation.
+    """Return whether colours, shape (3,) or (3, n), agree with a reference colour in hue and saturation.
 
-    HSV is on the scale of OpenCV, and ``saturation`` is relative to the usual one. If the usual colour is
-    nearly grey, its hue is noise and is not compared.
+    Colours are HSV on the scale of OpenCV. ``hue`` is the maximum difference in hue, and ``saturation`` the
+    maximum difference in saturation relative to the reference. If the reference is nearly grey, its hue is
+    noise and is not compared.
     """
     least = 255 * MIN_CHROMA / max(float(usual[2]), 1.0)
     saturated = np.abs(hsv[1] - usual[1]) <= max(saturation * usual[1], least)
@@ -184,7 +186,7 @@ def mean_hsv(bgr: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def chroma(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return largest minus smallest channel of the smoothed picture, shape (rows, columns)."""
+    """Return the largest minus the smallest channel of the smoothed picture, shape (rows, columns)."""
     blue, green, red = cv2.split(cv2.blur(frame, (3, 3)))
     return cv2.subtract(cv2.max(cv2.max(blue, green), red), cv2.min(cv2.min(blue, green), red))
 
@@ -210,15 +212,16 @@ def describe_colours(frames: list[NDArray[np.uint8]]) -> str:
     return f"Colours in the picture: {listed}"
 
 
-#: Words of the status column by code: not found, found in a window, in a larger window, in the whole picture.
+#: Values of the status column, by code: not found, found in a window, in a larger window, in the whole
+#: picture.
 STATUS = ("lost", "window", "grown", "full")
 LOST, WINDOW, GROWN, FULL = range(4)
 #: Status of a pose if the edge of the picture cuts one of its markers.
 CUT = "cut"
-#: Width of the surroundings of a blob that its rim and its background are measured in, px.
+#: Width of the surroundings of a blob, px, in which its rim and its background are measured.
 MARGIN = 8
-#: Minimum contrast of a blob: in grey levels, and over the standard deviation of its background, up to
-#: MAX_SCATTER grey levels.
+#: Minimum contrast of a blob: in grey levels, and as a multiple of the standard deviation of its background.
+#: At most MAX_SCATTER grey levels of the standard deviation are counted.
 MIN_CONTRAST, MIN_CONTRAST_RATIO, MAX_SCATTER = 12.0, 1.2, 15.0
 _KERNEL3 = np.ones((3, 3), np.uint8)
 _KERNEL5 = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
@@ -226,50 +229,50 @@ _KERNEL5 = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 
 @dataclass(eq=False, slots=True)
 class Blob:
-    """A measured patch of the colour of a marker. Lengths are in px of the picture."""
+    """Measured patch of pixels with the colour of a marker. Lengths are in px of the picture."""
 
-    #: Centre, with sub-pixel resolution.
+    #: Coordinates of the centre, with sub-pixel resolution.
     x: float
     y: float
-    #: Number of pixels.
+    #: Number of pixels of the picture.
     area: float
-    #: Left, top, right, bottom; right and bottom exclusive.
+    #: Left, top, right and bottom side of the bounding box. Right and bottom are exclusive.
     box: tuple[int, int, int, int]
-    #: Distance between the mean colours of the patch and of its background, grey levels.
+    #: Difference between the mean colours of the patch and of its background, grey levels.
     contrast: float
-    #: From 0 to 1.
+    #: Confidence of the detection, from 0 to 1.
     confidence: float
-    #: Mean colour on the scale of OpenCV, shape (3,).
+    #: Mean colour as HSV on the scale of OpenCV, shape (3,).
     hsv: NDArray[np.float64]
-    #: Whether it touches the edge of the picture, so that its centre is biased inwards.
+    #: Whether the blob touches the edge of the picture. The centre is then biased inwards.
     at_edge: bool
     #: Index into :data:`STATUS`.
     status: int = FULL
 
     def away(self, x: float, y: float) -> float:
-        """Return the distance of the centre from a place, px."""
+        """Return the distance of the centre from a point, px."""
         return math.hypot(self.x - x, self.y - y)
 
     @property
     def radius(self) -> float:
-        """Half of the longer side of the box."""
+        """Half of the longer side of the bounding box, px."""
         return 0.5 * max(self.box[2] - self.box[0], self.box[3] - self.box[1])
 
 
 @dataclass(eq=False, slots=True)
 class Patch:
-    """A connected patch of a colour mask, before it is measured."""
+    """Connected patch of a colour mask, before it is measured."""
 
     #: Outline in pixels of the mask, shape (n, 1, 2).
     contour: NDArray[np.int32]
-    #: In pixels of the picture.
+    #: Area in pixels of the picture.
     area: float
-    #: Box in pixels of the mask; right and bottom exclusive.
+    #: Bounding box in pixels of the mask. Right and bottom are exclusive.
     left: int
     top: int
     right: int
     bottom: int
-    #: Whether the border of the window cuts it.
+    #: Whether the border of the window cuts the patch.
     clipped: bool
 
     def box(self, origin: tuple[int, int], step: int) -> tuple[int, int, int, int]:
@@ -280,12 +283,12 @@ class Patch:
 
 @njit(cache=True)
 def _weighted_centre(bgr, inner, near, far, step):  # type: ignore[no-untyped-def]  # noqa: C901 # pragma: no cover
-    """Return the centre of a marker, its contrast, the scatter of the background, and the mean colour.
+    """Return centre, contrast, standard deviation of the background, and mean colour of a marker.
 
     ``inner`` is the filled core (weight 1), ``near`` the dilated patch, and all pixels outside ``far`` are
     background. One pixel of these masks covers ``step`` x ``step`` pixels of the picture. The colour of each
-    pixel is projected on the line from the mean background colour (0) to the mean core colour (1). This
-    opacity a gives the weight clip((a - 1/4) / (1/2), 0, 1).
+    pixel is projected on the line from the mean background colour (0) to the mean core colour (1). The
+    projection a gives the weight clip((a - 1/4) / (1/2), 0, 1) of the pixel.
     """
     core, back, square = np.zeros(3), np.zeros(3), np.zeros(3)
     n_core = n_back = 0
@@ -342,7 +345,7 @@ def marker_mask(window: NDArray[np.uint8], model: ColourModel) -> NDArray[np.uin
 
 
 def thinned(window: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
-    """Return the middle pixel of every complete ``step`` x ``step`` block of a window."""
+    """Return a reduced window with the middle pixel of every complete ``step`` x ``step`` block."""
     if step == 1:
         return window
     half = step // 2
@@ -363,7 +366,7 @@ def find_patches(
     Parameters
     ----------
     mask : ndarray of uint8, shape (rows, columns)
-        Pixels of the marker are not 0.
+        Mask that is not 0 in pixels of the marker.
     area_px : (float, float)
         Minimum and maximum area in pixels of the picture.
     step : int
@@ -397,15 +400,16 @@ def find_patches(
 def measure(
     window: NDArray[np.uint8], patch: Patch, *, step: int, origin: tuple[int, int], picture: tuple[int, int]
 ) -> Blob | None:
-    """Return a patch of a window as a :class:`Blob`, or None if it has no contrast to its background.
+    """Return a patch of a window as a :class:`Blob`, or None if its contrast to the background is too low.
 
     Parameters
     ----------
     window : ndarray of uint8, shape (rows, columns, 3)
         Part of the picture at full resolution.
     patch : Patch
-        From a mask with every ``step``-th pixel of the window.
+        Patch of a mask that contains every ``step``-th pixel of the window.
     step : int
+        Width of a pixel of the mask in pixels of the picture.
     origin : (int, int)
         Upper left corner of the window in the picture, px.
     picture : (int, int)
@@ -465,14 +469,14 @@ NOT_SEEN: Row = (math.nan, math.nan, math.nan, 0.0, LOST, False)
 
 @dataclass(frozen=True)
 class RawTrack:
-    """Table of all markers in all frames, in px of the picture.
+    """Detections of all markers in all frames, in px of the picture.
 
     Attributes
     ----------
     times : ndarray, shape (n,)
-        s.
+        Times of the frames, s.
     names : list of str
-        The m markers.
+        Names of the m markers.
     x, y, area, confidence : ndarray, shape (m, n)
         NaN (confidence 0) in frames without a detection. The y axis points down. If the edge of the picture
         cuts the marker, the centre is that of the visible part.
@@ -483,12 +487,12 @@ class RawTrack:
     drift : dict of str to ndarray, shape (3,)
         Maximum drift of the colour of each kind of marker: hue (2 deg), saturation, value (of 255).
     rivals : dict of str to int
-        Maximum number of other things of the colour in one frame.
+        Maximum number of other objects of the same colour in one frame, for each kind of marker.
     mistaken : dict of str to (int, float)
-        Number of detections of another thing that was first taken for the marker, and its area in px.
+        Number of detections of another object that was first taken for the marker, and its area in px.
     change : ndarray, shape (n,), optional
-        Mean difference from the frame before in the neighbourhood of a marker, grey levels; the maximum over
-        all markers, NaN if none was seen in the frame before.
+        Mean difference from the previous frame in the neighbourhood of a marker, grey levels. It is the
+        maximum over all markers, and NaN if none was seen in the previous frame.
     """
 
     times: NDArray[np.float64]
@@ -506,7 +510,7 @@ class RawTrack:
 
     @classmethod
     def of_rows(cls, times: Any, names: list[str], rows: list[list[Row]], **more: Any) -> RawTrack:
-        """Return the track of one row for each marker in each frame; ``more`` are further attributes."""
+        """Return a track from one row for each marker in each frame; ``more`` are further attributes."""
         table = np.array([[row[:6] for row in frame] for frame in rows]).reshape(-1, len(names), 6)
         x, y, area, confidence, status, at_edge = table.transpose(2, 1, 0).copy()
         found = (status.astype(int), at_edge.astype(bool))
@@ -514,16 +518,16 @@ class RawTrack:
 
     @property
     def seen(self) -> NDArray[np.bool_]:
-        """Frames in which each marker was seen, whole or cut by the edge of the picture, shape (m, n)."""
+        """Flags of frames in which each marker was seen, whole or cut by the picture's edge, shape (m, n)."""
         return self.status > LOST
 
     @property
     def found(self) -> NDArray[np.bool_]:
-        """Frames in which each marker was seen whole, so that its centre is known, shape (m, n)."""
+        """Flags of frames in which each marker was seen whole, so that its centre is known, shape (m, n)."""
         return self.seen & ~self.at_edge
 
     def row(self, name: str) -> int:
-        """Return the row of a marker."""
+        """Return the row of a marker in the arrays."""
         return self.names.index(name)
 
     def centre(self, marker: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -1,4 +1,4 @@
-"""Pose, speeds and their standard deviations from the places of markers in the picture.
+"""Pose, speeds and their standard deviations from the positions of markers in the picture.
 
 :class:`Plane` (lens, scale or homography, heights) maps pixels to metres, and :func:`build` returns the pose.
 """
@@ -29,31 +29,36 @@ from swimid.tracking.smooth import Smoothed, smooth
 Array = NDArray[np.float64]
 
 #: Maximum distance of the principal point from the middle of the picture, relative to the size of the
-#: picture, if the size of the calibration pictures is unknown. Calibrated cameras have a few per cent. A
-#: matrix for pictures 4/3 as large, the smallest ratio of common sizes, has 17 %.
+#: picture, if the size of the calibration pictures is unknown. The distance is a few per cent for calibrated
+#: cameras. It is 17 % for a matrix that belongs to pictures 4/3 as large, the smallest ratio of common sizes.
 MAX_OFF_CENTRE = 0.12
-#: Maximum focal length in widths of the picture in that case: a field of view of 19 degrees.
+#: Maximum focal length in widths of the picture (a field of view of 19 degrees), if the size of the
+#: calibration pictures is unknown.
 MAX_FOCAL_WIDTHS = 3.0
-#: Maximum relative difference of the horizontal and the vertical scale from one picture size to another,
-#: since sizes are rounded to even pixels.
+#: Maximum relative difference between the horizontal and the vertical ratio of two picture sizes. The ratios
+#: differ because sizes are rounded to even pixels.
 MAX_SCALE_DIFFERENCE = 0.02
 #: Minimum number of measurements in a segment.
 MIN_SEGMENT = 5
-#: Lower bound of the noise of a centroid, px.
+#: Minimum standard deviation of the noise of a centroid, px.
 MIN_NOISE_PX = 0.01
-#: Systematic error of a centroid (phase of the pixels, codec, uneven light), px, measured on rendered H.264
-#: films. It does not average out, and is added to the standard deviations of the smoother.
+#: Systematic error of a centroid, px, measured on rendered H.264 films. It results from the phase of the
+#: pixels, the codec and uneven light. It does not average out, and is added to the standard deviations of the
+#: smoother.
 SYSTEMATIC_PX = 0.05
-#: Lags over which the errors of centroids are correlated, in frames, and minimum number of such pairs.
+#: Lags over which the errors of centroids are correlated, in frames, and minimum number of pairs with such
+#: lags.
 LAGS, MIN_PRODUCTS = (2, 3, 4, 5, 6), 50
-#: Maximum change of the picture about the markers in a frame that repeats the one before: relative to the
-#: maximum nearby, and to the change in the frames on both sides. Maximum length of a run of repeats, frames,
-#: and minimum number of runs: fewer occur by chance.
+#: Criteria for frames that repeat the previous picture. MAX_CHANGE is the maximum change of the picture about
+#: the markers, relative to the maximum change nearby, and MAX_CHANGE_OF_NEIGHBOURS relative to the changes in
+#: the frames on both sides. MAX_HELD_FRAMES is the maximum number of successive repeats. MIN_HELD_RUNS is the
+#: minimum number of runs of repeats, because fewer runs occur by chance.
 MAX_CHANGE, MAX_CHANGE_OF_NEIGHBOURS, MAX_HELD_FRAMES, MIN_HELD_RUNS = 0.2, 0.33, 15, 4
-#: Probability that a film of a whole marker has a frame in which it is said to be partly hidden, if areas
-#: were normal and independent; and factor of the limit for single frames, because they are not.
+#: Probability of a false report of a partly hidden marker in a whole film, if areas were normally distributed
+#: and independent, and factor on the limit for single frames, because areas are neither.
 FALSE_ALARM, SINGLE_FRAME = 1e-3, 2.0
-#: Standard deviations in half a 95 % interval. The interval of a hidden marker is its maximum error.
+#: Half-width of a 95 % interval, in standard deviations. For a hidden marker the half-width is its maximum
+#: error.
 TWO_SIDED = 1.96
 
 
@@ -64,25 +69,26 @@ class Plane:
     Attributes
     ----------
     unit : str
-        ``"m"``, or ``"px"`` without a scale.
+        Unit of the world coordinates: ``"m"``, or ``"px"`` without a scale.
     matrix : ndarray, shape (3, 3)
         Homography from undistorted pixels to the world.
     lens : (ndarray, ndarray) or None
-        Camera matrix and distortion.
+        Camera matrix and distortion coefficients.
     shrink : float
-        Factor towards ``foot`` for markers above the plane.
+        Factor on the distance from ``foot``, for markers above the plane.
     foot : ndarray, shape (2,)
         Point of the world below the camera.
     middle : ndarray, shape (2,)
         Middle of the picture, px.
     far_x : float
-        x of the right edge of the picture if the picture defines the origin; 0 if calibration points do.
+        World coordinate x of the right edge of the picture if the picture defines the origin; 0 if
+        calibration points do.
     residual_px, residual : float
         Root-mean-square error of the calibration points, in px and in units of the world; 0 if the map is
         exact.
     variants : tuple of ndarray, each shape (3, 3)
-        ``matrix`` with one coordinate of one calibration point moved by its standard deviation, which follows
-        from the residual; empty for four points, which have no residual.
+        Copies of ``matrix`` for which one coordinate of one calibration point is moved by its standard
+        deviation, which follows from the residual. Empty for four points, which have no residual.
     """
 
     unit: str
@@ -102,15 +108,15 @@ class Plane:
         return bool(self.matrix[2, :2].any()) and not self.variants
 
     def to_world(self, x: Array, y: Array) -> Array:
-        """Return the coordinates in the world of points of the picture, shape (2, n); NaN stays NaN."""
+        """Return the world coordinates, shape (2, n), of points of the picture; NaN stays NaN."""
         return _map_known(self._forward, x, y)
 
     def to_image(self, x: Array, y: Array) -> Array:
-        """Return the points of the picture at coordinates of the world, shape (2, n)."""
+        """Return the points of the picture, shape (2, n), at world coordinates; NaN stays NaN."""
         return _map_known(self._backward, x, y)
 
     def variations(self, world: Array) -> Array:
-        """Return the shifts of points of the world, shape (2, n), by the k ``variants``, shape (k, 2, n)."""
+        """Return the shifts of world points, shape (2, n), caused by the k ``variants``, shape (k, 2, n)."""
         x, y = self.to_image(*world)
         moved = [replace(self, matrix=matrix).to_world(x, y) - world for matrix in self.variants]
         return np.array(moved).reshape(-1, 2, world.shape[1])
@@ -127,7 +133,7 @@ class Plane:
         return cv2.projectPoints(rays, np.zeros(3), np.zeros(3), *self.lens)[0].reshape(-1, 2)
 
     def along_x(self, left: bool) -> Plane:
-        """Return the plane whose x axis points to the left or to the right of the picture."""
+        """Return the plane with its x axis to the left of the picture if ``left``, otherwise to the right."""
         if self.runs_left == left:
             return self
         turn = np.array([[-1.0, 0, self.far_x], [0, 1, 0], [0, 0, 1]])
@@ -142,7 +148,7 @@ class Plane:
 
     @property
     def faces(self) -> str:
-        """Direction of the x axis in the picture, in a word."""
+        """Direction of the x axis in the picture: "left" or "right"."""
         return "left" if self.runs_left else "right"
 
     @property
@@ -166,7 +172,7 @@ class Plane:
 
 
 def _map_known(function: Callable[[Array], Array], x: Array, y: Array) -> Array:
-    """Apply a map of points, shape (n, 2), to those that are not NaN; return shape (2, n)."""
+    """Apply a map of points, shape (n, 2), to points without NaN; return all points, shape (2, n)."""
     known = np.isfinite(x) & np.isfinite(y)
     out = np.full((2, len(x)), np.nan)
     if known.any():
@@ -212,7 +218,7 @@ def plane_of(setup: Setup, width: int, height: int, *, file: str | None = None) 
             factor = scale.metres_per_pixel
         if scale.heights is not None:
             shrink = 1 - scale.heights.marker_m / scale.heights.camera_m
-    # the picture has y down: it is flipped, so that yaw is counter-clockwise
+    # y of the picture points down: the picture is flipped, so that yaw is counter-clockwise
     matrix = np.array([[factor, 0, 0], [0, -factor, factor * (height - 1)], [0, 0, 1.0]])
     far_x = factor * (width - 1)
     if scale is not None and scale.points_m is not None:
@@ -292,7 +298,7 @@ def _homography(image: Array, world: Array, file: str | None) -> tuple[Array, tu
 
 
 def _variants(image: Array, world: Array, residual_px: float) -> tuple[Array, ...]:
-    """Return the maps with one coordinate of one point moved by its standard deviation.
+    """Return copies of the map for which one coordinate of one point is moved by its standard deviation.
 
     The residual has ``2 n - 8`` degrees of freedom. The standard deviation is enlarged so that the 95 %
     interval is that of Student's distribution with these degrees of freedom.
@@ -306,7 +312,7 @@ def _variants(image: Array, world: Array, residual_px: float) -> tuple[Array, ..
 
 
 def _is_on_line(points: Array) -> bool:
-    """Return whether all points, or for four points all but one, are on a line."""
+    """Return whether all points lie on a line, or all but one in the case of four points."""
     rests = [points]
     if len(points) <= 4:
         rests = [np.delete(points, k, axis=0) for k in range(len(points))]
@@ -320,25 +326,27 @@ class Pose:
     Attributes
     ----------
     times : ndarray, shape (n,)
-        s.
+        Time stamps of the frames, s.
     measured : ndarray of bool, shape (n,)
         Whether all markers that the pose needs were found whole.
     segment : ndarray of int, shape (n,)
-        1, 2, ...; 0 before the first detection, after the last, and in gaps over the limit.
+        Number of the segment: 1, 2, ...; 0 before the first detection, after the last, and in gaps longer
+        than the limit.
     raw : ndarray, shape (2, n)
-        Measured position of the reference point. It is the head marker if the places of the markers on the
+        Measured position of the reference point, or of the head marker if the positions of the markers on the
         robot are unknown.
     path : Smoothed
         Two coordinates, in units of the world.
     raw_angle : ndarray, shape (n,), or None
         Measured heading (pitch in the vertical plane, nose up), rad, unwrapped.
     angle : Smoothed or None
+        Smoothed heading, rad; None for a single marker.
     markers : ndarray, shape (m, 2, n)
         Measured position of every marker in the world; NaN if it was not measured.
     separation : ndarray, shape (n,), or None
-        Distance of head and tail marker, in units of the world.
+        Distance between head and tail marker, in units of the world.
     held : Held
-        Frames that repeat the picture before, and the times at which the pictures were taken.
+        Frames that repeat the previous picture, and the times at which the pictures were taken.
     hidden : ndarray, shape (m, n)
         Maximum error of each centre because part of the marker is hidden, px; 0 if none is.
     plane : Plane
@@ -370,7 +378,7 @@ class Pose:
 
     @property
     def gaps(self) -> list[tuple[float, float]]:
-        """Times of the last measurement before each gap and of the first after it, s."""
+        """Times of the last measurement before each gap and of the first measurement after it, s."""
         fresh = ~self.held.repeated
         seen = self.times[self.measured]
         missing = np.flatnonzero(np.diff(np.flatnonzero(self.measured[fresh])) > 1)
@@ -385,8 +393,8 @@ class Pose:
 def facing(track: RawTrack, setup: Setup, plane: Plane) -> Plane:
     """Return the plane whose x axis points ahead of the robot, for a camera at the side.
 
-    With ``facing: auto`` this is the mean direction from tail to head marker, or from the rear to the front
-    marker if their places on the robot are known. A single marker does not change the plane.
+    With ``facing: auto`` the direction ahead is the mean direction from tail to head marker, or from the rear
+    to the front marker if their positions on the robot are known. A single marker does not change the plane.
     """
     if setup.plane == "horizontal":
         return plane
@@ -402,11 +410,11 @@ def facing(track: RawTrack, setup: Setup, plane: Plane) -> Plane:
 
 
 def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
-    """Return the pose from the places of the markers in the picture.
+    """Return the pose from the positions of the markers in the picture.
 
-    If the places of head and tail marker on the robot are known (``at_m``), the pose is that of a rigid body
-    through both markers: its heading differs from the line of the markers by their angle on the robot, and
-    the mid-points of the markers coincide. Otherwise the position is that of the head marker, moved by
+    If the positions of head and tail marker on the robot are known (``at_m``), the pose is that of a rigid
+    body through both markers: its heading differs from the line of the markers by their angle on the robot,
+    and the mid-points of the markers coincide. Otherwise the position is that of the head marker, moved by
     ``reference_offset_m``, and the heading is the direction of the line of the markers.
 
     Raises
@@ -443,7 +451,7 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
         white, lasting = max(white, centroid[0]), float(np.hypot(centroid[1], lasting))
         both = np.maximum(weights, _weights(track, tail, hidden[tail]))
         if setup.places is not None:
-            # the mid-point needs both markers: with one of them alone, errors of the scale would enter
+            # the mid-point needs both markers: with a single marker, errors of the scale would enter
             raw = np.where(measured, (markers[head] + markers[tail]) / 2, np.nan)
             places = np.array(setup.places)
             lever, weights = -places.mean(axis=0), both
@@ -455,14 +463,15 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
         raw_angle[~measured] = np.nan
         turn = np.sqrt(2) / max(distance, 1e-12)
         angle = smooth(clock, raw_angle[None], both, segments, min_sd=turn * white, trusted=trusted)
-        # the ends of a silhouette have one outline: its length does not show all errors of its direction
+        # both ends of a silhouette follow from one outline: its length does not show all errors of its
+        # direction
         along = centroid[1]
         if setup.markers[0].method == "background":
             along = lasting
-        # the errors of partly hidden markers last as long as they are hidden
+        # the errors of partly hidden markers last as long as the markers are hidden
         off = np.hypot(*hidden[rows]) * pixel / TWO_SIDED / distance
         angle = _widened(angle, turn * along, off)
-        # the raw heading would add its noise to the path
+        # the smoothed heading is used, because the raw heading would add its noise to the path
         raw = raw + _turned(lever, angle.position[0])
     path = smooth(clock, raw, weights, segments, min_sd=white, trusted=trusted)
     used = [head] if setup.places is None else rows
@@ -484,17 +493,18 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
 
 
 def _widened(values: Smoothed, *sds: Array | float) -> Smoothed:
-    """Return smoothed coordinates with independent errors of these standard deviations added."""
+    """Return smoothed coordinates with independent errors of the standard deviations ``sds`` added."""
     variance = values.position_sd**2 + sum(np.square(sd) for sd in sds)
     return replace(values, position_sd=np.sqrt(variance))
 
 
 def _held_pictures(track: RawTrack, rows: list[int]) -> Held:
-    """Return the frames that repeat the picture before: little changes about the markers.
+    """Return the frames that repeat the previous picture.
 
-    Little changes also while the robot rests or reverses. Therefore the change must be large just before and
-    after, and the markers must continue in the same direction. The times of the pictures follow from the
-    cumulative sum of the changes, whose repeats are exact.
+    In these frames the picture about the markers hardly changes. The picture also changes little while the
+    robot rests or reverses. Therefore the change must be large just before and after, and the markers must
+    continue in the same direction. The times of the pictures follow from the cumulative sum of the changes,
+    in which repeats are exact.
     """
     change = np.zeros(len(track.times)) if track.change is None else np.nan_to_num(track.change)
     usual = maximum_filter1d(change, 2 * MAX_HELD_FRAMES + 3)
@@ -516,9 +526,9 @@ def _held_pictures(track: RawTrack, rows: list[int]) -> Held:
 def _picture_times(times: Array, held: Held) -> tuple[Array, float]:
     """Return the times at which the pictures were taken, and the maximum error of their common offset, s.
 
-    The stamp of a picture is up to ``lateness_s`` after it was taken. The delays of the stamps limit the
-    common offset of an even camera to an interval, of which the middle is used. Frames that repeat a picture
-    are interpolated.
+    The stamp of a picture is up to ``lateness_s`` later than the picture. For a camera with even time steps,
+    the delays of the stamps limit the common offset to an interval, of which the middle is used. The times of
+    frames that repeat a picture are interpolated.
     """
     fresh = np.flatnonzero(~held.repeated)
     taken = held.measured_s[fresh]
@@ -533,9 +543,9 @@ def _picture_times(times: Array, held: Held) -> tuple[Array, float]:
 def _at_stamps(
     values: Smoothed, clock: Array, times: Array, segments: list[tuple[int, int]], clock_sd: float
 ) -> Smoothed:
-    """Return coordinates that were smoothed at the times of the pictures, at the stamps of the frames.
+    """Return coordinates at the stamps of the frames, from values smoothed at the times of the pictures.
 
-    ``clock_sd`` is half of the interval of the common offset, so that the 95 % band holds every offset.
+    ``clock_sd`` is half of the interval of the common offset, so that the 95 % band contains every offset.
     """
     position, velocity = values.position.copy(), values.velocity.copy()
     for a, b in segments:
@@ -559,11 +569,12 @@ def _with_plane_error(
 
 
 def _centroid_errors(separation: Array) -> tuple[float, float]:
-    """Return the standard deviations of the white and of the lasting error of a centroid.
+    """Return the standard deviations of the white and of the correlated error of a centroid.
 
-    The distance of two markers on a rigid part is constant. Half of its variance is the variance of one
-    centroid along the line. The covariance at :data:`LAGS` frames is that of lasting errors, and the rest is
-    white noise, which averages out. Outliers are clipped to four robust standard deviations.
+    The distance between two markers on a rigid part is constant. Half of its variance is the variance of one
+    centroid along the line. The covariance at :data:`LAGS` frames is that of correlated errors. The remaining
+    variance is that of white noise, which averages out. Outliers are clipped to four robust standard
+    deviations.
     """
     off = separation - np.nanmedian(separation)
     off = np.clip(off, *(np.array([-4.0, 4.0]) * 1.4826 * np.nanmedian(np.abs(off))))
@@ -576,7 +587,7 @@ def _centroid_errors(separation: Array) -> tuple[float, float]:
 
 
 def _turned(vector: Array, angle: Array) -> Array:
-    """Return a vector of the body in the axes of the world, shape (2, n)."""
+    """Return a vector along body axes in world axes, for each heading, shape (2, n)."""
     cos, sin = np.cos(angle), np.sin(angle)
     return np.stack([vector[0] * cos - vector[1] * sin, vector[0] * sin + vector[1] * cos])
 
@@ -604,11 +615,12 @@ def hidden_px(track: RawTrack, marker: int, plane: Plane) -> Array:
     """Return the maximum error of the centre of a partly hidden marker, shape (n,), px; 0 if it is whole.
 
     The centre of the whole marker is the mean of the centres of the visible and of the hidden part, weighted
-    by their areas. The latter is within the radius R. Therefore, with a hidden share e of the area, the error
-    is at most R e / (1 - e), and less than R. The whole area is the median area on the plane, known to within
-    its scatter. A run of smaller areas counts as hidden if two successive areas are smaller than the scatter
-    explains with probability :data:`FALSE_ALARM` in a film, or one area is :data:`SINGLE_FRAME` times farther
-    off: the codec and the phase of the pixels reduce the areas of single frames.
+    by their areas. The centre of the hidden part is within the radius R. Therefore, with a hidden fraction e
+    of the area, the error is at most R e / (1 - e), and less than R. The whole area is the median area on the
+    plane, with an uncertainty given by its standard deviation. A run of smaller areas counts as hidden in two
+    cases: two successive areas are smaller than chance explains with probability :data:`FALSE_ALARM` in a
+    film, or one area is :data:`SINGLE_FRAME` times further away. The stricter limit is needed because the
+    codec and the phase of the pixels reduce the areas of single frames.
     """
     off = np.zeros(len(track.times))
     seen = np.flatnonzero(track.found[marker])
@@ -618,7 +630,7 @@ def hidden_px(track: RawTrack, marker: int, plane: Plane) -> Array:
     share = area * plane.sizes_of_pixels(track.x[marker, seen], track.y[marker, seen]) ** 2
     share /= float(np.median(share))
     whole = area / share
-    # each pixel of the outline belongs to the marker by chance
+    # minimum standard deviation: each pixel of the outline belongs to the marker by chance
     least = np.sqrt(2 * np.sqrt(np.pi * whole) / 12) / whole
     short = -np.log(share)
     scatter = np.maximum(_scatter(short), least)
@@ -637,8 +649,8 @@ def hidden_px(track: RawTrack, marker: int, plane: Plane) -> Array:
 def _scatter(short: Array) -> float:
     """Return the standard deviation of the logarithms of areas about their median.
 
-    It is the larger of two: that of the middle half, and that of the large areas. The latter show how heavy
-    the tails are, because nothing hides these markers.
+    It is the larger of two estimates: from the middle half of the areas, and from the areas above the median.
+    The latter show how heavy the tails are, because markers with large areas are not hidden.
     """
     middle = 1.4826 * float(np.median(np.abs(short)))
     large = -short[short < 0]
@@ -649,7 +661,7 @@ def _scatter(short: Array) -> float:
 
 
 def _weights(track: RawTrack, marker: int, hidden: Array) -> Array:
-    """Return the variance of each centroid relative to a typical one, shape (n,)."""
+    """Return the variance of each centroid relative to that of a typical one, shape (n,)."""
     seen = track.found[marker]
     weights = np.ones(len(track.times))
     if seen.any():

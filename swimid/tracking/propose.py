@@ -1,7 +1,7 @@
 """Markers for the draft of a setup, proposed from the film or picked by hand.
 
 :func:`find_candidates` searches for colours whose patches are compact and move. :func:`pick_markers` finds
-the patch about a pixel, and the range of colours that separates it from its surroundings.
+the patch about a pixel, and the range of colours that separates the patch from its surroundings.
 """
 
 from __future__ import annotations
@@ -26,28 +26,30 @@ from swimid.tracking.setup import Box, HsvRange, Marker
 
 Array = NDArray[np.float64]
 
-#: Number of frames that are evaluated, and the width that they are reduced to, px.
+#: Number of frames that are evaluated, and width to which they are reduced, px.
 N_SAMPLES, SAMPLE_WIDTH = 48, 960
-#: Minimum difference of a moving pixel from the background: grey levels, and ratio to the median of the
-#: frame.
+#: Minimum difference of a moving pixel from the background: in grey levels, and relative to the median
+#: difference in the frame.
 MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO = 16, 4
-#: Minimum share of the pixels of a moving patch that differ from the empty scene, also in colour.
+#: Minimum fraction of the pixels of a moving patch that differ from the empty scene. The empty scene must
+#: also have another colour in at least this fraction of the pixels.
 MOVING = 0.3
-#: Minimum score of a proposal, and maximum number of hues that are examined.
+#: Minimum score of a proposed marker, and maximum number of hues that are examined.
 MIN_SCORE, MAX_HUES = 0.02, 8
-#: Minimum score of a second marker relative to the first, and maximum relative deviation of their distance.
-#: An inclined camera changes distances by much; the trial run shows whether the pair is rigid.
+#: Minimum score of a second marker relative to the first, and maximum relative deviation of the distance
+#: between the two. The latter is large because an inclined camera changes distances. The trial run shows
+#: whether the pair is rigid.
 SECOND_SHARE, SECOND_SPREAD = 0.25, 0.3
-#: Ranges of colours for the patch about a pixel, as shares of the widest range. The one is used at which the
-#: patch grows least. Matas, J. et al. (2002), Robust wide baseline stereo from maximally stable extremal
-#: regions, BMVC. doi:10.5244/C.16.36
+#: Ranges of colours that are tried about a pixel, as fractions of the widest range. The range at which the
+#: patch grows least is used. Matas, J. et al. (2002), Robust wide baseline stereo from maximally stable
+#: extremal regions, BMVC. doi:10.5244/C.16.36
 SHARES = (0.25, 0.35, 0.5, 0.7, 1.0)
-#: Half-widths of the widest range: hue (deg), saturation, value.
+#: Half-widths of the widest range of colours: hue (deg), saturation, value.
 WIDEST = (20.0, 0.3, 0.3)
-#: Minimum area of a patch, px. Areas above which a patch is unusual, and above which it is no marker, as
-#: shares of the picture.
+#: Minimum area of a patch, px; maximum area without a warning, and maximum area of a marker, both as
+#: fractions of the picture.
 MIN_PATCH_PX, LARGE, LARGEST = 5, 0.05, 0.5
-#: Maximum share of the surroundings of a marker that may have its colours.
+#: Maximum fraction of the surroundings of a marker that may have colours in its range.
 MAX_SHARE_AROUND = 0.1
 BACKGROUND = "put the whole marker on a background of another colour or brightness"
 Mask = NDArray[np.uint8]
@@ -56,38 +58,38 @@ _SQUARE = np.ones((3, 3), np.uint8)
 
 @dataclass(frozen=True)
 class Samples:
-    """Frames spread over a film, reduced in size."""
+    """Frames spread evenly over a film, reduced in size."""
 
     video: Video
     indices: NDArray[np.int64]
     frames: list[Frame]
-    #: Width of a pixel of a sample in pixels of the picture.
+    #: Width of a pixel of a reduced frame in pixels of the picture.
     factor: float
-    #: Median of the samples, in which moving things are absent.
+    #: Median of the frames, in which moving objects are absent.
     background: Frame
-    #: Masks of the samples, 255 for pixels that differ from the background.
+    #: Masks of the frames, 255 for pixels that differ from the background.
     moving: list[NDArray[np.uint8]]
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A colour that may be that of a marker. Lengths are in px of the picture."""
+    """Colour that may be the colour of a marker. Lengths are in px of the picture."""
 
-    #: Common name and middle of the hue.
+    #: Common name of the hue, and middle of the hue range.
     name: str
     hue_deg: float
     colours: HsvRange
-    #: From 0 to 1.
+    #: Score as a marker, from 0 to 1.
     score: float = 0.0
-    #: Centre of the largest patch in each sample, shape (n, 2); NaN without one.
+    #: Centre of the largest patch in each evaluated frame, shape (n, 2); NaN without a patch.
     place: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    #: Minimum and maximum area of the patch.
+    #: Minimum and maximum area of the patch, px.
     area_px: tuple[float, float] = (0.0, 0.0)
-    #: Median number of moving patches of similar size in a sample.
+    #: Median number of moving patches of similar size in a frame.
     n_patches: int = 0
     #: Boxes of motionless patches of the colour.
     still: list[Box] = field(default_factory=list)
-    #: Reason why it is no marker; empty if it may be one.
+    #: Reason why the candidate is not a marker; empty if it may be a marker.
     reason: str = ""
 
     def __str__(self) -> str:
@@ -95,26 +97,26 @@ class Candidate:
 
     @property
     def presence(self) -> float:
-        """Share of the samples in which it is seen."""
+        """Fraction of the evaluated frames in which the candidate is seen."""
         return float(np.mean(np.isfinite(self.place[:, 0])))
 
     @property
     def remark(self) -> str:
-        """Remark for a reader of the setup."""
+        """Comment on the candidate for a reader of the setup file."""
         text = f"score {self.score:.2f}, seen in {100 * self.presence:.0f} % of the samples"
         if self.n_patches > 1:
             text += f"; {self.n_patches} patches of this colour move together: the largest is followed"
         return text
 
     def crosses(self, box: Box) -> bool:
-        """Return whether it was seen inside a box."""
+        """Return whether the candidate was seen inside a box."""
         margin = np.sqrt(self.area_px[1] / 3)
         inside = (self.place > np.array(box[:2]) - margin) & (self.place < np.array(box[2:]) + margin)
         return bool(inside.all(axis=1).any())
 
 
 def sample(path: Path, *, apply_rotation: bool = True, step: Step) -> Samples:
-    """Return about :data:`N_SAMPLES` frames, evenly spread over a film."""
+    """Return about :data:`N_SAMPLES` frames, spread evenly over a film."""
     video = Video(path, apply_rotation=apply_rotation)
     keeper = FrameKeeper(2 * N_SAMPLES, max(video.claimed // N_SAMPLES, 1), SAMPLE_WIDTH)
     for index, (_, frame) in enumerate(video.frames()):
@@ -135,7 +137,7 @@ def sample(path: Path, *, apply_rotation: bool = True, step: Step) -> Samples:
 
 
 def find_candidates(samples: Samples) -> tuple[list[Candidate], list[Candidate]]:
-    """Return the colours that may be those of markers, best first, and those that are not.
+    """Return the colours that may be those of markers, best first, and the rejected colours.
 
     Raises
     ------
@@ -186,13 +188,13 @@ def _peaks(hsv: NDArray[np.uint8], frames: int) -> list[int]:
 
 
 def colour_range(hsv: NDArray[np.uint8], peak: int) -> HsvRange | None:
-    """Return the range about a hue that holds nearly all pixels near it, widened for changing light."""
+    """Return the range about a hue with nearly all pixels of similar hue, widened for changing light."""
     offset = (hsv[:, 0].astype(float) - peak + 90) % 180 - 90
     near = np.abs(offset) <= 12
     if near.sum() < 10:
         return None
     cluster = hsv[near].astype(float)
-    # the pixels of pure colour are the marker, and the others are its blurred rim
+    # the pixels of pure colour are the marker, and the other pixels are its blurred rim
     purity = cluster[:, 1] * cluster[:, 2]
     core = purity >= np.percentile(purity, 35)
     low, high = np.percentile(offset[near][core], [3, 97])
@@ -210,12 +212,12 @@ def _degrees(hue: float) -> float:
 
 
 def two_digits(value: float) -> float:
-    """Return a share rounded to two digits, as in a setup."""
+    """Return a fraction rounded to two digits, as in a setup file."""
     return float(round(value, 2))
 
 
 def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | None:
-    """Score the patches of one colour in all samples as a marker; return None for very few pixels."""
+    """Score the patches of one colour in all frames as a marker; return None for very few pixels."""
     colours = colour_range(hsv, peak)
     if colours is None:
         return None
@@ -275,10 +277,10 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | N
 def _patches(
     mask: NDArray[np.uint8], moving: NDArray[np.uint8], scenery: NDArray[np.uint8], least: float
 ) -> list[tuple[float, float, float, float]]:
-    """Return the moving patches inside the picture as (area, x, y, share of a disc), largest first.
+    """Return the moving patches inside the picture as (area, x, y, fraction of a disc), largest first.
 
-    A patch does not move if the empty scene has its colour too (``scenery``): then the light has changed, or
-    something passes over it.
+    A patch does not move if the empty scene (``scenery``) has the colour at the same position, too. In this
+    case the light has changed, or an object passes over the patch.
     """
     count, labels, stats, centres = cv2.connectedComponentsWithStats(mask, connectivity=8)
     if count < 2:
@@ -310,7 +312,7 @@ def _still(scenery: NDArray[np.uint8], factor: float, least: float) -> list[Box]
 
 
 def partners(first: Candidate, others: list[Candidate]) -> list[Candidate]:
-    """Return possible second markers of a rigid part, that with the most constant distance first."""
+    """Return possible second markers on the same rigid part, the most constant distance first."""
     found: list[tuple[float, Candidate]] = []
     for other in others:
         if other is first or other.score < SECOND_SHARE * first.score:
@@ -335,7 +337,7 @@ def pick_markers(
     Parameters
     ----------
     frame : frame
-        The full picture.
+        Picture at full resolution.
     kinds : dict of str to list of (x, y)
         Name of each kind of marker, and one pixel of every marker of that kind.
     path, index
@@ -403,12 +405,12 @@ def _patch(frame: Frame, hsv: Mask, option: str, pixel: tuple[float, float], pla
 
 
 def _about(pixel: Mask, share: float, grey: bool) -> HsvRange:
-    """Return the range of colours about that of a pixel; a grey pixel gets all hues."""
+    """Return the range of colours about the colour of a pixel; for a grey pixel it includes all hues."""
     hue, saturation, value = 2.0 * pixel[0], pixel[1] / 255, pixel[2] / 255
     wide_hue, wide_saturation, wide_value = (share * width for width in WIDEST)
     value_span = (max(value - wide_value, 0.0), min(value + wide_value, 1.0))
     if grey:
-        # saturation is chroma over value, so that noise alone makes it large on dark pixels
+        # saturation is chroma divided by value: noise alone makes it large on dark pixels
         most = max(saturation + wide_saturation, detect.MIN_CHROMA / (255 * max(value, 0.02)))
         return HsvRange(saturation=(0.0, min(most, 1.0)), value=value_span)
     return HsvRange(
@@ -419,7 +421,7 @@ def _about(pixel: Mask, share: float, grey: bool) -> HsvRange:
 
 
 def _marker(hsv: Mask, name: str, masks: list[Mask], place: dict[str, Any]) -> Marker:
-    """Return one kind of marker from its patches."""
+    """Return one kind of marker from the masks of its patches."""
     colours = _range_of(hsv, np.bitwise_or.reduce(masks))
     if colours is None:
         text = f"marker '{name}' has the colour of its surroundings"
@@ -439,7 +441,7 @@ def _marker(hsv: Mask, name: str, masks: list[Mask], place: dict[str, Any]) -> M
 def _range_of(hsv: Mask, patch: Mask) -> HsvRange | None:
     """Return the colours that separate a patch from its surroundings; None if there are none."""
     core = cv2.erode(patch, _SQUARE)
-    # the surroundings are a ring of 10 px beyond the blurred rim of 3 px
+    # the surroundings are a ring of 10 px outside the blurred rim of 3 px
     near = cv2.dilate(patch, _SQUARE, iterations=3)
     ring = cv2.subtract(cv2.dilate(near, _SQUARE, iterations=10), near)
     inside, around = hsv[(core if core.any() else patch) > 0], hsv[ring > 0]
@@ -447,7 +449,7 @@ def _range_of(hsv: Mask, patch: Mask) -> HsvRange | None:
 
 
 def _colours(inside: Mask) -> HsvRange:
-    """Return the range of the colours of a patch, widened for changing light; a grey patch gets all hues."""
+    """Return the colours of a patch, widened for changing light; for a grey patch they include all hues."""
     saturation, value = inside[:, 1].astype(float), inside[:, 2].astype(float)
     chroma = float(np.median(saturation * value)) / 255
     if chroma >= detect.MIN_CHROMA:
@@ -465,10 +467,10 @@ def _colours(inside: Mask) -> HsvRange:
 
 
 def _separated(colours: HsvRange, inside: Array, around: Array) -> HsvRange | None:
-    """Return the range, narrowed to exclude the surroundings; None if that is impossible.
+    """Return the range of colours, narrowed to exclude the surroundings; None if that is impossible.
 
-    A bound in saturation or value, where patch and surroundings differ most, is moved to the middle between
-    them, or to ``SLACK`` from the surroundings if that is farther.
+    A bound is moved where patch and surroundings differ most in saturation or value. The new bound is in the
+    middle between them, or at the distance ``SLACK`` from the surroundings if that is further away.
     """
     for _ in range(3):
         held = ColourModel(colours).holds(around)

@@ -1,4 +1,4 @@
-"""Quality of a track: motion of the markers, distance between them, motion of the camera, and the checks."""
+"""Quality of a track: motion of markers, distance between markers, motion of the camera, and checks."""
 
 from __future__ import annotations
 
@@ -23,21 +23,22 @@ Array = NDArray[np.float64]
 
 #: Minimum number of detections for statistics of a marker.
 MIN_DETECTIONS = 10
-#: Minimum range of a marker that moves, in radii. A motionless thing in ripples, or covered at times, stays
-#: below.
+#: Minimum range of motion of a marker, in radii. A motionless object that is seen through ripples, or is
+#: covered at times, has a smaller range.
 MIN_RADII = 1.0
-#: Minimum share of frames in which a marker is found.
+#: Minimum fraction of frames in which a marker is found.
 MIN_SHARE = 0.05
-#: Limits of relative deviations: a check passes up to the first, and fails beyond the second. They are for
-#: the distance of two markers on a rigid part, the share of frames without a marker, and lengths.
+#: Maximum relative deviations, each as a pair: above the first value a check does not pass, and above the
+#: second it fails. They apply to the standard deviation of the distance between two markers on a rigid part,
+#: to the fraction of frames without a marker, and to errors of lengths.
 MAX_DISTANCE_SD, MAX_UNSEEN, MAX_LENGTH_ERROR = (0.02, 0.06), (0.05, 0.5), (0.02, 0.05)
-#: Width that frames are reduced to before they are compared, px.
+#: Width to which frames are reduced before they are compared, px.
 SCENE_WIDTH = 480
-#: Maximum shift of the scene of a camera at rest, px of the reduced picture.
+#: Maximum shift of the scene for a camera at rest, px of the reduced picture.
 MAX_SHIFT_PX = 2.0
-#: Minimum normalised innovation of a jump.
+#: Minimum normalised innovation of a measurement that counts as a jump.
 JUMP_SIGMA = 6.0
-#: Maximum share of frames with a marker hidden in part, or cut by the edge of the picture.
+#: Maximum fraction of frames in which a marker is partly hidden, or is cut by the edge of the picture.
 MAX_HIDDEN_SHARE = 0.01
 
 
@@ -45,21 +46,21 @@ MAX_HIDDEN_SHARE = 0.01
 class Range:
     """Range of motion of a marker."""
 
-    #: 95th percentile of its distance from its median place, over detections of the whole marker.
+    #: 95th percentile of the distance from the median position, over detections of the whole marker, px.
     away_px: float
-    #: Radius of a disc of its usual area.
+    #: Radius of a disc with the median area of the marker, px.
     radius_px: float
-    #: Standard deviation of its centre from frame to frame, on one axis.
+    #: Standard deviation of the noise of the centre along one axis, px.
     noise_px: float
 
     @property
     def radii(self) -> float:
-        """Range in radii of the marker."""
+        """Range of motion in radii of the marker."""
         return self.away_px / self.radius_px
 
     @property
     def moves(self) -> bool:
-        """Whether the marker leaves the disc of its own size."""
+        """Whether the range of motion is at least ``MIN_RADII``."""
         return self.radii >= MIN_RADII
 
 
@@ -74,8 +75,9 @@ def measure_range(track: RawTrack, name: str, scene: Array | None = None) -> Ran
         return Range(0.0, 1.0, math.nan)
     area = track.area[i]
     usual = float(np.median(area[seen]))
-    # Detections of another area show a part of the marker, whose centre moves if the covered part changes.
-    # A bar 20 times as long as wide that passers-by cover moves by 0.6 radii with this limit of the area.
+    # Detections with another area show only a part of the marker. The centre of this part moves if the
+    # covered part changes. With this limit of the area, the centre of a bar 20 times as long as wide moves by
+    # 0.6 radii if objects pass in front of it.
     whole = seen & (np.abs(area - usual) <= 0.15 * usual)
     part = whole if whole.sum() >= MIN_DETECTIONS else seen
     x, y = track.x[i], track.y[i]
@@ -100,7 +102,7 @@ def marker_fault(
 ) -> tuple[str, str]:
     """Return the code and the text of a warning if a marker is hardly found or does not move.
 
-    Both are empty otherwise. ``scene`` is that of :func:`measure_range`.
+    Code and text are empty otherwise. ``scene`` is that of :func:`measure_range`.
     """
     share, extent = float(track.found[track.row(name)].mean()), measure_range(track, name, scene)
     if share < min_share:
@@ -111,14 +113,17 @@ def marker_fault(
 
 
 def head_first(track: RawTrack, head: str, tail: str) -> float | None:
-    """Return the share of steps in which two markers move towards the head; None for fewer than 4 steps."""
+    """Return the fraction of steps in which two markers move towards the head.
+
+    The result is None for fewer than 4 steps.
+    """
     i, j = track.row(head), track.row(tail)
     # the film is divided into about 100 steps
     every = slice(None, None, max(len(track.times) // 100, 1))
     front, rear = (np.stack(track.centre(row))[:, every] for row in (i, j))
     line = front - rear
     length = np.hypot(*line)
-    # A distance far from its median means that one of the detections is false. An inclined camera changes the
+    # If a distance is far from its median, one of the detections is false. An inclined camera changes the
     # distance by less.
     sound = np.abs(length / np.nanmedian(length) - 1) <= 0.3
     ahead = np.sum(np.diff(front + rear, axis=1) * line[:, :-1], axis=0)[sound[1:] & sound[:-1]]
@@ -126,18 +131,20 @@ def head_first(track: RawTrack, head: str, tail: str) -> float | None:
 
 
 def distance_change(track: RawTrack, one: str, other: str) -> float | None:
-    """Return the relative change of the distance of two markers, apart from the effect of perspective.
+    """Return the relative change of the distance between two markers, without the effect of perspective.
 
-    It is the larger of two values: the robust standard deviation after rectification, and the change by the
-    rectification that the areas of the markers do not show. It is None if the markers are hardly ever found
-    together.
+    The change is the larger of two values: the robust standard deviation of the distance after rectification,
+    and the change due to the rectification that the areas of the markers do not confirm. It is None if the
+    markers are hardly ever found together.
 
-    Notes ----- An inclined camera shows a length smaller where it is farther away, and shorter along the view
-    than across it. Therefore the picture is first rectified by the homography ``M p / (1 + l p)``, with M
-    symmetric of trace 2, for which the distance varies least. Equal lengths determine it up to a similarity
+    Notes
+    -----
+    An inclined camera shows a length smaller where it is further away, and shorter along the view than across
+    it. Therefore the picture is first rectified by the homography ``M p / (1 + l p)``, with M symmetric of
+    trace 2, for which the distance varies least. Equal lengths determine the homography up to a similarity
     (Liebowitz and Zisserman 1998, Metric rectification for perspective images of planes, CVPR,
-    doi:10.1109/CVPR.1998.698649). M is the identity if the robot turns by no more than its body may bend. The
-    same homography changes the areas of the markers. A change of the distance without the corresponding
+    doi:10.1109/CVPR.1998.698649). M is the identity if the heading changes by no more than the body may bend.
+    The same homography changes the areas of the markers. A change of the distance without the corresponding
     change of the areas is not due to perspective.
     """
     i, j = track.row(one), track.row(other)
@@ -148,7 +155,7 @@ def distance_change(track: RawTrack, one: str, other: str) -> float | None:
     middle = points.mean(axis=(1, 2), keepdims=True)
     points = (points - middle) / max(float(np.abs(points - middle).max()), 1.0)
     heading = np.unwrap(np.arctan2(*(points[:, 0] - points[:, 1])[::-1]))
-    # if the robot turns by less, a bend of its body may change the distance
+    # if the heading changes by less, a bend of the body may change the distance
     turns = float(np.ptp(heading)) > math.radians(60.0)
 
     def scatter_of(view: Array) -> Array:
@@ -170,7 +177,7 @@ def distance_change(track: RawTrack, one: str, other: str) -> float | None:
 
 
 def _rectified(points: Array, view: Array) -> Array:
-    """Return image points, shape (2, m, n), on the plane; ``view`` holds l and the two parameters of M."""
+    """Return image points, shape (2, m, n), rectified; ``view`` contains l and the two parameters of M."""
     a, b = (*view[2:], 0.0, 0.0)[:2]
     x, y = points
     return np.stack([(1 + a) * x + b * y, b * x + (1 - a) * y]) / (1 + view[0] * x + view[1] * y)
@@ -187,13 +194,13 @@ def scene_shifts(frames: Sequence[Frame]) -> Array:
     Returns
     -------
     ndarray, shape (n, 2)
-        In px, x to the right and y down; NaN if most corners have no common shift (ripples, plain water,
-        another scene).
+        Shift in px, x to the right and y down; NaN if most corners have no common shift (ripples, plain
+        water, another scene).
 
     Notes
     -----
-    Corners of the first frame are followed forth and back by the pyramidal optical flow of Lucas and Kanade
-    (Bouguet 2001). The shift is the median of the corners that return to their place.
+    Corners of the first frame are followed forwards and backwards by the pyramidal optical flow of Lucas and
+    Kanade (Bouguet 2001). The shift is the median over the corners that return to their initial position.
     """
     out = np.full((len(frames), 2), np.nan)
     if not frames:
@@ -209,7 +216,7 @@ def scene_shifts(frames: Sequence[Frame]) -> Array:
         there, found, _ = cv2.calcOpticalFlowPyrLK(small[0], picture, corners, None)
         back, again, _ = cv2.calcOpticalFlowPyrLK(picture, small[0], there, None)
         sound = (found[:, 0] > 0) & (again[:, 0] > 0)
-        # the way back must end within half a pixel of the start
+        # the corner that is followed backwards must end within half a pixel of its start
         sound &= np.linalg.norm((back - corners)[:, 0], axis=1) < 0.5
         if not sound.any():
             continue
@@ -217,8 +224,8 @@ def scene_shifts(frames: Sequence[Frame]) -> Array:
         middle = np.median(flow, axis=0)
         # corners belong to the scene if their shift is within one pixel of the median
         alike = np.linalg.norm(flow - middle, axis=1) < 1.0
-        # They must be half of all corners, and in 8 of 4 x 4 cells of the picture: a robot near the camera
-        # may hold most of the corners.
+        # These corners must be half of all corners, and must be in 8 of 4 x 4 cells of the picture: a robot
+        # near the camera may contain most of the corners.
         cells = (corners[sound, 0][alike] * 4 / np.array(picture.shape[::-1])).astype(int)
         if alike.sum() >= 0.5 * len(corners) and len(np.unique(cells, axis=0)) >= 8:
             out[k] = factor * middle
@@ -226,7 +233,10 @@ def scene_shifts(frames: Sequence[Frame]) -> Array:
 
 
 def interpolate_shifts(shift: Array, indices: NDArray[np.int64], count: int) -> Array | None:
-    """Return the shift in all ``count`` frames from that in some, shape (2, count); None if unknown."""
+    """Return the shift in all ``count`` frames, interpolated from some frames, shape (2, count).
+
+    The result is None if the shift is known in fewer than two frames.
+    """
     known = np.isfinite(shift[:, 0])
     if known.sum() < 2:
         return None
@@ -250,7 +260,7 @@ def check_camera(shift: Array, width: int, consequence: str) -> tuple[float, flo
 def _judged(
     code: str, name: str, value: str, limit: str, passed: bool, reason: str, *, fails: bool = False
 ) -> Check:
-    """Return a check that warns or fails. If it does not pass and has a code, warn."""
+    """Return a check that warns or fails. Record a warning if the check does not pass and has a code."""
     if code and not passed:
         warn(code, reason)
     return check(name, value, passed, limit, otherwise="fail" if fails else "warn", reason=reason)
@@ -259,7 +269,7 @@ def _judged(
 def _graded(
     code: str, name: str, value: str, limit: str, size: float, limits: tuple[float, float], reason: str
 ) -> Check:
-    """Return a check of a size that passes up to the first limit, and fails beyond the second."""
+    """Return a check of a size that passes up to the first limit, and fails beyond the second limit."""
     return _judged(code, name, value, limit, size <= limits[0], reason, fails=not size <= limits[1])
 
 
@@ -287,7 +297,7 @@ def _presence(track: RawTrack, pose: Pose, setup: Setup) -> Iterator[Check]:
     cut = np.any(track.at_edge[pose.rows], axis=0)
     enters, leaves = bool(cut[first - 1 : first].any()), bool(cut[last + 1 : last + 2].any())
     count, total = int(pose.measured.sum()), int(fresh.sum())
-    # frames before it enters and after it leaves are no losses, but do not pass the check either
+    # frames before the robot enters and after it leaves are not losses, but do not count as found either
     inside = slice(first if enters else 0, last + 1 if leaves else len(fresh))
     lost = 1 - float(pose.measured[inside][fresh[inside]].mean())
     bridged, empty = int((pose.interpolated & fresh).sum()), int(((pose.segment == 0) & fresh).sum())
@@ -318,7 +328,7 @@ def _presence(track: RawTrack, pose: Pose, setup: Setup) -> Iterator[Check]:
 
 
 def _motion(track: RawTrack, setup: Setup) -> Check:
-    """Check that the marker that moves most does move. A motionless thing passes all other checks."""
+    """Check that the marker with the largest range moves. A motionless object passes all other checks."""
     reaches = {name: measure_range(track, name) for name in setup.roles}
     name, farthest = max(reaches.items(), key=lambda item: item[1].radii)
     # distance that the noise of a motionless point exceeds in 0.3 % of the frames (Rayleigh distribution)
@@ -346,7 +356,7 @@ def _camera(kept: dict[int, Frame]) -> Iterator[Check]:
 
 
 def _others(track: RawTrack, setup: Setup) -> Iterator[Check]:
-    """Check how often the markers are found that the pose does not need, and whether they move."""
+    """Check how often the markers that the pose does not need are found, and whether they move."""
     shares = {n: float(track.found[track.row(n)].mean()) for n in track.names if n not in setup.roles}
     if not shares:
         return
@@ -361,7 +371,10 @@ def _others(track: RawTrack, setup: Setup) -> Iterator[Check]:
 
 
 def _separation(pose: Pose, setup: Setup) -> Iterator[Check]:
-    """Check that the distance of two markers is constant over time and place, and is that on the robot."""
+    """Check that the distance between two markers is constant and equal to that on the robot.
+
+    The distance must be constant over time and position.
+    """
     if pose.separation is None:
         return
     known = pose.measured & np.isfinite(pose.separation)
@@ -393,9 +406,10 @@ def _separation(pose: Pose, setup: Setup) -> Iterator[Check]:
 def _direction(pose: Pose, setup: Setup, track: RawTrack) -> Iterator[Check]:
     """Check that the robot swims in the direction that head and tail define.
 
-    The check fails if most of the path is in the other direction and the difference is more than the distance
-    of the markers, or more than the radius of a marker and the longest stretch in the stated direction. A
-    robot that stays in place moves to and fro.
+    The check compares the distances travelled in the other and in the stated direction. It fails if their
+    difference exceeds the distance between the markers. It also fails if the difference exceeds both the
+    radius of a marker and the longest continuous path in the stated direction. Smaller differences are
+    allowed, because a robot that stays in place moves back and forth.
     """
     if pose.body_velocity is None or pose.separation is None:
         return
@@ -433,7 +447,7 @@ def _timing(pose: Pose) -> Iterator[Check]:
 
 
 def _sight(track: RawTrack, pose: Pose) -> Iterator[Check]:
-    """Check whether the edge of the picture cuts markers, and whether they are partly hidden or jump."""
+    """Check whether the edge of the picture cuts markers, and whether markers are partly hidden or jump."""
     count, seen = int(np.any(track.at_edge[pose.rows], axis=0).sum()), track.seen[pose.rows].any(axis=0)
     share = count / max(int(seen.sum()), 1)
     reason = f"in {count} frames the edge of the picture cuts a marker; these frames count as not found"
@@ -468,7 +482,7 @@ def _calibration(pose: Pose) -> Iterator[Check]:
 
 
 def _looks(track: RawTrack) -> Iterator[Check]:
-    """Check whether another thing was taken for the marker first, and whether its colour drifted."""
+    """Check whether another object was taken for a marker first, and whether a colour drifted."""
     for name, (count, area) in track.mistaken.items():
         now = float(np.nanmedian(track.area[track.row(name)]))
         value = f"{count} sights of a thing of {area:.0f} px, then one of {now:.0f} px"

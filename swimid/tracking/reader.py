@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-# FFmpeg would write remarks on damaged frames between the messages of swimid.
+# FFmpeg would print remarks on damaged frames between the messages of swimid.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")
 
@@ -28,11 +28,11 @@ Frame = NDArray[np.uint8]
 ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm")
 #: Colour of measured points in a drawing, BGR (Okabe and Ito).
 MEASURED = (0, 159, 230)
-#: Placeholder of the printf function of C for a whole number.
+#: Placeholder for a whole number in a format of the C function printf.
 _HOLDER = re.compile(r"%0?\d*d")
-#: Maximum relative deviation of a regular time step from the median step.
+#: Maximum deviation of a regular time step from the median step, relative to the median step.
 JITTER = 0.25
-#: A frame: its place in the film, its stamp (s; NaN for pictures), and the picture.
+#: A frame: position in the film, time stamp (s; NaN for pictures), and picture.
 _Read = tuple[int, float, Frame]
 
 
@@ -42,7 +42,10 @@ def is_sequence(path: Path) -> bool:
 
 
 def _pictures(path: Path, files: list[Path], apply_rotation: bool) -> Iterator[_Read]:
-    """Yield pictures in the order of the numbers in their names; a missing picture keeps its place."""
+    """Yield pictures in the order of the numbers in their names.
+
+    A missing picture leaves a gap in time.
+    """
     flags = cv2.IMREAD_COLOR
     if not apply_rotation:
         flags |= cv2.IMREAD_IGNORE_ORIENTATION
@@ -65,7 +68,7 @@ def _pictures(path: Path, files: list[Path], apply_rotation: bool) -> Iterator[_
 
 
 def _opened(path: Path, apply_rotation: bool) -> cv2.VideoCapture:
-    """Open a film."""
+    """Open a film for decoding."""
     if not path.is_file():
         raise InputError("cannot be read: no such file", file=path, hint="check the path")
     if path.stat().st_size == 0:
@@ -82,7 +85,7 @@ def _opened(path: Path, apply_rotation: bool) -> cv2.VideoCapture:
 
 
 def _decoded(capture: cv2.VideoCapture) -> Iterator[_Read]:
-    """Yield the frames of a film, each in the memory of the one before."""
+    """Yield the frames of a film. Each frame overwrites the previous one in memory."""
     picture: Frame | None = None
     for position in itertools.count():
         ok, frame = capture.read(picture)
@@ -94,26 +97,26 @@ def _decoded(capture: cv2.VideoCapture) -> Iterator[_Read]:
 
 
 class Video:
-    """A film that is read once, from its first frame to its last.
+    """Film that is read once, from its first frame to its last.
 
     Parameters
     ----------
     path : path
         A film, a folder of pictures, or a pattern of their names (``pool/%05d.png``).
     frame_rate_hz : float, optional
-        True frame rate, if the stamps of the container are wrong. Frame i is then at i / frame_rate_hz.
-        Pictures have no other clock.
+        True frame rate, if the stamps of the container are wrong. The time of frame i is then i /
+        frame_rate_hz. Pictures need a frame rate because they have no stamps.
     apply_rotation : bool
         Whether the rotation tag is applied. The default of OpenCV depends on its version.
 
     Attributes
     ----------
     files : list of path
-        The film, or the pictures.
+        File of the film, or files of the pictures.
     width, height : int
         Size of the picture, px.
     claimed_rate_hz, claimed : float, int
-        Mean rate and number of frames according to the container; 0 if it does not state them.
+        Mean rate and number of frames according to the container; 0 if the container does not state them.
     first_stamp_s : float
         Stamp of the first frame, which is t = 0; NaN for pictures.
 
@@ -161,7 +164,7 @@ class Video:
             raise InputError("is a series of pictures, which carry no time stamps", file=self.path, hint=hint)
 
     def frames(self) -> Iterator[tuple[float, Frame]]:
-        """Yield the time in s and the BGR picture of every frame. The next picture overwrites it.
+        """Yield the time in s and the BGR picture of every frame. The next picture overwrites the array.
 
         Pictures without a frame rate have the time NaN.
         """
@@ -174,7 +177,7 @@ class Video:
             else:
                 yield stamp - self.first_stamp_s, frame
         count, claimed = len(self._stamps), self.claimed
-        # some containers state one or two frames more than they hold
+        # some containers state one or two frames more than they contain
         if len(self.files) == 1 and claimed and count < claimed - max(2, 0.01 * claimed):
             text = f"{count} of {claimed} frames could be decoded"
             warn("SWM044", f"{self.path.name}: {text}; the video is damaged or cut after frame {count - 1}")
@@ -223,9 +226,9 @@ def write_text(image: Frame, text: str, where: tuple[int, int], size: float, lin
 
 
 class FrameKeeper:
-    """Keep up to ``most`` frames, spread evenly over a film of unknown length and at most ``width`` px wide.
+    """Store of up to ``most`` frames, spread evenly over a film of unknown length, at most ``width`` px wide.
 
-    At first every ``every``-th frame is kept. If there are more than ``most``, every second one is dropped.
+    At first every ``every``-th frame is stored. If there are more than ``most``, every second one is removed.
     """
 
     def __init__(self, most: int, every: int = 1, width: int | None = None) -> None:
@@ -233,7 +236,7 @@ class FrameKeeper:
         self._most, self._every, self._width = most, every, width
 
     def take(self, index: int, frame: Frame) -> None:
-        """Keep a copy of the next frame if it is its turn."""
+        """Store a copy of the next frame if its index is a multiple of the current interval."""
         if index % self._every:
             return
         self.kept[index] = reduced(frame, self._width or frame.shape[1])
@@ -243,7 +246,7 @@ class FrameKeeper:
 
 
 def irregular(times: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the share of irregular time steps, and the ratio of the longest step to the median."""
+    """Return the fraction of irregular time steps, and the ratio of the longest step to the median."""
     steps = np.diff(times)
     if len(steps) < 2:
         return 0.0, 1.0
@@ -252,14 +255,17 @@ def irregular(times: NDArray[np.float64]) -> tuple[float, float]:
 
 
 def check_output(path: Path, output: Path) -> None:
-    """Raise if the output is in the folder of the pictures, where its plot would become one of them."""
+    """Raise if the output is in the folder of the pictures.
+
+    A plot in this folder would become one of the pictures.
+    """
     if path.is_dir() and output.resolve().parent == path.resolve():
         text = f"the output {output} would lie among the pictures of {path}"
         raise UsageError(text, hint="name another folder")
 
 
 def _listed(path: Path) -> list[Path]:
-    """Return the pictures in order."""
+    """Return the files of the pictures in order."""
     if path.is_dir():
         files = [f for f in path.iterdir() if f.suffix.lower() in ENDINGS and f.is_file()]
         files = [f for f in files if not f.name.startswith(".")]
@@ -297,7 +303,10 @@ def _numbers(name: str) -> list[int]:
 
 
 def _positions(path: Path, files: list[Path]) -> list[int]:
-    """Return the place of each picture in an even series, from the number in the names that counts."""
+    """Return the position of each picture in an even series, from the number in its name.
+
+    If the names contain several numbers, the only one that changes is used.
+    """
     table = np.array([_numbers(f.name) or [0] for f in files], dtype=object)
     counting = [k for k in range(table.shape[1]) if len(set(table[:, k])) > 1]
     order = list(range(len(files)))

@@ -1,7 +1,7 @@
 """The setup file, ``swimid-setup/1``: markers, camera and scale.
 
-One file serves all films that are taken with the same camera and lights. ``swimid track setup`` drafts it
-from a film, and ``docs/tracking.md`` explains each key with an example.
+One file serves all films that are taken with the same camera and lights. ``swimid track setup`` drafts the
+file from a film, and ``docs/tracking.md`` explains each key with an example.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ FORMAT = "swimid-setup/1"
 _Positive = Annotated[float, Field(gt=0)]
 _Point = tuple[float, float]
 _Points = tuple[_Point, ...]
-#: Left, top, right, bottom, px.
+#: Left, top, right and bottom side of a box, px.
 Box = tuple[float, float, float, float]
 
 
@@ -50,14 +50,16 @@ class Marker(Document):
     """One kind of marker: colour, number and size in the picture."""
 
     name: Annotated[str, Field(min_length=1, max_length=40)]
-    #: ``background`` is the whole body, found by its difference from the empty scene; it needs no colour.
+    #: ``background`` means the whole body, found by its difference from the empty scene; it needs no colour.
     method: Literal["colour", "background"] = "colour"
     hsv: HsvRange | None = None
     number: Annotated[int, Field(ge=1, le=20)] = 1
     area_px: _Area | None = None
-    #: Place of each marker in the first frame (px of the picture), which defines the names of equal markers.
+    #: Position of each marker in the first frame (px of the picture), which defines the names of equal
+    #: markers.
     start_px: _Points | None = None
-    #: Place on the robot relative to its reference point: forward, and to port (up in the vertical plane), m.
+    #: Position on the robot relative to its reference point: forward, and to port (up in the vertical plane),
+    #: m.
     at_m: _Point | None = None
 
     @model_validator(mode="after")
@@ -147,30 +149,30 @@ class Setup(Document):
 
     format: Literal["swimid-setup/1"]
     markers: Annotated[list[Marker], Field(min_length=1, max_length=20)]
-    #: Marker whose path is that of the log (the nose), and marker behind it. The first of markers of one kind
-    #: is the default head, and they need no tail.
+    #: Head marker, whose path is that of the log (the nose), and tail marker behind it. With a single kind of
+    #: marker, the first marker is the default head and a tail is not needed.
     head: str | None = None
     tail: str | None = None
     plane: Literal["horizontal", "vertical"] = "horizontal"
     #: Direction in the picture in which the robot faces and x of the log increases, in the vertical plane.
     facing: Literal["auto", "right", "left"] = "auto"
-    #: Direction of motion. A track that goes the other way most of the time fails a check.
+    #: Direction of motion. A track in the other direction for most of the path fails a check.
     swims: Literal["head-first", "tail-first"] = "head-first"
-    #: Robot whose file gives the places of the markers without ``at_m``, by their names.
+    #: Robot whose file gives the positions of the markers without ``at_m``, by their names.
     robot: str | None = None
     #: Reference point relative to the head marker: forward, and to port (up in the vertical plane), m.
     reference_offset_m: _Point = (0.0, 0.0)
     scale: Scale | None = None
     camera: Camera | None = None
-    #: Frame rate that replaces the stamps of the container.
+    #: Frame rate that replaces the stamps of the container, Hz.
     frame_rate_hz: _Positive | None = None
-    #: Maximum length of a gap that is interpolated.
+    #: Maximum length of a gap that is interpolated, s.
     max_gap_s: Annotated[float, Field(ge=0)] = 1.0
     #: Whether the rotation tag of the container is applied.
     apply_rotation: bool = True
-    #: The only box in which markers are searched for: [left, top, right, bottom].
+    #: Box in which the centres of markers must be: [left, top, right, bottom], px.
     region_px: Box | None = None
-    #: Boxes in which no markers are searched for.
+    #: Boxes in which no markers are searched for, each [left, top, right, bottom] in px.
     ignore_px: list[Box] = []
 
     @model_validator(mode="after")
@@ -218,7 +220,7 @@ class Setup(Document):
 
     @property
     def name(self) -> str:
-        """Name of a setup that is no file, in the provenance of a result."""
+        """Name of a setup without a file, in the provenance of a result."""
         return "setup"
 
     @property
@@ -228,26 +230,26 @@ class Setup(Document):
 
     @property
     def head_name(self) -> str:
-        """Marker that gives the position."""
+        """Name of the marker that gives the position."""
         return self.head or self.marker_names[0]
 
     @property
     def roles(self) -> list[str]:
-        """Markers that the pose needs: head, and tail if there is one."""
+        """Names of the markers that the pose needs: head, and tail if there is one."""
         return [self.head_name] if self.tail is None else [self.head_name, self.tail]
 
     @property
     def axes(self) -> tuple[str, str, str]:
-        """Names of the second coordinate, of the heading, and of the velocity across it."""
+        """Names of the second coordinate, of the heading, and of the velocity across the heading."""
         return ("y", "yaw", "v") if self.plane == "horizontal" else ("z", "pitch", "w")
 
     def marker(self, name: str) -> Marker:
-        """Return the kind of a single marker."""
+        """Return the entry of the setup to which a single marker belongs."""
         return next(marker for marker in self.markers if name in marker.names)
 
     @property
     def places(self) -> tuple[_Point, _Point] | None:
-        """Places of head and tail marker relative to the reference point (``at_m``); None if unknown."""
+        """Positions of head and tail marker relative to the reference point (``at_m``); None if unknown."""
         known = [at for at in (self.marker(name).at_m for name in self.roles) if at is not None]
         return (known[0], known[1]) if len(known) > 1 else None
 
@@ -258,7 +260,7 @@ def of(given: str | Path | Setup | Mapping[str, Any]) -> Setup:
     Raises
     ------
     InputError
-        As :func:`read`.
+        See :func:`read`.
     """
     if isinstance(given, str | Path):
         return read(given)
@@ -267,7 +269,7 @@ def of(given: str | Path | Setup | Mapping[str, Any]) -> Setup:
 
 
 def read(path: str | Path) -> Setup:
-    """Read and check a setup file, and add the places of the markers from its ``robot``.
+    """Read and check a setup file, and add the positions of the markers from its ``robot``.
 
     Raises
     ------
@@ -293,7 +295,7 @@ def _complete(data: Mapping[str, Any], path: Path) -> Setup:
 
 
 def _robot_places(setup: Setup, name: str, path: Path) -> dict[str, tuple[float, float]]:
-    """Return the places of the markers of a robot; raise if head or tail is not among them."""
+    """Return the positions of the markers of a robot; raise if head or tail is not among them."""
     from swimid.robots import file as robot_format
 
     def refuse(text: str, hint: str | None = None) -> InputError:

@@ -14,17 +14,18 @@ from swimid.tracking.quality import head_first
 from swimid.tracking.reader import Frame, FrameKeeper, Video, largest_channel, reduced
 from swimid.tracking.setup import Setup
 
-#: Number of frames whose median is the empty scene, and width that all frames are reduced to, px.
+#: Number of frames whose median is the empty scene, and width to which all frames are reduced, px.
 SCENE_FRAMES, WIDTH = 41, 960
-#: Minimum difference of the body from the empty scene: grey levels, and ratio to the median of the frame.
+#: Minimum difference of the body from the empty scene: in grey levels, and relative to the median difference
+#: in the frame.
 MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO = 16.0, 4.0
-#: Default minimum and maximum area of the body, as shares of the picture.
+#: Default minimum and maximum area of the body, as fractions of the picture.
 AREA_SHARES = (5e-4, 0.5)
 _KERNEL = np.ones((5, 5), np.uint8)
 
 
 def empty_scene(path: Path, setup: Setup) -> Frame:
-    """Return the median of frames spread over a film, in which moving things are absent."""
+    """Return the median of frames spread over a film, in which moving objects are absent."""
     video = Video(path, apply_rotation=setup.apply_rotation)
     keeper = FrameKeeper(SCENE_FRAMES, max(video.claimed // SCENE_FRAMES, 1), WIDTH)
     for index, (_, frame) in enumerate(video.frames()):
@@ -34,17 +35,17 @@ def empty_scene(path: Path, setup: Setup) -> Frame:
 
 
 class Silhouette:
-    """Follow the largest thing that differs from the empty scene, frame by frame.
+    """Follow the largest object that differs from the empty scene, frame by frame.
 
-    Two points represent it: the centre of the silhouette, and a point behind it on the main axis, at the
-    half-axis of the ellipse with the same second moments.
+    Two points represent the object: the centre of the silhouette, and a rear point on the main axis. The
+    distance of the rear point is the half-axis of the ellipse with the same second moments.
 
     Parameters
     ----------
     setup : Setup
-        With one marker of ``method: background``.
+        Setup with a single marker of ``method: background``.
     scene : frame
-        The empty scene, from :func:`empty_scene`.
+        Empty scene, from :func:`empty_scene`.
     width, height : int
         Size of the picture, px.
     """
@@ -96,7 +97,7 @@ class Silhouette:
         core = cv2.erode(body, _KERNEL)
         inside = core if core.any() else body
         contrast = float(np.median(difference[here][inside > 0]))
-        # pixels of the rim count by their difference from the scene, and the inside counts fully
+        # pixels of the rim are weighted by their difference from the scene, and the inside has weight 1
         near, filled = cv2.dilate(body, _KERNEL), _filled(core)
         weight = np.clip(2 * difference[here].astype(float) / contrast - 0.5, 0, 1) * (near > 0)
         m = cv2.moments(np.where(filled > 0, 1.0, weight))
@@ -117,7 +118,7 @@ class Silhouette:
     def track(self, times: NDArray[np.float64] | None = None) -> RawTrack:
         """Return the track so far; ``times`` replaces the times of the frames.
 
-        The direction of the axis is that of most steps.
+        The direction of the main axis is chosen so that most steps agree with ``swims`` in the setup.
         """
         track = RawTrack.of_rows(
             self._times if times is None else times,

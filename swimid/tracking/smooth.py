@@ -5,7 +5,7 @@ acceleration (driven by white jerk). The powers of the driving noise and of the 
 likelihood of the innovations. The model with the larger likelihood is used.
 
 The estimation of the noise, and the calibration of the standard deviation in gaps, run the filter hundreds of
-times. Therefore it is a compiled loop.
+times. Therefore the filter is a compiled loop.
 """
 
 from __future__ import annotations
@@ -22,13 +22,14 @@ from swimid.logs.log import runs
 
 Array = NDArray[np.float64]
 
-#: Number of hidden stretches that calibrate the standard deviation in a gap, and known samples on each side.
+#: Number of hidden segments that calibrate the standard deviation in a gap, and known samples on each side.
 N_STRETCHES, MARGIN = 40, 20
-#: Minimum number of samples in a piece of the record that the noise is estimated from.
+#: Minimum number of samples in a segment from which the noise is estimated.
 MIN_SAMPLES = 6
-#: Powers of ten searched for the ratio of driving noise to measurement noise in one step.
+#: Powers of ten that are compared for the ratio between driving noise and measurement noise in one step.
 RATIOS = np.arange(-9.0, 4.5)
-#: Variance of the unknown initial state, relative to the measurement variance (and per step for its rates).
+#: Variance of the unknown initial position, relative to the measurement variance. For velocity and
+#: acceleration it is divided by the second and fourth power of the time step.
 START_VARIANCE = 1e7
 
 
@@ -39,6 +40,7 @@ class Smoothed:
     Attributes
     ----------
     position, velocity, position_sd, velocity_sd : ndarray, shape (d, n)
+        Smoothed values of the d coordinates and their standard deviations.
     measurement_sd : float
         Estimated standard deviation of a measurement of weight 1, in the unit of the coordinate.
     process_noise : float
@@ -46,7 +48,7 @@ class Smoothed:
     order : int
         2 for white acceleration, 3 for white jerk.
     innovation : ndarray, shape (d, n)
-        Normalised innovation of each measurement, NaN without one.
+        Normalised innovation of each measurement, NaN without a measurement.
     """
 
     position: Array
@@ -65,7 +67,7 @@ class Smoothed:
 
 @njit(cache=True)
 def _step(dt, q, order, transition, noise):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Fill the transition matrix and the noise of a step of ``dt`` seconds of a chain of integrators.
+    """Fill the transition matrix and the noise covariance of a chain of integrators in a step of ``dt`` s.
 
     Noise of power q drives the highest derivative. Entry (i, j) of the transition is dt^(j - i) / (j - i)!.
     """
@@ -128,13 +130,14 @@ def kalman(  # pragma: no cover - compiled loops
     Parameters
     ----------
     times, values, variances : ndarray, shape (n,)
-        ``values`` is NaN for a missing measurement.
+        Times, measurements and their variances. ``values`` is NaN for a missing measurement.
     q : float
         Power of the driving noise.
     order : int
-        2 or 3.
+        Number of states, 2 or 3.
     start : ndarray, shape (order, order)
-        Covariance of the state at times[0]. Its mean is the first measurement, at rest.
+        Covariance of the state at times[0]. The mean position is the first measurement, and the mean
+        derivatives are 0.
 
     Returns
     -------
@@ -226,7 +229,7 @@ def rts(  # pragma: no cover - compiled
 
 
 def _start(order: int, variance: float, step: float) -> Array:
-    """Return the covariance of the unknown initial state."""
+    """Return the covariance of the unknown initial state, shape (order, order)."""
     return np.diag([START_VARIANCE * variance / step ** (2 * i) for i in range(order)])
 
 
@@ -235,9 +238,9 @@ def _likelihood(
 ) -> tuple[float, float]:
     """Return the concentrated log-likelihood, and the measurement variance that maximises it.
 
-    For a given ratio of driving noise to measurement variance, the latter scales all innovation variances.
-    Its best value is the mean of the squared normalised innovations. The first ``order`` innovations of each
-    piece determine the unknown initial state and do not count.
+    For a given ratio of driving noise to measurement variance, all innovation variances are proportional to
+    the measurement variance. Its most likely value is the mean of the squared normalised innovations. The
+    first ``order`` innovations of each segment determine the unknown initial state and are not used.
     """
     squares, logs, count = 0.0, 0.0, 0
     q, start = ratio / step ** (2 * order - 1), _start(order, 1.0, step)
@@ -256,7 +259,7 @@ def _likelihood(
 def _estimate_noise(
     pieces: list[tuple[Array, Array, Array]], order: int, step: float
 ) -> tuple[float, float, float]:
-    """Return the maximum log-likelihood, the ratio of the noises, and the measurement variance."""
+    """Return maximum log-likelihood, ratio of driving to measurement noise, and measurement variance."""
 
     def cost(exponent: float) -> float:
         return -_likelihood(pieces, 10.0**exponent, order, step)[0]
@@ -286,8 +289,8 @@ def _gap_factor(
 ) -> float:
     """Return the ratio, at least 1, of the errors in a gap of ``length`` samples to their standard deviation.
 
-    Measured stretches of that length, with ``MARGIN`` known samples on each side, are hidden, interpolated
-    and compared with the path.
+    Measured segments of that length, with ``MARGIN`` known samples on each side, are hidden, interpolated and
+    compared with the path.
     """
     whole = length + 2 * MARGIN
     known = runs(~np.isnan(row))
@@ -321,26 +324,28 @@ def smooth(
     Parameters
     ----------
     times : ndarray, shape (n,)
-        s, strictly increasing.
+        Times in s, strictly increasing.
     values : ndarray, shape (d, n)
         Measurements, NaN if missing.
     weights : ndarray, shape (n,)
         Variance of each measurement relative to a good one.
     segments : list of (start, end)
-        Segments to smooth, ``end`` exclusive. The result is NaN outside of them.
+        Segments to smooth, ``end`` exclusive. The result is NaN outside of the segments.
     min_sd : float
-        Lower bound of the standard deviation of a measurement.
+        Minimum standard deviation of a measurement.
     trusted : ndarray of bool, shape (n,), optional
-        Measurements that the noise is estimated from. The errors of the others are correlated from sample to
-        sample, so that the likelihood would take them for motion.
+        Measurements from which the noise is estimated. The errors of the other measurements are correlated
+        from sample to sample, so that the likelihood would attribute them to motion.
 
     Returns
     -------
     Smoothed
 
-    Notes ----- The acceleration of a beating swimmer is no white noise. Therefore the standard deviation in a
-    gap is calibrated: measured stretches of the same length are hidden and interpolated, and the standard
-    deviation is multiplied by the ratio of their errors to it.
+    Notes
+    -----
+    The acceleration of a swimmer is not white noise, because it follows the stroke. Therefore the standard
+    deviation in a gap is calibrated: measured segments of the same length are hidden and interpolated, and
+    the standard deviation is multiplied by the ratio of their errors to it.
 
     The noise maximises the likelihood of the innovations, with the measurement variance concentrated out
     (Harvey, A. C., 1989, *Forecasting, structural time series models and the Kalman filter*, section 3.4).

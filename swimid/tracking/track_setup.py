@@ -24,7 +24,8 @@ from swimid.tracking.reader import MEASURED, Frame, Video, write_text
 from swimid.tracking.setup import FORMAT, Marker, Setup
 from swimid.tracking.tracker import Run, follow
 
-#: Maximum number of candidates for the first marker, and of trials of each. Every trial reads the film once.
+#: Maximum number of candidates for the first marker, and maximum number of trials of each. Every trial reads
+#: the film once.
 MAX_TRIALS = 3
 #: Number of pictures on the contact sheet, and their width, px.
 N_TILES, TILE_WIDTH = 4, 640
@@ -76,7 +77,7 @@ class SetupDraft(Result):
 
     @property
     def setup(self) -> Setup:
-        """The setup, for ``track_video``."""
+        """Setup that can be passed to ``track_video``."""
         return setup_format.of(yamlio.parse_scalar(self.document))
 
     def _write(self, path: Path) -> list[Path]:
@@ -101,14 +102,15 @@ def track_setup(
 ) -> SetupDraft:
     """Propose markers, draw them, and draft a setup that ``track_video`` can use as it is.
 
-    Without picks, coloured patches that move are proposed. Without a scale, positions are in pixels.
+    Without picked markers, coloured patches that move are proposed. Without a scale, positions are in pixels.
 
     Parameters
     ----------
     video : path
-        A film.
+        File of the film.
     output : path, optional
-        The setup file. A PNG with the markers drawn in is written beside it. Without it nothing is written.
+        Setup file to write. A PNG with the markers drawn in is written to the same folder. Without ``output``
+        nothing is written.
     force : bool
         Whether an existing setup is replaced.
     progress : Progress
@@ -117,7 +119,7 @@ def track_setup(
     Returns
     -------
     SetupDraft
-        ``.setup`` is for ``track_video``, ``.sheet`` is the picture.
+        Draft. ``.setup`` can be passed to ``track_video``, and ``.sheet`` is the picture with the markers.
 
     Raises
     ------
@@ -176,7 +178,7 @@ def track_setup(
 
 
 def _setup(markers: list[Marker], common: dict[str, Any]) -> Setup:
-    """Return a setup whose first marker is the head, and whose second marker, if any, is the tail."""
+    """Return a setup in which the first marker is the head, and the second marker, if any, is the tail."""
     head, *rest = [name for marker in markers for name in marker.names]
     return Setup(format=FORMAT, markers=markers, head=head, tail=rest[0] if rest else None, **common)
 
@@ -190,15 +192,17 @@ def _try(video: Path, setup: Setup, progress: Progress) -> Run:
 def _from_film(
     video: Path, common: dict[str, Any], progress: Progress
 ) -> tuple[Run, list[str], list[Candidate]]:
-    """Return a trial of the best candidate that moves, with a partner at a constant distance if there is one.
+    """Return a trial of the best moving candidate, with a second marker if possible.
+
+    The second marker must have a constant distance from the first one.
 
     Returns
     -------
     run : Run
     remarks : list of str
-        One for each marker.
+        One remark for each marker.
     rejected : list of Candidate
-        Other colours.
+        Colours that are not used.
     """
     with progress(f"looking at {video.name}") as step:
         samples = propose.sample(video, step=step)
@@ -241,14 +245,14 @@ def _pair_setup(pair: list[Candidate], common: dict[str, Any]) -> Setup:
         Marker(name=name, hsv=candidate.colours, area_px=candidate.area_px)
         for name, candidate in zip(names, pair, strict=True)
     ]
-    # a place in which a marker was seen must not be ignored
+    # a position at which a marker was seen must not be ignored
     boxes = [box for candidate in pair for box in candidate.still]
     still = [box for box in boxes if not any(candidate.crosses(box) for candidate in pair)]
     return _setup(markers, common).model_copy(update={"ignore_px": still})
 
 
 def _faults(run: Run, pair: list[Candidate], scene: quality.Array | None) -> dict[int, str]:
-    """Return the reasons why candidates of a trial are no markers, by their index in ``pair``.
+    """Return the reasons why candidates of a trial are not markers, by their index in ``pair``.
 
     ``scene``, shape (2, n), is the shift of the scene in each frame, px.
     """
@@ -300,7 +304,7 @@ def _from_picks(
 
 
 def _from_background(video: Path, common: dict[str, Any], progress: Progress) -> tuple[Run, list[str]]:
-    """Return a trial of the body that differs from the empty scene, and a remark on it.
+    """Return a trial of the body that differs from the empty scene, and a remark on the body.
 
     Raises
     ------
@@ -320,7 +324,7 @@ def _doubts(setup: Setup, run: Run) -> float | None:
     Returns
     -------
     float or None
-        Share of the steps in which the pair moves towards its head.
+        Fraction of the steps in which the pair moves towards its head.
     """
     for name in run.track.names:
         code, fault = quality.marker_fault(run.track, name)
@@ -343,7 +347,7 @@ def _doubts(setup: Setup, run: Run) -> float | None:
 
 
 def _frame(video: Path, index: int) -> Frame:
-    """Return one frame of a film; raise an InputError if it does not exist."""
+    """Return one frame of a film; raise an InputError if the frame does not exist."""
     count = 0
     for count, (_, frame) in enumerate(Video(video).frames(), start=1):
         if count - 1 == index:
@@ -352,7 +356,7 @@ def _frame(video: Path, index: int) -> Frame:
 
 
 def _with_areas(run: Run) -> Setup:
-    """Return the setup of a trial with ranges of the areas that were measured in it."""
+    """Return the setup of a trial with ranges of the areas that were measured in the trial."""
     markers = []
     for marker in run.setup.markers:
         i = run.track.row(marker.names[0])
@@ -368,7 +372,7 @@ def _with_areas(run: Run) -> Setup:
 def _text(
     setup: Setup, shares: dict[str, float], remarks: list[str], rejected: list[Candidate], video: str
 ) -> str:
-    """Return the setup as commented YAML, with the share of the frames in which each marker is found."""
+    """Return the setup as commented YAML, with the fraction of frames in which each marker is found."""
     markers = [_marker_text(m, shares, remark) for m, remark in zip(setup.markers, remarks, strict=True)]
     markers += [f"# Passed over: {one}\n" for one in rejected]
     scale, rate, facing = _NO_SCALE, "# frame_rate_hz: 240", ""

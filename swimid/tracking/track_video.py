@@ -39,13 +39,13 @@ Array = NDArray[np.float64]
 #: Key, name, value and unit of a quantity.
 Row = tuple[str, str, Estimate | None, str]
 
-#: Columns whose values tell a wrong scale.
+#: Columns whose values show a wrong scale.
 SCALED = ("t_s", "x_m", "y_m", "z_m", "u_m_s", "v_m_s", "w_m_s")
 #: Maximum number of points and of shaded gaps in a figure.
 MAX_POINTS, MAX_GAPS = 1500, 60
-#: Width of the frames in the report, px, and the time that the drawn trail covers, s.
+#: Width of the frames in the report, px, and duration of the path that is drawn into a frame, s.
 IMAGE_WIDTH, TRAIL_S = 640, 2.0
-#: Colours of interpolated points and of the trail, BGR (Okabe and Ito, for colour-blind readers).
+#: Colours of interpolated points and of the drawn path, BGR (Okabe and Ito, for colour-blind readers).
 INTERPOLATED, TRAIL = (167, 121, 204), (233, 180, 86)
 CAPTION = (
     "Circles: detected markers, purple where the edge of the picture cuts them. Cross and arrow: smoothed "
@@ -62,14 +62,14 @@ REFERENCES = [
 
 @dataclass(frozen=True, eq=False)
 class Track(Logged):
-    """The track of a film, as ``track_video`` returns it.
+    """Track of a film, as ``track_video`` returns it.
 
     Attributes
     ----------
     pose : Pose
         Path and heading with their standard deviations; None if the log was read from a file.
     setup : Setup
-        The setup, with the boxes of motionless things that were left out.
+        Setup, with the boxes of motionless objects that were left out.
     """
 
     pose: Pose | None = None
@@ -97,15 +97,17 @@ def track_video(
     """Track the markers of a film, and estimate pose, speeds and stroke of the robot.
 
     The setup is a file, a Setup or a dict with the colours of the markers, the scale and the camera.
-    ``track_setup`` drafts one. The log holds all frames, even if speeds and stroke are those of a part.
+    ``track_setup`` drafts a setup. The log contains all frames, even if speeds and stroke are those of a part
+    of the film.
 
     Parameters
     ----------
     video : path
         A film, a folder of pictures, or a pattern of their names (``%05d.png``).
     output : path, optional
-        The log, CSV or Parquet by its ending. ``<stem>.evidence.json`` and ``<stem>.png`` are written beside
-        it. Without it nothing is written; :meth:`~swimid.results.result.Result.save` writes the files later.
+        Log to write, CSV or Parquet by its ending. ``<stem>.evidence.json`` and ``<stem>.png`` are written to
+        the same folder. Without ``output`` nothing is written;
+        :meth:`~swimid.results.result.Result.save` writes the files later.
     metadata : dict, optional
         Additional ``# key: value`` lines of the log.
     progress : Progress
@@ -115,8 +117,8 @@ def track_video(
     -------
     Track
         ``.frame`` has a row for each of the n frames: ``t_s``, pose (m, rad; px without a scale), speeds
-        (m/s, rad/s), their standard deviations, the measurements, and each marker. ``.data["swimming"]`` has
-        speed, stroke and accelerations with their 95 % intervals.
+        (m/s, rad/s), their standard deviations, the measurements, and each marker. ``.data["swimming"]``
+        contains speed, stroke and accelerations with their 95 % intervals.
 
     Raises
     ------
@@ -125,13 +127,13 @@ def track_video(
     NoTrustworthyResult
         A marker is found in no frame, or in too few.
     UsageError
-        An option is out of its range, or the window holds too few frames with the markers.
+        An option is out of its range, or the window contains too few frames with the markers.
 
     Notes
     -----
     Positions are smoothed by a Kalman filter and a Rauch-Tung-Striebel smoother (Rauch, Tung and Striebel,
-    1965, doi:10.2514/3.3166). The steady part is found by the marginal standard error rule (White, 1997,
-    doi:10.1177/003754979706900601).
+    1965, doi:10.2514/3.3166). The steady part of the motion is found by the marginal standard error rule
+    (White, 1997, doi:10.1177/003754979706900601).
 
     Examples
     --------
@@ -265,7 +267,7 @@ def _swimming(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimmi
     Raises
     ------
     UsageError
-        The window holds too few frames with the markers.
+        The window contains too few frames with the markers.
     """
     seen, path = pose.times[pose.measured], pose.path
     begin, end = (one if one is not None else seen[k] for one, k in zip(window_s, (0, -1), strict=True))
@@ -324,7 +326,7 @@ def _rows(found: Swimming, setup: Setup, unit: str) -> list[Row]:
 
 
 def _data(track: RawTrack, pose: Pose, rows: list[Row], found: Swimming) -> dict[str, Any]:
-    """Return the numbers of a track for ``--json``; None if the window does not determine one."""
+    """Return the values of a track for ``--json``; None for a value that the window does not determine."""
     seen, total, unit = np.flatnonzero(pose.measured), len(pose.times), pose.plane.unit
     gaps = [end - start for start, end in pose.gaps]
     noise = {unit: pose.path.measurement_sd}
@@ -363,7 +365,7 @@ def _data(track: RawTrack, pose: Pose, rows: list[Row], found: Swimming) -> dict
 
 
 def _answer(pose: Pose, found: Swimming) -> str:
-    """Return the sentence of the verdict: frames found, speed and stroke."""
+    """Return the sentence of the verdict: fraction of frames with markers, speed and stroke frequency."""
     text, kind, speed = (
         f"Markers found in {100 * pose.measured.mean():.1f} % of the frames",
         "path",
@@ -379,7 +381,7 @@ def _answer(pose: Pose, found: Swimming) -> str:
 
 
 def _facts(pose: Pose, setup: Setup, found: Swimming) -> dict[str, str]:
-    """Return the properties of a track in short."""
+    """Return the main properties of a track as short texts, by name."""
     unit, count = pose.plane.unit, int(pose.measured.sum())
     noise = f"{pose.path.measurement_sd:.2g} {unit}"
     if pose.angle is not None:
@@ -522,7 +524,7 @@ class Painter:
             self._tip = pose.plane.to_image(*ahead)
 
     def draw(self, i: int, frame: Frame) -> Frame:
-        """Draw trail, markers, heading and a line of text into frame ``i``, in place, and return it."""
+        """Draw path, markers, heading and a line of text into frame ``i``, in place, and return the frame."""
         size = max(frame.shape[1] / 960, 0.5)
         line = max(round(1.5 * size), 1)
         times = self.track.times
@@ -557,7 +559,7 @@ class Painter:
         return ", ".join(words)
 
     def images(self) -> list[ev.Image]:
-        """Return the kept frames with the track drawn in, for the report."""
+        """Return the frames for the report, with the track drawn in."""
         images = []
         for i, frame in self.run.kept.items():
             drawn = reduced(self.draw(i, frame.copy()), IMAGE_WIDTH)
@@ -568,7 +570,7 @@ class Painter:
         return images
 
     def write(self, path: Path, progress: Progress) -> str:
-        """Read the film again and write it with the track drawn in; return a remark, or an empty text.
+        """Read the film again and write a copy with the track drawn in; return a remark, or an empty text.
 
         The track is known only after the film was read once, and the frames of a film do not fit into memory.
         The second decoding takes an eighth of the time of tracking with an overlay.
@@ -591,5 +593,5 @@ class Painter:
 
 
 def _fixed_point(x: float, y: float) -> tuple[int, int]:
-    """Return a place in eighths of a pixel, in which OpenCV draws with ``shift=3``."""
+    """Return a position in eighths of a pixel, the unit in which OpenCV draws with ``shift=3``."""
     return round(8 * float(np.clip(x, -1e5, 1e5))), round(8 * float(np.clip(y, -1e5, 1e5)))

@@ -1,9 +1,9 @@
-"""Follow every marker from the first frame of a film to the last.
+"""Tracking of all markers from the first frame of a film to the last.
 
-A known marker is searched for in a window about its predicted place, a lost one in the whole picture.
-:class:`Search` finds patches of a colour, :class:`Target` is the state of one marker, and :class:`Follower`
-assigns patches to targets. :func:`follow` reads a film, and reads it again if a motionless thing was taken
-for a marker.
+A marker that was just seen is searched for in a window about its predicted position, and a lost marker in the
+whole picture. :class:`Search` finds patches of a colour, :class:`Target` is the state of one marker, and
+:class:`Follower` assigns patches to targets. :func:`follow` reads a film. It reads the film again if a
+motionless object was taken for a marker.
 """
 
 from __future__ import annotations
@@ -33,32 +33,35 @@ from swimid.tracking.setup import Box, HsvRange, Marker, Setup
 if TYPE_CHECKING:
     from swimid.tracking.silhouette import Silhouette
 
-#: Number of frames kept for the report.
+#: Number of frames stored for the report.
 REPORT_FRAMES = 6
-#: Minimum length of an isolated run of detections, frames.
+#: Minimum length of an isolated run of detections, frames. Shorter runs are removed.
 MIN_RUN = 3
-#: Maximum difference of a returning marker from its usual colour: hue (steps of 2 deg), relative saturation.
+#: Maximum difference of a returning marker from its usual colour: hue (steps of 2 deg), and relative
+#: saturation.
 RETURN_HUE, RETURN_SATURATION = 12.0, 0.5
-#: Only runs shorter than this share of all detections are tested for another colour or size.
+#: Maximum length of a run of detections that is tested for another colour or size, as a fraction of all
+#: detections.
 FALSE_SHARE = 0.2
-#: Maximum distance of the pixels that a colour mask is made of, px.
+#: Maximum spacing of the pixels in a coarse colour mask, px.
 MAX_STEP = 4
-#: Minimum area of a patch on a coarse mask, as a share of the minimum area of the marker.
+#: Minimum area of a patch on a coarse mask, as a fraction of the minimum area of the marker.
 COARSE_AREA_SHARE = 0.4
-#: Maximum number of patches of one picture that are measured; it bounds the time for a frame full of the
+#: Maximum number of patches of one picture that are measured. It limits the time for a frame full of the
 #: colour.
 MAX_PATCHES = 24
-#: Maximum grey level of a black pixel (video black is 16 if its range is misread), minimum share of black
+#: Maximum grey level of a black pixel (video black is 16 if its range is misread), minimum fraction of black
 #: pixels in a row or column of a black bar, and minimum width of a bar, px.
 BLACK, BLACK_SHARE, MIN_BAR_PX = 24, 0.98, 4
-#: Number of earlier frames kept, and frames between them, to see whether a thing was there before.
+#: Number of earlier frames that are stored, and number of frames between them. They show whether an object
+#: was present before.
 N_MEMORIES, MEMORY_FRAMES = 2, 120
-#: Maximum relative deviation of the distance from a rigid partner.
+#: Maximum deviation of the distance from a rigid partner, relative to the mean distance.
 MAX_RIGID_DEVIATION = 0.3
 #: Cost of an impossible assignment.
 IMPOSSIBLE = 1e6
 
-#: Mean hue, saturation and value of a detection, after the columns of :data:`detect.Row`.
+#: Mean hue, saturation and value of a missing detection, which follow the columns of :data:`detect.Row`.
 NO_COLOUR = (math.nan, math.nan, math.nan)
 
 
@@ -72,8 +75,8 @@ class Target:
     vx: float = 0.0
     vy: float = 0.0
     time: float = -math.inf
-    #: Number of detections, and number of those of the whole marker. The latter define its appearance: a
-    #: marker cut by the edge of the picture may have any size.
+    #: Number of detections, and number of detections of the whole marker. Only whole markers define the
+    #: appearance, because a marker cut by the edge of the picture may have any size.
     sights: int = 0
     whole: int = 0
     #: Number of frames since the last detection.
@@ -83,26 +86,29 @@ class Target:
     radius: float = 0.0
     area: float = 0.0
     contrast: float = 0.0
-    #: Slow averages of speed, area and colour.
+    #: Slow moving averages of speed, area and colour.
     pace: float = 0.0
     usual_area: float = 0.0
     colour: NDArray[np.float64] | None = None
     challenger: Challenger | None = None
 
     def predict(self, time: float) -> tuple[float, float]:
-        """Return the place at a time, at constant velocity."""
+        """Return the predicted position at a time, for constant velocity."""
         dt = time - self.time
         return self.x + self.vx * dt, self.y + self.vy * dt
 
     def search_range(self, dt: float) -> float:
-        """Return the expected maximum distance from the prediction after ``dt`` seconds, px."""
+        """Return the expected maximum distance of the marker from its prediction after ``dt`` seconds, px."""
         start, moved = 6.0, 0.3 * math.hypot(self.vx, self.vy) * dt + 3.0 * self.innovation_px
         if self.sights < 3:
             start = 12.0 + self.radius
         return start + moved + self.missed * 0.5 * self.radius
 
     def see(self, blob: Blob, time: float) -> None:
-        """Move to a detection, and learn the appearance from it if it shows the whole marker."""
+        """Move the target to a detection.
+
+        If the detection shows the whole marker, it also updates the appearance of the target.
+        """
         if self.sights and time > self.time:
             self._move(blob, time)
         if not blob.at_edge:
@@ -119,7 +125,8 @@ class Target:
         if self.sights > 1 and error > 8 * self.radius + 40:
             self.vx = self.vy = 0.0  # found again elsewhere: the velocity is unknown
         else:
-            # the second detection gives the velocity, each later one half of its change
+            # the second detection gives the velocity; each later detection corrects the velocity by half of
+            # the difference
             gain, dt = max(0.5, 1.0 / self.sights), time - self.time
             self.vx += gain * (blob.x - x) / dt
             self.vy += gain * (blob.y - y) / dt
@@ -141,18 +148,21 @@ class Target:
 
 @dataclass
 class Challenger:
-    """A thing unlike a missed target. It is followed because the target may be a false detection."""
+    """Object that does not look like a target which is currently missed.
+
+    It is followed because the detections of the target may be false.
+    """
 
     target: Target
-    #: Place of its first detection, px.
+    #: Position of the first detection of the object, px.
     start: tuple[float, float]
-    #: Whether it has left that place by more than its own size.
+    #: Whether the object has left that position by more than its own size.
     moved: bool = False
-    #: Its detections by frame.
+    #: Detections of the object by frame.
     rows: dict[int, Row] = field(default_factory=dict)
 
     def see(self, blob: Blob, time: float, frame: int) -> None:
-        """Move to a detection."""
+        """Move the object to a detection in a frame."""
         self.rows[frame] = row_of(self.target, blob)
         self.target.see(blob, time)
         self.moved = self.moved or blob.away(*self.start) > 2 * self.target.radius
@@ -160,9 +170,9 @@ class Challenger:
     def prevails(self, target: Target) -> bool:
         """Return whether the challenger is the marker, and the target is not.
 
-        It is if the target has less than ``FALSE_SHARE`` of the detections of both. A challenger that does
-        not move replaces only a target that was never seen whole: a ladder put into the pool is not the
-        swimmer that has just left it.
+        The challenger is the marker if the target has less than ``FALSE_SHARE`` of the detections of both. A
+        challenger that does not move replaces only a target that was never seen whole. Example: a ladder put
+        into the pool is not the swimmer that has just left it.
         """
         if not target.whole:
             return self.target.whole >= MIN_RUN
@@ -171,7 +181,7 @@ class Challenger:
 
 @dataclass
 class PairDistance:
-    """Mean and variance of the distance of two markers, by Welford's method."""
+    """Mean and variance of the distance between two markers, by Welford's method."""
 
     count: int = 0
     mean: float = 0.0
@@ -197,30 +207,32 @@ class Group:
 
     marker: Marker
     model: ColourModel
-    #: Minimum and maximum area.
+    #: Minimum and maximum area of a marker, px.
     area_px: tuple[float, float]
     targets: list[Target]
-    #: Things of the colour that are known to be no markers.
+    #: Objects of the same colour that are known not to be markers.
     scenery: list[Blob] = field(default_factory=list)
-    #: Other things of the colour in the last search of the whole picture, and the places of the markers then.
+    #: Other objects of the colour in the last search of the whole picture, and positions of the markers at
+    #: that time.
     rivals: list[Blob] = field(default_factory=list)
     seen_from: list[tuple[float, float]] = field(default_factory=list)
     most_rivals: int = 0
-    #: Frame of the next search of the whole picture, and frames from it to the one after.
+    #: Frame of the next search of the whole picture, and number of frames until the search after that.
     next_look: int = 0
     pause: int = 12
 
     def is_alike(self, target: Target, blob: Blob, gone_s: float = 0.0) -> bool:
         """Return whether size and contrast of a blob allow it to be the target.
 
-        If the target has been gone for a time, its usual size and colour are compared.
+        If the target was lost for ``gone_s`` seconds, its usual size and colour are compared.
         """
         if not target.whole:
             # markers of one colour have one size
             like = [other.usual_area for other in self.targets if other.whole]
             return not like or blob.at_edge or 0.5 < blob.area / max(like) < 2.0
         alone = len(self.targets) == 1
-        # equal markers that touch look like one of twice the size, and half hidden ones are off centre
+        # Several equal markers: two that touch look like a single one of twice the size, and one that is half
+        # hidden has a wrong centre. Therefore the limits are narrower than for a single marker.
         low, high, area = 0.7, 1.4, target.usual_area
         if alone:
             low, high = 0.3, 3.0
@@ -235,16 +247,16 @@ class Group:
         return bool(detect.has_colour(blob.hsv, target.colour, RETURN_HUE, RETURN_SATURATION))
 
     def merit(self, blob: Blob) -> float:
-        """Return how much a blob looks like a marker of which only the colour is known."""
+        """Return a score of a blob as a marker of which only the colour is known."""
         fit = 1.5 - min(self.model.distance(blob.hsv), 1.0)
         if blob.at_edge:
             fit *= 0.3
         return math.sqrt(blob.contrast * blob.area) * fit
 
     def choose_first(self, new: list[Target], blobs: list[Blob]) -> list[tuple[Target, Blob]]:
-        """Return blobs for targets that were never seen, if there are enough for all of them.
+        """Return blobs for targets that were never seen, if there are enough blobs for all of these targets.
 
-        Without ``start_px`` in the setup the best blobs get the names from left to right.
+        Without ``start_px`` in the setup, names are given to the best blobs from left to right.
         """
         if not new or (len(blobs) < len(new) and len(new) > 1):
             return []
@@ -256,9 +268,9 @@ class Group:
         return list(zip(new, sorted(best, key=lambda blob: blob.x), strict=False))
 
     def note_rivals(self, rivals: list[Blob], frame: int) -> None:
-        """Remember other things of the colour, so that they are not taken for a lost marker.
+        """Remember other objects of the colour, so that they are not taken for a lost marker.
 
-        Those that stay where they are while a marker moves become scenery.
+        Objects that stay in place while a marker moves become scenery.
         """
         here = [(target.x, target.y) for target in self.targets]
         moved = any(
@@ -281,7 +293,7 @@ class Search:
     Parameters
     ----------
     setup : Setup
-        Its ``region_px`` and ``ignore_px`` limit where the centre of a marker may be.
+        Setup whose ``region_px`` and ``ignore_px`` limit where the centre of a marker may be.
     width, height : int
         Size of the picture, px.
 
@@ -294,10 +306,11 @@ class Search:
     def __init__(self, setup: Setup, width: int, height: int) -> None:
         self.size = (width, height)
         self._ignored = setup.ignore_px
-        #: Picture without black bars. It is found when the first marker is seen, since a film may fade in.
+        #: Picture without black bars. The bars are determined when the first marker is seen, since a film may
+        #: fade in.
         self._inner: tuple[int, int, int, int] | None = None
         self._region = left, top, right, bottom = setup.region_px or (0, 0, width, height)
-        #: Pixels that may hold a centre: left, top, right, bottom; right and bottom exclusive.
+        #: Pixels that may contain a centre: left, top, right, bottom. Right and bottom are exclusive.
         self._view = (
             max(math.floor(left), 0),
             max(math.floor(top), 0),
@@ -311,10 +324,10 @@ class Search:
     def in_window(
         self, group: Group, frame: Frame, cx: float, cy: float, half: float, step: int = 1
     ) -> tuple[list[Blob], Box | None]:
-        """Return the whole blobs in a square window, and the box of the largest one that the window cuts.
+        """Return the whole blobs in a square window, and the box of the largest patch that the window cuts.
 
-        The window has its centre at ``cx``, ``cy`` and the half width ``half``, px. The colour mask has every
-        ``step``-th pixel, and the centre of a blob is computed from all pixels.
+        The window has its centre at ``cx``, ``cy`` and the half width ``half``, px. The colour mask contains
+        every ``step``-th pixel, and the centre of a blob is computed from all pixels.
         """
         width, height = self.size
         x0, y0 = max(int(cx - half), 0), max(int(cy - half), 0)
@@ -358,7 +371,7 @@ class Search:
         coarse = detect.find_patches(mask, (COARSE_AREA_SHARE * group.area_px[0], math.inf), step=step)
 
         def order(patch: Patch) -> float:
-            """Rank by the expected area; without one, the largest of the allowed areas first."""
+            """Return a sort key by the expected area; without one, the largest allowed area comes first."""
             if area:
                 return abs(math.log(patch.area / area))
             return -patch.area if patch.area <= group.area_px[1] / COARSE_AREA_SHARE else patch.area
@@ -370,14 +383,15 @@ class Search:
         return blobs
 
     def _in_box(self, group: Group, frame: Frame, box: Box, step: int) -> list[Blob]:
-        """Return the blobs in a box, measured whole even if they extend beyond the region."""
+        """Return the blobs in a box, measured as a whole even if they extend beyond the region."""
         cx, cy = 0.5 * (box[0] + box[2]), 0.5 * (box[1] + box[3])
         size = max(box[2] - box[0], box[3] - box[1])
         half, fine = 0.5 * size + 2 * step + detect.MARGIN, mask_step(size / 12)
         found, cut = self.in_window(group, frame, cx, cy, half, fine)
         x0, y0, x1, y1 = self._view
         if not found and cut and (box[0] <= x0 or box[1] <= y0 or box[2] >= x1 - step or box[3] >= y1 - step):
-            # at least half of a marker with its centre in the region is seen there: twice the size holds it
+            # if the centre is in the region, at least half of the marker is seen there: a window of twice the
+            # size contains the whole marker
             found, _ = self.in_window(group, frame, cx, cy, half + size, fine)
         return found
 
@@ -392,7 +406,7 @@ class Search:
         """Return whether a black bar cuts the blob as the edge of the picture would.
 
         The colour resolution of films is halved, and codecs work in blocks. Therefore the colour of a marker
-        may extend up to 3 px over the bar.
+        may extend up to 3 px into the bar.
         """
         if self._inner is None:
             self._inner = inner_picture(frame)
@@ -409,7 +423,7 @@ class Search:
 def inner_picture(frame: Frame) -> tuple[int, int, int, int]:
     """Return the picture without black bars: left, top, right, bottom; right and bottom exclusive.
 
-    A dark scene is no bar: if more than half of the width or height were black, nothing is removed.
+    A dark scene is not a bar: if more than half of the width or height were black, nothing is removed.
     """
     black = frame.max(axis=2) < BLACK
 
@@ -434,23 +448,23 @@ def _is_within(blob: Blob, box: Box) -> bool:
 
 
 def mask_step(length: float) -> int:
-    """Return the distance of the pixels of a mask that resolves a length, px."""
+    """Return the distance between the pixels of a mask that resolves a length, px."""
     return max(min(int(length), MAX_STEP), 1)
 
 
 def is_same_place(blob: Blob, other: Blob) -> bool:
-    """Return whether two blobs, seen at different times, are the same motionless thing."""
+    """Return whether two blobs, seen at different times, are the same motionless object."""
     near = blob.away(other.x, other.y) < 0.25 * other.radius + 1.5
     return near and 0.4 < blob.area / other.area < 2.5
 
 
 def is_among(blob: Blob, others: Sequence[Blob]) -> bool:
-    """Return whether a blob is one of the motionless things seen at another time."""
+    """Return whether a blob is one of the motionless objects seen at another time."""
     return any(is_same_place(blob, other) for other in others)
 
 
 def is_new(blob: Blob, others: Sequence[Blob]) -> bool:
-    """Return whether a blob differs from those that were found in the same frame."""
+    """Return whether a blob differs from the blobs that were found in the same frame."""
     return all(blob.away(other.x, other.y) > 2 for other in others)
 
 
@@ -477,19 +491,19 @@ class Follower:
             )
             for marker in setup.markers
         ]
-        #: Distances between markers of different colours, if several markers have one colour.
+        #: Distances between markers of different colours, if several markers have the same colour.
         self._pairs: dict[tuple[str, str], PairDistance] = {}
         if any(len(group.targets) > 1 for group in self.groups):
             for one, other in combinations(setup.markers, 2):
                 self._pairs |= {(a, b): PairDistance() for a in one.names for b in other.names}
-        #: Earlier frames, and the places of the markers in them.
+        #: Earlier frames, and positions of the markers in them.
         self._memory: deque[tuple[Frame, dict[str, tuple[float, float]]]] = deque(maxlen=N_MEMORIES)
         self._rows: list[list[Row]] = []
         #: Part of the last frame about each marker.
         self._last: list[tuple[tuple[slice, slice], Frame]] = []
         self._changes: list[float] = []
-        #: Number of detections that were removed because they showed another thing, and the area of that
-        #: thing.
+        #: Number of detections that were removed because they showed another object, and area of that object,
+        #: px.
         self._mistaken: dict[str, tuple[int, float]] = {}
         self._times: list[float] = []
         self._frame = 0
@@ -533,10 +547,10 @@ class Follower:
         self._frame += 1
 
     def _remember(self, frame: Frame, targets: dict[str, Target]) -> None:
-        """Keep a copy of the frame with the places of the markers that are seen in it."""
+        """Store a copy of the frame with the positions of the markers that are seen in it."""
         places = {name: (t.x, t.y) for name, t in targets.items() if t.sights and not t.missed}
         if places:
-            # the memory of the oldest frame is used again: to allocate it costs more than the copy
+            # the memory of the oldest frame is used again: allocation costs more than the copy
             old = self._memory.popleft()[0] if len(self._memory) == N_MEMORIES else np.empty_like(frame)
             np.copyto(old, frame)
             self._memory.append((old, places))
@@ -559,7 +573,7 @@ class Follower:
     # ------------------------------------------------------------ one colour in one frame
 
     def _follow(self, group: Group, time: float, frame: Frame) -> dict[str, Blob]:
-        """Return the blobs of the targets of one colour by the names of the targets."""
+        """Return the blobs of the targets of one colour, by the names of the targets."""
         known = [t for t in group.targets if t.sights]
         sights = self._in_windows(group, known, time, frame)
         lost = [t for t in group.targets if t.name not in sights and not self._hidden(t, known, sights, time)]
@@ -584,12 +598,12 @@ class Follower:
     def _others(
         self, group: Group, frame: Frame, targets: list[Target], sights: dict[str, Blob]
     ) -> list[Blob]:
-        """Return the blobs of the whole picture that are no sights, searched for with the size of targets."""
+        """Return the unassigned blobs of the whole picture; the search expects the size of ``targets``."""
         area, taken = max((target.area for target in targets), default=0.0), list(sights.values())
         return [blob for blob in self._search.in_picture(group, frame, area) if is_new(blob, taken)]
 
     def _in_windows(self, group: Group, known: list[Target], time: float, frame: Frame) -> dict[str, Blob]:
-        """Return the blobs that known targets have in windows about their predictions."""
+        """Return the blobs assigned to known targets, by name, from windows about predicted positions."""
         candidates: list[Blob] = []
         for target in known:
             if not target.missed or time - target.time <= self.setup.max_gap_s:
@@ -607,7 +621,7 @@ class Follower:
         return sights
 
     def _in_window(self, group: Group, target: Target, time: float, frame: Frame) -> list[Blob]:
-        """Return the blobs in the window of a target, which grows until it holds one like the target."""
+        """Return the blobs in the window of a target, which grows until one blob is like the target."""
         cx, cy = target.predict(time)
         half = 1.3 * target.radius + target.search_range(time - target.time) + 4
         for status in (WINDOW, GROWN, GROWN):
@@ -622,7 +636,7 @@ class Follower:
         return []
 
     def _cost(self, group: Group, target: Target, blob: Blob, time: float) -> float:
-        """Return the cost of taking a blob near the prediction for the target."""
+        """Return the cost of assigning a blob near the predicted position to the target."""
         allowed = target.radius + 2 * target.search_range(time - target.time)
         away = blob.away(*target.predict(time))
         if away > allowed + target.radius or not group.is_alike(target, blob):
@@ -648,14 +662,17 @@ class Follower:
         return worst
 
     def _hidden(self, target: Target, known: list[Target], sights: dict[str, Blob], time: float) -> bool:
-        """Return whether the target is behind or beside an equal marker, so that a search is useless."""
+        """Return whether the target touches another missing marker of the same colour.
+
+        A search for the target is then useless.
+        """
         if not target.sights or time - target.time > self.setup.max_gap_s:
             return False
         others = [t for t in known if t is not target and t.name not in sights]
         return any(_meet(target, other, sights, time) for other in others)
 
     def _was_there(self, group: Group, target: Target, blob: Blob) -> bool:
-        """Return whether the blob was there already while the target was seen elsewhere."""
+        """Return whether the blob was already present while the target was seen elsewhere."""
         half = 1.3 * blob.radius + detect.MARGIN
         for frame, places in self._memory:
             if target.name not in places:
@@ -683,7 +700,7 @@ class Follower:
         return pairs
 
     def _return_cost(self, group: Group, target: Target, blob: Blob, time: float) -> float:
-        """Return the cost of taking a blob anywhere in the picture for a target that was lost."""
+        """Return the cost of assigning a blob anywhere in the picture to a target that was lost."""
         gone_s = time - target.time
         if not group.is_alike(target, blob, gone_s):
             return IMPOSSIBLE
@@ -703,15 +720,15 @@ class Follower:
         return 1e3 + away / (1e-3 + blob.confidence)
 
     def _contest(self, group: Group, target: Target, blobs: list[Blob], time: float) -> Blob | None:
-        """Follow a thing that may be the marker while the target is missed, or was never seen whole.
+        """Follow an object that may be the marker while the target is missed, or was never seen whole.
 
-        The appearance of the target may be that of a reflection, or of a half hidden marker. Another thing
+        The appearance of the target may be that of a reflection, or of a half hidden marker. Another object
         that is in the picture for longer is then the marker. Its detections replace those of the target.
 
         Returns
         -------
         Blob or None
-            Blob of the thing, if it replaces the target.
+            Blob of the object, if the object replaces the target.
         """
         gone_s = time - target.time
         blobs = [
@@ -749,7 +766,7 @@ class Follower:
 
 
 def row_of(target: Target, blob: Blob) -> Row:
-    """Return a detection as a row of the table. An unusual area reduces its confidence."""
+    """Return a detection as a row of values. An unusual area reduces the confidence."""
     confidence = blob.confidence
     if target.whole and not blob.at_edge:
         confidence *= min(blob.area / target.usual_area, target.usual_area / blob.area) ** 0.5
@@ -757,13 +774,13 @@ def row_of(target: Target, blob: Blob) -> Row:
 
 
 def assign(cost: list[list[float]]) -> list[tuple[int, int]]:
-    """Return the possible pairs (row, column) with the least total cost."""
+    """Return the possible pairs (row, column) with the minimum total cost."""
     rows, columns = linear_sum_assignment(np.array(cost))
     return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if cost[i][j] < IMPOSSIBLE]
 
 
 def _meet(first: Target, second: Target, sights: dict[str, Blob], time: float) -> bool:
-    """Return whether two equal markers touch, where they are seen or else predicted."""
+    """Return whether two equal markers touch, at their detected or else predicted positions."""
     predictions = {target.name: target.predict(time) for target in (first, second)}
     seen = {name: (blob.x, blob.y) for name, blob in sights.items() if name in predictions}
     return math.dist(*(predictions | seen).values()) < first.radius + second.radius + 4
@@ -772,8 +789,9 @@ def _meet(first: Target, second: Target, sights: dict[str, Blob], time: float) -
 def drop_false_detections(track: RawTrack, marker: int, hsv: NDArray[np.float64]) -> None:
     """Remove false detections of a marker from a finished track, in place.
 
-    A run of frames is removed if it is isolated and shorter than ``MIN_RUN``, or if it is short and differs
-    from the usual colour, size or confidence of the marker.
+    A run of detections is removed if it is shorter than ``MIN_RUN`` and there are few other detections
+    nearby. It is also removed if it has less than ``FALSE_SHARE`` of all detections and differs from the
+    usual colour, size or confidence of the marker.
 
     Parameters
     ----------
@@ -786,7 +804,7 @@ def drop_false_detections(track: RawTrack, marker: int, hsv: NDArray[np.float64]
     seen = track.status[marker] > LOST
     if not seen.any():
         return
-    # at the edge of the picture a marker has neither its size nor, being narrow, its colour
+    # at the edge of the picture, size and colour of a marker are not those of the whole marker
     whole = track.found[marker]
     if not whole.any():
         whole = seen
@@ -823,11 +841,11 @@ def drop_false_detections(track: RawTrack, marker: int, hsv: NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Run:
-    """Track of a film in pixels, before it is smoothed."""
+    """Track of a film in pixels, before the track is smoothed."""
 
     track: RawTrack
     video: Video
-    #: With the boxes of motionless things that were left out.
+    #: Setup with the boxes of motionless objects that were left out.
     setup: Setup
     #: Some frames for the report, by index.
     kept: dict[int, Frame]
@@ -836,9 +854,9 @@ class Run:
 def follow(path: Path, setup: Setup, *, step: Step, file: str | None = None) -> Run:
     """Follow the markers of ``setup`` through a film.
 
-    A motionless thing of the colour of a marker is not the marker if there are other things of the colour.
-    Then the film is read again without that thing, and the second track is returned if it moves. ``file``
-    names the setup in messages.
+    A motionless object of the colour of a marker is not the marker if there are other objects of the same
+    colour. In this case the film is read again without the motionless object. The second track is returned if
+    its marker moves. ``file`` names the setup in messages.
     """
     first = _follow_once(path, setup, step, file)
     still = _motionless(first)
@@ -879,7 +897,7 @@ def _follow_once(path: Path, setup: Setup, step: Step, file: str | None) -> Run:
 
 
 def _motionless(run: Run) -> dict[str, Box]:
-    """Return boxes about the markers that never move and have rivals of their colour, by name."""
+    """Return boxes about motionless markers with rivals of the same colour, by name of the marker."""
     boxes: dict[str, Box] = {}
     for marker in run.setup.markers:
         name, track = marker.name, run.track
