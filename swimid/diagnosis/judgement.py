@@ -1,4 +1,6 @@
-"""Give the verdict: the fits propose the causes, and every other test may only weaken the verdict."""
+"""Decide the verdict of a diagnosis. The fits propose the causes, and further tests can only weaken the
+verdict.
+"""
 
 from __future__ import annotations
 
@@ -22,37 +24,43 @@ from swimid.fitting import output_error
 from swimid.fitting.between_trials import MIN_TRIALS, OutlierTrial, find_outlier_trial
 from swimid.fitting.model import Array, Trial
 
-#: Minimum probability that no cause outside the catalogue acts, for an explanation (odds of four to one).
+#: Minimum probability of the known causes, divided by that of all causes, for the verdict "explained". Below
+#: it, the verdict is "ambiguous".
 SURE = 0.8
-#: Minimum number of repeats, beyond the first of each setting, for a statement that settings differ by more
-#: than chance. One pair determines the between-repeat variance with one degree of freedom.
+#: Minimum number of repeats, in addition to one trial per setting, for a statement that settings differ by
+#: more than chance. A single pair of repeats determines the between-repeat variance with one degree of
+#: freedom only.
 MIN_REPEATS = 2
-#: Probability of a cause together with its equivalents.
+#: Minimum total probability of a cause and its equivalents. Equivalents are added in order of decreasing
+#: probability until the sum reaches it.
 CREDIBLE = 0.9
-#: Maximum number of equivalents of an answer; of more, the most probable are listed.
+#: Maximum number of effects in one answer: a cause and its equivalents. If there are more, the most probable
+#: ones are listed.
 SET = 3
-#: Ratio of the difference between trials to the largest chance difference, from which it is not chance.
+#: Threshold of the between-trial standard deviation, minus two standard errors, divided by the largest one
+#: that may be chance. Above it, the trials differ by more than chance.
 DIFFERS = 2.0
-#: A trial is examined if it has more than this share of the squared gap.
+#: Minimum fraction of the squared residuals of all trials, beyond the noise, that belongs to one trial. A
+#: trial with a larger fraction is tested as an outlier.
 MAJORITY = 0.5
 
 
 @dataclass(frozen=True)
 class Named:
-    """A cause and its rivals.
+    """One reported cause with its equivalents and probabilities.
 
     Attributes
     ----------
     probability : float
-        Probability that it, or one of its equivalents, is missing in the model.
+        Probability that the cause, or one of its equivalents, is missing in the model.
     closing : float
-        Probability that it, or one of these, closes most of the closed gap, even if it only imitates a cause
-        outside the catalogue.
+        Probability that the cause, or one of its equivalents, closes most of the closed part of the gap. It
+        may act itself, or only imitate a cause outside the catalogue.
     alone : float
-        Probability of it, and of those that change the trials in the same way, against its rivals, given the
-        other causes.
+        Probability of the cause and of effects that change the trials in the same way, relative to all
+        alternatives, given the other causes.
     crowded : bool
-        Whether more effects than the listed ones cannot be distinguished from it.
+        Whether more effects cannot be distinguished from the cause than are listed.
     """
 
     best: Refitted
@@ -64,12 +72,12 @@ class Named:
 
     @property
     def alike(self) -> tuple[str, ...]:
-        """Return the cause and its equivalents."""
+        """Return the names of the cause and its equivalents."""
         return (self.best.tried.effect.name, *self.equivalent)
 
 
 def named(state: State, found: Round) -> Named:
-    """Return the cause of a round with its equivalents."""
+    """Return the cause of a search round with its equivalents and probabilities."""
     best = found.ranked[0]
     name = best.tried.effect.name
     posterior = state.posterior
@@ -91,27 +99,29 @@ def named(state: State, found: Round) -> Named:
 
 @dataclass(frozen=True)
 class Judgement:
-    """The verdict and its reasons.
+    """The verdict of a diagnosis and its reasons.
 
     Attributes
     ----------
     causes : tuple of Named
         Reported causes.
     base : Fit
-        The model with all causes; without any effect if held-out trials or a single trial contradict them.
+        The model with all causes. It is the model without effects if held-out trials or an outlier trial
+        contradict the causes.
     reasons : tuple of str
         Reasons for the verdict.
     unsure : tuple of str
         Reasons why the causes are not certain.
     refuted : tuple of str
-        Causes with which held-out errors grow.
+        Names of causes with which held-out errors grow.
     odd : OutlierTrial or None
-        The trial that contradicts the others.
+        Trial that contradicts the other trials.
     unpredicted : mapping of trial to float
-        Validation trials that the model with the causes does not predict, and the ratio of the error to the
-        expected one. It is not evaluated if the fitted trials show something unexplained.
+        Validation trials that the model with the causes does not predict. The value is the root-mean-square
+        error divided by the one expected of a correct model. It is not evaluated if the fitted trials alone
+        give the verdict "unexplained".
     unreproduced : mapping of channel to float
-        Share of a black-box model's output that it reproduces, if it is less than half.
+        Channels of which a black-box model reproduces less than half, with the reproduced fraction.
     """
 
     verdict: Verdict
@@ -139,26 +149,28 @@ def judge(
     dropout: bool,
     validation: Sequence[Trial] = (),
 ) -> tuple[Judgement, list[Array], Remaining]:
-    """Return the verdict.
+    """Return the verdict, the gap and the remaining part of the gap.
 
-    The gap is what the model without effects leaves, weighted, shape (n_k,) for each trial.
+    The gap consists of the weighted residuals of the model without effects. It has one array, shape (n_k,),
+    for each trial.
 
     Parameters
     ----------
     held : sequence of Piece
         Held-out predictions without and with the causes.
     noise : Floor
+        Noise floor of each channel.
     predicted : Compared or None
-        Held-out data against the prediction without and with the effects found; None without effects.
+        Distances of held-out data from the predictions without and with the causes; None without causes.
     dropout : bool
-        Whether failed samples are a cause: they explain the gap if nothing else is missing.
+        Whether failed samples are a cause. They explain the gap if nothing else is missing.
     validation : sequence of Trial
-        Trials that take part in no fit.
+        Trials that are excluded from every fit.
     """
     floor = noise.inside
     told = _by_held_out(_by_fits(state), state, held, floor, predicted)
     told = _by_single_trials(told, state, floor)
-    # The part of a random effect that a cause accounts for belongs to the gap.
+    # Between-trial variation that a cause accounts for is part of the gap.
     gap = state.nominal.marginal_residuals([e.name for e in told.base.effects])
     left = remaining(state, told.base, gap, floor)
     if told.verdict != "none":
@@ -178,18 +190,18 @@ def judge(
         told = replace(told, verdict="explained")
     unreproduced = _unreproduced(state, told.base if told.causes else state.nominal)
     if unreproduced and told.verdict in ("none", "explained"):
-        # The level of a black-box model is estimated in each trial, so that it can fit without describing
-        # anything.
+        # The mean of a black-box output is estimated in each trial. The model may therefore fit although it
+        # reproduces nothing but the mean.
         told = replace(told, verdict="unexplained", causes=(), base=state.nominal, unreproduced=unreproduced)
         left = Remaining(share=1.0, where=f"all of {', '.join(unreproduced)} but its mean", white=False)
     return told, gap, left
 
 
 def _unreproduced(state: State, fit: Fit) -> dict[str, float]:
-    """Return the share of each output that a black-box model reproduces, for outputs with less than half.
+    """Return the outputs of which a black-box model reproduces less than half, with the reproduced fraction.
 
-    The share is that of ``rwls`` and ``compare``: one minus the root-mean-square error over the standard
-    deviation of the output.
+    The fraction is defined as in ``rwls`` and ``compare``: one minus the root-mean-square error divided by
+    the standard deviation of the output.
     """
     if state.context.model.name != arx.NAME:
         return {}
@@ -208,15 +220,15 @@ def _unreproduced(state: State, fit: Fit) -> dict[str, float]:
 
 
 def _by_fits(state: State) -> Judgement:
-    """Return the most probable of no gap, the causes, and a cause outside the catalogue."""
+    """Return the most probable verdict: no gap, known causes, or a cause outside the catalogue."""
     posterior = state.posterior
     chosen = [] if posterior.none > UNSURE else [named(state, r) for r in state.rounds]
     inside = sum(posterior.sets.values())
     if not chosen:
         return Judgement("unexplained" if posterior.outside > posterior.none else "none", (), state.base)
     if posterior.outside > inside:
-        # With a cause outside the catalogue, list only effects that more probably than not close a part of
-        # it.
+        # If a cause outside the catalogue is more probable, list only effects that close part of the gap with
+        # a probability above one half.
         return Judgement("unexplained", tuple(c for c in chosen if c.closing > 0.5), state.base)
     unsure = inside < SURE * (inside + posterior.outside) or chosen[0].crowded or chosen[0].alone <= 0.5
     return Judgement("ambiguous" if unsure else "explained", tuple(chosen), state.base)
@@ -251,7 +263,7 @@ def _by_held_out(
 
 
 def _weakened(told: Judgement, why: str) -> Judgement:
-    """Return a judgement that explains nothing, with its reason."""
+    """Return the judgement with a further reason for doubt: "explained" becomes "ambiguous"."""
     verdict = "ambiguous" if told.verdict == "explained" else told.verdict
     return replace(told, verdict=verdict, unsure=(*told.unsure, why))
 
@@ -259,9 +271,9 @@ def _weakened(told: Judgement, why: str) -> Judgement:
 def _by_prediction(
     told: Judgement, state: State, held: Sequence[Piece], floor: Mapping[str, float]
 ) -> Judgement:
-    """Return a judgement that explains nothing if a validation trial is not predicted with the causes.
+    """Return a weaker judgement if a validation trial is not predicted with the causes.
 
-    The causes are named only if they close most of the gap of the validation trials.
+    The causes stay in the report only if they close most of the gap of the validation trials.
     """
     trials = ", ".join(told.unpredicted)
     each, gap = shrinkage.gained(held, floor)
@@ -274,8 +286,8 @@ def _by_prediction(
 def by_coefficients(state: State) -> bool:
     """Return whether mainly the prior of the coefficients identifies the causes.
 
-    If refitted coefficients imitate the causes, held-out errors are as small without them. The causes are
-    then compared with the errors of the parameters as given.
+    If refitted coefficients imitate the causes, held-out errors are as small without the causes. The causes
+    are then compared with the errors of the parameters as given.
     """
     if not state.base.effects:
         return False
@@ -297,9 +309,10 @@ def _by_single_trials(told: Judgement, state: State, floor: Mapping[str, float])
 def _by_differences(
     told: Judgement, state: State, gap: Sequence[Array], noise: Floor, left: Remaining
 ) -> Judgement:
-    """Return "unexplained" in place of "none" if the trials differ by more than chance.
+    """Return "unexplained" instead of "none" if the trials differ by more than chance.
 
-    Chance is a difference of trim or friction, or the difference between repeats of one setting.
+    Chance differences are random differences of trim or friction, and differences between repeats of one
+    setting.
     """
     apart = differs(state)
     if apart:
@@ -317,21 +330,21 @@ def _by_remaining(told: Judgement, state: State, left: Remaining) -> Judgement:
     if not told.causes or not (left.share or 0.0) > shrinkage.MOST:
         return told
     why = f"{left.share:.0%} of the squared gap remains with {', '.join(told.names)}: {left.where}"
-    # A cause outside the catalogue acts, whatever probability the fits gave it.
+    # A cause outside the catalogue acts, whatever its probability according to the fits.
     beside = state.posterior.beside_outside
     causes = (replace(c, probability=beside(*c.alike)) for c in told.causes if c.closing > 0.5)
     return replace(told, verdict="unexplained", causes=tuple(causes), reasons=(*told.reasons, why))
 
 
 def remaining(state: State, base: Fit, residuals: Sequence[Array], floor: Mapping[str, float]) -> Remaining:
-    """Return the residuals that a model leaves of the gap.
+    """Return the fraction of the gap that remains with the causes, and where it remains.
 
     Parameters
     ----------
     base : Fit
         The model with the causes.
     residuals : sequence of ndarray, shape (n_k,)
-        The gap.
+        The gap: weighted residuals of the model without effects.
     """
     left = state.left
     if left is None:
@@ -351,7 +364,7 @@ def remaining(state: State, base: Fit, residuals: Sequence[Array], floor: Mappin
 
 
 def _where(state: State) -> str:
-    """Return in words where the remaining residuals have structure."""
+    """Return a text that says where the remaining residuals have structure."""
     left = state.left
     if left is None or not left.found:
         moving = remainder.drifting(state.low_frequency)
@@ -366,8 +379,8 @@ def _where(state: State) -> str:
 
 
 def differs(state: State) -> list[str]:
-    """Return the random effects by which the trials differ significantly more than by chance."""
-    # Two standard errors of a standard deviation.
+    """Return the names of random effects that vary between trials significantly more than by chance."""
+    # Factor that subtracts two standard errors from an estimated standard deviation.
     least = 1.0 - 2.0 / np.sqrt(2.0 * len(state.context.trials))
     return [kind.name for kind in state.random_effects if least * kind.sd > DIFFERS * kind.most]
 
@@ -375,17 +388,18 @@ def differs(state: State) -> list[str]:
 def contradicting(
     context: FitContext, nominal: Fit, residuals: Sequence[Array], floor: Mapping[str, float]
 ) -> OutlierTrial | None:
-    """Return the trial that has most of the gap, if the others do not predict it as well as they predict one
-    another.
+    """Return the outlier trial, or None.
+
+    An outlier trial has most of the gap, and the other trials predict it worse than they predict each other.
 
     Parameters
     ----------
     nominal : Fit
         The model without effects.
     residuals : sequence of ndarray, shape (n_k,)
-        Its residuals, weighted.
+        Weighted residuals of that model.
     floor : mapping of channel to float
-        Noise of each channel, in its unit.
+        Noise floor of each channel, in the unit of the channel.
     """
     if len(context.trials) < MIN_TRIALS or not context.folds.whole:
         return None
@@ -406,8 +420,9 @@ def contradicting(
 
 
 def _excess(fit: Fit, k: int, residual: Array, floor: Mapping[str, float]) -> float:
-    """Return the squared residuals of a trial beyond those of the noise, in units of the noise; at least
-    0.
+    """Return the squared residuals of a trial minus the expected noise, at least 0.
+
+    The unit is the noise variance.
     """
     parts = split(fit, k, residual).items()
     return max(sum(float(np.nansum((v / max(floor[c], 1e-300)) ** 2 - 1.0)) for c, v in parts), 0.0)

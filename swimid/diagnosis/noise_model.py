@@ -1,8 +1,9 @@
 """Whiten residuals: coloured measurement noise and between-trial random effects.
 
-White-noise likelihoods give far too small uncertainties. Residuals are first weighted by the noise of each
-sample, then whitened by an autoregression of each channel. Random effects are parameters of each trial that
-every fit estimates, with the between-trial standard deviation as prior.
+A likelihood of white noise gives far too small uncertainties. Residuals are therefore weighted by the
+standard deviation of the noise of each sample, and then whitened by an autoregression of each channel. Random
+effects are per-trial parameters. Every fit estimates them, with the between-trial standard deviation as
+prior.
 """
 
 from __future__ import annotations
@@ -19,34 +20,37 @@ from swimid.fitting.model import Array
 from swimid.fitting.noise import fit_autoregression, joined
 from swimid.fitting.problem import Problem
 
-#: Maximum order of the autoregression, and minimum number of samples for each coefficient.
+#: Maximum order of the autoregression, and minimum number of samples per coefficient.
 ORDER, PER_ORDER = 6, 25
-#: Noise of short memory: correlated share of its variance, and correlation from sample to sample.
+#: Short-memory noise: fraction of the variance that is correlated in time, and correlation of that part
+#: between successive samples.
 COLOURED, POLE = 0.4, 0.8
-#: A mean square this many of its standard errors above that of rounding (two: 95 %) is more than rounding.
+#: Threshold of the mean square of residuals above that of the rounding error, in standard errors (two: 95 %).
+#: Larger residuals are not only rounding.
 ROUNDED = 2.0
 
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """A linear map of each trial's weighted residuals to independent ones of unit variance.
+    """A linear map from the weighted residuals of each trial to independent residuals of unit variance.
 
     Attributes
     ----------
     sd : list of list of ndarray
-        By trial and channel, standard deviation of each sample (:attr:`Problem.sd`).
+        Standard deviation of each sample, by trial and channel (:attr:`Problem.sd`).
     colour : mapping of channel to ndarray
-        Autoregression of the weighted residuals.
+        Coefficients of the autoregression of the weighted residuals.
     size : mapping of channel to float
-        Standard deviation of its innovations.
+        Standard deviation of the innovations of the autoregression.
     whole : mapping of channel to float
-        Standard deviation of the weighted residuals, used for samples without a past.
+        Standard deviation of the weighted residuals. It whitens samples without a predecessor.
     random_effects : tuple of RandomEffect
         Random effects of the trials.
     rounding : mapping of channel to float
-        Standard deviation of the weighted rounding error, of channels read by a counter of known step.
+        Standard deviation of the weighted rounding error, for channels recorded by a counter of known step.
     long_memory : NoiseModel or None
-        The same with noise of long memory, if the trials are too few to decide.
+        The noise model in which slow residuals count as noise. It is set only if there are too few trials to
+        separate slow noise from a gap.
     """
 
     sd: list[list[Array]]
@@ -61,15 +65,16 @@ class NoiseModel:
     )
 
     def install(self, problem: Problem) -> None:
-        """Give a problem of the same trials the weights of this noise."""
+        """Set the weights of a problem with the same trials to those of this noise model."""
         problem.sd = [[sd.copy() for sd in sds] for sds in self.sd]
 
     def whiten(self, problem: Problem, k: int, rows: Array) -> Array:
-        """Return weighted residuals of trial ``k``, or columns of derivatives, whitened.
+        """Return the whitened residuals, or columns of derivatives, of trial ``k``.
 
         Parameters
         ----------
         rows : ndarray, shape (n_k,) or (n_k, m)
+            Weighted residuals or derivatives.
         """
         channels, masks = problem.channels[k], problem.masks[k]
         key: tuple[object, ...] = (*channels, *(mask.tobytes() for mask in masks))
@@ -83,7 +88,8 @@ class NoiseModel:
         a, count = self.colour.get(channel, np.empty(0)), int(np.sum(mask))
         taps = np.concatenate(([1.0], a)) / self.size.get(channel, 1.0)
         lags, first = np.arange(len(taps)), 1.0 / self.whole.get(channel, 1.0)
-        # Stretches without a missing sample. The first sample of each has no past, the next ones a short one.
+        # Segments without a missing sample. The first sample of a segment has no predecessor, and the next
+        # samples have fewer predecessors than the order.
         begin = np.concatenate(([0], np.flatnonzero(np.diff(np.flatnonzero(mask)) > 1) + 1))[:count]
         past = np.arange(count) - np.repeat(begin, np.diff([*begin, count]))
         whole = np.flatnonzero(past >= len(a))
@@ -98,14 +104,14 @@ class NoiseModel:
 def coloured(
     problem: Problem, residuals: Sequence[Array], noise_model: NoiseModel, *, unknowns: float = 0.0
 ) -> NoiseModel:
-    """Return the noise model with autoregressions and sizes estimated from weighted residuals.
+    """Return the noise model with autoregressions and standard deviations estimated from weighted residuals.
 
     Parameters
     ----------
     residuals : sequence of ndarray
-        Of each trial, weighted by the noise model's ``sd``.
+        Residuals of each trial, weighted by ``sd`` of the noise model.
     unknowns : float
-        Number of fitted parameters, for the degrees of freedom.
+        Number of fitted parameters, subtracted from the degrees of freedom.
     """
     total = sum(len(r) for r in residuals)
     freedom = max(1.0 - unknowns / max(total, 1), 0.2)
@@ -132,11 +138,13 @@ def coloured(
 def brief(
     noise_model: NoiseModel, problem: Problem, residuals: Sequence[Array], channels: Sequence[str]
 ) -> NoiseModel:
-    """Return the noise model with noise of short memory in some channels: slower motion there is not noise.
+    """Return the noise model with short-memory noise in some channels. Slow residuals of these channels are
+    then not noise.
 
-    Its size is that of the second differences, to which slow motion adds little. A share of its variance,
-    `COLOURED`, is correlated over a few samples (`POLE`), as in a tracker. Residuals of a rounded record that
-    are no larger than the rounding error are rounding, however slowly they move.
+    The noise level is estimated from second differences of the residuals, to which slow motion contributes
+    little. A fraction `COLOURED` of the noise variance is correlated over a few samples (`POLE`), as in a
+    tracker. If the residuals of a rounded record are no larger than the rounding error, they count as
+    rounding, however slow they are.
     """
     colour, size, whole = dict(noise_model.colour), dict(noise_model.size), dict(noise_model.whole)
     lags = COLOURED * POLE ** np.arange(ORDER + 1.0)

@@ -1,4 +1,4 @@
-"""Prepare the model for a diagnosis: which parameters are refitted, and their priors."""
+"""Prepare the model for a diagnosis: the parameters to refit, and their priors."""
 
 from __future__ import annotations
 
@@ -20,32 +20,34 @@ from swimid.fitting.model import Array, Channel, Model, Parameter, Trial
 from swimid.results.parameters import Estimate
 from swimid.simulation.catalogue import Loaded
 
-#: Endings of logs among the inputs.
+#: File name endings of logs among the inputs.
 LOGS = (".csv", *tabular.PARQUET)
 
-#: Prior standard deviation of a coefficient that no other trials determine, as a share of its size.
+#: Prior standard deviation of a coefficient that no other trials determine, as a fraction of its value.
 OWN_PRIOR = 0.6
-#: Share of its value that is added to the standard error of a black-box coefficient, because days differ. One
-#: such coefficient means nothing by itself, so that none is said to have changed.
+#: Additional prior standard deviation of a black-box coefficient, as a fraction of its value, because
+#: conditions differ between days. A single black-box coefficient has no physical meaning. A change of one is
+#: therefore never a hypothesis.
 OTHER_PRIOR = 0.03
-#: A rate whose noise follows the differenced pose this closely was computed from it.
+#: Threshold of the correlation between the noise of a logged rate and that of the differentiated pose. Above
+#: it, the rate was computed from the pose.
 DERIVED = 0.3
-#: Prefix of the names of these hypotheses; the rest is the name of the parameter.
+#: Prefix of the names of parameter-change hypotheses. The rest of such a name is the name of the parameter.
 PREFIX = "parameter:"
-#: Typical size of a change, as a share of the parameter's value.
+#: Typical scale of a change, as a fraction of the parameter's value.
 TYPICAL_CHANGE = 0.1
 
 
 class ParameterChange(Effect):
-    """A change of one parameter of the model since the fit that its parameter file comes from.
+    """Hypothesis that the value of one model parameter has changed since the parameter file was fitted.
 
-    The change is a parameter of its own that is added to the model's. The model's parameter itself keeps the
-    prior that the standard error of the file gives it. Every other parameter stays as given.
+    The change is a separate parameter that is added to the model's parameter. The prior of the model's
+    parameter has the standard error of the file. All other parameters keep their priors.
 
     Parameters
     ----------
     parameter : Parameter
-        Parameter of the model; its start is the value in the file.
+        Parameter of the model. Its start value is the value in the file.
     """
 
     name: ClassVar[str]
@@ -73,40 +75,40 @@ class ParameterChange(Effect):
         )
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
-        """Return the change, in the unit of the parameter."""
+        """Return the change as a parameter, in the unit of the model's parameter."""
         return (self._change,)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return no hooks: the change is added to the parameter before the simulation."""
+        """Return no hooks, because the change is added to the parameter before the simulation."""
         return NONE
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
-        """Return its only form."""
+        """Return the effect itself, its only form."""
         return [self]
 
     def content(self) -> bytes:
-        """Return its name, which identifies it within one diagnosis."""
+        """Return the name, which identifies the effect within one diagnosis."""
         return self.name.encode()
 
 
 @dataclass(frozen=True)
 class Begun:
-    """The model's trials and the prior of its coefficients, at the start of a diagnosis.
+    """The trials and the priors of the coefficients at the start of a diagnosis.
 
     Attributes
     ----------
     trials : list of Trial
-        Of every role, as they are compared with the model.
+        Trials of every role, with all channels that are compared with the model.
     given : dict of name to Estimate
         Coefficients of the parameter file.
     own_data : bool
-        Whether the file was fitted to one of these logs.
+        Whether the parameter file was fitted to one of these logs.
     prior : dict of name to (mean, sd)
-        Of the refitted coefficients.
+        Prior of each refitted coefficient.
     changes : list of ParameterChange
-        One hypothesis for each coefficient with a standard error from other trials: its value has changed.
+        One hypothesis of a changed value for each coefficient whose standard error comes from other trials.
     correlation : tuple of list of str and ndarray, shape (m, m)
-        Names of these coefficients, and the correlation of their estimates.
+        Names of the coefficients in ``changes``, and the correlation matrix of their estimates.
     """
 
     trials: list[Trial]
@@ -118,18 +120,20 @@ class Begun:
 
     @property
     def unweighed(self) -> dict[str, Estimate]:
-        """Return coefficients that were estimated from other trials, and whose change is no hypothesis."""
+        """Return the coefficients that were estimated from other trials and whose change is not a
+        hypothesis.
+        """
         weighed = {e.adds_to for e in self.changes}
         return {} if self.own_data else {n: e for n, e in self.given.items() if n not in weighed}
 
 
 def begun(loaded: Loaded) -> Begun:
-    """Return trials and priors at the start of a diagnosis; the model gets the refitted parameters."""
+    """Return trials and priors at the start of a diagnosis, and give the model its refitted parameters."""
     model, applied = loaded.experiment.model, loaded.applied
     given = _given(loaded)
     own = applied.fitted_per_trial()
     if len(loaded.experiment.trials) >= FEWEST:
-        # They are random effects here. Free in each trial they would absorb any gap.
+        # These parameters are random effects in a diagnosis. Without a prior they would absorb any gap.
         own -= OWN.keys()
     model.parameters = refitted(model.parameters, given, applied.values(), own=own)
     trials = [widened(t, model.channels) for t in apart(model, loaded.experiment.trials)]
@@ -145,7 +149,7 @@ def begun(loaded: Loaded) -> Begun:
 
 
 def from_elsewhere(parameters: Sequence[Parameter], given: Mapping[str, Estimate]) -> set[str]:
-    """Return the names of the shared free coefficients whose standard error the parameter file states."""
+    """Return the names of free shared coefficients whose standard error is in the parameter file."""
     stated = {name for name, e in given.items() if e.stderr and math.isfinite(e.stderr)}
     return {p.name for p in parameters if p.free and not p.per_trial and p.name in stated}
 
@@ -169,13 +173,14 @@ def refitted(
 ) -> tuple[Parameter, ...]:
     """Return the model's parameters as the diagnosis refits them.
 
-    Estimated parameters of the file are free and start at their estimates. Fixed ones stay fixed. Per-trial
-    parameters are free if the model says so.
+    Parameters that were estimated in the file are free and start at their estimates. Parameters that were
+    fixed in the file stay fixed. Per-trial parameters are free if they are free in the model or listed in
+    ``own``.
 
     Parameters
     ----------
     own : collection of str
-        Per-trial parameters that the file estimated for some trials.
+        Names of per-trial parameters that the file estimated for some trials.
     """
     found = []
     for p, value in zip(parameters, values, strict=True):
@@ -201,10 +206,10 @@ def prior(
     Parameters
     ----------
     own_data : bool
-        Whether the file was fitted to these same trials. Then it is no prior.
+        Whether the file was fitted to these same trials. Its standard errors then do not narrow the prior.
     exact : collection of str
-        Coefficients that keep the standard error of the file. A change of one of them is a hypothesis of its
-        own.
+        Names of coefficients whose prior has the standard error of the file. A change of one of them is a
+        separate hypothesis.
     """
     found = {}
     for p in parameters:
@@ -224,7 +229,9 @@ def prior(
 
 
 def widened(trial: Trial, channels: Sequence[Channel]) -> Trial:
-    """Return the trial with every logged channel that is not computed from another."""
+    """Return the trial in which every logged channel counts as measured, unless it is computed from
+    another one.
+    """
     measured = dict(trial.measured)
     joints_drive = trial.swim.joints is not None
     for channel in channels:
@@ -265,5 +272,7 @@ def _computed(name: str, values: Array, trial: Trial) -> bool:
 
 
 def apart(model: Model, trials: Sequence[Trial]) -> list[Trial]:
-    """Return tables of runs as one trial for each run; other trials as they are."""
+    """Split each trial that is a table of runs into one trial per run, and return all other trials
+    unchanged.
+    """
     return [run for trial in trials for run in model.apart(trial)]

@@ -1,4 +1,4 @@
-"""Locate the gap: by channel, phase of the stroke, setting and time."""
+"""Locate the gap between model and trials: by channel, stroke phase, setting and time."""
 
 from __future__ import annotations
 
@@ -15,25 +15,26 @@ from swimid.diagnosis.gap_file import Cell
 from swimid.diagnosis.generic import beat_hz
 from swimid.fitting.model import Array
 
-#: Number of bins of the stroke's phase, and of the time of a trial.
+#: Number of bins of the stroke phase, and of the time in a trial.
 PHASES, TIMES = 8, 6
-#: Maximum number of trials that are listed one by one.
+#: Maximum number of trials that are listed individually.
 MOST_TRIALS = 30
-#: Duration of the start-up in beats, or as a share of a trial without a beat.
+#: Duration of the start-up: number of beats, or a fraction of the duration of a trial without a beat.
 START_BEATS, START_SHARE = 3.0, 0.2
-#: Minimum reduction of the squared residual by a change point, as a share of the excess.
+#: Minimum fraction of the variance in time of the squared residuals that a step must explain to be a change
+#: point.
 CHANGED = 0.3
 
 
 class Map:
-    """Squared residuals over the squared floor, sample by sample.
+    """Squared residuals of each sample, divided by the squared noise floor.
 
     Parameters
     ----------
     residuals : sequence of ndarray, shape (n_k,)
-        Of each trial, weighted.
+        Weighted residuals of each trial.
     floors : mapping of channel to float
-        In the channels' units.
+        Noise floor of each channel, in the unit of the channel.
     """
 
     def __init__(
@@ -52,12 +53,12 @@ class Map:
             for channel, series in split(fit, k, residual).items():
                 square = (series / max(floors.get(channel, 1.0), 1e-300)) ** 2
                 parts.append(pd.DataFrame({**known, "channel": channel, "square": square}))
-        #: One row for each sample of each channel; samples without a measurement have no ``square``.
+        #: One row for each sample of each channel. ``square`` is missing if the sample was not measured.
         self.samples = pd.concat(parts, ignore_index=True)
         self.total = max(float(np.sum(self.samples["square"].dropna().to_numpy() - 1.0)), 1e-12)
 
     def cells(self, kind: str, labels: pd.Series) -> list[Cell]:
-        """Return the gap in the samples of each label, all channels together."""
+        """Return the gap in the samples of each label, over all channels."""
         return [
             Cell(
                 kind=kind,
@@ -69,12 +70,12 @@ class Map:
         ]
 
     def of_trials(self, values: Sequence[Any]) -> pd.Series:
-        """Return the value of each trial, for each sample."""
+        """Return, for each sample, the value of the trial to which the sample belongs."""
         return self.samples["trial"].map(dict(enumerate(values)))
 
 
 def _bins(share: Array, count: int) -> Array:
-    """Return the index of the equal part that contains each share."""
+    """Return the bin index of each value between 0 and 1, for ``count`` bins of equal width."""
     return np.minimum((share * count).astype(int), count - 1)
 
 
@@ -94,7 +95,7 @@ def regimes(where: Map) -> list[Cell]:
 
 
 def phases(where: Map) -> list[Cell]:
-    """Return the gap by phase of the stroke; empty without a drive."""
+    """Return the gap by stroke phase; empty if no trial has a drive."""
     if not any(t.swim.drive is not None for t in where.trials):
         return []
     edges = [round(360 * i / PHASES) for i in range(PHASES + 1)]
@@ -103,7 +104,7 @@ def phases(where: Map) -> list[Cell]:
 
 
 def times(where: Map) -> list[Cell]:
-    """Return the gap in start-up and steady motion, and change points of single trials."""
+    """Return the gap during start-up and steady motion, and after the change points of single trials."""
     ends = []
     for t in where.trials:
         if len(t.time_s) < 10:
@@ -124,7 +125,7 @@ def times(where: Map) -> list[Cell]:
 
 
 def _change(where: Map, k: int) -> float | None:
-    """Return the time at which a trial's residual grows suddenly, or None."""
+    """Return the time at which the residuals of a trial grow suddenly, or None."""
     squares = where.samples["square"][where.samples["trial"] == k].to_numpy()
     x = np.sum(np.nan_to_num(squares - 1.0).reshape(-1, len(where.trials[k].time_s)), axis=0)
     n = len(x)
@@ -137,7 +138,7 @@ def _change(where: Map, k: int) -> float | None:
     between = cut * (n - cut) / n * (after - before) ** 2
     best = int(np.argmax(between))
     spread = float(np.sum((x - x.mean()) ** 2))
-    # A step, not a ramp: steady growth has no change point.
+    # Accept a step, but not a ramp: steady growth has no change point.
     line = np.polynomial.Polynomial.fit(np.arange(n), x, 1)
     ramp = float(np.sum((line(np.arange(n)) - x.mean()) ** 2))
     step = between[best] > CHANGED * spread and between[best] > 1.3 * ramp

@@ -1,19 +1,20 @@
 """Compute the posterior probability of each set of causes, of no gap, and of a cause outside the catalogue.
 
-Even a true effect has not exactly the form that it has in the catalogue. The excess of a hypothesis (its
-squared residuals beyond the noise) is therefore treated as a discrepancy of unknown variance in some
-directions of each part of the data. At the most likely variance the log-evidence decreases by half of the
-number of directions times the logarithm of the excess (a Student likelihood in place of a Gaussian one). A
-rival must leave several times as much, not only a few samples more.
+Even a true effect does not have exactly the form that it has in the catalogue. The excess of a hypothesis is
+the sum of its squared residuals minus the expected noise. The excess is modelled as a discrepancy of unknown
+variance, with a fixed number of directions in each part of the data. At the most likely variance, the
+log-evidence decreases by half the number of directions times the logarithm of the excess (a Student
+likelihood instead of a Gaussian one). A hypothesis is therefore improbable only if its excess is several
+times larger than that of another one.
 
-A further cause is weighed against the error of form of the causes before it. Where its change is like theirs
-it gains nothing. Elsewhere it must close nearly all of the remaining excess, because an error of form hardly
-ever looks like one effect. The folds are weighted at random (Bayesian bootstrap), so that an effect that
-helps in one fold only is uncertain.
+A further cause is compared with the form error of the causes already in the set. If its change of the trials
+is similar to theirs, it adds no evidence. Otherwise it must close nearly all of the remaining excess, because
+a form error rarely looks like a single effect. The folds get random weights (Bayesian bootstrap), so that an
+effect that helps in one fold only is uncertain.
 
-A few trials do not separate slow noise from a gap. Whether there is a gap, and how much of it is closed, is
-then judged with noise of short memory. The cause must also be probable with noise of long memory. The two are
-pooled by their logarithms.
+A few trials do not separate slow noise from a gap. Short-memory noise then decides whether there is a gap,
+and how much of it is closed. The cause must also be probable with long-memory noise. The two posteriors are
+pooled logarithmically.
 """
 
 from __future__ import annotations
@@ -27,13 +28,13 @@ from scipy.special import logsumexp
 
 from swimid.fitting.model import Array
 
-#: Model error, over the noise, that counts as no gap.
+#: Maximum root-mean-square error of the model, divided by that of the noise, that counts as no gap.
 TENTH = 0.1
-#: Prior odds of one further cause (chosen: a gap of several causes is assumed to be rarer).
+#: Prior odds of one further cause. They are a choice: a gap with several causes is assumed to be rarer.
 FURTHER = 0.1
-#: A gap is stated if the probability of no gap is below this.
+#: Threshold of the probability of no gap. Below it, a gap is reported.
 UNSURE = 0.1
-#: Number of random weightings of the folds.
+#: Number of random samples of the fold weights.
 WEIGHTINGS = 200
 
 
@@ -44,19 +45,21 @@ class Calibration:
     Attributes
     ----------
     directions : float
-        Number of directions, in each part of the data, of the discrepancy of a true effect of another form.
+        Number of directions, in each part of the data, of the discrepancy between a true effect and its form
+        in the catalogue.
     form : float
-        Share of the squared gap that a true effect may leave because of its form.
+        Fraction of the squared gap that a true effect may leave because its form is not exact.
     number : float
-        Cost of each kind of parameter of an effect, beyond the penalty for its parameters.
+        Cost in log-evidence of each kind of parameter of an effect, in addition to the BIC penalty.
     further : float
-        Number of directions, of the whole record, of the error of form of a true effect.
+        Number of directions, in the whole record, of the form error of a true effect, for the evidence of a
+        further cause.
     outside, grows : float
-        Log-evidence of a cause outside the catalogue if nothing is left, and its growth with the logarithm of
+        Log-evidence of a cause outside the catalogue without excess, and its increase with the logarithm of
         the excess.
     acts : float
-        Probability that an effect that closes most beside a cause outside the catalogue acts itself, and does
-        not only imitate that cause.
+        Probability that an effect acts if it closes most of the gap together with a cause outside the
+        catalogue. Otherwise the effect only imitates that cause.
     """
 
     directions: float
@@ -68,30 +71,30 @@ class Calibration:
     acts: float
 
 
-#: From ``python -m tests.calibrate`` on trials made by other code, each also judged with its true effect
-#: hidden from the catalogue.
+#: From ``python -m tests.calibrate`` on trials simulated by independent code. Each case was also judged with
+#: its true effect removed from the catalogue.
 CALIBRATED = Calibration(8.7, 0.30, 1.4, 8.0, -2.7, 4.3, 0.15)
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A hypothesis with its scores.
+    """A hypothesis with its squared residuals and penalty.
 
     Attributes
     ----------
     names : frozenset of str
-        Of its effects.
+        Names of the effects in the hypothesis.
     score : float
-        Squared residuals at its optimum, in units of the noise, and the penalty for its parameters.
+        Squared residuals at the optimum, in units of the noise variance, plus the penalty for the parameters.
     folds : ndarray, shape (folds,)
-        Squared residuals of each fold.
+        Squared residuals of each fold, in units of the noise variance.
     numbers : int
-        Number of kinds of parameters of its effects; the per-trial values of one parameter are one kind.
+        Number of kinds of parameters of the effects. The per-trial values of one parameter are one kind.
     alike : mapping of str to float
-        For each effect of a set, the largest squared cosine between its change and that of another one, with
-        the model's parameters projected out.
+        For each effect of a set, the largest squared cosine between its change of the trials and the change
+        by another effect of the set. The model's parameters are projected out.
     slow : float, optional
-        The score with noise of long memory, if the trials are too few to decide.
+        The score with long-memory noise. None if there are enough trials to estimate the noise.
     """
 
     names: frozenset[str]
@@ -104,7 +107,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Posterior:
-    """Posterior probabilities, which sum to one.
+    """Posterior probabilities. Those of ``sets``, ``none`` and ``outside`` sum to one.
 
     Attributes
     ----------
@@ -113,17 +116,19 @@ class Posterior:
     none : float
         Probability that nothing is missing.
     outside : float
-        Probability of a cause outside the catalogue, alone or beside a set.
+        Probability of a cause outside the catalogue, alone or together with a set of effects.
     beside : dict of frozenset of str to float
-        The same with each set that closes most of the closed gap; for the empty set, none does.
+        Probability that a cause outside the catalogue acts and that this set closes most of the closed part
+        of the gap. The empty set stands for no effect.
     excess : dict of frozenset of str to float
-        Excess of each set in units of the noise; of the empty set the gap.
+        Squared residuals with each set minus the expected noise, in units of the noise variance. The excess
+        of the empty set is the squared gap.
     candidates : tuple of Candidate
         All hypotheses, the model without effects first.
     acts : float
-        As in the calibration.
+        Same as :attr:`Calibration.acts`.
     no_evidence : float
-        Excess that is no evidence against a hypothesis of exact form.
+        Largest excess that is no evidence against a hypothesis of exact form.
     """
 
     sets: dict[frozenset[str], float]
@@ -137,14 +142,18 @@ class Posterior:
 
     @property
     def known(self) -> dict[frozenset[str], float]:
-        """Return the probability that each set closes most without other effects of the catalogue,
-        whatever else acts.
+        """Return the probability that each set closes most of the gap without other effects of the catalogue.
+
+        A cause outside the catalogue may act in addition.
         """
         return {names: p + self.beside[names] for names, p in self.sets.items()}
 
     @property
     def best(self) -> frozenset[str]:
-        """Return the most probable set, with only effects that are more probably needed than not."""
+        """Return the most probable set of effects.
+
+        Its size is the smallest one that suffices with a probability above one half.
+        """
         known = self.known
         total = sum(known.values())
         size, fewer = 1, 0.0
@@ -157,31 +166,34 @@ class Posterior:
         return max(mine, key=lambda names: mine[names], default=frozenset())
 
     def having(self, *names: str) -> float:
-        """Return the probability that one of some effects is among the causes."""
+        """Return the probability that at least one of the named effects is among the causes."""
         within, beside = (
             sum(p for found, p in sets.items() if found & set(names)) for sets in (self.sets, self.beside)
         )
         return min(within + self.acts * beside, 1.0)
 
     def beside_outside(self, *names: str) -> float:
-        """Return the probability that one of some effects acts beside a cause outside the catalogue."""
+        """Return the probability that one of the named effects acts, given a cause outside the catalogue."""
         closing = sum(p for found, p in self.beside.items() if found & set(names))
         return self.acts * closing / self.outside if self.outside > 0 else 0.0
 
     def closing(self, *names: str) -> float:
-        """Return the probability that one of some effects closes most of the closed gap, as a cause or as
-        an imitation.
+        """Return the probability that one of the named effects closes most of the closed part of the gap.
+
+        The effect may be a cause or only imitate one.
         """
         return min(sum(p for found, p in self.known.items() if found & set(names)), 1.0)
 
     def instead(self, name: str, among: frozenset[str], *, exact: bool = False) -> dict[str, float]:
-        """Return the probability of each effect in the place of one of a set, given the others; they sum to
-        one.
+        """Return the probability of each effect in the place of ``name`` in the set ``among``, given the
+        others.
+
+        The probabilities sum to one.
 
         Parameters
         ----------
         exact : bool
-            Whether the effect has no other form than its own, so that no effect that leaves more takes its
+            Whether the form of the effect is exact. Effects that leave a larger excess then cannot take its
             place.
         """
         most = self.excess[among] + self.no_evidence if exact else math.inf
@@ -196,28 +208,28 @@ class Posterior:
 
     @property
     def left(self) -> float:
-        """Return the share of the squared gap that the most probable set leaves."""
+        """Return the fraction of the squared gap that remains with the most probable set."""
         gap = self.excess[frozenset()]
         return min(self.excess[self.best] / gap, 1.0) if gap > 0 and self.sets else 0.0
 
 
 def prior(size: int, effects: int) -> float:
-    """Return the prior log-odds of a set with some number of effects; 0 for no effect."""
+    """Return the prior log-odds of a set of ``size`` out of ``effects`` effects, against no effect."""
     return math.log((1.0 - FURTHER) * FURTHER ** (size - 1) / math.comb(effects, size))
 
 
 @dataclass(frozen=True)
 class Record:
-    """Size of the data.
+    """Amount of data.
 
     Attributes
     ----------
     samples : float
         Number of residuals.
     parts : int
-        Number of folds: settings, or stretches of a few trials.
+        Number of cross-validation folds: settings, or time segments if there are only a few trials.
     effects : int
-        Number of effects that apply.
+        Number of effects that apply to the model and its trials.
     """
 
     samples: float
@@ -226,10 +238,10 @@ class Record:
 
 
 def unit(record: Record, gap: float, known: Calibration = CALIBRATED) -> float:
-    """Return the excess that is no evidence.
+    """Return the largest excess that is no evidence against a hypothesis.
 
-    It has three terms: a discrepancy as large as the noise in all its directions, a tenth of the noise, and
-    the error of form of a true effect.
+    It is the sum of three terms: a discrepancy as large as the noise in all its directions, a model error of
+    a tenth of the noise, and the form error of a true effect.
     """
     return known.directions * record.parts + TENTH**2 * record.samples + known.form * max(gap, 0.0)
 
@@ -242,20 +254,20 @@ def _further(
     small: Array,
     directions: float,
 ) -> None:
-    """Limit, in place, what larger sets gain over the most probable smaller one within each.
+    """Limit, in place, the log-evidence that a larger set gains over the most probable smaller set within it.
 
     Parameters
     ----------
     names : sequence of frozenset of str
-        All sets, the empty one first.
+        All sets, the empty set first.
     candidates : sequence of Candidate
-        All but the model without effects.
+        All hypotheses except the model without effects.
     known : ndarray, shape (c,)
-        Prior log-probability of each, and the cost of its parameters.
+        Prior log-probability of each hypothesis, minus the cost of its parameters.
     closes : ndarray, shape (c, m)
-        Log-evidence of each in each weighting.
+        Log-evidence of each hypothesis for each sample of the fold weights.
     small : ndarray, shape (c, m)
-        Logarithm of the excess of each over its unit without the error of form.
+        ``log(1 + excess / unit)`` of each hypothesis, where the unit contains no form error.
     """
     place = {n: i for i, n in enumerate(names)}
     order = sorted(range(len(candidates)), key=lambda i: len(candidates[i].names))
@@ -271,13 +283,14 @@ def _further(
 
 
 def penalty(shared: int, own: int, samples: float, trials: int) -> float:
-    """Return the penalty for parameters of effects: the logarithm of the number of samples that inform each
-    [1]_.
+    """Return the BIC penalty for the parameters of effects.
+
+    Each parameter costs the logarithm of the number of samples that depend on it [1]_.
 
     Parameters
     ----------
     shared, own : int
-        Number of shared parameters, and of per-trial parameters of all trials.
+        Number of shared parameters, and number of per-trial parameters summed over the trials.
 
     References
     ----------
@@ -288,7 +301,7 @@ def penalty(shared: int, own: int, samples: float, trials: int) -> float:
 
 
 def most(excess: float, record: Record) -> float:
-    """Return the maximum gain in log-evidence of a larger set."""
+    """Return the maximum gain in log-evidence of a larger set over a set with this excess."""
     gained = 0.5 * CALIBRATED.further * math.log1p(max(excess, 0.0) / unit(record, 0.0))
     return gained - CALIBRATED.number
 
@@ -308,8 +321,9 @@ def posterior(
     null : Candidate
         The model without effects.
     candidates : sequence of Candidate
-        At most one for each set of effects.
+        At most one hypothesis for each set of effects.
     record : Record
+        Amount of data.
 
     References
     ----------
@@ -357,8 +371,9 @@ def posterior(
 
 
 def _pooled(every: Sequence[Candidate], record: Record, known: Calibration) -> Array | None:
-    """Return the log-evidence with noise of long memory, shape (candidates,); None if the trials determine
-    the noise.
+    """Return the log-evidence of each hypothesis with long-memory noise, shape (candidates,).
+
+    Return None if there are enough trials to estimate the noise.
     """
     slow = np.array([math.nan if c.slow is None else c.slow for c in every])
     if np.isnan(slow).any():
@@ -369,7 +384,9 @@ def _pooled(every: Sequence[Candidate], record: Record, known: Calibration) -> A
 
 
 def _spread(evidence: Array, gained: Array) -> Array:
-    """Redistribute log-evidence, shape (c, m), over the candidates; its sum stays."""
+    """Add the log-evidence ``gained`` to that of each hypothesis, shape (c, m), without a change of the
+    total.
+    """
     if not len(evidence):
         return evidence
     moved = evidence + gained[:, None]

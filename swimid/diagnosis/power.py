@@ -1,8 +1,8 @@
-"""Compute the detection power of trials: the smallest detectable size of each effect, and indistinguishable
-effects.
+"""Compute the detection power of trials.
 
-No cause is sought. The changes by effects in these trials, with the model's parameters projected out, are
-compared with the noise of these trials by the decision rule of a diagnosis.
+The results are the smallest detectable size of each effect, and the effects that cannot be distinguished. No
+cause is sought. The change of these trials by each effect, with the model's parameters projected out, is
+compared with the noise of the trials. The decision rule is that of a diagnosis.
 """
 
 from __future__ import annotations
@@ -24,32 +24,39 @@ from swimid.diagnosis.search import Search, context_of
 from swimid.effects.base import Effect
 from swimid.fitting.model import Array, Parameter
 
-#: Probability with which an effect of the stated size is detected.
+#: Probability with which an effect of the reported size is detected.
 POWER = 0.9
-#: Share of a change that remains as rounding error after the model's parameters are projected out.
+#: Minimum fraction of a squared change that remains after the model's parameters are projected out. A smaller
+#: remainder is rounding error.
 ROUNDING = 1e-9
 
 
 def needed(record: Record, kinds: int) -> float:
-    """Return the excess without an effect from which a gap is stated, if the effect leaves no excess."""
+    """Return the minimum excess of the model without an effect for which a gap is reported, if the effect
+    closes the whole gap.
+    """
     costs = CALIBRATED.number * kinds - posterior.prior(1, record.effects)
     wanted = costs + math.log((1.0 - UNSURE) / UNSURE)
     directions = CALIBRATED.directions * record.parts
     share = math.expm1(2.0 * wanted / directions)
-    # The unit grows with the gap: beyond this share no excess is enough.
+    # The excess that is no evidence grows with the gap. Without room for it, no excess is enough.
     room = 1.0 - CALIBRATED.form * share
     return share * posterior.unit(record, 0.0) / room if room > 0 else math.inf
 
 
 def noncentrality(drop: float, numbers: int) -> float:
-    """Return the squared change, in units of the noise, that lowers the cost by some amount with 90 %
-    power.
+    """Return the squared change, in units of the noise variance, that reduces the cost by at least ``drop``.
+
+    The probability of such a reduction is 90 %.
     """
     return float(chndtrinc(drop, numbers, 1.0 - POWER)) if math.isfinite(drop) else math.inf
 
 
 def told_apart(record: Record, cosine: float) -> bool:
-    """Return whether a very large effect is distinguished from another whose change is this similar."""
+    """Return whether a very large effect can be distinguished from another effect.
+
+    The cosine is the one between the changes of the trials by the two effects.
+    """
     left = max(1.0 - cosine**2, 0.0)
     return 0.5 * CALIBRATED.directions * record.parts * math.log1p(left / CALIBRATED.form) > math.log(
         (1.0 - UNSURE) / UNSURE
@@ -57,16 +64,17 @@ def told_apart(record: Record, cosine: float) -> bool:
 
 
 class _Line(NamedTuple):
-    """An effect along one direction of its parameters.
+    """An effect whose size varies along one direction of its parameters.
 
     Attributes
     ----------
     parameter : Parameter
-        Size of the effect. Other parameters that are not null state place and time.
+        Parameter that states the size of the effect. Further parameters that are not at their null values
+        state place and time.
     values : ndarray, shape (n,)
-        Tried values.
+        Tried values of the parameter.
     places : ndarray of int, shape (n,)
-        Indices of their changes among all columns.
+        Column indices of the changes of the trials at these values.
     """
 
     tried: Trialled
@@ -78,22 +86,24 @@ class _Line(NamedTuple):
 def shown(
     given: FitContext, effects: Sequence[Effect], asked: Collection[str] | None, *, seed: int
 ) -> tuple[list[Row], dict[str, str]]:
-    """Return the detection power of each effect, and why some have none.
+    """Return the detection power of each effect, and the reason for each effect that has none.
 
-    The noise is what the model and a generic description of its residuals leave.
+    The noise is estimated from the residuals of the model. Structure that a generic description finds in
+    these residuals (:mod:`swimid.diagnosis.remainder`) does not count as noise.
 
     Parameters
     ----------
     effects : sequence of Effect
-        All that apply, in every form.
+        All effects that apply, in every form.
     asked : collection of str or None
-        Names of the requested effects; None for all.
+        Names of the requested effects; None for all effects.
 
     Returns
     -------
     list of Row
-        One for each effect, in the order given.
+        One row for each effect, in the order given.
     dict of name to reason
+        Effects without a detection power.
     """
     context, noise_model, fit, _ = context_of(given, effects)
     search = Search(context, noise_model, effects, effects, rng=np.random.default_rng(seed))
@@ -148,7 +158,9 @@ def shown(
 
 
 def _lines(tried: Trialled, columns: list[list[Array]]) -> list[_Line]:
-    """Return the directions in which an effect is tried, and append their changes to the columns."""
+    """Return the directions in which an effect is tried, and append the changes of the trials to
+    ``columns``.
+    """
     null = np.array([p.start for p in tried.parameters])
     groups: dict[tuple[int, ...], list[tuple[float, int]]] = {}
     for point, changed in tried.points:
@@ -163,9 +175,10 @@ def _lines(tried: Trialled, columns: list[list[Array]]) -> list[_Line]:
 
 
 def _strength(strengths: Array, squares: Array, wanted: float) -> tuple[float, int]:
-    """Return the distance from the null value at which the squared change is as wanted, and the nearest try.
+    """Return the distance from the null value at which the squared change reaches ``wanted``.
 
-    The change is taken as quadratic in the size; the distance is infinite without a change.
+    The second value is the index of the nearest tried value. The squared change is assumed to be quadratic in
+    the distance. The distance is infinite if the effect changes nothing.
     """
     with np.errstate(divide="ignore"):
         reached = strengths * np.sqrt(wanted / squares)

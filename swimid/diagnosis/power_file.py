@@ -1,4 +1,4 @@
-"""The power file (``swimid-power/1``): what trials could show of each effect."""
+"""The power file (``swimid-power/1``): detection power of trials for each effect."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ class Row(yamlio.Document):
 
     effect: str
     stage: str
-    #: Parameter that states its size, and the smallest value that is detected with 90 % power; null if none
-    #: within its bounds is.
+    #: Parameter that states the size of the effect. ``size`` is its smallest value that is detected with 90 %
+    #: power; null if no value within its bounds is detected.
     parameter: str
     size: Number = None
     unit: str
-    #: Share of its squared change that the model's parameters imitate.
+    #: Fraction of the squared change by the effect that the model's parameters imitate.
     absorbed: Number = None
-    #: Effects that these trials do not distinguish from it, however large it is.
+    #: Effects that these trials cannot distinguish from this one, however large it is.
     alike: list[str] = []
 
 
@@ -47,13 +47,13 @@ class PowerFile(yamlio.ResultFile):
     params: str
     trials: list[str]
     effects: list[Row]
-    #: Effects that could not be evaluated, and the reason.
+    #: Effects that could not be evaluated, with the reason.
     left_out: dict[str, str] = {}
     provenance: dict[str, Any] = Field(default_factory=dict)
 
 
 def evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord] = ()) -> ev.Evidence:
-    """Return the table of a power file, and the number of detectable effects."""
+    """Return the evidence of a power file: its table, and the number of detectable effects."""
     blind = [r.effect for r in file.effects if r.size is None]
     twins = sum(r.size is not None and bool(r.alike) for r in file.effects)
     seen = len(file.effects) - len(blind)
@@ -101,14 +101,16 @@ def evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord] = ()) -> ev.Evi
 
 @dataclass(frozen=True, eq=False)
 class DetectionPower(FileResult[PowerFile]):
-    """Detection power of trials, as ``diagnose`` returns it with ``power=True``.
+    """Detection power of trials: the result of ``diagnose`` with ``power=True``.
 
     Attributes
     ----------
     effects : DataFrame
-        One row for each effect: ``effect``, ``stage``, ``parameter``, the smallest ``size`` detected with 90
-        % power (in ``unit``; NaN if none within its bounds is), the share ``absorbed`` by the model's
-        parameters, and the effects from which it is never distinguished (``alike``).
+        One row for each effect, with the columns ``effect``, ``stage``, ``parameter``, ``size``, ``unit``,
+        ``absorbed`` and ``alike``. ``size`` is the smallest value of the parameter that is detected with 90 %
+        power; NaN if no value within its bounds is detected. ``absorbed`` is the fraction of the squared
+        change by the effect that the model's parameters imitate. ``alike`` lists the effects from which the
+        effect is never distinguished.
     file : PowerFile
         The file that :meth:`save` writes.
     """
@@ -117,11 +119,11 @@ class DetectionPower(FileResult[PowerFile]):
 
     @property
     def effects(self) -> pd.DataFrame:
-        """Return one row for each effect."""
+        """Return a table with one row for each effect."""
         import pandas as pd
 
         return pd.DataFrame([r.model_dump() for r in self.file.effects])
 
     def bare(self) -> ev.Evidence:
-        """Return what a report shows of a power file whose evidence is missing."""
+        """Return the evidence for the report of a power file that contains none."""
         return evidence(self.file)

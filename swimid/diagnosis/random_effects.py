@@ -1,7 +1,7 @@
-"""Estimate the between-trial variation: trim, gain, clock, friction of a pulley.
+"""Estimate the between-trial variation, for example of trim, gain, clock or pulley friction.
 
-No effect that all trials share can explain it. Each kind has one value for each trial, with the between-trial
-standard deviation as prior: a mixed-effects model.
+An effect with equal parameters in all trials cannot explain this variation. Each random effect has one value
+for each trial, with the between-trial standard deviation as prior (a mixed-effects model).
 """
 
 from __future__ import annotations
@@ -20,46 +20,47 @@ from swimid.effects.base import Effect, Stage
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
 
-#: Per-trial parameters that a model holds, which may also differ by chance. Their typical size is their
-#: scale, or a share of a common parameter.
+#: Per-trial parameters of a model that may also differ at random. The value names a shared parameter and the
+#: fraction of it that is the typical scale. None means that the typical scale is the parameter's own scale.
 OWN: dict[str, tuple[str, float] | None] = {
     "friction_deviation": ("pulley_friction", 0.1),
     "start_offset": None,
     "initial_speed": None,
 }
-#: Minimum number of trials for a standard deviation, and its minimum ratio to the sampling error of one
-#: trial.
+#: Minimum number of trials for a between-trial standard deviation, and minimum ratio of the variance of the
+#: per-trial estimates to their sampling variance.
 FEWEST, CLEAR = 3, 2.0
-#: Maximum standard deviation by chance, in typical sizes; a larger one is an effect. If settings are
-#: repeated, the limit is this upper confidence bound of the difference between repeats.
+#: Maximum standard deviation that may be chance, in typical scales. A larger one is treated as an effect. If
+#: settings are repeated, the maximum is the upper confidence bound, at level `LEVEL`, of the standard
+#: deviation between repeats.
 LARGEST_SD, LEVEL = 0.5, 0.95
-#: Maximum number of standard deviations of one trial, and the possible excess, in typical sizes, of a
-#: standard deviation from few trials. Without a limit random effects would absorb any gap.
+#: Maximum deviation of one trial in standard deviations, and possible error of a standard deviation from few
+#: trials in typical scales. Without these limits, random effects would absorb any gap.
 FARTHEST, UNSURE = 3.0, 0.1
 
 
 @dataclass(frozen=True)
 class RandomEffect:
-    """One kind of random effect.
+    """A quantity that differs at random between trials.
 
     Attributes
     ----------
     name : str
-        In words.
+        Name in words.
     label : str
-        Of its parameter among the parameters of a model on which it acts.
+        Name of its parameter among the parameters of a model on which the random effect acts.
     size : float
-        Typical size, in its unit.
+        Typical scale, in the unit of the parameter.
     effect : Effect or None
-        Effect that has the parameter; None for a parameter of the model itself.
+        Effect to which the parameter belongs; None for a parameter of the model itself.
     place : int
-        Index of the parameter in the effect, or in the model.
+        Index of the parameter in the effect or in the model.
     null : tuple of float
-        Parameters of the effect at which it vanishes.
+        Parameters of the effect at which the effect vanishes.
     sd : float
-        Between-trial standard deviation, in typical sizes.
+        Between-trial standard deviation, in typical scales.
     most : float
-        Largest standard deviation that may be chance.
+        Largest standard deviation that may be chance, in typical scales.
     """
 
     name: str
@@ -72,16 +73,16 @@ class RandomEffect:
     most: float = LARGEST_SD
 
     def scattering(self, sd: float) -> RandomEffect:
-        """Return the same effect with another standard deviation, limited to what may be chance."""
+        """Return a copy with another standard deviation, limited to the largest one that may be chance."""
         return replace(self, sd=min(sd, self.most))
 
     @property
     def width(self) -> float:
-        """Return the between-trial standard deviation, in its unit."""
+        """Return the between-trial standard deviation, in the unit of the parameter."""
         return self.sd * self.size
 
     def number(self, parameter: Parameter) -> Parameter:
-        """Return the parameter for one trial, with bounds at the largest chance deviation."""
+        """Return the per-trial parameter, with bounds at the largest chance deviation."""
         farthest = FARTHEST * math.hypot(self.sd, UNSURE) * self.size
         lower = max(parameter.lower, parameter.start - farthest)
         upper = min(parameter.upper, parameter.start + farthest)
@@ -89,14 +90,15 @@ class RandomEffect:
 
     @cached_property
     def acting(self) -> Effect | None:
-        """Return the effect with a value for each trial; always the same object, because results are
-        cached by it.
+        """Return the effect with one value for each trial.
+
+        The same object is always returned, because results are cached by the object.
         """
         return None if self.effect is None else TrialEffect(self, self.effect)
 
 
 class TrialEffect(Effect):
-    """One parameter of an effect, with a value for each trial."""
+    """An effect of which one parameter has a separate value for each trial."""
 
     name: ClassVar[str] = "chance"
     stage: ClassVar[Stage] = "sensing"
@@ -107,12 +109,12 @@ class TrialEffect(Effect):
         self.kind, self.effect = kind, effect
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
-        """Return the parameter of each trial."""
+        """Return the per-trial parameter."""
         p = self.effect.parameters(model, trials)[self.kind.place]
         return (replace(self.kind.number(p), name=f"{self.effect.name} {p.name}"),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return the hooks of the effect with this value."""
+        """Return the hooks of the effect with the value of this trial."""
         point = np.array(self.kind.null)
         point[self.kind.place] = values[0]
         return self.effect.hooks(point, trial, model)
@@ -125,13 +127,13 @@ def kinds(
     effects: Sequence[Effect],
     value: Mapping[str, float],
 ) -> list[RandomEffect]:
-    """Return what may differ between trials: scattering effects, and per-trial parameters that the model
-    holds.
+    """Return the possible random effects: those of effects that may differ at random, and per-trial
+    parameters of the model.
 
     Parameters
     ----------
     parameters : sequence of Parameter
-        Of the model.
+        Parameters of the model.
     value : mapping of name to float
         Present values of the shared parameters.
     """
@@ -154,7 +156,7 @@ def kinds(
 
 
 class Spread(NamedTuple):
-    """Between-trial variation of one kind, in its typical size.
+    """Between-trial variation of one random effect, in typical scales.
 
     Attributes
     ----------
@@ -163,7 +165,8 @@ class Spread(NamedTuple):
     most : float
         Largest standard deviation that may be chance.
     likelihood : float
-        Gain in log-likelihood of the residuals, without the trial that gains most.
+        Increase in log-likelihood of the per-trial estimates by this variation, without the trial that
+        contributes most.
     """
 
     sd: float = 0.0
@@ -181,31 +184,31 @@ def spread(
     used: int = 0,
     cautious: bool = False,
 ) -> list[Spread]:
-    """Estimate the between-trial standard deviation of each kind.
+    """Estimate the between-trial standard deviation of each random effect.
 
     Parameters
     ----------
     whiten : callable
-        Returns weighted columns of a trial, shape (n_k, m), in units of the noise.
+        Function ``whiten(k, columns)`` that whitens weighted columns of trial ``k``, shape (n_k, m).
     residuals : sequence of ndarray, shape (n_k,)
-        Weighted, of simulations with equal random effects in all trials.
+        Weighted residuals of simulations with equal random effects in all trials.
     own : sequence of ndarray, shape (n_k, m)
-        Weighted derivatives with respect to the trial's own start state, which is estimated.
+        Weighted derivatives with respect to the start state of the trial, which is estimated too.
     random_effects : sequence of ndarray, shape (n_k, q)
-        Weighted derivatives with respect to the random effects, each per its typical size.
+        Weighted derivatives with respect to the random effects, multiplied by their typical scales.
     repeats : sequence of sequence of int
-        Trials of one setting, where there are several.
+        Indices of the trials of each repeated setting.
     used : int
-        Number of shared parameters that were fitted to the residuals and may have absorbed such differences.
+        Number of shared parameters that were fitted to the residuals and may have absorbed such variation.
     cautious : bool
-        Whether the model may still lack much. Then estimates are rather too small than too large, because too
-        large ones would hide what it lacks.
+        Whether the model may still lack a large effect. Estimates are then rather too small than too large,
+        because a large variation would hide the missing effect.
 
     Returns
     -------
     list of Spread, length q
-        Of each kind the robust variance of the trials' own least-squares estimates, minus its sampling
-        variance.
+        Variation of each random effect. The variance is the robust variance of the per-trial least-squares
+        estimates, minus their sampling variance.
     """
     q = random_effects[0].shape[1] if len(random_effects) else 0
     found = [Spread()] * q
@@ -215,7 +218,8 @@ def spread(
     inner = [block.T @ block for block in seen]
     left = list(range(q))
     while left:
-        # One kind at a time, the most likely first, because together they are hardly distinguishable.
+        # Estimate one random effect at a time, the most likely first, because they are hardly distinguishable
+        # when estimated together.
         sd = np.array([s.sd for s in found])
         known = np.flatnonzero(sd)
         tried = {i: _spread(_estimates(inner, i, known, sd[known], q), repeats, used, cautious) for i in left}
@@ -230,15 +234,16 @@ def spread(
 def _estimates(
     inner: Sequence[Array], i: int, known: NDArray[np.intp], sd: Array, kinds: int
 ) -> dict[int, tuple[float, float]]:
-    """Return each trial's own estimate of one kind of difference, and its sampling variance, by trial.
+    """Return each trial's estimate of one random effect and the sampling variance of the estimate, by trial
+    index.
 
     Parameters
     ----------
     inner : sequence of ndarray
-        Of each trial, inner products of the kinds, the residual and derivatives with respect to the start
-        state.
+        Matrix of each trial: inner products of the random effects, the residual, and the derivatives with
+        respect to the start state.
     known, sd : ndarray
-        Kinds with a known standard deviation, and that standard deviation.
+        Indices of random effects with a known standard deviation, and these standard deviations.
     """
     found = {}
     for k, products in enumerate(inner):
@@ -265,12 +270,13 @@ def _spread(
     used: int,
     cautious: bool,
 ) -> Spread:
-    """Return the variation from estimates of single trials."""
+    """Return the between-trial variation from per-trial estimates."""
     n = len(estimates)
     if n < FEWEST:
         return Spread()
     b, c = (np.array(x) for x in zip(*estimates.values(), strict=True))
-    # The median absolute deviation limits the standard deviation: one odd trial does not decide.
+    # Limit the standard deviation by the median absolute deviation, so that one outlier trial does not
+    # decide.
     middle = float(np.median(b))
     robust = 1.4826 * float(np.median(np.abs(b - middle))) * (1.0 + 0.8 / n)
     if cautious:
@@ -283,7 +289,7 @@ def _spread(
     if variance <= CLEAR * typical:
         return Spread()
     variance -= typical
-    # Log-density of the estimates with this variation, minus that with the sampling error alone.
+    # Log-density of the estimates with this variation, minus their log-density with the sampling error alone.
     gained = 0.5 * (b**2 / c - b**2 / (c + variance) - np.log1p(variance / c))
     return Spread(math.sqrt(variance), _most(estimates, repeats), float(gained.sum() - gained.max()))
 
@@ -291,8 +297,8 @@ def _spread(
 def _most(estimates: Mapping[int, tuple[float, float]], repeats: Sequence[Sequence[int]]) -> float:
     """Return the largest standard deviation that may be chance, from repeats of one setting.
 
-    Without repeats it is :data:`LARGEST_SD`. With few repeats it is at most the larger of that and their own
-    difference.
+    Without repeats it is :data:`LARGEST_SD`. With few repeats it is at most the larger of :data:`LARGEST_SD`
+    and the standard deviation between the repeats.
     """
     squares, freedom = 0.0, 0
     for group in repeats:
@@ -303,5 +309,6 @@ def _most(estimates: Mapping[int, tuple[float, float]], repeats: Sequence[Sequen
     if not freedom:
         return LARGEST_SD
     bound = math.sqrt(squares / float(special.chdtri(freedom, LEVEL)))
-    # One pair leaves a wide bound: more than this is shown only if the pair itself differs by more.
+    # One pair of repeats leaves a wide bound. A limit above :data:`LARGEST_SD` requires that the pair itself
+    # differs by more.
     return min(bound, max(LARGEST_SD, math.sqrt(squares / freedom)))

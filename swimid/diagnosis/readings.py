@@ -1,4 +1,4 @@
-"""Other readings of a robot's source as hypotheses of a diagnosis."""
+"""Test other interpretations of a robot's source (``--reading``) as hypotheses of a diagnosis."""
 
 from __future__ import annotations
 
@@ -18,12 +18,14 @@ from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.robots.file import RobotFile
 from swimid.swimmer.model import Swimmer
 
-#: Relative difference over a channel's range below which simulations of two readings are equal.
+#: Threshold of the difference between two simulations, divided by the range of the channel. Below it, two
+#: interpretations of the source are equivalent.
 ALIKE = 1e-9
-#: Distance from the start values, in typical sizes, at which coefficients are compared: a zero coefficient
-#: hides differences.
+#: Offset of the coefficients from their start values, in typical scales, for the comparison of
+#: interpretations. With a coefficient of zero, differences would not be visible.
 AWAY = 0.1
-#: Stage of a place in the robot file, by the words in it; other places belong to the structure.
+#: Part of the simulated system to which a place in the robot file belongs, by the words in the place. All
+#: other places belong to the structure.
 PLACES: tuple[tuple[str, Stage], ...] = (
     (".driven", "actuation"),
     (".elements.", "fluid"),
@@ -32,19 +34,19 @@ PLACES: tuple[tuple[str, Stage], ...] = (
     (".reference", "sensing"),
     (".markers.", "sensing"),
 )
-#: Places that the trials already contain when they are read.
+#: Words of places in the robot file whose content is already part of the loaded trials.
 COMMANDS = (".strokes.",)
 
 
 class Reread:
-    """The models of a robot file in its several readings.
+    """The models of a robot file for all interpretations of its source.
 
     Parameters
     ----------
     path : Path
         Robot file.
     nominal : Swimmer
-        Model of the robot as it is read.
+        Model of the robot with the chosen interpretation.
     """
 
     def __init__(self, path: Path, nominal: Swimmer) -> None:
@@ -53,7 +55,7 @@ class Reread:
         self._lock = threading.Lock()
 
     def model(self, model: Model, question: str, option: str) -> Model:
-        """Return the model with one question answered differently."""
+        """Return the model in which one question about the source has another answer."""
         assert model.swimmer is not None
         chosen = {key: reading.chosen for key, reading in model.swimmer.robot.readings.items()}
         key = model.swimmer.max_step, frozenset({**chosen, question: option}.items())
@@ -64,7 +66,9 @@ class Reread:
             return self._models[key]
 
     def stand(self, answers: Mapping[str, str]) -> bool:
-        """Return whether some answers can be combined."""
+        """Return whether the given answers can be combined in a model that is comparable with the nominal
+        one.
+        """
         model: Model = self._nominal
         try:
             for question, option in answers.items():
@@ -75,20 +79,20 @@ class Reread:
 
 
 class OtherReading(Effect):
-    """A question of a robot's source, answered differently than in the robot file.
+    """A question about a robot's source, with another answer than the robot file has chosen.
 
-    The robot in this reading takes the place of the nominal one, and other effects act on it.
+    The robot with this answer replaces the nominal robot, and other effects act on the replacement.
 
     Parameters
     ----------
     question, option : str
-        Names of the reading and of its option in the robot file.
+        Names of the question and of the answer in the robot file.
     meaning : str
         The question and this answer, in words.
     stage : str
-        Stage in which the robots differ.
+        Part of the simulated system in which the two robots differ.
     reread : Reread
-        The models of the robot in its several readings.
+        The models of the robot for all interpretations of its source.
     """
 
     name: ClassVar[str]
@@ -97,8 +101,8 @@ class OtherReading(Effect):
     needs: ClassVar[frozenset[str]] = frozenset()
 
     def __init__(self, question: str, option: str, *, meaning: str, stage: Stage, reread: Reread) -> None:
-        # Class attributes of other effects are instance attributes here, because each robot file has its own
-        # readings.
+        # Each robot file has its own questions. Attributes that belong to the class of other effects
+        # therefore belong to the instance here.
         vars(self).update(name=f"{READING}{question}={option}", stage=stage, meaning=meaning)
         self.question, self.option = question, option
         self._reread = reread
@@ -108,48 +112,48 @@ class OtherReading(Effect):
         return ()
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return no hooks: the robot is another."""
+        """Return no hooks, because the robot itself is replaced."""
         return NONE
 
     def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
-        """Return one try."""
+        """Return one point, which has no parameters."""
         return [np.empty(0)]
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
-        """Return its only form."""
+        """Return the effect itself, its only form."""
         return [self]
 
     def joins(self, effects: Sequence[Effect]) -> bool:
-        """Return whether other effects can be combined with it: no question has two answers."""
+        """Return whether the effect can be combined with others. A question has one answer only."""
         answers = {e.question: e.option for e in effects if isinstance(e, OtherReading)}
         if self.question in answers:
             return False
         return not answers or self._reread.stand({**answers, self.question: self.option})
 
     def in_place_of(self, model: Model) -> Model:
-        """Return the model of the robot in this reading."""
+        """Return the model of the robot with this answer."""
         return self._reread.model(model, self.question, self.option)
 
     def content(self) -> bytes:
-        """Return its name, which identifies it."""
+        """Return the name, which identifies the effect."""
         return self.name.encode()
 
 
 def others(experiment: Experiment, trials: Sequence[Trial]) -> tuple[list[OtherReading], dict[str, str]]:
-    """Return every reading of the robot that differs by one answer from the chosen ones.
+    """Return every interpretation of the robot that differs from the chosen one by a single answer.
 
     Parameters
     ----------
     experiment : Experiment
-        Its model with the refitted parameters.
+        Experiment whose model has the refitted parameters.
     trials : sequence of Trial
-        Their measured channels must depend on the answer.
+        Trials whose measured channels must depend on the answer.
 
     Returns
     -------
     list of OtherReading
     dict of name to reason
-        Readings that are no hypotheses here.
+        Interpretations that cannot be tested as hypotheses.
     """
     nominal, path = experiment.model.swimmer, experiment.robot_path
     if nominal is None or path is None or not experiment.robot.readings:
@@ -183,12 +187,12 @@ def others(experiment: Experiment, trials: Sequence[Trial]) -> tuple[list[OtherR
 
 
 def asked(names: Collection[str], experiment: Experiment) -> tuple[list[str], set[str]]:
-    """Return the names of requested effects, without those of readings.
+    """Return the names of requested effects and, separately, of requested interpretations.
 
     Raises
     ------
     UsageError
-        For a reading, or an answer, that the robot file does not have.
+        If the robot file has no such question or answer, or has already chosen that answer.
     """
     robot = experiment.robot
     known = [f"{READING}{key}={option}" for key, r in robot.readings.items() for option in r.options]
@@ -203,7 +207,9 @@ def asked(names: Collection[str], experiment: Experiment) -> tuple[list[str], se
 
 
 def _stage(places: Sequence[str]) -> Stage:
-    """Return the stage of a reading; of several the first."""
+    """Return the part of the simulated system that an interpretation concerns, the first one if there are
+    several.
+    """
     stages: list[Stage] = [
         next((stage for word, stage in PLACES if word in place), "structure") for place in places
     ]
@@ -217,7 +223,7 @@ def _comparable(model: Model, nominal: Model) -> bool:
 
 
 def _away(model: Model) -> Array:
-    """Return parameter values a little away from their start, within bounds."""
+    """Return parameter values slightly off their start values, within bounds."""
     return np.array(
         [
             p.start if p.per_trial else float(np.clip(p.start + AWAY * p.scale, p.lower, p.upper))
@@ -227,12 +233,12 @@ def _away(model: Model) -> Array:
 
 
 def _alike(other: Model, values: Array, trials: Sequence[Trial], seen: Sequence[Mapping[str, Array]]) -> bool:
-    """Return whether another model simulates the same measured channels."""
+    """Return whether another model gives the same simulation of all measured channels."""
     for trial, plain in zip(trials, seen, strict=True):
         found = other.attempt(values, trial)
         for channel in trial.measured:
             span = float(np.ptp(plain[channel]))
-            # A simulation that diverges differs.
+            # A simulation that diverges counts as different.
             if not np.max(np.abs(found[channel] - plain[channel]), initial=0.0) <= ALIKE * span:
                 return False
     return True

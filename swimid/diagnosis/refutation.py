@@ -1,8 +1,8 @@
 """Test whether held-out data contradict the causes.
 
-The fitted trials determine the coefficients with some uncertainty, which may move a held-out trial far off,
-with a cause or without. A model is contradicted by an error that no probable coefficients leave: the distance
-in the predictive distribution.
+The coefficients are uncertain after a fit. This uncertainty can move the prediction of a held-out trial far
+off, with or without a cause. A model is contradicted only by an error that no probable coefficients explain.
+The error is measured as the Mahalanobis distance in the predictive distribution.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from swimid.diagnosis.noise_model import NoiseModel
 from swimid.diagnosis.shrinkage import MOST
 from swimid.fitting.model import Array, Trial
 
-#: Relative tolerance of the search, and maximum number of steps.
+#: Relative tolerance of the optimisation, and its maximum number of steps.
 TOLERANCE, STEPS = 1e-3, 12
-#: Probability that one of all validation trials is called unpredicted although the model is right.
+#: Probability that at least one validation trial is reported as unpredicted although the model is correct.
 CHANCE = 0.025
 
 
@@ -34,13 +34,14 @@ class Misfit:
     Attributes
     ----------
     distance : float
-        Squared Mahalanobis distance: about `samples` for a correct model.
+        Squared Mahalanobis distance. For a correct model it is about ``samples``.
     samples : int
+        Number of held-out samples.
     slow : bool
-        Whether the residuals of these samples move slower than noise, or are too short for an answer.
+        Whether the residuals vary more slowly than noise, or are too short to decide.
     chance : dict of channel to float
-        Of validation trials, the mean square of their random effects, in the channel's unit squared: its
-        expectation given their samples.
+        Expected mean square of the changes of validation trials by random effects, given the samples of the
+        trials. Its unit is that of the channel, squared.
     """
 
     distance: float
@@ -50,12 +51,12 @@ class Misfit:
 
     @property
     def shown(self) -> bool:
-        """Return whether the greater part of the distance is not noise."""
+        """Return whether more than half of the squared distance is not noise."""
         return self.distance > self.samples / (1.0 - MOST)
 
     @property
     def times(self) -> float:
-        """Return the root mean square over that of a correct model."""
+        """Return the ratio of the root-mean-square error to the one expected of a correct model."""
         return math.sqrt(max(self.distance, 0.0) / max(self.samples, 1))
 
 
@@ -68,32 +69,32 @@ class Compared:
 
     @property
     def distances(self) -> Distance:
-        """Return the root mean squares for the gap file."""
+        """Return the ratios of the root-mean-square errors to the expected ones, for the gap file."""
         return Distance(before=self.before.times, after=self.after.times)
 
     @property
     def refuted(self) -> bool:
-        """Return whether the distance is larger with the causes, by more than the gap and than the noise."""
+        """Return whether the causes increase the squared distance by more than both the gap and the noise."""
         farther = self.after.distance - self.before.distance
         return farther > max(self.before.distance - self.before.samples, self.before.samples)
 
     @property
     def useless(self) -> bool:
-        """Return whether the distance is no smaller with the causes."""
+        """Return whether the causes do not reduce the distance."""
         return self.after.distance >= self.before.distance
 
 
 def compared(
     context: FitContext, before: Fit, after: Fit, noise_model: NoiseModel, validation: Sequence[Trial]
 ) -> Compared:
-    """Compare held-out data with the predictions of two models.
+    """Compare the distances of held-out data from the predictions of two models.
 
     Parameters
     ----------
     before, after : Fit
         The model without and with the causes.
     validation : sequence of Trial
-        Trials that took part in no fit; without any the folds are held out.
+        Trials that are excluded from every fit. Without such trials, each cross-validation fold is held out.
     """
     return Compared(*(misfit(context, fit, noise_model, validation) for fit in (before, after)))
 
@@ -101,11 +102,11 @@ def compared(
 def unpredicted(
     context: FitContext, fit: Fit, noise_model: NoiseModel, validation: Sequence[Trial]
 ) -> dict[str, float]:
-    """Return validation trials that a model does not predict, and the ratio of the error to the expected one,
-    largest first.
+    """Return the validation trials that a model does not predict, the largest error first.
 
-    More than half of the squared distance of such a trial is not noise. A trial whose noise is only larger
-    than that of the others, and not slower, is left out.
+    The value is the ratio of the root-mean-square error to the one expected of a correct model. More than
+    half of the squared distance of such a trial is not noise. A trial is left out if its residuals are larger
+    than the noise of the other trials, but not slower.
     """
     inner = crossval.normal_equations(context, fit, noise_model)
     found = {}
@@ -118,7 +119,9 @@ def unpredicted(
 
 
 def misfit(context: FitContext, fit: Fit, noise_model: NoiseModel, validation: Sequence[Trial]) -> Misfit:
-    """Return the distance of validation trials, or of each fold from the fit to the others."""
+    """Return the distance of validation trials from their prediction. Without them, return the distance of
+    each fold from the fit to the other folds.
+    """
     inner = crossval.normal_equations(context, fit, noise_model)
     if validation:
         return _of_trials(context, fit, noise_model, inner, validation)
@@ -142,7 +145,7 @@ def _of_trials(
     problem = context.problem(fit.effects, noise_model.random_effects, trials=validation, known=ended)
     _weigh(problem, fit, noise_model)
     begin = np.array([known.get(n, start) for n, start in zip(problem.labels, problem.start, strict=True)])
-    # The per-trial values of the fitted trials say nothing about a held-out one.
+    # Per-trial values of the fitted trials carry no information about a held-out trial.
     common = np.array([label in problem.labels for label in shared], dtype=bool)
     normal = inner.products.sum(axis=0)[:-1, :-1] + inner.prior
     mixed = normal[np.ix_(~common, common)]
@@ -163,10 +166,11 @@ def _of_trials(
 
 
 def _chance(problem: Mixed, theta: Array, fit: Fit, noise_model: NoiseModel) -> dict[str, float]:
-    """Return the expected mean square, by channel, of what random effects change in validation trials, given
-    their samples.
+    """Return the expected mean square of the changes of validation trials by random effects, for each
+    channel.
 
-    Start states are refitted, and random effects are limited to probable values.
+    The expectation is conditional on the samples of the trials. Start states are refitted, and random effects
+    are limited to probable values.
     """
     if not problem.random_effects:
         return {}
@@ -182,7 +186,7 @@ def _chance(problem: Mixed, theta: Array, fit: Fit, noise_model: NoiseModel) -> 
         own = problem.begun(k)
         seen = noise_model.whiten(problem, k, np.column_stack((rows, jacobian[:, own] * scale[own])))
         seen = beyond(seen[:, len(mine) :], seen[:, : len(mine)])
-        # A root of their covariance.
+        # Square root of the covariance matrix of the random effects.
         root = np.linalg.inv(np.linalg.qr(np.vstack((seen, np.eye(len(mine)))), mode="r"))
         moved = beyond(jacobian[:, own] * scale[own], rows @ np.column_stack((away, root)))
         changes = np.column_stack((np.sum(moved**2, axis=1), problem.sample_weights(k) ** 2))
@@ -195,7 +199,7 @@ def _chance(problem: Mixed, theta: Array, fit: Fit, noise_model: NoiseModel) -> 
 
 
 def _weigh(problem: Mixed, fit: Fit, noise_model: NoiseModel) -> None:
-    """Give trials the weights of the fit, by channel."""
+    """Give trials the median weight that each channel has in the fit."""
     weights: dict[str, list[Array]] = {}
     for channels, sds in zip(fit.problem.channels, noise_model.sd, strict=True):
         for channel, sd in zip(channels, sds, strict=True):

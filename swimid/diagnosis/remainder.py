@@ -1,4 +1,8 @@
-"""Test whether the remaining residuals have structure, and where."""
+"""Test whether the remaining residuals have structure, and in which part of the data.
+
+The test fits a generic description to the residuals: smooth terms without a physical cause
+(:mod:`swimid.diagnosis.generic`).
+"""
 
 from __future__ import annotations
 
@@ -17,44 +21,47 @@ from swimid.fitting.model import Array
 from swimid.fitting.parallel import map_in_processes
 from swimid.fitting.problem import Problem
 
-#: Tried prior standard deviations of a generic term, in its typical sizes.
+#: Candidate prior standard deviations of the coefficients of a generic description, in typical scales.
 WIDTHS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
-#: Maximum effective number of parameters of a description, as a share of the samples: beyond, it describes
-#: noise.
+#: Maximum effective number of parameters of a generic description, as a fraction of the number of samples.
+#: With more parameters it would describe noise.
 MOST_USED = 0.5
-#: Ratio from which motion is slower than noise; the same against the channel with the least; ratio that is
-#: certain.
+#: Thresholds of :attr:`LowFrequency.ratio`. A channel moves slower than noise if its ratio exceeds `SURE`, or
+#: if it exceeds both `SLOW` and `AGAINST` times the smallest ratio of all channels.
 SLOW, AGAINST, SURE = 1.45, 1.25, 2.2
 
-#: Minimum gain of a description per sample.
+#: Minimum decrease of the held-out squared residuals per sample by a generic description, in units of the
+#: noise variance.
 PER_SAMPLE = 0.002
-#: Number of draws of pure noise, and quantile of their largest gain that a description must exceed.
+#: Number of random samples of pure noise, and quantile of the largest decrease of their squared residuals by
+#: a generic description. The decrease in the trials must exceed this quantile.
 DRAWS, QUANTILE = 400, 0.975
-#: Minimum gain. Few samples determine their own noise: then half their number, but at least the second value.
+#: Upper and lower limit of the minimum decrease of the held-out squared residuals, in units of the noise
+#: variance. Between the limits, the minimum is half the number of samples.
 LEAST_GAIN, LEAST_OF_FEW = 50.0, 25.0
 
 
 def least_gain(samples: float) -> float:
-    """Return the minimum gain that counts."""
+    """Return the minimum decrease of the held-out squared residuals that counts as structure."""
     return float(np.clip(0.5 * samples, LEAST_OF_FEW, LEAST_GAIN))
 
 
 @dataclass(frozen=True)
 class Left:
-    """Structure that a generic description finds beyond a fit.
+    """Structure that a generic description finds in the residuals of a fit.
 
     Attributes
     ----------
     gain : float
-        Held-out decrease of the squared residuals, all terms together.
+        Decrease of the held-out squared residuals by all terms together, in units of the noise variance.
     threshold : float
-        Gain that noise alone exceeds once in forty.
+        Minimum decrease for structure. The probability that pure noise exceeds it is at most 1/40.
     places : dict of place to float
-        Held-out gain of the terms of one place alone.
+        Decrease of the held-out squared residuals by the terms of each place alone.
     columns : list of lists of ndarray
-        Change of each trial by each term at its typical size, weighted.
+        Weighted change of each trial by each term at its typical scale.
     prior : list of float
-        Best inverse variances.
+        Inverse prior variance of each term, chosen for the largest decrease.
     freedom : float
         Effective number of parameters of all terms.
     """
@@ -68,14 +75,14 @@ class Left:
 
     @property
     def found(self) -> bool:
-        """Return whether the gain is larger than that of noise."""
+        """Return whether the residuals decrease by more than pure noise allows."""
         return self.gain > self.threshold
 
 
 def _terms(context: FitContext, base: Fit) -> list[tuple[str, list[Array]]]:
-    """Return the place of each generic term, and its change of each trial at its typical size.
+    """Return the place of each generic term, and its weighted change of each trial at the typical scale.
 
-    Terms that change nothing, or with which the model diverges, are left out.
+    Terms that change nothing, or with which the simulation diverges, are left out.
     """
 
     def of(description: Description) -> list[tuple[str, list[Array]]]:
@@ -91,7 +98,9 @@ def _terms(context: FitContext, base: Fit) -> list[tuple[str, list[Array]]]:
 
 
 def find(context: FitContext, base: Fit, noise_model: NoiseModel, *, rng: np.random.Generator) -> Left:
-    """Fit a generic description to the residuals of a fit, with a prior chosen on held-out folds."""
+    """Fit a generic description to the residuals of a fit. The width of its prior is chosen on held-out
+    folds.
+    """
     terms = _terms(context, base)
     columns = [changed for _, changed in terms]
     inner = crossval.normal_equations(context, base, noise_model, columns)
@@ -135,8 +144,9 @@ def saturated(
     columns: Sequence[Sequence[Array]],
     prior: Sequence[float],
 ) -> list[Array]:
-    """Return weighted residuals with every parameter and column fitted to all trials: noise and between-trial
-    variation.
+    """Return the weighted residuals of a fit of all parameters and all generic terms to all trials.
+
+    These residuals consist of noise and between-trial variation.
 
     Returns
     -------
@@ -164,7 +174,8 @@ def saturated(
             rest = r - own @ step
             begun = np.array([not problem.differs(j) for j in mine])
             r = r - own[:, begun] @ step[begun] + (bare - base.residuals[k])
-        # Far from the base the changes are not additive: residuals that do not decrease are no fit.
+        # Far from the base fit, the changes by the terms do not add up. Reject a result that does not reduce
+        # the residuals.
         better = float(rest @ rest) < float(base.residuals[k] @ base.residuals[k])
         found.append(r if better else bare)
     return found
@@ -172,16 +183,18 @@ def saturated(
 
 @dataclass(frozen=True)
 class LowFrequency:
-    """Slow motion of a channel's residual against its noise.
+    """Slow motion in the residuals of a channel, compared with the noise of the channel.
 
     Attributes
     ----------
     ratio : float
-        Root mean square of the residual after each trial had its own start state, trim, gain and clock, over
-        that of its changes from sample to sample (over the square root of two). It is 1 for white noise, and
-        a little more for the coloured noise of a tracker.
+        Root-mean-square residual divided by a noise level. The residual is that after each trial has its own
+        start state, trim, gain and clock. The noise level is the root mean square of the sample-to-sample
+        changes of the residual, divided by the square root of two. The ratio is 1 for white noise, and
+        slightly larger for the coloured noise of a tracker.
     share : float
-        Share of its square beyond the smallest ratio of all channels, and beyond what noise may have.
+        Fraction of the mean-square residual that is slow motion. The reference without slow motion is the
+        smallest ratio of all channels, at least 1 and at most `SLOW`.
     """
 
     ratio: float
@@ -189,15 +202,16 @@ class LowFrequency:
 
 
 def low_frequency(problem: Problem, residuals: Sequence[Array]) -> dict[str, LowFrequency]:
-    """Return the motion slower than noise in each channel that is no trim, gain or clock of a single trial.
+    """Return the slow motion in the residuals of each channel. Trim, gain and clock of single trials are
+    excluded.
 
-    It does not require that trials share it: gusts, vortices, or a spring that differs from day to day appear
-    here only.
+    The motion may differ between trials. Gusts, vortices, or a spring that differs from day to day appear
+    only here.
 
     Parameters
     ----------
     residuals : sequence of ndarray, shape (n_k,)
-        Weighted, as :func:`swimid.diagnosis.floor.nuisance_residuals` leaves them.
+        Weighted residuals, as :func:`swimid.diagnosis.floor.nuisance_residuals` returns them.
     """
     ratios = {}
     for channel, of_trials in problem.series(residuals).items():
@@ -220,7 +234,7 @@ def low_frequency(problem: Problem, residuals: Sequence[Array]) -> dict[str, Low
 
 
 def drifting(found: dict[str, LowFrequency]) -> list[str]:
-    """Return the channels in which something moves that is not noise."""
+    """Return the channels whose residuals move slower than noise."""
     if not found:
         return []
     least = max(min(s.ratio for s in found.values()), 1.0)

@@ -1,9 +1,10 @@
-"""Search the hypotheses of a diagnosis: each effect, and sets of effects, fitted to their optimum.
+"""Search the hypotheses of a diagnosis: fit each effect, and sets of effects, to their optimum.
 
-Each effect is fitted together with the model from all tried sizes. A screen orders the work and predicts
-gains, and excludes no effect. Sets are fitted jointly, starting with the effects that promise most beside the
-best smaller sets. The noise model comes from the whole catalogue, whichever effects are asked for: an effect
-has the same fit alone and among others.
+Each effect is fitted together with the model, from all tried sizes. A linear screen predicts the benefit of
+each effect. The screen orders the work and excludes no effect. Sets of effects are fitted jointly. They
+extend the best smaller sets by the effects with the largest predicted benefit. The noise model is estimated
+with the whole catalogue, even if only some effects are requested. The fit of an effect therefore does not
+depend on the other requested effects.
 """
 
 from __future__ import annotations
@@ -41,29 +42,29 @@ from swimid.fitting.parallel import map_in_processes
 from swimid.logs.sampling import white_noise_sd
 from swimid.progress import Progress, show, silent
 
-#: Allowed change of a sample by a doubled integration step, as a share of the range (or a tenth of the
-#: noise).
+#: Maximum change of a sample by a doubled integration step, as a fraction of the range of the channel. If a
+#: tenth of the noise is larger, that is the maximum.
 SMALL_CHANGE = 1e-4
 #: Number of hypotheses to which further effects are added, and number of the most promising sets that are
 #: fitted.
 PARENTS, SETS = 4, 10
-#: Number of rivals of an effect that are fitted beside each of the others of a set.
+#: Number of alternatives to each effect of a set that are fitted together with the other effects of the set.
 RIVALS = 4
-#: Hypotheses with a relative posterior below the first value get at most the second number of steps, once the
-#: noise is known.
+#: Threshold of the posterior probability relative to the largest one, and number of steps. Once the noise is
+#: known, hypotheses below the threshold get at most this number of steps.
 HOPELESS, FEW = 1e-4, 2
-#: Minimum cosine between the changes by an effect and by a parameter that count as equal: each leaves less
-#: than a tenth of the square of the other.
+#: Minimum cosine between the changes of the trials by an effect and by a parameter that count as equal. Each
+#: then leaves less than a tenth of the squared change by the other.
 SAME_COSINE = 0.95
-#: Maximum number of noise iterations, and the change of a between-trial standard deviation, in typical sizes,
-#: below which they end.
+#: Maximum number of noise iterations, and their convergence tolerance: change of a between-trial standard
+#: deviation, in typical scales.
 TURNS, STAYS = 6, 0.02
 #: Maximum number of effects in one hypothesis.
 COMBINED = 3
-#: Approximate number of simulations of each trial in a diagnosis, and of those with effects that add forces
-#: or elements (13,300 and 3,620 for each of the six trials of ``sample_logs/gap``).
+#: Approximate number of simulations of each trial in a diagnosis, and number of those with effects that add
+#: forces or elements. For the trials of ``sample_logs/gap`` the numbers are 13,300 and 3,620.
 RUNS, AFFECTED = 13000, 3600
-#: Approximate number of simulations of each trial for one hypothesis.
+#: Approximate number of simulations of each trial in the fit of one hypothesis.
 FITTED = 250
 
 Key = frozenset[int]
@@ -77,13 +78,14 @@ class Hypothesis:
     ----------
     fit : Fit
     misfits : ndarray, shape (folds,)
-        Squared residuals of each fold, held out by one Gauss-Newton step from the fit to all.
+        Held-out squared residuals of each fold, approximated by one Gauss-Newton step from the fit to all
+        folds.
     tried : Tried or None
-        Screening result of the effect that was fitted last; None for the model itself.
+        Screening result of the effect that was added last; None for the model without effects.
     inside : ndarray, shape (folds,)
-        Squared residuals of each fold in the fit to all.
+        Squared residuals of each fold in the fit to all folds.
     score : float
-        Cost of the optimum, and the penalty for the parameters of the effects.
+        Cost at the optimum plus the penalty for the parameters of the effects.
     """
 
     fit: Fit
@@ -94,23 +96,24 @@ class Hypothesis:
 
     @property
     def key(self) -> Key:
-        """Return its effects as a key."""
+        """Return the key of the effects."""
         return frozenset(id(e) for e in self.fit.effects)
 
     @property
     def names(self) -> frozenset[str]:
-        """Return the names of its effects."""
+        """Return the names of the effects."""
         return frozenset(e.name for e in self.fit.effects)
 
     @property
     def misfit(self) -> float:
-        """Return the held-out squared residuals over all folds."""
+        """Return the held-out squared residuals, summed over all folds."""
         return float(self.misfits.sum())
 
     @property
     def ends(self) -> list[str]:
-        """Return the parameters of its effects at bounds where these could imitate others
-        (:attr:`Effect.inside`).
+        """Return the parameters of the effects that are near a bound in :attr:`Effect.inside`.
+
+        Near such a bound, an effect could imitate others.
         """
         fit, problem = self.fit, self.fit.problem
         ends = {"lower": problem.lower, "upper": problem.upper}
@@ -124,14 +127,15 @@ class Hypothesis:
 
 @dataclass
 class Round:
-    """One cause and its rivals, beside all other causes.
+    """One candidate cause and its alternatives, compared while all other causes are in the model.
 
     Attributes
     ----------
     ranked : list of Refitted
-        Best first; the cause itself comes first.
+        The cause, followed by its alternatives in order of decreasing quality.
     same : tuple of str
-        Names of effects that change the trials in the same way as a changed parameter that is the cause.
+        Names of effects that change the trials in the same way as the cause, if the cause is a changed
+        parameter.
     """
 
     ranked: list[Refitted]
@@ -140,20 +144,21 @@ class Round:
 
 @dataclass
 class State:
-    """Results of a diagnosis so far.
+    """Intermediate results of a diagnosis.
 
     Attributes
     ----------
     nominal : Fit
-        The model without any effect.
+        The model without effects.
     base : Fit
         The model with the causes.
     screen : Screen
-        Every effect beside the model without any.
+        Screening results of every effect added to the model without effects.
     singles : list of Refitted
-        Every effect alone, best first.
+        Fits with a single effect, best first.
     rounds : list of Round
-        One for each cause, the cause with the largest share first.
+        One for each cause. Changed parameters come first, and then the causes in order of their decrease of
+        the held-out squared residuals.
     """
 
     context: FitContext
@@ -170,9 +175,9 @@ class State:
     out_of_time: bool = False
     low_frequency: dict[str, LowFrequency] = field(default_factory=dict)
     nuisance_residuals: list[Array] = field(default_factory=list)
-    #: Number of effects that apply and are asked for.
+    #: Number of effects that apply and are requested.
     tried: int = 0
-    #: Reasons why a larger set was or was not taken.
+    #: Reasons why a larger set was accepted or rejected.
     told: list[str] = field(default_factory=list)
 
     @property
@@ -182,12 +187,13 @@ class State:
 
 
 def coarser(model: Model, vectors: Sequence[Array], trials: Sequence[Trial]) -> Model | None:
-    """Return the model with twice the integration step, if that changes samples by far less than their noise.
+    """Return the model with twice the integration step. Return None if that changes a sample by much of its
+    noise.
 
     Parameters
     ----------
     vectors : sequence of ndarray
-        Parameters of each trial.
+        Parameter values of each trial.
     """
     quick = model.coarser()
     if quick is None:
@@ -210,27 +216,27 @@ def prepared(
     *,
     share: float = 1.0,
 ) -> None:
-    """Compile a model if that pays for the number of simulations of a diagnosis, or a share of it."""
+    """Compile a model if that saves time in a diagnosis, or in a fraction ``share`` of its simulations."""
     lasting = share * sum(float(t.time_s[-1] - t.time_s[0]) for t in trials)
     model.prepare(progress, simulated_s=RUNS * lasting, affected_s=AFFECTED * lasting, checkpoint=checkpoint)
 
 
 @dataclass(eq=False)
 class Search:
-    """All hypotheses on one context, through one noise model.
+    """All hypotheses for one set of trials and one noise model.
 
     Parameters
     ----------
     context : FitContext
     noise_model : NoiseModel
     effects : sequence of Effect
-        In every form.
+        Effects in every form.
     scattering : sequence of Effect
         Effects that may be random effects.
     step : callable
-        Called with the name of each fitted effect.
+        Function that is called with the name of each fitted effect.
     late : callable
-        Returns whether the time is up.
+        Function that returns whether the time budget is used up.
     """
 
     context: FitContext
@@ -245,9 +251,9 @@ class Search:
     random_effects: list[RandomEffect] = field(init=False, default_factory=list)
     pool: dict[Key, Hypothesis] = field(init=False, default_factory=dict)
     screens: dict[Key, Screen] = field(init=False, default_factory=dict)
-    #: Sets from whose optimum a smaller one has been fitted.
+    #: Pairs of keys: a set, and a smaller set that has been refitted from the optimum of the larger one.
     returned: set[tuple[Key, Key]] = field(init=False, default_factory=set)
-    #: Hypotheses that were fitted in a few steps only.
+    #: Keys of hypotheses that were fitted in a few steps only.
     hopeless: set[Key] = field(init=False, default_factory=set)
     out_of_time: bool = field(init=False, default=False)
     _cosines: dict[frozenset[int], float] = field(init=False, default_factory=dict)
@@ -255,7 +261,7 @@ class Search:
     # ------------------------------------------------------------ fits
 
     def judged(self, fit: Fit, tried: Tried | None = None, parent: Hypothesis | None = None) -> Hypothesis:
-        """Return a hypothesis from its optimum."""
+        """Return the hypothesis of a fit, with its held-out squared residuals."""
         inner = crossval.normal_equations(self.context, fit, self.noise_model)
         inside = inner.products[:, -1, -1]
         score = fit.cost + self.penalty(fit)
@@ -267,24 +273,26 @@ class Search:
         return Hypothesis(fit, parent.misfits - gains, inside, score, tried)
 
     def prepared(self, acting: Iterable[Sequence[Effect]], *, share: float = 1.0) -> None:
-        """Compile the robots that some sets of effects read differently, if that pays."""
+        """Compile the models of other interpretations of the robot in these sets of effects, if that saves
+        time.
+        """
         models = (self.context.affected(effects).model for effects in acting)
         for model in {id(m): m for m in models if m is not self.context.model}.values():
             prepared(model, self.context.trials, checkpoint=self.checkpoint, share=share)
 
     def penalty(self, fit: Fit) -> float:
-        """Return the penalty for the parameters of its effects."""
+        """Return the BIC penalty for the parameters of the effects in a fit."""
         samples = float(sum(len(r) for r in fit.residuals))
         mine = [label for label in fit.labels if _belongs(label, fit.effects)]
         each = sum("[" in label for label in mine)
-        # A coefficient with a wider prior than in the model counts like a parameter of an effect.
+        # A coefficient with a wider prior than in the model counts as a parameter of an effect.
         freed = len(self.context.loosened(fit.problem))
         return posterior.penalty(len(mine) - each + freed, each, samples, len(fit.residuals))
 
     def begin(self, start: Array) -> Hypothesis:
-        """Fit the model itself, from the prior means as well if its coefficients are far from them.
+        """Fit the model without effects, from the prior means as well if its coefficients are far from them.
 
-        An effect would seem to explain the difference between a poor optimum and the best one.
+        Otherwise an effect could seem to explain the difference between a poor optimum and the best one.
         """
         fit = based(self.context, self.noise_model, start)
         self.null = self.judged(fit)
@@ -292,14 +300,16 @@ class Search:
         return self.null
 
     def screened(self, parent: Hypothesis) -> Screen:
-        """Screen every further effect beside a hypothesis, to first order at each of its sizes."""
+        """Screen every further effect added to a hypothesis, with a linear approximation at each tried
+        size.
+        """
         if parent.key not in self.screens:
             self.prepared([parent.fit.acting])
             rest = [e for e in self.effects if e.joins(parent.fit.effects)]
             found = Screen([])
             for readings in (False, True):
-                # Readings are screened apart, so that the digits of the other inner products do not depend on
-                # them.
+                # Screen interpretations of the robot separately. The rounding of the other inner products
+                # then does not depend on them.
                 part = [e for e in rest if isinstance(e, OtherReading) == readings]
                 simulated = candidates.simulate(self.context, parent.fit, part)
                 if simulated:
@@ -311,8 +321,8 @@ class Search:
         return self.screens[parent.key]
 
     def beside(self, parents: Iterable[Hypothesis], most: int | None = None) -> list[Hypothesis]:
-        """Return each parent with one more effect, fitted jointly: all effects, or those that promise
-        most.
+        """Return each parent with one more effect, fitted jointly: all effects, or the ``most`` promising
+        ones.
         """
         context = self.context
         promised: dict[Key, tuple[float, Hypothesis, Tried]] = {}
@@ -347,16 +357,16 @@ class Search:
         return [self.pool[key] for key in keys if key in self.pool]
 
     def _name(self, effects: Sequence[Effect]) -> str:
-        """Return the key of a cached optimum: effects, in their forms, and number of random effects."""
+        """Return the key of a cached optimum: effects in their forms, and number of random effects."""
         model, trials = self.context.model, self.context.trials
         own = ("/".join((e.name, *(p.name for p in e.parameters(model, trials)))) for e in effects)
         return "+".join([*own, str(len(self.noise_model.random_effects))])
 
     def fitted(self, parent: Hypothesis, tried: Tried) -> Optimum:
-        """Return a parent with one more effect at their joint optimum.
+        """Return the joint optimum of a parent and one more effect.
 
-        The starts are the size that the screen predicts, the sizes that helped as they were, and the prior
-        means of coefficients.
+        The starting points are the size that the screen predicts, the sizes that reduced the residuals
+        without a refit, and the prior means of the coefficients.
         """
         context, noise_model = self.context, self.noise_model
         effects = (*parent.fit.effects, tried.effect)
@@ -371,16 +381,17 @@ class Search:
             starts = [kept]
         fit = context.multistart(effects, noise_model, starts, warm=parent.fit)
         if names and not fit.cost <= parent.fit.cost:
-            # A model without the effect is the model with the effect at its null value.
+            # The model with the effect at its null value is the model without the effect.
             null = context.start(effects, noise_model, parent.fit)
             fit = context.multistart(effects, noise_model, [null], warm=parent.fit)
         return fit.optimum
 
     def without(self, h: Hypothesis, effect: Effect) -> Hypothesis:
-        """Return a hypothesis less one of its effects, fitted from its optimum and from that of the best
-        other larger ones.
+        """Return a hypothesis without one of its effects.
 
-        Further effects would seem to explain the difference between a poor optimum and the best one.
+        The starting points are the optimum of the hypothesis, and the optima of the best other hypotheses
+        that contain the remaining effects. Otherwise further effects could seem to explain the difference
+        between a poor optimum and the best one.
         """
         context, noise_model = self.context, self.noise_model
         rest = tuple(e for e in h.fit.effects if e is not effect)
@@ -402,7 +413,9 @@ class Search:
         return self.pool[known.key]
 
     def lessened(self) -> Posterior:
-        """Return the posterior after the most probable set has been compared with all its own parts."""
+        """Return the posterior after the most probable set has been compared with each set that has one
+        effect less.
+        """
         while True:
             found = self.weighed()
             best = self.likeliest(found)
@@ -413,7 +426,9 @@ class Search:
                 return found
 
     def best(self, size: int) -> list[Hypothesis]:
-        """Return hypotheses with a number of effects, best first, the best form of each set."""
+        """Return the hypotheses with a given number of effects, best first. Of each set, only the best
+        form is returned.
+        """
         found = [h for h in self.pool.values() if len(h.fit.effects) == size and not h.ends]
         first: dict[frozenset[str], Hypothesis] = {}
         for h in sorted(found, key=lambda h: h.score):
@@ -423,14 +438,16 @@ class Search:
     # ------------------------------------------------------------ noise
 
     def learn(self, leading: Hypothesis) -> None:
-        """Estimate the noise from what the leading hypothesis and a generic description leave, and refit
-        all hypotheses.
+        """Estimate the noise from the residuals of the leading hypothesis, and refit all hypotheses.
+
+        Structure that a generic description finds in these residuals (:mod:`swimid.diagnosis.remainder`) does
+        not count as noise.
         """
         context, noise_model, fit = self.context, self.noise_model, leading.fit
         self.prepared([fit.acting])
         whole = tells_noise(context)
-        # Between-trial variation first: standard deviations and optimum alternate until they stay. The
-        # generic description would absorb it, so it comes last.
+        # Estimate the between-trial variation first: standard deviations and optimum are updated in turn
+        # until they converge. The generic description would absorb the variation, so it comes last.
         stays = False
         for turn in range(TURNS if whole else 2):
             left = remainder.find(context, fit, noise_model, rng=self.rng)
@@ -476,8 +493,8 @@ class Search:
             effects = h.fit.effects
             problem = context.problem(effects, noise_model.random_effects)
             sizes = {n: v for n, v in zip(h.fit.labels, h.fit.theta, strict=True) if _belongs(n, effects)}
-            # Starts: the previous optimum, and the optimum of the model itself, because per-trial values
-            # belong to the previous noise.
+            # Starting points: the previous optimum, and the optimum of the model without effects, because
+            # per-trial values depend on the previous noise model.
             starts = [
                 *context.begins(problem, context.start(effects, noise_model, h.fit)),
                 context.start(effects, noise_model, self.null.fit, sizes),
@@ -491,11 +508,11 @@ class Search:
 
             fit = settled(starts)
             if sizes and not fit.cost <= self.null.fit.cost:
-                # A model without the effect is the model with the effect at its null value.
+                # The model with the effect at its null value is the model without the effect.
                 fit = settled([context.start(effects, noise_model, self.null.fit)])
             return fit.optimum
 
-        # Fit parents before the hypotheses that are judged beside them.
+        # Fit parents before the hypotheses that are evaluated relative to them.
         old = sorted((h for h in kept if h.fit.effects), key=lambda h: len(h.fit.effects))
         self.hopeless = {h.key for h in old if h.names in far}
         for h, optimum in zip(old, map_in_processes(one, old, self.context.jobs), strict=True):
@@ -504,7 +521,7 @@ class Search:
             self._refitted(h, optimum)
 
     def finish(self) -> None:
-        """Complete the fits of hypotheses that were interrupted and are no longer improbable."""
+        """Complete the fits of hypotheses that were stopped early and are no longer improbable."""
         context, noise_model = self.context, self.noise_model
 
         def one(h: Hypothesis) -> Optimum:
@@ -525,7 +542,7 @@ class Search:
                 self.hopeless.discard(h.key)
 
     def _refitted(self, h: Hypothesis, optimum: Optimum) -> None:
-        """Replace a hypothesis by one at another optimum, judged as before."""
+        """Replace a hypothesis by the same hypothesis at another optimum."""
         fit = self.context.fitted(h.fit.effects, self.noise_model, optimum)
         parent = None if h.tried is None else self.pool.get(h.key - {id(h.tried.effect)})
         self.pool[h.key] = self.judged(fit, h.tried, parent)
@@ -543,17 +560,17 @@ class Search:
 
     @property
     def count(self) -> int:
-        """Return the number of effects, at least one."""
+        """Return the number of different effects, at least one."""
         return max(len({e.name for e in self.effects}), 1)
 
     @property
     def record(self) -> Record:
-        """Return the size of the data."""
+        """Return the amount of data."""
         residuals = self.null.fit.residuals
         return Record(float(sum(len(r) for r in residuals)), self.context.folds.count, self.count)
 
     def _candidate(self, h: Hypothesis) -> Candidate:
-        # The per-trial values of one parameter are one kind; cosine and sine are one amplitude.
+        # All per-trial parameters of one effect are one kind: cosine and sine amplitudes, for example.
         mine = [n for n in h.fit.labels if _belongs(n, h.fit.effects)]
         kinds = {n.split("/")[0] if "[" in n else n for n in mine}
         slow = None
@@ -563,21 +580,25 @@ class Search:
         return Candidate(h.names, h.score, h.inside, len(kinds), slow, self._alike(h))
 
     def _alike(self, h: Hypothesis) -> dict[str, float]:
-        """Return the squared cosine between the change of each effect of a set and that of another one."""
+        """Return, for each effect of a set, the largest squared cosine between its change of the trials
+        and that by another effect.
+        """
         if len(h.names) < 2:
             return {}
         screened = {id(t.effect): t for t in self.screened(self.null).tried}
         mine = [(e.name, screened.get(id(e))) for e in h.fit.effects]
         found = dict.fromkeys(sorted(h.names), 0.0)
         for (one, first), (other, second) in combinations(mine, 2):
-            # Nothing is known of an effect that changes nothing by itself.
+            # An effect that changes nothing when it acts alone has no screening result.
             cosine = 0.0 if first is None or second is None else self._cosine(first, second)
             found[one], found[other] = (max(found[n], cosine**2) for n in (one, other))
         return found
 
     def _cosine(self, first: Tried, second: Tried) -> float:
-        """Return the cosine between the changes of two effects, the model's parameters projected out;
-        cached.
+        """Return the cosine between the changes of the trials by two effects, with the model's parameters
+        projected out.
+
+        The result is cached.
         """
         pair = frozenset((id(first), id(second)))
         if pair not in self._cosines:
@@ -586,11 +607,11 @@ class Search:
         return self._cosines[pair]
 
     def likeliest(self, found: Posterior) -> Hypothesis:
-        """Return the hypothesis of the most probable set, or the model itself."""
+        """Return the hypothesis of the most probable set, or the model without effects."""
         return next((h for h in self.best(len(found.best)) if h.names == found.best), self.null)
 
     def ranked(self, base: Hypothesis, hypotheses: Sequence[Hypothesis]) -> list[Refitted]:
-        """Return hypotheses of one more effect than the base, best first."""
+        """Return hypotheses with one effect more than the base, best first."""
         found = []
         for h in sorted(hypotheses, key=lambda h: h.score):
             (last,) = [e for e in h.fit.effects if id(e) not in base.key]
@@ -598,7 +619,9 @@ class Search:
         return found
 
     def _tried(self, base: Hypothesis, h: Hypothesis, effect: Effect) -> Tried:
-        """Return the screening result of an effect of a hypothesis beside its others."""
+        """Return the screening result of an effect of hypothesis ``h`` that is added to hypothesis
+        ``base``.
+        """
         if h.tried is not None and h.tried.effect is effect and base.key not in self.screens:
             return h.tried
         found = next((t for t in self.screened(base).tried if t.effect is effect), None)
@@ -611,12 +634,12 @@ class Search:
 
 
 def _belongs(label: str, effects: Sequence[Effect]) -> bool:
-    """Return whether a parameter belongs to one of some effects."""
+    """Return whether a parameter belongs to one of the given effects."""
     return label.split("/")[0] in {e.name for e in effects}
 
 
 def based(context: FitContext, noise_model: NoiseModel, begin: Array) -> Fit:
-    """Fit the model itself, from the prior means as well if its start is far from them."""
+    """Fit the model without effects, from the prior means as well if its start values are far from them."""
     return context.fit(
         (),
         noise_model,
@@ -626,7 +649,11 @@ def based(context: FitContext, noise_model: NoiseModel, begin: Array) -> Fit:
 
 
 def context_of(given: FitContext, effects: Sequence[Effect]) -> tuple[FitContext, NoiseModel, Fit, Dropouts]:
-    """Return the context without failed samples, the noise as the model alone leaves it, and its fit."""
+    """Return the context without failed samples, with the noise model and the fit of the model without
+    effects.
+
+    The failed samples are returned as well.
+    """
     fine, trials = given.model, given.trials
     start = [np.array([p.start for p in given.parameters])] * len(trials)
     model = coarser(fine, start, trials) or fine
@@ -636,7 +663,7 @@ def context_of(given: FitContext, effects: Sequence[Effect]) -> tuple[FitContext
     if dropouts.count:
         context = given.replaced(model, dropouts.without(trials))
         noise_model, fit = weigh(context)
-    # A coarse step may be accurate at the start values, and not at the fitted start states.
+    # A coarse integration step may be accurate at the start values, but not at the fitted start states.
     own = [fit.problem.vector(fit.theta, k) for k in range(len(context.trials))]
     if model is not fine and coarser(fine, own, context.trials) is None:
         context = given.replaced(fine, context.trials)
@@ -656,14 +683,15 @@ def run(
     checkpoint: Checkpoint | None = None,
     progress: Progress = silent,
 ) -> State:
-    """Run the search up to the choice of causes, on the trials that take part in fits.
+    """Run the search up to the choice of causes, on the trials that are used in fits.
 
     Parameters
     ----------
     effects : sequence of Effect
-        All that apply, in every form: the noise is what the best of them leaves.
+        All effects that apply, in every form. The noise is estimated from the residuals of the best
+        hypothesis.
     asked : collection of str, optional
-        Names of those that may be causes; default all.
+        Names of the effects that may be causes; all effects by default.
     """
     begun = time.monotonic()
     rng = np.random.default_rng(seed)
@@ -700,8 +728,9 @@ def run(
 def chosen(
     search: Search, dropouts: Dropouts, allowed: Collection[int], most: int, progress: Progress = silent
 ) -> State:
-    """Choose the most probable set of causes; larger sets are tried as long as the excess could make one
-    more probable.
+    """Choose the most probable set of causes.
+
+    Larger sets are tried as long as the remaining excess could make one of them more probable.
     """
     search.pool = {key: h for key, h in search.pool.items() if key <= set(allowed)}
     told: list[str] = []
@@ -712,8 +741,8 @@ def chosen(
     while 0 < len(best.names) < min(most, count) and not search.out_of_time:
         size = len(best.names)
         loses = posterior.prior(size, count) - posterior.prior(size + 1, count)
-        # The noise estimated from the best of all includes what it leaves: as much as the screen promises may
-        # be left.
+        # The noise was estimated from the residuals of the best hypothesis and may contain part of its
+        # excess. Add the decrease of the squared residuals that the screen predicts.
         left = found.excess[best.names] + max([0.0, *(t.gain for t in search.screened(best).tried)])
         if posterior.most(left, search.record) < loses:
             break
@@ -724,7 +753,7 @@ def chosen(
         larger = search.likeliest(search.lessened())
         if len(larger.names) == size:
             break
-        # The noise is what the larger set leaves.
+        # Estimate the noise from the residuals of the larger set.
         keep = {h.key for n in range(1, size + 2) for h in search.best(n)[:PARENTS]}
         keep |= {larger.key - {k} for k in larger.key} | {larger.key, best.key, frozenset()}
         search.pool = {key: h for key, h in search.pool.items() if key in keep}
@@ -734,7 +763,7 @@ def chosen(
         told.append(_told(best.names, larger.names, found))
         best = search.likeliest(found)
         if len(best.names) <= size:
-            break  # through the noise that the larger set leaves, it is not needed
+            break  # with the noise model of the larger set, that set is not needed
     while not search.out_of_time:
         for effect in best.fit.effects if len(best.names) > 1 else ():
             search.beside([search.without(best, effect)], RIVALS)
@@ -746,7 +775,7 @@ def chosen(
 
 
 def _told(smaller: frozenset[str], larger: frozenset[str], found: Posterior) -> str:
-    """Return in words the evidence for a larger set."""
+    """Return a text with the evidence for a larger set."""
     first, second = (
         f"{' with '.join(sorted(n))} ({found.sets.get(n, 0.0):.2g}, leaving {found.excess.get(n, 0.0):.3g})"
         for n in (smaller, larger)
@@ -755,7 +784,9 @@ def _told(smaller: frozenset[str], larger: frozenset[str], found: Posterior) -> 
 
 
 def rounds(search: Search, best: Hypothesis, found: Posterior, dropouts: Dropouts, told: list[str]) -> State:
-    """Arrange the result cause by cause: each beside the others, with its rivals."""
+    """Arrange the result by causes: each cause and its alternatives, while all other causes are in the
+    model.
+    """
     best = in_parameters(search, best, found)
     null = search.null
     ones = search.best(1)
@@ -778,15 +809,16 @@ def rounds(search: Search, best: Hypothesis, found: Posterior, dropouts: Dropout
             if effect.adds_to is not None and _same_change(search, found, base, ranked[0].tried, r.tried)
         )
         state.rounds.append(Round(ranked, same))
-    # A changed parameter comes first, because it needs no further physics.
+    # A changed parameter comes first, because it needs no additional physics.
     state.rounds.sort(key=lambda r: (r.ranked[0].tried.effect.adds_to is None, -r.ranked[0].gain))
     return state
 
 
 def in_parameters(search: Search, best: Hypothesis, found: Posterior) -> Hypothesis:
-    """Return a hypothesis in which each effect equal to a changed parameter is replaced by that parameter.
+    """Return a hypothesis in which each effect that is equivalent to a changed parameter is replaced by that
+    parameter.
 
-    A parameter that the model already has needs no further physics.
+    A parameter that the model already has needs no additional physics.
     """
     for effect in best.fit.effects:
         if effect.adds_to is not None:
@@ -805,9 +837,9 @@ def in_parameters(search: Search, best: Hypothesis, found: Posterior) -> Hypothe
 
 
 def _same_change(search: Search, found: Posterior, base: Hypothesis, first: Tried, second: Tried) -> bool:
-    """Return whether two effects change the trials alike beside a hypothesis.
+    """Return whether two effects change the trials in the same way when added to a hypothesis.
 
-    Their residuals then also differ by no more than noise.
+    The squared residuals with the two effects must also differ by no more than noise.
     """
     left = [found.excess.get(base.names | {t.effect.name}, np.inf) for t in (first, second)]
     if not abs(left[0] - left[1]) <= found.no_evidence:

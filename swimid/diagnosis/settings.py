@@ -15,14 +15,15 @@ from swimid.logs.log import FREQUENCY_RTOL
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity that was set.
+    """A quantity that was set in a trial, for example the beat frequency.
 
     Attributes
     ----------
     against : float
-        Reference for a relative difference: the value itself, or for a bias the amplitude about it.
+        Reference for the relative difference of two values if it is larger than the values. For a bias it is
+        the amplitude about the bias.
     digits : int
-        Number of significant digits.
+        Number of significant digits in a text.
     """
 
     value: float
@@ -34,14 +35,17 @@ class Quantity:
         return f"{self.value:.{self.digits}g} {self.unit}"
 
     def same(self, other: Quantity) -> bool:
-        """Return whether two values differ by less than a stated beat may differ from that of the log."""
+        """Return whether two values are equal to within the tolerance between a stated and a logged beat
+        frequency.
+        """
         size = max(abs(self.value), abs(other.value), self.against, other.against)
         return abs(self.value - other.value) <= FREQUENCY_RTOL * size
 
 
 def quantities(trial: Trial) -> dict[str, Quantity | str]:
-    """Return the settings of a trial by name; for joints that follow a log, the beat found in their
-    motion.
+    """Return the settings of a trial by name.
+
+    For joints that follow a log, the settings are those of the beat found in their motion.
     """
     found: dict[str, Quantity | str] = {}
     swim = trial.swim
@@ -79,7 +83,7 @@ def _beaten(
 
 
 def _logged(trial: Trial) -> dict[str, Quantity | str]:
-    """Return the beat of the joint that moves most; empty if it does not beat."""
+    """Return the beat of the joint that moves most; empty if that joint does not beat."""
     angles = [motion(trial.time_s)[0] for motion in trial.swim.joints or ()]
     largest = max(angles, key=lambda angle: float(np.std(angle)), default=np.zeros(0))
     beat = find_beat(trial.time_s, largest)
@@ -87,7 +91,9 @@ def _logged(trial: Trial) -> dict[str, Quantity | str]:
 
 
 def _steady(trial: Trial) -> tuple[float, float]:
-    """Return frequency (Hz) and amplitude (rad) of a single run's steady beat; NaN without one."""
+    """Return frequency (Hz) and amplitude (rad) of the steady beat of a single run; NaN without a steady
+    beat.
+    """
     frequency_hz, amplitude_rad = trial.steady
     return (
         (float(frequency_hz[0]), float(amplitude_rad[0])) if len(frequency_hz) == 1 else (math.nan, math.nan)
@@ -95,24 +101,24 @@ def _steady(trial: Trial) -> tuple[float, float]:
 
 
 def words(trial: Trial) -> dict[str, str]:
-    """Return the settings of a trial in words."""
+    """Return the settings of a trial as texts."""
     return {name: str(value) for name, value in quantities(trial).items()}
 
 
 def repeated(trial: Trial) -> str:
     """Return the settings of a trial as a text that is equal for repeats.
 
-    Repeats are equal sample by sample except for random effects.
+    Repeats differ only by random effects and noise.
     """
     swim = trial.swim
     parts = [] if swim.beat is None else [repr(swim.beat)]
     parts += [trial.cruise.fin] if trial.cruise.fin else []
     if swim.stroke is not None:
         own = swim.stroke
-        # The law is that of the robot.
+        # The kinematic law of a stroke belongs to the robot.
         parts.append(repr((own.name, own.frequency_hz, own.scale, own.ramp_s, own.cycles, own.phase_rad)))
     if swim.joints is not None and swim.commanded:
-        # A command that was played again is equal to the last digit.
+        # A command that was played again is identical to the last digit.
         parts.append(repr([motion(trial.time_s)[0].tobytes() for motion in swim.joints]))
     known = {**_drop(trial), **dict(zip(("frequency_hz", "amplitude_rad"), _steady(trial), strict=True))}
     parts += [f"{name}={value:.6g}" for name, value in known.items() if not math.isnan(value)]
@@ -122,9 +128,9 @@ def repeated(trial: Trial) -> str:
 
 
 def count(trials: Sequence[Trial]) -> int:
-    """Return the number of settings.
+    """Return the number of different settings.
 
-    Trials without known settings count as one setting each, except for a command that was played again.
+    Each trial without known settings counts as one setting. Trials with the same replayed command count once.
     """
     kinds: list[dict[str, Quantity | str]] = []
     unknown: set[str] = set()
@@ -142,7 +148,7 @@ def count(trials: Sequence[Trial]) -> int:
 
 
 def _drop(trial: Trial) -> dict[str, float]:
-    """Return force, moving mass and drag area of a body that a known force pulls."""
+    """Return force, moving mass and drag area of a body that a known force pulls; empty for other trials."""
     rig = trial.rig
     if rig.force is None:
         return {}

@@ -1,4 +1,6 @@
-"""Compute how far the gap shrinks on held-out data: validation trials, or cross-validation."""
+"""Compute how much of the gap the causes close on held-out data: validation trials, or cross-validation
+folds.
+"""
 
 from __future__ import annotations
 
@@ -16,16 +18,18 @@ from swimid.diagnosis.noise_model import NoiseModel
 from swimid.fitting import output_error
 from swimid.fitting.model import Array, Model, Trial
 
-#: Relative tolerance of the search for a held-out trial's start state.
+#: Relative tolerance of the fit of a held-out trial's start state.
 TOLERANCE = 1e-4
 #: Number of bootstrap resamples of trials.
 RESAMPLES = 1000
 
-#: Share of a squared gap that causes must close.
+#: Minimum fraction of the squared gap that causes must close.
 MOST = 0.5
-#: Error of a held-out sample whose simulation diverged, in its channel's unit or in units of the noise.
+#: Error assigned to a held-out sample whose simulation diverged, in the unit of the channel or in units of
+#: the noise.
 WORST = 1e6
-#: A simulation this many times its channel's range away from a trial has diverged.
+#: Threshold of the simulation error, divided by the measured range of the channel. Above it, the simulation
+#: has diverged.
 ASTRAY = 10.0
 
 
@@ -36,6 +40,8 @@ class Piece:
     Attributes
     ----------
     measured, shipped, before, after : ndarray, shape (n,)
+        Measured values, and the predictions with the parameters as given, with refitted parameters, and with
+        refitted parameters and causes.
     """
 
     trial: Trial
@@ -47,22 +53,24 @@ class Piece:
     after: Array
 
     def seen(self, values: Array) -> Array:
-        """Return the values at measured samples."""
+        """Return the values at samples with a measurement."""
         return values[np.isfinite(self.measured)]
 
     def squares(self, simulated: Array, unit: float = 1.0) -> Array:
-        """Return squared errors of a simulation; a diverged one has the largest error."""
+        """Return the squared errors of a simulation. A diverged simulation has the largest error."""
         errors = self.seen(self.measured - simulated) / unit
         return np.minimum(np.nan_to_num(errors**2, nan=WORST**2), WORST**2)
 
 
 def _range(found: Sequence[Piece]) -> float:
-    """Return the range of a channel that no fitted trial has; 1 if undefined."""
+    """Return the measured range of the held-out samples of a channel that no fitted trial has; 1 if it is
+    zero.
+    """
     return float(np.ptp(np.concatenate([p.seen(p.measured) for p in found]))) or 1.0
 
 
 def by_channel(found: Sequence[Piece]) -> dict[str, list[Piece]]:
-    """Return the pieces of each channel."""
+    """Return the held-out samples, grouped by channel."""
     parts: dict[str, list[Piece]] = {}
     for p in found:
         parts.setdefault(p.channel, []).append(p)
@@ -70,7 +78,7 @@ def by_channel(found: Sequence[Piece]) -> dict[str, list[Piece]]:
 
 
 def _own_start(model: Model, shared: Mapping[str, float], trial: Trial, sd: Mapping[str, float]) -> Array:
-    """Return the full parameter vector of a trial: shared parameters as given, its start state fitted to
+    """Return all parameters of a trial: shared parameters as given, and a start state fitted to the trial
     itself.
     """
     parameters = tuple(
@@ -82,7 +90,7 @@ def _own_start(model: Model, shared: Mapping[str, float], trial: Trial, sd: Mapp
 
 
 def _numbers(fit: Fit, theta: Array, of: int | None = None) -> dict[str, float]:
-    """Return a fit's shared parameters, or those of one trial, by name."""
+    """Return the shared parameters of a fit, or the parameters of trial ``of``, by name."""
     return {
         label.split("[")[0]: float(v)
         for label, (_, owner), v in zip(fit.labels, fit.problem.slots, theta, strict=True)
@@ -101,14 +109,15 @@ def pieces(
     *,
     step: Callable[[], None] = lambda: None,
 ) -> list[Piece]:
-    """Return held-out predictions before and after: of validation trials, or of each fold in turn.
+    """Return held-out predictions without and with the causes, for validation trials or for each fold in
+    turn.
 
     Parameters
     ----------
     before, after : Fit
-        Refitted model without and with its causes; on all trials of the context.
+        Refitted model without and with the causes, on all trials of the context.
     sd : mapping of channel to float
-        Noise, for the start states of held-out trials.
+        Standard deviation of the noise, for the fit of the start states of held-out trials.
     shipped : mapping of name to float
         Coefficients as given.
     """
@@ -140,7 +149,7 @@ def pieces(
 
 
 def _average(context: FitContext, fit: Fit, without: Collection[str]) -> Model:
-    """Return the model of a fit for a new trial, with random effects at their mean."""
+    """Return the model of a fit for a new trial, with random effects at their mean over the fitted trials."""
     model = copy.copy(context.affected(fit.acting))
     centre = fit.centre(without)
     model.parameters = tuple(
@@ -157,8 +166,9 @@ def _whole(
     sd: Mapping[str, float],
     near: Sequence[Trial] = (),
 ) -> list[Piece]:
-    """Return the predictions as given, before and after, each from the start state that fits the trial
-    best.
+    """Return the predictions of a whole trial with the parameters as given, without the causes and with them.
+
+    Each prediction begins at the start state that fits the trial best.
     """
     first, last = near or (trial, trial)
     runs = [
@@ -173,7 +183,7 @@ def _whole(
 
 
 def _near(trial: Trial, k: int, fit: Fit) -> Trial:
-    """Return the trial with the start state of a fit as the start of a search."""
+    """Return the trial with the start state of a fit as starting point of a search."""
     return replace(trial, starts={**trial.starts, **_numbers(fit, fit.theta, k)})
 
 
@@ -185,7 +195,10 @@ def _stretch(
     vectors: Sequence[Array],
     shipped: Mapping[str, float],
 ) -> list[Piece]:
-    """Return the predictions as given, before and after, in the samples of a trial that belong to a fold."""
+    """Return the predictions for the samples of a trial that belong to a fold.
+
+    The predictions are those with the parameters as given, without the causes and with them.
+    """
     trial, inside, (nominal, model) = context.trials[k], context.folds.owner[k] == fold, models
     as_given = vectors[0].copy()
     for i, p in enumerate(nominal.parameters):
@@ -213,23 +226,25 @@ def shrinkages(
     *,
     rng: np.random.Generator,
 ) -> list[Shrinkage]:
-    """Return before, after, floor and closed share of each channel, with a bootstrap interval over trials
-    [1]_.
+    """Return the held-out errors, the noise floor and the closed fraction of the gap for each channel.
+
+    The closed fraction has a bootstrap interval over trials [1]_.
 
     Parameters
     ----------
     floors : mapping of channel to float
-        Noise, in the channel's unit; unknown for a channel that no fitted trial has.
+        Noise floor in the unit of the channel; unknown for a channel that no fitted trial has.
     noise : mapping of channel to mapping of trial to (float, int)
-        Contribution of each fitted trial to the squared noise, up to a factor, and its number of samples. It
-        is resampled separately, because a few trials do not determine the noise well.
+        Contribution of each fitted trial to the squared noise, up to a common factor, and its number of
+        samples. The noise is resampled separately, because a few trials do not determine it well.
     ranges : mapping of channel to float
-        Measured range of the fitted trials, in the channel's unit, for relative errors.
+        Measured range of each channel in the fitted trials, in the unit of the channel, for relative errors.
 
     References
     ----------
     .. [1] T. C. Hesterberg, "What teachers should know about the bootstrap", The American Statistician 69(4),
-       2015, section 5.2: with few trials it is too narrow, as a normal distribution is beside Student's.
+       2015, section 5.2: with few trials the bootstrap interval is too narrow, like a normal interval in
+       place of Student's.
     """
     result = []
     for channel, mine in by_channel(found).items():
@@ -246,7 +261,7 @@ def shrinkages(
         roots = np.sqrt(drawn[:, 1:3] / drawn[:, 3:]) / size
         known_noise = noise.get(channel, {})
         levels = floor * _resampled(known_noise, len(picks), len(known_noise), rng)
-        # True noise of the held-out trials, of which that of the fitted trials is an estimate.
+        # Noise of the held-out trials. The noise of the fitted trials is an estimate of it.
         levels *= _resampled(known_noise, len(picks), sum(t not in known_noise for t in trials), rng)
         shares = [closed(b, a, f) for (b, a), f in zip(roots, levels, strict=True)]
         known = [s for s in shares if math.isfinite(s)] if len(trials) > 1 else []
@@ -270,9 +285,10 @@ def shrinkages(
 
 
 def widened(count: int) -> float:
-    """Return the factor by which a bootstrap interval over few trials is too narrow.
+    """Return the factor by which a bootstrap interval over ``count`` trials is too narrow.
 
-    It is the 97.5 % point of Student's distribution with its standard error, over that of a normal one.
+    It is the 97.5 % quantile of Student's distribution times ``sqrt(count / (count - 1))``, divided by the
+    normal quantile.
     """
     return float(math.sqrt(count / (count - 1)) * special.stdtrit(count - 1, 0.975) / special.ndtri(0.975))
 
@@ -280,7 +296,7 @@ def widened(count: int) -> float:
 def _resampled(
     noise: Mapping[str, tuple[float, int]], count: int, trials: int, rng: np.random.Generator
 ) -> Array:
-    """Return the noise of resampled trials over that of all, shape (count,)."""
+    """Return the noise of resampled trials, divided by the noise of all trials, shape (count,)."""
     if len(noise) < 2 or not trials:
         return np.ones(count)
     each = np.array(list(noise.values()))
@@ -290,7 +306,7 @@ def _resampled(
 
 
 def sound(found: Sequence[Piece]) -> bool:
-    """Return whether no held-out trial diverges with the causes that did not diverge without them."""
+    """Return whether the causes make no held-out trial diverge."""
     for mine in by_channel(found).values():
         values = np.concatenate([p.seen(p.measured) for p in mine])
         for p in mine:
@@ -302,12 +318,15 @@ def sound(found: Sequence[Piece]) -> bool:
 
 
 def better(found: Sequence[Sequence[Piece]], floors: Mapping[str, float]) -> list[Piece]:
-    """Return of several predictions of the same samples the one with the smallest error before, and after.
+    """Combine several predictions of the same samples.
+
+    The result has the prediction with the smallest error without causes, and the one with the smallest error
+    with causes.
 
     Parameters
     ----------
     floors : mapping of channel to float
-        Noise, the weight of channels.
+        Noise floor, by which the errors of a channel are divided.
     """
 
     def least(which: str) -> Sequence[Piece]:
@@ -318,8 +337,9 @@ def better(found: Sequence[Sequence[Piece]], floors: Mapping[str, float]) -> lis
 
 
 def capped(floors: Mapping[str, float], found: Sequence[Piece]) -> dict[str, float]:
-    """Return the noise of each channel, limited by the errors without or with the causes, which contain
-    it.
+    """Return the noise floor of each channel, limited by the held-out errors without and with the causes.
+
+    These errors contain the noise.
     """
     result = dict(floors)
     for channel, mine in by_channel(found).items():
@@ -331,9 +351,10 @@ def capped(floors: Mapping[str, float], found: Sequence[Piece]) -> dict[str, flo
 
 
 def gained(found: Sequence[Piece], floors: Mapping[str, float]) -> tuple[Array, float]:
-    """Return the decrease of the squared errors of each held-out trial, shape (trials,), and the total gap.
+    """Return the decrease of the squared errors of each held-out trial by the causes, shape (trials,), and
+    the total gap.
 
-    Both are in units of the noise.
+    Both are in units of the noise variance.
     """
     lowered: dict[str, float] = {}
     gap = 0.0
@@ -345,24 +366,30 @@ def gained(found: Sequence[Piece], floors: Mapping[str, float]) -> tuple[Array, 
 
 
 def chance(each: Array) -> float:
-    """Return what a sum over trials must exceed to be above zero at 95 % (Student); 0 for a single trial."""
+    """Return the threshold above which the sum of ``each`` over trials is significantly positive (Student, 95
+    %).
+
+    It is 0 for a single trial.
+    """
     n = len(each)
     return float(special.stdtrit(n - 1, 0.95) * np.sqrt(n * np.var(each, ddof=1))) if n > 1 else 0.0
 
 
 def _errors(piece: Piece, which: str, floors: Mapping[str, float]) -> Array:
-    """Return squared errors of a prediction, in units of the noise; none if the noise is unknown."""
+    """Return the squared errors of a prediction, in units of the noise variance; zero if the noise is
+    unknown.
+    """
     return piece.squares(getattr(piece, which), max(floors.get(piece.channel, math.inf), 1e-300))
 
 
 def closed(before: float, after: float, floor: float) -> float:
-    """Return ``(before - after) / (before - floor)``; NaN without a gap."""
+    """Return the closed fraction of the gap, ``(before - after) / (before - floor)``; NaN without a gap."""
     gap = before - floor
     return float((before - after) / gap) if gap > 0.02 * max(before, 1e-300) else math.nan
 
 
 def worst(found: Sequence[Piece], floors: Mapping[str, float], which: str) -> list[Piece]:
-    """Return the held-out trial with the largest errors in units of the noise.
+    """Return the samples of the held-out trial with the largest errors in units of the noise.
 
     Parameters
     ----------
@@ -372,7 +399,7 @@ def worst(found: Sequence[Piece], floors: Mapping[str, float], which: str) -> li
     Returns
     -------
     list of Piece
-        One for each channel, with its samples in the order of time.
+        One item for each channel, with its samples in the order of time.
     """
     squares: dict[str, list[Array]] = {}
     for p in found:

@@ -1,4 +1,6 @@
-"""Estimate the weights of residuals: noise, its autocorrelation, and between-trial variation."""
+"""Estimate the weights of residuals: noise level, autocorrelation of the noise, and between-trial
+variation.
+"""
 
 from __future__ import annotations
 
@@ -17,19 +19,19 @@ from swimid.effects.base import Effect
 from swimid.fitting import noise as sample_noise
 from swimid.fitting.model import Array
 
-#: Number of rounds of reweighting before any effect is tried.
+#: Number of reweighting iterations before any effect is tried.
 WEIGHTINGS = 2
-#: Relative tolerance of the cost, and maximum number of steps, meanwhile.
+#: Relative tolerance of the cost, and maximum number of steps, of the fits during the estimation of weights.
 COARSE, FEW = 1e-3, 8
-#: Trials that differ by more than this many standard deviations show that it is larger; maximum number of re-
-#: estimates.
+#: Threshold of the standard deviation of fitted random effects, divided by the assumed one. Above it, the
+#: standard deviation is estimated again. The second value is the maximum number of such estimates.
 STRAINED, SETTLINGS = 2.0, 3
-#: Trials with fewer samples do not determine the autocorrelation of the noise.
+#: Minimum number of samples in a trial. Shorter trials do not determine the autocorrelation of the noise.
 SHORT = 20
 
 
 def weigh(context: FitContext) -> tuple[NoiseModel, Fit]:
-    """Refit the nominal model with weights from its own residuals."""
+    """Refit the model without effects, with weights from its own residuals."""
     problem = context.problem(())
     sample_noise.weigh_first(problem, False)
     noise_model = NoiseModel([list(sds) for sds in problem.sd])
@@ -41,7 +43,7 @@ def weigh(context: FitContext) -> tuple[NoiseModel, Fit]:
         noise_model = NoiseModel([list(sds) for sds in problem.sd])
         fit = context.fit((), noise_model, [fit.theta], tolerance=COARSE, warm=fit)
     counted = {c for t in context.trials if np.any(t.time_sd_s) for c in t.measured}
-    # Weights are multiples of the known error.
+    # Weights are multiples of the known rounding error.
     rounding = {c: 1.0 / factor for c, (factor, _) in previous.items() if c in counted and factor > 0}
     return replace(noise_model, rounding=rounding), fit
 
@@ -49,7 +51,7 @@ def weigh(context: FitContext) -> tuple[NoiseModel, Fit]:
 def random_effect_columns(
     context: FitContext, fit: Fit, effects: Sequence[Effect]
 ) -> tuple[list[Array], list[RandomEffect]]:
-    """Return the changes of each trial by possible random effects, per typical size.
+    """Return the weighted changes of each trial by possible random effects, each at its typical scale.
 
     Returns
     -------
@@ -89,17 +91,17 @@ def see(
     common: int | None = None,
     cautious: bool = False,
 ) -> tuple[NoiseModel, list[RandomEffect]]:
-    """Return the noise model of some residuals: first the autocorrelation, then random effects.
+    """Estimate a noise model from residuals: first the autocorrelation, then the random effects.
 
     Parameters
     ----------
     residuals : sequence of ndarray, shape (n_k,)
-        Weighted, between-trial variation included.
+        Weighted residuals, including the between-trial variation.
     unknowns : float
-        Number of parameters fitted to them.
+        Number of parameters that were fitted to the residuals.
     common : int, optional
-        Number of these that are effects shared by all trials. Without it random effects are left out, because
-        they would hide what no effect has been tried on yet.
+        Number of these parameters that are effects shared by all trials. If it is not given, random effects
+        are left out, because they would hide effects that have not been tried yet.
     cautious : bool
         As in :func:`swimid.diagnosis.random_effects.spread`.
 
@@ -107,17 +109,17 @@ def see(
     -------
     noise_model : NoiseModel
     kinds : list of RandomEffect
-        Possible random effects with their estimated standard deviations; the noise model has as much of them
-        as may be chance.
+        Possible random effects with their estimated standard deviations. The noise model contains only the
+        part that may be chance.
     """
     problem = fit.problem
     plain = replace(noise_model, random_effects=(), long_memory=None)
     if not tells_noise(context):
-        # Few trials do not separate slow noise from a gap.
+        # A few trials do not separate slow noise from a gap.
         whole = coloured(problem, residuals, plain, unknowns=unknowns)
         return replace(brief(whole, problem, residuals, list(whole.colour)), long_memory=whole), []
-    # The autocorrelation is that of what no trim, gain or clock of a single trial explains. Those come after
-    # it.
+    # Estimate the autocorrelation from residuals without trim, gain and clock of single trials. The random
+    # effects are estimated afterwards.
     columns, kinds = random_effect_columns(context, fit, effects)
     still = nuisance_residuals(fit, residuals, columns)
     noise_model = coloured(problem, still, plain, unknowns=unknowns + len(kinds) * len(residuals))
@@ -143,8 +145,8 @@ def see(
 def settled(context: FitContext, leading: Fit, noise_model: NoiseModel) -> NoiseModel:
     """Return the noise model with standard deviations that stay when the model is fitted with them.
 
-    A standard deviation estimated from residuals to first order may be far too small. Between-trial variation
-    then goes into the coefficients, and effects seem to correct them.
+    A standard deviation that is estimated from linearised residuals may be far too small. Between-trial
+    variation then distorts the coefficients, and effects seem to correct the coefficients.
 
     Parameters
     ----------
@@ -166,6 +168,8 @@ def settled(context: FitContext, leading: Fit, noise_model: NoiseModel) -> Noise
 
 
 def tells_noise(context: FitContext) -> bool:
-    """Return whether there are enough trials to estimate the between-trial variation."""
+    """Return whether the trials are sufficient in number and length to estimate the between-trial
+    variation.
+    """
     short = all(sum(int(m.sum()) for m in masks) < SHORT for masks in context.shape.masks)
     return context.folds.whole and len(context.trials) >= FEWEST and not short

@@ -1,4 +1,4 @@
-"""Sentences of a diagnosis: its answer, its notes, and what a paper's methods section says of it."""
+"""Texts of a diagnosis: its answer, its notes, and sentences for a methods section."""
 
 from __future__ import annotations
 
@@ -8,23 +8,25 @@ from swimid.diagnosis import gap_file as gap_format
 from swimid.diagnosis.gap_file import Absorbed, Cause, Cell, ChangedValue, GapFile, Value
 from swimid.results import numbers
 
-#: What the names of readings begin with; the rest is as the option ``--reading`` takes it.
+#: Prefix of the names of other interpretations of the robot. The rest of such a name is a value of the option
+#: ``--reading``.
 READING = "reading:"
-#: A coefficient has moved when it did by more standard errors than this, and by this share of its value.
+#: Minimum change of a coefficient that is reported, in standard errors and as a fraction of its value. Both
+#: must be exceeded.
 MOVED_STDERR, MOVED_SHARE = 2.0, 0.10
-#: Maximum number of notes, and of parts of the data in one of them.
+#: Maximum number of notes, and maximum number of parts of the data in one note.
 MAX_NOTES, MAX_PARTS = 5, 3
 
 
 def listed(names: Sequence[str], last: str = "and") -> str:
-    """Return names as a sentence has them: ``a, b and c``."""
+    """Return names joined as in a sentence: ``a, b and c``."""
     if len(names) < 2:
         return "".join(names)
     return f"{', '.join(names[:-1])} {last} {names[-1]}"
 
 
 def answer(file: GapFile) -> str:
-    """Return the answer: the cause with its size, and how far held-out errors shrink with it."""
+    """Return the answer: the causes with their sizes, and the reduction of the held-out errors by them."""
     names = [_named(c) for c in file.causes]
     if file.verdict == "none":
         return _no_gap(file)
@@ -63,7 +65,7 @@ def _no_gap(file: GapFile) -> str:
 
 
 def _named(cause: Cause) -> str:
-    """Return a cause with its sizes and its equivalents, as a sentence has them."""
+    """Return a cause with its sizes and its equivalents as part of a sentence."""
     sizes = [f"{name} {value_text(v)}" for name, v in list(cause.parameters.items())[:2]]
     name = cause.effect
     if changes_text(cause.parameters):
@@ -74,7 +76,7 @@ def _named(cause: Cause) -> str:
 
 
 def changes_text(parameters: Mapping[str, Value]) -> str:
-    """Return how parameters have changed: ``k_t 0.06 → 0.05520 ± 0.00003 N·m/rad (71 standard errors)``."""
+    """Return the changes of parameters: ``k_t 0.06 → 0.05520 ± 0.00003 N·m/rad (71 standard errors)``."""
     changed = [(name, value) for name, value in parameters.items() if isinstance(value, ChangedValue)]
     return listed(
         [
@@ -96,25 +98,25 @@ def value_text(value: Value) -> str:
 
 
 def held_out_text(file: GapFile) -> str:
-    """Return on what data a cause is judged: ``on the validation trials``."""
+    """Return a phrase that names the held-out data: ``on the validation trials``."""
     return gap_format.HELD_OUT[file.held_out]
 
 
 def otherwise_text(file: GapFile) -> str:
-    """Return how likely it is that there is no gap, or another cause than those tried."""
+    """Return the probabilities of no gap and of a cause outside the catalogue, in words."""
     none, outside = probability_text(file.no_gap), probability_text(file.outside)
     return f"no gap {none}, a cause outside the catalogue {outside}"
 
 
 def probability_text(probability: float | None) -> str:
-    """Return a probability in percent; below a thousandth only that."""
+    """Return a probability in percent; ``< 0.1 %`` for values below a thousandth."""
     if probability is not None and probability < 1e-3:
         return "< 0.1 %"
     return numbers.percent(probability, 2)
 
 
 def remaining_text(file: GapFile) -> str:
-    """Return how much of the gap remains, and where."""
+    """Return in words how much of the gap remains, and where."""
     left, share = file.remaining, "an unknown share"
     if left.share is not None:
         share = numbers.percent(left.share, 2)
@@ -125,13 +127,13 @@ def remaining_text(file: GapFile) -> str:
 
 
 def moved(file: GapFile) -> list[Absorbed]:
-    """Return the coefficients that stood in for the causes, those that moved farthest first."""
+    """Return the coefficients that compensated for the missing causes, the largest change first."""
     far = [(_shift(a), a) for c in file.causes for a in c.absorbed]
     return [a for shift, a in sorted(far, key=lambda pair: -pair[0]) if shift > 0]
 
 
 def _shift(a: Absorbed) -> float:
-    """Return the movement of a coefficient in standard errors; 0 where it is small."""
+    """Return the change of a coefficient in standard errors; 0 if it is small."""
     before, after = a.without.value, a.with_effect.value
     errors = [v.stderr for v in (a.without, a.with_effect) if v.stderr]
     if before is None or after is None or not errors:
@@ -144,12 +146,12 @@ def _shift(a: Absorbed) -> float:
 
 
 def parts(file: GapFile) -> list[Cell]:
-    """Return the gap in each part of the data: settings, phases, times."""
+    """Return the gap in each part of the data: settings, stroke phases and times."""
     return [*file.where.regime, *file.where.phase, *file.where.time]
 
 
 def notes(file: GapFile) -> list[str]:
-    """Return the next experiment, where the gap is, and why the verdict is what it is."""
+    """Return notes: the next experiment, where the gap is, and the reasons for the verdict."""
     said = [f"next experiment: {a.text}" for a in file.advice[:1]]
     worst: dict[str, Cell] = {}
     for cell in sorted(parts(file), key=lambda c: -(c.ratio or 0.0)):
@@ -175,7 +177,7 @@ def notes(file: GapFile) -> list[str]:
 
 
 def methods(file: GapFile) -> list[str]:
-    """Return sentences for a methods section, from what was run."""
+    """Return sentences for a methods section that describe this diagnosis."""
     refitted = sum(s.refitted for s in file.scores)
     count = f"{refitted} of {len(file.scores)}"
     if refitted == len(file.scores):

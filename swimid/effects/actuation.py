@@ -1,4 +1,4 @@
-"""Effects between the command and the output of the actuator."""
+"""Effects between the command and the motion of the actuator."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from swimid.fitting.model import typical
 
 
 class AmplitudeLoss(common.Actuation):
-    """A gain below one: ``(1 - loss)`` times the command."""
+    """A constant relative loss of amplitude: the joint moves by ``(1 - loss)`` times the command."""
 
     name = "amplitude-loss"
     meaning = "The joints turn by less than their command, by the same share always."
@@ -29,7 +29,7 @@ class AmplitudeLoss(common.Actuation):
     scatters = True
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the share that is lost."""
+        """Return the fraction of the amplitude that is lost."""
         return (parameter("loss", "1", 0.05, "share of the amplitude lost", -0.5, 0.95),)
 
     def follow(self, value: float, time_s: Array, angle: Array) -> Array:
@@ -41,14 +41,16 @@ class AmplitudeLoss(common.Actuation):
         return stroke.amplitude_rad * (1.0 - value)
 
 
-#: Time over which a trim sets in, s, because a jump of the joints at the start would throw the body.
+#: Time over which a trim sets in, s. A sudden change of the joint angles would throw the body.
 EASE_S = 0.5
 
 
 class AmplitudeOffset(common.Actuation):
-    """A trim added to the angle of each driven joint; for a steady beat, the amplitude less a constant.
+    """A trim that is added to the angle of each driven joint, or a constant that a steady beat loses in
+    amplitude.
 
-    The latter is ``theta_off`` of the recoil law. It applies to models that do not estimate it.
+    The lost amplitude is ``theta_off`` of the recoil law. The effect applies to models that do not estimate
+    the offset.
     """
 
     name = "amplitude-offset"
@@ -58,17 +60,17 @@ class AmplitudeOffset(common.Actuation):
     scatters = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Whether a command drives the model and it does not estimate its own offset."""
+        """Return whether a command drives the model and the model does not estimate the offset."""
         return super().applies(model, trials) and not model.estimates("amplitude_offset_deg")
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the angle of each driven joint, in the unit of its command."""
+        """Return the angle that is added to each driven joint, in the unit of the command."""
         size = common.typical_amplitude(model, trials)
         most, words = 0.9 * size, "constant angle off"
         return (parameter("offset_rad", "rad", 0.05 * size, words, -most, most),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Add the trim to the command, and reduce the amplitude of a steady beat."""
+        """Return hooks that add the trim to the command, and reduce the amplitude of a steady beat."""
         offset = float(values[0])
         still: list[int] = []
         if model.body is not None:
@@ -88,16 +90,16 @@ class AmplitudeOffset(common.Actuation):
         return replace(common.on_command(model, trial, command), stroke=(beaten,))
 
 
-#: Ratio of limit to largest commanded rate below which a limited sine is a triangle,
-#: ``1 / sqrt(1 + pi^2 / 4)``.
+#: Ratio of the rate limit to the largest commanded rate below which the limited sine is a triangle: ``1 /
+#: sqrt(1 + pi^2 / 4)``.
 TRIANGLE = 1.0 / math.hypot(1.0, 0.5 * math.pi)
 
 
 class RateLimit(common.Actuation):
-    """The joint follows its command no faster than a limit.
+    """A limit of the rate with which the joint follows its command.
 
-    The limit has no influence if it is the rate of the fastest command. A steady beat of the average models
-    keeps the fundamental of the limited sine (its describing function: :func:`describing_gain`).
+    The effect has no influence if the limit is the largest commanded rate. In models of the average over a
+    beat, the steady beat has the amplitude of the fundamental of the limited sine (:func:`describing_gain`).
     """
 
     name = "rate-limit"
@@ -105,32 +107,35 @@ class RateLimit(common.Actuation):
     sources = ("tendon fish, section IV.A (the speed of the servomotor is limited)",)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the limit, rad/s, which has no influence at the trials' largest commanded rate."""
+        """Return the rate limit, rad/s.
+
+        Its start value is the largest commanded rate of the trials, which has no influence.
+        """
         largest = common.largest_rate(model, trials)
         bounds, words = (0.02 * largest, largest), "largest rate of the servos"
         return (Parameter("rate_limit_rad_s", "rad/s", *bounds, largest, 0.2 * largest, meaning=words),)
 
     def follow(self, value: float, time_s: Array, angle: Array) -> Array:
-        """Return the limited command."""
+        """Return the command with limited rate."""
         return np.asarray(limit_rate(time_s, angle, value))
 
     def amplitude(self, value: float, stroke: Stroke) -> Array:
-        """Return the fundamental of the limited sine."""
+        """Return the amplitude of the fundamental of the limited sine."""
         rate = 2.0 * math.pi * np.asarray(stroke.frequency_hz) * stroke.amplitude_rad
         return stroke.amplitude_rad * describing_gain(value / np.maximum(rate, 1e-12))
 
 
 @numba.njit(cache=True, nogil=True)
 def limit_rate(time, signal, limit):  # type: ignore[no-untyped-def]
-    """Follow a signal no faster than a limit.
+    """Follow a signal at no more than a given rate.
 
     Parameters
     ----------
     time : ndarray, shape (n,), s
-        Increasing.
+        Increasing times.
     signal : ndarray, shape (n,)
     limit : float
-        Largest rate, per second.
+        Maximum rate, in the unit of the signal per second.
 
     Returns
     -------
@@ -146,12 +151,12 @@ def limit_rate(time, signal, limit):  # type: ignore[no-untyped-def]
 
 
 def describing_gain(ratio: Array | float) -> Array:
-    """Return the amplitude of the fundamental of a rate-limited sine, over that of the sine.
+    """Return the amplitude of the fundamental of a rate-limited sine, divided by the amplitude of the sine.
 
     Parameters
     ----------
     ratio : ndarray or float
-        Limit over the sine's largest rate; from one on nothing is lost.
+        Rate limit divided by the largest rate of the sine. From a ratio of one, the sine is unchanged.
 
     >>> [round(float(v), 6) for v in describing_gain(np.array([0.0, 0.5, 1.0, 2.0]))]
     [0.0, 0.63662, 1.0, 1.0]
@@ -163,12 +168,14 @@ def describing_gain(ratio: Array | float) -> Array:
 
 @functools.cache
 def _middle() -> tuple[Array, Array]:
-    """Return the gain between triangle and sine, on nodes of the ratio.
+    """Return ratios of the rate limit to the largest rate of a sine, and the describing gain at each ratio.
+
+    The ratios lie between `TRIANGLE` and one.
 
     Notes
     -----
-    Half a period, from where ``-cos(theta)`` reaches the limit (``sin(theta) = ratio``), is a straight line
-    until it meets the sine again, and then the sine.
+    Half a period begins where ``-cos(theta)`` reaches the rate limit (``sin(theta) = ratio``). The output is
+    a straight line until it meets the sine again, and then the sine.
     """
     ratios = 1.0 - (1.0 - TRIANGLE) * np.linspace(1.0, 0.0, 200)
     gains = np.ones_like(ratios)
@@ -189,9 +196,10 @@ def _middle() -> tuple[Array, Array]:
 
 
 class ServoBacklash(common.Actuation):
-    """The play operator: the joint rests until the servo has crossed the play, and then moves with it.
+    """Play between servo and joint: the joint rests until the servo has crossed the play, and then moves with
+    the servo.
 
-    A steady beat of the average models loses half the play.
+    In models of the average over a beat, a steady beat loses half the play in amplitude.
     """
 
     name = "servo-backlash"
@@ -199,26 +207,27 @@ class ServoBacklash(common.Actuation):
     sources = ("boxfish, section 5.3 (about 2 deg of the amplitude offset)",)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the whole width of the play of each joint, in the unit of its command."""
+        """Return the whole width of the play of each joint, in the unit of the command."""
         size = common.typical_amplitude(model, trials)
         return (parameter("backlash_rad", "rad", 0.1 * size, "whole width of the play", 0.0, 1.9 * size),)
 
     def follow(self, value: float, time_s: Array, angle: Array) -> Array:
-        """Return the command after the play."""
+        """Return the motion of the joint behind the play."""
         return apply_play(angle, value)
 
     def amplitude(self, value: float, stroke: Stroke) -> Array:
-        """Return the amplitude less half the play."""
+        """Return the amplitude minus half the play."""
         return np.maximum(stroke.amplitude_rad - 0.5 * value, 0.0)
 
 
 def apply_play(signal: Array, width: float) -> Array:
-    """Return the output of a play of a given whole width that starts in its middle.
+    """Return the output of a play that starts in the middle of the play.
 
     Parameters
     ----------
     signal : ndarray, shape (n,)
     width : float
+        Whole width of the play.
 
     Returns
     -------
@@ -228,7 +237,7 @@ def apply_play(signal: Array, width: float) -> Array:
 
 
 class ServoDelay(common.Actuation):
-    """A pure delay of the command; it changes nothing in the average of a steady beat."""
+    """A constant delay of the command. It does not change the average over a steady beat."""
 
     name = "servo-delay"
     meaning = "The joints move a constant time after their command."
@@ -247,12 +256,13 @@ class ServoDelay(common.Actuation):
 
 
 def apply_delay(time_s: Array, signal: Array, delay_s: float) -> Array:
-    """Return a signal a constant time later; before its first sample it rests there.
+    """Return a signal that is delayed by a constant time. Before the delay has passed, it has its first
+    value.
 
     Parameters
     ----------
     time_s, signal : ndarray, shape (n,)
-        Without missing samples; Akima's curve interpolates between them.
+        Samples without missing values. A modified Akima spline interpolates between them.
     delay_s : float
     """
     if delay_s == 0.0 or len(time_s) < 3:
@@ -262,7 +272,10 @@ def apply_delay(time_s: Array, signal: Array, delay_s: float) -> Array:
 
 
 class ServoLag(common.Actuation):
-    """``tau a' = command - a``; a steady beat of frequency f keeps ``1 / sqrt(1 + (2 pi f tau)^2)``."""
+    """A first-order lag ``tau a' = command - a`` of the servo.
+
+    A steady beat of frequency f has ``1 / sqrt(1 + (2 pi f tau)^2)`` of the commanded amplitude.
+    """
 
     name = "servo-lag"
     meaning = "The servos follow their command late and with a smaller amplitude, the more so the faster."
@@ -278,27 +291,28 @@ class ServoLag(common.Actuation):
         return (parameter("time_constant_s", "s", 0.04 * beat, "time constant of the servos", 0.0, beat),)
 
     def follow(self, value: float, time_s: Array, angle: Array) -> Array:
-        """Return the command after the lag."""
+        """Return the joint angle after the lag."""
         return np.asarray(apply_lag(time_s, angle, value))
 
     def amplitude(self, value: float, stroke: Stroke) -> Array:
-        """Return the amplitude after the lag at the beat's frequency."""
+        """Return the amplitude after the lag at the frequency of the beat."""
         gain = 1.0 / np.sqrt(1.0 + (2.0 * math.pi * stroke.frequency_hz * value) ** 2)
         return np.asarray(stroke.amplitude_rad * gain)
 
 
 @numba.njit(cache=True, nogil=True)
 def apply_lag(time, signal, tau):  # type: ignore[no-untyped-def]
-    """Apply a first-order lag to a signal, exactly if the signal is straight between its samples.
+    """Apply a first-order lag to a signal. The result is exact for a signal that is linear between its
+    samples.
 
     Parameters
     ----------
     time : ndarray, shape (n,), s
-        Increasing.
+        Increasing times.
     signal : ndarray, shape (n,)
-        The lag starts at rest at its first value.
+        Input. The lag starts at rest at the first value of the signal.
     tau : float, s
-        Zero leaves the signal as it is.
+        Time constant. With zero the output is the signal.
 
     Returns
     -------
@@ -315,19 +329,23 @@ def apply_lag(time, signal, tau):  # type: ignore[no-untyped-def]
     return output
 
 
-#: Time over which the loss sets in, as a share of a beat and in samples (the longer counts). A beat shows a
-#: change of amplitude to no better than a quarter; a jump between two samples would have no derivative.
+#: Duration over which the loss sets in, as a fraction of a beat and in samples. The longer duration counts. A
+#: beat shows the time of a change of amplitude only to a quarter of its period. A jump between two samples
+#: would have no derivative.
 RAMP, SAMPLES = 0.25, 4.0
-#: Shares of a trial at which the loss is tried. From a quarter of the trial away a fit finds the time.
+#: Fractions of a trial at which the loss is tried. A fit finds the time from as far as a quarter of the trial
+#: away.
 MOMENTS = (0.125, 0.375, 0.625, 0.875)
 
 
 class Slip(common.Actuation):
-    """``1 - loss s(t)`` times the command, with a quintic step ``s`` from 0 to 1 about the time it sets in.
+    """A loss of amplitude that sets in during the trial: the joint moves by ``1 - loss s(t)`` times the
+    command.
 
-    A tendon slips on its pulley, or a horn on its shaft. From that time on, counted from the first sample,
-    the joints move by less than their command, in every trial. An average over beats does not show when its
-    amplitude was lost: models of steady beats have ``amplitude-loss`` only.
+    ``s`` is a quintic step from 0 to 1 about the time of onset. A tendon slips on its pulley, or a horn on
+    its shaft. The onset is counted from the first sample and is the same in every trial. An average over
+    beats does not show when amplitude was lost. Models of steady beats therefore have ``amplitude-loss``
+    only.
     """
 
     name = "slip"
@@ -339,10 +357,11 @@ class Slip(common.Actuation):
     needs = frozenset({"command"})
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the share lost, and the time at which half of it is lost, s after the first sample.
+        """Return the lost fraction of the command, and the time at which half of it is lost, s after the
+        first sample.
 
-        The scale of the loss is a tenth, twice the smallest visible loss over a whole trial
-        (``amplitude-loss``), because it lasts for a part of each trial.
+        The scale of the loss is 0.1, twice the smallest visible loss over a whole trial (``amplitude-loss``),
+        because the loss lasts for a part of each trial only.
         """
         lasting = model.scales(trials).duration
         longest = max(float(t.time_s[-1] - t.time_s[0]) for t in trials) or lasting
@@ -353,12 +372,14 @@ class Slip(common.Actuation):
         )
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return a loss, to which the change is nearly proportional, from several times on."""
+        """Return points with one size of the loss, to which the change is nearly proportional, at several
+        onset times.
+        """
         loss, begin = parameters
         return [np.array([2.0 * loss.scale, 2.0 * share * begin.start]) for share in MOMENTS]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Reduce the commands by the loss."""
+        """Return hooks that reduce the commands by the loss."""
         loss, begin = (float(v) for v in values)
         ramp = RAMP * common.typical_period(model, [trial])
         ramp = max(ramp, SAMPLES * typical(np.diff(trial.time_s).tolist(), 0.0))

@@ -1,6 +1,8 @@
-"""Effects, and a model with effects.
+"""The base class of effects, and a model on which effects act.
 
-An effect has a name, a stage, parameters that have no influence at their start values, and hooks.
+An effect has a name, parameters without influence at their start values, and hooks. Hooks are functions that
+change a simulation (:class:`~swimid.fitting.hooks.Hooks`). The ``stage`` of an effect is the part of the
+simulated system on which the effect acts.
 """
 
 from __future__ import annotations
@@ -22,12 +24,12 @@ Stage = Literal["actuation", "structure", "fluid", "environment", "sensing", "ri
 STAGES: tuple[Stage, ...] = ("actuation", "structure", "fluid", "environment", "sensing", "rig")
 Trials = Sequence[Trial]
 Parameters = tuple[Parameter, ...]
-#: Bounds, by parameter name, that an estimate must not come near.
+#: For each parameter name, the bound from which an estimate must keep a distance.
 Inside = Mapping[str, Literal["lower", "upper"]]
 #: Sizes at which an effect is tried, in the scales of its parameters.
 SIZES = (0.5, 1.2, 3.0)
 
-#: Numbers that identify effects with attributes that cannot be compared.
+#: Serial numbers of effects whose attributes cannot be compared.
 _NUMBERS: weakref.WeakKeyDictionary[Effect, int] = weakref.WeakKeyDictionary()
 _COUNT = itertools.count()
 
@@ -40,22 +42,26 @@ class Effect(ABC):
     name : str
         Name in the gap file, with hyphens.
     stage : str
-        Stage of the simulation at which it acts; for an effect of this package, the name of its module.
+        Part of the simulated system on which the effect acts. For an effect of this package it is the name of
+        the module.
     meaning : str
         One sentence for the report.
     sources : tuple of str
-        Papers and sections that describe it.
+        Papers and sections that describe the effect.
     needs : frozenset of str
-        Hooks it uses. It applies to models that offer at least one of them.
+        Hooks that the effect uses. The effect applies to models that offer at least one of them.
     scatters : bool
-        It may differ at random between trials (a trim, a clock), and is then a random effect.
+        Whether the effect may differ at random between trials (a trim, a clock). It is then a random effect
+        as well.
     smooth : bool
-        Its influence grows in proportion to its parameters, so that one size is enough to try it.
+        Whether the change of the simulation is nearly proportional to the parameters. One size is then enough
+        to try the effect.
     inside : mapping of name to end
-        Bounds, ``lower`` or ``upper``, from which an estimate must keep its typical size. Nearer to them the
-        effect could imitate others, and is no hypothesis.
+        Bounds, ``lower`` or ``upper``, from which an estimate must keep at least the parameter's scale.
+        Closer to the bound the effect could imitate others, and is not accepted as a hypothesis.
     adds_to : str or None
-        Name of the model's parameter to which its only parameter is added; it has no hooks then.
+        Name of the model parameter to which the only parameter of the effect is added. Such an effect has no
+        hooks.
     """
 
     name: ClassVar[str]
@@ -76,38 +82,41 @@ class Effect(ABC):
 
     @abstractmethod
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
-        """Return its parameters: without influence at ``start``, typically as large as ``scale``."""
+        """Return the parameters of the effect: no influence at ``start``, typical scale ``scale``."""
 
     @abstractmethod
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return the hooks at these parameter values, for one trial.
+        """Return the hooks for one trial at these parameter values.
 
         Parameters
         ----------
         values : ndarray, shape (len(parameters),)
-            Per-trial parameters have the value of this trial.
+            Values of the effect's parameters. A per-trial parameter has the value of this trial.
         """
 
     def applies(self, model: Model, trials: Sequence[Trial]) -> bool:
-        """Whether it can act on a model in these trials."""
+        """Return whether the effect can act on a model in these trials."""
         return bool(self.needs & model.offers)
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
-        """Return the forms in which it is tried (which joint, which wall); none if it does not apply."""
+        """Return the forms in which the effect is tried (which joint, which wall); none if the effect does
+        not apply.
+        """
         return [self] if self.applies(model, trials) else []
 
     def joins(self, effects: Sequence[Effect]) -> bool:
-        """Whether it may act beside others; no effect acts twice."""
+        """Return whether the effect may act together with other effects. No effect acts twice."""
         return self.name not in {e.name for e in effects}
 
     def in_place_of(self, model: Model) -> Model:
-        """Return the model on which all effects act: as a rule the nominal one."""
+        """Return the model on which all effects act: the given model, unless the effect replaces it."""
         return model
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return points within the bounds at which it is tried before a fit.
+        """Return the points within the bounds at which the effect is tried before a fit.
 
-        For a smooth effect these are a small and a large size of each parameter, the small one of one sign.
+        For a smooth effect these are a small and a large size of each parameter. The small size has one sign
+        only.
         """
         null = np.array([p.start for p in parameters])
         points: list[Array] = []
@@ -124,12 +133,14 @@ class Effect(ABC):
         return points
 
     def content(self) -> bytes:
-        """Return its identity: effects of one class with the same attributes act alike."""
+        """Return the identity of the effect. Effects of one class with equal attributes have the same
+        identity.
+        """
         kind = type(self)
         try:
             return pickle.dumps((kind.__module__, kind.__qualname__, sorted(vars(self).items())))
         except (pickle.PicklingError, AttributeError, TypeError):
-            # an effect that holds a function is identical only to itself
+            # An effect that contains a function is identical only to itself.
             if self not in _NUMBERS:
                 _NUMBERS[self] = next(_COUNT)
             return f"{kind.__qualname__} {_NUMBERS[self]}".encode()
@@ -145,16 +156,16 @@ Effects = Sequence[Effect]
 class Affected(Model):
     """A model on which effects act.
 
-    Its parameters are those of the model, then those of each effect as ``effect/parameter``. With the latter
-    at their start values it is the model, or the one that an effect puts in its place
-    (:meth:`Effect.in_place_of`).
+    The parameters are those of the model, followed by those of each effect as ``effect/parameter``. With the
+    effect parameters at their start values, the simulation is that of the model. An effect may replace this
+    model by another one (:meth:`Effect.in_place_of`).
 
     Parameters
     ----------
     model : Model
     effects : sequence of Effect
     trials : sequence of Trial
-        The effects take their scales from them.
+        Trials from which the effects take the scales of their parameters.
     """
 
     def __init__(self, model: Model, effects: Sequence[Effect], trials: Sequence[Trial]) -> None:
@@ -180,7 +191,7 @@ class Affected(Model):
         self.parameters = (*model.parameters, *renamed)
 
     def hooks(self, values: Array, trial: Trial) -> Hooks:
-        """Return the hooks of all effects at these values, for one trial."""
+        """Return the hooks of all effects for one trial at these parameter values."""
         at = len(self.model.parameters)
         point = values[at:].tobytes()
         known = self._latest.get(trial.id)
@@ -197,13 +208,14 @@ class Affected(Model):
                 key = content + own.tobytes()
                 acting = replace(acting, key=key, command_key=key if acting.command else b"")
             hooks = acting if hooks is NONE else hooks + acting
-        # hooks of tables and coefficients may store what they read, and are made anew for each run
+        # Hooks that change model coefficients may store the values that they read. They are created anew for
+        # each run.
         if not (hooks.tables or hooks.coefficients):
             self._latest[trial.id] = trial, point, hooks
         return hooks
 
     def shifted(self, values: Array) -> Array:
-        """Return the parameters of the model with the changes that effects add to them, within bounds.
+        """Return the model parameters after the additions by effects, limited to the bounds.
 
         Parameters
         ----------
@@ -229,7 +241,7 @@ class Affected(Model):
 
     @property
     def together(self) -> int:
-        """Number of runs that the model simulates in the time of one."""
+        """Return the number of runs that the model simulates in the time of one run."""
         return self.model.together
 
     def simulate_many(self, runs: Sequence[tuple[Array, Trial]]) -> list[dict[str, Array]]:
@@ -244,6 +256,8 @@ class Affected(Model):
         ]
 
     def refined(self) -> Affected | None:
-        """Return the same with half the integration step; None if nothing is integrated."""
+        """Return the model and its effects with half the integration step; None if the model integrates
+        nothing.
+        """
         finer = self.nominal.refined()
         return None if finer is None else Affected(finer, self.effects, self._trials)

@@ -1,4 +1,4 @@
-"""The list of effects: those of the modules of this package, and those of a user's own file."""
+"""List the effects: those of the modules of this package, and those of a user's file."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from swimid.effects.base import STAGES, Effect
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.fitting.model import Model, Trial
 
-#: Hooks that an effect may use.
+#: Names of the hooks that an effect may use.
 PLACES = frozenset({"command", "stroke", "tables", "coefficients", "force", "flow", "output", "clock"})
-#: Attributes that every effect must have.
+#: Attributes that every effect must define.
 STATED = ("name", "stage", "meaning", "needs")
 
 
 def catalogue() -> list[Effect]:
-    """Return every effect of this package in the order of the stages, by name within a stage.
+    """Return every effect of this package in the order of `STAGES`, and by name within a stage.
 
     Raises
     ------
     ValueError
-        If two effects have one name.
+        If two effects have the same name.
     """
     return list(_catalogue())
 
@@ -53,12 +53,12 @@ def names() -> list[str]:
 
 
 def chosen(names: Iterable[str]) -> list[Effect]:
-    """Return effects by name, each once.
+    """Return the effects with the given names, each effect once.
 
     Raises
     ------
     UsageError
-        For a name that there is not.
+        If a name is unknown.
     """
     known = {effect.name: effect for effect in catalogue()}
     wanted = list(dict.fromkeys(names))
@@ -69,7 +69,7 @@ def chosen(names: Iterable[str]) -> list[Effect]:
 
 
 def applicable(effects: Iterable[Effect], model: Model, trials: Sequence[Trial]) -> list[Effect]:
-    """Return the effects in every form in which they apply to a model and its trials."""
+    """Return all forms of the effects that apply to a model and its trials."""
     return [variant for effect in effects for variant in effect.variants(model, trials)]
 
 
@@ -79,14 +79,14 @@ def from_file(path: str | Path) -> list[Effect]:
     Parameters
     ----------
     path : path
-        The file is run. Its classes derived from :class:`Effect` without abstract methods are effects; they
-        are created without arguments.
+        Python file, which is run. Its classes that are derived from :class:`Effect` and have no abstract
+        methods are the effects. They are created without arguments.
 
     Raises
     ------
     InputError
-        With the file and the line: if it cannot be run, or defines no effect, or one that is incomplete, of
-        an unknown stage, or of a name that is taken.
+        If the file cannot be run or defines no effect, or if an effect is incomplete, has an unknown stage,
+        or has the name of another effect. The error states file and line.
     """
     path = Path(path)
     module = _run(path)
@@ -116,7 +116,7 @@ def from_file(path: str | Path) -> list[Effect]:
 
 
 def _kinds(module: ModuleType) -> list[type[Effect]]:
-    """Return the subclasses of Effect that a module defines, in its order, without private ones."""
+    """Return the public subclasses of Effect that a module defines, in their order in the module."""
     return [
         kind
         for name, kind in vars(module).items()
@@ -149,13 +149,13 @@ def _run(path: Path) -> ModuleType:
 
 
 def _raised(error: Exception, path: Path) -> int | None:
-    """Return the last line of a file on the way to an error."""
+    """Return the last line of the file in the traceback of an error."""
     lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == str(path)]
     return lines[-1] if lines else None
 
 
 def _line(kind: type[Effect]) -> int | None:
-    """Return the line at which a class begins, if it is known."""
+    """Return the line at which a class begins; None if it is unknown."""
     try:
         return inspect.getsourcelines(kind)[1]
     except (OSError, TypeError):
@@ -163,7 +163,7 @@ def _line(kind: type[Effect]) -> int | None:
 
 
 def _check(kind: type[Effect], path: Path) -> None:
-    """Raise an error if a user's effect lacks an attribute, or has a wrong one."""
+    """Raise an error if a user's effect lacks an attribute or has an invalid one."""
     problem, hint = None, None
     missing = [name for name in STATED if not hasattr(kind, name)]
     unwritten = sorted(kind.__abstractmethods__)

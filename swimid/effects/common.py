@@ -1,4 +1,4 @@
-"""Parts of several effects: parameters, properties of models, and hooks of one kind."""
+"""Functions and base classes that several effects use."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 
 Choice = TypeVar("Choice")
 
-#: Amplitude of a servo or of a joint, rad, that is assumed if nothing states it.
+#: Amplitude of a servo or joint, rad, if the trials state none.
 USUAL_ANGLE = 0.3
 SPEEDS = ("u_m_s", "v_m_s", "w_m_s", MEAN_SPEED)
 #: Channels whose unit contains a length.
 LENGTHS = (*POSITIONS, *SPEEDS)
 #: Channels of a swimmer's pose that a camera measures.
 POSES = (*POSITIONS, "yaw_rad", "pitch_rad")
-#: Channels of a gyroscope in the body.
+#: Channels of a gyroscope that is fixed to the body.
 TURN_RATES = ("roll_rate_rad_s", "pitch_rate_rad_s", "yaw_rate_rad_s")
 
 
@@ -43,7 +43,7 @@ def parameter(
     start: float = 0.0,
     per_trial: bool = False,
 ) -> Parameter:
-    """Return a parameter of an effect; most have no influence at zero."""
+    """Return a parameter of an effect. By default the effect has no influence at zero."""
     return Parameter(name, unit, lower, upper, start, scale, per_trial=per_trial, meaning=meaning)
 
 
@@ -51,17 +51,17 @@ def parameter(
 
 
 def pick_by_motion(model: Model, along: Choice, about: Choice) -> Choice:
-    """Return ``about`` for a model with one coordinate that is an angle, else ``along``."""
+    """Return ``about`` for a rig whose only coordinate is an angle, otherwise ``along``."""
     return about if model.rig is not None and model.rig.rotation else along
 
 
 def is_pulled(model: Model) -> bool:
-    """Whether a model is a body on a rig that is pulled from place to place."""
+    """Return whether a model is a body on a rig that is pulled over a distance."""
     return model.rig is not None and not model.rig.swings
 
 
 def has_pulley(trials: Trials) -> bool:
-    """Whether some trial has a pulley."""
+    """Return whether some trial has a pulley."""
     return any(trial.rig.pulley for trial in trials)
 
 
@@ -71,7 +71,7 @@ def free_body(model: Model) -> Body | None:
 
 
 def require_links(model: Model) -> Body:
-    """Return the links, for an effect that applies to nothing else."""
+    """Return the links of a model that must have links."""
     assert model.body is not None
     return model.body
 
@@ -80,7 +80,7 @@ def require_links(model: Model) -> Body:
 
 
 def add_to_coefficient(coefficient: str, value: float) -> Hooks:
-    """Return hooks that add a value to a coefficient of a model's equation."""
+    """Return hooks that add a value to a coefficient of a model's equation of motion."""
 
     def change(coefficients: dict[str, float]) -> None:
         coefficients[coefficient] += value
@@ -95,16 +95,16 @@ def force_at_hull(body: Body, function: Any, constants: Array) -> Force:
 
 
 class RigCoefficient(Effect, ABC):
-    """An addition to one coefficient of a rig's equation that the model does not estimate.
+    """An addition to one coefficient of a rig's equation of motion that the model does not estimate.
 
     Attributes
     ----------
     coefficient : str
-        Name in the model's equation.
+        Name of the coefficient in the model's equation of motion.
     own : tuple of str
-        Parameters of the model with the same meaning.
+        Parameters of the model with the same meaning as the effect.
     pulley : bool
-        It acts only in trials with a pulley.
+        Whether the effect acts only in trials with a pulley.
     """
 
     needs = frozenset({"coefficients"})
@@ -114,12 +114,14 @@ class RigCoefficient(Effect, ABC):
     pulley: bool = False
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Whether the model is a rig that does not estimate it, for a pulley's with a pulley."""
+        """Return whether the model is a rig that does not estimate the effect. A pulley effect also needs
+        a pulley.
+        """
         known = model.rig is None or model.estimates(*self.own)
         return not known and (not self.pulley or has_pulley(trials))
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Add to the coefficient."""
+        """Return hooks that add the value to the coefficient."""
         if self.pulley and not trial.rig.pulley:
             return Hooks()
         return add_to_coefficient(self.coefficient, values[0])
@@ -129,28 +131,28 @@ class RigCoefficient(Effect, ABC):
 
 
 class Actuation(Effect, ABC):
-    """An effect of the actuator, where a command drives the model and not a measured joint angle.
+    """An effect of the actuator, for models that follow a command and not a measured joint angle.
 
-    An effect of one parameter, the same for every driven joint, defines :meth:`follow`, and
-    :meth:`amplitude` if it ``needs`` the stroke.
+    A subclass with one parameter for all driven joints defines :meth:`follow`. It also defines
+    :meth:`amplitude` if its ``needs`` include the stroke.
     """
 
     needs = frozenset({"command", "stroke"})
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Whether a command drives some trial."""
+        """Return whether a command drives some trial."""
         return super().applies(model, trials) and any(model.commanded(t) for t in trials)
 
     def follow(self, value: float, time_s: Array, angle: Array) -> Array:
-        """Return the motion of a joint under a command, shape (n,), without missing samples."""
+        """Return the motion of a joint that follows a command, shape (n,), without missing samples."""
         raise NotImplementedError
 
     def amplitude(self, value: float, stroke: Stroke) -> Array:
-        """Return the amplitude that remains of a steady beat, rad."""
+        """Return the joint amplitude of a steady beat with the effect, rad."""
         raise NotImplementedError
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Change the commands, and a steady beat."""
+        """Return hooks that change the commands, and the amplitude of a steady beat."""
         value = float(values[0])
 
         def command(time_s: Array, angle: Array) -> Array:
@@ -164,12 +166,14 @@ class Actuation(Effect, ABC):
 
 
 def on_command(model: Model, trial: Trial, change: Command) -> Hooks:
-    """Return hooks that change the commands of a trial; none if no command drives it."""
+    """Return hooks that change the commands of a trial; no hooks if no command drives the trial."""
     return Hooks(command=(change,)) if model.commanded(trial) else Hooks()
 
 
 def for_every_joint(change: Callable[[Array, Array], Array]) -> Command:
-    """Return a hook that changes every joint alike, computed once for joints with one command."""
+    """Return a hook that changes every joint in the same way. Joints with the same command are computed
+    once.
+    """
     last: tuple[Array, Array, Array] | None = None
 
     def command(time_s: Array, angle: Array, joint: int) -> Array:
@@ -184,20 +188,21 @@ def for_every_joint(change: Callable[[Array, Array], Array]) -> Command:
 
 
 def hold_back(signal: Array, half: Array) -> Array:
-    """Follow a signal only where it is further away than friction holds: the play operator.
+    """Follow a signal with a play operator: the output moves only if its distance from the signal would
+    exceed ``half``.
 
-    A position servo of stiffness k with a dry friction T stands still while ``k |command - angle| < T``.
+    A position servo of stiffness k with dry friction T stands still while ``k |command - angle| < T``.
 
     Parameters
     ----------
     signal : ndarray, shape (n,)
     half : ndarray, shape (n,)
-        The distance ``T / k``, which may change in time.
+        Half the width of the play: ``T / k`` for a servo. It may change in time.
 
     Returns
     -------
     ndarray, shape (n,)
-        It starts on the signal.
+        Output, whose first value is that of the signal.
     """
     return np.asarray(_play(signal, half))
 
@@ -211,7 +216,10 @@ def _play(signal, half):  # type: ignore[no-untyped-def]
 
 
 def bridge_missing(change: Callable[[Array, Array], Array], time_s: Array, signal: Array) -> Array:
-    """Change a signal whose missing samples are interpolated before, and missing again after."""
+    """Change a signal that has missing samples.
+
+    Missing samples are interpolated before the change, and are missing again after the change.
+    """
     there = np.isfinite(signal)
     if there.all():
         return change(time_s, signal)
@@ -222,7 +230,7 @@ def bridge_missing(change: Callable[[Array, Array], Array], time_s: Array, signa
 
 
 def _signals(model: Model, trials: Trials) -> Iterator[tuple[Array, Array, float]]:
-    """Yield time, command and its largest known rate, of each driven joint of each trial."""
+    """Yield time, command and largest known rate of the command, for each driven joint of each trial."""
     for trial in trials:
         if model.commanded(trial):
             yield from model.commands(trial)
@@ -237,13 +245,13 @@ def _strokes(trials: Trials) -> tuple[Array, Array]:
 
 
 def typical_amplitude(model: Model, trials: Trials) -> float:
-    """Return the typical amplitude of a driven joint, rad (or the unit of a black box's input)."""
+    """Return the typical amplitude of a driven joint, rad, or the unit of a black-box model's input."""
     sizes = [0.5 * float(np.ptp(s)) for _, s, _ in _signals(model, trials) if len(s) and np.ptp(s) > 0]
     return typical(sizes or list(_strokes(trials)[1]), USUAL_ANGLE)
 
 
 def largest_rate(model: Model, trials: Trials) -> float:
-    """Return the largest commanded rate, rad/s (or the unit of a black box's input, per second)."""
+    """Return the largest rate of the commands, rad/s, or the unit of a black-box model's input per second."""
     rates = [r for _, _, r in _signals(model, trials)]
     for time, signal, _ in _signals(model, trials):
         if len(time) > 1:
@@ -254,7 +262,7 @@ def largest_rate(model: Model, trials: Trials) -> float:
 
 
 def typical_period(model: Model, trials: Trials) -> float:
-    """Return the typical period of the beat, s; one second if unknown."""
+    """Return the typical period of the beat, s; one second if it is unknown."""
     return 1.0 / typical([f for f in (*model.beats(trials), *_strokes(trials)[0]) if f > 0], 1.0)
 
 
@@ -262,27 +270,27 @@ def typical_period(model: Model, trials: Trials) -> float:
 
 
 def select_measured(names: Sequence[str], trials: Trials) -> list[str]:
-    """Return those of the channels that some trial has samples of."""
+    """Return the channels that have samples in some trial."""
     return [n for n in names if any(n in t.measured and np.isfinite(t.measured[n]).any() for t in trials)]
 
 
 def has_camera_clock(model: Model, trials: Trials) -> bool:
-    """Whether the logs hold poses of a camera beside turn rates of the robot, each with its own clock."""
+    """Return whether the logs contain camera poses and turn rates of the robot, each with its own clock."""
     measured = {c for t in trials for c in t.measured}
     rates = any(c.endswith("_rate_rad_s") for c in measured)
     return "output" in model.offers and rates and bool(measured & set(POSES))
 
 
 def shift_poses(trial: Trial, happened: Callable[[Array], Array]) -> Hooks:
-    """Return hooks for the poses of a camera with another clock: they are those of when they ``happened``."""
+    """Return hooks for a camera with its own clock: it shows the poses of the times ``happened(time_s)``."""
 
     def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
-        # a cubic spline extrapolates well for two samples, and not for more
+        # A cubic spline extrapolates well over two samples, but not further.
         end = time_s[-1] + 2.0 * np.median(np.diff(time_s))
         then = np.clip(happened(time_s), time_s[0], end)
         poses = [c for c in POSES if c in channels]
         values = np.column_stack([channels[c] for c in poses])
-        # a simulation that broke down is missing altogether
+        # Only values of a simulation without missing samples can be interpolated.
         sound = np.isfinite(values).all(axis=0)
         shifted = np.full(values.shape, np.nan)
         shifted[:, sound] = CubicSpline(time_s, values[:, sound])(then)
@@ -292,17 +300,17 @@ def shift_poses(trial: Trial, happened: Callable[[Array], Array]) -> Hooks:
 
 
 class Sensing(Effect, ABC):
-    """An effect on some channels, each by itself, where one of them is measured."""
+    """An effect that changes log channels one by one. It applies if one of these channels is measured."""
 
     needs = frozenset({"output"})
     channels: ClassVar[tuple[str, ...]]
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Whether such a channel is measured."""
+        """Return whether one of the channels is measured."""
         return super().applies(model, trials) and bool(select_measured(self.channels, trials))
 
     def show(self, change: Callable[[str, Array], Array]) -> Hooks:
-        """Return the hooks of ``change(name, simulated)``, the same for every channel."""
+        """Return hooks that apply ``change(name, simulated)`` to every channel of the effect."""
 
         def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
             mine = {n: change(n, v) for n, v in channels.items() if n in self.channels}

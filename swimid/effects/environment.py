@@ -32,7 +32,7 @@ from swimid.fitting.model import typical
 
 @traceable(on="hull", constants=2)
 def rise(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Add a force upwards and a righting moment; constants force, and moment per sine of pitch."""
+    """Add an upward force and a righting moment. Constants: force, and moment per sine of the pitch angle."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     wrench[0] += constants[0] * s
     wrench[1] += constants[0] * c
@@ -40,7 +40,7 @@ def rise(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
 
 
 class Buoyancy(Effect):
-    """Buoyancy beyond weight, and its righting moment ``-m sin(pitch)``, on the heaviest link."""
+    """Buoyancy in excess of weight, and the righting moment ``-m sin(pitch)``, on the heaviest link."""
 
     name = "buoyancy"
     meaning = "buoyancy beyond weight, and its righting moment"
@@ -49,14 +49,16 @@ class Buoyancy(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Whether a free swimmer moves in the vertical plane, or a rig along z with a known rest position."""
+        """Return whether the model is a free swimmer in the vertical plane, or a rig along z with a known
+        rest position.
+        """
         if model.rig is not None:
             return model.axes == ("z",) and not model.estimates("rest_position")
         body = common.free_body(model)
         return body is not None and body.vertical
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the force upwards, N, and for a swimmer the righting moment, N m."""
+        """Return the upward force, N, and for a swimmer also the righting moment, N m."""
         size = 0.03 * model.scales(trials).force
         force = parameter("force_N", "N", size, "buoyancy beyond weight")
         body = model.body
@@ -66,19 +68,21 @@ class Buoyancy(Effect):
         return force, parameter("righting_N_m", "N m", moment, "righting moment per sine of pitch")
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Add a constant force, and a moment."""
+        """Return hooks that add the constant force and the moment."""
         body = model.body
         if body is not None:
             return Hooks(force=(common.force_at_hull(body, rise, np.array(values, dtype=float)),))
         return common.add_to_coefficient("force", values[0])
 
 
-#: Largest current, in typical speeds of the robot.
+#: Maximum speed of the current, divided by the typical speed of the robot.
 MOST_CURRENT = 3.0
 
 
 class Current(Effect):
-    """Water that moves at a constant velocity in the world; along the track for a model with one axis."""
+    """Water that moves with constant velocity relative to the ground. A model with one axis has a current
+    along its track.
+    """
 
     name = "current"
     meaning = "steady current of the water"
@@ -87,11 +91,11 @@ class Current(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Whether a body moves from place to place."""
+        """Return whether the model has a body that travels."""
         return super().applies(model, trials) and bool(model.axes)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the components of the velocity in the world, m/s."""
+        """Return the components of the velocity of the water relative to the ground, m/s."""
         size = model.scales(trials).speed
         most, words = MOST_CURRENT * size, "velocity of the water along"
         return tuple(
@@ -100,7 +104,7 @@ class Current(Effect):
         )
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Move the water."""
+        """Return hooks that move the water."""
         velocity = np.zeros(2)
         velocity[: len(values)] = values
 
@@ -110,13 +114,17 @@ class Current(Effect):
         return Hooks(flow=(flow,))
 
 
-#: Height over which the force sets in, m.
+#: Height over which the force increases smoothly from zero, m.
 ROUND = 0.002
 
 
 @traceable(on="hull", constants=5)
 def sink(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Add the weight of what has left the water; constants force per height, level, point, lever."""
+    """Add the weight of the hull that has left the water.
+
+    Constants: force per height, level of the surface, position of the centre of mass relative to the
+    reference point (along, across), and lever arm.
+    """
     s, c = math.sin(pose[2]), math.cos(pose[2])
     middle = pose[1] + constants[2] * s + constants[3] * c - constants[1]
     for side in (-1.0, 1.0):
@@ -128,9 +136,11 @@ def sink(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
 
 
 class SurfaceBreach(Effect):
-    """The weight of the water that the hull no longer displaces above a level pulls it down.
+    """Loss of buoyancy above a water level: the weight of the water that the hull no longer displaces pulls
+    it down.
 
-    Half of it acts a quarter of the hull's length ahead of its centre of mass, and half as far behind.
+    Half of the force acts a quarter of the hull's length ahead of the hull's centre of mass, and half at the
+    same distance behind it.
     """
 
     name = "surface-breach"
@@ -139,11 +149,11 @@ class SurfaceBreach(Effect):
     needs = frozenset({"force"})
 
     def __init__(self, levels_m: tuple[float, ...] = (0.0,)) -> None:
-        """Set the levels at which it is tried."""
+        """Set the levels at which the effect is tried."""
         self.levels_m = levels_m
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return the form for free swimmers in the vertical plane whose height is measured."""
+        """Return the form for free swimmers in the vertical plane with a measured height."""
         heights = [t.measured["z_m"] for t in trials if "z_m" in t.measured]
         body = common.free_body(model)
         if body is None or not body.vertical or not heights:
@@ -152,7 +162,9 @@ class SurfaceBreach(Effect):
         return [SurfaceBreach(tuple(float(q) for q in np.nanquantile(values, (0.85, 0.5, 0.97))))]
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the force per height, N/m, and the level of the reference point, m."""
+        """Return the force per height, N/m, and the level of the reference point above which buoyancy is
+        lost, m.
+        """
         size = 0.2 * model.scales([_heights(t) for t in trials]).span
         slope = 0.1 * model.scales(trials).force / size
         words = "height of the reference point above which buoyancy is lost"
@@ -166,7 +178,7 @@ class SurfaceBreach(Effect):
         return [np.array([s * parameters[0].scale, level]) for level in self.levels_m for s in SIZES[1:]]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Add a force and its moment to the heaviest link."""
+        """Return hooks that add the force and its moment to the heaviest link."""
         body = common.require_links(model)
         hull = body.hull
         x, y = body.centre(hull)
@@ -179,25 +191,28 @@ class SurfaceBreach(Effect):
 
 
 def _heights(trial: Trial) -> Trial:
-    """Return the trial with its height alone."""
+    """Return the trial with the height as its only channel."""
     measured = {name: value for name, value in trial.measured.items() if name == "z_m"}
     return Trial(trial.id, trial.role, trial.time_s, measured)
 
 
-#: Distance, m, below which there is no direction; it avoids a division by zero.
+#: Distance, m, below which the direction to the anchor is undefined. It avoids a division by zero.
 TINY = 1e-30
 
 
 @traceable(on="base", constants=5)
 def pull_back(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Add a spring to a point of the world, and a line with drag; stiffness, slack, line drag, the point."""
+    """Add a spring to a fixed point, the anchor, and the drag of a line.
+
+    Constants: stiffness, slack, drag of the line, and the two coordinates of the anchor.
+    """
     dx, dy = pose[0] - constants[3], pose[1] - constants[4]
     distance = math.sqrt(dx * dx + dy * dy)
     u, v = velocity[0], velocity[1]
     drag = constants[2] * distance * math.sqrt(u * u + v * v)
     wrench[0] -= drag * u
     wrench[1] -= drag * v
-    # there is no pull at the anchor itself
+    # The pull is zero at the anchor itself.
     pull = constants[0] * max(distance - constants[1], 0.0) / max(distance, TINY)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     wrench[0] -= pull * (c * dx + s * dy)
@@ -205,11 +220,11 @@ def pull_back(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-
 
 
 class Tether(Effect):
-    """A pull ``-k (d - slack)`` towards an anchor at the distance d, if d exceeds the slack.
+    """A pull ``-k (d - slack)`` towards an anchor at distance d, if d exceeds the slack.
 
-    The anchor is where the run starts. That of a swimmer may lie behind the start, so that the line pulls
-    from the begin. The line in the water has the drag ``-c d v |v|``. In a cruise the mean of the pull over
-    the run acts.
+    The anchor is at the start of the run. For a swimmer it may also be behind the start, so that the line
+    pulls from the beginning. The line in the water has the drag ``-c d v |v|``. In a cruise, the mean of the
+    pull over the run acts.
     """
 
     name = "tether"
@@ -218,13 +233,13 @@ class Tether(Effect):
     needs = frozenset({"force", "coefficients"})
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Whether the model is a pulled body, a cruise or a free swimmer."""
+        """Return whether the model is a pulled body, a cruise or a free swimmer."""
         return common.is_pulled(model) or model.timed_runs or common.free_body(model) is not None
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return stiffness, N/m, and slack, m, and what the motion shows beyond them.
+        """Return the stiffness, N/m, the slack, m, and further parameters that the motion can show.
 
-        For a motion in time this is the drag of the line, N s2/m3; for a swimmer also the distance of the
+        A motion in time also shows the drag of the line, N s2/m3. A swimmer also shows the distance of the
         anchor behind the start, m.
         """
         scales, size = model.scales(trials), _reach(model, trials)
@@ -244,7 +259,11 @@ class Tether(Effect):
         return (*pull, line, parameter("behind_m", "m", 0.2 * size, words, 0.0, size))
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return a stiffness, without slack and with, or an anchor behind the start; a drag of the line."""
+        """Return points at which the effect is tried.
+
+        Three points have the same stiffness: without slack, with slack, and with the anchor behind the start.
+        One point has only a drag of the line.
+        """
         scale = np.array([p.scale for p in parameters])
         steps = [(SIZES[1],), (SIZES[1], 2.0), (0.0, 0.0, SIZES[1]), (SIZES[1], 0.0, 0.0, 2.0)]
         return [
@@ -252,7 +271,7 @@ class Tether(Effect):
         ]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Add a force on the base, or on the mean of a run."""
+        """Return hooks that add a force on the base, or the mean force of a run."""
         if model.timed_runs:
             way = np.asarray(trial.inputs["distance_m"], dtype=float)
             mean = float(np.mean(0.5 * values[0] * np.maximum(way - values[1], 0.0) ** 2 / way))
@@ -274,13 +293,16 @@ def _reach(model: Model, trials: Trials) -> float:
     return model.scales(trials).span
 
 
-#: Largest exponent, because a start is never far beyond the extreme of the measured tracks.
+#: Maximum exponent of the force of a wall, which limits the force beyond the end of the measured tracks.
 STEEPEST = 2.0
 
 
 @traceable(on="hull", constants=5)
 def push_off(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Add a force along a world axis; constants force, decay length, direction to the wall, extreme."""
+    """Add a force away from a wall.
+
+    Constants: force, decay length, direction to the wall (x, y), and coordinate of the end of the tracks.
+    """
     along, across = constants[2], constants[3]
     gap = constants[4] - (along * pose[0] + across * pose[1])
     push = constants[0] * math.exp(min(-gap / constants[1], STEEPEST))
@@ -291,7 +313,9 @@ def push_off(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-d
 
 @cfunc(FORCE_SIGNATURE, cache=True)
 def blockage(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Add drag towards the end of a run; constants drag, gain, decay length and end."""
+    """Add drag near the end of a run. Constants: quadratic drag, relative increase, decay length, and end
+    coordinate.
+    """
     grown = constants[1] * math.exp(min(-(constants[3] - pose[0]) / constants[2], STEEPEST))
     wrench[0] -= constants[0] * grown * velocity[0] * abs(velocity[0])
 
@@ -299,16 +323,16 @@ def blockage(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-d
 class Wall(Effect):
     """A wall at one side of the pool.
 
-    Its influence is ``exp(-d / l)``, d the distance from the tracks' extreme. A swimmer is pushed away from
-    it (drawn to it if the force is negative). The quadratic drag of a body on a rig grows towards it by the
-    factor ``1 + gain exp(-d / l)``.
+    The influence of the wall is ``exp(-d / l)``. Here l is the decay length, and d is the distance from the
+    end of the tracks on that side. A swimmer is pushed away from the wall, or drawn to it if the force is
+    negative. The quadratic drag of a body on a rig is multiplied by ``1 + gain exp(-d / l)``.
 
     Parameters
     ----------
     side : str
-        ``x_max``, ``x_min``, ``y_max`` and so on.
+        Side of the pool: ``x_max``, ``x_min``, ``y_max`` and so on.
     extreme_m : float
-        Extreme coordinate of the tracks on that side.
+        Coordinate of the end of the tracks on that side.
     """
 
     name = "wall"
@@ -321,7 +345,7 @@ class Wall(Effect):
         self.extreme_m = extreme_m
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return one form per side for free swimmers, and the far end for pulled bodies."""
+        """Return one form per side for free swimmers, and the form for the far end for pulled bodies."""
         free = common.free_body(model) is not None
         walls: list[Effect] = []
         for axis in model.axes if free or common.is_pulled(model) else ():
@@ -338,7 +362,10 @@ class Wall(Effect):
         return walls
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the force at the tracks' extreme, N (the gain of drag on a rig), and its decay length, m."""
+        """Return the influence at the end of the tracks, and the decay length, m.
+
+        The influence is a force, N, on a swimmer, or a relative increase of drag on a rig.
+        """
         if model.body is not None:
             length = sum(model.body.lengths_m)
             size = 0.05 * model.scales(trials).force
@@ -353,12 +380,14 @@ class Wall(Effect):
         return first, parameter(f"{self.side}_decay_m", "m", size, words, lower, upper, start=start)
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return the force, in which the change is nearly linear, at two decay lengths."""
+        """Return points with one size of the force, to which the change is nearly proportional, at two
+        decay lengths.
+        """
         force, decay = parameters
         return [np.array([SIZES[1] * force.scale, share * decay.start]) for share in (0.5, 1.5)]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Add a force at the centre of mass of the heaviest link, or drag."""
+        """Return hooks that add a force at the centre of mass of the heaviest link, or drag on a rig."""
         body = model.body
         if body is not None:
             axis, end = self.side.split("_")
@@ -374,41 +403,44 @@ class Wall(Effect):
 
 
 class _Push(Wall):
-    """The wall of a free swimmer: with a decay length of three bodies it would imitate any slow force."""
+    """The wall of a free swimmer. With a decay length of three body lengths it could imitate any slow
+    force.
+    """
 
     inside: ClassVar[Inside] = {f"{axis}_{end}_decay_m": "upper" for axis in "xyz" for end in ("min", "max")}
 
 
-#: Frequencies of waves that are tried, Hz.
+#: Lowest and highest tried frequency of waves, Hz.
 LOWEST, HIGHEST = 0.15, 3.0
-#: Minimum number of periods in a trial; with fewer, waves cannot be told from a slow force.
+#: Minimum number of periods in a trial. With fewer periods, waves cannot be distinguished from a slow force.
 PERIODS = 1.5
-#: Maximum number of lines of the tracks' spectrum that are tried, and order of the slow course removed
-#: before.
+#: Maximum number of spectral lines of the tracks that are tried. The second value is the order of the
+#: polynomial in time that is removed from the tracks before.
 LINES, ORDER = 4, 5
-#: Maximum number of frequencies.
+#: Maximum number of frequencies of a spectrum.
 FINEST = 120
-#: Number of lines that are tried with an amplitude that differs between places.
+#: Number of spectral lines that are tried with an amplitude that depends on the place.
 TRAVELLED = 1
-#: Depth of a shallow pool, m.
+#: Water depth of a shallow pool, m.
 DEPTH = 0.5
-#: Share of the variance of a track above which it is an oscillation.
+#: Minimum fraction of a track's variance at one frequency. A track with a larger fraction is an oscillation.
 MOST = 0.5
 
 
 class Waves(Effect):
-    """Orbital velocity ``a cos(2 pi f t) + b sin(2 pi f t)`` along one axis of the world.
+    """Orbital velocity ``a cos(2 pi f t) + b sin(2 pi f t)`` along one axis that is fixed to the ground.
 
-    The frequency is common. Amplitude and phase, counted from the start, are each trial's own. The cosine
-    sets in with ``1 - exp(-2 pi f t)``, because a body that floats at the start moves with the water. The
-    effect is tried at the strongest lines of the track that neither the model nor the beat explains.
+    The frequency is common to all trials. Each trial has its own amplitude and phase, with the time counted
+    from its start. The cosine sets in with ``1 - exp(-2 pi f t)``, because a body that floats at the start
+    moves with the water. The effect is tried at the strongest spectral lines of the track that neither the
+    model nor the beat explains.
 
     Parameters
     ----------
     axis : str
         ``x``, ``y`` or ``z``.
     frequency_hz : float
-        Frequency at which it is tried.
+        Frequency at which the effect is tried.
     """
 
     name = "waves"
@@ -422,8 +454,8 @@ class Waves(Effect):
         self.frequency_hz = frequency_hz
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return one form per axis and line of the track, for a body that moves in time."""
-        # an average over beats or runs has no motion within a wave's period
+        """Return one form for each axis and spectral line of the track, for a model of the motion in time."""
+        # A model of averages over beats or runs has no motion within the period of a wave.
         if "force" not in model.offers:
             return []
         found: list[Waves] = []
@@ -438,11 +470,11 @@ class Waves(Effect):
         return found
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the frequency, Hz, and each trial's cosine and sine amplitudes, m/s."""
+        """Return the frequency, Hz, and the cosine and sine amplitudes of each trial, m/s."""
         scales, along = model.scales(trials), f"amplitude of the water's velocity along {self.axis}"
         size = 0.1 * scales.speed
         near, words = 0.2 / scales.duration, "frequency of the waves"
-        # an estimate within its scale of a bound is no hypothesis
+        # An estimate closer to a bound than its scale is not accepted as a hypothesis.
         least = max(0.5 * LOWEST, PERIODS / scales.duration - near)
         band = least, max(2.0 * HIGHEST, 2.0 * least)
         return (
@@ -454,12 +486,12 @@ class Waves(Effect):
         )
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return the scale of each amplitude, in which the change is linear."""
+        """Return points with one amplitude at its scale. The change is proportional to the amplitude."""
         frequency, size = parameters[0].start, parameters[1].scale
         return [np.array([frequency, *part]) for part in ((size, 0.0), (0.0, size))]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Move the water."""
+        """Return hooks that move the water."""
         frequency, a, b = (float(v) for v in values)
         omega = 2.0 * math.pi * frequency
         column = int(self.axis != "x")
@@ -479,21 +511,23 @@ class Waves(Effect):
 
 
 class _Travelling(Waves):
-    """Waves whose amplitude and phase differ between places: travelling, standing or reflected.
+    """Waves whose amplitude and phase depend on the place: travelling, standing or reflected waves.
 
     The orbital velocity is ``(a cos(k s) + c sin(k s)) cos(2 pi f t) + (b cos(k s) + d sin(k s)) sin(2 pi f
-    t)``, with *s* the measured place of the body along the wave. In a horizontal plane the wave has a
-    direction of its own; in a vertical plane it runs along x.
+    t)``. Here *s* is the measured position of the body along the direction of the wave. In a horizontal plane
+    this direction is a parameter. In a vertical plane the wave runs along x.
     """
 
     meaning = "oscillatory (orbital) flow that differs from place to place: waves or their reflections"
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return none: it is a form of another effect."""
+        """Return no forms, because the class is itself a form of ``waves``."""
         return []
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return frequency (Hz), wavenumber (rad/m), direction in a horizontal plane (rad), amplitudes."""
+        """Return frequency (Hz), wavenumber (rad/m), direction in a horizontal plane (rad), and amplitudes
+        (m/s).
+        """
         frequency, cosine, sine = super().parameters(model, trials)
         deep, shallow = wavenumbers(self.frequency_hz)
         track = [t.measured[f"{model.axes[0]}_m"] for t in trials]
@@ -513,7 +547,7 @@ class _Travelling(Waves):
         )
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return the scale of each amplitude, in deep water and in shallow."""
+        """Return points with one amplitude at its scale, for the wavenumbers in deep and in shallow water."""
         found = []
         for wavenumber in wavenumbers(self.frequency_hz):
             for j, p in enumerate(parameters):
@@ -524,7 +558,7 @@ class _Travelling(Waves):
         return found
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Move the water, each place in its own way."""
+        """Return hooks that move the water at the place of the body."""
         frequency, wavenumber, *direction = (float(v) for v in values[:-4])
         omega = 2.0 * math.pi * frequency
         first, second = (trial.measured.get(f"{axis}_m") for axis in model.axes)
@@ -550,9 +584,9 @@ class _Travelling(Waves):
 
 
 def wavenumbers(frequency_hz: float) -> tuple[float, float]:
-    """Return the wavenumbers of surface waves in deep water and in water of `DEPTH`, rad/m.
+    """Return the wavenumbers of surface waves in deep water and in water of depth `DEPTH`, rad/m.
 
-    The latter is accurate to about 5 % (Eckart [1]_).
+    The wavenumber in shallow water is accurate to about 5 % (Eckart [1]_).
 
     References
     ----------
@@ -564,7 +598,7 @@ def wavenumbers(frequency_hz: float) -> tuple[float, float]:
 
 
 def _along(trial: Trial, series: Array | None, time_s: Array) -> Array:
-    """Return the measured place of the body at some times; zero if unknown."""
+    """Return the measured coordinate of the body at given times; zeros if it is unknown."""
     if series is None or not np.isfinite(series).any():
         return np.zeros(len(time_s))
     there = np.isfinite(series)
@@ -572,7 +606,7 @@ def _along(trial: Trial, series: Array | None, time_s: Array) -> Array:
 
 
 def _simulated(model: Model, trial: Trial, channel: str) -> Array:
-    """Return a channel of the model at its start values; zeros if it cannot be simulated."""
+    """Return a channel of the simulation at the start values; zeros if the simulation fails."""
     values = np.array(
         [trial.starts.get(p.name, p.start) if p.per_trial else p.start for p in model.parameters]
     )
@@ -584,11 +618,12 @@ def _simulated(model: Model, trial: Trial, channel: str) -> Array:
 
 
 def lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
-    """Return the strongest lines along an axis that neither the model nor the beat explains, Hz.
+    """Return the frequencies, Hz, of the strongest spectral lines of the tracks along an axis.
 
-    The slow course and the beat are removed by least squares from the residuals of each trial's track. The
-    power of each frequency is its sum over the trials of whose beat it is no harmonic. The beat of a rig is
-    the oscillation that drives it, because friction has harmonics of it too.
+    Lines that the model or the beat explains are excluded. A polynomial in time and the beat are removed by
+    least squares from the residuals of each trial's track. The power of a frequency is its mean over those
+    trials whose beat has no harmonic at the frequency. The beat of a rig is the oscillation of the simulated
+    track, because friction also has harmonics of that oscillation.
     """
     name = f"{axis}_m"
     use = [t for t in trials if name in t.measured and np.isfinite(t.measured[name]).sum() > 4 * ORDER]
@@ -630,13 +665,15 @@ def lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
 
 
 def oscillation(time_s: Array, series: Array) -> float:
-    """Return the frequency of the oscillation that makes most of a series, Hz; 0 if none does."""
+    """Return the frequency of the sine with most of the variance of a series, Hz; 0 if it has less than
+    half.
+    """
     from scipy.signal import lombscargle
 
     centred = series - series.mean()
     if len(series) < 2 * ORDER or not centred.any():
         return 0.0
-    # less than two periods may be a slow course
+    # Fewer than two periods could also be slow motion.
     lasting = float(time_s[-1] - time_s[0])
     highest = 0.5 / float(np.median(np.diff(time_s)))
     grid = np.arange(2.0, max(lasting * min(2.0 * HIGHEST, highest), 2.5), 0.25) / lasting

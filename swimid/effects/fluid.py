@@ -13,15 +13,15 @@ from swimid.effects.common import parameter
 from swimid.fitting.hooks import Force, traceable
 from swimid.logs.log import FREQUENCY_RTOL
 
-#: Smallest inertia that may remain, as a share of the rigid body's.
+#: Minimum inertia that may remain, as a fraction of the rigid body's inertia.
 LEAST = 0.5
 
 
 class AddedMass(Effect):
-    """Added mass beyond that of the model: of a rig, or along and across the links of a swimmer.
+    """Added mass in addition to that of the model: of a rig, or along and across the links of a swimmer.
 
-    It is distributed over the links of a swimmer in proportion to their masses, at their centres of mass.
-    Across, a further part may move with the last link.
+    On a swimmer, the added mass acts at the centres of mass of the links, in proportion to the masses of the
+    links. A further added mass across the last link may act there.
     """
 
     name = "added-mass"
@@ -31,11 +31,13 @@ class AddedMass(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Whether the model is a rig or a free swimmer."""
+        """Return whether the model is a rig or a free swimmer."""
         return model.rig is not None or common.free_body(model) is not None
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the added mass along and across all links, kg, or that of the rig's coordinate."""
+        """Return the added mass along and across all links, kg, or the added mass of a rig (added inertia
+        for an angle).
+        """
         body = model.body
         if body is not None:
             masses = body.masses_kg
@@ -55,7 +57,7 @@ class AddedMass(Effect):
         return (parameter(name, unit, 0.05 * size, words, lower=-LEAST * own),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Add to the inertia."""
+        """Return hooks that add to the inertia."""
         body = model.body
         if body is not None:
             masses = body.masses_kg
@@ -71,31 +73,31 @@ class AddedMass(Effect):
         return common.add_to_coefficient("inertia", values[0])
 
 
-#: Speed, m/s or rad/s, below which the drag is zero; it avoids a division by zero.
+#: Speed, m/s or rad/s, below which the drag is zero. It avoids a division by zero.
 TINY = 1e-30
 
 
 @traceable(on="hull", constants=3)
 def changed_drag(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Add the change of ``-k u |u|`` by ``C = C_0 (|u| / u_ref)^-n``; constants k, n and u_ref."""
+    """Add the change of the drag ``-k u |u|`` by ``C = C_0 (|u| / u_ref)^-n``. Constants: k, n and u_ref."""
     u = velocity[0]
     speed = max(abs(u), TINY)
     wrench[0] -= constants[0] * u * abs(u) * ((speed / constants[2]) ** -constants[1] - 1.0)
 
 
 class DragReynolds(Effect):
-    """A drag coefficient ``C = C_0 (|u| / u_ref)^-n``.
+    """A drag coefficient that depends on speed, ``C = C_0 (|u| / u_ref)^-n``.
 
-    n is 0.5 for a laminar boundary layer, and 0.2 for a turbulent one. It changes the axial drag, of all
-    links of a swimmer together at its heaviest one. Its other form changes all drag coefficients of a
-    swimmer's links by the mean speed of each trial.
+    n is 0.5 for a laminar boundary layer and 0.2 for a turbulent one. In the first form, the effect changes
+    the axial drag. The axial drag of all links of a swimmer then acts at the heaviest link. In the second
+    form, the effect changes all drag coefficients of a swimmer's links, by the mean speed of each trial.
 
     Parameters
     ----------
     reference_m_s : float
         Speed u_ref at which the model's coefficient holds (rad/s for an angle).
     whole : bool
-        All drag coefficients change, from trial to trial.
+        Whether all drag coefficients change, with one factor for each trial.
     """
 
     name = "drag-reynolds"
@@ -116,7 +118,7 @@ class DragReynolds(Effect):
         if not body.free or body.axial_drag(body.tables()) <= 0:
             return []
         speeds = [model.scales([trial]).speed for trial in trials]
-        # trials of one speed do not show how the drag changes with it
+        # Trials of a single speed do not show how the drag changes with speed.
         if not speeds or max(speeds) <= (1.0 + FREQUENCY_RTOL) * min(speeds):
             return [DragReynolds(typical)]
         return [DragReynolds(typical), DragReynolds(typical, whole=True)]
@@ -127,7 +129,7 @@ class DragReynolds(Effect):
         return (parameter(name, "1", 0.2, "the drag coefficient falls as speed^-n", -1.5, 1.5),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Add the difference to the model's quadratic drag, or change its coefficients."""
+        """Return hooks that change the model's quadratic drag, or its drag coefficients."""
         body = model.body
         if self.whole:
             whole = common.require_links(model)
@@ -148,12 +150,12 @@ class DragReynolds(Effect):
 
 
 class LiftDamping(Effect):
-    """Lift ``-k V w`` of each link, V its speed through the water and w that across.
+    """Lift ``-k V w`` of each link, with the speed V of the link through the water and its component w across
+    the link.
 
-    A normal force ``rho / 2 S C_N V^2`` with ``C_N = C_Na sin(a)``, linear in a small angle of attack a,
-    dissipates energy as a damping does. k is distributed over the points at which the model's drag acts
-    across its links, in proportion to that drag, because both are proportional to the area seen from the
-    side.
+    The normal force is ``rho / 2 S C_N V^2`` with ``C_N = C_Na sin(a)`` for a small angle of attack a. This
+    force dissipates energy like a damping. k is distributed over the points at which the model's drag across
+    the links acts, in proportion to that drag. Both are proportional to the area seen from the side.
     """
 
     name = "lift-damping"
@@ -166,15 +168,16 @@ class LiftDamping(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Whether the model is a free swimmer with drag across a link."""
+        """Return whether the model is a free swimmer with drag across a link."""
         body = common.free_body(model)
         return body is not None and len(body.normal_drag(body.tables())[0]) > 0
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return k of all links, ``rho / 2 S C_Na``, N s2/m2.
+        """Return the sum of k over all links, ``rho / 2 S C_Na``, N s2/m2.
 
         The scale is a tenth of the model's drag across all links. The lift slope of a body of low aspect
-        ratio is about 1 per rad, as large as a drag coefficient across it, and a tenth of it is visible.
+        ratio is about 1 per rad, as large as a drag coefficient across the body. A tenth of this lift is
+        visible.
         """
         body = common.require_links(model)
         size = 0.1 * float(body.normal_drag(body.tables())[1][:, 2].sum())
@@ -182,16 +185,16 @@ class LiftDamping(Effect):
         return (parameter("lift_N_s2_m2", "N s^2/m^2", size, words, 0.0, 100.0 * size),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Add points with lift."""
+        """Return hooks that add lift at the points of the model's drag across the links."""
         body = common.require_links(model)
         links, points = body.normal_drag(body.tables())
         points[:, 2] *= float(values[0]) / points[:, 2].sum()
         return Hooks(tables=(lambda tables: body.lift(tables, links, points),))
 
 
-#: Parameters of models that are a linear drag.
+#: Parameters of models that already describe a linear drag.
 OWN = ("linear_drag", "linear_damping")
-#: Name and unit of a force per speed, by the unit of the force.
+#: Name and unit of the linear drag coefficient, by the unit of the model's force.
 UNITS = {
     "N": ("linear_N_s_m", "N s/m"),
     "N m": ("linear_N_m_s_rad", "N m s/rad"),
@@ -200,9 +203,9 @@ UNITS = {
 
 
 class LinearDrag(Effect):
-    """Drag ``-c v`` of the body, along and across.
+    """Linear drag ``-c v`` of the body, with the same coefficient along and across the body.
 
-    The drag of a swimmer acts at the centre of mass of its heaviest link.
+    On a swimmer the drag acts at the centre of mass of the heaviest link.
     """
 
     name = "linear-drag"
@@ -212,18 +215,20 @@ class LinearDrag(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Whether the body moves and the model does not estimate it."""
+        """Return whether the base of the body moves and the model does not estimate a linear drag."""
         held = model.body is not None and not model.body.free
         return super().applies(model, trials) and not held and not model.estimates(*OWN)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the force per speed, N s/m; moment per rate for an angle, 1/s for a model per mass."""
+        """Return the drag per speed: N s/m, N m s/rad for an angle, or 1/s for a model with forces per
+        mass.
+        """
         name, unit = UNITS[model.force_unit]
         scales, least = model.scales(trials), -model.start(*OWN)
         return (parameter(name, unit, scales.brake / scales.speed, "drag per speed", lower=least),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Add to the linear drag."""
+        """Return hooks that add to the linear drag."""
         body = model.body
         if body is not None:
             at = body.centre(body.hull)
@@ -232,7 +237,9 @@ class LinearDrag(Effect):
 
 
 class QuadraticDrag(common.RigCoefficient):
-    """Drag ``-c v |v|`` of separated flow: form drag of a towed body, vortex damping of one that swings."""
+    """Drag ``-c v |v|`` of separated flow: form drag of a towed body, or vortex damping of a body that
+    swings.
+    """
 
     name = "quadratic-drag"
     meaning = "drag in proportion to the square of the speed"
@@ -244,7 +251,7 @@ class QuadraticDrag(common.RigCoefficient):
     own = ("quadratic_drag", "quadratic_damping", "drag_coefficient")
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the force per squared speed, N s2/m2; moment per squared rate for an angle."""
+        """Return the drag per squared speed, N s2/m2, or N m s2/rad2 for an angle."""
         linear, angular = ("quadratic_N_s2_m2", "N s^2/m^2"), ("quadratic_N_m_s2_rad2", "N m s^2/rad^2")
         name, unit = common.pick_by_motion(model, linear, angular)
         scales = model.scales(trials)
@@ -252,15 +259,16 @@ class QuadraticDrag(common.RigCoefficient):
         return (parameter(name, unit, size, "drag per squared speed", lower=-scales.quadratic),)
 
 
-#: Largest added mass per length, relative to that of the plate that gives the scale.
+#: Maximum added mass per length, divided by that of the plate that gives the scale.
 MOST = 10.0
 
 
 class WakeLift(Effect):
     """Reactive force ``-m u w n + m w^2 t / 2`` at the rear end of the last link.
 
-    u and w are the edge's velocities along and across its link, m the added mass per length there
-    (:mod:`swimid.swimmer.planar.assembly.trailing_edge`).
+    u and w are the velocities of the trailing edge along and across its link. m is the added mass per length
+    at the trailing edge. t and n are the unit vectors along and across the link
+    (:mod:`swimid.swimmer.planar.assembly`).
     """
 
     name = "wake-lift"
@@ -270,11 +278,13 @@ class WakeLift(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Whether the model is a swimmer of several links."""
+        """Return whether the model is a swimmer of several links."""
         return model.body is not None and model.body.last > 0
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the added mass per length at the edge, kg/m; the scale is a plate as high as its length."""
+        """Return the added mass per length at the trailing edge, kg/m. The scale comes from a square plate
+        of the link's length.
+        """
         body = common.require_links(model)
         plate = 0.25 * math.pi * body.density_kg_m3 * body.lengths_m[-1] ** 2
         words = "added mass per length at the trailing edge"
@@ -282,6 +292,6 @@ class WakeLift(Effect):
         return (parameter("added_mass_kg_m", "kg/m", 0.1 * plate, words, 0.0, most),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Add a trailing edge."""
+        """Return hooks that add a trailing edge."""
         body = common.require_links(model)
         return Hooks(tables=(lambda tables: body.shed(tables, float(values[0])),))

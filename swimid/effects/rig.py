@@ -13,7 +13,7 @@ from swimid.effects.common import parameter
 
 
 class InitialSpeed(common.RigCoefficient):
-    """The same speed at release in every trial."""
+    """An initial speed that is equal in every trial."""
 
     name = "initial-speed"
     meaning = "speed at release"
@@ -28,10 +28,10 @@ class InitialSpeed(common.RigCoefficient):
 
 
 class PulleyFriction(common.RigCoefficient):
-    """Dry friction ``F - f_c sgn(v)`` of a rig, beyond that of the model (boxfish, Eq 7).
+    """Dry friction of a rig in addition to that of the model, ``f_c sgn(v)`` in boxfish, Eq 7.
 
-    On a falling-weight rig it is the friction of the pulley, in the trials that have one. If no trial has
-    one, it is that of the slide on which the body moves.
+    On a falling-weight rig it is the friction of the pulley, in the trials with a pulley. If no trial has a
+    pulley, it is the friction of the slide on which the body moves.
     """
 
     name = "pulley-friction"
@@ -44,12 +44,12 @@ class PulleyFriction(common.RigCoefficient):
         self.pulley = not everywhere
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return the form for the pulley or the slide, for rigs whose model does not estimate it."""
+        """Return the form for the pulley or for the slide, if the model does not estimate the friction."""
         form = PulleyFriction(everywhere=not common.has_pulley(trials))
         return common.RigCoefficient.variants(form, model, trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the friction beyond that of the model, N (N m for an angle)."""
+        """Return the friction in addition to that of the model, N (N m for an angle)."""
         name, unit = common.pick_by_motion(model, ("friction_N", "N"), ("friction_N_m", "N m"))
         words = "dry friction beyond the model's"
         size = model.scales(trials).brake
@@ -57,9 +57,9 @@ class PulleyFriction(common.RigCoefficient):
 
 
 class PulleyInertia(common.RigCoefficient):
-    """The pulley's moment of inertia over its radius squared, added to M in Eq 8 of the boxfish paper.
+    """The pulley's moment of inertia divided by its squared radius, added to M in Eq 8 of the boxfish paper.
 
-    In one body of water it cannot be told from added mass; trials with and without a pulley show it.
+    Trials of one body in water do not distinguish it from added mass. Trials with and without a pulley do.
     """
 
     name = "pulley-inertia"
@@ -76,7 +76,7 @@ class PulleyInertia(common.RigCoefficient):
 
 
 class PulleyViscous(common.RigCoefficient):
-    """Friction in proportion to the pulley's speed, ``-b v``: a lubricated bearing."""
+    """Friction ``-b v`` proportional to the speed of the pulley, as in a lubricated bearing."""
 
     name = "pulley-viscous"
     meaning = "friction of the pulley that grows with its speed"
@@ -86,14 +86,14 @@ class PulleyViscous(common.RigCoefficient):
     pulley = True
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the force per speed, N s/m."""
+        """Return the friction per speed, N s/m."""
         scales, least = model.scales(trials), -model.start(*self.own)
         size = 0.1 * scales.force / scales.speed
         return (parameter("viscous_N_s_m", "N s/m", size, "friction of the pulley per speed", lower=least),)
 
 
 class StartOffset(common.RigCoefficient):
-    """The same displacement at release in every trial."""
+    """A displacement at release that is equal in every trial."""
 
     name = "start-offset"
     meaning = "displacement at release"
@@ -107,7 +107,7 @@ class StartOffset(common.RigCoefficient):
         return (parameter(f"offset_{unit}", unit, 0.01 * model.scales(trials).span, self.meaning),)
 
 
-#: Gravity in the pulling forces of trials, m/s2.
+#: Gravitational acceleration in the pulling forces of trials, m/s2.
 GRAVITY = 9.81
 
 
@@ -118,17 +118,18 @@ def oscillation(time, pull, omega, damping, start):  # type: ignore[no-untyped-d
     Parameters
     ----------
     time : ndarray, shape (n,), s
-        Increasing.
+        Increasing times.
     pull : ndarray, shape (n,)
-        Linear between the times.
+        Right-hand side, linear between the times.
     omega, damping : float
-        Natural frequency, rad/s, and damping ratio, below 1.
+        Natural frequency, rad/s, and damping ratio zeta, below 1.
     start : float
+        Initial value of s.
 
     Returns
     -------
     ndarray, shape (n,)
-        Exact for a pull that is linear between the samples.
+        Exact solution at the times.
     """
     stretch = np.empty(len(time))
     s, w = start, 0.0
@@ -150,13 +151,14 @@ def oscillation(time, pull, omega, damping, start):  # type: ignore[no-untyped-d
 
 
 class StringStretch(Effect):
-    """The weight oscillates on the string while it pulls the body.
+    """Oscillation of the weight on the string while it pulls the body.
 
-    With the acceleration ``a`` of the body, the stretch beyond that under the resting weight obeys
-    ``s'' + 2 zeta omega s' + omega^2 s = -a``, ``omega^2 = 1 / (compliance m_w)``. In the long run
-    ``s = -compliance m_w a``. A string that did not carry the whole weight before the release starts at
-    ``s_0 = -unloaded compliance m_w g``. The pulley shows ``x + s - s_0``. The force of the oscillation on
-    the body is smaller by the ratio of weight to body, and is neglected.
+    ``a`` is the acceleration of the body and ``m_w`` the mass of the weight. The stretch ``s`` is counted
+    from the stretch under the resting weight. It obeys ``s'' + 2 zeta omega s' + omega^2 s = -a`` with
+    ``omega^2 = 1 / (compliance m_w)``. After a long time, ``s = -compliance m_w a``. A string that did not
+    carry the whole weight before the release starts at ``s_0 = -unloaded compliance m_w g``. The pulley
+    measures ``x + s - s_0``. The force of the oscillation on the body is smaller by the ratio of the weight
+    to the body, and is neglected.
     """
 
     name = "string-stretch"
@@ -165,11 +167,13 @@ class StringStretch(Effect):
     needs = frozenset({"coefficients"})
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Whether a weight pulls over a pulley."""
+        """Return whether a weight pulls over a pulley."""
         return common.is_pulled(model) and common.has_pulley(trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return compliance, m/N, share of the weight taken up after the release, and damping ratio."""
+        """Return the compliance, m/N, the fraction of the weight that the string takes up only after the
+        release, and the damping ratio.
+        """
         scales = model.scales(trials)
         scale = 0.01 * scales.span / scales.force
         words = "share of the weight that the string did not carry at release"
@@ -181,7 +185,7 @@ class StringStretch(Effect):
         )
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return sizes of the compliance, for a slack and for a taut string."""
+        """Return sizes of the compliance, for a string that is slack and for one that is taut at release."""
         compliance, _, damping = parameters
         return [
             np.array([size * compliance.scale, unloaded, damping.start])
@@ -190,7 +194,7 @@ class StringStretch(Effect):
         ]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Add the stretch to the displacement that the pulley shows."""
+        """Return hooks that add the stretch to the displacement that the pulley measures."""
         compliance, unloaded, damping = (float(v) for v in values)
         weight = trial.rig.pull / GRAVITY
         if compliance <= 0 or weight <= 0 or not trial.rig.pulley:

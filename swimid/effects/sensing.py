@@ -15,7 +15,7 @@ from swimid.fitting.model import MEAN_SPEED
 
 
 class CameraRotation(Effect):
-    """Positions that are turned about the start of the trial; the heading is unchanged."""
+    """Measured positions that are rotated about the start of the trial. The heading is unchanged."""
 
     name = "camera-rotation"
     meaning = "The axes of the measured positions are turned against those of the measured heading."
@@ -24,25 +24,27 @@ class CameraRotation(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Whether both positions are measured and the model does not estimate it."""
+        """Return whether both positions are measured and the model does not estimate the rotation of the
+        camera.
+        """
         if model.body is None or model.estimates("camera_rotation"):
             return False
         return super().applies(model, trials) and _both_measured(model, trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the angle, rad."""
+        """Return the rotation angle, rad."""
         words = "axes of the positions against those of the heading"
         return (parameter("angle_rad", "rad", 0.03, words, -math.pi, math.pi),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Turn the positions."""
+        """Return hooks that rotate the positions."""
         angle = float(values[0])
         first, second, _ = common.require_links(model).pose
         origin = model.origin(trial)
 
         def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
             a, b = channels[first] - origin[first], channels[second] - origin[second]
-            # the difference to the unturned, so that a zero angle changes nothing
+            # Add the difference to the unrotated position, so that a zero angle changes nothing.
             c, s = math.cos(angle) - 1.0, math.sin(angle)
             return {
                 **channels,
@@ -54,19 +56,20 @@ class CameraRotation(Effect):
 
 
 def _both_measured(model: Model, trials: Trials) -> bool:
-    """Whether both coordinates of the position of a planar robot are measured."""
+    """Return whether both coordinates of the position of a planar robot are measured."""
     return len(common.select_measured(common.require_links(model).pose[:2], trials)) == 2
 
 
-#: Number of Newton steps from the picture of a place to the place.
+#: Number of Newton steps in the computation of a position from its image.
 ITERATIONS = 8
 
 
 class CameraScale(common.Sensing):
-    """Displacements and speeds times ``1 + scale_error``, about the start of the trial.
+    """Measured displacements from the start of the trial, and speeds, that are multiplied by ``1 +
+    scale_error``.
 
-    On a rig it is the circumference of the encoder's pulley. On a cruising run it is the length of the course
-    or the rate of the clock.
+    On a rig it is an error of the circumference of the encoder's pulley. On a cruising run it is an error of
+    the length of the course, or of the rate of the clock.
     """
 
     name = "camera-scale"
@@ -80,7 +83,9 @@ class CameraScale(common.Sensing):
     smooth = True
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return the constant scale, and for a swimmer in a plane one with the distortion of a lens."""
+        """Return the form with a constant scale, and for a swimmer in a plane also the form with lens
+        distortion.
+        """
         found = super().variants(model, trials)
         if found and common.free_body(model) and _both_measured(model, trials):
             return [*found, _Lens()]
@@ -91,13 +96,14 @@ class CameraScale(common.Sensing):
         return (parameter("scale_error", "1", 0.03, "relative error of the lengths", -0.5, 1.0),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Scale positions and speeds."""
+        """Return hooks that scale positions and speeds."""
         error, origin = float(values[0]), model.origin(trial)
         return self.show(lambda name, length: length + error * (length - origin.get(name, 0.0)))
 
 
 class _Lens(CameraScale):
-    """A scale that changes towards the edge of the picture: a lens that is not, or wrongly, rectified.
+    """A scale that changes towards the edge of the image, because the distortion of the lens was not
+    corrected well.
 
     A body at *p* is seen at ``c + (1 + e) (p - c) (1 + k |p - c|^2)``: radial distortion of the first order
     about the centre *c* [1]_.
@@ -110,11 +116,13 @@ class _Lens(CameraScale):
     meaning = "The measured lengths are too long or too short, more so far from the centre of the picture."
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return none: it is a form of another effect."""
+        """Return no forms, because the class is itself a form of ``camera-scale``."""
         return []
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the relative error at the centre, the distortion (1/m2) and the centre (m)."""
+        """Return the relative scale error at the centre, the distortion (1/m2) and the centre of the image
+        (m).
+        """
         places = np.concatenate([_places(model, t) for t in trials])
         places = places[np.isfinite(places)]
         middle = complex(np.mean(places)) if len(places) else 0j
@@ -137,22 +145,27 @@ class _Lens(CameraScale):
         )  # fmt: skip
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return both errors, with both signs; the centre alone changes nothing."""
+        """Return points with either the scale error or the distortion, with both signs. The centre alone
+        changes nothing.
+        """
         return [point for point in super().tries(parameters) if point[0] or point[1]]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Show positions as the lens does, and speeds with the scale of its centre."""
+        """Return hooks that show positions through the lens, and speeds with the scale at the centre of
+        the image.
+        """
         error, bent, centre = 1.0 + float(values[0]), float(values[1]), complex(values[2], values[3])
         first, second = common.require_links(model).pose[:2]
         origin = model.origin(trial)
         begin = complex(origin[first], origin[second])
 
         def moved(place: Any) -> Any:
-            """Return the distance between a place and its picture."""
+            """Return the displacement from a position to its image."""
             off = place - centre
             return off * (error * (1.0 + bent * np.abs(off) ** 2) - 1.0)
 
-        # the place that is first seen at the origin of the trial, by Newton's method for its distance
+        # Find the position whose image is the origin of the trial, by Newton's method for the distance from
+        # the centre.
         off = begin - centre
         shown = abs(off) / error
         distance = shown
@@ -172,28 +185,29 @@ class _Lens(CameraScale):
 
 
 def _places(model: Model, trial: Trial) -> Array:
-    """Return the measured places of the body, with two axes as one complex number; none if unknown."""
+    """Return the measured positions of the body as complex numbers (two axes); empty if they are unknown."""
     first, second = (trial.measured.get(name) for name in common.require_links(model).pose[:2])
     if first is None or second is None:
         return np.empty(0, dtype=complex)
     return np.asarray(first + 1j * second)
 
 
-#: Largest relative error of a clock, either way: RC oscillators without calibration are 10 % off.
+#: Maximum relative error of a clock, fast or slow. RC oscillators without calibration are up to 10 % off.
 LARGEST = 0.1
 
 
 class ClockRate(Effect):
-    """A stamp ``t`` of the log shows the event at ``t_0 + (t - t_0) / (1 + rate)``.
+    """A clock that runs fast: the time stamp ``t`` belongs to the event at ``t_0 + (t - t_0) / (1 + rate)``.
 
     The clocks of log and drive agree at ``t_0``, where the drive or the run begins (the first sample of a
-    recorded command or input). Their difference there is ``time-offset``. If a log holds turn rates beside
-    poses, the clock of the camera alone may run at another rate than that of the robot.
+    recorded command or input). A difference at ``t_0`` is the effect ``time-offset``. If a log contains turn
+    rates in addition to poses, the clock of the camera alone may run at another rate than the clock of the
+    robot.
 
     Parameters
     ----------
     camera : bool
-        The clock stamps only the poses.
+        Whether only the poses have the clock with the wrong rate.
     """
 
     name = "clock-rate"
@@ -209,20 +223,25 @@ class ClockRate(Effect):
         self.camera = camera
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return the clock of the log, and the camera's alone if it has its own."""
+        """Return the form for the clock of the log, and the form for the camera alone if it has its own
+        clock.
+        """
         forms = list(super().variants(model, trials))
         if common.has_camera_clock(model, trials):
             forms.append(ClockRate(camera=True))
         return forms
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the share by which the log runs fast; 0.2 % are 20 ms after 10 s, a visible offset."""
+        """Return the fraction by which the clock of the log runs fast.
+
+        The scale of 0.2 % is 20 ms after 10 s, which is a visible offset.
+        """
         name = "camera_rate" if self.camera else "rate"
         words = "share by which the clock of the log is fast"
         return (parameter(name, "1", 0.002, words, -LARGEST, LARGEST),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Let the clock drift from the begin of the run."""
+        """Return hooks that let the clock drift from the beginning of the run."""
         rate = float(values[0])
         begin = model.onset(trial)
         if not math.isfinite(begin):
@@ -236,7 +255,7 @@ class ClockRate(Effect):
 
 
 class ImuBias(common.Sensing):
-    """A constant added to the turn rate."""
+    """A constant that is added to the measured turn rate."""
 
     name = "imu-bias"
     meaning = "The gyroscope shows a constant turn rate at rest."
@@ -249,12 +268,12 @@ class ImuBias(common.Sensing):
         return (parameter("bias_rad_s", "rad/s", 0.02, "turn rate shown at rest", -1.0, 1.0),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Add the bias to the turn rates."""
+        """Return hooks that add the bias to the turn rates."""
         return self.show(lambda name, rate: rate + float(values[0]))
 
 
 class ImuTilt(common.Sensing):
-    """The turn rate in the plane of motion times the cosine of a tilt."""
+    """A tilted gyroscope: the turn rate in the plane of motion is multiplied by the cosine of the tilt."""
 
     name = "imu-tilt"
     meaning = "The inertial sensor is tilted: its axis sees only part of the turn rate."
@@ -266,15 +285,15 @@ class ImuTilt(common.Sensing):
         return (parameter("tilt_rad", "rad", 0.2, "tilt of the gyroscope's axis", 0.0, 1.4),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Reduce the turn rates."""
+        """Return hooks that reduce the turn rates."""
         return self.show(lambda name, rate: math.cos(float(values[0])) * rate)
 
 
 class MarkerDropout(Effect):
     """Intervals in which the tracker stopped, jumped to another object or strayed.
 
-    No simulation contains it. It is found in the samples, which are constant, displaced or far outside the
-    noise.
+    Simulations do not contain this effect. It is found in the samples, which are constant, displaced or far
+    outside the noise.
     """
 
     name = "marker-dropout"
@@ -286,23 +305,24 @@ class MarkerDropout(Effect):
     needs = frozenset()
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return none: nothing is simulated, so that it applies to no model."""
+        """Return no parameters, because the effect is not simulated."""
         return ()
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return none."""
+        """Return no hooks."""
         return NONE
 
 
-#: Largest offset of a marker, m.
+#: Maximum offset of a marker, m.
 FARTHEST_M = 0.5
 
 
 class MarkerOffset(Effect):
-    """The tracked point lies beside the reference point, and the tracked direction beside the heading.
+    """A tracked point away from the reference point, and a tracked direction that differs from the heading.
 
-    The position is ``x + R(yaw) (along, across)`` less its value at the first sample, the heading is
-    ``yaw + misalignment``, and the velocity is that of the point in the axes of that direction.
+    The measured position is ``x + R(yaw) (along, across)``, minus the offset at the first sample. The
+    measured heading is ``yaw + misalignment``. The measured velocity is that of the tracked point, in axes
+    along and across the tracked direction.
     """
 
     name = "marker-offset"
@@ -312,14 +332,16 @@ class MarkerOffset(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Whether a pose or a velocity of the body is measured."""
+        """Return whether a pose or a velocity of the body is measured."""
         body = common.free_body(model)
         if body is None or not super().applies(model, trials):
             return False
         return bool(common.select_measured((*body.pose, *body.velocity[:2]), trials))
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the tracked point ahead of and beside the reference point, m, and its direction, rad."""
+        """Return the position of the tracked point ahead of and beside the reference point, m, and its
+        direction, rad.
+        """
         return tuple(
             parameter(name, unit, size, words, -most, most)
             for name, unit, size, words, most in (
@@ -330,7 +352,7 @@ class MarkerOffset(Effect):
         )
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Show pose and velocity of the tracked point."""
+        """Return hooks that show pose and velocity of the tracked point."""
         body = common.require_links(model)
         along, across, turn = (float(v) for v in values)
         (first, second, heading), (ahead, beside, rate) = body.pose, body.velocity
@@ -340,7 +362,7 @@ class MarkerOffset(Effect):
             c, s = np.cos(yaw), np.sin(yaw)
             a, b = along * c - across * s, along * s + across * c
             u, v = channels[ahead] - across * r, channels[beside] + along * r
-            # the difference to the unturned, so that a zero angle changes nothing
+            # Add the difference to the unrotated velocity, so that a zero angle changes nothing.
             cosine, sine = math.cos(turn) - 1.0, math.sin(turn)
             return {
                 **channels,
@@ -354,20 +376,20 @@ class MarkerOffset(Effect):
         return Hooks(output=(seen,))
 
 
-#: Largest offset of a clock, s.
+#: Maximum offset of a clock, s.
 LARGEST_S = 2.0
 
 
 class TimeOffset(Effect):
-    """The log shows events a constant time earlier; a timed run takes longer by that time.
+    """A clock with a constant offset, so that the log shows events earlier and a timed run takes longer.
 
-    If a log holds turn rates beside poses, the clock of the camera alone may be late against that of the
-    robot.
+    If a log contains turn rates in addition to poses, the clock of the camera alone may be late relative to
+    the clock of the robot.
 
     Parameters
     ----------
     camera : bool
-        Only poses are late.
+        Whether only the poses have the clock with the offset.
     """
 
     name = "time-offset"
@@ -384,7 +406,10 @@ class TimeOffset(Effect):
         self.camera = camera
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return the clock that the model does not estimate, and the camera's alone if it has its own."""
+        """Return the form for a clock that the model does not estimate.
+
+        If the camera has its own clock, there is also a form for the camera alone.
+        """
         if model.timed_runs:
             return [self]
         if model.estimates("clock_offset"):
@@ -401,7 +426,7 @@ class TimeOffset(Effect):
         return (parameter(name, "s", typical, "time by which the log is late", -LARGEST_S, LARGEST_S),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Delay the clock, or lengthen the times of cruising runs."""
+        """Return hooks that delay the clock, or lengthen the durations of cruising runs."""
         offset = float(values[0])
         if self.camera and offset != 0.0:
             return common.shift_poses(trial, lambda time_s: time_s - offset)
@@ -414,7 +439,7 @@ class TimeOffset(Effect):
         def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
             speed = channels[MEAN_SPEED]
             with np.errstate(divide="ignore"):
-                # a stopwatch shows at least a tenth of the run
+                # The measured duration is at least a tenth of the true duration.
                 longer = np.maximum(1.0 + offset * speed / distance, 0.1)
             return {**channels, MEAN_SPEED: speed / longer}
 

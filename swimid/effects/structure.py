@@ -18,9 +18,10 @@ from swimid.fitting.model import typical
 
 
 class ComOffset(Effect):
-    """A displacement of the heaviest link's mass along and across it.
+    """A displacement of the centre of mass of the heaviest link, along and across the link.
 
-    Its inertia about the centre is unchanged. If the model has weights, the weight moves with it.
+    The inertia about the centre of mass is unchanged. If the model has weights, the weight moves with the
+    mass.
     """
 
     name = "com-offset"
@@ -30,11 +31,13 @@ class ComOffset(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Whether the model is a free swimmer."""
+        """Return whether the model is a free swimmer."""
         return common.free_body(model) is not None
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the offsets forwards and to port (up in the vertical plane), m."""
+        """Return the offsets of the centre of mass, m: forwards, and to port (upwards in the vertical
+        plane).
+        """
         body = common.require_links(model)
         length = body.lengths_m[body.hull]
         size, most = 0.01 * length, 0.2 * length
@@ -44,7 +47,7 @@ class ComOffset(Effect):
         )
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Move the mass, and its weight."""
+        """Return hooks that move the mass and its weight."""
         body = common.require_links(model)
         by = float(values[0]), float(values[1])
         return Hooks(tables=(lambda tables: body.shift(tables, body.hull, by),))
@@ -52,11 +55,12 @@ class ComOffset(Effect):
 
 @traceable(on="last", constants=3)
 def bent_fin(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Add the change of the fin's normal force by bending; constants compliance, quadratic and lift gain.
+    """Add the change of the fin's normal force by bending. Constants: compliance, quadratic drag and lift
+    coefficient.
 
-    The normal force ``N = -(k |w| + l u) w`` of the straight fin turns its chord by
-    ``delta = -c N / sqrt(1 + (c N)^2)``. The force of the bent fin acts across its own chord, on the motion
-    across it.
+    The normal force ``N = -(k |w| + l u) w`` of the straight fin rotates its chord by ``delta = -c N / sqrt(1
+    + (c N)^2)``. The force of the bent fin is normal to the rotated chord, and is computed from the
+    velocities along and across that chord.
     """
     compliance, quadratic, lift = constants[0], constants[1], constants[2]
     u, w = velocity[0], velocity[1]
@@ -73,14 +77,14 @@ def bent_fin(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-d
 class FinFlexibility(Effect):
     """A caudal fin that bends in proportion to the force across it (quasi-static, first bending mode).
 
-    The chord of a swimmer's fin turns by compliance times load, which tilts the force forwards and reduces
-    the load. A model of the average over a beat loses thrust by ``1 / (1 + kappa L)`` with the load ``L = I
-    f^2 theta`` over its typical size.
+    The chord of a swimmer's fin rotates by the compliance times the load. This tilts the force forwards and
+    reduces the load. In a model of the average over a beat, thrust is divided by ``1 + kappa L``. L is the
+    load ``I f^2 theta`` divided by its typical value.
 
     Parameters
     ----------
     load, inertia_kg_m2 : float
-        Typical ``I f^2 theta`` of the trials, and the inertia of a fin whose own is unknown.
+        Typical load ``I f^2 theta`` of the trials, and the inertia of fins with unknown inertia.
     """
 
     name = "fin-flexibility"
@@ -92,7 +96,9 @@ class FinFlexibility(Effect):
         self.load, self.inertia_kg_m2 = load, inertia_kg_m2
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return the form for swimmers with drag or lift across the last link, or for models of strokes."""
+        """Return the form for swimmers with drag or lift across the last link, or for models of the
+        average over a stroke.
+        """
         body = model.body
         if body is not None and sum(body.fin(body.tables())[:2]) > 0:
             return [self]
@@ -101,7 +107,9 @@ class FinFlexibility(Effect):
         return []
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the chord angle per force, rad/N, or the loss per load, 1."""
+        """Return the angle of the chord per force, rad/N, or the relative loss of thrust at the typical
+        load.
+        """
         body = model.body
         if body is not None:
             quadratic, lift, _ = body.fin(body.tables())
@@ -113,7 +121,7 @@ class FinFlexibility(Effect):
         return (parameter("loss", "1", 0.2, "loss of thrust at the typical load", 0.0, 20.0),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Add a force on the last link, or a factor on the thrust."""
+        """Return hooks that add a force on the last link, or reduce the thrust."""
         body = model.body
         if body is not None:
             constants = np.array([values[0], 0.0, 0.0])
@@ -133,14 +141,14 @@ class FinFlexibility(Effect):
 
 
 def _stroke_speed(model: Model, length: float, trials: Trials) -> float:
-    """Return the typical speed of a fin of this length (m) across itself, m/s."""
+    """Return the typical speed across the fin at the end of a fin of this length (m), m/s."""
     beats = [t.swim.beat for t in trials if t.swim.beat is not None]
     speeds = [2.0 * math.pi * b.frequency_hz * abs(b.amplitude_rad) * length for b in beats]
     return typical(speeds, 0.0) or model.scales(trials).speed
 
 
 def _typical(trials: Trials) -> tuple[float, float]:
-    """Return median load and median inertia of the fins, 1 if unknown."""
+    """Return the median load and the median inertia of the fins; 1 if unknown."""
     middle = typical([t.cruise.inertia_kg_m2 for t in trials if t.cruise.inertia_kg_m2 is not None], 1.0)
     loads: list[float] = []
     for trial in trials:
@@ -154,16 +162,16 @@ def _typical(trials: Trials) -> tuple[float, float]:
 
 @cfunc(FORCE_SIGNATURE, cache=True)
 def cubic(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Add ``-k_3 (x - rest)^3``; constants cubic stiffness and rest position."""
+    """Add the force ``-k_3 (x - rest)^3``. Constants: cubic stiffness and rest position."""
     off = pose[0] - constants[1]
     wrench[0] -= constants[0] * off * off * off
 
 
 class Hardening(Effect):
-    """Duffing's spring ``-K (1 + h q^2) q``, of passive joints with a spring, or of a free decay.
+    """Duffing spring ``-K (1 + h q^2) q`` of passive joints with a spring, or of a free decay.
 
-    K is the model's stiffness at small deflections q; ``h < 0`` is a spring that softens. The restoring
-    moment of a roll is proportional to the sine, with ``h = -1/6`` per rad^2.
+    K is the model's stiffness at small deflections q. With ``h < 0`` the spring softens. The restoring moment
+    of a roll is proportional to the sine of the angle, which gives ``h = -1/6`` per rad^2.
     """
 
     name = "hardening"
@@ -175,14 +183,14 @@ class Hardening(Effect):
     needs = frozenset({"tables", "force"})
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Whether the model is a swimmer with a spring in a joint, or a decay."""
+        """Return whether the model is a swimmer with a spring in a joint, or a free decay."""
         return _has_spring(model)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the growth with squared deflection, rad^-2 or m^-2.
+        """Return the relative growth of the stiffness per squared deflection, rad^-2 or m^-2.
 
-        The scale is a fifth more torque at the largest deflection. A spring that softens keeps a positive
-        stiffness up to there, ``1 + 3 h q^2 > 0``.
+        With the scale, the torque at the largest deflection is larger by a fifth. The lower bound keeps the
+        stiffness of a softening spring positive up to the largest deflection, ``1 + 3 h q^2 > 0``.
         """
         largest = _deflection(model, trials)
         unit = "rad"
@@ -193,7 +201,7 @@ class Hardening(Effect):
         return (parameter(f"hardening_{unit}_2", f"{unit}^-2", size, words, least, 30.0 * size),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Add a cubic term to the springs."""
+        """Return hooks that add a cubic term to the springs."""
         body = model.body
         if body is not None:
 
@@ -211,7 +219,7 @@ class Hardening(Effect):
 
 
 def _deflection(model: Model, trials: Trials) -> float:
-    """Return the largest deflection of a typical trial, in the unit of the coordinate."""
+    """Return the largest deflection in a typical trial, in the unit of the coordinate."""
     if model.body is None:
         return 0.5 * model.scales(trials).span
     columns = [axis.column for axis in model.body.passive]
@@ -220,7 +228,7 @@ def _deflection(model: Model, trials: Trials) -> float:
 
 
 def _has_spring(model: Model) -> bool:
-    """Whether the model is a swimmer with a spring in a joint, or a free decay."""
+    """Return whether the model is a swimmer with a spring in a joint, or a free decay."""
     body = model.body
     if body is None:
         return model.rig is not None and model.rig.swings
@@ -229,7 +237,7 @@ def _has_spring(model: Model) -> bool:
 
 
 class JointDamping(Effect):
-    """Damping ``-d phi'`` at every passive joint, beyond that of the model."""
+    """Damping ``-d phi'`` of every passive joint, in addition to that of the model."""
 
     name = "joint-damping"
     meaning = "viscous friction of the passive joints beyond the model's"
@@ -238,11 +246,11 @@ class JointDamping(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Whether the model is a swimmer with a passive joint."""
+        """Return whether the model is a swimmer with a passive joint."""
         return model.body is not None and bool(model.body.passive)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the torque per rate, N m s/rad; its scale is a damping ratio of 0.05."""
+        """Return the torque per rate, N m s/rad. The scale corresponds to a damping ratio of 0.05."""
         body = common.require_links(model)
         tables, joints = body.tables(), range(len(body.passive))
         sizes = [
@@ -253,7 +261,7 @@ class JointDamping(Effect):
         return (parameter("damping_N_m_s_rad", "N m s/rad", size, words, lower=least),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Add to the damping."""
+        """Return hooks that add to the damping."""
         body = common.require_links(model)
 
         def damp(tables: dict[str, Any]) -> None:
@@ -263,17 +271,20 @@ class JointDamping(Effect):
         return Hooks(tables=(damp,))
 
 
-#: Largest lock of a joint, and the stiffness, relative to its own spring, that half a lock adds.
+#: Maximum locked fraction of a joint. The second value is the stiffness that a locked fraction of one half
+#: adds, divided by the stiffness of the joint's own spring.
 MOST, STIFFER = 0.97, 10.0
-#: Largest ``omega h`` of a locked joint, well inside the stability limit of the integration.
+#: Maximum product of natural frequency and integration step of a locked joint, well within the limit of
+#: stability.
 STABLE = 1.0
 
 
 class JointLocked(Effect):
-    """A joint that is held: a driven one moves by ``1 - lock`` of its way, a passive one is stiffened.
+    """A joint that is held in part: a driven joint moves by ``1 - lock`` of its command, a passive joint is
+    stiffer.
 
-    A passive joint gains the stiffness ``K lock / (1 - lock)``. K is ten times its own, or less if the
-    integration step could not follow.
+    A passive joint gains the stiffness ``K lock / (1 - lock)``. K is ten times its own stiffness, or less if
+    the integration would become unstable.
 
     Parameters
     ----------
@@ -290,7 +301,9 @@ class JointLocked(Effect):
         self.column = column
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return one form for each passive joint, and for each driven one that moves and is not measured."""
+        """Return one form for each passive joint, and for each driven joint that moves and is not
+        measured.
+        """
         if model.body is None:
             return []
         columns = [axis.column for axis in model.body.passive]
@@ -304,12 +317,12 @@ class JointLocked(Effect):
         return [JointLocked(column) for column in sorted(columns)]
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the share to which it is locked, 0 to nearly 1."""
+        """Return the locked fraction of the joint, from 0 to nearly 1."""
         words = f"share to which {self.column} is held"
         return (parameter(f"locked_{self.column.removesuffix('_rad')}", "1", 0.3, words, 0.0, MOST),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Hold the joint."""
+        """Return hooks that hold the joint."""
         body = common.require_links(model)
         lock = float(values[0])
         driven = [axis.column for axis in body.driven]
@@ -334,9 +347,10 @@ class JointLocked(Effect):
 
 
 class JointStiffness(Effect):
-    """Springs of the passive joints, or the restoring force of a free decay, other than those of the model.
+    """Springs of passive joints, or the restoring force of a free decay, that differ from those of the model.
 
-    With K the model's stiffness at small angles the torque gains ``-K (change + hardening phi^2) phi``.
+    With the model's stiffness K at small angles, the additional torque is ``-K (change + hardening phi^2)
+    phi``.
     """
 
     name = "joint-stiffness"
@@ -345,12 +359,14 @@ class JointStiffness(Effect):
     needs = frozenset({"tables", "coefficients"})
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Whether the model is a swimmer with a spring, or a decay whose stiffness is not estimated."""
+        """Return whether the model is a swimmer with a spring, or a free decay whose stiffness is not
+        estimated.
+        """
         known = model.body is None and model.estimates("stiffness")
         return _has_spring(model) and not known
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the relative change, and for a swimmer's joints the hardening."""
+        """Return the relative change of stiffness, and for a swimmer's joints also the hardening."""
         change = parameter("change", "1", 0.2, "relative change of stiffness", -0.95, 6.0)
         if model.body is None:
             return (change,)
@@ -358,12 +374,12 @@ class JointStiffness(Effect):
         return change, parameter("hardening_rad_2", "rad^-2", 2.0, words, -10.0, 60.0)
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return softer and stiffer springs, some several times as stiff, and hardening ones."""
+        """Return points with softer, stiffer (up to several times as stiff) and hardening springs."""
         changes = [np.array([c, 0.0][: len(parameters)]) for c in (-0.5, 0.3, 0.8, 1.6, 3.0)]
         return changes + [np.array([0.0, h]) for h in (2.0, 8.0) if len(parameters) > 1]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Add to the springs."""
+        """Return hooks that change the springs."""
         body = model.body
         if body is not None:
 
@@ -380,15 +396,15 @@ class JointStiffness(Effect):
         return Hooks(coefficients=(restoring,))
 
 
-#: Speed, as a share of the typical one, over which friction under a changing load sets in.
+#: Speed range around zero over which friction changes sign smoothly, as a fraction of the typical speed.
 ROUND = 0.02
 
 
 @cfunc(FORCE_SIGNATURE, cache=True)
 def loaded(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Add ``-mu |load| sgn(v)`` with a rounded sign, for the load of a spring and of a measured force.
+    """Add ``-mu |load| sgn(v)`` with a smoothed sign. The load is that of a spring and of a measured force.
 
-    Constants: mu, the rounding speed, stiffness and rest position of the spring, then times and forces.
+    Constants: mu, smoothing speed, stiffness and rest position of the spring, then times and forces.
     """
     count = (len(constants) - 4) // 2
     load = -constants[2] * (pose[0] - constants[3])
@@ -414,31 +430,32 @@ class Friction(Effect, ABC):
     Parameters
     ----------
     everywhere : bool
-        On a rig, it acts also in trials without a pulley.
+        Whether friction acts also in trials of a rig without a pulley.
     """
 
     def __init__(self, *, everywhere: bool = False) -> None:
         self.everywhere = everywhere
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return the form for rigs, or for models that a command drives in some trial."""
+        """Return the form for rigs, or the form for models that a command drives in some trial."""
         if model.rig is not None:
             return [type(self)(everywhere=not common.has_pulley(trials))]
         return super().variants(model, trials)
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Whether a command drives some trial."""
+        """Return whether a command drives some trial."""
         return "command" in model.offers and any(model.commanded(t) for t in trials)
 
 
 class LoadFriction(Friction):
-    """Dry friction ``mu |load|`` (Coulomb) of a bearing, slide or gear in proportion to the load it carries.
+    """Dry friction ``mu |load|`` (Coulomb) of a bearing, slide or gear, proportional to the load.
 
-    The load on the bearing, guide or slide of a rig is the pull of a weight (in the trials with a pulley, if
-    any has one), the measured force of a tow, or the restoring force of a decay (Reid's damping). A driven
-    joint carries the torque ``I q'' + D q' |q'|`` of inertia and drag beyond it, with the joint itself held
-    in place and those beyond it straight. A position servo of stiffness k stands still while it is closer to
-    its command than ``mu |torque| / k``.
+    On a rig, the load of the bearing, guide or slide is one of three forces: the pull of a weight (in the
+    trials with a pulley, if there are any), the measured force of a tow, or the restoring force of a decay
+    (Reid's damping). A driven joint carries the torque ``I q'' + D q' |q'|`` of the links that it moves. I is
+    their inertia and D their quadratic drag, with the joint itself fixed and the joints beyond it straight. A
+    position servo of stiffness k stands still while its distance from the command is below ``mu |torque| /
+    k``.
     """
 
     name = "load-friction"
@@ -452,13 +469,13 @@ class LoadFriction(Friction):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Whether a command drives a planar robot in some trial."""
+        """Return whether a command drives a planar robot in some trial."""
         return model.body is not None and bool(model.body.driven) and super().applies(model, trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the share of the load, or for servos the angle per torque.
+        """Return the friction as a fraction of the load, or for servos as an angle per torque.
 
-        Pulleys and slides lose 3 to 10 % of their load. The scale for servos holds a joint back by a
+        Pulleys and slides lose 3 to 10 % of their load. With the scale for servos, a joint is held back by a
         twentieth of its amplitude at the largest torque.
         """
         if model.rig is not None:
@@ -476,7 +493,7 @@ class LoadFriction(Friction):
         return (parameter("held_rad_N_m", "rad/(N m)", size, words, 0.0, 30.0 * size),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Add dry friction, or let joints stick under load."""
+        """Return hooks that add dry friction, or let joints stick under load."""
         share = float(values[0])
         if model.rig is None:
             loads = _loads(model)
@@ -505,14 +522,14 @@ class LoadFriction(Friction):
 
 
 def _loads(model: Model) -> list[tuple[float, float]]:
-    """Return inertia and quadratic drag of the load of each driven joint."""
+    """Return inertia and quadratic drag of the links that each driven joint moves."""
     body = common.require_links(model)
     tables = body.tables()
     return [body.carried(tables, k) for k in range(len(body.driven))]
 
 
 def _torque(load: tuple[float, float], time_s: Array, angle: Array) -> Array:
-    """Return the magnitude of the torque of a joint in this motion, N m."""
+    """Return the absolute torque of a joint that follows this angle, N m."""
     if len(time_s) < 2:
         return np.zeros(len(time_s))
     rate = np.gradient(angle, time_s)
@@ -521,19 +538,21 @@ def _torque(load: tuple[float, float], time_s: Array, angle: Array) -> Array:
 
 @cfunc(FORCE_SIGNATURE, cache=True)
 def relieved(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Reduce the friction of a moving body; constants the rise of friction at rest and the Stribeck speed."""
+    """Reduce the friction of a moving body. Constants: increase of friction at rest, and Stribeck speed."""
     v = velocity[2]
     share = v / constants[1]
     wrench[0] += math.copysign(constants[0] * (1.0 - math.exp(-share * share)), v)
 
 
 class Stribeck(Friction):
-    """Friction ``(F_s - F_c) exp(-(v / v_s)^2) sgn(v)`` beyond the Coulomb friction of the model.
+    """Friction ``(F_s - F_c) exp(-(v / v_s)^2) sgn(v)`` in addition to the Coulomb friction of the model.
 
-    On a rig the whole rise ``F_s - F_c`` holds a body at rest (of a pulley in the trials that have one, else
-    of the bearing or slide). A position servo of stiffness k stands still while it is closer to its command
-    than ``(T_s - T_c) exp(-(w / w_s)^2) / k``, with w the rate of the command: it sticks where the command
-    turns round. Steady beats of average models do not show the difference to a play.
+    F_s is the friction at rest, F_c the Coulomb friction in motion, and v_s the Stribeck speed. On a rig, the
+    whole difference ``F_s - F_c`` holds a body at rest. It is the friction of the pulley in the trials with a
+    pulley, or of the bearing or slide if there are none. A position servo of stiffness k stands still while
+    its distance from the command is below ``(T_s - T_c) exp(-(w / w_s)^2) / k``. Here w is the rate of the
+    command, so that the servo sticks where the command reverses. Steady beats of average models do not
+    distinguish this friction from a play.
     """
 
     name = "stribeck"
@@ -545,11 +564,12 @@ class Stribeck(Friction):
     needs = frozenset({"command", "force"})
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the rise, N or N m, and the Stribeck speed.
+        """Return the difference ``F_s - F_c``, N or N m, and the Stribeck speed.
 
-        For servos they are the angle by which the rise holds a joint back, and a rate, both of the command.
-        The Stribeck speed is at most half the typical speed of a rig, or half the fastest command. A friction
-        of which more than 2 % are left there has not fallen, and is that of ``pulley-friction`` or a play.
+        For servos these are the angle by which the friction at rest holds a joint back, and a rate of the
+        command. The Stribeck speed is at most half the typical speed of a rig, or half the largest rate of
+        the commands. A friction that falls more slowly is practically constant. It is then that of
+        ``pulley-friction`` or a play.
         """
         if model.rig is not None:
             scales = model.scales(trials)
@@ -570,7 +590,7 @@ class Stribeck(Friction):
         )
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return a smaller and a larger rise, at a slow and at a fast Stribeck speed."""
+        """Return points with a small and a large difference, each at a low and at a high Stribeck speed."""
         rise, speed = parameters
         return [
             np.array([min(size * rise.scale, rise.upper), share * speed.start])
@@ -579,7 +599,7 @@ class Stribeck(Friction):
         ]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Add friction at rest and reduce it in motion, or let joints stick."""
+        """Return hooks that add friction at rest and reduce it in motion, or let joints stick."""
         rise, slow = (float(v) for v in values)
         if model.rig is not None:
             if not (trial.rig.pulley or self.everywhere):
@@ -599,14 +619,15 @@ class Stribeck(Friction):
         return common.on_command(model, trial, common.for_every_joint(command))
 
 
-#: Unit of the forces of a model that has no inertia of its own.
+#: Unit of force in a model without an inertia of its own (force per mass).
 PER_MASS = "m/s^2"
 
 
 class WaterIngress(Effect):
-    """Mass that is added to the heaviest link where the water collects; its weight is trimmed out.
+    """Water in the hull: a mass that is added to the heaviest link where the water collects. Its weight is
+    trimmed out.
 
-    On rigs and in averages over a beat only its amount matters.
+    On rigs and in averages over a beat, only the mass of the water matters.
     """
 
     name = "water-ingress"
@@ -616,12 +637,16 @@ class WaterIngress(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Whether the model has an inertia: not one per mass, nor a base that is held."""
+        """Return whether the model has an inertia. Models with forces per mass, and models with a held
+        base, have none.
+        """
         held = model.body is not None and not model.body.free
         return super().applies(model, trials) and not held and model.force_unit != PER_MASS
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the mass (kg; kg m2 for an angle), and for a swimmer its place (m ahead of the centre)."""
+        """Return the mass (kg; kg m2 for an angle), and for a swimmer its position (m ahead of the centre
+        of mass).
+        """
         linear, angular = ("mass_kg", "kg", "mass"), ("inertia_kg_m2", "kg m^2", "inertia")
         name, unit, what = common.pick_by_motion(model, linear, angular)
         size = 0.05 * model.scales(trials).inertia
@@ -635,14 +660,14 @@ class WaterIngress(Effect):
         return much, place
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return for a swimmer a mass at the centre of mass, and half way to either end."""
+        """Return for a swimmer a mass at the centre of mass, and half way to each end of the hull."""
         if len(parameters) == 1:
             return super().tries(parameters)
         much, place = parameters
         return [np.array([much.scale, share]) for share in (0.0, 0.5 * place.lower, 0.5 * place.upper)]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Add to the inertia."""
+        """Return hooks that add to the inertia."""
         body = model.body
         if body is not None:
             mass, (x, y) = values[0], body.centre(body.hull)
