@@ -41,17 +41,19 @@ from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results.result import FileResult
 
-#: A gait is at its bound within this share of the range; a limit is active within this share of the limit.
+#: Tolerances: for a gait at its bound, as a fraction of the range of the parameter, and for an active limit,
+#: as a fraction of the limit.
 BOUND_TOL, ACTIVE_RTOL = 0.005, 0.01
-#: First radius, last radius and number of steps of the search for the robust gait.
+#: First and last radius of the finite differences in the search for the robust gait, as a fraction of the
+#: range, and maximum number of steps.
 ROBUST_RADIUS, ROBUST_LAST, ROBUST_STEPS = 0.05, 0.005, 10
-#: Share of draws that counts as the worst.
+#: Fraction of the coefficient samples that counts as the worst samples.
 WORST = 0.1
-#: Two starts of the search agree if their values differ by less than this share.
+#: Maximum relative difference of the goal between two starting points of the search that agree.
 AGREE_RTOL = 0.005
-#: Smallest share of draws of the coefficients in which a gait must keep its limits.
+#: Minimum fraction of the coefficient samples in which a gait must satisfy its limits.
 MIN_KEPT = 0.9
-#: Number of points of the Sobol sequence for each start of the search.
+#: Number of points of the Sobol sequence per starting point of the search.
 N_POINTS_PER_START = 4
 NO_GAIT = "no gait keeps to the limits"
 
@@ -65,29 +67,30 @@ class Varied(yamlio.Document):
 
 
 class Gait(yamlio.Document):
-    """Gait, with the quantities of its simulation in SI units."""
+    """A gait, with the quantities of its simulation in SI units."""
 
     at: dict[str, float]
-    #: Parameters at an end of their range: a better gait may lie beyond.
+    #: Parameters at an end of their range. A better gait may lie beyond this end.
     at_bound: list[str] = []
-    #: Active limits.
+    #: Names of the active limits.
     held_by: list[str] = []
     goals: dict[str, Number]
     quantities: dict[str, Number] = {}
-    #: 95 % interval of each goal of this gait over draws of the coefficients.
+    #: 95 % interval of each goal of this gait over random samples of the coefficients.
     goals_ci95: dict[str, Pair] = {}
-    #: 95 % interval of the best gait over draws of the coefficients.
+    #: 95 % interval of each parameter of the best gait over random samples of the coefficients.
     at_ci95: dict[str, Pair] = {}
-    #: Loss against the best gait of each draw, in the unit of the goal: its 90 % quantile, and the mean of
-    #: the worst tenth, over draws that were not used to find the gait.
+    #: Loss of this gait over random samples of the coefficients: its 90 % quantile, and its mean over the
+    #: worst tenth. The loss is the goal (with penalties) minus that of the best gait for the same sample, in
+    #: the unit of the goal. Only samples that were not used to find the gait count.
     loss_90: Number = None
     loss_worst_tenth: Number = None
-    #: Share of draws in which the gait keeps its limits; None without limits.
+    #: Fraction of the coefficient samples in which the gait satisfies its limits; None without limits.
     kept_in_draws: Number = None
 
 
 class GaitFile(StudyFile):
-    """Gait file."""
+    """Gait file: the best gait, with its uncertainty."""
 
     kind: ClassVar[str] = "gait file"
     format: Literal["swimid-gait/2"] = "swimid-gait/2"
@@ -95,19 +98,20 @@ class GaitFile(StudyFile):
     #: Quantity and unit of each goal.
     goals: dict[str, tuple[str, str]]
     limits: dict[str, Limit] = {}
-    #: Goal with penalties at the end of each search, the best first; empty for two goals.
+    #: Value of the goal with penalties at the end of each search, the best first; empty for two goals.
     ends: list[float] = []
     optimum: Gait
-    #: Gait with the least loss in the worst tenth of draws; the best gait if no other has a smaller loss.
+    #: Gait with the minimum mean loss over the worst tenth of the coefficient samples. It is the best gait if
+    #: no other gait has a smaller loss.
     robust: Gait | None = None
-    #: Number of draws of the coefficients, and the share of draws within their bounds.
+    #: Number of random samples of the coefficients, and fraction of the samples that lie within the bounds.
     draws: int = 0
     inside: Number = None
-    #: Best gait of each draw, in the order of ``vary``; empty for two goals.
+    #: Best gait for each coefficient sample, in the order of ``vary``; empty for two goals.
     drawn: Rows = []
-    #: Pareto front of two goals: the varied parameters and then the goals.
+    #: Pareto front of two goals: each row has the varied parameters and then the goals.
     front: Rows = []
-    #: Low and high end of the 95 % interval of each goal of each gait of the front.
+    #: Lower and upper end of the 95 % interval of each goal, for each gait of the front.
     front_ci95: Rows = []
     provenance: dict[str, Any] = Field(default_factory=dict)
 
@@ -121,7 +125,8 @@ class BestGait(FileResult[GaitFile]):
     at : dict of str to float
         Varied parameters at the best gait.
     file : GaitFile
-        Also has intervals, the robust gait and the ends of the searches; :meth:`save` writes it.
+        All results, including the intervals, the robust gait and the ends of the searches. :meth:`save`
+        writes this file.
     """
 
     file_type = GaitFile
@@ -138,35 +143,37 @@ def optimise_gait(
 ) -> BestGait:
     """Find the best gait of a robot within limits, with the uncertainty of its coefficients.
 
-    One goal is minimised by finite differences from several starts, two goals by NSGA-II. If the parameter
-    file has standard errors, the search is repeated in draws of the coefficients. They give the interval of
-    the best gait and its loss. The robust gait has the least mean loss in the worst tenth of draws.
+    One goal is minimised by finite differences from several starting points, and two goals by NSGA-II. If the
+    parameter file has standard errors, the search is repeated for random samples of the coefficients. These
+    give the interval of the best gait and its loss. The robust gait has the minimum mean loss over the worst
+    tenth of the samples.
 
     Parameters
     ----------
     output : path, optional
-        Gait file to write; its evidence is written beside it.
+        Gait file to write. The evidence is written to the same folder.
     progress : Progress
-        Shows the searches.
+        Shows the progress of the searches.
 
     Returns
     -------
     BestGait
-        ``.at`` is the gait; the file has intervals, the robust gait, and the front of two goals.
+        ``.at`` is the gait. ``.file`` also has the intervals, the robust gait, and the front of two goals.
 
     Raises
     ------
     UsageError, InputError
         For bad options and files.
     NoTrustworthyResult
-        If every simulation breaks down, or no gait keeps the limits.
+        If every simulation breaks down, or if no gait satisfies the limits.
 
     References
     ----------
     .. [1] "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin".
        Section IV: gait and stiffness.
     .. [2] Deb, Pratap, Agarwal, Meyarivan (2002), doi:10.1109/4235.996017: NSGA-II.
-    .. [3] Rockafellar, Uryasev (2000), doi:10.21314/JOR.2000.038: the mean of the worst share of outcomes.
+    .. [3] Rockafellar, Uryasev (2000), doi:10.21314/JOR.2000.038: the mean over the worst fraction of
+    outcomes.
 
     Examples
     --------
@@ -205,7 +212,7 @@ def optimise_gait(
 
 
 def _simulated_s(options: OptimiseGaitOptions, uncertain: bool) -> float:
-    """Return the expected duration of all simulations, s."""
+    """Return the expected simulated time of all gaits together, s."""
     points = 2 * len(options.vary) + 1
     runs = (options.starts * MAX_STEPS + options.draws * (DRAW_STEPS + ROBUST_STEPS) * uncertain) * points
     if len(options.goals) == 2:
@@ -274,7 +281,7 @@ def _limits(performance: Performance, options: OptimiseGaitOptions) -> dict[str,
 
 
 def _choose_starts(problem: Problem, options: OptimiseGaitOptions) -> Array:
-    """Return the best points of a Sobol sequence as starts of the search; set the scale of the goal."""
+    """Return the best points of a Sobol sequence as starting points, and set the scale of the goal."""
     exponent = math.ceil(math.log2(N_POINTS_PER_START * options.starts))
     from scipy.stats import qmc
 
@@ -309,7 +316,7 @@ def _find_one(problem: Problem, options: OptimiseGaitOptions, study: Study, prog
 
 
 def _find_front(problem: Problem, options: OptimiseGaitOptions, study: Study, progress: Progress) -> GaitFile:
-    """Find the Pareto front of two goals, and its point nearest to the best of both."""
+    """Find the Pareto front of two goals, and its point that is nearest to the best values of both goals."""
     _choose_starts(problem, options)
     with progress("NSGA-II", total=options.generations) as step:
         front = problem.front(options.population, options.generations, options.seed, advance=step)
@@ -322,7 +329,7 @@ def _find_front(problem: Problem, options: OptimiseGaitOptions, study: Study, pr
 
 
 def _gait(problem: Problem, x: Array) -> Gait:
-    """Simulate a point of the cube."""
+    """Simulate a point of the unit cube and return its gait."""
     table = problem.table(x[None])
     if not problem.keeps_limits(table).all():
         raise NoTrustworthyResult(NO_GAIT, hint="widen what is varied, or the limits")
@@ -344,7 +351,7 @@ def _gait(problem: Problem, x: Array) -> Gait:
 
 
 def _carry_front(problem: Problem, file: GaitFile, vectors: Sequence[Array], progress: Progress) -> None:
-    """Set the interval of both goals of every gait of a front."""
+    """Set the 95 % interval of both goals for every gait of a front."""
     best = list(file.optimum.at.values())
     with progress("front in draws", total=len(file.front)) as step:
         for row in np.array(file.front, dtype=float):
@@ -357,7 +364,10 @@ def _carry_front(problem: Problem, file: GaitFile, vectors: Sequence[Array], pro
 
 
 def _set_draws(problem: Problem, gait: Gait, table: Array, lost: Array | None = None) -> None:
-    """Set the intervals of a gait over draws, and its losses in those that were not used to find it."""
+    """Set the intervals of a gait over coefficient samples, and its losses.
+
+    The losses ``lost`` are those in the samples that were not used to find the gait.
+    """
     ends = interval95(problem.goal_values(table)).T.tolist()
     gait.goals_ci95 = {goal: (a, b) for (goal, _, _), (a, b) in zip(problem.goals, ends, strict=True)}
     if problem.limits:
@@ -368,14 +378,14 @@ def _set_draws(problem: Problem, gait: Gait, table: Array, lost: Array | None = 
 
 
 def _carry_one(problem: Problem, file: GaitFile, vectors: Sequence[Array], progress: Progress) -> None:
-    """Set intervals and losses over draws of the coefficients, and find the robust gait."""
+    """Set intervals and losses over coefficient samples for one goal, and find the robust gait."""
     nominal = problem.place(file.optimum.at)
     with progress("gaits of draws", total=DRAW_STEPS) as step:
         best = problem.minimise_in_draws(vectors, nominal, step)
     file.drawn = [list(problem.at(x).values()) for x in best.points]
     ends = interval95(np.array(file.drawn, dtype=float)).T.tolist()
     file.optimum.at_ci95 = {name: (a, b) for name, (a, b) in zip(problem.vary, ends, strict=True)}
-    # one half of the draws selects the robust gait, the other half gives its loss
+    # half of the coefficient samples selects the robust gait, the other half gives the loss of this gait
     robust = _find_robust(problem, vectors[::2], best.points[::2], best.values[::2], nominal, progress)
     table, cost = problem.costs(nominal, vectors)
     robust_table, robust_cost = problem.costs(robust, vectors)
@@ -390,7 +400,7 @@ def _carry_one(problem: Problem, file: GaitFile, vectors: Sequence[Array], progr
 
 
 def worst_tenth(lost: Array) -> float:
-    """Return the mean of the worst tenth of losses.
+    """Return the mean over the worst tenth of losses.
 
     >>> worst_tenth(np.arange(20.0))
     18.5
@@ -407,7 +417,10 @@ def _find_robust(
     nominal: Array,
     progress: Progress,
 ) -> Array:
-    """Find the gait with the least loss in the worst tenth of draws, given the best gait of each draw."""
+    """Find the gait with the minimum mean loss over the worst tenth of the coefficient samples.
+
+    ``points`` and ``values`` are the best gait for each sample and its goal.
+    """
 
     def losses(x: Array, _owner: NDArray[np.int64]) -> Array:
         table = problem.table(np.repeat(x, len(vectors), axis=0), list(vectors) * len(x))
@@ -492,7 +505,7 @@ def _goal_text(file: GaitFile, goal: str, value: float | None) -> str:
 
 
 def _range_text(ends: Sequence[str]) -> str:
-    """Join both ends of an interval; return one if they look the same."""
+    """Join both ends of an interval in one text; return one end if both have the same text."""
     return " … ".join(dict.fromkeys(ends))
 
 
@@ -506,7 +519,7 @@ def answer(file: GaitFile) -> str:
 
 
 def _gait_table(file: GaitFile) -> ev.Table:
-    """Return the best and the robust gait, with intervals and losses."""
+    """Return the best gait and the robust gait as a table, with intervals and losses."""
     rows = []
     for word, gait in (("best gait", file.optimum), ("robust gait", file.robust)):
         if gait is None:

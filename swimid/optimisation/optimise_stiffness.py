@@ -1,6 +1,6 @@
 """``optimise stiffness``: the rule by which a controller sets the stiffness of a passive joint.
 
-The search, the rule file (``swimid-rule/2``), and the evidence of the rule.
+This module has the search, the rule file (``swimid-rule/2``), and the evidence of the rule.
 """
 
 from __future__ import annotations
@@ -34,17 +34,19 @@ from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results.result import FileResult
 
-#: Highest power of the frequency in a curve of the rule (tendon fish, Algorithm 1).
+#: Maximum power of the frequency in a curve of the rule (tendon fish, Algorithm 1).
 DEGREE = 2
-#: First and last radius of the final search about the best end of a front, as a share of the range.
+#: First and last radius of the finite differences in the final search, as a fraction of the stiffness range.
+#: The final search starts at the best point of a front.
 SEARCH_RADIUS, MIN_RADIUS = 0.01, 5e-4
-#: A stiffness is at its bound within this share of the range.
+#: Maximum distance of a stiffness from its bound, as a fraction of the range, at which the stiffness counts
+#: as at its bound.
 BOUND_TOL = 1e-3
-#: Minimum number of draws of the coefficients, and the number of simulations for each draw and point.
+#: Minimum number of coefficient samples, and number of simulations for each sample and grid point.
 MIN_DRAWS, N_DRAW_RUNS = 20, 12
-#: Largest relative loss of speed, or rise of cost, of the rule against its own optima.
+#: Maximum relative loss of speed, or relative increase of cost, by using the rule instead of its optima.
 MAX_LOSS = 0.02
-#: Maximum number of amplitudes in the figure of speeds.
+#: Maximum number of amplitudes that are plotted in the figure of speeds.
 MAX_PANELS = 6
 
 Outside = Literal["refuse", "hold"]
@@ -55,11 +57,11 @@ class Curve(yamlio.Document):
 
     amplitude_deg: float
     coefficients: tuple[float, float, float]
-    #: Standard errors of the coefficients; None without degrees of freedom.
+    #: Standard errors of the coefficients; None if the fit has no degrees of freedom.
     stderr: tuple[float, float, float] | None = None
-    #: Root-mean-square of the residuals of the optima.
+    #: Root-mean-square deviation of the optimal stiffnesses from the curve, in the unit of the stiffness.
     rms: float
-    #: Coefficients of the curve in each draw of the robot's coefficients.
+    #: Coefficients of the curve for each random sample of the robot's coefficients.
     drawn: Rows = []
 
 
@@ -69,27 +71,28 @@ class Optimum(yamlio.Document):
     frequency_hz: float
     amplitude_deg: float
     stiffness: float
-    #: 95 % interval over draws of the robot's coefficients.
+    #: 95 % interval of the best stiffness over random samples of the robot's coefficients.
     stiffness_ci95: Pair = (None, None)
-    #: 90 % quantile of the relative loss of the rule over draws.
+    #: 90 % quantile of the relative loss by using the rule, over random samples of the robot's coefficients.
     loss_90: Number = None
     at_bound: bool = False
-    #: Mean speed (m/s) and cost of transport (J/m) with this stiffness, the rule, and the reference.
+    #: Mean speed (m/s) and cost of transport (J/m): with this stiffness, with the rule, and with the
+    #: reference.
     speed_m_s: Number = None
     rule_speed_m_s: Number = None
     reference_speed_m_s: Number = None
     cost_of_transport_J_m: Number = None
     rule_cost_of_transport_J_m: Number = None
-    #: Range of the turning rate with this stiffness and with the reference, rad/s.
+    #: Range of the turning rate with this stiffness and with the reference stiffness, rad/s.
     turn_rate_range_rad_s: Number = None
     reference_turn_rate_range_rad_s: Number = None
     settling_time_s: Number = None
-    #: Pareto front: stiffness, and both objectives as they are minimised.
+    #: Pareto front: each row has the stiffness and both objectives, as they are minimised.
     front: Rows = []
 
 
 class RuleFile(StudyFile):
-    """Rule file."""
+    """Rule file: stiffness as a function of frequency and amplitude, with its optima."""
 
     kind: ClassVar[str] = "rule file"
     format: Literal["swimid-rule/2"] = "swimid-rule/2"
@@ -98,14 +101,14 @@ class RuleFile(StudyFile):
     between: tuple[float, float]
     objective: Literal["speed", "cost-of-transport"]
     objectives: tuple[str, str]
-    #: Stiffness of the parameter file, with which the rule is compared.
+    #: Stiffness in the parameter file, with which the rule is compared.
     reference: float
-    #: Range of the rule.
+    #: Ranges of frequency and amplitude in which the rule is valid.
     frequency_hz: tuple[float, float]
     amplitude_deg: tuple[float, float]
     curves: list[Curve]
     optima: list[Optimum]
-    #: Number of draws of the coefficients, and the share of draws within their bounds.
+    #: Number of random samples of the coefficients, and fraction of the samples that lie within the bounds.
     draws: int = 0
     inside: Number = None
     provenance: dict[str, Any] = Field(default_factory=dict)
@@ -125,9 +128,10 @@ class RuleFile(StudyFile):
         Parameters
         ----------
         frequency_hz, amplitude_deg : float
-            The amplitude may be omitted if the rule has only one.
+            The amplitude may be omitted if the rule has only one amplitude.
         outside : {"refuse", "hold"}
-            Beyond the range of the rule: raise an error, or use the nearest end, as the C header does.
+            Behaviour outside the range of the rule. "refuse" raises an error. "hold" uses the nearest end of
+            the range, as the C header does.
 
         Returns
         -------
@@ -145,9 +149,9 @@ class RuleFile(StudyFile):
     def interval_for(
         self, frequency_hz: float, amplitude_deg: float | None = None, *, outside: Outside = "refuse"
     ) -> tuple[float, float] | None:
-        """Return the 95 % interval of the stiffness over draws of the robot's coefficients.
+        """Return the 95 % interval of the stiffness over random samples of the robot's coefficients.
 
-        The interval says nothing about effects that the model lacks.
+        The interval does not account for effects that the model lacks.
 
         Parameters
         ----------
@@ -157,7 +161,7 @@ class RuleFile(StudyFile):
         Returns
         -------
         tuple of float, or None
-            Ends in :attr:`unit`; None without draws.
+            Lower and upper end in :attr:`unit`; None if no samples were drawn.
         """
         if not self.draws:
             return None
@@ -168,7 +172,7 @@ class RuleFile(StudyFile):
     def _interpolate(
         self, frequency_hz: float, amplitude_deg: float | None, outside: Outside, curves: Sequence[Array]
     ) -> Any:
-        """Evaluate curves with the coefficients c0, c1, c2 and interpolate between their amplitudes."""
+        """Evaluate curves with the coefficients c0, c1, c2, and interpolate between their amplitudes."""
         amplitudes = [curve.amplitude_deg for curve in self.curves]
         if amplitude_deg is None:
             if len(amplitudes) > 1:
@@ -205,7 +209,7 @@ def _within(value: float, ends: tuple[float, float], name: str, outside: Outside
 
 
 def _as_single(value: float) -> str:
-    """Return a number as a single-precision literal of C."""
+    """Return a number as a single-precision literal of the language C."""
     text = f"{value:.9g}"
     if not any(mark in text for mark in ".e"):
         text += ".0"
@@ -213,7 +217,7 @@ def _as_single(value: float) -> str:
 
 
 def fit_curve(amplitude_deg: float, frequency_hz: Array, stiffness: Array) -> Curve:
-    """Fit the quadratic function of the frequency by least squares (tendon fish, Algorithm 1).
+    """Fit the stiffness as a quadratic function of the frequency by least squares (tendon fish, Algorithm 1).
 
     >>> made = fit_curve(20.0, np.array([1.0, 2.0, 3.0]), np.array([3.0, 9.0, 19.0]))
     >>> [round(c, 6) for c in made.coefficients]
@@ -238,19 +242,20 @@ class StiffnessRule(FileResult[RuleFile]):
     Attributes
     ----------
     file : RuleFile
-        Curves, and optima with their Pareto fronts; :meth:`save` writes it. ``.header()`` is the rule in C.
+        Curves, and optima with their Pareto fronts. :meth:`save` writes this file, and ``file.header()``
+        returns the rule in C.
     """
 
     file_type = RuleFile
 
     @property
     def stiffness_for(self) -> Callable[..., float]:
-        """Function of frequency_hz and amplitude_deg (see :meth:`RuleFile.stiffness_for`)."""
+        """Function that returns the stiffness (see :meth:`RuleFile.stiffness_for`)."""
         return self.file.stiffness_for
 
     @property
     def interval_for(self) -> Callable[..., tuple[float, float] | None]:
-        """95 % interval of the stiffness (see :meth:`RuleFile.interval_for`)."""
+        """Function that returns the 95 % interval of the stiffness (see :meth:`RuleFile.interval_for`)."""
         return self.file.interval_for
 
 
@@ -265,28 +270,30 @@ def optimise_stiffness(
     """Find the best stiffness of a passive joint over frequency and amplitude, as a rule for a controller.
 
     NSGA-II searches the Pareto front of two objectives over the stiffness at every frequency and amplitude.
-    A quadratic function of the frequency for each amplitude is fitted to the best values of the first one.
+    For each amplitude, a quadratic function of the frequency is fitted to the stiffnesses that are best in
+    the first objective.
 
     Parameters
     ----------
     output : path, optional
-        Rule file to write; its evidence is written beside it.
+        Rule file to write. The evidence is written to the same folder.
     allow : callable
-        Called with every file before it is written; raises if the file must not be written.
+        Function that is called with every path before the file is written. It raises an error if the file
+        must not be written.
     progress : Progress
-        Shows the points of the grid.
+        Shows the progress over the points of the grid.
 
     Returns
     -------
     StiffnessRule
-        ``.stiffness_for(frequency_hz, amplitude_deg)`` in the coefficient's unit.
+        ``.stiffness_for(frequency_hz, amplitude_deg)`` returns the stiffness in the coefficient's unit.
 
     Raises
     ------
     UsageError, InputError
         For bad options and files.
     NoTrustworthyResult
-        If every simulation breaks down, or the robot rests in every one.
+        If every simulation breaks down, or if the robot never moves.
 
     References
     ----------
@@ -368,7 +375,7 @@ def optimise_stiffness(
 
 
 def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> Problem:
-    """Return the problem at every point of the grid; refuse options that do not go together."""
+    """Return the optimisation problem that is solved at every grid point. Raise an error for bad options."""
     if options.stroke is not None or performance.model.in_space:
         raise UsageError("a stiffness rule is for a tail beat in a plane")
     if not set(options.over) <= {"frequency_hz", "amplitude_deg"} or "frequency_hz" not in options.over:
@@ -394,7 +401,7 @@ def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> Pro
 
 
 def _coefficient(performance: Performance, options: OptimiseStiffnessOptions) -> str:
-    """Return the name of the stiffness."""
+    """Return the name of the coefficient that is the stiffness."""
     name, found = options.coefficient, performance.model.yielding()
     if name is None and len(found) == 1:
         return found[0]
@@ -415,12 +422,14 @@ def _coefficient(performance: Performance, options: OptimiseStiffnessOptions) ->
 
 
 def _front_at(problem: Problem, number: int, reference: float, options: OptimiseStiffnessOptions) -> Array:
-    """Search the Pareto front at a point of the grid, and refine its best end by finite differences.
+    """Search the Pareto front at a point of the grid, and refine its best point by finite differences.
+
+    The best point is that with the minimum of the first objective.
 
     Returns
     -------
     ndarray, shape (n, 3)
-        Stiffness and both objectives as they are minimised; the best in the first objective first.
+        Stiffness and both objectives as they are minimised. The best point is in the first row.
     """
     ((low, high),) = problem.vary.values()
     first = np.array([(reference - low) / (high - low)])
@@ -431,7 +440,7 @@ def _front_at(problem: Problem, number: int, reference: float, options: Optimise
         refined = problem.minimise(front[:1, :1], first=SEARCH_RADIUS, last=MIN_RADIUS).points
         found = np.hstack([refined, problem.wanted(problem.table(refined))])
         if found[0, 1] < front[0, 1]:
-            # remove the points that are worse in both objectives
+            # remove the points that are worse than the refined point in both objectives
             front = np.vstack([found, front[front[:, 2] < found[0, 2]]])
     front[:, 0] = low + front[:, 0] * (high - low)
     return front
@@ -455,7 +464,7 @@ def _curve(optima: Sequence[Optimum], amplitude: float) -> Curve:
 
 
 def _assess(performance: Performance, file: RuleFile, jobs: int) -> None:
-    """Set speed and cost of every optimum: with its stiffness, with the rule, and with the reference."""
+    """Set speed and cost of every optimum: with its own stiffness, with the rule, and with the reference."""
     gaits = []
     for one in file.optima:
         beat = {"frequency_hz": one.frequency_hz, "amplitude_deg": one.amplitude_deg}
@@ -474,12 +483,12 @@ def _assess(performance: Performance, file: RuleFile, jobs: int) -> None:
 
 
 def _search_in_draws(problem: Problem, file: RuleFile, number: int, vectors: Sequence[Array]) -> Array:
-    """Search an optimum again in each draw of the coefficients.
+    """Search an optimum again for each random sample of the coefficients.
 
     Returns
     -------
     ndarray, shape (2, draws)
-        Stiffness, and the relative loss of the rule against it.
+        Best stiffness, and the relative loss by using the rule instead of this stiffness.
     """
     one, (name,) = file.optima[number], problem.vary
     ruled = file.stiffness_for(one.frequency_hz, one.amplitude_deg, outside="hold")
@@ -490,7 +499,7 @@ def _search_in_draws(problem: Problem, file: RuleFile, number: int, vectors: Seq
 
 
 def _set_intervals(file: RuleFile, tables: Sequence[Array]) -> None:
-    """Set intervals and losses of the optima, and the curves of each draw."""
+    """Set intervals and losses of the optima, and the curves for each coefficient sample."""
     for one, (stiffness, lost) in zip(file.optima, tables, strict=True):
         one.stiffness_ci95 = tuple(interval95(stiffness).tolist())
         one.loss_90 = max(float(np.quantile(lost, 0.9, method="higher")), 0.0)
@@ -509,7 +518,10 @@ def _column(file: RuleFile, name: str) -> Array:
 
 
 def _loss(file: RuleFile) -> Array:
-    """Return the relative loss of the rule against its own optima, of speed or of cost, shape (optima,)."""
+    """Return the relative loss of speed or increase of cost by using the rule instead of its optima.
+
+    The shape is (optima,).
+    """
     with np.errstate(invalid="ignore", divide="ignore"):
         if file.objective == "speed":
             return np.asarray(1.0 - _column(file, "rule_speed_m_s") / _column(file, "speed_m_s"))
@@ -518,7 +530,7 @@ def _loss(file: RuleFile) -> Array:
 
 
 def _largest_speeds(file: RuleFile) -> tuple[float, float]:
-    """Return the highest speed with the rule and with the reference, m/s (tendon fish, section V.C)."""
+    """Return the maximum speed with the rule and with the reference stiffness, m/s (tendon fish, V.C)."""
     ruled, fixed = (np.nanmax(_column(file, f"{p}_speed_m_s")) for p in ("rule", "reference"))
     return float(ruled), float(fixed)
 
@@ -578,7 +590,7 @@ def _loss_check(name: str, worst: float, text: str) -> ev.Check:
 
 
 def answer(file: RuleFile) -> str:
-    """Return the range of the rule and its gain in speed as a sentence."""
+    """Return the range of the rule, and the increase of speed with the rule, as a sentence."""
     stiffness, f = _column(file, "stiffness"), _column(file, "frequency_hz")
     low, high = float(stiffness.min()), float(stiffness.max())
     trend = "over"

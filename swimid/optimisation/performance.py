@@ -1,4 +1,7 @@
-"""Quantities of a robot under given gaits, for many drives and coefficients at once."""
+"""Quantities of a robot under given gaits, for many drives and coefficients at once.
+
+A quantity is a result of a simulation, such as the mean speed.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +25,12 @@ from swimid.simulation.swim_quantities import SwimRun
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.model import Swimmer
 
-#: Settings that may be varied, with their units: those of a beat, and those of a stroke.
+#: Drive parameters that may be varied, with their units: for a beat, and for a stroke.
 BEAT = {"frequency_hz": "Hz", "amplitude_deg": "deg", "bias_deg": "deg", "asymmetry": "1", "lag_deg": "deg"}
 STROKE = {"frequency_hz": "Hz", "scale": "1"}
-#: Minimum and maximum of settings.
+#: Minimum and maximum values of drive parameters.
 LIMITS = {"frequency_hz": (0.0, math.inf), "amplitude_deg": (0.0, 180.0), "asymmetry": (-0.8, 0.8)}
-#: Number of runs that are simulated together.
+#: Number of gaits that are simulated together.
 BATCH = 8
 
 Point = Mapping[str, float]
@@ -35,17 +38,18 @@ Point = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Performance:
-    """Robot with its coefficients, and the drive of which gaits vary some settings.
+    """Robot with its coefficients and its drive. A gait varies some of the drive parameters or coefficients.
 
     Attributes
     ----------
     applied : Applied
         Model and coefficients of a robot with links.
     drive : mapping of str to float
-        Settings of :data:`BEAT`, or of :data:`STROKE` if ``stroke`` is given. Missing ones must be varied.
+        Values of the parameters in :data:`BEAT`, or in :data:`STROKE` if ``stroke`` is given. Gaits must vary
+        the parameters that are missing here.
     waveform, stroke : str
     ramp_s, duration_s : float
-        Ramp of the drive, and length of each run. Runs start from rest.
+        Ramp of the drive, and length of each simulation. Simulations start from rest.
     """
 
     applied: Applied
@@ -86,29 +90,29 @@ class Performance:
 
     @property
     def turn(self) -> str:
-        """Name of the turn in the plane of the robot: ``yaw`` or ``pitch``."""
+        """Name of the rotation in the plane of the robot: ``yaw`` or ``pitch``."""
         return self.model.pose[2].removesuffix("_rad")
 
     @cached_property
     def values(self) -> Array:
-        """Parameter vector with the given coefficients; per-trial parameters are neutral."""
+        """Parameter vector with the given coefficients. Per-trial parameters have their neutral values."""
         return self.applied.values()
 
     @cached_property
     def units(self) -> dict[str, str]:
-        """Quantities of a run with their units, in the order of :meth:`table`."""
+        """Quantities of a simulation with their units, in the order of :meth:`table`."""
         return swim_quantities.units_of(self.model)
 
     @property
     def axes(self) -> dict[str, str]:
-        """Settings of the drive and coefficients of the robot that may be varied, with their units."""
+        """Drive parameters and coefficients of the robot that may be varied, with their units."""
         drive = STROKE if self.stroke is not None else BEAT
         shared = {p.name: p.unit for p in self.model.parameters if not p.per_trial}
         return {**drive, **shared}
 
     @property
     def identified(self) -> dict[str, tuple[float, float]]:
-        """Range of the drives from which the coefficients were identified; empty if it is unknown."""
+        """Range of each drive parameter in the identification trials; empty if unknown."""
         file = self.applied.file
         if file is None or file.fit is None:
             return {}
@@ -116,7 +120,7 @@ class Performance:
         return {name: (float(low), float(high)) for name, (low, high) in drives.items()}
 
     def check(self, varied: Mapping[str, tuple[float, float]], option: str) -> None:
-        """Refuse names that cannot be varied, and ranges that are not possible.
+        """Raise an error for names that cannot be varied, and for impossible ranges.
 
         Raises
         ------
@@ -140,13 +144,13 @@ class Performance:
             raise UsageError("asymmetry belongs to --waveform a-cpg")
 
     def check_drive(self, varied: Collection[str], option: str) -> None:
-        """Refuse a drive without a setting that is not varied either.
+        """Raise an error if a parameter of the drive is neither given nor varied.
 
         Raises
         ------
         UsageError
         """
-        if self.stroke is not None:  # it has a frequency and a size of its own
+        if self.stroke is not None:  # a stroke has its own frequency and size
             return
         for name in ("frequency_hz", "amplitude_deg"):
             if name not in varied and name not in self.drive:
@@ -154,7 +158,7 @@ class Performance:
                 raise UsageError(f"the drive needs --{flag}, or {name} among what is varied ({option})")
 
     def swim(self, point: Point) -> tuple[SwimInput, float]:
-        """Return the drive at a point, and its frequency in Hz."""
+        """Return the drive of a gait, and its frequency in Hz."""
         drive = {**self.drive, **{name: value for name, value in point.items() if name in BEAT | STROKE}}
         pose = (0.0,) * len(self.model.pose) if self.model.free_base else None
         if self.stroke is not None:
@@ -178,13 +182,13 @@ class Performance:
         return SwimInput(beat, pose=pose), beat.frequency_hz
 
     def run(self, point: Point) -> SwimRun:
-        """Return the run at a point."""
+        """Return the simulation settings of a gait."""
         swim, frequency = self.swim(point)
         name = " ".join(f"{key}={value!r}" for key, value in point.items() if key in BEAT | STROKE)
         return SwimRun.driven(self.model, f"gait {name}", swim, frequency, self.duration_s)
 
     def at(self, point: Point, values: Array | None = None) -> Array:
-        """Return the parameter vector at a point."""
+        """Return the parameter vector for a gait."""
         if values is None:
             values = self.values
         moved = values.copy()
@@ -196,12 +200,12 @@ class Performance:
     def quantities(
         self, points: Sequence[Point], values: Sequence[Array] | None = None
     ) -> list[dict[str, Quantity]]:
-        """Return the quantities of runs; empty for a run that breaks down.
+        """Return the quantities of gaits, by name; empty for a simulation that breaks down.
 
         Parameters
         ----------
         values : sequence of ndarray, optional
-            Parameter vector for each point. Coefficients of the point replace its entries.
+            Parameter vector for each gait. Coefficients that the gait varies replace its entries.
         """
         runs = [self.run(point) for point in points]
         given = [self.values] * len(points) if values is None else values
@@ -218,13 +222,13 @@ class Performance:
         return found
 
     def table(self, points: Sequence[Point], values: Sequence[Array] | None = None) -> Array:
-        """Return the quantities of points, shape (n, quantities); NaN where a run has none."""
+        """Return the quantities of gaits, shape (n, quantities); NaN for a quantity that is not available."""
         lost = Quantity(math.nan, "")
         found = self.quantities(points, values)
         return np.array([[quantities.get(name, lost).value for name in self.units] for quantities in found])
 
     def many(self, points: Sequence[Point], values: Sequence[Array] | None = None, *, jobs: int) -> Array:
-        """Return the same as :meth:`table`, computed by several threads."""
+        """Return the quantities of gaits as :meth:`table` does, computed in several threads."""
         parts = [slice(k, k + BATCH) for k in range(0, len(points), BATCH)]
 
         given = [self.values] * len(points) if values is None else values
@@ -236,7 +240,7 @@ class Performance:
             return np.concatenate(list(results))
 
     def with_errors(self, point: Point) -> Array:
-        """Return the quantities of a point and their standard errors, shape (quantities, 2)."""
+        """Return the quantities of a gait and their standard errors, shape (quantities, 2)."""
         carried = self.applied.with_errors(
             self.at(point), lambda vectors: self.quantities([point] * len(vectors), vectors)
         )
@@ -245,7 +249,7 @@ class Performance:
         return np.array([[quantity.value, quantity.stderr] for quantity in told], dtype=float)
 
     def insist(self, table: Array) -> None:
-        """Refuse a study in which every run breaks down, or the robot never moves.
+        """Raise an error if every simulation breaks down, or if the robot never moves.
 
         Parameters
         ----------
@@ -265,7 +269,7 @@ class Performance:
 
     @staticmethod
     def insist_motion(speed_m_s: Array) -> None:
-        """Refuse a study in which the robot never moves.
+        """Raise an error if the robot never moves.
 
         Raises
         ------
@@ -278,5 +282,5 @@ class Performance:
 
 
 def points_of(axes: Mapping[str, Sequence[float]]) -> list[dict[str, float]]:
-    """Return the points of a grid, the last axis fastest."""
+    """Return the points of a grid. The last axis varies fastest."""
     return [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]

@@ -1,4 +1,4 @@
-"""``map``: quantities of a robot over a grid of gaits, and recorded trials beside them."""
+"""``map``: quantities of a robot over a grid of gaits, compared with recorded trials."""
 
 from __future__ import annotations
 
@@ -42,28 +42,30 @@ from swimid.swimmer import trials as swimmer
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Columns of electrical power in a log.
+#: Log columns from which electrical power is computed.
 VOLTAGE, CURRENT = "voltage_V", "current_A"
-#: Smallest share of the samples of a window that must have both, and their minimum number.
+#: Minimum fraction of the samples of a time window that must have voltage and current, and minimum number of
+#: such samples.
 MIN_LOGGED, MIN_SAMPLES = 0.9, 3
-#: Largest relative and absolute difference of the drive of a trial from that of the map.
+#: Maximum relative and maximum absolute difference between the drive of a trial and the drive of the map.
 DRIVE_RTOL, DRIVE_ATOL = 0.02, 1e-3
 #: Maximum number of points of a map.
 MAX_POINTS = 100_000
-#: Quantities in figures and tables, in this order, if the robot has them.
+#: Quantities that are plotted and tabulated, in this order, if the robot has them.
 DRAWN = (
     "mean_speed_m_s", "cost_of_transport_J_m", "strouhal", "turning_radius_m", "mean_yaw_rate_rad_s",
     "mean_pitch_rate_rad_s", "max_yaw_rate_rad_s", "yaw_range_in_beat_rad",
     "pitch_range_in_beat_rad", "max_pitch_rate_rad_s", "surge_m", "mean_positive_power_W", "peak_torque_N_m",
 )  # fmt: skip
-#: Number of contours of a panel.
+#: Approximate number of contour levels in a panel.
 N_LEVELS = 6
-#: Quantities with a best point: its name, and the sign that makes it the largest.
+#: Quantities whose best point is reported: a word for the best point, and the sign with which it is a
+#: maximum.
 BEST = {"mean_speed_m_s": ("fastest", 1.0), "cost_of_transport_J_m": ("cheapest", -1.0)}
 
 
 class Axis(yamlio.Document):
-    """Axis of a map."""
+    """Axis of a map: a varied parameter with its values."""
 
     name: str
     unit: str
@@ -71,32 +73,33 @@ class Axis(yamlio.Document):
 
 
 class Mapped(yamlio.Document):
-    """Quantity over the grid: rows are the first axis, columns the second; one column with one axis."""
+    """A quantity over the grid. Rows are the first axis; columns are the second axis, if there is one."""
 
     unit: str
     values: Rows
-    #: Standard deviation from the covariance of the coefficients; None if unknown.
+    #: Standard deviation that follows from the covariance of the coefficients; None if unknown.
     stderr: Rows | None = None
 
 
 class MeasuredPoint(yamlio.Document):
-    """Recorded trial beside the map."""
+    """A recorded trial that is compared with the map."""
 
     trial: str
     role: Literal["fit", "validate"]
-    #: Values on the axes.
+    #: Position of the trial on the axes of the map.
     at: dict[str, float]
     inside: bool
-    #: Mean speed over the last beats of the log and of a simulation of the trial, m/s.
+    #: Mean speed over the last whole beats, m/s: in the log, and in a simulation of the trial.
     measured_m_s: Number = None
     simulated_m_s: Number = None
-    #: Power over the same beats, W: voltage times current, and that of the model's joints.
+    #: Mean power over the same beats, W: electrical power (voltage times current), and power of the simulated
+    #: joints.
     electrical_W: Number = None
     mechanical_W: Number = None
 
 
 class Efficiency(yamlio.Document):
-    """Mechanical over electrical power: the efficiency of gear and motor."""
+    """Efficiency of gear and motor: mechanical power divided by electrical power."""
 
     value: float
     stderr: Number = None
@@ -104,13 +107,13 @@ class Efficiency(yamlio.Document):
 
 
 class MapFile(StudyFile):
-    """Map file."""
+    """Map file: quantities of a robot over a grid of gaits."""
 
     kind: ClassVar[str] = "map file"
     format: Literal["swimid-map/1"] = "swimid-map/1"
     axes: list[Axis]
     quantities: dict[str, Mapped]
-    #: Number of runs that broke down, and of runs whose speed still changes at their end.
+    #: Number of simulations that broke down, and number of simulations whose speed still changes at the end.
     broken: int
     unsettled: int
     measured: list[MeasuredPoint] = []
@@ -125,16 +128,16 @@ class PerformanceMap(FileResult[MapFile]):
     Attributes
     ----------
     frame : DataFrame
-        One row for each point: its axes, and every quantity in SI units, NaN if there is none.
+        One row for each point: its position on the axes, and every quantity in SI units (NaN if unknown).
     file : MapFile
-        Also has standard deviations and measured trials; :meth:`save` writes it.
+        All results, including standard deviations and measured trials. :meth:`save` writes this file.
     """
 
     file_type = MapFile
 
     @property
     def frame(self) -> pd.DataFrame:
-        """One row for each point of the grid."""
+        """Table with one row for each point of the grid."""
         import pandas as pd
 
         points = points_of({axis.name: axis.values for axis in self.file.axes})
@@ -148,16 +151,16 @@ def performance_map(
 ) -> PerformanceMap:
     """Compute speed, cost of transport, turning and power of a robot over a grid of gaits.
 
-    Each point is a run from rest, judged by its last whole beats. If the parameter file has standard errors,
-    those of the quantities follow by the delta method. Points outside the range of the identification trials
-    are extrapolation.
+    Each point is a simulation from rest, whose last whole beats are evaluated. If the parameter file has
+    standard errors, the standard errors of the quantities are computed by the delta method. Points outside
+    the range of the identification trials are extrapolation.
 
     Parameters
     ----------
     output : path, optional
-        Map file to write; its evidence is written beside it.
+        Map file to write. The evidence is written to the same folder.
     progress : Progress
-        Shows the points.
+        Shows the progress over the points.
 
     Returns
     -------
@@ -169,7 +172,7 @@ def performance_map(
     UsageError, InputError
         For bad options and files.
     NoTrustworthyResult
-        If every run breaks down.
+        If every simulation breaks down.
 
     References
     ----------
@@ -252,7 +255,7 @@ def _simulate(
     checkpoint: Checkpoint,
     progress: Progress,
 ) -> Array:
-    """Return quantities and their standard errors (NaN if unknown), shape (n, quantities, 2)."""
+    """Return the quantities of points with standard errors (NaN if unknown), shape (n, quantities, 2)."""
     size = BATCH
     if uncertain:
         size = 1
@@ -277,13 +280,13 @@ def _simulate(
 def recorded_trials(
     source: str | Path | TrialSet, performance: Performance, axes: Mapping[str, Sequence[float]]
 ) -> tuple[list[Input], dict[str, tuple[float, float]], list[MeasuredPoint]]:
-    """Return the trials of a trials file that belong on a map.
+    """Return the trials of a trials file that can be compared with a map.
 
     Parameters
     ----------
     source : path or TrialSet
     performance : Performance
-        Performance of the same robot.
+        Model and drive of the same robot.
     axes : dict of str to sequence of float
         Axes of the map.
 
@@ -294,12 +297,12 @@ def recorded_trials(
     region : dict of str to (float, float)
         Range of each axis in the trials of role ``fit``.
     points : list of MeasuredPoint
-        Trials whose drive differs from that of the map only on its axes.
+        Trials whose drive differs from the drive of the map only in parameters that are axes.
 
     Raises
     ------
     UsageError, InputError
-        For a trials file of another robot, and for anything wrong in it.
+        For a trials file of another robot, and for any error in the file.
     """
     model, given = performance.model, performance.applied
     readings: dict[str, str] = {}
@@ -340,7 +343,7 @@ def recorded_trials(
 
 
 def _place(applied: Applied, trial: Trial, names: Iterable[str]) -> dict[str, float]:
-    """Return the values of a trial on the axes of these names; nothing if it does not state them."""
+    """Return the position of a trial on the named axes; empty if the trial lacks one of these quantities."""
     drive = swimmer.drive_of(trial)
     values = applied.values(trial.id).tolist()
     known = dict(zip((p.name for p in applied.model.parameters), values, strict=True))
@@ -351,7 +354,7 @@ def _place(applied: Applied, trial: Trial, names: Iterable[str]) -> dict[str, fl
 
 
 def _has_drive_of(trial: Trial, performance: Performance, axes: Iterable[str]) -> bool:
-    """Return whether the drive of a trial is that of the map, except on its axes."""
+    """Return whether the drive of a trial is the drive of the map, apart from parameters that are axes."""
     known, own = swimmer.drive_of(trial), performance.drive
     names = [name for name in BEAT | STROKE if name in known and name not in axes]
     return all(
@@ -361,7 +364,10 @@ def _has_drive_of(trial: Trial, performance: Performance, axes: Iterable[str]) -
 
 
 def _powers(performance: Performance, trial: Trial, log: Log, values: Array) -> tuple[float, float]:
-    """Return electrical power of a log and power of the joints over the same beats, W; NaN for none."""
+    """Return the mean electrical power of a log and the mean power of the joints over the same beats, W.
+
+    A power that is unknown is NaN.
+    """
     model, drive = performance.model, trial.swim.drive
     run = None
     if drive is not None and VOLTAGE in log and CURRENT in log:
@@ -383,7 +389,7 @@ def _powers(performance: Performance, trial: Trial, log: Log, values: Array) -> 
 
 
 def electrical_power(time_s: Array, voltage_V: Array, current_A: Array, window: Window) -> float:
-    """Return the mean electrical power over a window, W (dolphin, section 4.2.2).
+    """Return the mean electrical power over a time window, W (dolphin, section 4.2.2).
 
     The power is NaN if less than :data:`MIN_LOGGED` of the window was logged.
 
@@ -400,12 +406,12 @@ def electrical_power(time_s: Array, voltage_V: Array, current_A: Array, window: 
 
 
 def fit_efficiency(points: Sequence[MeasuredPoint]) -> Efficiency | None:
-    """Return mechanical over electrical power of several trials, with its standard error.
+    """Return the ratio of mechanical to electrical power over several trials, with its standard error.
 
     Notes
     -----
-    Least squares through the origin, because losses are proportional: ``eta = sum P_m P_e / sum P_e^2``. The
-    standard error follows from the scatter of the trials.
+    The ratio is a least-squares slope through the origin, ``eta = sum P_m P_e / sum P_e^2``, because losses
+    are taken as proportional to the power. The standard error is computed from the residuals of the trials.
     """
     pairs = [(p.mechanical_W, p.electrical_W) for p in points if p.mechanical_W and p.electrical_W]
     if not pairs:
@@ -474,7 +480,7 @@ def _checks(file: MapFile) -> list[ev.Check]:
 
 
 def answer(file: MapFile) -> str:
-    """Return the best points as a sentence."""
+    """Return the best points of the map as a sentence."""
     parts = []
     for name, (word, sign) in BEST.items():
         if name not in file.quantities:
@@ -491,7 +497,10 @@ def answer(file: MapFile) -> str:
 
 
 def _best_table(file: MapFile) -> ev.Table:
-    """Return every point of one axis; of two axes the best points for each value of the first."""
+    """Return a table of the points of a map.
+
+    With one axis it has every point, with two axes the best points for each value of the first axis.
+    """
     first, rows = file.axes[0], []
     for i, at in enumerate(first.values):
         row: dict[str, blocks.Cell] = {first.name: numbers.number(at)}
@@ -556,7 +565,7 @@ def _figures(file: MapFile) -> list[ev.Figure]:
 
 
 def _shown(file: MapFile, name: str) -> tuple[Array, str]:
-    """Return a quantity in the unit that is drawn, and its title."""
+    """Return a quantity in the unit in which it is plotted, and its title."""
     bare, unit = numbers.split_unit(name)[0].replace("_", " "), file.quantities[name].unit
     factor, shown = numbers.in_degrees(unit)
     return factor * np.array(file.quantities[name].values, dtype=float), _title(bare, shown)
@@ -568,7 +577,7 @@ def _title(name: str, unit: str) -> str:
 
 
 def _axis_title(axis: Axis) -> str:
-    """Return the title of an axis; the name of a coefficient may end like a unit (``K_s``)."""
+    """Return the title of an axis. The name of a coefficient is kept, as it may end like a unit (``K_s``)."""
     if axis.name in BEAT | STROKE:
         return numbers.column_title(axis.name)
     return _title(axis.name, axis.unit)
@@ -591,7 +600,7 @@ def _contours(file: MapFile, name: str) -> ev.Panel:
     lines = contourpy.contour_generator(along.values, down.values, np.ma.masked_invalid(values))
     levels = [v for v in MaxNLocator(N_LEVELS).tick_values(low, high) if low < v < high]
     for k, level in enumerate(levels):
-        # a row of NaN ends each line
+        # end each contour line with a row of NaN, so that the lines stay separate
         found = [np.vstack([np.asarray(line), [[np.nan, np.nan]]]) for line in lines.lines(level)]
         if found:
             x, y = np.vstack(found).T

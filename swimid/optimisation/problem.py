@@ -1,4 +1,4 @@
-"""The optimisation problem over gaits, its gradient search, and draws of the coefficients."""
+"""Optimisation problem over gaits, its gradient search, and random samples of the coefficients."""
 
 from __future__ import annotations
 
@@ -19,41 +19,46 @@ from swimid.fitting.model import Array
 from swimid.optimisation.performance import Performance, Point
 from swimid.simulation.catalogue import Applied, is_possible
 
-#: Number of draws that are made at once, and the maximum number in all.
+#: Number of coefficient samples that are drawn at once, and maximum number of samples drawn.
 BLOCK, MAX_DRAWS = 50_000, 5_000_000
-#: First and last radius of the finite differences, as a share of the range, and maximum number of steps.
+#: First and last radius of the finite differences, as a fraction of the range, and maximum number of steps of
+#: a search.
 FIRST_RADIUS, LAST_RADIUS, MAX_STEPS = 0.1, 1e-3, 24
-#: Value of the function where it cannot be computed.
+#: Value that replaces an objective that cannot be computed.
 BROKEN = 1e9
-#: Number of points at which the local model is evaluated, and of repetitions in a smaller box.
+#: Number of points at which the quadratic model of the objective is evaluated in one round, and number of
+#: rounds. Each round has a smaller search region.
 N_MODEL_POINTS, N_ZOOMS = 512, 3
-#: Violating a limit adds a penalty of this many times the typical size of the goal, per relative violation.
+#: Penalty for violating a limit: this factor times the typical scale of the goal times the relative
+#: violation.
 PENALTY = 10.0
-#: Largest relative violation at which a limit counts as kept.
+#: Maximum relative violation at which a limit still counts as satisfied.
 LIMIT_RTOL = 1e-3
-#: First radius, last radius and number of steps of the searches in draws, which begin at the optimum.
+#: First and last radius and maximum number of steps of the searches for coefficient samples. These searches
+#: start from the optimum for the estimated coefficients.
 DRAW_RADIUS, DRAW_LAST, DRAW_STEPS = 0.03, 1e-3, 14
 
-#: Function of points in the unit cube, shape (n, d), and of the index of the search of each, shape (n,).
-#: Returns the goal and the violation of each limit, shape (n, 1 + limits), negative if a limit is kept.
+#: Objective function. Its arguments are points in the unit cube, shape (n, d), and the index of the search to
+#: which each point belongs, shape (n,). It returns the goal and the violation of each limit, shape (n, 1 +
+#: limits). The violation is negative if the limit is satisfied.
 Evaluate = Callable[[Array, NDArray[np.int64]], Array]
 
 
 def interval95(values: Array) -> Array:
-    """Return the 95 % interval over draws, shape (2, ...), of values with one draw in each row."""
+    """Return the 95 % interval over random samples, which are the rows of ``values``, shape (2, ...)."""
     return np.asarray(np.nanquantile(values, [0.025, 0.975], axis=0, method="weibull"))
 
 
 @dataclass(frozen=True)
 class Draws:
-    """Draws of the coefficients.
+    """Random samples of the coefficients.
 
     Attributes
     ----------
     vectors : list of ndarray
         Parameter vectors of the model.
     inside : float
-        Share of the draws within the bounds; the others were replaced.
+        Fraction of the samples that lay within the bounds. The others were replaced.
     """
 
     vectors: list[Array]
@@ -61,14 +66,15 @@ class Draws:
 
 
 def drawn(applied: Applied, count: int, seed: int) -> Draws:
-    """Draw parameter vectors from the covariance of the coefficients.
+    """Draw random parameter vectors from the covariance of the coefficients.
 
-    The normal distribution is truncated at the bounds of each coefficient, and at impossible masses.
+    The normal distribution is truncated at the bounds of each coefficient, and at physically impossible
+    masses.
 
     Raises
     ------
     NoTrustworthyResult
-        If fewer than ``count`` of MAX_DRAWS draws are possible.
+        If fewer than ``count`` of MAX_DRAWS samples are possible.
     """
     model, centre = applied.model, applied.values()
     names, covariance = applied.uncertain()
@@ -76,7 +82,7 @@ def drawn(applied: Applied, count: int, seed: int) -> Draws:
     lower = np.array([model.parameters[k].lower for k in index])
     upper = np.array([model.parameters[k].upper for k in index])
     sd = np.sqrt(np.diag(covariance))
-    # the correlation is singular if coefficients share a value, so that it has no Cholesky factor
+    # no Cholesky factor exists if coefficients share a value, because the correlation matrix is then singular
     values, vectors = np.linalg.eigh(covariance / np.outer(sd, sd))
     root = sd[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     rng = np.random.default_rng(seed)
@@ -101,13 +107,13 @@ def drawn(applied: Applied, count: int, seed: int) -> Draws:
 
 @dataclass(frozen=True)
 class Minima:
-    """Ends of several searches.
+    """Final points of several searches.
 
     Attributes
     ----------
     points : ndarray, shape (k, d)
     values : ndarray, shape (k,)
-        Goal with the penalties of violated limits.
+        Goal plus the penalties of violated limits.
     """
 
     points: Array
@@ -115,12 +121,15 @@ class Minima:
 
     @property
     def best(self) -> int:
-        """Index of the search with the least value."""
+        """Index of the search with the minimum value."""
         return int(np.argmin(self.values))
 
 
 def merit(parts: Array) -> Array:
-    """Return the goal plus the violations of the limits, shape (n,), of parts of shape (n, 1 + limits)."""
+    """Return the goal plus the penalties of violated limits, shape (n,).
+
+    The columns of ``parts`` are the goal and the penalty of each limit, shape (n, 1 + limits).
+    """
     total = parts[:, 0] + np.maximum(parts[:, 1:], 0.0).sum(axis=1)
     return np.minimum(np.nan_to_num(total, nan=BROKEN, posinf=BROKEN), BROKEN)
 
@@ -134,7 +143,7 @@ def descend(
     steps: int = MAX_STEPS,
     advance: Callable[[], Any] = lambda: None,
 ) -> Minima:
-    """Minimise a function with limits over the unit cube from several starts at once.
+    """Minimise a function with limits over the unit cube from several starting points at once.
 
     Parameters
     ----------
@@ -144,10 +153,10 @@ def descend(
 
     Notes
     -----
-    Central differences give the gradient and the curvature along each axis, of the goal and of each limit.
-    The minimum of this quadratic model with penalties, in a box of twice the radius, is compared with the
-    points of the differences. The radius is halved if no point is better, or if the step is shorter than it.
-    Points outside the cube are moved to its face.
+    Central differences give the gradient, and the curvature along each axis, of the goal and of each limit.
+    They define a quadratic model with penalties. The minimum of the model within twice the radius along each
+    axis is compared with the points of the differences. The radius is halved if none of these points is
+    better, or if the step is shorter than the radius. Points outside the cube are moved to its surface.
 
     >>> def bowl(x, owner):
     ...     return np.column_stack([(x[:, 0] - 0.3) ** 2 + 4 * (x[:, 1] - 1.2) ** 2])
@@ -196,7 +205,7 @@ def descend(
 
 @cache
 def _cube(width: int) -> Array:
-    """Return points that fill the cube from -1 to 1 evenly, its centre first."""
+    """Return points that fill the cube from -1 to 1 evenly, with the centre as the first point."""
     from scipy.stats import qmc
 
     points = 2.0 * qmc.Sobol(width, scramble=False).random(N_MODEL_POINTS) - 1.0
@@ -204,7 +213,7 @@ def _cube(width: int) -> Array:
 
 
 def _model_minimum(point: Array, parts: Array, stencil: Array, around: Array, radius: float) -> Array:
-    """Return the minimum of the quadratic model within the cube and twice the radius."""
+    """Return the minimum of the quadratic model in the unit cube, within twice the radius along each axis."""
     if not np.isfinite(parts).all():
         return np.asarray(stencil[int(np.argmin(merit(around)))])
     slope, curvature = np.zeros((2, len(point), len(parts)))
@@ -233,7 +242,7 @@ def _model_minimum(point: Array, parts: Array, stencil: Array, around: Array, ra
 
 
 class Limit(yamlio.Document):
-    """Limit of a quantity of a gait."""
+    """Maximum or minimum of a quantity of a gait."""
 
     quantity: str
     at_most: Number = None
@@ -243,23 +252,23 @@ class Limit(yamlio.Document):
 
 @dataclass
 class Problem:
-    """Goals and limits over the unit cube of the varied parameters of a gait.
+    """Goals and limits as functions on the unit cube. Its axes are the scaled varied parameters.
 
     Attributes
     ----------
     vary : dict of str to (float, float)
         Ranges of the varied parameters.
     goals : list of (name, quantity, sign)
-        The sign times the quantity is minimised.
+        The product of sign and quantity is minimised.
     limits : dict of str to Limit
     fixed : dict of str to float
-        Other parameters of the gait that differ from the drive of the performance.
+        Parameters of the gait that are not varied but differ from the drive of ``performance``.
     efficiency : float
-        Mechanical over electrical power.
+        Mechanical power divided by electrical power.
     checkpoint : Checkpoint
-        Keeps the result of every batch of simulations.
+        Stores the result of every batch of simulations.
     scale : float
-        Typical size of the first goal.
+        Typical scale of the first goal.
     """
 
     performance: Performance
@@ -274,17 +283,17 @@ class Problem:
     calls: int = field(default=0, init=False)
 
     def at(self, x: Array) -> dict[str, float]:
-        """Return the gait at a point of the cube."""
+        """Return the gait at a point of the unit cube."""
         low, high = np.array(list(self.vary.values()), dtype=float).T
         return dict(zip(self.vary, (low + x * (high - low)).tolist(), strict=True))
 
     def place(self, at: Mapping[str, float]) -> Array:
-        """Return the point of the cube of a gait."""
+        """Return the point of the unit cube that belongs to a gait."""
         low, high = np.array(list(self.vary.values()), dtype=float).T
         return np.asarray((np.array([at[name] for name in self.vary]) - low) / (high - low))
 
     def table(self, points: Array, values: Sequence[Array] | None = None) -> Array:
-        """Simulate points of the cube; return their quantities, shape (n, quantities)."""
+        """Simulate points of the unit cube, and return their quantities, shape (n, quantities)."""
         gaits = [{**self.fixed, **self.at(x)} for x in points]
         self.calls += 1
         found = self.checkpoint.kept(
@@ -293,7 +302,7 @@ class Problem:
         return found.reshape(-1, len(self.performance.units))
 
     def quantity(self, table: Array, name: str) -> Array:
-        """Return a quantity of simulations, shape (n,), also one that only limits use."""
+        """Return a quantity of simulations, shape (n,). It may be a quantity that only limits use."""
         units = list(self.performance.units)
         if name == "battery_power_W":
             return table[:, units.index("mean_positive_power_W")] / self.efficiency
@@ -304,7 +313,7 @@ class Problem:
         return table[:, units.index(name)]
 
     def goal_values(self, table: Array) -> Array:
-        """Return the goals in their own units, shape (n, goals); turning rates without their sign."""
+        """Return the goals in their own units, shape (n, goals). Turning rates have no sign."""
         columns = []
         for _, quantity, _ in self.goals:
             column = self.quantity(table, quantity)
@@ -315,15 +324,15 @@ class Problem:
 
     @property
     def signs(self) -> Array:
-        """Signs of the goals, shape (goals,)."""
+        """Sign of each goal in the minimisation, shape (goals,)."""
         return np.array([sign for _, _, sign in self.goals])
 
     def wanted(self, table: Array) -> Array:
-        """Return the goals as they are minimised, shape (n, goals)."""
+        """Return the goals multiplied by their signs, as they are minimised, shape (n, goals)."""
         return np.asarray(self.goal_values(table) * self.signs)
 
     def violations(self, table: Array) -> Array:
-        """Return the relative violation of each limit, shape (n, limits); negative if it is kept."""
+        """Return the relative violation of each limit, shape (n, limits); negative if it is satisfied."""
         found = [np.empty((len(table), 0))]
         for limit in self.limits.values():
             value = self.quantity(table, limit.quantity)[:, None]
@@ -334,21 +343,21 @@ class Problem:
         return np.hstack(found)
 
     def keeps_limits(self, table: Array) -> NDArray[np.bool_]:
-        """Return whether simulations keep the limits, shape (n,)."""
+        """Return whether each simulation satisfies all limits, shape (n,)."""
         return np.asarray((self.violations(table) <= LIMIT_RTOL).all(axis=1))
 
     def parts(self, table: Array) -> Array:
-        """Return the first goal and the penalty of each limit, shape (n, 1 + limits)."""
+        """Return the first goal as it is minimised and the penalty of each limit, shape (n, 1 + limits)."""
         return np.hstack([self.wanted(table)[:, :1], PENALTY * self.scale * self.violations(table)])
 
     def minimise(self, starts: Array, **how: Any) -> Minima:
-        """Minimise the first goal from several starts (see :func:`descend`)."""
+        """Minimise the first goal from several starting points (see :func:`descend`)."""
         return descend(lambda x, _owner: self.parts(self.table(x)), starts, **how)
 
     def minimise_in_draws(
         self, vectors: Sequence[Array], start: Array, advance: Callable[[], Any] = lambda: None
     ) -> Minima:
-        """Minimise the first goal with each of several parameter vectors, all from one start."""
+        """Minimise the first goal for each of several parameter vectors, all from the same starting point."""
         return descend(
             lambda x, owner: self.parts(self.table(x, [vectors[k] for k in owner])),
             np.tile(start, (len(vectors), 1)),
@@ -359,7 +368,7 @@ class Problem:
         )
 
     def costs(self, x: Array, vectors: Sequence[Array]) -> tuple[Array, Array]:
-        """Return quantities and cost of one point with each of several parameter vectors."""
+        """Return the quantities and the penalised goal of one point, for several parameter vectors."""
         table = self.table(np.tile(x, (len(vectors), 1)), vectors)
         return table, merit(self.parts(table))
 
@@ -369,7 +378,7 @@ class Problem:
         Returns
         -------
         ndarray, shape (n, varied + 2)
-            Points of the cube that keep the limits, and the goals as they are minimised.
+            Points of the unit cube that satisfy the limits, and the goals as they are minimised.
         """
 
         def cost(points: Array) -> Array:

@@ -1,4 +1,7 @@
-"""Common parts of maps, rules and gaits: keys of their files, parallel work, evidence and checks."""
+"""Common parts of maps, rules and gaits: keys of their files, parallel work, evidence and checks.
+
+A study is the computation of one map, stiffness rule or best gait.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +23,12 @@ from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
 from swimid.robots import file as robot_format
 
-#: Warnings that the coefficients lie outside their bounds, or come from a fit that did not converge or could
-#: not identify them.
+#: Warnings about the coefficients: they lie outside their bounds, or their fit did not converge or could not
+#: identify them.
 DOUBTFUL_CODES = ("SWM053", "SWM062")
-#: Values of the parameters of a drive that does not state them.
+#: Default values of the drive parameters.
 NEUTRAL = {"bias_deg": 0.0, "asymmetry": 0.0, "lag_deg": 0.0, "scale": 1.0}
-#: Smallest share of draws of the coefficients that lie within their bounds.
+#: Minimum fraction of the random coefficient samples that lie within the bounds of the coefficients.
 MIN_INSIDE = 0.5
 REFERENCES = [
     "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin",
@@ -39,23 +42,23 @@ REFERENCES = [
 
 
 class StudyFile(yamlio.ResultFile):
-    """Base of the files of maps, rules and gaits."""
+    """Base class of the files of maps, rules and gaits."""
 
     format: str
     verdict: Literal["good", "caution", "bad"]
     robot: str
     model: str
     params: str | None = None
-    #: Drive, as far as it is not varied.
+    #: Parameters of the drive that are not varied.
     drive: dict[str, Any]
     duration_s: float
-    #: Range of each drive parameter in the identification trials; gaits outside it are extrapolation.
+    #: Range of each drive parameter in the identification trials. Gaits outside this range are extrapolation.
     identified: dict[str, tuple[float, float]] = {}
 
 
 @dataclass(frozen=True)
 class Study:
-    """Inputs, provenance and first keys of the file of a study.
+    """Inputs, provenance and first keys of the file of a map, rule or gait.
 
     Attributes
     ----------
@@ -64,7 +67,7 @@ class Study:
     origin : dict
         Provenance with the time and the command.
     head : dict
-        First keys of the file. Its provenance has no time, so that the same study gives the same bytes.
+        First keys of the file. The provenance in the file has no time, so that equal inputs give equal files.
     """
 
     inputs: list[Input]
@@ -73,12 +76,12 @@ class Study:
 
     @property
     def key(self) -> list[Any]:
-        """Key of the checkpoint of an unfinished study."""
+        """Key of the checkpoint, by which an unfinished study is resumed."""
         return [self.origin["inputs"], self.origin["settings"]]
 
 
 def study_of(performance: Performance, options: GaitOptions, more: Sequence[Input] = ()) -> Study:
-    """Return inputs, provenance and first keys of a study with these options."""
+    """Return inputs, provenance and first file keys for the study that these options describe."""
     applied, given = performance.applied, options.params
     inputs: list[Input] = [*more]
     name, folder, params = options.robot, None, None
@@ -109,7 +112,7 @@ def study_of(performance: Performance, options: GaitOptions, more: Sequence[Inpu
 def in_parallel(
     work: Callable[[int], Array], items: Sequence[int], jobs: int | None, label: str, progress: Progress
 ) -> list[Array]:
-    """Return the results of work on numbered items, in ``jobs`` threads (default: all processors)."""
+    """Return the results of work on numbered items, in ``jobs`` threads (default: one per processor)."""
     done = []
     with (
         progress(label, total=len(items)) as step,
@@ -131,7 +134,7 @@ def evidence(
     origin: dict[str, Any],
     **shown: Any,
 ) -> ev.Evidence:
-    """Return the evidence of a study, with the facts and the check that every study has."""
+    """Return the evidence of a study, with the facts and the check that are common to all studies."""
     doubts = "; ".join(n.text for n in notices if n.code in DOUBTFUL_CODES)
     if doubts:
         name, limit = "coefficients are those of a sound fit", "converged, identified, within bounds"
@@ -151,13 +154,13 @@ def evidence(
 
 
 def count_check(name: str, passed: int, count: int, text: str, reason: str = "") -> ev.Check:
-    """Check that all of ``count`` items pass; ``text`` is shown if not."""
+    """Check that all of ``count`` items pass. The text is shown if they do not."""
     value, text = f"{passed} of {count}", text * (passed < count)
     return ev.check(name, value, passed == count, "all", text, reason=f"{value} {reason}" * bool(reason))
 
 
 def draws_check(inside: float) -> ev.Check:
-    """Check that most draws of the coefficients lie within their bounds."""
+    """Check that most random coefficient samples lie within the bounds of the coefficients."""
     value, passed = numbers.percent(inside, 2), inside >= MIN_INSIDE
     text = "the coefficients are hardly known: fit them better" * (not passed)
     name, reason = "draws within the coefficients' bounds", f"only {value} of draws lie within them"
@@ -165,12 +168,12 @@ def draws_check(inside: float) -> ev.Check:
 
 
 def unknown_check(name: str) -> ev.Check:
-    """Return the entry that an uncertainty is not known."""
+    """Return a check entry which states that an uncertainty is not known."""
     return ev.check(name, "not known", None, text="give a parameter file with standard errors: --params")
 
 
 def steady_check(steady: int, count: int) -> ev.Check:
-    """Check that runs are steady at their end."""
+    """Check that the speed is steady at the end of each simulation."""
     text = "speeds are those after --duration-s from rest, not steady ones"
     return count_check("steady at the end of the run", steady, count, text, "runs are steady at their end")
 
@@ -199,7 +202,7 @@ def find_outside(region: Mapping[str, tuple[float, float]], at: Mapping[str, flo
     found = []
     for name, (low, high) in region.items():
         slack = 1e-9 * (1.0 + max(abs(low), abs(high)))
-        # a stroke states no frequency: it has one of its own
+        # a stroke without a stated frequency has its own frequency
         value = at.get(name, NEUTRAL.get(name))
         if value is not None and not low - slack <= value <= high + slack:
             found.append(name)
@@ -207,7 +210,7 @@ def find_outside(region: Mapping[str, tuple[float, float]], at: Mapping[str, flo
 
 
 def forwards_check(surge_m_s: Sequence[float | None]) -> list[ev.Check]:
-    """Check that the robot swims nose first; a speed along the path does not show the direction.
+    """Check that the robot swims nose first, because its speed along the path does not show the direction.
 
     Parameters
     ----------

@@ -1,6 +1,7 @@
-"""Robot file (``swimid-robot/1``): everything that is known of a robot before any fit.
+"""Robot file (``swimid-robot/1``): the known properties of a robot before any fit.
 
-Built-in robots are YAML files in ``swimid/robots``. A robot of your own is a YAML file, without code.
+Built-in robots are YAML files in ``swimid/robots``. A user can describe another robot in a YAML file, without
+writing code.
 """
 
 from __future__ import annotations
@@ -22,14 +23,14 @@ NonNegative = Annotated[float, Field(ge=0)]
 
 
 class Fluid(yamlio.Document):
-    """Density of the water, and gravity."""
+    """Density of the water, and acceleration of gravity."""
 
     density_kg_m3: PositiveFloat = 997.0
     gravity_m_s2: PositiveFloat = 9.81
 
 
 class Body(yamlio.Document):
-    """Body of the robot as one rigid piece."""
+    """Properties of the robot as a single rigid body."""
 
     inertial_mass_kg: NonNegative | None = None
     frontal_area_m2: PositiveFloat | None = None
@@ -50,13 +51,14 @@ class Rig(yamlio.Document):
     roll_stiffness_N_m_rad: NonNegative | None = None
     pitch_stiffness_N_m_rad: NonNegative | None = None
     yaw_stiffness_N_m_rad: NonNegative | None = None
-    #: m g l of a pendulum, or m g GM of a ship. The restoring moment is this times the sine of the angle.
+    #: Product m g l of a pendulum, or m g GM of a ship. The restoring moment is this product times the sine
+    #: of the angle.
     roll_gravity_stiffness_N_m_rad: NonNegative | None = None
     pitch_gravity_stiffness_N_m_rad: NonNegative | None = None
 
 
 class Theory(yamlio.Document):
-    """Value of a parameter from theory or tables, for comparison with an estimate."""
+    """Value of a parameter from theory or published tables, for comparison with an estimate."""
 
     parameter: str
     value: float
@@ -66,7 +68,11 @@ class Theory(yamlio.Document):
 
 
 class Fin(yamlio.Document):
-    """A caudal fin. The inertia of a rectangle follows from its size; that of another shape is given."""
+    """A caudal fin.
+
+    The inertia of a rectangular fin is computed from its size. The inertia of a fin of another shape must be
+    given.
+    """
 
     shape: Literal["rectangle", "other"] = "rectangle"
     height_m: PositiveFloat
@@ -77,26 +83,26 @@ class Fin(yamlio.Document):
 
 
 class Robot(yamlio.Document):
-    """A robot file: everything that is known of a robot before any fit.
+    """A robot file: the known properties of a robot before any fit.
 
     Attributes
     ----------
     name, description : str
     sources : list of str
-        Papers from which its quantities come.
+        Papers from which the quantities in the file are taken.
     fluid : Fluid
         ``density_kg_m3``, ``gravity_m_s2``.
     body : Body
-        The body as one rigid piece: ``inertial_mass_kg``, ``frontal_area_m2``, ``length_m``, ...
+        Robot as a single rigid body: ``inertial_mass_kg``, ``frontal_area_m2``, ``length_m``, ...
     rig : Rig
-        The test rig: ``pulley_inertia_kg``, ``stiffness_N_m``, ...
+        Test rig: ``pulley_inertia_kg``, ``stiffness_N_m``, ...
     fins : dict of str to Fin
     theory : list of Theory
         Values from theory, for comparison with estimates.
     multilink, multibody : Multilink, Multibody or None
-        Links, joints and elements of a robot in a plane, and of one in space.
+        Links, joints and elements of a robot in a plane, and of a robot in 3-D.
     readings : dict of str to Reading
-        Ambiguities of the sources, and the reading of each.
+        Ambiguities of the sources, each with its chosen interpretation.
     """
 
     format: Literal["swimid-robot/1"]
@@ -110,15 +116,15 @@ class Robot(yamlio.Document):
     theory: list[Theory] = []
     #: Links, joints and elements of a robot in a plane.
     multilink: Multilink | None = None
-    #: Links, hinges and elements of a robot in space.
+    #: Links, hinges and elements of a robot in 3-D.
     multibody: Multibody | None = None
-    #: Ambiguities of the sources, and the reading of each.
+    #: Ambiguities of the sources, each with its chosen interpretation.
     readings: dict[str, Reading] = {}
 
     def marker_places(self, plane: Literal["horizontal", "vertical"]) -> dict[str, tuple[float, float]]:
         """Return the positions of the markers relative to the reference point, m.
 
-        Each is (forward, to port), or (forward, up) in the vertical plane.
+        A position is (forward, to port), or (forward, up) in the vertical plane.
         """
         if self.multibody is not None:
             aside = {"horizontal": 1, "vertical": 2}[plane]
@@ -148,7 +154,7 @@ def locate(name: str, relative_to: Path | None = None) -> Path:
     Raises
     ------
     InputError
-        When there is no such robot.
+        If no such robot exists.
     """
     if name in built_in():
         return Path(str(resources.files("swimid") / "robots" / f"{name}.yaml"))
@@ -165,27 +171,27 @@ def locate(name: str, relative_to: Path | None = None) -> Path:
 
 
 def read(name: str, relative_to: Path | None = None, *, readings: Mapping[str, str] | None = None) -> Robot:
-    """Read a robot by the name of a built-in one, or by a path relative to ``relative_to``.
+    """Read a robot by the name of a built-in robot, or by a path relative to ``relative_to``.
 
     Parameters
     ----------
     name : str
     relative_to : Path, optional
     readings : mapping of reading to option, optional
-        Readings of the source's ambiguities in place of those of the file.
+        Interpretations of the source's ambiguities that replace those of the file.
 
     Raises
     ------
     InputError
-        For anything wrong in the file.
+        For any error in the file.
     UsageError
-        For an unknown reading or option.
+        For an unknown ambiguity or an unknown interpretation.
     """
     return RobotFile(locate(name, relative_to)).read(readings or {})
 
 
 class RobotFile:
-    """A robot file that can be read with different readings of its sources.
+    """A robot file that can be read with different interpretations of its sources.
 
     Parameters
     ----------
@@ -198,7 +204,7 @@ class RobotFile:
         self._written = yamlio.validate(self._data, Robot, path)
 
     def read(self, readings: Mapping[str, str]) -> Robot:
-        """Return the robot with other readings than those of the file (see :func:`read`)."""
+        """Return the robot with interpretations that replace those of the file (see :func:`read`)."""
         written, path = self._written.readings, self.path
         chosen = {key: reading.chosen for key, reading in written.items()}
         for key, option in readings.items():
@@ -230,7 +236,7 @@ class RobotFile:
 
 
 def _put(data: Any, place: str, value: Any, path: Path) -> None:
-    """Set the value at a dotted path, in which members of lists have their name or number."""
+    """Set the value at a dotted path. A member of a list is addressed by its name or its index."""
     *way, last = place.split(".")
     for part in way:
         data = data[_key(data, part, place, path)]
@@ -252,7 +258,7 @@ def _key(data: Any, part: str, place: str, path: Path) -> Any:
 
 
 def _member(data: Any, part: str) -> Any:
-    """Return the key of a member, or its index in a list by name or number; None if there is none."""
+    """Return the dictionary key, or the list index, of a member; None if there is no such member."""
     if isinstance(data, list):
         for index, member in enumerate(data):
             named = isinstance(member, dict) and member.get("name") == part
@@ -264,7 +270,7 @@ def _member(data: Any, part: str) -> Any:
 
 
 def located(error: InputError, path: Path) -> InputError:
-    """Return an error with its file and line, which follow from the dotted path in its ``column``."""
+    """Return an error with its file and line, which are found from the dotted path in its ``column``."""
     whole = data = yamlio.load(path)
     location: list[str | int] = []
     for part in (error.column or "").split("."):

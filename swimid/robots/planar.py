@@ -1,8 +1,8 @@
 """Links, joints and hydrodynamic elements of a robot in a plane, as they are in the robot file.
 
-Stations along a link count from its front end backwards, offsets to port (upwards in the vertical plane). Any
-physical quantity may be a product with named coefficients, such as ``"2.133 * c_ma"``. A gray-box fit
-estimates these coefficients.
+A station is a distance along a link, measured backwards from its front end. An offset is a distance to port
+(upwards in the vertical plane). Any physical quantity may be a product with named coefficients, such as
+``"2.133 * c_ma"``. A gray-box fit estimates these coefficients.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def factors(quantity: float | str) -> tuple[float, tuple[str, ...]]:
     Raises
     ------
     ValueError
-        When a factor is neither a number nor a name.
+        If a factor is neither a number nor a name.
 
     >>> factors("0.5 * c_f0")
     (0.5, ('c_f0',))
@@ -58,30 +58,31 @@ def _quantity(value: Any) -> Any:
     return value
 
 
-#: Number, or product of numbers and coefficients.
+#: Physical quantity in a robot file: a number, or a product of numbers and coefficients.
 Quantity = Annotated[float | str, BeforeValidator(_quantity)]
 
 
 class Coefficient(yamlio.Document):
-    """A named coefficient, with what is known before a fit."""
+    """A named coefficient, with its value, bounds and start value before a fit."""
 
     value: float
     unit: str = "1"
     bounds: tuple[float | None, float | None] = (None, None)
-    #: Start value of a fit; default: the value.
+    #: Start value of a fit; the default is ``value``.
     start: float | None = None
-    #: Typical size. An estimate with a standard error above half of it and of its value is not identifiable.
+    #: Typical scale of the coefficient. An estimate is not identifiable if its standard error exceeds half of
+    #: both this scale and the estimate.
     scale: PositiveFloat | None = None
-    #: Whether a fit estimates it by default.
+    #: Whether a fit estimates the coefficient by default.
     free: bool = True
-    #: Whether each trial has a value of its own, such as the trim of the robot.
+    #: Whether each trial has a value of its own. An example is the trim of the robot.
     per_trial: bool = False
     meaning: str = ""
     source: str = ""
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Bounds, infinite where the file has none."""
+        """Lower and upper bound. A bound that the file omits is infinite."""
         low, high = self.bounds
         return -math.inf if low is None else low, math.inf if high is None else high
 
@@ -107,12 +108,12 @@ Coefficients = Annotated[dict[str, Coefficient], AfterValidator(_named)]
 
 
 class Link(yamlio.Document):
-    """A rigid link with its origin at its front end and x forward."""
+    """A rigid link. Its origin is at its front end, and its x axis points forward."""
 
     name: str
     length_m: PositiveFloat
     mass_kg: Quantity
-    #: Station of the centre of mass.
+    #: Station of the centre of mass: its distance behind the front end of the link, m.
     com_m: Quantity
     com_offset_m: Quantity = 0.0
     inertia_kg_m2: Quantity
@@ -121,14 +122,14 @@ class Link(yamlio.Document):
 
 
 class Servo(yamlio.Document):
-    """A second-order servo between the command and the joint."""
+    """A second-order servo between the commanded angle and the angle of a joint."""
 
     natural_frequency_hz: Quantity
     damping_ratio: Quantity = 0.7
 
 
 class Tendon(yamlio.Document):
-    """A wire with a spring that pulls a joint straight (tendon fish, Eqs 3 and 4)."""
+    """A wire with a spring that pulls a joint towards the straight position (tendon fish, Eqs 3 and 4)."""
 
     spring_N_m: Quantity
     pretension_m: Quantity
@@ -145,9 +146,10 @@ class Tendon(yamlio.Document):
 
 
 class Driven(yamlio.Document):
-    """Law of a joint that follows the drive, or a measured angle."""
+    """Law of a joint that follows the drive or a measured angle."""
 
-    #: Share of the drive's amplitude, and of its bias unless ``bias_gain`` is given.
+    #: Amplitude of the joint divided by the amplitude of the drive. The same factor applies to the bias
+    #: unless ``bias_gain`` is given.
     gain: float = 1.0
     bias_gain: float | None = None
     #: Phase lag of this joint behind the drive, degrees.
@@ -162,7 +164,7 @@ class Yielding(yamlio.Document):
     cubic_N_m_rad3: Quantity = 0.0
     damping_N_m_s_rad: Quantity = 0.0
     quadratic_damping_N_m_s2_rad2: Quantity = 0.0
-    #: Dry friction, smoothed at rates below ``friction_below_rad_s``.
+    #: Dry friction. It is smoothed at rates below ``friction_below_rad_s``.
     friction_N_m: Quantity = 0.0
     friction_below_rad_s: PositiveFloat = 0.02
     rest_deg: float = 0.0
@@ -175,17 +177,18 @@ class Passive(Yielding):
 
 
 class Joint(yamlio.Document):
-    """A joint between two links. A positive angle turns the child counter-clockwise."""
+    """A joint between two links. A positive angle rotates the child link counter-clockwise."""
 
     name: str
     parent: str
     child: str
-    #: Station on the parent; default: its rear end.
+    #: Station of the joint on the parent link; the default is the rear end of the parent.
     at_m: Quantity | None = None
     offset_m: Quantity = 0.0
-    #: Angle between the links at zero joint angle.
+    #: Angle between the two links at zero joint angle, degrees.
     mount_deg: float = 0.0
-    #: At most one of the two. Without either, the links are joined rigidly.
+    #: Law of a driven or of a passive joint; at most one of the two. Without either, the links are joined
+    #: rigidly.
     driven: Driven | None = None
     passive: Passive | None = None
 
@@ -197,15 +200,15 @@ class Joint(yamlio.Document):
 
 
 class OnLink(yamlio.Document):
-    """An element of a link."""
+    """Base of the elements that act on one link."""
 
     link: str
-    #: Name by which readings refer to it.
+    #: Name by which interpretations of the source (readings) refer to the element.
     name: str = ""
 
 
 class AddedMass(OnLink):
-    """Added mass and inertia of a link, concentrated at a station."""
+    """Added mass and added inertia of a link, concentrated at a station."""
 
     kind: Literal["added-mass"]
     surge_kg: Quantity = 0.0
@@ -216,17 +219,18 @@ class AddedMass(OnLink):
 
 
 class Drag(OnLink):
-    """Morison drag along and across a link, at one station or evenly along the link."""
+    """Morison drag along and across a link, at one station or distributed evenly along the link."""
 
     kind: Literal["drag"]
     axial_area_m2: Quantity = 0.0
     axial_coefficient: Quantity = 0.0
     normal_area_m2: Quantity = 0.0
     normal_coefficient: Quantity = 0.0
-    #: Linear drag of the whole element.
+    #: Linear drag of the whole element along the link.
     axial_linear_N_s_m: Quantity = 0.0
     normal_linear_N_s_m: Quantity = 0.0
-    #: Number of Gauss strips along the link; 1 is a point at ``at_m`` (default: the middle of the link).
+    #: Number of Gauss strips along the link. With 1, the drag acts at the point ``at_m`` (default: the middle
+    #: of the link).
     strips: Annotated[int, Field(ge=1, le=200)] = 3
     at_m: Quantity | None = None
     from_m: float | None = None
@@ -259,10 +263,10 @@ class Section(yamlio.Document):
 
 
 class SlenderBody(OnLink):
-    """Strips along a link of varying cross-section (dolphin, Eqs 4, 7 and 8)."""
+    """Added mass and drag on strips along a link of varying cross-section (dolphin, Eqs 4, 7 and 8)."""
 
     kind: Literal["slender-body"]
-    #: Cross-sections from the front end, with linear interpolation between them.
+    #: Cross-sections from the front end backwards, with linear interpolation between them.
     sections: Annotated[list[Section], Field(min_length=2)]
     added_mass_coefficient: Quantity = 0.0
     friction_coefficient: Quantity = 0.0
@@ -281,14 +285,15 @@ class SlenderBody(OnLink):
 class Foil(OnLink):
     """Lift and drag of a fin at one point (dolphin, Eq 9).
 
-    The polar is that of a flat plate: C_l = lift sin(2 a), C_d = drag0 + drag1 (1 - cos(2 a)).
+    The polar is that of a flat plate with the angle of attack a: C_l = lift sin(2 a), C_d = drag0 + drag1 (1
+    - cos(2 a)).
     """
 
     kind: Literal["foil"]
     area_m2: Quantity
     at_m: Quantity
     offset_m: Quantity = 0.0
-    #: Angle of the chord from the axis of the link.
+    #: Angle of the chord from the axis of the link, degrees.
     chord_deg: float = 0.0
     lift_coefficient: Quantity
     drag_coefficient_0: Quantity = 0.0
@@ -298,20 +303,21 @@ class Foil(OnLink):
 class TrailingEdge(OnLink):
     """Momentum shed into the wake where a slender body or its caudal fin ends (Lighthill 1971).
 
-    Use it with lateral added mass of the links, whose impulse is the other part of Lighthill's force. Use
-    either a trailing edge or a foil on a fin, never both: each accounts for the whole force.
+    Use it together with lateral added mass of the links, whose impulse is the other part of Lighthill's
+    force. Use either a trailing edge or a foil on a fin, never both, because each accounts for the whole
+    force.
     """
 
     kind: Literal["trailing-edge"]
     #: Lateral added mass per length at the edge: rho pi h^2 / 4 for an edge of height h.
     added_mass_kg_m: Quantity
-    #: Station of the edge; default: the rear end of the link.
+    #: Station of the edge; the default is the rear end of the link.
     at_m: Quantity | None = None
     offset_m: Quantity = 0.0
 
 
 class Hydrostatics(OnLink):
-    """Weight at the centre of mass and buoyancy of a volume, in the vertical plane."""
+    """Weight of a link at its centre of mass, and buoyancy of a volume, in the vertical plane."""
 
     kind: Literal["hydrostatics"]
     volume_m3: Quantity = 0.0
@@ -320,7 +326,7 @@ class Hydrostatics(OnLink):
 
 
 class Force(OnLink):
-    """A constant force at a point, in the link's axes or the world's."""
+    """A constant force at a point of a link, in the axes of the link or of the world."""
 
     kind: Literal["force"]
     at_m: Quantity = 0.0
@@ -337,15 +343,16 @@ Element = Annotated[
 
 
 class ReadingOption(yamlio.Document):
-    """One reading of an ambiguous symbol, and its changes to the file."""
+    """One interpretation of an ambiguous symbol in the source, and the values that it changes in the file."""
 
     says: str
-    #: New values by dotted path (``elements.0.axial_area_m2``, with members of lists by name or number).
+    #: New values by dotted path, such as ``elements.0.axial_area_m2``. Members of lists are addressed by name
+    #: or index.
     set: dict[str, Any] = {}
 
 
 class Reading(yamlio.Document):
-    """An ambiguity of the source, its possible readings, and the chosen one."""
+    """An ambiguity of the source, its possible interpretations, and the chosen interpretation."""
 
     question: str
     chosen: str
@@ -359,18 +366,18 @@ class Reading(yamlio.Document):
 
 
 class Reference(yamlio.Document):
-    """A point of the first link: the point whose pose is logged, or a marker."""
+    """A point of the first link: the reference point whose pose is logged, or a marker."""
 
     station_m: float = 0.0
     offset_m: float = 0.0
 
 
 class Multilink(yamlio.Document):
-    """A tree of links in a plane."""
+    """Robot in a plane: a tree of links, with their joints and elements."""
 
     plane: Literal["horizontal", "vertical"]
     base: Literal["free", "fixed"] = "free"
-    #: Heading of a fixed base.
+    #: Heading of a fixed base, degrees.
     heading_deg: float = 0.0
     reference: Reference = Reference()
     markers: dict[str, Reference] = {}

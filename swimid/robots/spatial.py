@@ -1,8 +1,9 @@
-"""Links, hinges and hydrodynamic elements of a robot in space, as they are in the robot file.
+"""Links, hinges and hydrodynamic elements of a robot in 3-D, as they are in the robot file.
 
 Every link has its own axes: x forward, y to port, z up when all hinges are straight. Their origin is at the
-hinge that holds the link; for the first link, the base, it is anywhere. Places are given in the axes of their
-link. Any physical quantity may be a product with named coefficients, as in :mod:`swimid.robots.planar`.
+hinge that connects the link to its parent. The origin of the first link, the base, is arbitrary. Positions
+are given in the axes of their link. Any physical quantity may be a product with named coefficients, as in
+:mod:`swimid.robots.planar`.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from pydantic import Field, PositiveFloat, model_validator
 from swimid.files import yamlio
 from swimid.robots.planar import Coefficients, Driven, OnLink, Quantity, Yielding
 
-#: Vector along the axes of a link.
+#: Vector with components along the axes of a link.
 Vector = tuple[Quantity, Quantity, Quantity]
 Direction = tuple[float, float, float]
 ZERO: Vector = (0.0, 0.0, 0.0)
@@ -33,7 +34,8 @@ class Body(yamlio.Document):
     name: str
     mass_kg: Quantity = 0.0
     com_m: Vector = ZERO
-    #: Inertia about the centre of mass: xx, yy, zz and, if the link is not symmetric, xy, xz, yz.
+    #: Inertia about the centre of mass: xx, yy, zz. The components xy, xz, yz follow if the link is not
+    #: symmetric.
     inertia_kg_m2: Annotated[list[Quantity], Field(min_length=3, max_length=6)] = [0.0, 0.0, 0.0]
 
     @model_validator(mode="after")
@@ -44,19 +46,21 @@ class Body(yamlio.Document):
 
 
 class Hinge(yamlio.Document):
-    """A hinge between two links. A positive angle turns the child right-handed about the axis."""
+    """A hinge between two links. A positive angle rotates the child right-handed about the axis."""
 
     name: str
     parent: str
     child: str
-    #: Place on the parent.
+    #: Position of the hinge on the parent link.
     at_m: Vector = ZERO
-    #: Axis, in the axes of the child. At zero angle these are the axes of the parent turned by ``mount_deg``.
+    #: Direction of the hinge in the axes of the child link. At zero angle, these are the parent's axes
+    #: rotated by ``mount_deg``.
     axis: Direction
-    #: Rotation of the child's axes from the parent's at zero angle: about x, then y, then z of the parent,
-    #: right-handed, degrees.
+    #: Rotation of the child's axes from the parent's axes at zero angle, degrees. It consists of right-handed
+    #: rotations about x, then y, then z of the parent.
     mount_deg: Direction = (0.0, 0.0, 0.0)
-    #: At most one of the two. Without either, the links are joined rigidly.
+    #: Law of a driven or of a passive hinge; at most one of the two. Without either, the links are joined
+    #: rigidly.
     driven: Driven | None = None
     passive: Yielding | None = None
 
@@ -81,14 +85,15 @@ class Spheroid(OnLink):
     """Added mass of a prolate spheroid along x (Lamb; sea lion, Eqs 3 to 8)."""
 
     kind: Literal["spheroid"]
-    #: Half its length, and its largest radius.
+    #: Half the length of the spheroid, and its maximum radius.
     semi_major_m: PositiveFloat
     semi_minor_m: PositiveFloat
     at_m: Vector = ZERO
-    #: Factors on the added masses along x, y and z. Rotation about y moves water along z, and rotation about
-    #: z along y, so that they also apply to the added inertias.
+    #: Factors on the added masses along x, y and z. They also apply to the added inertias: the factor of z to
+    #: rotation about y, and the factor of y to rotation about z, because these rotations move water along z
+    #: and y.
     factors: Vector = (1.0, 1.0, 1.0)
-    #: Whether rotation about y and z has added inertia (not in the paper).
+    #: Whether rotation about y and z has added inertia. The paper has none.
     turning: bool = True
 
     @model_validator(mode="after")
@@ -104,7 +109,7 @@ class Plate(OnLink):
     kind: Literal["plate"]
     span_m: PositiveFloat
     chord_m: PositiveFloat
-    #: Coefficient of additional mass.
+    #: Coefficient of added mass.
     k: Quantity = 1.0
     at_m: Vector = ZERO
     normal: Direction = (0.0, 0.0, 1.0)
@@ -116,10 +121,10 @@ class Plate(OnLink):
 
 
 class Drag(OnLink):
-    """Drag ``-rho/2 C A |v| v`` along each axis of the link, at a point or on strips between two.
+    """Drag ``-rho/2 C A |v| v`` along each axis of the link, at a point or on strips between two points.
 
-    The strips are at the points of the Gauss-Legendre rule. A few are enough for a row with one coefficient.
-    A row of pieces with different coefficients needs one element for each.
+    The strips are at the points of the Gauss-Legendre rule. A few strips are enough for a surface with one
+    coefficient. A surface whose parts have different coefficients needs one element for each part.
     """
 
     kind: Literal["drag"]
@@ -127,10 +132,11 @@ class Drag(OnLink):
     coefficient: Vector = (1.0, 1.0, 1.0)
     linear_N_s_m: Vector = ZERO
     at_m: Vector = ZERO
-    #: Far end of a row of strips that begins at ``at_m``. The area is that of the whole row.
+    #: End of a row of strips that begins at ``at_m``. The area is the area of the whole row.
     to_m: Vector | None = None
     strips: Annotated[int, Field(ge=1, le=200)] = 1
-    #: Half the height over which it leaves the water; without it, it is always in the water.
+    #: Half the height over which the element leaves the water at the surface. Without it, the element is
+    #: always under water.
     half_height_m: PositiveFloat | None = None
 
     @model_validator(mode="after")
@@ -151,8 +157,8 @@ class Damping(OnLink):
 class Foil(OnLink):
     """Lift and drag of a fin at one point, with the polar of a flat plate.
 
-    C_l = lift sin(2 a), C_d = drag0 + drag1 (1 - cos(2 a)), with a the angle between chord and motion. Flow
-    along the span has no effect.
+    C_l = lift sin(2 a), C_d = drag0 + drag1 (1 - cos(2 a)), where a is the angle between the chord and the
+    motion. Flow along the span has no effect.
     """
 
     kind: Literal["foil"]
@@ -179,7 +185,7 @@ class Hydrostatics(OnLink):
 
     kind: Literal["hydrostatics"]
     volume_m3: Quantity = 0.0
-    #: Centre of buoyancy; default: the centre of mass.
+    #: Centre of buoyancy; the default is the centre of mass.
     buoyancy_at_m: Vector | None = None
     half_height_m: PositiveFloat | None = None
 
@@ -190,14 +196,15 @@ class Water(OnLink):
     kind: Literal["water"]
     volume_m3: Quantity
     at_m: Vector = ZERO
-    #: Radii of gyration of the water about its centre.
+    #: Radii of gyration of the water about its centre, m.
     gyration_m: Direction = (0.0, 0.0, 0.0)
-    #: Whether the volumes of the hydrostatics include the space of this water. Its weight then counts.
+    #: Whether the volumes of the hydrostatics include the volume of this water. The weight of this
+    #: water is added only in that case.
     weighs: bool = False
 
 
 class Force(OnLink):
-    """A constant force at a point, in the link's axes or the world's."""
+    """A constant force at a point of a link, in the axes of the link or of the world."""
 
     kind: Literal["force"]
     at_m: Vector = ZERO
@@ -212,10 +219,11 @@ Element = Annotated[
 
 
 class Stroke(yamlio.Document):
-    """A cycle of driven hinges: angles at times, with a smooth and periodic interpolation."""
+    """A cycle of the driven hinges: their angles at given times, with a smooth and periodic interpolation."""
 
     period_s: PositiveFloat
-    #: Times of the knots from 0 to the period, and the angles of each hinge there. The last equals the first.
+    #: Times of the knots from 0 to the period, and the angle of each hinge at these times. The last angle
+    #: equals the first.
     knots_s: Annotated[list[float], Field(min_length=4)]
     angles_deg: dict[str, list[float]]
 
@@ -234,18 +242,18 @@ class Stroke(yamlio.Document):
 
 
 class Reference(yamlio.Document):
-    """A point of the first link: the point whose pose is logged, or a marker."""
+    """A point of the first link: the reference point whose pose is logged, or a marker."""
 
     at_m: Direction = (0.0, 0.0, 0.0)
 
 
 class Multibody(yamlio.Document):
-    """A tree of links in space."""
+    """Robot in 3-D: a tree of links, with their hinges, elements and strokes."""
 
     base: Literal["free", "fixed"] = "free"
     reference: Reference = Reference()
     markers: dict[str, Reference] = {}
-    #: Height of the water surface in the world; without it the robot is deep in the water.
+    #: Height of the water surface in the world. Without it, the robot is always under water.
     surface_z_m: float | None = None
     coefficients: Coefficients = {}
     links: Annotated[list[Body], Field(min_length=1)]

@@ -1,9 +1,12 @@
-"""Robots with links, in a plane and in space: ``swimid fit-graybox``.
+"""Robots with links, in a plane and in 3-D: ``swimid fit-graybox``.
 
-``fit_graybox`` is the command with its evidence, ``options`` its options, ``front`` its search of Pareto
-fronts. ``trials`` turns logs into trials. ``model`` simulates a robot: ``tree`` has its links with tables
-that are polynomials in the coefficients, ``drive`` the motion of its driven joints, ``steady`` its steady
-swimming on a ``limit_cycle``. ``planar`` and ``spatial`` each hold a compiled engine, the assembly of its
-tables from a robot file, and the model. ``lanes`` compiles an engine for batches of runs. ``energetics``
-computes the powers of a run.
+``fit_graybox`` is the command, ``options`` has its options, and ``front`` searches its Pareto fronts.
+``trials`` turns logs into trials. ``model`` simulates a robot. ``tree`` holds its links, ``drive`` computes
+the motion of its driven joints, and ``steady`` and ``limit_cycle`` its steady swimming. ``energetics``
+computes the powers of a simulation.
+
+``planar`` and ``spatial`` are the two kinds of robot: in a plane and in 3-D. Each has an engine, which is the
+compiled equations of motion with their time integration. The engine takes the properties of a robot as arrays
+(tables), whose entries are polynomials in the coefficients. ``assembly`` computes these arrays from a robot
+file. ``lanes`` compiles an engine for batches of simulations.
 """

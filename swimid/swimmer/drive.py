@@ -1,4 +1,4 @@
-"""Motions of the driven joints: beats, strokes, measured angles, servos, and their tables for the engines."""
+"""Motions of the driven joints from beats, strokes or measured angles, as input of the simulation."""
 
 from __future__ import annotations
 
@@ -24,18 +24,20 @@ from swimid.swimmer.planar.engine import sampled
 from swimid.swimmer.tree import Axis, Polynomial, given
 
 Value = TypeVar("Value")
-#: Natural frequency (Hz) and damping ratio of the servo of each driven joint; None without a servo.
+#: Natural frequency (Hz) and damping ratio of the servo of each driven joint; None for a joint without a
+#: servo.
 Servos = tuple[tuple[float, float] | None, ...]
-#: Relative tolerance to which a servo has forgotten its first state when a steady run begins.
+#: Maximum remaining fraction of the initial transient of a servo when a simulation begins in steady swimming.
 SERVO_RTOL = 1e-10
-#: Maximum number of driven motions kept for each trial: derivatives need the same few in turn.
+#: Maximum number of cached joint motions per trial. The finite differences of a Jacobian use the same few
+#: motions again and again.
 MAX_MOTIONS = 12
-#: Maximum number of commanded motions kept for each trial.
+#: Maximum number of cached commanded motions per trial.
 MAX_COMMANDS = 4
-#: Step of the grid on which the command of a drive is read, s.
+#: Time step at which the commanded joint angles are sampled, s.
 READ_S = 0.0025
-#: Half the width of the smoothing bell of an actuator's deviation, s, since a joint cannot jump; and the
-#: minimum in steps of the grid.
+#: Knot spacing of the B-spline kernel that smooths the deviation of an actuator from its command, in s, and
+#: its minimum in grid steps. The deviation is smoothed because a joint angle cannot jump.
 BELL_S, MIN_BELL_STEPS = 0.0075, 1.5
 
 
@@ -47,12 +49,12 @@ class Grid(NamedTuple):
     steps: int
 
     def times(self, parts: int) -> Array:
-        """Return the times of the grid with each step divided into equal parts, shape (parts steps + 1,)."""
+        """Return the grid times, with each step divided into ``parts`` parts, shape (parts steps + 1,)."""
         return self.begin_s + self.step_s / parts * np.arange(parts * self.steps + 1.0)
 
 
 class TrialCache(Generic[Value]):
-    """Results of each trial, of which the latest are kept; safe for threads."""
+    """Cache of the latest results of each trial. It may be used by several threads."""
 
     def __init__(self, maximum: int) -> None:
         self.maximum = maximum
@@ -60,7 +62,7 @@ class TrialCache(Generic[Value]):
         self._lock = threading.Lock()
 
     def get(self, trial: str, key: Hashable) -> Value | None:
-        """Return the result that is kept under a key; None if there is none."""
+        """Return the cached result of a trial with this key; None if there is none."""
         with self._lock:
             kept = self._kept.get(trial, OrderedDict())
             if key in kept:
@@ -68,7 +70,7 @@ class TrialCache(Generic[Value]):
             return kept.get(key)
 
     def put(self, trial: str, key: Hashable, value: Value) -> Value:
-        """Keep a result, drop the oldest beyond the maximum, and return the result."""
+        """Store a result, remove the oldest results beyond the maximum number, and return the result."""
         with self._lock:
             kept = self._kept.setdefault(trial, OrderedDict())
             kept[key] = value
@@ -77,7 +79,7 @@ class TrialCache(Generic[Value]):
         return value
 
     def forget(self, trials: Collection[str]) -> None:
-        """Drop the results of trials."""
+        """Remove the cached results of these trials."""
         with self._lock:
             for name in trials:
                 self._kept.pop(name, None)
@@ -85,14 +87,14 @@ class TrialCache(Generic[Value]):
 
 @dataclass(frozen=True)
 class DrivenMotion:
-    """Motion of the driven joints during a run.
+    """Motion of the driven joints during a simulation.
 
     Attributes
     ----------
     table : ndarray, shape (2 steps + 1, driven joints, 5)
-        Table of the engine on the half-step grid (:func:`table`).
+        Input array for the integration, at every half step (see :func:`table`).
     angles, rates : ndarray, shape (steps + 1, driven joints)
-        Angles (rad) and rates (rad/s) on the grid itself, for the channels.
+        Angles (rad) and rates (rad/s) at every step, for the channels.
     """
 
     table: Array
@@ -101,7 +103,7 @@ class DrivenMotion:
     _kept: dict[bytes, Array] = field(init=False, repr=False, compare=False, default_factory=dict)
 
     def sampled(self, time_s: Array, grid: Grid) -> Array:
-        """Return the angles at any times, shape (n, driven joints); the latest result is kept."""
+        """Return the joint angles at any times, shape (n, driven joints). The latest result is cached."""
         key = time_s.tobytes()
         found = self._kept.get(key)
         if found is None:
@@ -112,15 +114,15 @@ class DrivenMotion:
 
 
 class DrivenJoints:
-    """Driven joints of a robot, which turn the drive of a trial into motion.
+    """Driven joints of a robot, which compute their motion from the drive of a trial.
 
     Parameters
     ----------
     axes : sequence of Axis
     coefficients : sequence of str
-        Names of the coefficients of the robot, on which servos may depend.
+        Names of the coefficients of the robot. The properties of servos may depend on them.
     mounts_rad : sequence of float
-        Angle between the links of each joint at zero joint angle, as the engine's table counts it.
+        Mounting angle that :func:`table` adds to the angle of each joint.
     """
 
     def __init__(
@@ -134,14 +136,14 @@ class DrivenJoints:
         self._read: dict[str, tuple[SwimInput, Array, list[tuple[Array, Array, float]]]] = {}
 
     def forget(self, trials: Collection[str]) -> None:
-        """Drop what is kept of trials."""
+        """Remove the cached results of these trials."""
         self._motions.forget(trials)
         self._commands.forget(trials)
         for name in trials:
             self._read.pop(name, None)
 
     def commands(self, trial: Trial) -> list[tuple[Array, Array, float]]:
-        """Return time (s), commanded angle (rad) and largest commanded rate (rad/s) of each joint."""
+        """Return time (s), commanded angle (rad) and maximum commanded rate (rad/s) of each joint."""
         known = self._read.get(trial.id)
         if known is None or known[0] is not trial.swim or known[1] is not trial.time_s:
             time = np.arange(float(trial.time_s[0]), float(trial.time_s[-1]) + READ_S, READ_S)
@@ -153,20 +155,20 @@ class DrivenJoints:
     def motion(
         self, values: Array, trial: Trial, grid: Grid, phase_rad: float, hooks: Hooks = NONE
     ) -> DrivenMotion:
-        """Return the motion of the joints in a run.
+        """Return the motion of the joints in a simulation.
 
-        It is kept: except for those of servos, no coefficient changes it.
+        The motion is cached. It depends on coefficients only through servos.
 
         Parameters
         ----------
         values : ndarray
-            Coefficients of the robot first.
+            Parameter vector that begins with the coefficients of the robot.
         trial : Trial
         grid : Grid
         phase_rad : float
-            Phase of the drive at time zero, beyond that of the trial.
+            Phase of the drive at time zero, in addition to the phase that the trial states.
         hooks : Hooks
-            Effects on the actuators. Measured angles show them already.
+            Effects on the actuators. They do not apply to measured angles, which already contain them.
         """
         if trial.swim.measured:
             hooks = NONE
@@ -180,7 +182,7 @@ class DrivenJoints:
     def fresh_motion(
         self, values: Array, trial: Trial, grid: Grid, phase_rad: float, hooks: Hooks
     ) -> DrivenMotion:
-        """Return the same as :meth:`motion`, computed anew and not kept."""
+        """Return the motion of the joints as :meth:`motion` does, but without the cache."""
         return self._moved(trial, grid, phase_rad, self._servos_at(values), hooks)
 
     def _servos_at(self, values: Array) -> Servos:
@@ -193,7 +195,7 @@ class DrivenJoints:
         lead_s = _memory_s(trial.swim, servos, hooks)
         if lead_s == 0.0:
             return self._actuated(trial, grid, phase_rad, servos, hooks)
-        # begin earlier, so that actuators with memory have followed the steady beat for long
+        # begin earlier, so that the initial transients of servos and backlash have decayed at the first step
         before = math.ceil(lead_s / grid.step_s)
         early = Grid(grid.begin_s - before * grid.step_s, grid.step_s, grid.steps + before)
         whole = self._actuated(trial, early, phase_rad, servos, hooks)
@@ -213,7 +215,7 @@ class DrivenJoints:
                 motions.append((answer[:, 0], answer[:, 1], answer[:, 2]))
             elif hooks.command:
                 actual.append(hooks.actuated(half, motion[0], k))
-                # equal motions stay one object, so that the table is written once for them
+                # reuse the object of an equal motion, so that its columns in the array are computed once
                 if k and motion is commands[k - 1] and np.array_equal(actual[-2], actual[-1]):
                     motions.append(motions[-1])
                 else:
@@ -225,7 +227,7 @@ class DrivenJoints:
         return DrivenMotion(found, angles, rates)
 
     def _commanded(self, trial: Trial, grid: Grid, phase_rad: float) -> list[Motion]:
-        """Return the command of each joint at every half step, or at every quarter for a servo."""
+        """Return the commanded motion of each joint at half steps, or at quarter steps with a servo."""
         known = self._commands.get(trial.id, (grid, phase_rad))
         if known is not None:
             return known
@@ -239,24 +241,24 @@ class DrivenJoints:
         return self._commands.put(trial.id, (grid, phase_rad), found)
 
     def _is_like_last(self, k: int, swim: SwimInput) -> bool:
-        """Return whether a beat moves a driven joint as the one before it."""
+        """Return whether a beat moves driven joint ``k`` in the same way as driven joint ``k - 1``."""
         if swim.joints is not None or swim.stroke is not None or swim.beat is None:
             return False
         return swim.beat.lag_rad == 0.0 and self.axes[k - 1].driven == self.axes[k].driven
 
 
 def joint_motion(axis: Axis, number: int, swim: SwimInput, time_s: Array, phase_rad: float) -> Motion:
-    """Return the commanded motion of a driven joint: measured angle, or its part of a stroke or a beat.
+    """Return the commanded motion of a driven joint from measured angles, a stroke or a beat.
 
     Parameters
     ----------
     axis : Axis
     number : int
-        Position of the joint among the driven ones.
+        Index of the joint among the driven joints.
     swim : SwimInput
     time_s : ndarray, shape (n,)
     phase_rad : float
-        Phase ahead of that of the drive.
+        Phase that is added to the phase of the drive.
     """
     if swim.joints is not None:
         return swim.joints[number](time_s)
@@ -275,10 +277,10 @@ def joint_motion(axis: Axis, number: int, swim: SwimInput, time_s: Array, phase_
 
 
 def _memory_s(swim: SwimInput, servos: Servos, hooks: Hooks) -> float:
-    """Return the time after which an actuator on a steady beat has forgotten its first state, s.
+    """Return the time in which the initial transient of the actuators decays under a steady beat, s.
 
-    It is 0 for any other run. A servo forgets at the rate of its damping. Backlash and limits of rate repeat
-    from the second period on.
+    It is 0 for a simulation that does not begin in steady swimming. The transient of a servo decays with its
+    damping. Backlash and rate limits repeat from the second period on.
     """
     if not swim.steady or swim.drive is None:
         return 0.0
@@ -299,8 +301,8 @@ def _servo(axis: Axis) -> tuple[Polynomial, Polynomial] | None:
 def measured(time_s: Array, angle_rad: Array) -> BSpline:
     """Return a cubic smoothing spline through a measured joint angle.
 
-    Angle, rate and acceleration come from this one spline. Its smoothing follows from generalised
-    cross-validation.
+    The angle, its rate and its acceleration are computed from this one spline. Generalised cross-validation
+    selects the amount of smoothing.
 
     Parameters
     ----------
@@ -310,13 +312,13 @@ def measured(time_s: Array, angle_rad: Array) -> BSpline:
     Raises
     ------
     ValueError
-        With fewer than five samples.
+        If fewer than five samples are present.
     """
     there = np.isfinite(angle_rad)
     if there.sum() < 5:
         raise ValueError("a measured joint needs at least five samples")
     times, angles = time_s[there], np.unwrap(angle_rad[there])
-    # in units of the sampling interval the same range of smoothing serves all sampling rates
+    # measure time in sampling intervals, so that one range of smoothing parameters suits all sampling rates
     scale = float(np.median(np.diff(times)))
     places = (times - times[0]) / scale
     spacing = np.diff(places)
@@ -333,16 +335,17 @@ def measured(time_s: Array, angle_rad: Array) -> BSpline:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def cross_validation_score(smoothing, spacing, values):  # type: ignore[no-untyped-def]
-    """Return the score ``n |residuals|^2 / trace(I - A)^2`` of a natural cubic spline.
+    """Return the generalised cross-validation score of a natural cubic spline.
 
-    The curvatures follow from Reinsch's banded system, the trace from the bands of its inverse
-    (Hutchinson and de Hoog, Numerische Mathematik 47, 1985).
+    The score is ``n |residuals|^2 / trace(I - A)^2``, where the matrix A maps the data to the spline. The
+    second derivatives of the spline are the solution of Reinsch's banded system. The trace is computed from
+    the bands of the inverse of that system (Hutchinson and de Hoog, Numerische Mathematik 47, 1985).
     """
     n = len(values)
     m = n - 2
     left, right = 1.0 / spacing[:-1], 1.0 / spacing[1:]
     middle = -left - right
-    # the bands of Q'Q, then of R + smoothing Q'Q and its factors
+    # compute the bands of Q'Q, then those of R + smoothing Q'Q and of its factors
     square, beside, beyond = left**2 + middle**2 + right**2, np.zeros(m + 2), np.zeros(m + 2)
     pivot, first, second = np.zeros(m + 2), np.zeros(m + 2), np.zeros(m + 2)
     curvature = np.zeros(m + 2)
@@ -381,7 +384,7 @@ def cross_validation_score(smoothing, spacing, values):  # type: ignore[no-untyp
 
 
 def spline_motion(spline: BSpline) -> Callable[[Array], Motion]:
-    """Return the spline as a motion that holds its first and last angle beyond the ends."""
+    """Return the spline as a motion with constant angles before its first and after its last sample."""
     rate, bend = spline.derivative(), spline.derivative(2)
     low, high = float(spline.t[0]), float(spline.t[-1])
 
@@ -395,7 +398,7 @@ def spline_motion(spline: BSpline) -> Callable[[Array], Motion]:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def simulate_servo(command, step, omega, damping):  # type: ignore[no-untyped-def]
-    """Integrate a second-order servo that starts at its command, at rest.
+    """Integrate a second-order servo that starts at its commanded angle with zero rate.
 
     Parameters
     ----------
@@ -438,17 +441,17 @@ def simulate_servo(command, step, omega, damping):  # type: ignore[no-untyped-de
 def deviated(motion: Motion, actual: Array, step_s: float) -> Motion:
     """Return the motion of an actuator whose angle deviates from its command.
 
-    It is the command plus the deviation. The deviation may have corners, and is smoothed by a cubic B-spline
-    bell so that rate and acceleration are derivatives of the angle.
+    The deviation may have corners. It is smoothed by a cubic B-spline kernel and added to the command, so
+    that the angle has a rate and an acceleration.
 
     Parameters
     ----------
     motion : (angle, rate, acceleration), each shape (n,)
-        Command on an even grid.
+        Command on an even time grid.
     actual : ndarray, shape (n,)
         Angle that the actuator reaches, rad.
     step_s : float
-        Step of the grid.
+        Step of the time grid.
     """
     deviation = actual - motion[0]
     if not deviation.any():
@@ -462,7 +465,7 @@ def deviated(motion: Motion, actual: Array, step_s: float) -> Motion:
 
 @lru_cache(maxsize=32)
 def _bells(step_s: float) -> list[Array]:
-    """Return the bell and its first two derivatives on an even grid, each shape (2 reach + 1,)."""
+    """Return the smoothing kernel and its first two derivatives, each shape (2 reach + 1,)."""
     spacing = max(BELL_S, MIN_BELL_STEPS * step_s)
     reach = math.ceil(2.0 * spacing / step_s)
     at = np.arange(-reach, reach + 1) * step_s / spacing
@@ -470,7 +473,8 @@ def _bells(step_s: float) -> list[Array]:
     found = []
     for order in range(3):
         kernel = np.nan_to_num(bell(at, nu=order)) / spacing**order
-        # correct the moments of the sampled bell, so that constants and lines are smoothed exactly
+        # correct the moments of the sampled kernel, so that it reproduces constants and straight lines
+        # exactly
         if order:
             kernel -= kernel.mean()
         found.append(kernel / float(kernel @ ((-at * spacing) ** order / math.factorial(order))))
@@ -478,14 +482,14 @@ def _bells(step_s: float) -> list[Array]:
 
 
 def table(count: int, motions: Sequence[Motion], mounts_rad: Sequence[float]) -> Array:
-    """Return joint motions as the engine reads them, shape (count, joints, 5).
+    """Return joint motions as an input array for the integration, shape (count, joints, 5).
 
-    The columns are angle (rad), rate (rad/s), acceleration (rad/s2), and cosine and sine of the angle with
-    the mounting angle of the joint added.
+    The columns are angle (rad), rate (rad/s), acceleration (rad/s2), and the cosine and the sine of the sum
+    of joint angle and mounting angle.
     """
     found = np.empty((count, len(motions), 5))
     joints = zip(motions, mounts_rad, range(len(motions)), strict=True)
-    # neighbouring joints with the same motion are written together
+    # fill the columns of neighbouring joints with the same motion together
     for _, group in groupby(joints, key=lambda joint: (id(joint[0]), joint[1])):
         (motion, mount, first), *others = group
         parts = (np.ascontiguousarray(part, dtype=float) for part in motion)

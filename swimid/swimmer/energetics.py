@@ -1,4 +1,4 @@
-"""Energetics of a run: torques, powers, and the balance of energy."""
+"""Joint torques, powers and energy balance of a simulation."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from swimid.swimmer.planar.engine import PASSIVE
 
 @dataclass(frozen=True)
 class Energetics:
-    """Torques, powers and energies of a run, over its integration grid.
+    """Torques, powers and energies of a simulation, at its integration steps.
 
     Attributes
     ----------
     time_s : ndarray, shape (m,)
         Times with an even step.
     torque_N_m, rate_rad_s : ndarray, shape (m, driven joints)
-        Generalised force of each driven joint on the link behind it, and rate of the joint.
+        Torque of each driven joint on its child link, and rate of the joint.
     passive_torque_N_m, passive_rate_rad_s : ndarray, shape (m, passive joints)
         Torque of spring, wire and damper of each passive joint, and rate of the joint.
     kinetic_J : ndarray, shape (m,)
@@ -29,7 +29,7 @@ class Energetics:
     water_W : ndarray, shape (m,)
         Power given to the water by drag, foils and trailing edges.
     weight_W : ndarray, shape (m,)
-        Power given to constant forces: weight and buoyancy.
+        Power that the robot gives to constant forces: weight and buoyancy.
     dissipated_W : ndarray, shape (m,)
         Power dissipated in the dampers of passive joints.
     """
@@ -51,25 +51,25 @@ class Energetics:
         return self.torque_N_m * self.rate_rad_s
 
     def mean(self, power_W: Array) -> float:
-        """Return the mean of a power over the whole time by the trapezoidal rule, W."""
+        """Return the mean of a power over the simulated time by the trapezoidal rule, W."""
         return float(np.trapezoid(power_W, self.time_s) / (self.time_s[-1] - self.time_s[0]))
 
     def mean_power_W(self) -> float:
-        """Return the mean mechanical power of all driven joints together, W; negative power counts."""
+        """Return the mean mechanical power of all driven joints together, W. Negative power is subtracted."""
         return self.mean(self.power_W.sum(axis=1))
 
     def mean_positive_power_W(self) -> float:
-        """Return the mean mechanical power of motors that recover no energy, W.
+        """Return the mean mechanical power of all driven joints without energy recovery, W.
 
         Negative power of a joint counts as zero.
         """
         return self.mean(np.maximum(self.power_W, 0.0).sum(axis=1))
 
     def balance_J(self) -> tuple[float, float]:
-        """Return the work of the driven joints, and the energy that water, dampers and motion received, J.
+        """Return the work of the driven joints, and the energy into which it was converted, J.
 
-        The latter is the work on water, weight and dampers and the change of the stored and kinetic energy.
-        The difference of the two is the error of the integration.
+        The second value is the work on water, weight and dampers plus the change of the stored and kinetic
+        energy. The difference between the two values is the error of the integration.
         """
         duration = self.time_s[-1] - self.time_s[0]
         gone = duration * self.mean(self.water_W + self.weight_W + self.dissipated_W)
@@ -88,8 +88,8 @@ def elastic(passive: Array, angle: Array, rate: Array) -> tuple[Array, Array]:
 
     Notes
     -----
-    For a wire with a spring it is the energy of the tendon fish's Eq 4, ``K_t d_p d_t + K_t d_t^2 / 2`` with
-    Eq 3.
+    The energy of a wire with a spring is ``K_t d_p d_t + K_t d_t^2 / 2`` (tendon fish, Eq 4), with the
+    elongation ``d_t`` from Eq 3.
     """
     law = dict(zip(PASSIVE, passive.T, strict=True))
     speed = np.abs(rate)

@@ -1,4 +1,4 @@
-"""``fit-graybox``: hydrodynamic coefficients of a multi-link swimmer from its trials."""
+"""``fit-graybox``: estimates hydrodynamic coefficients of a multi-link swimmer from its trials."""
 
 from __future__ import annotations
 
@@ -40,14 +40,16 @@ from swimid.swimmer.options import FitGrayboxOptions
 if TYPE_CHECKING:
     from swimid.swimmer.front import FrontResult
 
-#: Typical number of Jacobians in a fit. The amount of simulation ahead need be known within a factor of two.
+#: Typical number of Jacobian evaluations in a fit. It gives the expected simulation time, which needs to be
+#: correct only within a factor of two.
 N_JACOBIANS = 20
-#: Number of starts if the user gives none and one start is not enough.
+#: Number of starting points if the user states none and the fit from one starting point is not enough.
 DEFAULT_STARTS = 4
-#: Maximum number of integration steps of a quick fit. They take about a second on one processor (1.3 us for a
-#: step of the tendon fish, benchmarks.bench_lanes).
+#: Maximum number of integration steps of a quick fit. A quick fit is repeated from other starting points.
+#: These steps take about one second on one processor (1.3 us per step of the tendon fish,
+#: benchmarks.bench_lanes).
 MAX_QUICK_STEPS = 1e6
-#: Maximum number of points of a measured path in a figure.
+#: Maximum number of plotted points of a measured path.
 MAX_PATH_POINTS = 200
 
 
@@ -61,9 +63,10 @@ def fit_graybox(
 ) -> Fitted:
     """Identify the coefficients of a robot with links by output error over all trials at once.
 
-    Other methods are a Pareto front with a point chosen on it, and output error that starts on the front. Do
-    not use a coefficient by itself if its status is ``"unidentifiable"`` (the trials determine it only
-    together with others) or ``"at-bound"`` (its bound stopped it).
+    Other methods are a Pareto front from which one point is chosen, and output error that starts from points
+    of the front. Do not use a coefficient by itself if its status is ``"unidentifiable"`` (the trials
+    determine only a combination of this coefficient with others) or ``"at-bound"`` (the estimate lies at the
+    bound of the coefficient).
 
     Parameters
     ----------
@@ -71,23 +74,23 @@ def fit_graybox(
         Trials of a free-swim or multibody experiment with a robot that has links: a trials file, or the
         result of :func:`swimid.load`.
     output : path, optional
-        Parameter file to write. Its evidence is written beside it.
+        Parameter file to write. The evidence of the fit is written to the same folder.
     progress : Progress
 
     Returns
     -------
     Fitted
-        ``.parameters`` has the coefficients of the robot file, each in its unit there (mostly 1), and the
-        start of each trial, ``start_x[f10a20]`` (m), ``start_yaw[f10a20]`` (rad). ``.correlation``,
-        ``.converged`` and ``.verdict`` show how far to trust them.
+        ``.parameters`` has the coefficients in the units of the robot file (mostly 1), and the offset of the
+        start pose of each trial, such as ``start_x[f10a20]`` (m) and ``start_yaw[f10a20]`` (rad).
+        ``.correlation``, ``.converged`` and ``.verdict`` show how far the estimates can be trusted.
 
     Raises
     ------
     InputError, UsageError
         For bad files and options.
     NoTrustworthyResult
-        When nothing can be identified. Also when the search did not converge, or was interrupted
-        (:class:`Interrupted`): the result so far is then written first, and marked.
+        If no coefficient can be identified, or if the search did not converge or was interrupted
+        (:class:`Interrupted`). In the last two cases the result so far is written first, with a mark.
 
     References
     ----------
@@ -105,7 +108,7 @@ def fit_graybox(
 
     Examples
     --------
-    Two runs of the tendon fish, its friction coefficients held:
+    Fit two trials of the tendon fish with fixed friction coefficients:
 
     >>> import swimid
     >>> beats = {"f10a20": (1.0, 20), "f14a25": (1.4, 25)}
@@ -198,7 +201,7 @@ def fit_graybox(
 
 @dataclass(frozen=True)
 class _Search:
-    """A finished search.
+    """Result of a search.
 
     Attributes
     ----------
@@ -206,11 +209,11 @@ class _Search:
     front : FrontResult or None
         Pareto front, if one was searched.
     checkpoint : Checkpoint
-        Generations of the front.
+        Stored generations of the search of the Pareto front.
     ends : list of Start
-        End of each start, if there were several.
+        End of the fit from each starting point, if there were several.
     starts : int
-        Number of starts that were planned.
+        Planned number of starting points.
     left_out : list of str
         Coefficients that were fixed because they are not identifiable.
     """
@@ -232,7 +235,7 @@ def _search(
     origin: dict[str, Any],
     progress: Progress,
 ) -> _Search:
-    """Estimate the parameters by the method of the options."""
+    """Estimate the parameters with the method that the options name."""
     ahead_s = _simulated_s(experiment.trials, parameters, options)
     if options.method == "least-squares":
         model.prepare(progress, simulated_s=ahead_s)
@@ -264,7 +267,10 @@ def _least_squares(
     options: FitGrayboxOptions,
     progress: Progress,
 ) -> _Search:
-    """Estimate the parameters by output error from one start, or from several if the user or the fit asks."""
+    """Estimate the parameters by output error from one or several starting points.
+
+    There are several if the user states so, or if the first fit was quick or has a bad result.
+    """
     settings: dict[str, Any] = {"parameters": parameters, "jobs": options.jobs, "loss": options.loss}
     begin, starts = None, options.starts or 1
     if begins is not None:
@@ -281,7 +287,7 @@ def _least_squares(
 
 
 def _deserves_starts(first: FitResult) -> bool:
-    """Return whether to search again from other starts: the fit was quick, or its result is bad."""
+    """Return whether to fit again from other starting points: the fit was quick or its result is bad."""
     lengths = [float(t.time_s[-1] - t.time_s[0]) for t in first.trials]
     steps = first.evaluations * float(np.mean(lengths)) / first.model.swimmer.max_step
     failing = [c for c in fit_common.error_checks(first, roles=("fit",)) if c.verdict == "fail"]
@@ -291,7 +297,7 @@ def _deserves_starts(first: FitResult) -> bool:
 def _simulated_s(
     trials: Sequence[Trial], parameters: Sequence[Parameter], options: FitGrayboxOptions
 ) -> float:
-    """Return about how much time of the trials a fit simulates, s."""
+    """Return the approximate length of all simulations in a fit, s."""
     recorded_s = sum(float(t.time_s[-1] - t.time_s[0]) for t in trials)
     if options.method != "least-squares":
         return recorded_s * options.population * options.generations
@@ -306,7 +312,7 @@ def _require_result(
     output: Path | None,
     explanation: mistakes.Explanation | None,
 ) -> None:
-    """Raise if a search was interrupted, did not converge, or identified nothing."""
+    """Raise an error if a search was interrupted, did not converge, or identified no coefficient."""
     if result.interrupted or 0 < len(search.ends) < search.starts:
         reason = f"interrupted after {len(search.ends)} of {search.starts} starts"
         if result.interrupted:
@@ -337,7 +343,7 @@ def _require_result(
 
 
 def _require_steady_swimming(experiment: Experiment, parameters: Sequence[Parameter]) -> None:
-    """Refuse trials that begin in steady swimming if the model never settles under their drive."""
+    """Raise an error if a trial begins in steady swimming but the model reaches no steady speed."""
     model, stated = experiment.model.swimmer, experiment.model.stated()
     known = {p.name: p.start for p in parameters}
     starts = {p.name: known.get(p.name, p.start) for p in model.parameters}
@@ -356,7 +362,7 @@ def _require_steady_swimming(experiment: Experiment, parameters: Sequence[Parame
 
 
 def _misfits(result: FitResult, trial: Trial) -> mistakes.Errors:
-    """Return the errors of one trial of a fit."""
+    """Return the errors of the channels in one trial of a fit."""
     simulated = {s.channel: s.simulated for s in result.series if s.trial == trial.id}
     return mistakes.misfits(trial, simulated)
 
@@ -368,10 +374,11 @@ def _explain(
     options: FitGrayboxOptions,
     progress: Progress,
 ) -> mistakes.Explanation | None:
-    """Return a common mistake in trials or logs that explains a bad fit; None if none does.
+    """Return a common mistake in the trials or logs that explains a bad fit; None if none does.
 
-    Each mistake is corrected in each trial with fixed coefficients: those of the fit, and those of the robot
-    file. The few most promising corrections are then fitted, and these fits decide.
+    Each mistake is corrected in each trial, first with fixed coefficients: those of the fit, and those of the
+    robot file. Then the model is fitted again with each of the few most promising corrections. These fits
+    decide.
     """
     model, trials = result.model, result.trials
     sd = {name: noise.value_sd for name, noise in result.noise.items()}
@@ -417,7 +424,7 @@ def _explain(
 
 
 def _with_shared(model: Model, share: Sequence[str]) -> Model:
-    """Return the model with one value for all coefficients of each prefix."""
+    """Return the model with one shared value for all coefficients whose names have a common prefix."""
     groups = {name: members for prefix in share for name, members in groups_by_prefix(model, prefix).items()}
     if not groups:
         return model
@@ -425,10 +432,11 @@ def _with_shared(model: Model, share: Sequence[str]) -> Model:
 
 
 def _started_here(result: FitResult, experiment: Experiment) -> FitResult:
-    """Return the fit with its estimates as start values, at which a subset fixes coefficients.
+    """Return the fit with its estimates as start values, for the selection of identifiable coefficients.
 
-    The start of a search, often the middle of the bounds, would bias all others. An estimate at its bound is
-    replaced by the value of the robot file.
+    The selection fixes coefficients at their start values. The original start values, often the middle of the
+    bounds, would bias the other estimates. An estimate at its bound is replaced by the value in the robot
+    file.
     """
     known = _body_of(experiment.robot).coefficients
 
@@ -447,7 +455,10 @@ def _started_here(result: FitResult, experiment: Experiment) -> FitResult:
 def _started_from(
     source: parameters_format.Source, parameters: tuple[Parameter, ...], share: Sequence[str]
 ) -> tuple[Parameter, ...]:
-    """Return the parameters with start values from a file; for a shared one the mean of its members."""
+    """Return the parameters with start values from a parameter file.
+
+    The start value of a shared parameter is the mean over its members.
+    """
     file = parameters_format.read(source, model=("multilink", "multibody"))
     found = []
     for parameter in parameters:
@@ -493,7 +504,7 @@ def _parameter_file(
         method=method,
         unfinished=True,
     )
-    # users of the coefficients are warned of drives outside this range
+    # the range of the drives is stored, so that users of the coefficients are warned of drives outside it
     drives = swimmer.driven_range([t for t in experiment.trials if t.role == "fit"])
     if file.fit is not None and file.fit.model_extra is not None and drives:
         file.fit.model_extra["drives"] = {name: list(ends) for name, ends in drives.items()}
@@ -511,14 +522,14 @@ def _robot_reference(experiment: Experiment, source: str | Path | TrialSet, outp
 
 
 def _body_of(robot: Robot) -> Multilink | Multibody:
-    """Return the links of a robot, in space if its file describes them so, else in a plane."""
+    """Return the links of a robot: in 3-D if the robot file describes them so, otherwise in a plane."""
     body = robot.multibody or robot.multilink
     assert body is not None
     return body
 
 
 def _track(experiment: Experiment, result: FitResult) -> list[ev.Figure]:
-    """Draw the paths if the pose was fitted; in space from above and from the side."""
+    """Plot the paths if the pose was fitted; paths in 3-D are seen from above and from the side."""
     body = _body_of(experiment.robot)
     if isinstance(body, Multibody):
         panels = [*_paths(result, "x_m", "z_m"), *_paths(result, "x_m", "y_m")]
@@ -532,7 +543,7 @@ def _track(experiment: Experiment, result: FitResult) -> list[ev.Figure]:
 
 
 def _paths(result: FitResult, across: str, along: str) -> list[ev.Panel]:
-    """Draw the paths of the worst and the best fitted trial, and of the worst held-out one."""
+    """Plot the paths of the worst and the best fitted trial, and of the worst held-out trial."""
     paths = {}
     for trial in result.trials:
         series = {s.channel: s for s in result.series if s.trial == trial.id}
@@ -561,7 +572,10 @@ def _paths(result: FitResult, across: str, along: str) -> list[ev.Panel]:
 
 
 def _starts_check(ends: Sequence[global_search.Start], *, asked: bool) -> ev.Check:
-    """Count the starts that end in the reported minimum; a test only if the user asked for several."""
+    """Count the starting points from which the fit ends in the reported minimum.
+
+    The count can fail as a check only if the user asked for several starting points.
+    """
     agree = global_search.agreeing(ends)
     value = f"{agree} of {len(ends)} starts end in it"
     text = "the other starts end higher; the lowest is reported" if agree < len(ends) else ""
@@ -571,7 +585,7 @@ def _starts_check(ends: Sequence[global_search.Start], *, asked: bool) -> ev.Che
 
 
 def _tables(experiment: Experiment, result: FitResult, ends: Sequence[global_search.Start]) -> list[ev.Table]:
-    """List errors of trials, parameters by identifiability, starts, and readings of the source."""
+    """Return tables of errors, identifiability, starting points, and interpretations of the source."""
     ranking = [[label, share, result.status[label]] for label, share in covariance.ranked(result)]
     starts = [[k, end.converged, float(end.cost)] for k, end in enumerate(ends, start=1)]
     readings = experiment.robot.readings.items()
@@ -641,12 +655,12 @@ def _error_rows(result: FitResult) -> list[list[str]]:
 
 
 def _phase(s: Series, drive: Beat | None) -> str:
-    """Return the phase of the simulated beat against the measured one, in degrees; empty without a beat."""
+    """Return the phase of the simulated beat relative to the measured beat, degrees; empty if unknown."""
     known = np.isfinite(s.measured)
     highest = None
     if drive is not None and known.sum() > 1:
         rate = 1.0 / float(np.median(np.diff(s.time_s[known])))
-        # surge beats at twice the frequency of the drive
+        # include twice the drive frequency, at which surge oscillates
         highest = min(3.5 * drive.frequency_hz, 0.45 * rate)
     beat = find_beat(s.time_s[known], s.measured[known], highest_hz=highest)
     if beat is None:

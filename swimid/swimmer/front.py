@@ -1,7 +1,7 @@
-"""Pareto fronts of ``fit-graybox --method nsga2`` and ``hybrid``: their search, and the choice of a point.
+"""Search of Pareto fronts for ``fit-graybox --method nsga2`` and ``hybrid``, and the choice of one point.
 
-The points of a front are a CSV file: ``index``, ``profile``, coefficients, objectives. The column of an
-objective is called ``KIND[PROFILE]``.
+A point is a set of coefficients. The points of a front are stored in a CSV file with the columns ``index``,
+``profile``, coefficients and objectives. The column of an objective is called ``KIND[PROFILE]``.
 """
 
 from __future__ import annotations
@@ -32,34 +32,35 @@ from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.swimmer.options import FitGrayboxOptions
 
-#: Channels that make up each kind of distance.
+#: Channels whose errors enter each kind of distance.
 KINDS: dict[str, tuple[str, ...]] = {
     "position": ("x_m", "y_m", "z_m"),
     "orientation": ("roll_rad", "pitch_rad", "yaw_rad"),
     "speed": ("u_m_s", "v_m_s", "w_m_s"),
     "turning": ("roll_rate_rad_s", "pitch_rate_rad_s", "yaw_rate_rad_s"),
 }
-#: Error that counts as one in each kind: m, rad (5 degrees), m/s, rad/s (10 degrees per second).
+#: Error that gives a distance of 1, for each kind: in m, rad (5 degrees), m/s and rad/s (10 degrees per
+#: second).
 SCALES = {
     "position": 0.05,
     "orientation": math.radians(5.0),
     "speed": 0.05,
     "turning": math.radians(10.0),
 }
-#: Maximum shift of simulation against measurement, as a share of the record (Sakoe and Chiba 1978).
+#: Maximum time shift between simulation and measurement, as a fraction of the record (Sakoe and Chiba 1978).
 BAND = 0.05
-#: Name of the one profile of a front over all trials.
+#: Name of the single motion profile when one front is searched over all trials.
 ALL_TRIALS = "all trials"
 #: Rules by which a point of the front is chosen.
 RULES = {"least-worst": global_search.least_worst, "knee": global_search.knee}
-#: Titles of the stages of a search.
+#: Titles of the fits before the search, at the chosen point, and after least squares.
 UNTUNED, CHOSEN, AFTER = "untuned", "chosen on the front", "least squares"
 
 
 def kind_of(channel: str) -> str:
-    """Return the kind of distance that a channel is part of.
+    """Return the kind of distance to which the error of a channel contributes.
 
-    The angle of a joint counts as orientation, its rate as turning.
+    The angle of a joint counts as orientation, and its rate as turning.
     """
     for kind, names in KINDS.items():
         if channel in names:
@@ -75,22 +76,25 @@ def distance(
     *,
     band: float = BAND,
 ) -> float:
-    """Return the dynamic-time-warping distance per sample of several channels that are warped together.
+    """Return the dynamic-time-warping distance per sample between measured and simulated channels.
+
+    All channels are warped together.
 
     Parameters
     ----------
     measured, simulated : mapping of channel to ndarray, shape (n,)
-        At the same even steps. Samples that are not measured in every channel are left out.
+        Values at the same evenly spaced times. Samples that lack a measured channel are left out.
     channels : sequence of str
     scales : sequence of float
-        Error of each channel that counts as one, in the channel's unit.
+        Error of each channel that counts as 1, in the unit of the channel.
     band : float
-        Maximum shift of the two, as a share of the record (Sakoe and Chiba 1978).
+        Maximum time shift between the two, as a fraction of the record (Sakoe and Chiba 1978).
 
     Returns
     -------
     float
-        Root of the least sum of squares over n. NaN if no sample is left or the simulation broke down.
+        Square root of (minimum sum of squared scaled errors / n). NaN if no sample is left or the simulation
+        broke down.
 
     >>> late = {"x_m": np.array([0.0, 0.0, 1.0, 2.0, 2.0])}
     >>> distance({"x_m": np.array([0.0, 1.0, 2.0, 2.0, 2.0])}, late, ["x_m"], [0.05], band=0.2)
@@ -108,33 +112,33 @@ def distance(
 class Profiles:
     """Distances between simulated and measured trials, averaged over the trials of each motion profile.
 
-    A point of the search holds the shared coefficients. Parameters of single trials keep the values that
-    their logs suggest.
+    A point of the search is a vector of the free coefficients that all trials share. Per-trial parameters
+    keep the start values that were estimated from the logs.
 
     Parameters
     ----------
     model : Model
     parameters : sequence of Parameter
-        Those that are free and shared are searched.
+        The free parameters that all trials share are searched.
     trials : sequence of Trial
-        Those of role ``fit`` count.
+        Only trials of role ``fit`` are used.
     profiles : mapping of trial id to str
         Motion profile of each trial.
     scales : mapping of channel to float
-        Errors of channels that count as one, in place of :data:`SCALES`.
+        Errors of channels that count as 1, in place of :data:`SCALES`.
     jobs : int
 
     Attributes
     ----------
     labels : list of str, length d
-        Coefficients that are searched.
+        Names of the coefficients that are searched.
     lower, upper, start : ndarray, shape (d,)
     names : list of str
         Names of the profiles.
     objectives : list of (str, str)
         Profile and kind of each objective.
     columns : list of str
-        Column of each objective in a table.
+        Column name of each objective in a table of points.
     """
 
     def __init__(
@@ -169,21 +173,21 @@ class Profiles:
         self.columns = [f"{kind}[{profile}]" for profile, kind in self.objectives]
 
     def _members(self, profile: str | None) -> list[int]:
-        """Return the positions of the trials of a profile, or of all."""
+        """Return the indices of the trials of a profile, or of all trials if the profile is None."""
         return [k for k, own in enumerate(self._profiles) if profile in (None, own)]
 
     def objectives_of(self, profile: str) -> list[int]:
-        """Return the positions of the objectives of a profile."""
+        """Return the indices of the objectives of a profile."""
         return [j for j, (name, _) in enumerate(self.objectives) if name == profile]
 
     def theta(self, point: Array) -> Array:
-        """Return a point with the parameters of single trials, shape (p,)."""
+        """Return the full parameter vector at a point, with the per-trial parameters, shape (p,)."""
         found = self.problem.start.copy()
         found[self._shared] = point
         return found
 
     def evaluate(self, points: Array, profile: str | None = None) -> Array:
-        """Return the objectives of points, all or those of one profile.
+        """Return the objectives of points, for one profile or for all profiles.
 
         Parameters
         ----------
@@ -193,14 +197,14 @@ class Profiles:
         Returns
         -------
         ndarray, shape (n, m)
-            In units of the scales; NaN if a simulation breaks down.
+            Distances relative to the scales; NaN if a simulation breaks down.
         """
         members = self._members(profile)
         runs = iter(self.problem.simulated([(self.theta(p), k) for p in points for k in members]))
         return np.array([self._scored({k: next(runs) for k in members}, profile) for _ in points])
 
     def scored(self, series: Sequence[Series]) -> Array:
-        """Return all objectives of the series of a fit, shape (m,); NaN if a trial is missing."""
+        """Return all objectives for the simulated channels of a fit, shape (m,); NaN without a trial."""
         by_trial: dict[str, dict[str, Array]] = {}
         for s in series:
             by_trial.setdefault(s.trial, {})[s.channel] = s.simulated
@@ -227,21 +231,23 @@ class Profiles:
 
 @dataclass(frozen=True)
 class FrontResult:
-    """Fronts, and the point that was chosen on them.
+    """Pareto fronts, and the point that was chosen from them.
 
     Attributes
     ----------
     profiles : Profiles
     table : DataFrame
-        All points, each with the profile on whose front it lies and its objectives in every profile.
+        All points, each with the profile on whose front it lies, its coefficients, and its objectives in
+        every profile.
     searches : mapping of profile to Front
         Empty if the front was read from a file.
     chosen : int
         Index of the chosen point.
     rules : mapping of str to int
-        Index of the point that each rule chooses, also for the objectives of each profile alone.
+        Index of the point that each rule chooses. The knee is also chosen for each profile alone.
     stages : mapping of str to FitResult
-        Fits before the search and at the chosen point; None if the model cannot be simulated.
+        Fits before the search, at the chosen point, and so on, by title. None if the model cannot be
+        simulated.
     """
 
     profiles: Profiles
@@ -262,7 +268,10 @@ class FrontResult:
         return np.asarray(self.table[self.profiles.columns], dtype=float)
 
     def starts(self, count: int) -> list[Array]:
-        """Return starts for least squares: the chosen point, those of other rules, then along the front."""
+        """Return starting points for least squares.
+
+        They are the chosen point, the points of the other rules, and then points along the front.
+        """
         ruled = list(dict.fromkeys([self.chosen, *self.rules.values()]))
         along = [int(k) for k in np.linspace(0, len(self.points) - 1, max(count, 1))]
         distinct = list(dict.fromkeys([*ruled, *along]))
@@ -277,7 +286,7 @@ def fit(
     checkpoint: Checkpoint,
     progress: Progress = silent,
 ) -> tuple[FrontResult, FitResult]:
-    """Search or read the fronts, choose a point, and return both with the fit of the model there.
+    """Search or read the fronts, choose a point, and return the fronts and the fit at this point.
 
     Parameters
     ----------
@@ -286,15 +295,16 @@ def fit(
     parameters : tuple of Parameter
     options : FitGrayboxOptions
     checkpoint : Checkpoint
-        Keeps the generations, so that an interrupted search goes on.
+        Stores the generations, so that an interrupted search can be resumed.
     progress : Progress
 
     Raises
     ------
     InputError, UsageError
-        For a front file that does not belong to these trials, and a choice that the front does not have.
+        For a front file that does not belong to these trials, and for a chosen point that is not on the
+        front.
     NoTrustworthyResult
-        When the search is interrupted, or every simulation breaks down.
+        If the search is interrupted, or if every simulation breaks down.
     """
     names = experiment.facts["profiles"]
     if options.fronts == "overall":
@@ -400,12 +410,12 @@ def _numbered(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def read(path: Path, profiles: Profiles) -> pd.DataFrame:
-    """Read the points of a front of these trials: their profile, coefficients and objectives.
+    """Read a front of these trials from a file: profile, coefficients and objectives of each point.
 
     Raises
     ------
     InputError
-        For a file that is no front, or the front of other coefficients, profiles or channels.
+        For a file that is not a front, or a front with other coefficients, profiles or channels.
     """
     try:
         table = pd.read_csv(path, dtype={"profile": str})
@@ -437,7 +447,7 @@ def read(path: Path, profiles: Profiles) -> pd.DataFrame:
 
 
 def _chosen(pick: str, rules: Mapping[str, int], count: int) -> int:
-    """Return the index of the point that a rule, or the user, chooses."""
+    """Return the index of the point that a rule or the user chooses."""
     if pick in rules:
         return rules[pick]
     if not pick.isdigit():
@@ -450,7 +460,10 @@ def _chosen(pick: str, rules: Mapping[str, int], count: int) -> int:
 
 
 def save(output: Path, found: FrontResult, options: FitGrayboxOptions) -> list[Path]:
-    """Write the front beside the parameter file, unless it was read from there, and return its path."""
+    """Write the front to the folder of the parameter file, and return the path of the front.
+
+    The front is not written if it was read from this path.
+    """
     path = output.with_name(f"{output.stem}.front.csv")
     if options.front is not None and options.front.resolve() == path.resolve():
         return []
@@ -464,7 +477,7 @@ def save(output: Path, found: FrontResult, options: FitGrayboxOptions) -> list[P
 def add_evidence(
     evidence: ev.Evidence, found: FrontResult, result: FitResult, options: FitGrayboxOptions
 ) -> None:
-    """Add the front, the choice on it and the errors of each stage to the evidence of a fit."""
+    """Add the front, the chosen point, and the errors of all fits to the evidence of a fit."""
     stages = dict(found.stages)
     if options.method == "hybrid":
         stages[AFTER] = result
@@ -499,7 +512,7 @@ def _stages_table(found: FrontResult, stages: Mapping[str, FitResult | None]) ->
 
 
 def _choices_table(found: FrontResult) -> ev.Table:
-    """List the point that every rule chooses, and the range of each coefficient over the front."""
+    """List the point that every rule chooses, and the range of each coefficient along the front."""
     picks = dict(found.rules)
     if found.chosen not in picks.values():
         picks = {"by index": found.chosen, **picks}
@@ -522,7 +535,7 @@ def _choices_table(found: FrontResult) -> ev.Table:
 
 
 def _figures(found: FrontResult, stages: Mapping[str, FitResult | None]) -> list[ev.Figure]:
-    """Draw the front of every profile with the results of the stages, and the search by generations."""
+    """Plot the fronts of all profiles with the fits, and the minimum distances over the generations."""
     profiles = found.profiles
     ends = {t: profiles.scored(r.series) for t, r in stages.items() if r is not None}
     fronts, histories = [], []

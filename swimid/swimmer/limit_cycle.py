@@ -1,4 +1,4 @@
-"""Limit cycle of a periodically driven robot: the state that one period of the drive maps onto itself."""
+"""Limit cycle of a periodically driven robot: the motion that repeats after each period of the drive."""
 
 from __future__ import annotations
 
@@ -9,23 +9,25 @@ import numpy as np
 
 from swimid.fitting.model import Array
 
-#: Tolerance of the fixed point, relative to the size of the motion. With steps of 1e-6 of a parameter
-#: (:mod:`swimid.fitting.problem`), derivatives in fits are then accurate to 1e-4.
+#: Relative tolerance of the fixed point: the maximum change of the state over a period, divided by the
+#: amplitude of the motion. With steps of 1e-6 of a parameter (:mod:`swimid.fitting.problem`), derivatives in
+#: fits are then accurate to 1e-4.
 STATE_RTOL = 1e-10
-#: Numbers of periods simulated from rest before Newton's method, and between two of its attempts.
+#: Numbers of periods that are simulated from rest before Newton's method, and between two attempts of
+#: Newton's method.
 N_FIRST_PERIODS, N_MORE_PERIODS = 20, 60
-#: Maximum number of attempts, and maximum number of Newton iterations in each.
+#: Maximum number of attempts of Newton's method, and maximum number of iterations per attempt.
 MAX_ATTEMPTS, MAX_ITERATIONS = 8, 12
-#: Maximum size of a perturbation after one period, relative to its size before, in a motion that settles. The
-#: perturbation then falls by 1/e in 1000 periods. Motion without damping has 1 within 1e-6, the error of the
-#: differences.
+#: Maximum factor by which a perturbation changes in one period of a motion that settles. At this
+#: factor the perturbation falls to 1/e in 1000 periods. A motion without damping has a factor of 1 within
+#: 1e-6, which is the error of the finite differences.
 MAX_MULTIPLIER = 1.0 - 1e-3
-#: Step of the differences, relative to the size of the motion.
+#: Step of the finite differences, as a fraction of the amplitude of the motion.
 DIFFERENCE_SHARE = 1e-6
 
 
 class LimitCycle(NamedTuple):
-    """Fixed point of the map over one period.
+    """Fixed point of the map from the state at the beginning of a period to the state at its end.
 
     Attributes
     ----------
@@ -40,21 +42,22 @@ class LimitCycle(NamedTuple):
 
     @property
     def multiplier(self) -> float:
-        """Maximum magnitude of an eigenvalue of the derivative: factor of a perturbation in one period."""
+        """Largest magnitude of an eigenvalue: the factor of the slowest perturbation in one period."""
         return float(np.max(np.abs(np.linalg.eigvals(self.slopes)), initial=0.0))
 
 
 def limit_cycle(
     period: Callable[[Array], Array], begin: Array, *, near: LimitCycle | None = None
 ) -> LimitCycle | None:
-    """Find the limit cycle that a motion settles on.
+    """Find the limit cycle to which a motion settles.
 
     Parameters
     ----------
     period : callable
-        Function from the state at the beginning of a period, shape (m,), to the states over it, shape (n, m).
+        Function from the state at the beginning of a period, shape (m,), to the states over the period, shape
+        (n, m).
     begin : ndarray, shape (m,)
-        State from which the motion settles: at rest.
+        Initial state, at rest, from which the motion settles.
     near : LimitCycle, optional
         Limit cycle for slightly different parameters, from which the search starts.
 
@@ -65,13 +68,13 @@ def limit_cycle(
 
     Notes
     -----
-    Newton's method on ``period(s) - s = 0``, after some simulated periods (shooting; Nayfeh and Balachandran,
-    *Applied Nonlinear Dynamics*, 1995, section 5.2). The cycle attracts where every eigenvalue of the
-    derivative (Floquet multiplier) lies inside the unit circle.
+    After some simulated periods, Newton's method solves ``period(s) - s = 0`` for the initial state s
+    (shooting; Nayfeh and Balachandran, *Applied Nonlinear Dynamics*, 1995, section 5.2). The cycle is
+    attracting if every eigenvalue of the derivative (Floquet multiplier) lies inside the unit circle.
 
     Examples
     --------
-    A state that halves in every period and gains one:
+    A state that is halved and then increased by one in every period:
 
     >>> found = limit_cycle(lambda s: np.array([s, 0.5 * s + 1.0]), np.zeros(1))
     >>> round(float(found.state[0]), 9), round(found.multiplier, 6)
@@ -94,7 +97,7 @@ def limit_cycle(
 
 
 def _newton(period: Callable[[Array], Array], state: Array, slopes: Array | None) -> LimitCycle | None:
-    """Return the fixed point near a state; None if the iteration diverges."""
+    """Return the fixed point near a state by Newton's method; None if the iteration diverges."""
     before = np.inf
     for _ in range(MAX_ITERATIONS):
         states = period(state)

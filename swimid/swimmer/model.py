@@ -1,4 +1,4 @@
-"""A robot with links as a model, in a plane or in space: parameters in, channels out."""
+"""Model of a robot with links, in a plane or in 3-D: it computes channels from parameters and trials."""
 
 from __future__ import annotations
 
@@ -27,24 +27,24 @@ if TYPE_CHECKING:
     from swimid.swimmer.energetics import Energetics
     from swimid.swimmer.steady import Cruise, SteadySwimming
 
-#: Maximum number of trajectories kept for each trial. Parameters that only change how a trajectory is seen
-#: need no new simulation.
+#: Maximum number of cached trajectories per trial. A parameter that only affects the measurement, such as the
+#: clock offset, needs no new simulation.
 MAX_TRAJECTORIES = 4
 
 
-#: Motion of a run whose trajectory is kept.
+#: Placeholder for the joint motion of a simulation whose trajectory is cached.
 NO_MOTION = DrivenMotion(np.empty((0, 0, 5)), np.empty((0, 0)), np.empty((0, 0)))
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """A simulated run on its own grid.
+    """Simulated trajectory at the integration steps.
 
     Attributes
     ----------
     grid : Grid
     states, rates : ndarray, shape (steps + 1, k)
-        States of the engine, and their rates.
+        State vectors, and their time derivatives.
     drive : DrivenMotion
     """
 
@@ -56,23 +56,24 @@ class Trajectory:
 
 @dataclass(frozen=True)
 class Run:
-    """One run that is asked for: its trajectory if that is kept, otherwise what the engine needs.
+    """Request for a simulation: its cached trajectory, or else the input of the integration.
 
     Attributes
     ----------
     values : ndarray
-        Parameters of the model, with the coefficients that the trial sets for itself.
+        Parameters of the model. They include the coefficients that the entry of the trial sets.
     trial : Trial
     hooks : Hooks
     key : bytes
-        Tells one motion from another.
+        Cache key. Simulations of a trial with equal keys have equal trajectories.
     grid : Grid
     kept : Trajectory or None
+        Cached trajectory; None if the simulation must be computed.
     start : ndarray
-        First state.
+        Initial state vector.
     drive : DrivenMotion
     tables : mapping
-        Tables of the engine.
+        Input arrays of the equations of motion, by name.
     """
 
     values: Array
@@ -87,28 +88,29 @@ class Run:
 
 
 class Swimmer(Model):
-    """A robot with links.
+    """Model of a robot with links.
 
-    Its trajectories are kept as long as only parameters change that affect how they are seen. What is known
-    of a trial beside its samples is its :attr:`Trial.swim`.
+    Trajectories are cached. A trajectory stays valid while only parameters of the measurement change, such as
+    the clock offset. The drive and the initial pose of a trial are in :attr:`Trial.swim`.
 
     Parameters
     ----------
     robot : Robot
     max_step : float, s
-        Each sampling interval is divided into equal steps no longer than this.
+        Maximum integration step. Each sampling interval is divided into equal steps no longer than this.
     """
 
-    #: Channels of pose and velocity of the reference point.
+    #: Channels of the pose and of the velocity of the reference point.
     pose: tuple[str, ...]
     velocity: tuple[str, ...]
-    #: Numbers of coordinates and of velocities of the base in a state. Those of passive joints follow each.
+    #: Numbers of coordinates and of velocities of the base in a state vector. The passive joint angles follow
+    #: the coordinates, and the passive joint rates follow the velocities.
     coordinates: int
     speeds: int
-    #: Names of pose and velocities, by which parameters of the start are called.
+    #: Names of the pose coordinates and of the velocities, as used in the names of the start parameters.
     places: tuple[str, ...]
     rates: tuple[str, ...]
-    #: Parameters of each trial, beside the clock, that only change how a run of a free base is seen.
+    #: Camera parameters of each trial. They affect how the motion of a free base is measured, not the motion.
     camera: tuple[Parameter, ...] = ()
     engine: Engine
     tree: Tree
@@ -117,9 +119,9 @@ class Swimmer(Model):
         self.robot, self.max_step = robot, max_step
         self.tree = self._tree()
         self.driven, self.passive = self.tree.driven, self.tree.passive
-        # the coefficients of the robot file are the first parameters
+        # the first parameters are the coefficients of the robot file
         self.free_base, self.coefficients = self.tree.free_base, self.tree.names
-        # offsets of the start pose of each trial
+        # parameters for the offset of the start pose of each trial
         self.starts = tuple(f"start_{word}" for word in self.places)
         self.parameters = (
             *coefficients(self.tree.body.coefficients), *_initial_parameters(self), *_view_parameters(self)
@@ -135,88 +137,95 @@ class Swimmer(Model):
         self._steady: SteadySwimming | None = None
         self._checked: bytes | None = None
 
-    # -------------------------------------------------------- what engine and assembly of a robot provide
+    # -------------------------------------------------------- defined by the planar and the 3-D model
 
     @abstractmethod
     def _tree(self) -> Tree:
-        """Return the robot's links with their tables."""
+        """Return the links of the robot, with their input arrays for the equations of motion."""
 
     @abstractmethod
     def _offsets(self) -> tuple[str, ...]:
-        """Return the offsets of the start pose that only change how a run is seen."""
+        """Return the names of the start-pose offsets that do not affect the simulated motion."""
 
     @abstractmethod
     def start_velocities(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
-        """Return the velocities at the first sample as channels show them, by parameter.
+        """Return start values of the velocities at the first sample, by parameter name.
 
         Parameters
         ----------
         seen : callable
-            From a channel and 0 or 1 to its value or its rate at the first sample; None if unknown.
+            Function of a channel and a derivative order (0 or 1). It returns the value or the rate of the
+            channel at the first sample, or None if it is unknown.
         """
 
     @abstractmethod
     def determined_starts(self, measured: Collection[str]) -> list[str]:
-        """Return the start velocities, angles and rates that these channels determine."""
+        """Return the names of the initial velocities, angles and rates that these channels determine."""
 
     @abstractmethod
     def integrate(self, run: Run) -> tuple[Array, Array]:
-        """Return states and rates of a run."""
+        """Integrate the equations of motion, and return the states and their time derivatives."""
 
     @abstractmethod
     def observed(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
-        """Return pose and velocity of the reference point."""
+        """Return the channels of pose and velocity of the reference point from simulated states."""
 
     @abstractmethod
     def _begin(self, start: Array, values: Array, trial: Trial, begin_s: float, hooks: Hooks) -> None:
-        """Fill in the part of the first state that belongs to the base."""
+        """Write the initial pose and velocity of the base into the state vector ``start``."""
 
     def attitude(self) -> list[int]:
-        """Return the positions, in a state, of angles of the base that act on the motion."""
+        """Return the indices, in a state vector, of base angles that affect the motion."""
         return []
 
     def influences(self, hooks: Hooks) -> list[int]:
-        """Return the positions of the parameters on which a run depends."""
+        """Return the indices of the parameters that affect the simulated motion."""
         return self._dynamic
 
     def _mounts(self) -> list[float]:
-        """Return the angle between the links of each driven joint at zero, rad, as its table counts it."""
+        """Return the mounting angle, rad, that is added to the angle of each driven joint."""
         return [0.0] * len(self.driven)
 
     def _room(self) -> Room | None:
-        """Return what effects may bring to an engine; None if nothing."""
+        """Return the elements and forces that effects may add to the simulation; None if they add none."""
         return None
 
     def frame(self, run: Run) -> Array:
-        """Return the frame of a run for forces from outside, as the engine takes it."""
+        """Return the pose of the simulation's coordinate frame in the world, for external forces."""
         raise NotImplementedError
 
     def _carried(self, found: dict[str, Array], hooks: Hooks, begin_s: float, time_s: Array) -> None:
-        """Add the motion of the water to channels that were simulated relative to it."""
+        """Add the motion of the water to channels that were simulated relative to the water."""
 
-    # -------------------------------------------------------- what a fit asks
+    # -------------------------------------------------------- used by fits
 
     @property
     def swimmer(self) -> Self:
-        """The model itself."""
+        """The model itself, because it is a robot with links (see :attr:`Model.swimmer`)."""
         return self
 
     def stated(self) -> dict[str, float]:
-        """Return the values that the robot file gives its coefficients."""
+        """Return the values of the coefficients in the robot file."""
         return {name: c.value for name, c in self.tree.body.coefficients.items()}
 
     def given(self, trial: Trial) -> list[str]:
-        """Return the measured joints that drive a run; those behind a servo are simulated."""
+        """Return the channels of measured joint angles that drive the simulation.
+
+        Joints with a servo are not among them, because their angles are simulated.
+        """
         if trial.swim.joints is None:
             return []
         return [a.column for a in self.driven if a.driven is not None and a.driven.servo is None]
 
     def with_buoyancy(self, factor: float) -> Self | None:
-        """Return the same model with every displaced volume multiplied; None if nothing displaces water."""
+        """Return the same model with every displaced volume multiplied by ``factor``.
+
+        None if no element of the robot displaces water.
+        """
         return None
 
     def check(self, values: Array) -> None:
-        """Refuse coefficients with masses and inertias that no body has.
+        """Raise an error if the coefficients give physically impossible masses or inertias.
 
         Raises
         ------
@@ -232,13 +241,13 @@ class Swimmer(Model):
         return joint_motion(self.driven[number], number, swim, time_s, phase_rad)[0]
 
     def yielding(self) -> list[str]:
-        """Return the coefficients in the laws of passive joints."""
+        """Return the names of the coefficients in the laws of the passive joints, such as their stiffness."""
         entries = [entry for axis in self.passive for entry in law_of(axis.joint)]
         used = {name for entry in entries for name in entry.names}
         return [name for name in self.coefficients if name in used]
 
     def final_state(self, columns: Mapping[str, Array]) -> dict[str, float]:
-        """Return velocities, passive angles and rates at the end of a run, by the parameters of a start."""
+        """Return velocities, passive angles and rates at the end of a simulation, by start-parameter name."""
         found = {}
         if self.free_base:
             for name, column in zip(self.rates, self.velocity, strict=True):
@@ -249,14 +258,14 @@ class Swimmer(Model):
         return found
 
     def forget(self, trials: Sequence[Trial]) -> None:
-        """Drop what is kept of trials that will not be simulated again."""
+        """Remove the cached results of trials that will not be simulated again."""
         names = {trial.id for trial in trials}
         self._trajectories.forget(names)
         self.joints.forget(names)
         for name in names:
             self._grids.pop(name, None)
 
-    # -------------------------------------------------------- the same robot, simulated otherwise
+    # -------------------------------------------------------- compilation and variants of the model
 
     def prepare(
         self,
@@ -266,7 +275,7 @@ class Swimmer(Model):
         affected_s: float = 0.0,
         checkpoint: Checkpoint | None = None,
     ) -> None:
-        """Compile the kernels if that pays (see :meth:`Model.prepare`)."""
+        """Compile the kernels if this saves time (see :meth:`Model.prepare`)."""
         readings = (f"{question}={r.chosen}" for question, r in sorted(self.robot.readings.items()))
         self.kernels.prepare(
             "+".join(("kernels", f"{simulated_s:.0f}", *readings)),
@@ -290,10 +299,10 @@ class Swimmer(Model):
         return other
 
     def read_otherwise(self, robot: Robot) -> Self:
-        """Return the model of the same robot with another reading of its source.
+        """Return the model of the same robot with another interpretation of its source.
 
-        The parameters are those of this model if both have the same names. The kernels are those of this
-        model if the tables have the same structure, so that only numbers differ.
+        If the parameter names agree, the new model takes over the parameters of this model. It also takes
+        over the compiled kernels if the constant entries of the input arrays agree.
         """
         other = type(self)(robot, max_step=self.max_step)
         if [p.name for p in other.parameters] != [p.name for p in self.parameters]:
@@ -309,7 +318,7 @@ class Swimmer(Model):
     # -------------------------------------------------------- simulation
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Return pose, velocity and joint angles at the samples of a trial (see :meth:`Model.simulate`)."""
+        """Simulate a trial, and return its channels at the samples (see :meth:`Model.simulate`)."""
         return self.hooked(values, trial, NONE)
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
@@ -318,11 +327,11 @@ class Swimmer(Model):
 
     @property
     def together(self) -> int:
-        """Number of runs in one batch of the kernel (see :attr:`Model.together`)."""
+        """Number of simulations in one batch of the compiled kernel (see :attr:`Model.together`)."""
         return LANES if self.kernels.use_own else 1
 
     def hooked_many(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> list[dict[str, Array]]:
-        """Simulate several runs, in batches if the kernel is compiled (see :meth:`Model.hooked_many`)."""
+        """Simulate several trials, in batches if the kernel is compiled (see :meth:`Model.hooked_many`)."""
         if not self.kernels.use_own:
             return super().hooked_many(runs)
         trajectories = [trajectory for _, trajectory in self._simulated(runs)]
@@ -334,18 +343,18 @@ class Swimmer(Model):
     def with_energetics(
         self, runs: Sequence[tuple[Array, Trial]], last_s: Sequence[float]
     ) -> list[tuple[dict[str, Array], Energetics | None]]:
-        """Simulate several runs, and compute torques and powers over the last part of each.
+        """Simulate several trials, and compute torques and powers over the last part of each simulation.
 
         Parameters
         ----------
         runs : sequence of (values, trial)
         last_s : sequence of float
-            Length of that part of each run, s; rounded to whole integration steps.
+            Length of the last part of each simulation, s. It is rounded to whole integration steps.
 
         Returns
         -------
         list of (channels, Energetics)
-            NaN throughout, and None, for a run that breaks down.
+            If a simulation breaks down, its channels are NaN and its energetics are None.
         """
         simulated = self._simulated([(values, trial, NONE) for values, trial in runs])
         found: list[tuple[dict[str, Array], Energetics | None]] = []
@@ -358,16 +367,19 @@ class Swimmer(Model):
         return found
 
     def trajectory(self, values: Array, trial: Trial, hooks: Hooks = NONE) -> Trajectory:
-        """Return a run on its own grid, from the origin of the world; in flowing water relative to that."""
+        """Return the simulated trajectory of a trial at the integration steps.
+
+        The motion begins at the origin of the world. In flowing water it is relative to the water.
+        """
         return self._trajectories_of([self.request(values, trial, hooks)])[0]
 
     def cruise(self, values: Array, trial: Trial) -> Cruise | None:
-        """Return the speed at which the model settles under the drive of a trial.
+        """Return the steady swimming of the model under the drive of a trial.
 
         Returns
         -------
         Cruise or None
-            None without a periodic drive, on a fixed base, and for motion in space.
+            None if the drive is not periodic, if the base is fixed, and for a robot in 3-D.
         """
         if trial.swim.drive is None or not self.free_base or self.in_space:
             return None
@@ -375,7 +387,7 @@ class Swimmer(Model):
 
     @property
     def steady(self) -> SteadySwimming:
-        """Limit cycles of the model, made when first needed."""
+        """Steady swimming of the model, with its limit cycles; created at the first access."""
         if self._steady is None:
             from swimid.swimmer.steady import SteadySwimming
 
@@ -383,7 +395,7 @@ class Swimmer(Model):
         return self._steady
 
     def request(self, values: Array, trial: Trial, hooks: Hooks) -> Run:
-        """Return a run with all that the engine needs, or with its trajectory if that is kept."""
+        """Return a request with all inputs of the integration, or with the trajectory if it is cached."""
         if trial.swim.coefficients:
             values = values.copy()
             for name, value in trial.swim.coefficients.items():
@@ -403,26 +415,29 @@ class Swimmer(Model):
             start[self.coordinates + passives + self.speeds + k] = rate
         tables = self.tree.tables(values[: len(self.coefficients)])
         if hooks.tables:
-            # the tables are kept: an effect must not write into them
+            # copy the cached input arrays, because an effect writes into them
             own = {name: t.copy() if isinstance(t, np.ndarray) else t for name, t in tables.items()}
             tables = hooks.changed(own, "tables")
         run = Run(values, trial, hooks, key, grid, None, start, motion, tables)
         return replace(run, start=self.steady.initial_state(run)) if trial.swim.steady else run
 
     def value(self, values: Array, name: str) -> float:
-        """Return the value of a parameter; 0 if the model does not have it."""
+        """Return the value of a parameter, or 0 if the model does not have the parameter."""
         return float(values[self._at[name]]) if name in self._at else 0.0
 
     def _simulated(
         self, runs: Sequence[tuple[Array, Trial, Hooks]]
     ) -> list[tuple[Run | None, Trajectory | None]]:
-        """Return each run and its trajectory; None and None for one that breaks down before it begins."""
+        """Return each request and its trajectory.
+
+        Both are None if the simulation breaks down before its first step.
+        """
         asked = unless_broken(self.request, runs)
         trajectories = iter(self._trajectories_of([run for run in asked if run is not None]))
         return [(run, None if run is None else next(trajectories)) for run in asked]
 
     def _trajectories_of(self, runs: Sequence[Run]) -> list[Trajectory]:
-        """Return the trajectory of each run. Equal runs are simulated once."""
+        """Return the trajectory of each request. Requests with equal keys are simulated once."""
         trajectories = {(run.trial.id, run.key): run.kept for run in runs if run.kept is not None}
         missing = {(run.trial.id, run.key): run for run in runs if run.kept is None}
         for at, (states, rates) in self.kernels.run(missing, self.frame).items():
@@ -437,7 +452,11 @@ class Swimmer(Model):
         return self._trajectories.put(run.trial.id, run.key, trajectory)
 
     def _grid(self, values: Array, trial: Trial, hooks: Hooks) -> Grid:
-        """Return the grid of a run. If the log's clock is late, it extends beyond the last sample."""
+        """Return the integration grid of a trial.
+
+        The grid extends beyond the last sample if the clock of the log is late relative to the clock of the
+        drive.
+        """
         known = self._grids.get(trial.id)
         if known is None or known[0] is not trial.time_s:
             known = self._grids[trial.id] = (trial.time_s, integration_grid(trial.time_s, self.max_step))
@@ -448,7 +467,7 @@ class Swimmer(Model):
         return Grid(begin, step, steps + math.ceil(late / step))
 
     def _at_samples(self, values: Array, trial: Trial, hooks: Hooks, run: Trajectory) -> dict[str, Array]:
-        """Return the channels of a trajectory at the samples of a trial."""
+        """Return the channels of a trajectory, interpolated at the samples of a trial."""
         time = hooks.happened(trial.time_s - self.value(values, "clock_offset"))
         states = sampled(time, run.grid.begin_s, run.grid.step_s, run.states, run.rates)
         found: dict[str, Array] = {}
@@ -463,12 +482,12 @@ class Swimmer(Model):
         if self.driven:
             driven = run.drive.sampled(time, run.grid)
             for k, axis in enumerate(self.driven):
-                found[axis.column] = driven[:, k].copy()  # the sampled array is kept
+                found[axis.column] = driven[:, k].copy()  # the sampled array is cached
         return hooks.seen(found, trial.time_s) if hooks.output else found
 
 
 def _initial_parameters(model: Swimmer) -> list[Parameter]:
-    """Return velocities, passive angles and rates at the first sample, and the phase of the drive."""
+    """Return the parameters of the initial state: velocities, passive angles and rates, drive phase."""
     found = []
     if model.free_base:
         for name, column in zip(model.rates, model.velocity, strict=True):
@@ -483,7 +502,7 @@ def _initial_parameters(model: Swimmer) -> list[Parameter]:
 
 
 def _view_parameters(model: Swimmer) -> list[Parameter]:
-    """Return the parameters that change how a run is seen: start pose, clock and camera."""
+    """Return the parameters that affect only the measurement: start pose, clock offset and camera."""
     clock = trial_parameter("clock_offset", "s", 0.01, "the log's clock ahead of the drive's")
     if not model.free_base:
         return [clock]
@@ -517,7 +536,7 @@ def _channels(model: Swimmer) -> tuple[Channel, ...]:
 
 
 def _energetics(model: Swimmer, values: Array, run: Trajectory, last_s: float) -> Energetics:
-    """Return torques and powers over the last part of a trajectory."""
+    """Return torques and powers over the last ``last_s`` seconds of a trajectory."""
     from swimid.swimmer.energetics import Energetics, elastic
 
     count = min(max(round(last_s / run.grid.step_s), 1), len(run.states) - 1) + 1
@@ -544,15 +563,16 @@ def _energetics(model: Swimmer, values: Array, run: Trajectory, last_s: float) -
 
 
 def trial_parameter(name: str, unit: str, scale: float, meaning: str) -> Parameter:
-    """Return a parameter of each trial, which is zero unless it is estimated."""
+    """Return a per-trial parameter. It is zero unless it is estimated."""
     return Parameter(name, unit, -math.inf, math.inf, 0.0, scale, False, True, meaning)
 
 
 def integration_grid(time_s: Array, max_step: float) -> Grid:
     """Return the grid for the integration of a trial.
 
-    The step divides the median sampling interval, so that samples of an even record lie on the grid. If
-    samples come faster than steps, the step is a whole multiple of the interval.
+    The median sampling interval is divided into equal steps, so that the samples of an evenly sampled log lie
+    on the grid. If the sampling interval is shorter than the maximum step, the step is a whole multiple of
+    the interval.
 
     >>> integration_grid(np.array([0.0, 0.02, 0.04]), 0.005)
     Grid(begin_s=0.0, step_s=0.005, steps=8)

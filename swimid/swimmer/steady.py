@@ -1,4 +1,4 @@
-"""Steady swimming of a robot with links: its limit cycle under a periodic drive, and its speed there."""
+"""Steady swimming of a robot with links: its limit cycle under a periodic drive, and its speed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from swimid.swimmer.limit_cycle import LimitCycle, limit_cycle
 if TYPE_CHECKING:
     from swimid.swimmer.model import Run, Swimmer
 
-#: Maximum number of limit cycles kept.
+#: Maximum number of cached limit cycles.
 MAX_CYCLES = 64
 
 
@@ -28,9 +28,10 @@ class Cruise(NamedTuple):
     Attributes
     ----------
     speed_m_s : float
-        Length of the path over one period of the drive, divided by the period; NaN if it never settles.
+        Length of the path over one period of the drive, divided by the period; NaN if the motion never
+        settles.
     settling_s : float
-        Time in which a difference from the steady speed falls by a factor e; infinite if it never settles.
+        Time in which a deviation from steady swimming falls to 1/e; infinite if the motion never settles.
     """
 
     speed_m_s: float
@@ -38,7 +39,7 @@ class Cruise(NamedTuple):
 
 
 class SteadySwimming:
-    """Limit cycles of a model, of which the latest are kept.
+    """Cache of the limit cycles of a model.
 
     Parameters
     ----------
@@ -49,7 +50,7 @@ class SteadySwimming:
         self.model = model
         self._cycles: dict[tuple[Any, ...], LimitCycle | None] = {}
         self._lock = threading.Lock()
-        # positions in a state that the motion over a period depends on
+        # indices of the state entries on which the motion over a period depends
         passives, first = len(model.passive), model.coordinates + len(model.passive)
         angles = list(range(model.coordinates, first))
         rates = list(range(first + model.speeds, first + model.speeds + passives))
@@ -58,12 +59,12 @@ class SteadySwimming:
             self._memory = [*model.attitude(), *angles, *range(first, first + model.speeds), *rates]
 
     def initial_state(self, run: Run) -> Array:
-        """Return the state of steady swimming at the beginning of a run; NaN if the motion never settles."""
+        """Return the initial state of a simulation in steady swimming; NaN if the motion never settles."""
         cycle = self._limit_cycle(run)
         start = run.start.copy()
         start[self._memory] = np.nan
         if cycle is not None:
-            # integrate from the phase zero before the last one, so that no step becomes small
+            # integrate over at least one period, because a shorter time would give small steps
             period = 1.0 / _drive_of(run).frequency_hz
             ahead = self._since_phase_zero(run) + period
             states = self._states(run, run.grid.begin_s - ahead, cycle.state, ahead / period)
@@ -78,7 +79,7 @@ class SteadySwimming:
         values : ndarray
             Parameters of the model.
         trial : Trial
-            Of a robot in a plane with a free base.
+            Trial of a robot in a plane with a free base.
         """
         trial = replace(trial, id=f"{trial.id} (steady)", swim=trial.swim.begun())
         run = self.model.request(values, trial, NONE)
@@ -94,7 +95,10 @@ class SteadySwimming:
         return Cruise(arc / period, -period / math.log(max(cycle.multiplier, 1e-12)))
 
     def _limit_cycle(self, run: Run) -> LimitCycle | None:
-        """Return the limit cycle of a run's drive at phase zero; None if the motion never settles."""
+        """Return the limit cycle under the drive of a simulation, at phase zero of the drive.
+
+        None if the motion never settles.
+        """
         section = run.grid.begin_s - self._since_phase_zero(run)
         phases_and_starts = ("drive_phase", "initial_")
         names = [p.name for p in self.model.parameters]
@@ -119,9 +123,9 @@ class SteadySwimming:
         return found
 
     def _states(self, run: Run, begin_s: float, state: Array, periods: float = 1.0) -> Array:
-        """Integrate a run from a state on the limit cycle over some periods, and return all states."""
+        """Integrate from a state on the limit cycle over some periods of the drive, and return all states."""
         period = 1.0 / _drive_of(run).frequency_hz
-        # the number of steps depends on whole periods alone, so that derivatives are smooth
+        # the number of steps depends only on whole periods, so that derivatives of the result are smooth
         steps = math.floor(periods) * math.ceil(period / self.model.max_step)
         grid = Grid(begin_s, periods * period / steps, steps)
         phase = self.model.value(run.values, "drive_phase")
@@ -131,7 +135,7 @@ class SteadySwimming:
         return self.model.integrate(replace(run, grid=grid, start=start, drive=motion))[0]
 
     def _since_phase_zero(self, run: Run) -> float:
-        """Return the time from the last phase zero of the drive to the beginning of a run, s."""
+        """Return the time from the last phase zero of the drive to the beginning of the simulation, s."""
         drive = _drive_of(run)
         phase = drive.phase_rad + self.model.value(run.values, "drive_phase")
         cycles = drive.frequency_hz * run.grid.begin_s + phase / (2.0 * math.pi)

@@ -1,4 +1,8 @@
-"""Tree of links of a robot, in a plane or in space, with its checks and its tables for an engine."""
+"""Tree of the links of a robot, in a plane or in 3-D, with its checks and its input arrays for an engine.
+
+An engine is the compiled equations of motion with their time integration. Its input arrays (tables) hold the
+inertias, joints and hydrodynamic elements of the robot.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +22,7 @@ from swimid.robots.planar import Coefficient, Driven, Joint, factors
 from swimid.robots.spatial import Hinge
 from swimid.swimmer.planar.engine import PASSIVE
 
-#: Maximum number of sets of tables kept.
+#: Maximum number of coefficient vectors whose input arrays are cached.
 MAX_TABLES = 64
 
 
@@ -28,7 +32,7 @@ class Polynomial:
     Attributes
     ----------
     terms : dict of tuple of str to float
-        Factor of each monomial, by the sorted names of its coefficients.
+        Factor of each monomial. The key of a monomial is the sorted tuple of its coefficient names.
 
     >>> mass = Polynomial.of("2 * c_m")
     >>> (mass * mass + 1.0).at({"c_m": 3.0})
@@ -42,7 +46,7 @@ class Polynomial:
 
     @classmethod
     def of(cls, quantity: float | str | Polynomial | None) -> Polynomial:
-        """Return a number, a quantity of a robot file (None is zero), or a polynomial as a polynomial."""
+        """Convert a number, a quantity of a robot file (None is zero) or a polynomial to a polynomial."""
         if isinstance(quantity, Polynomial):
             return quantity
         number, names = factors(given(quantity, 0.0))
@@ -75,7 +79,7 @@ class Polynomial:
 
     @property
     def names(self) -> set[str]:
-        """Names of all its coefficients."""
+        """Names of all coefficients in the polynomial."""
         return {name for factors in self.terms for name in factors}
 
     def at(self, values: Mapping[str, float]) -> float:
@@ -84,30 +88,30 @@ class Polynomial:
 
 
 def given(quantity: Any, default: Any) -> Any:
-    """Return an optional entry of a robot file, or its default if the file has none."""
+    """Return an optional entry of a robot file, or the default value if the file lacks the entry."""
     if quantity is None:
         return default
     return quantity
 
 
-#: Entry of a table before it is evaluated; a string is a quantity of a robot file.
+#: Type of an entry of an input array before it is evaluated. A string is a quantity of a robot file.
 Entry = Polynomial | float | str
-#: Row of a table before it is evaluated.
+#: Type of a row of an input array before it is evaluated.
 Row = list[Entry]
 
 
 @dataclass
 class Rows:
-    """Rows of the tables of an engine while they are collected.
+    """Rows of the input arrays of an engine, as they are collected from a robot file.
 
     Attributes
     ----------
     density_kg_m3, gravity_m_s2 : float
     index : mapping of link name to int
     inertia : list of rows, one per link
-        Apparent inertia at the origin of the link.
+        Apparent inertia about the origin of the link.
     drag, damping, foil, force, wake : list of (link index, row)
-        Elements. Their columns are those of the engine.
+        Hydrodynamic elements. The module of the engine defines their columns.
     """
 
     density_kg_m3: float
@@ -121,25 +125,25 @@ class Rows:
     wake: list[tuple[int, Row]] = field(default_factory=list)
 
     def add_inertia(self, link: str, terms: Row) -> None:
-        """Add terms to the inertia of a link."""
+        """Add terms to the apparent inertia of a link."""
         row = self.inertia[self.index[link]]
         row[:] = [Polynomial.of(a) + Polynomial.of(b) for a, b in zip(row, terms, strict=True)]
 
     def add(self, table: str, link: str, row: Row) -> None:
-        """Add a row to a table of elements."""
+        """Add a row to the input array ``table``, for an element of a link."""
         getattr(self, table).append((self.index[link], row))
 
 
 class Table:
-    """Table of polynomials that are evaluated together.
+    """Matrix whose entries are polynomials in the coefficients.
 
     Parameters
     ----------
     rows : sequence of rows
     columns : int
-        Number of columns, also of a table without rows.
+        Number of columns, which is needed if there are no rows.
     names : sequence of str
-        Coefficients in the order of the values given to the table.
+        Names of the coefficients, in the order in which their values are passed.
     """
 
     def __init__(
@@ -149,7 +153,7 @@ class Table:
         entries = [Polynomial.of(entry) for row in rows for entry in row]
         monomials = sorted({m for entry in entries for m in entry.terms if m})
         self.constant = np.array([entry.terms.get((), 0.0) for entry in entries])
-        # monomials with fewer factors are padded with the one that follows the coefficients
+        # pad monomials that have fewer factors with the index of the number 1, which follows the coefficients
         longest = max((len(m) for m in monomials), default=0)
         padded = [[names.index(name) for name in m] + [len(names)] * (longest - len(m)) for m in monomials]
         self.factors = np.array(padded, dtype=int).reshape(len(monomials), longest)
@@ -158,7 +162,10 @@ class Table:
         )
 
     def __call__(self, values: Array) -> Array:
-        """Return the table at values of the coefficients, shape (rows, columns); do not write into it."""
+        """Return the matrix at values of the coefficients, shape (rows, columns).
+
+        Do not write into the result, because its memory may be shared.
+        """
         if not len(self.factors):
             return self.constant.reshape(self.shape)
         padded = np.append(values, 1.0)
@@ -168,7 +175,7 @@ class Table:
         return np.asarray((self.constant + self.gains @ products).reshape(self.shape))
 
 
-#: Keys of a robot file whose strings are words, not quantities.
+#: Keys of a robot file whose strings are not physical quantities.
 WORDS = {
     "name",
     "link",
@@ -185,7 +192,7 @@ WORDS = {
 
 @dataclass(frozen=True)
 class Axis:
-    """A moving joint or hinge of a robot file, its column in a log, and the link that it turns."""
+    """A moving joint or hinge of a robot file, with its column in a log and the index of its child link."""
 
     joint: Any
     column: str
@@ -198,18 +205,21 @@ class Axis:
 
     @property
     def driven(self) -> Driven | None:
-        """Law by which it follows the drive; None for a passive joint."""
+        """Law by which a driven joint follows the drive; None for a passive joint."""
         law: Driven | None = self.joint.driven
         return law
 
     @property
     def rate(self) -> str:
-        """Column of its rate."""
+        """Log column of the rate of the joint."""
         return self.column.replace("_rad", "_rate_rad_s")
 
 
 def check_names(body: Any, part: str) -> None:
-    """Refuse duplicate and unknown names, with their dotted path in a part of the robot file."""
+    """Raise an error for duplicate or unknown names in one part of the robot file.
+
+    The error states the dotted path of the name.
+    """
     links = [link.name for link in body.links]
     for kind, given in (("links", links), ("joints", [joint.name for joint in body.joints])):
         for n, own in enumerate(given):
@@ -232,7 +242,10 @@ def check_names(body: Any, part: str) -> None:
 
 
 def quantities(body: Any, part: str) -> Iterator[tuple[str, float | str]]:
-    """Yield the dotted path and the value of each quantity of a tree, with names for members of lists."""
+    """Yield the dotted path and the value of each physical quantity of the links, joints and elements.
+
+    In the path, a member of a list has its name, or its index if it has no name.
+    """
     yield from _leaves(body.model_dump(include={"links", "joints", "elements"}), part)
 
 
@@ -249,7 +262,10 @@ def _leaves(value: Any, path: str) -> Iterator[tuple[str, float | str]]:
 
 
 def ordered(body: Any, part: str) -> tuple[list[Any], list[Any]]:
-    """Return the links with parents before children, and the joint that holds each (None for the base)."""
+    """Return the links, parents before children, and the joint between each link and its parent.
+
+    The joint of the base is None.
+    """
     joint_of: dict[str, Any] = {}
     for joint in body.joints:
         where = f"{part}.joints.{joint.name}"
@@ -287,7 +303,7 @@ def ordered(body: Any, part: str) -> tuple[list[Any], list[Any]]:
 
 
 def coefficients(known: Mapping[str, Coefficient]) -> list[Parameter]:
-    """Return the coefficients of a robot file as parameters."""
+    """Return the coefficients of a robot file as model parameters."""
     found = []
     for name, c in known.items():
         start = given(c.start, c.value)
@@ -311,7 +327,7 @@ def coefficients(known: Mapping[str, Coefficient]) -> list[Parameter]:
 
 
 class Tree(ABC):
-    """Links of a robot with their tables as functions of the coefficients, after all checks.
+    """Links of a robot after all checks, with their input arrays as functions of the coefficients.
 
     Parameters
     ----------
@@ -320,29 +336,29 @@ class Tree(ABC):
     Attributes
     ----------
     names : list of str
-        Coefficients, in the order of the values given to :meth:`tables`.
+        Names of the coefficients, in the order of the values given to :meth:`tables`.
     links : list of Link or Body
-        Parents before children; the first is the base.
+        Parents before children. The first link is the base.
     driven, passive : list of Axis
     free_base : bool
     topology : ndarray of int, shape (links, 3)
-        Parent, driven joint and passive joint of each link, -1 for none.
+        Indices of the parent, the driven joint and the passive joint of each link; -1 for none.
 
     Raises
     ------
     InputError
-        With the dotted path of the error: unknown or duplicate names, a link with no joint or two joints, a
-        cycle, an element on an unknown link, masses and inertias that no body has.
+        For unknown or duplicate names, a link with no joint or with two joints, a cycle, an element on an
+        unknown link, and impossible masses or inertias. The error states the dotted path.
     """
 
-    #: Part of the robot file, and the word for a joint there.
+    #: Name of the part of the robot file, and the word for a joint in this part.
     part: str
     hinge: str
-    #: Tables of elements in the order of the engine's arguments.
+    #: Names of the input arrays for elements, in the order of the engine's arguments.
     elements: tuple[str, ...]
-    #: Module of the engine, which names the columns of its tables.
+    #: Module of the compiled equations of motion (the engine), which defines the columns of the input arrays.
     engine: ModuleType
-    #: Function that adds the rows of an element, by its kind.
+    #: Functions that add the rows of an element, by kind of element.
     adders: Mapping[str, Callable[[Any, Any, Rows], None]]
     #: Last arguments of the engine, which do not depend on the coefficients.
     constants: dict[str, Any]
@@ -373,7 +389,7 @@ class Tree(ABC):
         self._known: dict[bytes, dict[str, Any]] = {}
 
     def fill(self, fluid: Fluid) -> Rows:
-        """Collect the rows of links and elements, check them at the file's coefficients, and return them."""
+        """Collect the rows of links and elements, and check them at the coefficient values of the file."""
         engine = self.engine
         empty: list[Row] = [[0.0] * len(engine.INERTIA) for _ in self.links]
         rows = Rows(fluid.density_kg_m3, fluid.gravity_m_s2, self.index, empty)
@@ -398,7 +414,7 @@ class Tree(ABC):
         return rows
 
     def tables(self, values: Array) -> dict[str, Any]:
-        """Return the arguments of the engine's ``integrate`` from ``topology`` on, by their names.
+        """Return the arguments of the engine's ``integrate`` from ``topology`` on, by argument name.
 
         Parameters
         ----------
@@ -407,7 +423,7 @@ class Tree(ABC):
         Returns
         -------
         dict
-            Its arrays are kept for the next call with these values. Do not write into them.
+            The arrays are cached for later calls with these values. Do not write into them.
         """
         key = values.tobytes()
         known = self._known.get(key)
@@ -432,7 +448,7 @@ class Tree(ABC):
 
     @abstractmethod
     def check(self, values: Array) -> None:
-        """Refuse masses and inertias that no body has.
+        """Raise an error for physically impossible masses or inertias.
 
         Raises
         ------
@@ -441,23 +457,23 @@ class Tree(ABC):
 
     @abstractmethod
     def _add_rigid(self, link: Any, rows: Rows) -> None:
-        """Add the mass and inertia of a link without water."""
+        """Add the mass and inertia of a link, without added mass."""
 
     @abstractmethod
     def _place(self, joint: Any) -> Row:
-        """Return the row of a joint in the engine's table; None stands for the base."""
+        """Return the row of a joint in the ``joint`` input array. The joint of the base is None."""
 
 
 def check_apparent(inertia: Array, sizes: Array, *, column: str, hint: str) -> None:
-    """Refuse an apparent inertia, with added mass, that is not positive definite.
+    """Raise an error if an apparent inertia (with added mass) is not positive definite.
 
     Parameters
     ----------
     inertia : ndarray, shape (n, n)
     sizes : ndarray, shape (n,)
-        Typical size of each diagonal entry.
+        Typical magnitude of each diagonal entry.
     column, hint : str
-        Dotted path of the link, and possible cause, for the message.
+        Dotted path of the link and possible cause, both for the error message.
 
     Raises
     ------
@@ -471,7 +487,7 @@ def check_apparent(inertia: Array, sizes: Array, *, column: str, hint: str) -> N
 
 
 def law_of(joint: Joint | Hinge) -> list[Polynomial]:
-    """Return the row of a passive joint in the engine's table."""
+    """Return the row of a passive joint in the ``passive`` input array of the engine."""
     law = joint.passive
     assert law is not None
     tendon = getattr(law, "tendon", None)

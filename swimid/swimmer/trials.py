@@ -1,4 +1,4 @@
-"""Free-swimming and multibody trials of a robot with links, in a plane or in space."""
+"""Free-swimming and multibody trials of a robot with links, in a plane or in 3-D."""
 
 from __future__ import annotations
 
@@ -30,25 +30,26 @@ from swimid.swimmer.model import Swimmer
 from swimid.swimmer.options import STEP_S
 from swimid.swimmer.planar.model import MultilinkModel
 
-#: A log begins in motion if a speed in its opening exceeds this share of the top speed of the log, and this
-#: many of its standard errors.
+#: Minimum initial speed of a log that begins in motion: as a fraction of the maximum speed in the log, and as
+#: a number of standard errors of the initial speed. Both must be exceeded.
 MIN_SHARE, MIN_ERRORS = 0.05, 4.0
-#: Length of the opening of a log, s, or in sampling intervals if that is longer.
+#: Length of the opening of a log: this time in s, or this number of sampling intervals if that is longer.
 OPENING_S, OPENING_STEPS = 0.3, 8
-#: Minimum number of samples in the opening for an estimate.
+#: Minimum number of samples in the opening for an estimate of position or speed.
 MIN_OPENING = 7
-#: Minimum F ratio from which a polynomial two orders higher is preferred in the opening.
+#: Minimum F ratio at which a polynomial two orders higher replaces the simpler one in the opening of a log.
 MIN_F_RATIO = 6.0
-#: A trial begins in motion if its log starts later than this share of the ramp of its drive.
+#: Maximum start time of a log that begins at rest, as a fraction of the ramp of its drive.
 MAX_RAMP_SHARE = 0.3
-#: Minimum number of samples of a joint angle that drives a trial, and of a heading whose beat is estimated.
+#: Minimum number of samples of a joint angle that drives a trial, and minimum number of samples of a heading
+#: whose beat frequency is estimated.
 MIN_JOINT_SAMPLES, MIN_BEAT_SAMPLES = 5, 17
-#: Number of phases of the drive that are tried for a trial that begins in steady swimming.
+#: Number of drive phases that are tried as start values for a trial that begins in steady swimming.
 N_PHASES = 12
-#: A heading whose values spread over more than this, rad, has no jumps to be removed. It is continuous
-#: already, or not in radians. The margin over one turn is for noise.
+#: Maximum range of a heading for which jumps by a full rotation are removed, rad. A heading with a larger
+#: range is already continuous, or is not in radians. The margin over one rotation is for noise.
 MAX_WRAPPED_RAD = 2.1 * math.pi
-#: The keys of a trials file that are used, by experiment.
+#: Keys of the trials file that each kind of experiment uses.
 USES = dict.fromkeys(
     ("free-swim", "multibody"),
     trials_format.EVERYWHERE
@@ -64,7 +65,7 @@ def robot_model(
     readings: Mapping[str, str] | None = None,
     max_step: float = STEP_S,
 ) -> tuple[Robot, Swimmer]:
-    """Return a robot with links and its model, in space if the file describes it so, else in a plane.
+    """Return a robot with links and its model, in 3-D or in a plane as the robot file describes it.
 
     Parameters
     ----------
@@ -73,13 +74,14 @@ def robot_model(
     relative_to : Path, optional
         Folder for relative paths.
     readings : mapping, optional
-        Readings of the robot's source other than those of the file.
+        Interpretations of the robot's source that replace those of the file.
     max_step : float, s
+        Maximum integration step.
 
     Raises
     ------
     InputError
-        For anything wrong in the robot file, with file and line, and for a robot without links.
+        For any error in the robot file, with file and line, and for a robot without links.
     """
     robot = robot_format.read(name, relative_to, readings=readings)
     path = robot_format.locate(name, relative_to)
@@ -101,7 +103,7 @@ def robot_model(
 
 @dataclass(frozen=True)
 class Recording:
-    """A trial as its entry in the trials file, as its log, and as the model sees it.
+    """A trial in three forms: its entry in the trials file, its log, and the input of the model.
 
     Attributes
     ----------
@@ -135,19 +137,20 @@ def load(
     ----------
     source : path or TrialSet
     readings : mapping, optional
-        Readings of the robot's source other than those of the file.
+        Interpretations of the robot's source that replace those of the file.
     channels : sequence of str
-        Columns to fit. By default the pose if it is logged, otherwise the velocities, and the angles of
-        passive joints (and of driven ones behind a servo) if they are logged.
+        Columns to fit. By default these are the pose if it is logged, otherwise the velocities, and the
+        logged angles of passive joints and of driven joints behind a servo.
     start_state : {"auto", "rest", "estimate", "steady"}
         State at the first sample. ``auto`` takes the key ``start_state`` of each trial. Without that key, the
-        opening of the log decides. ``steady`` is the limit cycle of the trial's drive.
+        opening of the log decides. ``steady`` is the limit cycle under the trial's drive.
     max_step : float, s
+        Maximum integration step.
 
     Raises
     ------
     InputError
-        For anything wrong in the trials file, the robot file or a log.
+        For any error in the trials file, the robot file or a log.
     UsageError
         For a channel that the robot does not have.
     """
@@ -186,7 +189,7 @@ def load(
 def _recording(
     entry: FreeSwimTrial, path: Path, model: Swimmer, channels: Sequence[str], start_state: str
 ) -> Recording:
-    """Read the log of a trial, and return it with the trial."""
+    """Read the log of a trial, and return it as a recording."""
     known = [c.name for c in model.channels]
     commands = [_command_column(axis.column) for axis in model.driven]
     log = read_log(entry, path.parent, required=tuple(channels), optional=(*known, *commands))
@@ -200,7 +203,7 @@ def _recording(
 
 
 def _drive_input(entry: FreeSwimTrial, log: Log, path: Path, model: Swimmer) -> SwimInput:
-    """Return the coefficients that a trial sets for itself, and what drives it: stroke, beat or joints."""
+    """Return the coefficients that the entry of a trial sets, and its drive: stroke, beat or joint angles."""
     for name in entry.coefficients:
         if name not in model.coefficients:
             raise InputError(
@@ -222,7 +225,7 @@ def _drive_input(entry: FreeSwimTrial, log: Log, path: Path, model: Swimmer) -> 
 
 
 def _beat_of(command: Drive) -> drives.Beat:
-    """Return the drive of a trials file in SI."""
+    """Return the drive of a trials file in SI units."""
     return drives.Beat(
         command.waveform,
         command.frequency_hz,
@@ -235,19 +238,19 @@ def _beat_of(command: Drive) -> drives.Beat:
 
 
 def cycle_of(command: StrokeDrive, model: Swimmer, path: Path | None = None) -> Cycle:
-    """Return a stroke of the robot file as a trial commands it.
+    """Return a stroke of the robot file, with the frequency and scale that a trial commands.
 
     Parameters
     ----------
     command : StrokeDrive
     model : Swimmer
     path : Path, optional
-        Trials file that asks for the stroke; without one the user does.
+        Trials file that contains the command, for error messages. Without a file, the command is an option.
 
     Raises
     ------
     InputError, UsageError
-        When the robot has no such stroke.
+        If the robot has no such stroke.
     """
     known = {}
     if model.robot.multibody is not None:
@@ -271,15 +274,15 @@ def cycle_of(command: StrokeDrive, model: Swimmer, path: Path | None = None) -> 
 
 
 def _command_column(joint: str) -> str:
-    """Return the column of a joint's commanded angle."""
+    """Return the column name of a joint's commanded angle."""
     return joint.replace("joint", "cmd")
 
 
 def _logged_motion(model: Swimmer, number: int, log: Log) -> tuple[Any, bool]:
-    """Return the motion of a driven joint from its log, and whether it is a command.
+    """Return the motion of a driven joint from its log, and whether this motion is a command.
 
-    A joint with a servo takes the commanded angle if that is logged, any other the measured one. A joint that
-    no drive moves (gain 0) stays straight if the log has neither.
+    The measured angle is preferred, except that the commanded angle is preferred for a joint with a servo. A
+    joint with a gain of 0 stays straight if neither angle is logged.
     """
     axis = model.driven[number]
     law, command = axis.driven, _command_column(axis.column)
@@ -303,7 +306,7 @@ def _logged_motion(model: Swimmer, number: int, log: Log) -> tuple[Any, bool]:
 
 
 def _unwrapped(name: str, values: Array) -> Array:
-    """Return an angle of the body without jumps at half a turn, and other columns unchanged."""
+    """Remove jumps by a full rotation from an angle of the body. Other columns are unchanged."""
     known = np.isfinite(values)
     if not name.endswith("_rad") or name.startswith("joint") or not known.any():
         return values
@@ -323,7 +326,7 @@ def _default_channels(model: Swimmer, log: Log) -> list[str]:
     chosen = []
     if model.free_base:
         pose = logged(model.pose)
-        # a side view shows half of a pose in space
+        # for a robot in 3-D, a side view that shows only part of the pose is sufficient
         complete = len(pose) == 3 or (model.in_space and len(pose) > 1)
         chosen = (complete and pose) or logged(model.velocity) or pose
     chosen += logged([a.column for a in model.passive])
@@ -335,7 +338,7 @@ def _default_channels(model: Swimmer, log: Log) -> list[str]:
 
 
 def _profile(entry: FreeSwimTrial) -> str:
-    """Return the drive of a trial in words, or the trial itself if measured joints drive it."""
+    """Return the drive of a trial in words, or the identifier of the trial if measured joints drive it."""
     command = entry.drive
     if command is None:
         return entry.id
@@ -352,13 +355,13 @@ def _profile(entry: FreeSwimTrial) -> str:
     return ", ".join(parts)
 
 
-# ---------------------------------------------------------------- its start
+# ---------------------------------------------------------------- start of a trial
 
 
 def _first_pose(model: Swimmer, log: Log) -> tuple[float, ...] | None:
-    """Return the first pose in a log; zero for coordinates that it does not have.
+    """Return the first pose in a log, with zero for coordinates that the log lacks.
 
-    None if the base is held, or if the log of a robot in a plane lacks the position.
+    None if the base is fixed, or if the log of a robot in a plane lacks the position.
     """
     if not model.free_base or (not model.in_space and any(name not in log for name in model.pose[:2])):
         return None
@@ -372,7 +375,7 @@ def _first_pose(model: Swimmer, log: Log) -> tuple[float, ...] | None:
 
 
 def _lacks_heading(model: Swimmer, log: Log) -> bool:
-    """Return whether a log shows the position of a robot in a plane without its heading: one marker."""
+    """Return whether the log of a robot in a plane has its position without its heading (a single marker)."""
     if not model.free_base or model.in_space:
         return False
     x, y, heading = (name in log and bool(np.isfinite(log[name]).any()) for name in model.pose)
@@ -380,7 +383,7 @@ def _lacks_heading(model: Swimmer, log: Log) -> bool:
 
 
 def _first_course(x: Array, y: Array) -> float:
-    """Return the direction (rad) from the first point to where a track reaches a quarter of its extent."""
+    """Return the direction (rad) from the first point of a track to a quarter of its extent."""
     known = np.isfinite(x) & np.isfinite(y)
     along, across = x[known] - x[known][0], y[known] - y[known][0]
     gone = np.hypot(along, across)
@@ -394,7 +397,7 @@ def _start_state(entry: FreeSwimTrial, chosen: str, moving: bool, model: Swimmer
     Raises
     ------
     InputError
-        When a trial without a periodic drive, or of a robot in space, is to begin in steady swimming.
+        If ``steady`` is asked for a trial without a periodic drive or of a robot in 3-D.
     """
     state = entry.start_state if chosen == "auto" else chosen
     if state == "auto":
@@ -411,9 +414,9 @@ def _start_state(entry: FreeSwimTrial, chosen: str, moving: bool, model: Swimmer
 
 
 def _with_starts(recordings: Sequence[Recording], model: Swimmer) -> list[Trial]:
-    """Free the parameters of the start in the model, and return the trials with start values for them."""
+    """Free the start parameters in the model, and return the trials with their start values."""
     measured = {name for r in recordings for name in r.trial.measured}
-    # offsets of the start pose, one for each measured coordinate
+    # free the offset of the start pose for each measured coordinate
     free = set()
     if model.free_base:
         free = {name for name, column in zip(model.starts, model.pose, strict=True) if column in measured}
@@ -437,7 +440,7 @@ def _with_starts(recordings: Sequence[Recording], model: Swimmer) -> list[Trial]
 
 
 def _start_values(trial: Trial, log: Log, model: Swimmer) -> dict[str, float]:
-    """Return start values of the start state, as the fitted channels show it in the opening of the log."""
+    """Return start values for the initial state, estimated from the opening of the log."""
     lacks_heading = _lacks_heading(model, log)
 
     def at_start(name: str, derivative: int) -> float | None:
@@ -462,7 +465,10 @@ def _start_values(trial: Trial, log: Log, model: Swimmer) -> dict[str, float]:
 
 
 def _with_phase(trial: Trial, model: Swimmer) -> Trial:
-    """Return the trial with the start value of the drive's phase at which the stated robot fits best."""
+    """Return the trial with a start value of the drive phase.
+
+    The start value is the phase at which the robot with the coefficients of its file fits best.
+    """
     stated = {**{p.name: p.start for p in model.parameters}, **model.stated()}
     values = np.array([stated[p.name] for p in model.parameters])
     phases = np.linspace(0.0, 2.0 * math.pi, N_PHASES, endpoint=False)
@@ -478,9 +484,9 @@ def _with_phase(trial: Trial, model: Swimmer) -> Trial:
 
 
 def _beat_error(trial: Trial, simulated: Mapping[str, Array]) -> float:
-    """Return the squared error of a trial relative to its size, without trends, summed over channels.
+    """Return the squared error of a trial divided by the squared measurement, summed over channels.
 
-    Trends and the direction of the path are no part of the beat.
+    Trends and the direction of the path are removed, because they do not belong to the beat.
     """
     total = 0.0
     measured, simulated = metrics.own_axes(trial.measured, simulated)
@@ -494,7 +500,11 @@ def _beat_error(trial: Trial, simulated: Mapping[str, Array]) -> float:
 
 
 def _begins_in_motion(trial: Trial, log: Log, model: Swimmer) -> bool:
-    """Return whether a log begins after its drive, or shows body or passive joints in motion at first."""
+    """Return whether a log begins in motion.
+
+    This is so if the log begins after the drive has started, or if the body or a passive joint moves at
+    first.
+    """
     beat = trial.swim.drive
     beats = getattr(beat, "amplitude_rad", 1.0) != 0.0
     if beat is not None and beats and trial.time_s[0] > max(MAX_RAMP_SHARE * beat.ramp_s, OPENING_S):
@@ -507,7 +517,7 @@ def _begins_in_motion(trial: Trial, log: Log, model: Swimmer) -> bool:
 
 
 def _moves(log: Log, name: str, is_joint: bool) -> bool:
-    """Return whether a channel shows motion in the opening: a velocity or rate, or a joint off straight."""
+    """Return whether a channel shows motion in the opening: a velocity or rate, or a bent passive joint."""
     values, known = log[name], np.isfinite(log[name])
     opening = _is_opening(log) & known
     count = int(opening.sum())
@@ -525,22 +535,25 @@ def _moves(log: Log, name: str, is_joint: bool) -> bool:
 
 
 def _is_opening(log: Log) -> NDArray[np.bool_]:
-    """Return which samples of a log belong to its opening."""
+    """Return which samples belong to the opening of a log, its first part (see OPENING_S)."""
     length = max(OPENING_S, OPENING_STEPS * float(np.median(np.diff(log.time_s))))
     return log.time_s <= log.time_s[0] + length
 
 
 def _is_off_zero(time_s: Array, values: Array, derivative: int, top: float) -> bool:
-    """Return whether a value (0) or its rate (1) at time zero is significant and not small beside ``top``."""
+    """Return whether a quantity at time zero is significant, and not small compared with ``top``.
+
+    The quantity is the value (derivative 0) or its rate (derivative 1).
+    """
     value, error = _fitted(time_s, values, derivative)
     return abs(value) > max(MIN_ERRORS * error, MIN_SHARE * top)
 
 
 def _fitted(time_s: Array, values: Array, derivative: int) -> tuple[float, float]:
-    """Return a value (0) or its rate (1) at time zero, with its standard error.
+    """Return a value (derivative 0) or its rate (derivative 1) at time zero, with its standard error.
 
-    They come from a polynomial, of two orders more if that fits much better: a stiff polynomial would take a
-    quick start from rest for motion.
+    Both come from a polynomial. A polynomial two orders higher is used if it fits much better, because a
+    polynomial of low order would take a quick start from rest for initial motion.
     """
     order = 1 + derivative
     *stiff, stiff_squares = _at_zero(time_s, values, derivative, order)
@@ -561,11 +574,14 @@ def _at_zero(time_s: Array, values: Array, derivative: int, order: int) -> tuple
     return float(weights[derivative]), math.sqrt(squares / (len(time_s) - order - 1) * spread), squares
 
 
-# ---------------------------------------------------------------- checks against the logs
+# ---------------------------------------------------------------- checks of the logs
 
 
 def _beat(entry: FreeSwimTrial, log: Log, model: Swimmer) -> dict[str, Any] | None:
-    """Return the stated frequency of a drive and the one found in the heading; None without either."""
+    """Return the stated frequency of a drive and the frequency found in the heading.
+
+    None if the drive is not a beat, or if the heading has too few samples.
+    """
     if entry.drive is None or isinstance(entry.drive, StrokeDrive) or not model.free_base:
         return None
     for name in (*model.pose[2:], *model.velocity[2:]):
@@ -614,7 +630,7 @@ def _check_course(path: Path, model: Swimmer, recordings: Sequence[Recording]) -
 
 
 def drive_of(trial: Trial) -> dict[str, float]:
-    """Return the quantities of the drive of a trial; empty if measured joints drive it."""
+    """Return the quantities of a trial's drive, by name; empty if measured joints drive the trial."""
     beat, stroke = trial.swim.beat, trial.swim.stroke
     if stroke is not None:
         return {"frequency_hz": stroke.frequency_hz, "scale": stroke.scale}
@@ -630,14 +646,14 @@ def drive_of(trial: Trial) -> dict[str, float]:
 
 
 def _degrees(value_rad: float) -> float:
-    """Return an angle in degrees, to twelve digits, as a file would state it."""
+    """Return an angle in degrees, rounded to twelve digits."""
     return float(f"{math.degrees(value_rad):.12g}")
 
 
 def driven_range(trials: Sequence[Trial]) -> dict[str, tuple[float, float]]:
-    """Return the range of each quantity that the drives of all driven trials have.
+    """Return the range of each drive quantity over those trials that have a drive.
 
-    Empty if measured joints drive them.
+    Empty if measured joints drive the trials.
     """
     found = [known for trial in trials if (known := drive_of(trial))]
     names = [name for name in next(iter(found), {}) if all(name in known for known in found)]

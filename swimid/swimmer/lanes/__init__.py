@@ -1,5 +1,5 @@
-"""Batches of simulations: the equations of one robot, traced with symbols and compiled for vector registers.
+"""Batches of simulations: the equations of motion of one robot, compiled for vector registers.
 
-``tracing`` runs an engine on symbols and writes its operations as the text of a module. ``kernel`` compiles,
-keeps and runs that module, also with the forces and elements of effects.
+``tracing`` runs an engine (compiled equations of motion) on symbols, and writes its operations as the text of
+a module. ``kernel`` compiles, stores and runs that module, also with the forces and elements of effects.
 """

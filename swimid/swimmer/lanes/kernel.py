@@ -1,7 +1,9 @@
-"""Compiled kernels of a robot, which integrate a batch of runs at once. They are kept on disk.
+"""Compiled kernels of a robot, which integrate a batch of simulations at once. They are stored on disk.
 
-:class:`Kernel` holds the equations of the robot alone, :class:`WideKernel` those with the forces and elements
-of effects. :class:`Kernels` has both, and decides which run takes which.
+A kernel is the code of an engine (the equations of motion) specialised for one robot. :class:`Kernel` holds
+the equations of the robot alone, :class:`WideKernel` those with the forces and elements of effects.
+:class:`Kernels` has both, and chooses one of them for each simulation. Without a kernel, the scalar engine
+computes one simulation at a time.
 """
 
 from __future__ import annotations
@@ -40,17 +42,17 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-#: Time of one traced operation in the scalar engine, and time to compile one, s. Measured with the built-in
-#: robots by ``python -m benchmarks.bench_lanes --only engine compile``.
+#: Time of one operation in the scalar engine, and time to compile one operation, s. Measured with the built-
+#: in robots by ``python -m benchmarks.bench_lanes --only engine compile``.
 OPERATION_S, COMPILING_S = 3.5e-10, 5e-3
-#: Maximum time of simulation with the scalar engine, s, for which a kernel is not even looked up.
+#: Maximum simulation time with the scalar engine, s, for which kernels are not used.
 MAX_SCALAR_S = 0.5
-#: A kernel is compiled at once if the scalar engine would take this many times longer than compiling. The
-#: amount of simulation ahead is known only within a factor of two.
+#: Minimum ratio of the simulation time with the scalar engine to the compilation time at which a kernel is
+#: compiled at once. The amount of simulation is known in advance only within a factor of two.
 MIN_GAIN = 2.0
-#: Age of a mark from which the process that set it counts as stopped, s.
+#: Maximum age of a compilation mark, s. The process that set an older mark is taken to have stopped.
 MARK_S = 600.0
-#: Number of arrays for results that are kept for later batches.
+#: Maximum number of result arrays that are reused by later batches.
 N_BUFFERS = 8
 
 
@@ -58,20 +60,23 @@ N_BUFFERS = 8
 class Engine:
     """Functions and properties of an engine that a model and its kernels use.
 
+    An engine is the compiled equations of motion with their time integration. Its tables are the input arrays
+    with the properties of the robot.
+
     Attributes
     ----------
     derivative : compiled function
         ``derivative(state, row, *tables, *extra, *work, rate)``.
     shapes : callable
-        From tables to the length of the state and the shapes of the work arrays.
+        Function of the input arrays. It returns the length of the state and the shapes of the work arrays.
     extra : tuple
-        Arguments of ``derivative`` between the tables and the work arrays.
+        Arguments of ``derivative`` between the input arrays and the work arrays.
     settled : compiled function or None
         Correction of the state after each step.
     filled : mapping of table to columns
-        Entries that effects may change, and that are inputs of a kernel even if the robot has a zero there.
+        Entries that effects may change. They are inputs of a kernel even if they are zero for the robot.
     energetics : compiled function or None
-        Inverse dynamics of a finished run: joint torques and powers.
+        Inverse dynamics of a finished simulation: joint torques and powers.
     """
 
     derivative: Any
@@ -83,13 +88,13 @@ class Engine:
 
 
 class Kernel:
-    """Compiled equations of one robot, which integrate up to :data:`LANES` runs at once.
+    """Compiled equations of motion of one robot, which integrate up to :data:`LANES` simulations at once.
 
     Parameters
     ----------
     engine : Engine
     tables : callable
-        From coefficients to the tables of the engine, by their names.
+        Function of the coefficients. It returns the input arrays of the engine by name.
     coefficients : int
         Number of coefficients.
     """
@@ -110,7 +115,10 @@ class Kernel:
         self.module: ModuleType | None = None
 
     def fits(self, tables: Mapping[str, Any]) -> bool:
-        """Return whether tables have the structure of this robot. An effect may have filled in a zero."""
+        """Return whether ``tables`` has the constant entries of this robot, so that the kernel applies.
+
+        The result is False if an effect has changed an entry that is constant in the kernel.
+        """
         for name, example in self._example.items():
             given = tables[name]
             if name in self.fixed:
@@ -121,7 +129,7 @@ class Kernel:
         return bool((self._entries(tables)[self._known] == self._structure).all())
 
     def traced(self) -> Traced:
-        """Return the equations as operations."""
+        """Return the equations of motion as operations on symbols."""
         if self._traced is None:
             self._traced = self._trace()
         return self._traced
@@ -158,24 +166,25 @@ class Kernel:
         return Traced(used, list(rate), (_used(after.operations, settled), list(settled)), count, 5 * driven)
 
     def kind(self, table: str) -> str:
-        """Return the kind of input of a table's entries (:class:`swimid.swimmer.lanes.tracing.Symbol`)."""
+        """Return the kind of input symbol for the entries of an input array (see :class:`tracing.Symbol`)."""
         return "table"
 
     def _arguments(self, tracer: tracing.Tracer, tables: dict[str, Any]) -> list[Any]:
-        """Return the arguments of the derivative: tables and what follows them."""
+        """Return the arguments of the derivative: the input arrays and the arguments that follow them."""
         return [*tables.values(), *self.engine.extra]
 
     def worth(self, derivatives: float, progress: Progress = silent) -> bool:
-        """Return whether the kernel pays, and compile it if it does.
+        """Return whether the kernel saves time, and compile it if it does.
 
-        It pays if it is on this machine already, or if compiling takes less time than it saves. Otherwise a
-        process in the background compiles it for the next command. The environment variable ``SWIMID_LANES``
-        overrides this by ``always`` or ``never``. Kernel and engine agree to about fourteen digits.
+        It saves time if it is stored on this machine already, or if compiling it takes less time than it
+        saves. Otherwise a process in the background compiles it for the next command. The environment
+        variable ``SWIMID_LANES`` overrides this decision with ``always`` or ``never``. Results of the kernel
+        and the scalar engine agree to about fourteen digits.
 
         Parameters
         ----------
         derivatives : float
-            Number of evaluations of the equations ahead.
+            Expected number of evaluations of the equations of motion.
         progress : Progress
         """
         wanted = os.environ.get("SWIMID_LANES", "auto")
@@ -197,7 +206,7 @@ class Kernel:
         return True
 
     def compiled(self) -> ModuleType:
-        """Return the module, and compile it if this machine does not have it yet."""
+        """Return the compiled module. Compile it if this machine does not have it yet."""
         with self._lock:
             if self.module is None:
                 self.module = _compiled(imported(tracing.text(self.traced())))
@@ -210,20 +219,22 @@ class Kernel:
         drives: Sequence[Array],
         tables: Sequence[Mapping[str, Any]],
     ) -> list[tuple[Array, Array]]:
-        """Return states and rates of each run, as ``engine.integrate`` does.
+        """Return states and rates of each simulation, as ``engine.integrate`` does.
 
         Parameters
         ----------
         starts : sequence of ndarray, shape (size,)
+            Initial states.
         steps_s : sequence of float
         drives : sequence of ndarray, shape (2 steps + 1, driven joints, 5)
-        tables : sequence of mappings that :meth:`fits`
+        tables : sequence of mappings
+            Input arrays of each simulation, for which :meth:`fits` must be true.
 
         Returns
         -------
         list of (states, rates), each shape (steps + 1, size)
         """
-        # runs of similar length share a batch
+        # simulations of similar length share a batch
         order = sorted(range(len(starts)), key=lambda k: len(drives[k]))
         places: dict[int, tuple[Array, Array]] = {}
         for first in range(0, len(order), LANES):
@@ -260,9 +271,10 @@ class Kernel:
         return [(states[j, : n + 1], rates[j, : n + 1]) for j, n in enumerate(steps)]
 
     def _buffer(self, shape: tuple[int, ...]) -> Array:
-        """Return an array to write into, in memory that no earlier result uses any more.
+        """Return an array to write into, from memory that no earlier result uses any more.
 
-        Fresh memory would make a run take half as long again, because of its page faults.
+        With newly allocated memory, a simulation would take one and a half times as long because of page
+        faults.
         """
         need = math.prod(shape)
         with self._lock:
@@ -274,11 +286,11 @@ class Kernel:
             return self._buffers[idle[0]][:need].reshape(shape)
 
     def numbers(self, tables: Mapping[str, Any]) -> Array:
-        """Return the entries of a run's tables that are inputs of the kernel, shape (parameters,)."""
+        """Return the entries of ``tables`` that are inputs of the kernel, shape (parameters,)."""
         return self._entries(tables)[self._taken]
 
     def _entries(self, tables: Mapping[str, Any]) -> Array:
-        """Return all numbers of the tables in one array."""
+        """Return all entries of the input arrays in one array."""
         return np.concatenate([np.reshape(tables[name], -1) for name in self.fixed])
 
 
@@ -287,12 +299,12 @@ def _references(arrays: Sequence[Array]) -> list[int]:
     return [sys.getrefcount(array) for array in arrays]
 
 
-#: Number of references to an array that only its list holds.
+#: Reference count of an array that is referenced only by a list.
 IDLE = _references([np.empty(0)])[0]
 
 
 def _fixed(tables: Callable[[Array], dict[str, Any]], coefficients: int) -> dict[str, Array]:
-    """Return the entries of float tables that are 0, 1 or -1 for any coefficients, and NaN for all others."""
+    """Return the input arrays with NaN for entries that are not 0, 1 or -1 for all coefficients."""
     draws = np.random.default_rng(0).uniform(0.5, 1.5, (3, coefficients))
     samples = [tables(draw) for draw in draws]
     fixed = {}
@@ -306,7 +318,7 @@ def _fixed(tables: Callable[[Array], dict[str, Any]], coefficients: int) -> dict
 
 
 def _used(operations: Sequence[tracing.Symbol], results: Any) -> list[tracing.Symbol]:
-    """Return the operations that results need, in their order."""
+    """Return the operations on which the results depend, in their order."""
     needed, open_ = set(), [x for x in results if isinstance(x, tracing.Symbol)]
     while open_:
         x = open_.pop()
@@ -317,7 +329,7 @@ def _used(operations: Sequence[tracing.Symbol], results: Any) -> list[tracing.Sy
 
 
 def folder() -> Path:
-    """Return the folder of generated modules and their compiled forms, beside numba's other caches."""
+    """Return the folder of generated modules and their compiled forms, next to the other caches of numba."""
     beside = Path(__file__).parent / "__pycache__"
     if numba.config.CACHE_DIR:
         base = Path(numba.config.CACHE_DIR)
@@ -329,20 +341,23 @@ def folder() -> Path:
 
 
 def _path(text: str) -> Path:
-    """Return the path of a module, whose name is a hash of its text, the compiler and the processor."""
+    """Return the path of a module. Its name is a hash of the text, the compiler and the processor."""
     host = f"{sys.version} {numba.__version__} {llvmlite.__version__} {get_host_cpu_features()}"
     return folder() / f"lanes_{hashlib.sha256(f'{host} {text}'.encode()).hexdigest()[:16]}.py"
 
 
 def on_disk(text: str) -> bool:
-    """Return whether the module of this text is compiled on this machine."""
+    """Return whether the module with this text is compiled on this machine."""
     path = _path(text)
     base = Path(numba.config.CACHE_DIR) if numba.config.CACHE_DIR else path.parent / "__pycache__"
     return any(base.rglob(f"{path.stem}.integrate-*.nbc"))
 
 
 def imported(text: str) -> ModuleType:
-    """Return the module of this text, and write its file if there is none. It compiles at its first call."""
+    """Return the module with this text, and write its file if there is none.
+
+    The module is compiled at its first call.
+    """
     path = _path(text)
     if path.stem in sys.modules:
         return sys.modules[path.stem]
@@ -359,13 +374,13 @@ def imported(text: str) -> ModuleType:
 
 
 def _compiled(module: ModuleType) -> ModuleType:
-    """Return the module, compiled now or loaded from disk."""
+    """Return the module after it is compiled, or loaded from disk if it was compiled before."""
     module.integrate.compile(module.SIGNATURE)
     return module
 
 
 def compile_later(text: str) -> None:
-    """Compile a module for the next command, in a process that outlives this one."""
+    """Compile a module for the next command, in a process that outlives this process."""
     imported(text)
     command = "import sys; from swimid.swimmer.lanes import kernel; kernel.compile_file(sys.argv[1])"
     with contextlib.suppress(OSError):  # without a process the next command is as slow as this one
@@ -395,26 +410,27 @@ def compile_file(path: str) -> None:
         mark.unlink(missing_ok=True)
 
 
-#: Name of the table of forces of a run: its begin (s), its frame (``placed`` of the engine), and for each
-#: force 1 or 0 (whether it acts), its point and its constants.
+#: Name of the input array with the external forces in a simulation. Its entries are the start time (s), the
+#: coordinate frame (``placed`` of the engine), and for each force: 1 or 0 (whether the force acts), its point
+#: and its constants.
 ACTING = "acting"
-#: Number of entries of the frame.
+#: Number of entries for the coordinate frame.
 FRAME = 7
 
 
 @dataclass(frozen=True)
 class Room:
-    """Elements, entries and forces that effects may bring to a robot.
+    """Elements, changes of input arrays, and forces that effects may add to a robot.
 
     Attributes
     ----------
     rows : mapping of table to links
-        Links of further elements, in the order in which effects append them. The links of table ``t`` are
-        table ``t_link``.
+        Links of additional elements, in the order in which effects append them. The links of table ``t``
+        are in table ``t_link``.
     filled : mapping of table to index
         Entries that effects change.
     forces : sequence of (Traceable, link)
-        Forces, each of which acts at most once in a run.
+        Forces. Each may act at most once in a simulation.
     """
 
     rows: Mapping[str, Sequence[int]]
@@ -423,16 +439,17 @@ class Room:
 
 
 class WideKernel(Kernel):
-    """Compiled equations of one robot with effects, each run with its own effects or none.
+    """Compiled equations of motion of one robot with effects. Each simulation has its own effects or none.
 
-    One kernel serves all effects, because compiling takes seconds. A run computes the forces of other effects
-    in vain, which costs little compared with a run of the scalar engine.
+    One kernel serves all effects, because compiling takes seconds. A simulation also computes the forces of
+    effects that it does not have. This costs little compared with a simulation by the scalar engine.
 
     Parameters
     ----------
     engine, tables, coefficients
         See :class:`Kernel`.
     room : Room
+        Elements, entries and forces of the effects.
     """
 
     def __init__(
@@ -444,13 +461,13 @@ class WideKernel(Kernel):
         for known, link in room.forces:
             self._slots[id(known.function), link] = slice(at, at + 3 + known.constants)
             at += 3 + known.constants
-        # the constants of a force that does not act are ones, because it may divide by them
+        # the constants of a force that does not act are ones, because the force may divide by them
         self._idle = np.ones(at)
         self._idle[[place.start for place in self._slots.values()]] = 0.0
         super().__init__(engine, lambda values: self._roomy(tables(values)), coefficients)
 
     def _roomy(self, tables: dict[str, Any]) -> dict[str, Any]:
-        """Return tables with NaN for the entries that effects may change."""
+        """Return input arrays with NaN for the entries that effects may change."""
         found = dict(tables)
         for name, links in self.room.rows.items():
             own = tables[name]
@@ -464,17 +481,17 @@ class WideKernel(Kernel):
     def widened(
         self, tables: Mapping[str, Any], forces: Sequence[Force], frame: Array, begin_s: float
     ) -> dict[str, Any] | None:
-        """Return the tables of a run for this kernel; None if it has no room for them.
+        """Return the input arrays of a simulation in the form of this kernel; None if its effects do not fit.
 
         Parameters
         ----------
         tables : mapping
-            Tables of the engine.
+            Input arrays of the equations of motion.
         forces : sequence of Force
         frame : ndarray, shape (7,)
-            Frame of the run in the world (``placed`` of the engine).
+            Coordinate frame of the simulation in the world (``placed`` of the engine).
         begin_s : float
-            Time of the first state.
+            Time of the initial state.
         """
         found = dict(tables)
         for name in self.room.rows:
@@ -495,7 +512,10 @@ class WideKernel(Kernel):
         return found if self.fits(found) else None
 
     def kind(self, table: str) -> str:
-        """Return the kind of input of a table's entries; of forces, not even the sign is known."""
+        """Return the kind of input symbol for the entries of an input array.
+
+        Entries for forces have a kind of their own, because even their signs are unknown.
+        """
         return "number" if table == ACTING else super().kind(table)
 
     def _arguments(self, tracer: tracing.Tracer, tables: dict[str, Any]) -> list[Any]:
@@ -520,7 +540,7 @@ class WideKernel(Kernel):
         return [*tables.values(), forced, time]
 
     def _calls(self) -> Iterator[Callable[..., None]]:
-        """Yield the forces as functions of symbols, zero for a force that does not act."""
+        """Yield the forces as functions of symbols. A force that does not act is zero."""
         for known, _ in self.room.forces:
             plain = tracing.on_symbols(known.function)
 
@@ -532,9 +552,9 @@ class WideKernel(Kernel):
 
 
 def _in_places(rows: Array, links: NDArray[np.int64], places: NDArray[np.int64]) -> Array | None:
-    """Return rows of elements, each moved to the next place of its link; None if there is no place.
+    """Return rows of elements, each moved to the next row of ``places`` for its link.
 
-    Rows of places without an element are zero.
+    Rows without an element are zero. The result is None if a link has too few rows.
     """
     if np.array_equal(links, places):
         return rows
@@ -550,21 +570,21 @@ def _in_places(rows: Array, links: NDArray[np.int64], places: NDArray[np.int64])
 
 
 class Kernels:
-    """Kernels of one robot: its own, and a wider one for runs with forces or elements of effects.
+    """Kernels of one robot: one for the robot alone, and one for simulations with effects.
 
     Parameters
     ----------
     engine, tables, coefficients
         See :class:`Kernel`.
     room : callable
-        Returns the :class:`Room` for effects, or None if there is none.
+        Function that returns the :class:`Room` for effects, or None if there are none.
 
     Attributes
     ----------
     own, wide : Kernel, WideKernel or None
-        Made when first needed.
+        Kernels for the robot alone and with effects. They are created when first needed.
     use_own, use_wide : bool
-        Whether runs take them. Otherwise the scalar engine simulates.
+        Whether simulations use these kernels. Otherwise they use the scalar engine.
     """
 
     def __init__(
@@ -581,7 +601,7 @@ class Kernels:
         self.use_own = self.use_wide = False
 
     def make(self, *, effects: bool = True) -> Kernel:
-        """Make the kernels without compiling them, and return the robot's own."""
+        """Create the kernels without compiling them, and return the kernel of the robot alone."""
         self.own = self.own or Kernel(*self._made)
         if effects and self.wide is None:
             room = self._room()
@@ -597,16 +617,17 @@ class Kernels:
         checkpoint: Checkpoint | None,
         progress: Progress = silent,
     ) -> None:
-        """Decide whether runs take the kernels, and compile those that they take.
+        """Decide whether simulations use the kernels, and compile those that are used.
 
         Parameters
         ----------
         name : str
             Name of the decision in the checkpoint.
         derivatives, affected : float
-            Number of evaluations of the equations ahead, without and with effects.
+            Expected number of evaluations of the equations of motion, without and with effects.
         checkpoint : Checkpoint, optional
-            A search that is resumed keeps its decision, because kernel and engine differ in the last digits.
+            Storage of the decision. A resumed search repeats its decision, because results of kernel and
+            scalar engine differ in the last digits.
         progress : Progress
         """
         own = self.make(effects=affected > 0.0)
@@ -621,13 +642,13 @@ class Kernels:
             checkpoint.put(name, np.array([self.use_own, self.use_wide], dtype=float))
 
     def choose(self, run: Run, frame: Callable[[Run], Array]) -> tuple[Kernel, Mapping[str, Any]] | None:
-        """Return the kernel that takes a run, and its tables there; None if the engine must simulate it.
+        """Return the kernel for a simulation with its input arrays; None if the scalar engine is needed.
 
         Parameters
         ----------
         run : Run
         frame : callable
-            From a run to its frame in the world, shape (7,).
+            Function from a simulation to its coordinate frame in the world, shape (7,).
         """
         if self.own is None or not self.use_own:
             return None
@@ -639,7 +660,7 @@ class Kernels:
         return None if tables is None else (self.wide, tables)
 
     def run(self, runs: Mapping[Any, Run], frame: Callable[[Run], Array]) -> dict[Any, tuple[Array, Array]]:
-        """Return states and rates of the runs that the kernels take, by the keys of the runs."""
+        """Return states and rates of the simulations that the kernels can compute, by key of ``runs``."""
         found: dict[Any, tuple[Array, Array]] = {}
         choices = {key: self.choose(run, frame) for key, run in runs.items()}
         for kernel in (self.own, self.wide):

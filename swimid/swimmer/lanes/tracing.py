@@ -1,14 +1,15 @@
 """Equations of an engine as a list of operations, and the source text of a module that computes them.
 
-The compiled functions of an engine are Python functions. Called with symbols in place of numbers, they run
-through their loops over links and elements once, and leave a list of sums and products. Operations with
-entries of the tables that are always 0 or 1 are removed. An engine must be written for this: it branches on a
-value only by :func:`swimid.swimmer.planar.engine.positive`, ``max``, ``min`` and ``abs``.
+An engine is the compiled equations of motion of a robot. Its compiled functions are Python functions. When
+they are called with symbols instead of numbers, they run through their loops over links and elements once,
+and record a list of sums and products. Operations with input entries that are always 0 or 1 are removed. An
+engine must be written for this: it may branch on a value only by
+:func:`swimid.swimmer.planar.engine.positive`, ``max``, ``min`` and ``abs``.
 
-The module integrates a batch of runs by a fourth-order Runge-Kutta method. The operations are the body of a
-loop ``for lane in range(LANES)`` over one flat work array, which the compiler vectorises. It does so only if
-the loop writes no second array, all indices are literal, and nothing leaves the loop. Therefore :func:`text`
-copies inputs and results in other loops.
+The module integrates a batch of simulations by a fourth-order Runge-Kutta method. The operations are the body
+of a loop ``for lane in range(LANES)`` over one flat work array, which the compiler vectorises. It does so
+only if the loop writes no second array, all indices are literal, and no statement leaves the loop early.
+Therefore :func:`text` copies inputs and results in other loops.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ from numba.extending import intrinsic
 
 from swimid.swimmer.planar.engine import BROKEN
 
-#: Coefficients of polynomials for sine and cosine on a quarter turn (S. Moshier, Cephes: sin.c, double
-#: precision).
+#: Coefficients of polynomials for sine and cosine between -45 and 45 degrees (S. Moshier, Cephes: sin.c,
+#: double precision).
 SINE = (
     1.58962301576546568060e-10,
     -2.50507477628578072866e-8,
@@ -45,24 +46,26 @@ COSINE = (
     -1.38888888888730564116e-3,
     4.16666666666665929218e-2,
 )
-#: A quarter turn, rad, as a sum of three numbers that are short enough for exact products (Cody and Waite
+#: The angle pi / 2, rad, as a sum of three numbers. They are short enough for exact products (Cody and Waite
 #: 1980).
 QUARTER = (1.5707962512969971, 7.549789415861596e-08, 5.390302858158119e-15)
-#: Logarithm of 2 as a sum of two numbers, the first with zeros at its end (Cephes: exp.c, double precision).
+#: Logarithm of 2 as a sum of two numbers. The first number ends in zero bits (Cephes: exp.c, double
+#: precision).
 LOG_2 = (6.93145751953125e-1, 1.42860682030941723212e-6)
 #: Taylor coefficients of the exponential, for arguments up to half the logarithm of 2, and of ``artanh(x) /
-#: x`` in squares, for squares up to ``(sqrt(2) - 1)^2 / (sqrt(2) + 1)^2``. The first omitted term is below
+#: x`` in powers of x^2, for x^2 up to ``(sqrt(2) - 1)^2 / (sqrt(2) + 1)^2``. The first omitted term is below
 #: 1e-17.
 EXPONENTIAL = tuple(1.0 / math.factorial(k) for k in range(13, -1, -1))
 LOGARITHM = tuple(1.0 / (2 * k + 1) for k in range(10, -1, -1))
-#: Minimum and maximum exponents of e whose powers are normal doubles.
+#: Minimum and maximum arguments of the exponential for which the result is a normal double.
 LEAST, MOST = -708.0, 709.0
-#: The number 1.5 * 2^52. Adding and subtracting it rounds to a whole number.
+#: The number 1.5 * 2^52. A number to which it is added, and from which it is then subtracted, is rounded to
+#: an integer.
 ROUNDER = 6755399441055744.0
 
 
 class Tracer:
-    """List of operations in the order of their first use, each only once.
+    """List of operations on symbols, in the order of their first use. Equal operations are listed once.
 
     Attributes
     ----------
@@ -74,7 +77,7 @@ class Tracer:
         self._known: dict[tuple[Any, ...], Symbol] = {}
 
     def symbol(self, kind: str, *of: Symbol | float | int) -> Symbol:
-        """Return the symbol of an operation."""
+        """Return the symbol for the result of an operation."""
         key = (kind, *(a.number if isinstance(a, Symbol) else (repr(a),) for a in of))
         if key not in self._known:
             self._known[key] = Symbol(self, kind, of, len(self.operations))
@@ -83,15 +86,15 @@ class Tracer:
 
 
 class Symbol:
-    """Result of an operation, or an input with its position.
+    """Result of an operation, or an input of the equations with its index.
 
-    Inputs are ``state``, ``row`` (of the drive), ``table``, ``number`` (of the forces of effects) and
+    Inputs are ``state``, ``row`` (of the drive array), ``table``, ``number`` (of the forces of effects) and
     ``elapsed`` (time since the start).
 
     Raises
     ------
     TypeError
-        When its value is needed: an ``if`` on it cannot be traced.
+        If an ``if`` statement needs the value of the symbol, which cannot be traced.
     """
 
     __slots__ = ("kind", "number", "of", "tracer")
@@ -153,7 +156,7 @@ class Symbol:
         return self.tracer.symbol("abs", self)
 
     def _given(self, other: object) -> bool:
-        """Return True for an entry of a table, which is not zero and counts as positive."""
+        """Return True for an entry of an input array: a symbol stands for a positive value, not for zero."""
         if self.kind == "table" and _is(other, 0.0):
             return True
         raise TypeError("the equations ask for a value: write positive(), max() or min()")
@@ -172,7 +175,7 @@ class Symbol:
 
 
 class Angle:
-    """Angle of which only sine and cosine are known."""
+    """Angle that is represented by its sine and cosine."""
 
     __slots__ = ("cosine", "sine")
 
@@ -189,7 +192,7 @@ def _tracer(*values: object) -> Tracer | None:
 
 
 def positive(asked: Any, then: Any, otherwise: Any) -> Any:
-    """Return ``then`` where ``asked`` is above 0, else ``otherwise``."""
+    """Return ``then`` where ``asked`` is above 0, and ``otherwise`` elsewhere."""
     if then is otherwise:
         return then
     if isinstance(asked, Symbol):
@@ -198,7 +201,7 @@ def positive(asked: Any, then: Any, otherwise: Any) -> Any:
 
 
 def _traced(kind: str, function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function of numbers that is an operation of this kind on symbols."""
+    """Return a function that computes with numbers, and records an operation of this kind for symbols."""
 
     def apply(*values: Any) -> Any:
         tracer = _tracer(*values)
@@ -213,14 +216,14 @@ _largest, _smallest, _root = _traced("max", max), _traced("min", min), _traced("
 
 
 def sine_and_cosine(x: Any) -> tuple[Any, Any]:
-    """Return sine and cosine of an angle up to some thousands of turns, with an error below 2.3e-16."""
+    """Return sine and cosine of an angle of up to some thousand rotations, with an error below 2.3e-16."""
     if isinstance(x, Angle):
         return x.sine, x.cosine
     if not isinstance(x, Symbol):
         return math.sin(x), math.cos(x)
     quarter: Any = (x * (2.0 / math.pi) + ROUNDER) - ROUNDER
     rest = ((x - quarter * QUARTER[0]) - quarter * QUARTER[1]) - quarter * QUARTER[2]
-    # the quadrant: 0, 1, 2 or 3
+    # the quadrant is 0, 1, 2 or 3
     quadrant = quarter - 4.0 * (((quarter * 0.25 - 0.375) + ROUNDER) - ROUNDER)
     square: Any = rest * rest
     sine = rest * square * _horner(SINE, square) + rest
@@ -231,16 +234,16 @@ def sine_and_cosine(x: Any) -> tuple[Any, Any]:
 
 
 def _facing(frame: Any, base: Any, turn: Any) -> Angle:
-    """Return the same as :func:`swimid.swimmer.planar.engine.facing`, as sine and cosine."""
+    """Return the angle that :func:`swimid.swimmer.planar.engine.facing` returns."""
     _, c, s = frame
     cosine, sine = turn
     return Angle(s * cosine + c * sine, c * cosine - s * sine)
 
 
 def _exponential(x: Any) -> Any:
-    """Return the exponential from e^-708 to e^709, with a relative error below 3e-16.
+    """Return the exponential for results from e^-708 to e^709, with a relative error below 3e-16.
 
-    It is a power of two times a series for the rest.
+    It is a power of two multiplied by the Taylor series of the remaining factor.
     """
     if not isinstance(x, Symbol):
         return math.exp(x)
@@ -264,14 +267,14 @@ def _logarithm(x: Any) -> Any:
 
 
 def _horner(coefficients: tuple[float, ...], x: Any) -> Any:
-    """Return the value of a polynomial, its highest coefficient first."""
+    """Return the value of a polynomial, whose coefficients begin with that of the highest power."""
     value: Any = coefficients[0]
     for c in coefficients[1:]:
         value = value * x + c
     return value
 
 
-#: Functions of the module ``math`` for symbols.
+#: Replacement of the module ``math`` for symbols.
 MATH = SimpleNamespace(
     sqrt=_root,
     exp=_exponential,
@@ -285,14 +288,14 @@ MATH = SimpleNamespace(
 
 
 def on_symbols(function: Any) -> Callable[..., Any]:
-    """Return a compiled function, with all functions that it calls, as a Python function of symbols."""
+    """Convert a compiled function, and all functions that it calls, to Python functions of symbols."""
     return _plain(function, {})
 
 
 def _plain(function: Any, known: dict[Any, Any]) -> Any:
     if function in known:
         return known[function]
-    # the function of a force is compiled by cfunc, which is no Dispatcher
+    # cfunc compiles the function of a force, and its result is not a Dispatcher
     text = function.py_func if isinstance(function, Dispatcher) else function.__wrapped__
     names: dict[str, Any] = {}
     known[function] = FunctionType(text.__code__, names, text.__name__, text.__defaults__)
@@ -309,24 +312,24 @@ def array(tracer: Tracer, kind: str, shape: tuple[int, ...]) -> np.ndarray[Any, 
     return inputs
 
 
-#: Number of runs in a batch. Eight doubles fill one register of AVX-512, two of AVX2, or four of NEON.
+#: Number of simulations in a batch. Eight doubles fill one register of AVX-512, two of AVX2, or four of NEON.
 LANES = 8
 
 
 @dataclass(frozen=True)
 class Traced:
-    """A traced engine, as :func:`text` needs it.
+    """A traced engine, which is the input of :func:`text`.
 
     Attributes
     ----------
     operations : sequence of Symbol
     rates : sequence of Symbol or float, length of the state
     settled : (sequence of Symbol, sequence of Symbol or float)
-        Operations on the state after a step, and the corrected state; both empty without a correction.
+        Operations on the state after a step, and the corrected state. Both are empty without a correction.
     parameters : int
-        Number of inputs from the tables.
+        Number of inputs from the input arrays of the engine.
     width : int
-        Number of entries in a row of the drive's table.
+        Number of entries in a row of the drive array.
     """
 
     operations: Sequence[Symbol]
@@ -337,7 +340,7 @@ class Traced:
 
     @property
     def size(self) -> int:
-        """Length of the state."""
+        """Length of the state vector."""
         return len(self.rates)
 
 
@@ -393,9 +396,9 @@ def integrate(start, step, {tables}, shared, steps, parameters, states, rates, w
 _BITS = """
 from swimid.swimmer.lanes.tracing import bits, double
 """
-#: Operations on the bits of a positive normal double: 52 bits of mantissa below the exponent, which counts
-#: from 1023. The last bits of a number to which 1.5 * 2^52 was added are a whole number, as are those of 2^52
-#: (0x433).
+#: Operations on the bits of a positive normal double. A double has 52 bits of mantissa below the exponent,
+#: which has an offset of 1023. After 1.5 * 2^52 is added to a number, its last bits are an integer. The same
+#: holds for 2^52 (0x433).
 _OF_BITS = {
     "two to": "double((bits({0}) + 1023) << 52)",
     "exponent": "double((bits({0}) >> 52) | 0x4330000000000000) - 4503599627371519.0",
@@ -413,11 +416,10 @@ def text(traced: Traced) -> str:
 
     Its function is ``integrate(start, step, table0, ..., shared, steps, parameters, states, rates, work)``:
 
-    - ``start``, ``step`` and ``parameters`` are flat, with the run as last axis.
-    - ``table0`` and so on are the tables of the drives, shape (2 steps + 1 or fewer, width). The last row
-    holds
-      for all later times. If they are ``shared``, all runs read the first table.
-    - ``states`` and ``rates`` have shape (runs, steps + 1, size). They are NaN from where a run breaks down.
+    - ``start``, ``step`` and ``parameters`` are flat. The simulation is the last axis.
+    - ``table0`` and so on are drive arrays of shape (2 steps + 1 or fewer, width).
+      The last row holds for all later times. If ``shared`` is true, all simulations read the first array.
+    - ``states`` and ``rates`` have shape (simulations, steps + 1, size). They are NaN after a breakdown.
     """
     size = traced.size
     here, total, stage, rate = (LANES * size * k for k in range(4))
@@ -485,25 +487,25 @@ def text(traced: Traced) -> str:
 
 
 def _indented(lines: Sequence[str], by: int) -> str:
-    """Return lines in one text, indented by a number of blanks."""
+    """Return lines as one text, indented by a number of blanks."""
     return "\n".join(" " * by + line for line in lines)
 
 
 def _value(x: Symbol | float) -> str:
-    """Return the text of a symbol or a number."""
+    """Return the program text of a symbol or a number."""
     if isinstance(x, Symbol):
         return f"x{x.number}"
     return "math.nan" if x != x else repr(float(x))
 
 
 def _operations(operations: Sequence[Symbol], given: Any) -> list[str]:
-    """Return one line of text for each operation.
+    """Return one line of program text for each operation.
 
     Parameters
     ----------
     operations : sequence of Symbol
     given : callable
-        From an input symbol to its text.
+        Function from an input symbol to its program text.
     """
     lines, divided = [], set()
     for x in operations:
@@ -511,7 +513,7 @@ def _operations(operations: Sequence[Symbol], given: Any) -> list[str]:
         if x.kind in "+-*":
             line = f"{of[0]} {x.kind} {of[1]}"
         elif x.kind == "/":
-            # several quotients may have one divisor: compute its reciprocal once
+            # several quotients may have one divisor, so compute its reciprocal once
             if isinstance(x.of[1], Symbol) and of[1] not in divided:
                 lines.append(f"i{of[1]} = 1.0 / {of[1]}")
                 divided.add(of[1])
@@ -546,7 +548,7 @@ def bits(typing: Any, number: Any) -> Any:
 
 @intrinsic
 def double(typing: Any, number: Any) -> Any:
-    """Return the double with the bits of an integer."""
+    """Return the double whose bits are those of an integer."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.bitcast(arguments[0], ir.DoubleType())

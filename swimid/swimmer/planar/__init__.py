@@ -1,1 +1,1 @@
-"""Robots with links in a plane: their engine, the tables of the engine, and the model."""
+"""Robots with links in a plane: the compiled equations of motion, their input arrays, and the model."""

@@ -1,6 +1,7 @@
-"""Tables of the planar engine from links, joints and elements of a robot file, with their checks.
+"""Input arrays of the planar equations of motion from the parts of a robot file, with their checks.
 
-Each kind of element (:mod:`swimid.robots.planar`) adds rows to the tables by one function of ``ADDERS``.
+The parts are links, joints and elements. Each kind of element (:mod:`swimid.robots.planar`) has a function in
+``ADDERS`` that adds rows to the input arrays.
 """
 
 from __future__ import annotations
@@ -41,22 +42,22 @@ def _add_mass(
     port: Polynomial,
     turning: Polynomial,
 ) -> None:
-    """Add a mass, which may differ by direction, at a place, and a moment of inertia about it."""
+    """Add a mass, with a value for each direction, at a point, and a moment of inertia about the point."""
     x, y = at
     about = turning + forward * y * y + port * x * x
     rows.add_inertia(link, [forward, 0.0, -(forward * y), port, port * x, about])
 
 
 def _point(station: float | str, offset: float | str) -> list[Polynomial]:
-    """Return a place on a link in its axes."""
+    """Return a point of a link in the axes of the link."""
     return [-Polynomial.of(station), Polynomial.of(offset)]
 
 
 def _added_mass(element: AddedMass, link: Link, rows: Rows) -> None:
     """Add the added mass of a link at a station, by default at its centre of mass.
 
-    It counts once, in the kinetic energy (tendon fish Eq 2, dolphin Eq 3). The added-mass force of their
-    Eqs 6 and 7 is a derivative of that energy and must not be applied again.
+    It enters the kinetic energy only (tendon fish Eq 2, dolphin Eq 3). The added-mass force of Eqs 6 and 7 in
+    these papers is a derivative of this energy, and must not be applied again.
     """
     station = given(element.at_m, link.com_m)
     masses = element.surge_kg, element.sway_kg, element.inertia_kg_m2
@@ -64,7 +65,7 @@ def _added_mass(element: AddedMass, link: Link, rows: Rows) -> None:
 
 
 def _damping(element: Damping, link: Link, rows: Rows) -> None:
-    """Add the moment ``-(linear + quadratic |r|) r`` against the rotation of a link."""
+    """Add the moment ``-(linear + quadratic |r|) r`` against the rotation of a link at the rate r."""
     turning = element.quadratic_N_m_s2_rad2, element.linear_N_m_s_rad
     rows.add("drag", link.name, [*[0.0] * 6, *turning])
 
@@ -72,7 +73,8 @@ def _damping(element: Damping, link: Link, rows: Rows) -> None:
 def _drag(element: Drag, link: Link, rows: Rows) -> None:
     """Add Morison drag ``-rho/2 c S |v| v`` along each axis of a link (tendon fish, Eq 7).
 
-    It acts at a point, or on strips that share the areas by the weights of Gauss's rule.
+    The drag acts at a point or on strips. The areas are divided among the strips by the weights of Gauss's
+    rule.
     """
     half = 0.5 * rows.density_kg_m3
     gains = (
@@ -110,7 +112,7 @@ def _force(element: Force, link: Link, rows: Rows) -> None:
 
 
 def _hydrostatics(element: Hydrostatics, link: Link, rows: Rows) -> None:
-    """Add the weight of a link at its centre of mass, and its buoyancy, in the vertical plane."""
+    """Add the weight of a link at its centre of mass, and the buoyancy of the link, in the vertical plane."""
     gravity = rows.gravity_m_s2
     weight = -gravity * Polynomial.of(link.mass_kg)
     rows.add("force", link.name, [*_point(link.com_m, link.com_offset_m), 0.0, weight, 1.0])
@@ -124,7 +126,8 @@ def _hydrostatics(element: Hydrostatics, link: Link, rows: Rows) -> None:
 def _slender_body(element: SlenderBody, link: Link, rows: Rows) -> None:
     """Add added mass ``c_m rho pi h^2 / 4`` and drag ``rho/2 (c_f p, c_d h) |v| v`` per length.
 
-    They act on strips of a link whose cross-section varies along it (dolphin, Eqs 4, 7 and 8).
+    Both act on strips of a link with a height h and a perimeter p that vary along it (dolphin, Eqs 4, 7 and
+    8).
     """
     at = np.array([s.station_m for s in element.sections])
     heights = np.array([s.height_m for s in element.sections])
@@ -149,22 +152,22 @@ def _slender_body(element: SlenderBody, link: Link, rows: Rows) -> None:
 def _trailing_edge(element: TrailingEdge, link: Link, rows: Rows) -> None:
     """Add the momentum shed into the wake at a trailing edge (Lighthill 1971, Proc. R. Soc. Lond. B 179:125).
 
-    With u and w the edge's velocity along its link's axis and across it, and m the added mass per length
-    there, the water's reaction on a slender body is
+    With the velocity u of the edge along the axis of its link, the velocity w across, and the added mass m
+    per length at the edge, the reaction of the water on a slender body is
 
         ``[-m u w n + 1/2 m w^2 t] at the edge - d/dt integral of m w n over the body``
 
     with unit vectors n across and t along. The integral is the impulse of the lateral added mass of the
-    links, and acts through their kinetic energy. The other terms act here. They take the power 1/2 m u w^2,
-    which the wake carries off. An edge that moves backwards (u < 0) sheds nothing, a case outside the theory.
-    The force across is then zero, and the remaining force resists the motion.
+    links, and acts through their kinetic energy. The other terms are added here. They take the power 1/2 m u
+    w^2, which the wake carries away. The theory does not cover an edge that moves backwards (u < 0). Such an
+    edge sheds nothing: the force across is then zero, and the remaining force resists the motion.
     """
     station = given(element.at_m, link.length_m)
     half = 0.5 * Polynomial.of(element.added_mass_kg_m)
     rows.add("wake", link.name, [*_point(station, element.offset_m), half])
 
 
-#: Function that adds the rows of an element to the tables, by its kind.
+#: Functions that add the rows of an element to the input arrays, by kind of element.
 ADDERS: dict[str, Callable[[Any, Any, Rows], None]] = {
     "added-mass": _added_mass,
     "damping": _damping,
@@ -177,17 +180,19 @@ ADDERS: dict[str, Callable[[Any, Any, Rows], None]] = {
 }
 
 
-#: Minimum and maximum radius of gyration of a link, in lengths of the link. Others indicate a wrong unit.
+#: Minimum and maximum radius of gyration of a link, as a multiple of its length. Other values indicate a
+#: wrong unit.
 GYRATION = (0.02, 5.0)
-#: Maximum density of a link, kg/m3, if it filled a block of its own length that is as wide and high as the
-#: robot is long (solid lead has 11340). A higher one indicates a wrong unit.
+#: Maximum density of a link, kg/m3. The volume is a block as long as the link, and as wide and high as the
+#: robot is long. A higher density indicates a wrong unit (solid lead has 11340).
 MAX_DENSITY = 5000.0
-#: Maximum length, in lengths of the robot, and maximum area, in squares of that length.
+#: Maximum length, as a multiple of the robot's length, and maximum area, as a multiple of the square of that
+#: length.
 MAX_EXTENT = 3.0
-#: Keys that hold lengths, and keys of elements that must not be negative.
+#: Patterns of keys: quantities that are lengths, and quantities of elements that must not be negative.
 LENGTH = re.compile(r"(?!.*_(N|N_s|kg)_m$).*_m")
 LOSS = re.compile(r"area_m2|coefficient|linear|quadratic|volume|mass_kg_m")
-#: Keys of a passive joint's law that must not be negative, and their columns in the engine's table.
+#: Quantities of a passive joint that must not be negative, with their columns in the input array ``passive``.
 ONE_SIGN = {
     "stiffness_N_m_rad": 0,
     "damping_N_m_s_rad": 2,
@@ -200,7 +205,7 @@ MAX_QUANTITY = 1e15
 
 
 class Assembly(Tree):
-    """Links of a robot in a plane, with their tables and checks (:class:`swimid.swimmer.tree.Tree`).
+    """Links of a robot in a plane, with their input arrays and checks (:class:`swimid.swimmer.tree.Tree`).
 
     Parameters
     ----------
@@ -210,7 +215,7 @@ class Assembly(Tree):
     Attributes
     ----------
     world_forces : bool
-        Whether forces fixed in the world act, such as weight.
+        Whether forces with a fixed direction in the world act, such as weight.
     """
 
     part, hinge = "multilink", "joint"
@@ -224,7 +229,11 @@ class Assembly(Tree):
         self.world_forces = any(row[4] == 1.0 for _, row in rows.force)
 
     def _sized(self) -> tuple[list[str], NDArray[np.intp], NDArray[np.bool_], Table]:
-        """Return paths of all quantities, their powers of a length, which are not negative, and a table."""
+        """Return paths, powers of a length, sign constraints and values of all quantities.
+
+        The power is 1 for a length, 2 for an area and 0 otherwise. The sign constraint is true if the
+        quantity must not be negative. The values are a :class:`Table` of the coefficients.
+        """
         named = list(quantities(self.body, self.part))
         paths = [path for path, _ in named]
         keys = [path.rsplit(".", 1)[-1] for path in paths]
@@ -242,7 +251,7 @@ class Assembly(Tree):
         return 3 + len(self.passive)
 
     def check(self, values: Array) -> None:
-        """Refuse masses and inertias that no body has, and quantities that indicate a wrong unit.
+        """Raise an error for impossible masses or inertias, and for values that indicate a wrong unit.
 
         Raises
         ------
@@ -268,7 +277,7 @@ class Assembly(Tree):
                     )
 
     def _check_sizes(self, values: Array) -> None:
-        """Refuse sizes out of proportion to the robot, and negative areas and coefficients."""
+        """Raise an error for sizes out of proportion to the robot, and for negative areas or coefficients."""
         paths, powers, one_sign, table = self._sizes
         numbers, span = table(values)[:, 0], sum(link.length_m for link in self.links)
         far = np.where(powers > 0, MAX_EXTENT * span**powers, np.inf)
@@ -303,7 +312,7 @@ class Assembly(Tree):
 
 
 def _check_link(link: Link, own: Array, span: float) -> None:
-    """Refuse a mass and inertia that no rigid link has."""
+    """Raise an error for a mass and inertia that no rigid link can have."""
     where = f"multilink.links.{link.name}"
     mass = float(own[0])
     if mass <= 0:
@@ -337,6 +346,6 @@ def _check_link(link: Link, own: Array, span: float) -> None:
 
 
 def _full(row: Array) -> Array:
-    """Return the matrix of a stored row of inertia, shape (3, 3)."""
+    """Return the inertia matrix of a row of the ``inertia`` input array, shape (3, 3)."""
     a, b, c, d, e, f = row
     return np.array([[a, b, c], [b, d, e], [c, e, f]])

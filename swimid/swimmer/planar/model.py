@@ -1,4 +1,4 @@
-"""The robot in a plane as a model, its links as effects use them, and typical sizes of its trials."""
+"""Model of a robot in a plane, its links as effects use them, and typical scales of its trials."""
 
 from __future__ import annotations
 
@@ -27,28 +27,31 @@ Frames = tuple[Array, Array, Array]
 STIFFNESS, CUBIC, DAMPING = (engine.PASSIVE.index(n) for n in ("stiffness", "cubic", "damping"))
 WIRE = slice(engine.PASSIVE.index("spring"), engine.PASSIVE.index("crank") + 1)
 QUADRATIC = [engine.DRAG.index(n) for n in ("quadratic_x", "quadratic_y", "quadratic_r")]
-#: Angle over which the stiffness of a straight joint is measured, rad.
+#: Angle at which the stiffness of a straight joint is computed, rad: torque divided by angle.
 SMALL = 1e-4
 
 
 class Body:
     """Links of a planar robot at the start values of its parameters, as effects use them.
 
+    The argument ``tables`` of the methods has the input arrays of the equations of motion, by name
+    (:mod:`swimid.swimmer.tree`).
+
     Attributes
     ----------
     free : bool
-        Whether the base moves; otherwise it is held.
+        Whether the base moves; otherwise it is fixed.
     pose, velocity : tuple of str
-        Channels of the reference point: two positions and the heading; two velocities in the body's axes and
-        the turning rate.
+        Channels of the reference point. The pose has two positions and the heading. The velocity has two
+        components along the body's axes and the rate of the heading.
     words : tuple of str
         Names of these channels in words.
     lengths_m : tuple of float
-        Length of each link, the base first.
+        Length of each link; the base is the first.
     reference_m : (float, float)
-        Reference point in the base's axes, m.
+        Reference point in the axes of the base, m.
     density_kg_m3, step_s : float
-        Density of the water, and maximum step of the integration.
+        Density of the water, and maximum integration step.
     driven, passive : sequence of Axis
     """
 
@@ -76,7 +79,7 @@ class Body:
 
     @property
     def masses_kg(self) -> list[float]:
-        """Mass of each link, without water."""
+        """Mass of each link, without added mass."""
         return [self.mass(link)[0] for link in range(len(self.lengths_m))]
 
     @property
@@ -85,11 +88,11 @@ class Body:
         return int(np.argmax(self.masses_kg))
 
     def centre(self, link: int) -> Point:
-        """Return the centre of mass of a link in its axes, m."""
+        """Return the centre of mass of a link in the axes of the link, m."""
         return self.mass(link)[1]
 
     def mass(self, link: int) -> tuple[float, Point]:
-        """Return mass (kg) and centre of mass (m, in its axes) of a link, without water."""
+        """Return mass (kg, without added mass) and centre of mass (m, in the link's axes) of a link."""
         if link not in self._masses:
             own = self._model.tree.links[link]
             values = {p.name: p.start for p in self._model.parameters}
@@ -98,21 +101,21 @@ class Body:
         return self._masses[link]
 
     def tables(self) -> dict[str, Any]:
-        """Return the tables of the engine at the start values."""
+        """Return the input arrays at the start values of the parameters."""
         tree = self._model.tree
         return tree.tables(np.array([p.start for p in self._model.parameters[: len(tree.names)]]))
 
-    # -------------------------------------------------------- where its links are
+    # -------------------------------------------------------- positions of the links
 
     def frames(self, values: Array, columns: Mapping[str, Array]) -> Frames:
-        """Return front end (x, y) and heading of every link over a run, m and rad, shape (links, n) each.
+        """Return front end (x, y) and heading of every link over time, m and rad, shape (links, n) each.
 
         Parameters
         ----------
         values : ndarray
             Parameters of the model.
         columns : mapping of channel to ndarray, shape (n,)
-            Pose of a free base and angles of all joints.
+            Pose of a free base, and angles of all joints.
         """
         tree, n = self._model.tree, len(next(iter(columns.values())))
         tables = tree.tables(values[: len(tree.names)])
@@ -142,7 +145,7 @@ class Body:
         return x - length * np.cos(heading), y - length * np.sin(heading)
 
     def straight(self, values: Array) -> tuple[Array, Array]:
-        """Return the distance of each front and rear end of a link from the straight robot's front end, m."""
+        """Return the distance of each link's front and rear end from the straight robot's front end, m."""
         columns = {a.column: np.zeros(1) for a in (*self._model.driven, *self._model.passive)}
         if self.free:
             columns |= {name: np.zeros(1) for name in self.pose}
@@ -152,23 +155,27 @@ class Body:
         return front, rear
 
     def length(self, values: Array) -> float:
-        """Return the length of the robot, m: that of its file, or from front end to farthest rear end."""
+        """Return the length of the robot, m.
+
+        It is the length in the robot file, or else the distance from the front end to the farthest rear end.
+        """
         return self._model.robot.body.length_m or float(self.straight(values)[1].max())
 
-    # -------------------------------------------------------- properties that follow from tables
+    # -------------------------------------------------------- properties that are computed from input arrays
 
     def axial_mass(self, tables: dict[str, Any]) -> float:
-        """Return the mass of all links along their axes, with added mass, kg."""
+        """Return the sum of the masses of all links along their own axes, with added mass, kg."""
         return float(tables["inertia"][:, 0].sum())
 
     def axial_drag(self, tables: dict[str, Any]) -> float:
-        """Return the quadratic drag of all links along their axes, N s2/m2."""
+        """Return the sum of the quadratic drag of all links along their own axes, N s2/m2."""
         return float(tables["drag"][:, 2].sum() + tables["foil"][:, 2] @ tables["foil"][:, 4])
 
     def fin(self, tables: dict[str, Any]) -> tuple[float, float, Point]:
-        """Return the last link's normal force per ``|w| w`` and per ``|u| w``, and its point of action.
+        """Return two coefficients of the normal force on the last link, and its point of action.
 
-        The first two are in N s2/m2, with u along and w across the link; the point is in its axes, m.
+        The coefficients multiply ``|w| w`` and ``|u| w``, in N s2/m2, with the velocity u along and w across
+        the link. The point is in the axes of the link, m.
         """
         drag = tables["drag"][tables["drag_link"] == self.last]
         foil = tables["foil"][tables["foil_link"] == self.last]
@@ -181,7 +188,7 @@ class Body:
         return float(quadratic.sum()), float(lift.sum()), (float(place[0]), float(place[1]))
 
     def stiffness(self, tables: dict[str, Any], joint: int) -> float:
-        """Return the stiffness of a straight passive joint, with its wire and spring, N m/rad."""
+        """Return the stiffness of a passive joint when it is straight, with its wire and spring, N m/rad."""
         row = tables["passive"][joint]
         wire = row[WIRE]
         if wire[0] == 0.0:
@@ -189,18 +196,18 @@ class Body:
         return float(row[STIFFNESS] - engine.tendon_torque(SMALL, *wire) / SMALL)
 
     def damping(self, tables: dict[str, Any], joint: int) -> float:
-        """Return the torque per rate of a passive joint, N m s/rad."""
+        """Return the damping of a passive joint: torque divided by rate, N m s/rad."""
         return float(tables["passive"][joint, DAMPING])
 
     def joint_inertia(self, tables: dict[str, Any], joint: int) -> float:
-        """Return the inertia of the link behind a passive joint about that joint, with added mass, kg m2."""
+        """Return the inertia of a passive joint's child link about the joint, with added mass, kg m2."""
         return float(tables["inertia"][self.passive[joint].link, 5])
 
     def carried(self, tables: dict[str, Any], joint: int) -> tuple[float, float]:
-        """Return inertia and quadratic drag, about a driven joint, of all links that it turns.
+        """Return inertia and quadratic drag, about a driven joint, of all links that this joint moves.
 
-        Joints beyond are straight. The inertia is in kg m2, with added mass; the drag is that of still water,
-        in N m s2/rad2.
+        The joints behind it are straight. The inertia is in kg m2 and includes added mass. The drag is that
+        in still water, in N m s2/rad2.
         """
         root, topology = self.driven[joint].link, tables["topology"]
         straight = {a.column: np.zeros(1) for a in (*self.driven, *self.passive)}
@@ -215,7 +222,7 @@ class Body:
                 continue
             c, s = np.cos(heading[link]), np.sin(heading[link])
             dx, dy = x[link] - x[root], y[link] - y[root]
-            # velocity of the link at one rad/s, along and across it
+            # velocity along and across the link at a joint rate of 1 rad/s
             along, across = s * dx - c * dy, c * dx + s * dy
             uu, uv, ur, vv, vr, rr = tables["inertia"][link]
             inertia += uu * along**2 + vv * across**2 + rr
@@ -229,21 +236,22 @@ class Body:
         return float(inertia), float(drag)
 
     def normal_drag(self, tables: dict[str, Any]) -> tuple[NDArray[np.int64], Array]:
-        """Return the points at which drag acts across links.
+        """Return the points at which drag across links acts.
 
         Returns
         -------
         links : ndarray of int, shape (points,)
         points : ndarray, shape (points, 3)
-            Place on the link (x, y, m) and force per ``|w| w`` (N s2/m2).
+            Position on the link (x, y, m), and drag force per ``|w| w`` (N s2/m2), with the velocity w across
+            the link.
         """
         there = tables["drag"][:, 3] > 0
         return tables["drag_link"][there], tables["drag"][there][:, [0, 1, 3]]
 
-    # -------------------------------------------------------- changes of tables
+    # -------------------------------------------------------- changes of input arrays
 
     def weigh(self, tables: dict[str, Any], link: int, at: Point, along: float, across: float) -> None:
-        """Add a mass at a point of a link, kg along and across the link."""
+        """Add a mass at a point of a link, in kg: one value for motion along the link, and one for across."""
         x, y = at
         rows = tables["inertia"].copy()
         rows[link] += (along, 0.0, -along * y, across, across * x, along * y * y + across * x * x)
@@ -262,24 +270,25 @@ class Body:
         tables["force"] = force
 
     def drag_more(self, tables: dict[str, Any], link: int, at: Point, linear: float) -> None:
-        """Add a drag proportional to the velocity of a point of a link, N s/m."""
+        """Add a drag that is proportional to the velocity of a point of a link, N s/m."""
         tables["drag_link"] = np.append(tables["drag_link"], link)
         tables["drag"] = np.vstack([tables["drag"], [*at, 0.0, 0.0, linear, linear, 0.0, 0.0]])
 
     def room(self) -> dict[str, list[int]]:
-        """Return the links to which :meth:`drag_more`, :meth:`lift` and :meth:`shed` may add, by table."""
+        """Return the links to which ``drag_more``, ``lift`` and ``shed`` may add rows, by input array."""
         links, _ = self.normal_drag(self.tables())
         return {"drag": [self.hull], "foil": [int(link) for link in links], "wake": [self.last]}
 
     def drag_times(self, tables: dict[str, Any], factor: float) -> None:
-        """Multiply every quadratic drag coefficient of the links."""
+        """Multiply every quadratic drag coefficient of the links by a factor."""
         tables["drag"][:, QUADRATIC] *= factor
 
     def lift(self, tables: dict[str, Any], links: NDArray[np.int64], points: Array) -> None:
         """Add forces ``-k V w`` across links, at points with speed V and velocity w across the link (m/s).
 
-        It is the force of a fin with lift and drag coefficients ``C_L sin(2 a)`` and ``C_L (1 - cos(2 a))``.
-        They have no resultant along the chord, and ``2 C_L sin(a)`` across it.
+        The force is that of a fin with the lift coefficient ``C_L sin(2 a)`` and the drag coefficient ``C_L
+        (1 - cos(2 a))`` at the angle of attack a. The resultant has no component along the chord. Its
+        coefficient across the chord is ``2 C_L sin(a)``.
         """
         one = np.ones(len(points))
         half = 0.5 * one
@@ -301,41 +310,42 @@ class Body:
         cubic: float = 0.0,
         damping: float = 0.0,
     ) -> None:
-        """Add to the law of a passive joint, in N m/rad, N m/rad3 and N m s/rad."""
+        """Add stiffness (N m/rad), cubic stiffness (N m/rad3) and damping (N m s/rad) to a passive joint."""
         passive = tables["passive"].copy()
         passive[joint, [STIFFNESS, CUBIC, DAMPING]] += stiffness, cubic, damping
         tables["passive"] = passive
 
 
 class SwimmerScales(Scales):
-    """Typical sizes of the trials of a planar robot."""
+    """Typical scales of the trials of a planar robot."""
 
     model: MultilinkModel
 
     @property
     def inertia(self) -> float:
-        """Mass of all links along their axes, with added mass, kg."""
+        """Sum of the masses of all links along their own axes, with added mass, kg."""
         body = self.model.body
         return body.axial_mass(body.tables())
 
     @property
     def force(self) -> float:
-        """Drag at the typical speed, plus the force that reaches this speed within a trial, N."""
+        """Drag at the typical speed, plus the force that accelerates the robot to it in one trial, N."""
         body, speed = self.model.body, self.speed
         return body.axial_drag(body.tables()) * speed**2 + self.inertia * speed / self.duration
 
 
-#: Second axis of each plane of motion, velocity along it in the body's axes and in words, and rotation.
+#: For each plane of motion: its second axis, symbol and name of the velocity along this axis, and name of the
+#: rotation.
 PLANES = {"horizontal": ("y", "v", "sway", "yaw"), "vertical": ("z", "w", "heave", "pitch")}
 
 
 class MultilinkModel(Swimmer):
-    """A robot with links in a plane (:mod:`swimid.swimmer.planar.engine`).
+    """Model of a robot with links in a plane (:mod:`swimid.swimmer.planar.engine`).
 
     Parameters
     ----------
     robot : Robot
-        With a ``multilink`` part.
+        The robot must have a ``multilink`` part.
     max_step : float, s
         Each sampling interval is divided into equal steps no longer than this.
     """
@@ -358,7 +368,7 @@ class MultilinkModel(Swimmer):
     pose: tuple[str, str, str]
     velocity: tuple[str, str, str]
     tree: Assembly
-    #: The links, with the parameters from which they were made.
+    #: The links, with the parameters from which they were computed.
     _body: tuple[tuple[Parameter, ...], Body] | None = None
 
     def _tree(self) -> Assembly:
@@ -381,7 +391,7 @@ class MultilinkModel(Swimmer):
 
     @property
     def reference_m(self) -> tuple[float, float]:
-        """Reference point in the base's axes, m."""
+        """Reference point in the axes of the base, m."""
         return -self.links.reference.station_m, self.links.reference.offset_m
 
     @property
@@ -394,13 +404,13 @@ class MultilinkModel(Swimmer):
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Axes of the plane of motion; none if the base is held."""
+        """Axes of the plane of motion; none if the base is fixed."""
         if not self.free_base:
             return ()
         return tuple(name.removesuffix("_m") for name in self.pose[:2])
 
     def scales(self, trials: Sequence[Trial]) -> SwimmerScales:
-        """Return typical sizes of trials."""
+        """Return the typical scales of trials."""
         return SwimmerScales(self, trials)
 
     def origin(self, trial: Trial) -> dict[str, float]:
@@ -408,22 +418,22 @@ class MultilinkModel(Swimmer):
         return dict(zip(self.pose, (float(p) for p in trial.swim.posed()), strict=True))
 
     def commanded(self, trial: Trial) -> bool:
-        """Return whether a drive or a recorded command moves the joints, not their measured angles."""
+        """Return whether a drive or a logged command moves the joints, and not their measured angles."""
         if trial.swim.joints is None:
             return trial.swim.beat is not None
         return trial.swim.commanded
 
     def commands(self, trial: Trial) -> Iterator[tuple[Array, Array, float]]:
-        """Yield time (s), commanded angle (rad) and largest commanded rate (rad/s) of each driven joint."""
+        """Yield time (s), commanded angle (rad) and maximum commanded rate (rad/s) of each driven joint."""
         yield from self.joints.commands(trial)
 
     def prepare(self, progress: Progress = silent, **how: Any) -> None:
-        """Compile the kernels (see :meth:`Swimmer.prepare`)."""
+        """Compile the scalar engine and, if this saves time, the kernels (see :meth:`Swimmer.prepare`)."""
         prepare(progress)
         super().prepare(progress, **how)
 
     def start_velocities(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
-        """Return the velocities at the first sample, by parameter (see :meth:`Swimmer.start_velocities`)."""
+        """Return the velocities at the first sample (see :meth:`Swimmer.start_velocities`)."""
         names = [f"initial_{name}" for name in self.rates]
         found = {name: seen(column, 0) for name, column in zip(names, self.velocity, strict=True)}
         heading = seen(self.pose[2], 0)
@@ -435,23 +445,23 @@ class MultilinkModel(Swimmer):
         return found
 
     def determined_starts(self, measured: Collection[str]) -> list[str]:
-        """Return the start velocities, angles and rates that these channels determine: all."""
+        """Return the names of all initial velocities, angles and rates, since any channels determine them."""
         return [p.name for p in self.parameters if p.name.startswith("initial_")]
 
     # -------------------------------------------------------- simulation
 
     def influences(self, hooks: Hooks) -> list[int]:
-        """Return the positions of the parameters on which a run depends."""
+        """Return the indices of the parameters that affect the simulated motion."""
         if self._heading_matters() or hooks.force or hooks.flow:
             return [*self._dynamic, *(self._at[n] for n in self.starts[2:] if n in self._at)]
         return self._dynamic
 
     def _heading_matters(self) -> bool:
-        """Return whether forces fixed in the world act, so that the motion depends on the heading."""
+        """Return whether forces fixed in the world, such as weight, act, so that the heading matters."""
         return self.tree.world_forces and self.free_base
 
     def attitude(self) -> list[int]:
-        """Return the positions, in a state, of angles of the base that act on the motion."""
+        """Return the indices, in a state vector, of base angles that affect the motion."""
         return [2] * self._heading_matters()
 
     def _heading(self, values: Array, trial: Trial) -> float:
@@ -477,7 +487,7 @@ class MultilinkModel(Swimmer):
             start[2] = self._heading(values, trial)
 
     def integrate(self, run: Run) -> tuple[Array, Array]:
-        """Return states and rates of a run."""
+        """Integrate the equations of motion, and return the states and their time derivatives."""
         forced = None
         if run.hooks.force:
             forced = engine.outside(run.hooks.force, self.frame(run), len(self.tree.links))
@@ -488,7 +498,7 @@ class MultilinkModel(Swimmer):
         return states, rates
 
     def frame(self, run: Run) -> Array:
-        """Return the frame of a run in the world, in which forces from outside act."""
+        """Return the coordinate frame of the simulation in the world, for external forces."""
         x, y, _ = run.trial.swim.posed()
         heading = 0.0 if self._heading_matters() else self._heading(run.values, run.trial)
         return engine.placed((x, y, heading), self.reference_m)
@@ -510,10 +520,10 @@ class MultilinkModel(Swimmer):
         found[along], found[across] = found[along] + u, found[across] + v
 
     def observed(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
-        """Return pose and velocity of the reference point, in the axes of the camera."""
+        """Return the channels of pose and velocity of the reference point, in the axes of the camera."""
         pose = trial.swim.posed()
         x, y, turned = (self.value(values, name) for name in self.starts)
-        # a run starts at the origin, and along x unless forces fixed in the world act
+        # a simulation starts at the origin, and along x unless forces with a fixed direction in the world act
         heading = 0.0 if self._heading_matters() else float(pose[2]) + turned
         spin = heading + self.value(values, "camera_rotation")
         origin = (float(pose[0]) + x, float(pose[1]) + y)
@@ -528,13 +538,13 @@ def _flows(hooks: Hooks, time_s: Array) -> tuple[Array, Array]:
 
 
 def _turned(x: Array | float, y: Array | float, angle: Array | float) -> Array:
-    """Return a vector turned by an angle (rad), shape (2, n)."""
+    """Return a vector rotated by an angle (rad), shape (2, n)."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([c * x - s * y, s * x + c * y])
 
 
 def prepare(progress: Progress) -> None:
-    """Compile the scalar engine, with a progress bar, unless it is compiled on this machine."""
+    """Compile the scalar engine with a progress bar, unless its compiled form is stored on this machine."""
     line = engine.integrate.py_func.__code__.co_firstlineno
     cache = Path(engine.integrate.stats.cache_path)
     if engine.integrate.signatures or any(cache.glob(f"engine.integrate-{line}.*.nbi")):
@@ -544,7 +554,7 @@ def prepare(progress: Progress) -> None:
 
 
 def warm_up() -> None:
-    """Compile the functions of the scalar engine and of the drive."""
+    """Compile the functions of the scalar engine and of the driven joints."""
     from swimid.robots import file as robot_format
 
     model = MultilinkModel(robot_format.read("tfish"))

@@ -1,1 +1,1 @@
-"""Robots with links in space: their engine, the tables of the engine, and the model."""
+"""Robots with links in 3-D: the compiled equations of motion, their input arrays, and the model."""

@@ -1,6 +1,7 @@
-"""Tables of the engine in space from links, hinges and elements of a robot file, with their checks.
+"""Input arrays of the equations of motion in 3-D from the parts of a robot file, with their checks.
 
-Each kind of element (:mod:`swimid.robots.spatial`) adds rows to the tables by one function of ``ADDERS``.
+The parts are links, hinges and elements. Each kind of element (:mod:`swimid.robots.spatial`) has a function
+in ``ADDERS`` that adds rows to the input arrays.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ def _add_mass(
     at: Sequence[Entry],
     turning: Sequence[Sequence[Entry]] | None = None,
 ) -> None:
-    """Add a mass, which may differ by direction, at a place, and a moment of inertia about it."""
+    """Add a mass, with a value for each direction, at a point, and a moment of inertia about the point."""
     rows.add_inertia(link, block(mass, at, turning or diagonal((0.0, 0.0, 0.0))))
 
 
@@ -48,7 +49,7 @@ def _polynomials(vector: Sequence[Entry]) -> list[Polynomial]:
     return [Polynomial.of(entry) for entry in vector]
 
 
-#: Rows and columns of the entries by which a symmetric block is stored.
+#: Row and column indices of the entries that are stored of a symmetric 3 by 3 matrix.
 UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
@@ -57,18 +58,19 @@ def block(
     at: Sequence[Entry],
     turning: Sequence[Sequence[Entry]],
 ) -> Row:
-    """Return the stored entries (:data:`swimid.swimmer.spatial.engine.INERTIA`) of a mass at a place.
+    """Return the inertia entries of a mass at a point (:data:`swimid.swimmer.spatial.engine.INERTIA`).
 
-    They are A, ``B = -M S`` and ``D = J - S M S``, with ``S`` the cross product with the place. The velocity
-    of the place is ``v - S w``.
+    The entries are the blocks A = M, ``B = -M S`` and ``D = J - S M S`` of the inertia matrix. S is the
+    matrix of the cross product with the position of the point. The velocity of the point is ``v - S w``.
 
     Parameters
     ----------
     mass : 3 by 3 entries, kg
-        Symmetric M, from the velocity of the place to its momentum.
+        Symmetric matrix M. Its product with the velocity of the point is the momentum.
     at : 3 entries, m
+        Position of the point.
     turning : 3 by 3 entries, kg m2
-        Inertia J about the place.
+        Inertia J about the point.
     """
     m = np.array([[Polynomial.of(e) for e in row] for row in mass])
     x, y, z = _polynomials(at)
@@ -82,7 +84,7 @@ def block(
 
 
 def diagonal(values: Sequence[Entry]) -> list[list[Entry]]:
-    """Return a matrix with these values on its diagonal."""
+    """Return a 3 by 3 matrix with these values on its diagonal."""
     found: list[list[Entry]] = [[0.0] * 3 for _ in range(3)]
     for k, value in enumerate(values):
         found[k][k] = value
@@ -90,13 +92,13 @@ def diagonal(values: Sequence[Entry]) -> list[list[Entry]]:
 
 
 def along(direction: Sequence[float], size: Entry) -> list[list[Entry]]:
-    """Return the matrix of a mass that resists only motion along a direction."""
+    """Return the mass matrix of an added mass that resists only motion along one direction."""
     unit = np.asarray(direction, dtype=float) / np.linalg.norm(direction)
     return [[Polynomial.of(size) * float(unit[r] * unit[c]) for c in range(3)] for r in range(3)]
 
 
 def full(row: Array) -> Array:
-    """Return the matrix of a stored row of inertia, shape (6, 6)."""
+    """Return the inertia matrix of a row of the ``inertia`` input array, shape (6, 6)."""
     a, b, d = (np.zeros((3, 3)) for _ in range(3))
     for n, (r, c) in enumerate(UPPER):
         a[r, c] = a[c, r] = row[n]
@@ -106,21 +108,22 @@ def full(row: Array) -> Array:
 
 
 def _added_mass(element: AddedMass, body: Body, rows: Rows) -> None:
-    """Add added masses along the axes of a link, and added inertias about them."""
+    """Add added masses along the axes of a link, and added inertias about these axes."""
     _add_mass(rows, body.name, diagonal(element.mass_kg), element.at_m, diagonal(element.inertia_kg_m2))
 
 
 def spheroid_coefficients(semi_major: float, semi_minor: float) -> tuple[float, float, float]:
-    """Return Lamb's coefficients of a prolate spheroid: along its axis, across, and for rotation.
+    """Return Lamb's coefficients of a prolate spheroid: along its axis, across its axis, and for rotation.
 
     Returns
     -------
     k1, k2 : float
-        Added masses along and across the axis per displaced mass, ``alpha_0 / (2 - alpha_0)`` and
-        ``beta_0 / (2 - beta_0)``. The paper's Eq 7 prints a_0 in place of alpha_0.
+        Added masses along and across the axis, divided by the displaced mass: ``alpha_0 / (2 - alpha_0)`` and
+        ``beta_0 / (2 - beta_0)``. Eq 7 of the sea lion paper prints a_0 in place of alpha_0.
     k : float
-        Added inertia about a cross axis per moment of inertia of the displaced water (Lamb 1932, section
-        115): ``e^4 (b - a) / ((2 - e^2) (2 e^2 - (2 - e^2) (b - a)))`` with a = alpha_0 and b = beta_0.
+        Added inertia about a cross axis, divided by the moment of inertia of the displaced water (Lamb 1932,
+        section 115): ``e^4 (b - a) / ((2 - e^2) (2 e^2 - (2 - e^2) (b - a)))`` with a = alpha_0 and b =
+        beta_0.
 
     >>> [round(k, 3) for k in spheroid_coefficients(6.0, 1.0)]
     [0.045, 0.917, 0.762]
@@ -135,20 +138,20 @@ def spheroid_coefficients(semi_major: float, semi_minor: float) -> tuple[float, 
 
 
 def _spheroid(element: Spheroid, body: Body, rows: Rows) -> None:
-    """Add the added mass of a prolate spheroid at its middle (sea lion, Eqs 3 to 8)."""
+    """Add the added mass of a prolate spheroid at the centre of the spheroid (sea lion, Eqs 3 to 8)."""
     a, b = element.semi_major_m, element.semi_minor_m
     displaced = 4.0 / 3.0 * math.pi * rows.density_kg_m3 * a * b * b
     k1, k2, turning = spheroid_coefficients(a, b)
     factors = _polynomials(element.factors)
     masses = [f * (k * displaced) for f, k in zip(factors, (k1, k2, k2), strict=True)]
     inertia = turning * displaced * (a * a + b * b) / 5.0 * element.turning
-    # rotation about z moves water along y, and rotation about y along z, with the factors of these axes
+    # rotation about z moves water along y, and rotation about y along z, so the factors of these axes apply
     about = (0.0, factors[2] * inertia, factors[1] * inertia)
     _add_mass(rows, body.name, diagonal(masses), element.at_m, diagonal(about))
 
 
 def _plate(element: Plate, body: Body, rows: Rows) -> None:
-    """Add the added mass ``pi rho k b c^2 / 4`` across a flat plate (sea lion, Eq 9)."""
+    """Add the added mass ``pi rho k b c^2 / 4`` of a flat plate across its plane (sea lion, Eq 9)."""
     mass = 0.25 * math.pi * rows.density_kg_m3 * element.span_m * element.chord_m**2
     _add_mass(rows, body.name, along(element.normal, Polynomial.of(element.k) * mass), element.at_m)
 
@@ -156,7 +159,7 @@ def _plate(element: Plate, body: Body, rows: Rows) -> None:
 def _drag(element: Drag, body: Body, rows: Rows) -> None:
     """Add drag ``-rho/2 C A |v| v`` and linear drag along each axis of a link (sea lion, Eq 2).
 
-    It acts at a point, or on a row of strips at the points of Gauss's rule.
+    The drag acts at a point, or on a row of strips at the points of Gauss's rule.
     """
     half = 0.5 * rows.density_kg_m3
     areas, coefficients = _polynomials(element.area_m2), _polynomials(element.coefficient)
@@ -189,7 +192,7 @@ def _foil(element: Foil, body: Body, rows: Rows) -> None:
 
 
 def _hydrostatics(element: Hydrostatics, body: Body, rows: Rows) -> None:
-    """Add the weight of a link at its centre of mass, and its buoyancy."""
+    """Add the weight of a link at its centre of mass, and the buoyancy of the link."""
     gravity = rows.gravity_m_s2
     weight = -gravity * Polynomial.of(body.mass_kg)
     rows.add("force", body.name, [*body.com_m, 0.0, 0.0, weight, 1.0, 0.0])
@@ -200,7 +203,7 @@ def _hydrostatics(element: Hydrostatics, body: Body, rows: Rows) -> None:
 
 
 def _water(element: Water, body: Body, rows: Rows) -> None:
-    """Add the inertia of water inside a hull, and its weight unless the buoyancy of its space balances it."""
+    """Add the inertia of the water inside a hull, and the weight of this water if ``weighs`` is true."""
     mass = rows.density_kg_m3 * Polynomial.of(element.volume_m3)
     about = [mass * float(k) ** 2 for k in element.gyration_m]
     _add_mass(rows, body.name, diagonal((mass, mass, mass)), element.at_m, diagonal(about))
@@ -210,12 +213,12 @@ def _water(element: Water, body: Body, rows: Rows) -> None:
 
 
 def _force(element: Force, body: Body, rows: Rows) -> None:
-    """Add a constant force at a point."""
+    """Add a constant force at a point of a link."""
     world = float(element.frame == "world")
     rows.add("force", body.name, [*element.at_m, *element.force_N, world, 0.0])
 
 
-#: Function that adds the rows of an element to the tables, by its kind.
+#: Functions that add the rows of an element to the input arrays, by kind of element.
 ADDERS: dict[str, Callable[[Any, Any, Rows], None]] = {
     "added-mass": _added_mass,
     "spheroid": _spheroid,
@@ -229,12 +232,13 @@ ADDERS: dict[str, Callable[[Any, Any, Rows], None]] = {
 }
 
 
-#: Height of the water surface if the robot file gives none, m.
+#: Height of the water surface if the robot file states none, m. It is high enough that the robot is always
+#: under water.
 NOWHERE = 1e9
 
 
 class Assembly(Tree):
-    """Links of a robot in space, with their tables and checks (:class:`swimid.swimmer.tree.Tree`).
+    """Links of a robot in 3-D, with their input arrays and checks (:class:`swimid.swimmer.tree.Tree`).
 
     Parameters
     ----------
@@ -244,7 +248,7 @@ class Assembly(Tree):
     Attributes
     ----------
     topology : ndarray of int, shape (links, 4)
-        That of every tree, with a column of 1 for links with neither mass nor added mass.
+        The columns of :attr:`Tree.topology`, and a column with 1 for links without mass and added mass.
     reference : ndarray, shape (3,)
         Point of the base whose pose is logged, m.
     """
@@ -262,7 +266,7 @@ class Assembly(Tree):
         self.topology = np.ascontiguousarray(np.hstack([self.topology, massless]), dtype=np.int64)
 
     def check(self, values: Array) -> None:
-        """Refuse masses and inertias that no body has.
+        """Raise an error for physically impossible masses or inertias.
 
         Raises
         ------
@@ -305,7 +309,7 @@ class Assembly(Tree):
 
 
 def _check_moments(row: Array, mass: float, where: str) -> None:
-    """Refuse principal moments of which one exceeds the sum of the other two."""
+    """Raise an error if a principal moment of inertia is not positive or exceeds the sum of the others."""
     whole = full(row)
     lever = -whole[:3, 3:] / mass
     central = whole[3:, 3:] - mass * (lever.T @ lever)
@@ -319,16 +323,16 @@ def _check_moments(row: Array, mass: float, where: str) -> None:
 
 
 def hinge_row(at: Sequence[Entry], axis: Array, mount: Rotation) -> Row:
-    """Return a row of the engine's ``JOINT`` table.
+    """Return the row of a hinge in the ``joint`` input array.
 
     Parameters
     ----------
     at : sequence of 3 entries, m
-        Place on the parent.
+        Position of the hinge on the parent link.
     axis : ndarray, shape (3,)
-        Axis in the child's axes, of any length.
+        Direction of the hinge in the axes of the child link, of any length.
     mount : Rotation
-        Rotation from child to parent at zero angle.
+        Rotation from the child's axes to the parent's axes at zero angle.
     """
     unit = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
     x, y, z = unit

@@ -1,4 +1,4 @@
-"""The robot in space as a model."""
+"""Model of a robot in 3-D."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ SIGNS = np.array([1.0, -1.0, 1.0])
 
 
 class MultibodyModel(Swimmer):
-    """A robot with links in space (:mod:`swimid.swimmer.spatial.engine`).
+    """Model of a robot with links in 3-D (:mod:`swimid.swimmer.spatial.engine`).
 
     Parameters
     ----------
     robot : Robot
-        With a ``multibody`` part.
+        The robot must have a ``multibody`` part.
     max_step : float, s
         Each sampling interval is divided into equal steps no longer than this.
     """
@@ -55,26 +55,30 @@ class MultibodyModel(Swimmer):
         return Assembly(self.robot.multibody, self.robot.fluid)
 
     def _offsets(self) -> tuple[str, ...]:
-        # a run begins above the origin, with its heading along x
+        # a simulation begins at x = y = 0 with its heading along x, so that these offsets do not affect it
         return ("start_x", "start_y", "start_yaw")
 
     def start_velocities(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
-        """Return the velocities at the first sample, by parameter; unknown ones are 0."""
+        """Return start values of the velocities at the first sample, by parameter name.
+
+        If the velocity along an axis is unknown while others are known, it is taken as 0.
+        """
         names = [f"initial_{name}" for name in self.rates]
         found = {name: seen(column, 0) for name, column in zip(names, self.velocity, strict=True)}
         turned = [seen(column, 0) or 0.0 for column in self.pose[3:]]
         rates = [seen(column, 1) for column in self.pose]
         if any(r is not None for r in rates[:3]):
             body = from_angles(*([a] for a in turned))[0].inv().apply([r or 0.0 for r in rates[:3]])
-            # rates of the angles approximate those about the axes, since the body is nearly level at first
+            # the rates of roll, pitch and yaw approximate those about the body axes, since the body is nearly
+            # level
             moved = [*(float(v) for v in body), *rates[3:]]
             found.update((n, v) for n, v in zip(names, moved, strict=True) if found[n] is None)
         return found
 
     def determined_starts(self, measured: Collection[str]) -> list[str]:
-        """Return the start velocities, angles and rates that channels determine.
+        """Return the names of the initial velocities, angles and rates that these channels determine.
 
-        A side view determines those in its plane.
+        A side view determines only the velocities in its plane.
         """
         blind = [
             f"initial_{name}"
@@ -84,7 +88,10 @@ class MultibodyModel(Swimmer):
         return [p.name for p in self.parameters if p.name.startswith("initial_") and p.name not in blind]
 
     def with_buoyancy(self, factor: float) -> MultibodyModel | None:
-        """Return the same model with every displaced volume multiplied; None if nothing displaces water."""
+        """Return the same model with every displaced volume multiplied by ``factor``.
+
+        None if no element of the robot displaces water.
+        """
         body = self.robot.multibody
         if body is None or not any(isinstance(e, Hydrostatics) and e.volume_m3 for e in body.elements):
             return None
@@ -121,12 +128,12 @@ class MultibodyModel(Swimmer):
         start[10 + passives : 13 + passives] = spin
 
     def integrate(self, run: Run) -> tuple[Array, Array]:
-        """Return states and rates of a run."""
+        """Integrate the equations of motion, and return the states and their time derivatives."""
         states, rates = engine.integrate(run.start, run.grid.step_s, run.drive.table, *run.tables.values())
         return states, rates
 
     def observed(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
-        """Return pose and velocity of the reference point."""
+        """Return the channels of pose and velocity of the reference point."""
         passives = len(self.passive)
         turn = Rotation.from_quat(_sound(states[:, [4, 5, 6, 3]]))
         place = states[:, :3] + turn.apply(self.tree.reference)
@@ -149,6 +156,6 @@ def _times(factor: float, quantity: float | str) -> float | str:
 
 
 def _sound(quaternions: Array) -> Array:
-    """Return the quaternions with those of a broken run replaced by the identity."""
+    """Return quaternions in which those of a simulation that broke down are replaced by the identity."""
     broken = ~np.isfinite(quaternions).all(axis=1, keepdims=True)
     return np.where(broken, [0.0, 0.0, 0.0, 1.0], quaternions)
