@@ -149,7 +149,7 @@ class TestRecovery:
     def test_the_known_sum_of_the_frictions(self, swimid: Swimid, tmp_path: Path) -> None:
         file = _fit(swimid, _write(tmp_path, _runs(), RATES, seed=2))
         assert [n for n in FRICTIONS if file.parameters[n].status != "unidentifiable"] == []
-        (named,) = [line for line in file.identifiability if "cannot be told apart" in line]
+        (named,) = [line for line in file.identifiability if "cannot be separated" in line]
         assert all(name in named for name in FRICTIONS)
         (off,) = _sums(file, TRUTH).values()
         assert abs(off) < 3

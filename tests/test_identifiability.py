@@ -42,7 +42,7 @@ class TestThreeFrictions:
         assert list(sum_.weights.values()) == pytest.approx(WEIGHTS, rel=1e-4)
         assert sum_.text.startswith("c_f0 + 0.31 c_f13 + 0.08 c_f4 = ")
         assert idn.sentences(result) == [
-            f"c_f0, c_f13 and c_f4 cannot be told apart from these trials; known is {sum_.text}"
+            f"c_f0, c_f13 and c_f4 cannot be separated by these trials; known is {sum_.text}"
         ]
 
     def test_the_error_of_the_sum_is_that_of_repeated_experiments(self) -> None:

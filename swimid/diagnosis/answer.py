@@ -451,7 +451,7 @@ def _extrapolations(state: State, base: Fit) -> dict[str, Distance]:
 
 def _advice(state: State, told: Judgement, left: str, floor: Mapping[str, float]) -> list[Advice]:
     if told.odd is not None:
-        text = f"look at what is written of {told.odd.trial}; diagnose without it (role: validate)"
+        text = f"check the entry of {told.odd.trial}; diagnose without it (role: validate)"
         return [Advice(text=text), *_repeat(left)]
     if told.verdict == "unexplained" and told.unpredicted:
         trials = ", ".join(told.unpredicted)

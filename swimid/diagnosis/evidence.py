@@ -62,7 +62,7 @@ def evidence(
     tests = list(checks(file))
     against = "; ".join(notice.text for notice in notices if notice.code in CONTRADICTING)
     if against:
-        tests.append(ev.check("logs agree with what is written of them", "no", False, reason=against))
+        tests.append(ev.check("logs agree with their metadata", "no", False, reason=against))
     verdict = ev.judged(words.answer(file), tests)
     word = {"none": "No gap"}.get(file.verdict, file.verdict.capitalize())
     errors = _errors(file)
@@ -279,9 +279,9 @@ def _causes(file: GapFile) -> ev.Table:
         for name, size in ({n: words.value_text(v) for n, v in c.parameters.items()} or {"": ""}).items():
             rows.append([c.effect, name, size, *about])
             about = [""] * len(about)
-    columns = "effect | parameter | value ± sd | probability | not told from | stage | what it is"
+    columns = "effect | parameter | value ± sd | probability | equivalent | stage | what it is"
     caption = (
-        "Probability: that it, or one of those not told from it, is among what the model lacks; "
+        "Probability: that it, or one of its equivalents, is missing in the model; "
         f"{words.otherwise_text(file)}. Several causes act together."
     )
     return _table("causes", "Causes", columns, rows, caption, folded=False)
@@ -370,7 +370,7 @@ def _ranked(file: GapFile) -> list[ev.Figure]:
         return []
     named = {name for c in file.causes for name in (c.effect, *c.equivalent)}
     traces = []
-    for group, label in enumerate(("cause, or not told from it", "other effects")):
+    for group, label in enumerate(("cause, or equivalent", "other effects")):
         places = [k for k, name in enumerate(shown) if (name in named) == (group == 0)]
         if not places:
             continue
@@ -391,7 +391,7 @@ def _ranked(file: GapFile) -> list[ev.Figure]:
     )
     caption = (
         "Drop of the squared residuals, in units of the noise, with one standard error; each effect alone. "
-        "Effects that overlap here are told apart by their probabilities, which compare them on equal data."
+        "Effects that overlap here are distinguished by their probabilities, which compare them on equal data."
     )
     return [ev.Figure(id="effects", title="Gain of each effect", caption=caption, panels=[panel])]
 

@@ -63,7 +63,7 @@ class DiagnoseOptions(
         False,
         recorded=False,
         help="Say what these trials could show, not what they do: the smallest size of each effect that is "
-        "seen, and which effects are never told apart.",
+        "seen, and which effects are never distinguished.",
     )
     robot: str | None = simulations.robot()
     readings: Mapping[str, str] = swimmers.readings()

@@ -58,7 +58,7 @@ def evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord] = ()) -> ev.Evi
     twins = sum(r.size is not None and bool(r.alike) for r in file.effects)
     seen = len(file.effects) - len(blind)
     answer = (
-        f"Of {len(file.effects)} effects these trials would show {seen}, {twins} of them never told apart."
+        f"Of {len(file.effects)} effects these trials would show {seen}, {twins} of them never distinguished."
     )
     unseen = f"not seen at any size within their bounds: {', '.join(blind)}"
     check = ev.check("effects seen", str(seen), not blind, str(len(file.effects)), reason=unseen)
@@ -83,7 +83,7 @@ def evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord] = ()) -> ev.Evi
             ev.Table(
                 id="power",
                 title="The smallest size of each effect that is seen with 90 % power",
-                columns=["effect", "parameter", "smallest size", "imitated (%)", "never told from"],
+                columns=["effect", "parameter", "smallest size", "imitated (%)", "never distinguished from"],
                 rows=rows,
                 caption="Imitated: share of its squared change that the coefficients take up.",
             )
@@ -92,7 +92,7 @@ def evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord] = ()) -> ev.Evi
         methods=[
             "The change that an effect makes in the trials, the coefficients of the model projected out, was "
             "held against their noise: seen is what leaves less than 10 % to there being no gap, nine times "
-            "in ten (noncentral chi-square); never told apart are effects whose changes are so alike that a "
+            "in ten (noncentral chi-square); never distinguished are effects whose changes are so alike that a "
             "very large one leaves the other more than 10 %.",
         ],
         provenance=dict(file.provenance),

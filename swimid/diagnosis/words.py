@@ -37,7 +37,7 @@ def answer(file: GapFile) -> str:
         kind = "cause is" if len(names) == 1 else "causes are"
         said = f"The model has a gap whose likeliest {kind} {listed(names)}."
     elif file.unreproduced:
-        said = "The model does not describe these trials, so that their gap cannot be told from noise."
+        said = "The model does not describe these trials, so that their gap cannot be separated from noise."
     elif file.unpredicted:
         said = "The model follows the trials it is fitted to, but not the validation trials."
     elif names:

@@ -296,9 +296,9 @@ def sentences(result: FitResult) -> list[str]:
         grouped |= set(group)
         names = f"{', '.join(group[:-1])} and {group[-1]}"
         if group in known:
-            said.append(f"{names} cannot be told apart from these trials; known is {known[group].text}")
+            said.append(f"{names} cannot be separated by these trials; known is {known[group].text}")
         else:
-            said.append(f"{names} cannot be told apart from these trials, and no sum of them is known")
+            said.append(f"{names} cannot be separated by these trials, and no sum of them is known")
     alone = [label for label in unidentifiable(result) if label not in grouped]
     own = [label.partition("[") for label in alone if "[" in label]
     for name in dict.fromkeys(name for name, _, _ in own):

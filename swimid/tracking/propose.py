@@ -369,7 +369,7 @@ def pick_markers(
                 raise InputError(
                     f"markers '{marker.name}' and '{other}' have one colour, and would be exchanged",
                     hint=f"name them alike (--marker {marker.name}@x,y for both); they become "
-                    f"{marker.name}1, {marker.name}2 and are told apart by their places",
+                    f"{marker.name}1, {marker.name}2 and are distinguished by their places",
                     **place,
                 )
     return found
