@@ -1,8 +1,9 @@
-"""Differences between trials: random effects with an estimated spread, and the outlier among the trials.
+"""Differences between trials: random effects with an estimated standard deviation, and outlier trials.
 
-A free value for each trial would take up whatever the model lacks: a force that grows with the setting of the
-trials looks like a friction that does. A random effect is limited by the spread of the trials about a common
-value [1]_. The outlier is found by predicting each trial from a fit of all others.
+If each trial had its own free value of a parameter, these values would absorb any effect that the model
+lacks. For example, a force that grows with the setting of the trials would look like a friction that grows. A
+random effect is limited by the standard deviation of the trials about a common value [1]_. The outlier is
+found by predicting each trial from a fit of all others.
 
 References
 ----------
@@ -25,16 +26,19 @@ from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array
 from swimid.fitting.restarts import weighted
 
-#: Minimum number of trials for an estimate of their spread, and for a search for an outlier.
+#: Minimum number of trials for an estimate of the standard deviation between trials, and for a search for an
+#: outlier.
 MIN_TRIALS = 4
-#: Maximum number of fits with an updated spread, and the relative change of the spread that ends them.
+#: Maximum number of fits with an updated standard deviation between trials, and the relative change of that
+#: standard deviation at which the fits end.
 MAX_SPREAD_ITERATIONS, SPREAD_RTOL = 8, 0.05
-#: Smallest share of the largest information that counts as information.
+#: Minimum eigenvalue of an information matrix, as a fraction of the largest one. Smaller eigenvalues are
+#: rounding errors.
 MIN_INFORMATION = 1e-12
 #: Significance level of the test for an outlier, corrected for the number of trials.
 OUTLIER_P_VALUE = 1e-2
-#: Minimum ratio of the outlier's prediction error to that of the others. Below it a trial is no mistake,
-#: however regular the others are.
+#: Minimum ratio of the outlier's prediction error to the median prediction error of the other trials. A trial
+#: with a smaller ratio is not reported, even if its p-value is significant.
 MIN_ERROR_RATIO = 2.0
 
 
@@ -43,16 +47,16 @@ class OwnValues:
     """Estimates of one parameter from each trial by itself, with all shared parameters free."""
 
     trials: tuple[str, ...]
-    #: Shape (n,).
+    #: Estimates by trial, shape (n,).
     value: Array
-    #: Covariance of their errors under coloured residuals, shape (n, n). It is large for a combination that
-    #: the shared parameters can imitate.
+    #: Covariance of the errors of these estimates, allowing for coloured residuals, shape (n, n). The
+    #: variance is large for a combination of the values that the shared parameters can reproduce.
     covariance: Array
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Standard deviation of a parameter between trials, and the p-value of the test that there is none."""
+    """Standard deviation of a parameter between trials, and p-value of the hypothesis that it is zero."""
 
     sd: float
     stderr: float
@@ -61,7 +65,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class Trend:
-    """Slope of a parameter over a setting of the trials; the p-value is two-sided, of Student's t."""
+    """Slope of a parameter over a setting of the trials, with its two-sided p-value (Student's t)."""
 
     slope: float
     stderr: float
@@ -69,12 +73,12 @@ class Trend:
 
 
 def estimate_own_values(result: FitResult, name: str, common: str) -> OwnValues:
-    """Estimate the value of each trial by one linear step from a fit.
+    """Estimate one value of a parameter for each trial, by one Gauss-Newton step from the result of a fit.
 
     Parameters
     ----------
     name, common : str
-        The per-trial parameter, and the shared one that it deviates from.
+        Per-trial parameter, and the shared parameter from which it deviates.
     """
     parameters = []
     for p in result.parameters:
@@ -94,7 +98,8 @@ def estimate_own_values(result: FitResult, name: str, common: str) -> OwnValues:
         return OwnValues((), np.empty(0), np.empty((0, 0)))
     rows = [r[:, seen] for r in rows]
     step = np.linalg.lstsq(np.concatenate(rows), -np.concatenate(residuals), rcond=1e-12)[0]
-    # the noise is estimated after the step, because the residuals before it hold the difference of the trials
+    # the noise is estimated after the step, because the residuals before the step contain the differences
+    # between trials
     left = [r + j @ step for r, j in zip(residuals, rows, strict=True)]
     found = sandwich(problem, rows, left, noise_model.autoregressions(problem, left))
     labels = [label for label, s in zip(problem.labels, seen, strict=True) if s]
@@ -126,12 +131,12 @@ def estimate_spread(own: OwnValues) -> Spread:
     sd = math.sqrt(between)
     information = float(np.sum((variances + between) ** -2.0))
     error = math.sqrt(2.0 / information) / (2.0 * sd)
-    # a spread of zero is at the edge of the possible: half of a chi-square distribution (Self and Liang 1987)
+    # the p-value is half that of a chi-square distribution, because zero is a bound (Self and Liang 1987)
     return Spread(sd, error, 0.5 * float(special.chdtrc(1, max(gain, 0.0))))
 
 
 def estimate_trend(own: OwnValues, setting: Array) -> Trend:
-    """Estimate the slope of the trials' values over a setting, shape (n,), beside their random spread."""
+    """Estimate the slope of the trials' values over a setting, shape (n,), allowing for random variation."""
     variances, values, turn = _contrasts(own)
     slope_column = turn @ np.asarray(setting, dtype=float)
     between, _ = _reml(variances, values, slope_column)
@@ -145,7 +150,7 @@ def estimate_trend(own: OwnValues, setting: Array) -> Trend:
 
 
 def _contrasts(own: OwnValues) -> tuple[Array, Array, Array]:
-    """Return independent differences between trials: error variances, values, and the map to them."""
+    """Return independent contrasts between trials: error variances, values, and contrast matrix."""
     n = len(own.value)
     whole = np.linalg.qr(np.column_stack((np.ones(n), np.eye(n)[:, : n - 1])))[0]
     apart = whole[:, 1:].T
@@ -155,9 +160,10 @@ def _contrasts(own: OwnValues) -> tuple[Array, Array, Array]:
 
 
 def _reml(variances: Array, values: Array, column: Array) -> tuple[float, float]:
-    """Return the variance between trials, and the gain in twice the restricted log-likelihood over none.
+    """Estimate the variance between trials by restricted maximum likelihood (REML).
 
-    The slope over ``column`` is estimated beside it, unless that is zero.
+    The second result is the increase in twice the restricted log-likelihood, compared with zero variance. If
+    ``column`` is not zero, the slope of the values over ``column`` is estimated together with the variance.
     """
     floor = 1e-12 * float(np.max(values**2, initial=0.0)) + 1e-300
 
@@ -183,23 +189,27 @@ def _reml(variances: Array, values: Array, column: Array) -> tuple[float, float]
 def fit_random_effect(
     result: FitResult, name: str, common: str, *, near: FitResult | None = None
 ) -> tuple[FitResult, Spread]:
-    """Fit with a per-trial parameter as a random effect about the shared one.
+    """Fit a model in which a per-trial parameter is a random effect about a shared parameter.
 
     Parameters
     ----------
     result : FitResult
-        Fit without it: the start of the search, and the choices for all other parameters.
+        Fit without the random effect. Its estimates are the starting point of the search, and its settings of
+        all other parameters are used.
     name, common : str
-        The per-trial parameter, whose start is its mean, and the shared one that it deviates from.
+        Per-trial parameter, whose start value is the mean of the random effect, and the shared parameter from
+        which it deviates.
     near : FitResult, optional
-        Another start of the search: a fit of the same trials, or of some of them.
+        Alternative starting point of the search: a fit of the same trials, or of some of them.
 
     Returns
     -------
     result : FitResult
-        The standard errors of shared parameters hold for this number of trials (Student's t).
+        Fit with the random effect. The standard errors of shared parameters allow for the number of trials
+        (Student's t).
     spread : Spread
-        ``sd`` is 0 if the trials show none; the result is then the one given.
+        Standard deviation between trials. If the trials show none, ``sd`` is 0 and the result is the given
+        one.
 
     Raises
     ------
@@ -222,7 +232,7 @@ def fit_random_effect(
         parameters = []
         for p in result.parameters:
             if p.name == name:
-                # a value that is known no better than its spread counts as identified
+                # a value known to within the standard deviation between trials counts as identifiable
                 p = replace(p, free=True, spread=last, scale=max(p.scale, last / UNIDENTIFIABLE))
             elif not p.per_trial:
                 p = replace(p, start=now.value(p.name))
@@ -240,7 +250,7 @@ def fit_random_effect(
 
 
 def _widened(result: FitResult, name: str) -> FitResult:
-    """Return the result with the random effect's share of the covariance widened for few trials."""
+    """Return the result with a covariance that allows for the small number of random effects."""
     mine = np.array([label.startswith(f"{name}[") for label in result.labels])
     others = np.flatnonzero(~mine & np.isfinite(np.diag(result.covariance)))
     if not len(others) or mine.sum() < 2:
@@ -259,28 +269,29 @@ def _widened(result: FitResult, name: str) -> FitResult:
 
 @dataclass(frozen=True)
 class OutlierTrial:
-    """A trial that a fit of the others does not predict."""
+    """A trial that a fit of the other trials does not predict."""
 
     trial: str
-    #: Its prediction error over the typical one of the others.
+    #: Prediction error of the trial, divided by the median prediction error of the other trials.
     error_ratio: float
-    #: Student's t of the logarithms of the errors, corrected for the number of trials.
+    #: p-value of the trial's error (Student's t of the logarithms of the errors), corrected for the number of
+    #: trials.
     p_value: float
-    #: Fit of all other trials; this one has the role ``validate``.
+    #: Fit of all other trials. The outlier has the role ``validate`` in the fit.
     others: FitResult
 
 
 def find_outlier_trial(result: FitResult) -> OutlierTrial | None:
-    """Find the trial that does not agree with the others.
+    """Find the trial that does not agree with the other trials.
 
-    The suspect is the trial whose absence lowers the residuals of the rest most. Its prediction error is
-    compared with those of the other trials, each predicted from the rest. What the model lacks in all trials
-    is in these errors too, so that it makes no trial an outlier.
+    The suspect is the trial whose omission lowers the residuals of the remaining trials most. Its prediction
+    error is compared with the prediction errors of the other trials, each predicted from the remaining ones.
+    An effect that the model lacks in all trials raises all these errors, and makes no trial an outlier.
 
     Returns
     -------
     OutlierTrial or None
-        None if there is none, or a fit of the others fails.
+        None if no trial is an outlier, or if a fit without one of the trials fails.
     """
     names = [t.id for t in result.trials if t.role == "fit"]
     if len(names) < MIN_TRIALS:
@@ -306,7 +317,7 @@ def find_outlier_trial(result: FitResult) -> OutlierTrial | None:
     if not sd > 0 or not np.isfinite(sd):
         return None
     t = (far - float(np.mean(logs))) / (sd * np.sqrt(1.0 + 1.0 / n))
-    # the most distant of n + 1 trials was chosen (Bonferroni)
+    # Bonferroni's correction: the suspect is the most distant of n + 1 trials
     p_value = min(1.0, (n + 1) * float(special.stdtr(n - 1, -t)))
     ratio = float(np.exp(far - np.median(logs)))
     if p_value >= OUTLIER_P_VALUE or ratio < MIN_ERROR_RATIO:
@@ -315,7 +326,7 @@ def find_outlier_trial(result: FitResult) -> OutlierTrial | None:
 
 
 def _error(result: FitResult, trial: str, scale: dict[str, float]) -> float:
-    """Return the root-mean-square error of a trial, in units of the noise of its channels."""
+    """Return the root mean square of a trial's residuals, each divided by the noise of its channel."""
     own = [s for s in result.series if s.trial == trial and s.channel in scale]
     values = np.concatenate([s.residual / scale[s.channel] for s in own])
     return float(np.sqrt(np.nanmean(values**2)))

@@ -1,8 +1,8 @@
-"""Covariance of output-error estimates, and the parameters that the trials determine, alone or combined.
+"""Covariance of output-error estimates, and identifiability of parameters and of their combinations.
 
-The covariance allows for coloured residuals and for trials that differ by more than their noise.
-Identifiability follows from the inverse of the covariance, the information matrix, which stays finite where
-the covariance does not.
+The covariance allows for coloured residuals, and for trials that differ by more than their noise. The
+identifiability follows from the information matrix, which is the inverse of the covariance. The information
+matrix is finite even if the trials do not determine a parameter.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from swimid.fitting.model import Array
 from swimid.fitting.problem import Problem
 from swimid.results import numbers
 
-#: Significance level of the test that the trials agree.
+#: Significance level of the test that all trials have the same parameters, to within their noise.
 HETEROGENEITY = 1e-3
 
 
@@ -33,7 +33,7 @@ def _autocorrelation(coefficients: Array, lags: int) -> Array:
         return np.eye(1, lags + 1)[0]
     from scipy.signal import lfilter
 
-    # correlation of the impulse response of 1 / A, long enough to have died out, with itself
+    # autocorrelation of the impulse response of 1 / A, which is computed until it has decayed
     length = lags + 1 + min(20000, max(2000, 10 * lags))
     response = lfilter([1.0], np.concatenate(([1.0], coefficients)), np.eye(1, length)[0])
     spectrum = np.fft.rfft(response, 2 * length)
@@ -42,9 +42,10 @@ def _autocorrelation(coefficients: Array, lags: int) -> Array:
 
 
 def _correlated(problem: Problem, rows: list[Array], autoregressions: dict[str, Array]) -> list[Array]:
-    """Multiply the rows of each trial by the correlation matrix of the residuals under their autoregressions.
+    """Multiply the rows of each trial by the correlation matrix of the residuals.
 
-    Rows beyond the samples of a trial, of random effects, are white.
+    The correlation follows from the autoregression of each channel. Rows after the samples of a trial belong
+    to random effects. They are uncorrelated, and stay unchanged.
     """
     longest = max(len(t.time_s) for t in problem.trials)
     rho = {c: _autocorrelation(a, longest - 1) for c, a in autoregressions.items()}
@@ -62,9 +63,9 @@ def _correlated(problem: Problem, rows: list[Array], autoregressions: dict[str, 
 
 
 def orthogonal_part(others: Array, columns: Array, floor: float) -> Array:
-    """Return the part of columns that no combination of other columns can imitate.
+    """Return the part of columns that is orthogonal to all combinations of other columns.
 
-    Directions in which the others have less than the share ``floor`` of their largest are not counted.
+    Directions of the other columns with a singular value below ``floor`` times the largest one are ignored.
     """
     u, singular, _ = np.linalg.svd(others, full_matrices=False)
     seen = u[:, singular > floor * singular.max(initial=0.0)]
@@ -73,25 +74,25 @@ def orthogonal_part(others: Array, columns: Array, floor: float) -> Array:
 
 @dataclass(frozen=True)
 class Sandwich:
-    """Covariance of least-squares estimates, and its parts."""
+    """Covariance of least-squares estimates by the sandwich formula, and the quantities that lead to it."""
 
-    #: Covariance ``H^-1 M H^-1``, enlarged by the square of the scatter, shape (p, p). Rows and columns of
-    #: parameters that the data do not see are NaN.
+    #: Covariance ``H^-1 M H^-1`` times the square of ``scatter``, shape (p, p). Rows and columns of
+    #: parameters that do not affect the residuals are NaN.
     covariance: Array
-    #: Parameters that the data do not see, shape (p,).
+    #: True for parameters that do not affect the residuals, shape (p,).
     null: NDArray[np.bool_]
-    #: Square root of the information, shape (p, p): ``root' root`` is the inverse of the covariance, and
-    #: stays accurate where that is singular.
+    #: Square root of the information matrix, shape (p, p): ``root' root`` is the inverse of the covariance.
+    #: It is accurate even if the covariance is infinite.
     root: Array
     #: Gauss-Newton step to the minimum without bounds, shape (p,).
     step: Array
-    #: Mean sum of squares that one parameter takes up when fitted to noise alone. It is 1 for white noise of
-    #: unit variance, and larger for coloured noise and for trials that disagree.
+    #: Mean decrease of the sum of squared residuals for each parameter that is fitted to noise alone. It is 1
+    #: for white noise of unit variance, and larger for coloured noise and for trials that disagree.
     gain: float
-    #: Factor by which trials differ more than their noise allows, at least 1.
+    #: Ratio of the differences between trials to those that their noise explains, at least 1.
     scatter: float
-    #: p-value of the test that the trials agree. At the common optimum the score of each trial is zero on
-    #: average, and is compared with its covariance.
+    #: p-value of the test that the trials agree. The test compares the score of each trial (the gradient of
+    #: its cost at the common optimum) with the covariance of that score.
     scatter_p: float
 
 
@@ -103,14 +104,15 @@ def sandwich(
     Parameters
     ----------
     jacobians, residuals : list of ndarray, each shape (n_k, p) and (n_k,)
-        Weighted, of each trial; columns scaled to parameters of similar size.
+        Weighted derivatives and residuals of each trial. Columns are scaled to parameters of similar size.
     autoregressions : dict of channel name to ndarray
-        Autoregressions of the weighted residuals.
+        Coefficients of the autoregression of the weighted residuals.
 
     Notes
     -----
-    With ``J = U S V'`` the middle ``U' R U`` is computed from the orthogonal U. A direction that the data
-    hardly see has then a large variance, and not the rounding error of a small one.
+    With the singular value decomposition ``J = U S V'`` the middle factor ``U' R U`` is computed from the
+    orthogonal matrix U. A direction that the data hardly determine then has a large variance. It would
+    otherwise have a small variance that is only rounding error.
     """
     j = np.concatenate(jacobians)
     samples, unknowns = j.shape
@@ -119,7 +121,7 @@ def sandwich(
     size = np.where(null, 1.0, size)
     u, singular, vt = np.linalg.svd(j / size, full_matrices=False)
     good = (singular > 1e-8 * singular[0]) & (singular[0] > 0)
-    # a parameter with a part in a direction that the data do not see is not identifiable
+    # a parameter that takes part in an undetermined direction is not identifiable
     null |= (np.abs(vt[~good]) > 1e-3).any(axis=0)
     ends = np.cumsum([0, *(len(r) for r in residuals)])
     directions = [u[a:b] for a, b in itertools.pairwise(ends)]
@@ -143,7 +145,7 @@ def sandwich(
         null=null,
         root=(vectors / np.sqrt(values)).T @ back / max(spread, 1e-30),
         step=-outer @ (u[:, good].T @ r),
-        # mean of r' U U' r over noise r of correlation R, for each column of U
+        # mean of r' U U' r for noise r with the correlation R, divided by the number of columns of U
         gain=spread**2 * float(np.trace(middle[np.ix_(good, good)])) / max(int(good.sum()), 1),
         scatter=scatter,
         scatter_p=p_value,
@@ -153,12 +155,12 @@ def sandwich(
 def _scatter(
     jacobians: list[Array], correlated: list[Array], residuals: list[Array], variance: float, degrees: int
 ) -> tuple[float, float]:
-    """Return the factor by which trials differ more than their noise, and the p-value that they do not."""
+    """Return the factor by which trials differ more than noise explains, and the p-value of the test."""
     if len(jacobians) < 3:
         return 1.0, 1.0
     statistic = 0.0
     for whole, whole_b, r in zip(jacobians, correlated, residuals, strict=True):
-        # unknowns of other trials have no part in this score; their rounding errors would count
+        # leave out the unknowns of other trials: only their rounding errors would enter this score
         own = np.linalg.norm(whole, axis=0) > 0
         a, b = whole[:, own], whole_b[:, own]
         score = a.T @ r
@@ -180,35 +182,38 @@ def _scatter(
 # ---------------------------------------------------------------- identifiability
 
 
-#: Standard error, as a share of a parameter's size, above which the parameter is not identifiable.
+#: Maximum standard error of an identifiable parameter, as a fraction of its magnitude. The magnitude is the
+#: absolute value of the estimate, or the typical scale of the parameter if that is larger.
 UNIDENTIFIABLE = 0.5
-#: Share of the best determined direction below which a direction counts as not seen.
+#: Minimum singular value of a direction that the data determine, as a fraction of the largest singular value.
 UNSEEN = 1e-7
-#: Standard error, as a share of its size, above which a parameter may belong to a confounded group.
+#: Minimum standard error of a parameter in a confounded group, as a fraction of its magnitude.
 VAGUE = 0.5 * UNIDENTIFIABLE
-#: Share of the largest weight below which a weight of a combination is left out.
+#: Minimum weight of a parameter in a combination, as a fraction of the largest weight. Smaller weights are
+#: left out.
 NEGLIGIBLE = 0.01
 
 
 @dataclass(frozen=True)
 class Combination:
-    """A weighted sum of parameters that is known although its members are not."""
+    """A weighted sum of parameters that is known although the parameters themselves are not."""
 
-    #: Weight of each label, relative to the largest; with different units, weights of the parameters over
-    #: their :attr:`divisors`, relative to the most important one.
+    #: Weight of each label, divided by the largest weight. If the units of the parameters differ, these are
+    #: weights of the parameters divided by their :attr:`divisors`.
     weights: dict[str, float]
-    #: Labels of the confounded parameters of its group, also those of negligible weight.
+    #: Labels of all parameters in the confounded group, including those of negligible weight.
     members: tuple[str, ...]
     value: float
     stderr: float
-    #: Unit of the member whose weight is 1; ``"1"`` if units differ.
+    #: Unit of the sum: that of the parameter whose weight is 1, or ``"1"`` if units differ.
     unit: str
-    #: For different units: the size of each member, with its unit, by which it is divided.
+    #: Magnitude of each parameter, with its unit, by which the parameter is divided. Empty if all units are
+    #: equal.
     divisors: dict[str, str] = field(default_factory=dict)
 
     @property
     def text(self) -> str:
-        """The sum in words, ``c_f0 + 0.31 c_f13 = 0.0123 ± 0.0002``."""
+        """Weighted sum as text, such as ``c_f0 + 0.31 c_f13 = 0.0123 ± 0.0002``."""
         terms = ""
         for label, weight in self.weights.items():
             if label in self.divisors:
@@ -225,11 +230,11 @@ def unidentifiable(result: FitResult) -> list[str]:
 
 
 def confounded(result: FitResult) -> list[tuple[str, ...]]:
-    """Return groups of parameters that the trials cannot tell apart.
+    """Return groups of parameters whose separate effects the trials do not determine.
 
-    Each group has a member that is not identifiable and one that all trials share. Others belong to it if
-    they share its uncertainty and are not known to :data:`VAGUE` of their size. A parameter that the trials
-    do not see at all is in no group, nor is a random effect.
+    At least one parameter of a group is not identifiable, and at least one is shared by all trials. The
+    members take part in the same undetermined combination, and each has a standard error above :data:`VAGUE`
+    of its magnitude. Random effects, and parameters that do not affect the residuals, are in no group.
     """
     index = [i for i in _usable(result) if math.isinf(result.parameter(result.labels[i]).spread)]
     vague = [i for i in index if np.linalg.norm(_marginal(result, [i])) * VAGUE < 1.0]
@@ -250,8 +255,8 @@ def confounded(result: FitResult) -> list[tuple[str, ...]]:
 def combinations(result: FitResult) -> list[Combination]:
     """Return for each group of confounded parameters the weighted sum that the trials determine best.
 
-    A group without a known sum is left out. The sum is the eigenvector of the group's information, with all
-    other parameters free and all parameters scaled to their sizes.
+    A group without a known sum is left out. The sum is the leading eigenvector of the information matrix of
+    the group. All other parameters are free, and all parameters are divided by their magnitudes.
     """
     found = []
     for group in confounded(result):
@@ -268,7 +273,8 @@ def combinations(result: FitResult) -> list[Combination]:
         alike = len(set(units)) == 1
         counted, divisors = np.ones(len(group)), {}
         if not alike:
-            # each is divided by its size, rounded so that the sum can be computed from its words
+            # each parameter is divided by its rounded magnitude, so that a reader can compute the sum from
+            # the text
             short = [f"{s:.2g}" for s in size]
             words = [f"{t} {unit}".removesuffix(" 1") for t, unit in zip(short, units, strict=True)]
             counted, divisors = np.array([float(t) for t in short]), dict(zip(group, words, strict=True))
@@ -289,7 +295,7 @@ def combinations(result: FitResult) -> list[Combination]:
 
 
 def sentences(result: FitResult) -> list[str]:
-    """Return sentences for the report: parameters that are not identifiable, and the sums that are."""
+    """Return sentences for the report on parameters that are not identifiable and on their known sums."""
     known = {c.members: c for c in combinations(result)}
     said, grouped = [], set()
     for group in confounded(result):
@@ -313,13 +319,14 @@ def ranked(result: FitResult) -> list[tuple[str, float]]:
     Returns
     -------
     list of (label, share)
-        ``share`` is the part of the residuals' sensitivity to a parameter that those ranked before it, and
-        the unknowns of single trials, cannot imitate: 1 for a parameter that acts like no other, 0 for one
-        that is confounded entirely. Parameters that their bound holds are left out.
+        ``share`` is the fraction of the residuals' sensitivity to a parameter that is independent of the
+        parameters ranked before it and of the unknowns of single trials. It is 1 for a parameter with an
+        effect of its own, and 0 for a parameter that is completely confounded. Parameters held at a bound are
+        left out.
 
     Notes
     -----
-    Sensitivities are scaled by the parameters' sizes [1]_.
+    Sensitivities are multiplied by the magnitudes of the parameters [1]_.
 
     References
     ----------
@@ -337,19 +344,19 @@ def ranked(result: FitResult) -> list[tuple[str, float]]:
 
 
 def _sizes(result: FitResult) -> Array:
-    """Return the size of each unknown: its value, or the scale of its parameter if that is larger."""
+    """Return the magnitude of each unknown: its absolute value, or its typical scale if that is larger."""
     return np.maximum(np.abs(result.estimate), [result.parameter(label).scale for label in result.labels])
 
 
 def _usable(result: FitResult) -> list[int]:
-    """Return the indices of unknowns that no bound holds; none for a result without information matrix."""
+    """Return the indices of unknowns that no bound holds; empty if there is no information matrix."""
     if result.information_root.shape[1] != len(result.labels):
         return []
     return [int(i) for i in np.flatnonzero(np.isfinite(result.information_root).all(axis=0))]
 
 
 def _marginal(result: FitResult, index: Sequence[int]) -> Array:
-    """Return the root of the information about some unknowns, all others free, scaled by size."""
+    """Return a root of the information matrix of some unknowns, scaled by magnitude; all others are free."""
     scaled = result.information_root * _sizes(result)
     others = [i for i in _usable(result) if i not in index]
     chosen = scaled[:, list(index)]
@@ -357,7 +364,7 @@ def _marginal(result: FitResult, index: Sequence[int]) -> Array:
 
 
 def _sd(direction: Array, singular: Array, vt: Array) -> float:
-    """Return the standard error of a sum of scaled parameters under the information ``vt' s^2 vt``."""
+    """Return the standard error of a weighted sum of scaled parameters; the information is ``vt' s^2 vt``."""
     parts = vt @ direction
     floor = np.maximum(singular, UNSEEN * singular[0])
     return float(np.linalg.norm(parts / floor))

@@ -1,6 +1,7 @@
-"""Inputs of trials: beats and strokes of joints, and known quantities of each kind of experiment.
+"""Inputs of trials: tail beats and strokes of joints, and known quantities of each kind of experiment.
 
-Every trial has an input of each kind. The defaults of its fields mean that nothing is known.
+Every trial has one input object for each kind of experiment. The default values of the fields mean that a
+quantity is unknown.
 """
 
 from __future__ import annotations
@@ -17,12 +18,12 @@ if TYPE_CHECKING:
     from swimid.robots.spatial import Stroke
 
 Array = NDArray[np.float64]
-#: Angle, rate and acceleration at given times.
+#: Angle (rad), rate (rad/s) and acceleration (rad/s2) of a joint at given times.
 Motion = tuple[Array, Array, Array]
 
 
 def eased(time_s: Array, ramp_s: float) -> Array:
-    """Return the quintic ease-in from 0 to 1 over ``ramp_s`` > 0."""
+    """Return a quintic smoothstep, which rises from 0 at time zero to 1 at ``ramp_s`` > 0."""
     found = np.array(np.clip(time_s / ramp_s, 0.0, 1.0))
     rising = (found > 0.0) & (found < 1.0)
     s = found[rising]
@@ -31,7 +32,7 @@ def eased(time_s: Array, ramp_s: float) -> Array:
 
 
 def smoothstep(time_s: Array, ramp_s: float) -> Motion:
-    """Return the ease-in of :func:`eased` with its first two derivatives; a step if ``ramp_s`` is zero."""
+    """Return the function :func:`eased` and its first two derivatives; a step for ``ramp_s`` 0."""
     if ramp_s <= 0:
         on = (time_s >= 0).astype(float)
         return on, np.zeros_like(on), np.zeros_like(on)
@@ -44,13 +45,13 @@ def smoothstep(time_s: Array, ramp_s: float) -> Motion:
 
 
 def straight(time_s: Array) -> Motion:
-    """Return the motion of a joint that stays straight."""
+    """Return the motion of a joint that stays straight: zero angle, rate and acceleration."""
     zero = np.zeros_like(time_s)
     return zero, zero, zero
 
 
 def _ramped(drive: Beat | Cycle, time_s: Array, motion: Motion) -> Motion:
-    """Return a motion that is eased in from time zero on; unchanged if it is steady."""
+    """Return a motion times the smoothstep that begins at time zero; unchanged if the drive is steady."""
     if drive.steady:
         return motion
     value, rate, bend = motion
@@ -60,22 +61,23 @@ def _ramped(drive: Beat | Cycle, time_s: Array, motion: Motion) -> Motion:
 
 @dataclass(frozen=True)
 class Beat:
-    """A commanded tail beat, in SI units."""
+    """A commanded tail beat in SI units."""
 
-    #: ``sine``, ``hopf`` or ``a-cpg``.
+    #: Waveform: ``sine``, ``hopf`` or ``a-cpg``.
     waveform: str
     frequency_hz: float
     amplitude_rad: float
     bias_rad: float = 0.0
-    #: h_a of Eq 10: the half-beat with a rising angle lasts (1 - h) / 2 of a period.
+    #: Asymmetry h_a of Eq 10 (tendon fish paper). The angle rises during the fraction (1 - h_a) / 2 of a
+    #: period.
     asymmetry: float = 0.0
-    #: Time over which a quintic smoothstep eases in the whole command.
+    #: Duration of the quintic smoothstep with which the command begins, s.
     ramp_s: float = 1.0
-    #: Phase at time zero.
+    #: Phase of the beat at time zero.
     phase_rad: float = 0.0
-    #: Phase lag of each driven joint behind the one before it, beyond that of the robot file.
+    #: Phase lag of each driven joint behind the joint before it, in addition to the lag in the robot file.
     lag_rad: float = 0.0
-    #: The beat has no begin and no ramp.
+    #: The beat has no beginning and no ramp.
     steady: bool = False
 
     def motion(
@@ -92,14 +94,14 @@ class Beat:
         Parameters
         ----------
         time_s : ndarray, shape (n,)
-            The drive starts at zero, with phase zero; before that the joint is straight.
+            Times. The beat starts at time zero with ``phase_rad``. Before time zero the joint is straight.
         gain, bias_gain : float
-            The joint's share of amplitude and bias.
+            Factors on the amplitude and on the bias of the beat for this joint.
         phase_rad : float
-            Phase ahead of the drive.
+            Phase by which the joint leads the beat.
         cell_s : ndarray, shape (n,), optional
-            If the acceleration jumps (a-cpg), return its mean over such an interval around each time
-            (:func:`cells`).
+            Duration of the interval around each time (:func:`cells`) over which the acceleration is averaged.
+            It is used for waveforms whose acceleration jumps (a-cpg).
         """
         phase = self.phase_rad + phase_rad
         value, rate, bend = self._wave(time_s, phase)
@@ -120,40 +122,44 @@ class Beat:
 
 
 def cells(time_s: Array) -> Array:
-    """Return the intervals around the times of a half-step grid that Runge-Kutta's weights assign to them.
+    """Return the durations around the times of a half-step grid over which an acceleration is averaged.
 
-    They are a third of a step at the ends of a step and two thirds in its middle. An acceleration that is
-    averaged over them adds up to the right rate, wherever it jumps.
+    The durations follow from the weights of the Runge-Kutta method. They are a third of a step at the ends of
+    a step, and two thirds of a step in the middle. With accelerations averaged over them, the integrated rate
+    is correct even if the acceleration jumps.
     """
     half = float(time_s[1] - time_s[0])
     return np.where(np.arange(len(time_s)) % 2 == 0, 2.0 / 3.0 * half, 4.0 / 3.0 * half)
 
 
 def hopf(time_s: Array, frequency_hz: float, asymmetry: float, phase_rad: float = 0.0) -> Motion:
-    """Return the output alpha of the (asymmetric) Hopf oscillator on its limit cycle of radius one.
+    """Return the output alpha of the (asymmetric) Hopf oscillator on its limit cycle of radius 1.
 
     Parameters
     ----------
     asymmetry : float
-        h_a, between -1 and 1.
+        Asymmetry h_a, between -1 and 1.
     phase_rad : float
-        Phase of the beat at time zero; with asymmetry it stands for the share of the period.
+        Phase of the beat at time zero. With asymmetry, 2 pi times the elapsed fraction of the period.
 
     Notes
     -----
-    Eq 10 of the tendon fish paper, with two corrections. The bias belongs to the output: as printed it drops
-    out of alpha. The radius is one with the amplitude as a gain: as printed it would be the square root of A,
-    reached at a rate that depends on the unit of A. On the limit cycle ``alpha = sin(psi)`` and ``psi' =
-    omega / (1 - h sgn(alpha'))``. The period is unchanged, the angle rises in (1 - h) / 2 of it and falls in
-    (1 + h) / 2, and the acceleration jumps at the turns.
+    The function is Eq 10 of the tendon fish paper with two corrections. In the printed equation the bias has
+    no effect on alpha; here it is added to the output. In the printed equation the radius is the square root
+    of the amplitude A, and the rate of approach depends on the unit of A; here the radius is 1, and A
+    multiplies the output.
+
+    On the limit cycle ``alpha = sin(psi)`` and ``psi' = omega / (1 - h sgn(alpha'))``. The asymmetry does not
+    change the period. The angle rises during (1 - h) / 2 of the period and falls during (1 + h) / 2 of it.
+    The acceleration jumps where the angle is largest and smallest.
 
     >>> value, rate, _ = hopf(np.array([0.0, 0.25]), 1.0, 0.0)
     >>> [round(float(v), 12) for v in value]
     [0.0, 1.0]
     """
     omega = 2.0 * math.pi * frequency_hz
-    rising = 0.5 * (1.0 - asymmetry)  # share of the period with alpha rising
-    # share of the period since the last lowest point; the drive starts in the middle of the rise
+    rising = 0.5 * (1.0 - asymmetry)  # fraction of the period in which alpha rises
+    # elapsed fraction of the period since the last minimum; the drive starts in the middle of the rise
     share = np.mod(frequency_hz * time_s + phase_rad / (2.0 * math.pi) + 0.5 * rising, 1.0)
     up = share < rising
     psi = np.where(
@@ -167,28 +173,30 @@ def hopf(time_s: Array, frequency_hz: float, asymmetry: float, phase_rad: float 
 
 @dataclass(frozen=True)
 class Cycle:
-    """A stroke as commanded in a trial."""
+    """A stroke as it is commanded in a trial."""
 
     name: str
-    #: Stroke of the robot file.
+    #: Angles of the hinges over one cycle, from the robot file.
     law: Stroke
     #: Cycles per second.
     frequency_hz: float
-    #: Factor on the angles, about those at the start of the cycle.
+    #: Factor on the deviation of the angles from their values at the start of the cycle.
     scale: float = 1.0
-    #: Time over which the motion is eased in.
+    #: Duration of the smoothstep with which the motion begins, s.
     ramp_s: float = 0.0
-    #: Number of cycles, after which the hinges stay where the cycle begins; infinite for no end.
+    #: Number of cycles. After the last cycle the hinges stay at the angles of the start of the cycle.
+    #: Infinite for a stroke that does not end.
     cycles: float = math.inf
-    #: Phase at time zero.
+    #: Phase of the cycle at time zero.
     phase_rad: float = 0.0
-    #: The stroke has no begin, no ramp and no end.
+    #: The stroke has no beginning, no ramp and no end.
     steady: bool = False
 
     def motion(self, hinge: str, time_s: Array, *, phase_rad: float = 0.0) -> Motion:
-        """Return angle, rate and acceleration of a hinge; hinges that the stroke does not name stay straight.
+        """Return angle, rate and acceleration of a hinge, rad, rad/s and rad/s2.
 
-        The stroke begins at time zero. Before, the hinge holds its first angle.
+        The stroke begins at time zero. Before that the hinge has its angle at the start of the cycle. A hinge
+        that the stroke does not name stays straight.
         """
         from scipy import interpolate
 
@@ -218,57 +226,58 @@ class Cycle:
 class RigInput:
     """Known quantities of a body on a test rig."""
 
-    #: Known part, kg or kg m2, with pulling mass and pulley; NaN if unknown.
+    #: Known inertia, including pulling mass and pulley, kg or kg m2. NaN if unknown.
     inertia: float = math.nan
-    #: Constant known force, N.
+    #: Known constant force, N.
     force: float | None = None
-    #: The friction of a pulley acts.
+    #: The body is pulled over a pulley, whose friction acts on it.
     pulley: bool = False
-    #: ``rho A / 2``, kg/m; 0 if the quadratic coefficient itself is estimated.
+    #: Factor ``rho A / 2`` of the drag coefficient, kg/m. It is 0 if the quadratic coefficient itself is
+    #: estimated.
     area_factor: float = 0.0
-    #: Time of release; None means zero.
+    #: Time of release. None means time zero.
     release_s: float | None = None
-    #: Displacement at release, m or rad.
+    #: Displacement at the time of release, m or rad.
     x0: float = 0.0
 
     @property
     def pull(self) -> float:
-        """Constant force, N; 0 if there is none."""
+        """Known constant force, N; 0 if there is none."""
         return self.force or 0.0
 
     @property
     def begin_s(self) -> float:
-        """Time of release, s."""
+        """Time of release, s; 0 if it is not stated."""
         return self.release_s or 0.0
 
 
 @dataclass(frozen=True)
 class SwimInput:
-    """Drive and start of a robot with links."""
+    """Drive and initial pose of a robot with links."""
 
     beat: Beat | None = None
     stroke: Cycle | None = None
-    #: Motion of each driven joint at given times, s, instead of a drive.
+    #: Functions that return the motion of each driven joint at given times (s). They replace a drive.
     joints: Sequence[Callable[[Array], Motion]] | None = None
-    #: The motions of the joints are commands, and not measured.
+    #: The motions in ``joints`` are commands of the actuators. Otherwise they are measured.
     commanded: bool = False
-    #: Pose of the reference point at the first sample, to which the start offsets are added.
+    #: Pose of the reference point at the first sample. The start offsets are added to it.
     pose: tuple[float, ...] | None = None
-    #: Coefficients that were set otherwise in this trial.
+    #: Coefficients of the robot whose values differ in this trial, by name.
     coefficients: Mapping[str, float] | None = None
 
     @property
     def drive(self) -> Beat | Cycle | None:
-        """Beat or stroke; None if measured joints, or nothing, move the robot."""
+        """Tail beat or stroke; None if measured joint angles, or nothing, move the robot."""
         return self.beat or self.stroke
 
     @property
     def steady(self) -> bool:
-        """Whether the run begins on the limit cycle of its drive."""
+        """Whether the simulation begins on the limit cycle of the drive."""
         return self.drive is not None and self.drive.steady
 
     def begun(self) -> SwimInput:
-        """Return the same run in steady swimming: it begins on the limit cycle of its drive."""
+        """Return the same input for steady swimming, which begins on the limit cycle of the drive."""
         if self.stroke is not None:
             return replace(self, stroke=replace(self.stroke, steady=True, ramp_s=0.0, cycles=math.inf))
         if self.beat is None:
@@ -277,33 +286,33 @@ class SwimInput:
 
     @property
     def measured(self) -> bool:
-        """Whether measured joints move the robot: they are the output of the actuators."""
+        """Whether the joint motions are measured, so that they are the output of the actuators."""
         return self.joints is not None and not self.commanded
 
     def posed(self, count: int = 3) -> tuple[float, ...]:
-        """Return the start pose; the origin if unknown."""
+        """Return the initial pose; zeros if it is unknown."""
         return self.pose or (0.0,) * count
 
 
 @dataclass(frozen=True)
 class CruiseInput:
-    """Known quantities of timed runs with one fin."""
+    """Known quantities of the timed runs with one fin."""
 
     fin: str = ""
-    #: Hydrodynamic inertia of the fin, if known.
+    #: Hydrodynamic inertia of the fin; None if unknown.
     inertia_kg_m2: float | None = None
-    #: Frequency (Hz) and amplitude (rad) to which the exponents of the law refer.
+    #: Reference frequency (Hz) and amplitude (rad) of the power law.
     middle: tuple[float, float] = (1.0, 1.0)
-    #: Rows of the table.
+    #: Rows of the runs in the cruise table.
     rows: NDArray[np.intp] | None = None
 
 
 @dataclass(frozen=True)
 class SurgeInput:
-    """A steady beat of a run of which only the mean over each beat is used."""
+    """Steady tail beat of a trial of which only averages over beats are used."""
 
-    #: NaN if there is no such beat.
+    #: Frequency of the beat; NaN if there is no beat.
     frequency_hz: float = math.nan
     amplitude_rad: float = math.nan
-    #: Time of the first sample.
+    #: Time of the first sample, s.
     start_s: float = 0.0

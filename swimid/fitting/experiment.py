@@ -1,4 +1,4 @@
-"""A model and its trials, read from a trials file."""
+"""A model together with its trials, as read from a trials file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from swimid.logs.trials import Trials
 from swimid.notices import warn
 from swimid.robots.file import Robot, locate
 
-#: Angles that a camera may measure beside a position.
+#: Angles that a camera may measure in addition to a position.
 ANGLES = ("yaw_rad", "pitch_rad", "roll_rad")
 
 
@@ -28,24 +28,24 @@ ANGLES = ("yaw_rad", "pitch_rad", "roll_rad")
 class Experiment:
     """A model with the trials from which its parameters are estimated."""
 
-    #: ``experiment`` of the trials file.
+    #: Value of ``experiment`` in the trials file.
     name: str
     robot: Robot
     model: Model
     trials: list[Trial]
-    #: Every file that was read (trials file, robot file, logs), and inputs in memory.
+    #: All inputs for the provenance: the trials file, the robot file, the logs, and data in memory.
     inputs: list[Input]
-    #: Other interpretations of the same logs, between which the data decide (how an encoder rounds, for
-    #: example); empty if there is only one.
+    #: Alternative interpretations of the same logs by name (for example, how an encoder rounds). The fit
+    #: selects the one with the smallest residuals. Empty if there is only one interpretation.
     variants: Mapping[str, list[Trial]] = field(default_factory=dict)
-    #: Facts found while reading, for the report.
+    #: Facts for the report that were found while the logs were read.
     facts: Mapping[str, Any] = field(default_factory=dict)
-    #: Robot file, if the result refers to it.
+    #: Path of the robot file; None if the result does not refer to it.
     robot_path: Path | None = None
 
 
 def inputs_of(path: Path, entries: Trials, logs: Sequence[Input]) -> list[Input]:
-    """Return trials file, robot file and logs, for the provenance."""
+    """Return the trials file, the robot file and the logs for the provenance."""
     files = [locate(entries.robot, path.parent), *logs]
     return files if entries._in_memory else [path, *files]
 
@@ -53,7 +53,7 @@ def inputs_of(path: Path, entries: Trials, logs: Sequence[Input]) -> list[Input]
 def read_log(
     entry: TrialEntry, folder: Path, *, required: tuple[str, ...], optional: tuple[str, ...] = ()
 ) -> Log:
-    """Read the log of a trial, cut to the interval of its entry, without samples that repeat a picture."""
+    """Read the log of a trial, cut it to the interval of its entry, and blank repeated positions."""
     if entry._held is not None:
         log = entry._held.chosen(required, optional)
     else:
@@ -74,12 +74,13 @@ def read_log(
 
 
 def _measured_anew(log: Log) -> Log:
-    """Return the log with empty cells where positions only repeat the picture before."""
+    """Return the log with empty cells where a position only repeats the previous camera picture."""
     places = [name for name in POSITIONS if name in log]
     held = find_held(log.time_s, [log[name] for name in places])
     repeats = held.repeated.copy()
     for first, end in log_format.runs(repeats):
-        # a camera or tracker that stopped is a fault of the recording, which the residuals must show
+        # keep long repetitions: a camera that stopped is a fault of the recording, which must show in the
+        # residuals
         if log.time_s[end - 1] - log.time_s[first] > LONG_HOLD * held.period_s:
             repeats[first:end] = False
     for name, (start, stop) in find_frozen(log.time_s, {name: log[name] for name in places}).items():
@@ -91,7 +92,7 @@ def _measured_anew(log: Log) -> Log:
     def repeated(values: Array) -> bool:
         return bool((values[at] == values[at - 1]).all())
 
-    # the heading of a repeated picture repeats too
+    # an angle is repeated if all its values at the repeated positions equal the value before
     shown = [*places, *(n for n in ANGLES if n in log and repeated(log[n]))]
     warn(
         "SWM058",
@@ -103,7 +104,7 @@ def _measured_anew(log: Log) -> Log:
 
 
 def warn_mass(name: str, value: float, against: float, file: Path) -> None:
-    """Warn if a mass looks like grams."""
+    """Warn if a mass is so large that it may be in grams."""
     if against > 0 and value >= against:
         warn(
             "SWM002",

@@ -1,4 +1,4 @@
-"""Parameter file, checks and figures of every fit, and :func:`fit_model` for a model of your own."""
+"""Parameter file, checks and figures of every fit, and :func:`fit_model` for a user-defined model."""
 
 from __future__ import annotations
 
@@ -29,23 +29,25 @@ from swimid.results import evidence as ev
 from swimid.results.fitted import Fitted
 from swimid.results.parameters import Correlation, Estimate, Fit, ParameterFile, spoken
 
-#: Correlation above which two parameters are named.
+#: Minimum absolute correlation of two parameters that are reported as hard to tell apart.
 STRONG = 0.95
-#: Ratio of the held-out error to the fit error above which a check warns.
+#: Maximum ratio of the held-out error to the error of the fitted trials. A check warns if the ratio is
+#: larger.
 VALIDATION_RATIO = 2.0
-#: Sentence of the methods section.
+#: Sentence on standard errors for the methods section of a report.
 COVARIANCE = "Standard errors follow from the Jacobian at the optimum and account for coloured residuals."
-#: Number of robust standard deviations beyond which a residual is an outlier.
+#: Maximum residual of a normal sample, in robust standard deviations. A sample with a larger residual is an
+#: outlier.
 OUTLIER = 8.0
 
 
 def estimates(
     result: FitResult, profiles: Mapping[str, tuple[float | None, float | None]]
 ) -> dict[str, Estimate]:
-    """Return every parameter of the model as the parameter file holds it.
+    """Return every parameter of the model as an entry of the parameter file.
 
-    Parameters of single trials (start offsets, for example) appear as ``name[trial]`` if they were estimated,
-    and are left out if they were fixed.
+    Estimated parameters of single trials (start offsets, for example) have the name ``name[trial]``. Fixed
+    parameters of single trials are left out.
     """
     found: dict[str, Estimate] = {}
     for p in result.parameters:
@@ -68,7 +70,7 @@ def estimates(
 
 
 def _correlation(result: FitResult) -> Correlation | None:
-    """Return the correlation matrix of the shared parameters that have a standard error."""
+    """Return the correlation matrix of shared parameters with a standard error; None for fewer than two."""
     keep = [i for i, label in enumerate(result.labels) if "[" not in label and result.stderr(label)]
     if len(keep) < 2:
         return None
@@ -78,7 +80,7 @@ def _correlation(result: FitResult) -> Correlation | None:
 
 
 def _identifiability(result: FitResult, correlation: Correlation | None) -> list[str]:
-    """Return sentences on parameters that the trials do not determine; warn of each."""
+    """Return sentences on parameters that the trials do not determine, and warn of each."""
     said = sentences(result)
     for sentence in said:
         warn("SWM010", sentence)
@@ -98,7 +100,7 @@ def _identifiability(result: FitResult, correlation: Correlation | None) -> list
 
 
 def _best_product(result: FitResult, first: str, second: str) -> str:
-    """Return the product of powers of two parameters that is known best, in words."""
+    """Return the best determined product of powers of two parameters, as text."""
     indices = [result.labels.index(first), result.labels.index(second)]
     values = result.estimate[indices]
     if np.any(values <= 0):
@@ -111,7 +113,7 @@ def _best_product(result: FitResult, first: str, second: str) -> str:
 
 
 def scores(result: FitResult, role: str, trials: Sequence[str] | None = None) -> dict[str, metrics.Score]:
-    """Return the errors of each measured channel over all trials of a role, or over some of them."""
+    """Return the errors of each measured channel over all trials of a role, or over the named trials."""
     ids = [t.id for t in result.trials if t.role == role and (trials is None or t.id in trials)]
     pose = metrics.pose_channels(result.model)
     found: dict[str, list[tuple[Array, Array]]] = {}
@@ -130,13 +132,13 @@ def scores(result: FitResult, role: str, trials: Sequence[str] | None = None) ->
 
 
 def _listed(result: FitResult, role: str) -> dict[str, dict[str, Any]]:
-    """Return the errors of each measured channel for the parameter file."""
+    """Return the errors of each measured channel as entries of the parameter file."""
     units = {c.name: c.unit for c in result.model.channels}
     return {name: score.as_dict(units[name]) for name, score in scores(result, role).items()}
 
 
 def refuse_interrupted(result: FitResult) -> None:
-    """Raise :class:`Interrupted` for a fit whose search was stopped, if its result is of no use."""
+    """Raise :class:`Interrupted` if the user stopped the search of a fit."""
     if result.interrupted:
         raise Interrupted(f"{result.message}; nothing was written")
 
@@ -152,12 +154,12 @@ def parameter_file(
     method: str = "maximum likelihood",
     unfinished: bool = False,
 ) -> ParameterFile:
-    """Return the parameter file of a fit; of an interrupted one only if it may be ``unfinished``.
+    """Return the parameter file of a fit.
 
     Raises
     ------
     Interrupted
-        If the search was stopped and the result must be finished.
+        If the user stopped the search, and ``unfinished`` is false.
     """
     if not unfinished:
         refuse_interrupted(result)
@@ -206,12 +208,13 @@ def prepare(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     also: Sequence[Path] = (),
 ) -> tuple[Parameter, ...]:
-    """Return the parameters to fit, by default those of the model, with the choices of the user.
+    """Return the parameters to fit, with the choices of the user; by default those of the model.
 
     Parameters
     ----------
     output, also : Path
-        ``output`` must be writable, and must replace neither an input of the experiment nor one of ``also``.
+        Files for the check of the output path: ``output`` must be writable, and must not replace an input of
+        the experiment or a path in ``also``.
 
     Raises
     ------
@@ -225,7 +228,7 @@ def prepare(
 
 
 def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
-    """Check a fit against its limits; warn of each check that does not pass."""
+    """Return the checks of a fit against their limits; warn of each check that does not pass."""
     done, message = result.converged, result.message
     reason = f"the fit did not converge: {message}"
     found = [
@@ -289,7 +292,7 @@ def warned_check(
     *,
     failed: bool = False,
 ) -> ev.Check:
-    """Return a check; warn with its reason if it does not pass."""
+    """Return a check; warn with the given reason if the check does not pass."""
     if not passed:
         warn(code, f"{reason}; {text}" if text else reason)
     otherwise: Literal["warn", "fail"] = "fail" if failed else "warn"
@@ -297,7 +300,7 @@ def warned_check(
 
 
 def _outliers(result: FitResult, channel: str) -> ev.Check | None:
-    """Count samples far outside the bulk of the residuals, by the median absolute deviation."""
+    """Return a check that warns of outliers among the residuals of a channel; None if there are none."""
     parts = {s.trial: s.weighted for s in result.series_of(channel, "fit")}
     values = np.concatenate(list(parts.values()))
     values = values[np.isfinite(values)]
@@ -321,7 +324,7 @@ def _outliers(result: FitResult, channel: str) -> ev.Check | None:
 
 
 def _whiteness(result: FitResult, channel: str) -> ev.Check:
-    """Test the residuals of a channel for whiteness."""
+    """Test whether the residuals of a channel are white."""
     test = ljung_box(_weighted(result, channel))
     p = blocks.p_text(test.p_value)
     name, reason = f"white residuals, {channel}", f"residuals are not white in {channel} ({p})"
@@ -330,7 +333,7 @@ def _whiteness(result: FitResult, channel: str) -> ev.Check:
 
 
 def _validation(result: FitResult, channel: Channel) -> ev.Check:
-    """Compare the error on validation trials with that on fitted ones, and with that of a constant."""
+    """Compare the error on validation trials with the error on fitted trials and with that of a constant."""
     held_out = result.series_of(channel.name, "validate")
     fitted = _rms([s.residual for s in result.series_of(channel.name, "fit")])
     error = _rms([s.residual for s in held_out])
@@ -345,25 +348,25 @@ def _validation(result: FitResult, channel: Channel) -> ev.Check:
         f"≤ {VALIDATION_RATIO:g} × fit error ({numbers.number(fitted, 3, channel.unit)})",
         f"root-mean-square error on trials that were not fitted, largest in {worst.trial}",
         f"the held-out error of {channel.name} is {ratio:.1f} times that of fitted trials",
-        # on a logarithmic scale it is closer to the error of a constant than to that of the fit
+        # fails if the held-out error is closer to the error of a constant, on a logarithmic scale
         failed=error > math.sqrt(fitted * constant),
     )
 
 
 def _rms(parts: Sequence[Array]) -> float:
-    """Return the root mean square of several series; 0 without samples."""
+    """Return the root mean square of all finite samples of several series; 0 without samples."""
     values = np.concatenate(parts)
     values = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
 
 
 def _weighted(result: FitResult, channel: str, role: str = "fit") -> Array:
-    """Return the weighted residuals of a channel as one series."""
+    """Return the weighted residuals of a channel, with all trials joined to one series."""
     return joined([s.weighted for s in result.series_of(channel, role)], gap=30)
 
 
 def error_checks(result: FitResult, roles: Sequence[str] = ("fit", "validate")) -> list[ev.Check]:
-    """Check the errors of fitted and of held-out trials against the limits of ``compare``."""
+    """Check the errors of fitted and of held-out trials against the limits that ``compare`` uses."""
     found = []
     for role in roles:
         known = {name: score for name, score in scores(result, role).items() if name in result.noise}
@@ -373,7 +376,7 @@ def error_checks(result: FitResult, roles: Sequence[str] = ("fit", "validate")) 
 
 
 def beat_check(found: Mapping[str, Mapping[str, Any] | None]) -> ev.Check:
-    """Check that the beat in each log is that of its metadata (:mod:`swimid.logs.beat`)."""
+    """Check that the beat frequency found in each log is the stated one (:mod:`swimid.logs.beat`)."""
     known = {name: b for name, b in found.items() if b is not None and b["found_hz"] is not None}
     wrong = [
         name
@@ -391,13 +394,13 @@ def beat_check(found: Mapping[str, Mapping[str, Any] | None]) -> ev.Check:
 
 
 def figures(result: FitResult) -> list[ev.Figure]:
-    """Return figures of measured and simulated series of each channel, and of its residuals."""
+    """Return the figures of each channel: measured and simulated series, and residuals."""
     found = []
     for channel in (c for c in result.model.channels if c.name in result.noise):
         series = result.series_of(channel.name)
         name = channel.meaning or channel.name
         factor, unit = numbers.in_degrees(channel.unit)
-        # the runs of a table have no order in time
+        # the runs of a cruise table have no order in time, so that they have no autocorrelation
         ordered = not result.model.timed_runs
         correlation = autocorrelation(_weighted(result, channel.name)) if ordered else None
         found += [
@@ -423,7 +426,7 @@ def figures(result: FitResult) -> list[ev.Figure]:
 
 
 def answer(file: ParameterFile) -> str:
-    """Return the first shared parameters that were estimated, as one sentence."""
+    """Return the first three estimated shared parameters as one sentence."""
     parts = [
         f"{spoken(name, e.meaning)} {numbers.measured(e.value, e.stderr, e.unit)}"
         for name, e in file.parameters.items()
@@ -451,56 +454,58 @@ def fit_model(
     command: str = "fit",
     progress: Progress = silent,
 ) -> Fitted:
-    """Estimate the parameters of any model from trials in memory, with all the evidence of a fit.
+    """Estimate the parameters of any model from trials in memory, with all checks and figures of a fit.
 
-    Convergence does not show that the model is right: see ``.verdict``, and ``.checks()`` for the residuals.
+    Convergence does not show that the model is right: look at ``.verdict``, and at the checks of the
+    residuals in ``.checks()``.
 
     Parameters
     ----------
     model : Model
-        Simulates a trial from parameter values.
+        Model that simulates a trial from parameter values.
     trials : sequence of Trial
-        Trials of role ``validate`` are held out: simulated and scored, not fitted.
+        Trials to fit. Trials of the role ``validate`` are held out: they are simulated and scored, not
+        fitted.
     fixed : mapping of name to float, optional
-        Parameters held at a value, in their units.
+        Values of parameters that are not estimated, in the units of the parameters.
     freed : sequence of str
-        Parameters to estimate that are fixed by default.
+        Names of parameters that are estimated although the model fixes them by default.
     bounds : mapping of name to (lower, upper), optional
-        Bounds instead of the model's own, in the parameters' units.
+        Bounds that replace those of the model, in the units of the parameters.
     robot : str
         Name of the robot, for the parameter file.
     inputs : sequence of Path or Held
-        Sources of the trials for the provenance: ``log.source`` of each log.
+        Sources of the trials for the provenance: the ``log.source`` of each log.
     output : path, optional
-        Parameter file to write, with its evidence beside it; nothing is written without.
+        Parameter file to write, together with its evidence file. By default nothing is written.
     command : str
-        Name of the command, for the evidence.
+        Name of the command that is stored in the evidence.
     progress : Progress
-        Shows the search.
+        Progress bar of the search.
 
     Returns
     -------
     Fitted
-        ``.parameters`` has value, standard error and 95 % interval of each parameter, in its unit.
-        ``.correlation``, ``.converged`` and ``.verdict`` show how far they can be trusted.
+        ``.parameters`` has the value, standard error and 95 % interval of each parameter, in its unit.
+        ``.correlation``, ``.converged`` and ``.verdict`` show whether the parameters can be trusted.
 
     Raises
     ------
     UsageError
-        For a parameter that the model does not have, or no trial to fit.
+        If the model does not have a named parameter, or no trial has the role ``fit``.
     InputError
         If the output cannot be written.
     NoTrustworthyResult
-        If the search does not converge, or nothing can be identified.
+        If the search does not converge, or no parameter can be identified.
 
     See Also
     --------
-    swimid.fitting.output_error.fit : the estimator, with its method.
+    swimid.fitting.output_error.fit : the estimator, and a description of its method.
 
     References
     ----------
     .. [1] V. Klein, E. A. Morelli, *Aircraft System Identification: Theory and Practice*, AIAA, 2006.
-       Output error, coloured residuals.
+       Output error and coloured residuals.
 
     Examples
     --------

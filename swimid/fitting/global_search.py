@@ -1,4 +1,4 @@
-"""Searches from many starts, over subsets of the parameters, and for Pareto fronts by NSGA-II."""
+"""Fits from many starting points, selection of a parameter subset, and Pareto fronts by NSGA-II."""
 
 from __future__ import annotations
 
@@ -20,12 +20,15 @@ from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.problem import Problem
 from swimid.progress import Progress, show, silent
 
-#: Relative difference of costs below which two ends are the same minimum.
+#: Maximum relative difference of two costs that belong to the same minimum.
 SAME = 1e-3
 
 
 class Start(NamedTuple):
-    """A start and the end of its search, shape (p,) each; NaN at infinite cost if the search failed."""
+    """A starting point and the end point of its search, shape (p,) each.
+
+    If the search failed, the end point is NaN and the cost is infinite.
+    """
 
     start: Array
     end: Array
@@ -46,32 +49,33 @@ def multistart(
     first: FitResult | None = None,
     progress: Progress = silent,
 ) -> tuple[FitResult, list[Start]]:
-    """Fit from several starts, and keep the best fit.
+    """Fit from several starting points, and return the best fit.
 
     Parameters
     ----------
     model, trials, parameters, jobs, loss
         As in :func:`swimid.fitting.output_error.fit`.
     starts : int
-        Number of starts. The first are ``begins``; the others are uniform within the bounds, or within one
-        scale of the start on a side without a bound.
+        Number of starting points. The first ones are ``begins``. The others are uniform random samples of
+        :meth:`swimid.fitting.problem.Problem.search_range`.
     begins : sequence of ndarray, each shape (p,), optional
-        By default the start of the parameters alone.
+        Starting points that are used first. The default is one point, the start values of the parameters.
     first : FitResult, optional
-        Fit from the first start, if it is known.
+        Result of the fit from the first starting point, if it is already known.
 
     Returns
     -------
     best : FitResult
-        Fit of the least cost; a converged one if two are the same minimum (:data:`SAME`). A converged one is
-        tested as in :func:`swimid.fitting.output_error.check_by_restarts`.
+        Fit of the lowest cost. If several fits have the same minimum (:data:`SAME`), a converged one is
+        preferred. A converged fit is tested as in :func:`swimid.fitting.output_error.check_by_restarts`.
     ends : list of Start
-        In the order they were run. After Ctrl-C the remaining ones are left out.
+        Starting points and end points in the order of the searches. After Ctrl-C the remaining searches are
+        left out.
 
     Raises
     ------
     NoTrustworthyResult
-        If no start leads anywhere: the error of the first start.
+        If all searches fail: the error of the first search.
     """
     parameters = tuple(parameters or model.parameters)
     problem = Problem(model, parameters, [t for t in trials if t.role == "fit"])
@@ -117,9 +121,9 @@ def multistart(
 
 
 def agreeing(ends: Sequence[Start]) -> int:
-    """Return the number of starts that reached the lowest cost.
+    """Return the number of searches that ended at the lowest cost.
 
-    Directions that the data do not see may differ between equal minima, so that parameters are not compared.
+    Only costs are compared. End points of equal cost may differ in directions that the data do not determine.
 
     >>> where = np.zeros(1)
     >>> agreeing([Start(where, where, cost, True) for cost in (1.0, 1.0005, 2.0)])
@@ -130,7 +134,7 @@ def agreeing(ends: Sequence[Start]) -> int:
 
 
 def _better(best: FitResult, other: FitResult) -> FitResult:
-    """Return the better of two fits: the lower one, or of the same minimum one that converged."""
+    """Return the fit of the lower cost; if both reached the same minimum, prefer a fit that converged."""
     if max(other.cost, best.cost) <= min(other.cost, best.cost) * (1 + SAME):
         return min(best, other, key=lambda result: (not result.converged, result.cost))
     return min(best, other, key=lambda result: result.cost)
@@ -141,8 +145,8 @@ def select_subset(
 ) -> tuple[FitResult, list[str]]:
     """Fix the least identifiable parameters until the trials determine all others.
 
-    One at a time, the parameter of the lowest rank among those that are not identifiable is fixed at its
-    start value, and the others are fitted again.
+    In each iteration the lowest-ranked parameter among those that are not identifiable is fixed at its start
+    value. Then the other parameters are fitted again.
 
     Returns
     -------
@@ -177,30 +181,30 @@ def select_subset(
 # ---------------------------------------------------------------- several objectives
 
 
-#: Size, number of generations and probability of crossover in section II of the sea lion paper.
+#: Population size, number of generations and crossover probability from section II of the sea lion paper.
 POPULATION, GENERATIONS, CROSSOVER = 80, 50, 0.8
-#: Objective of a simulation that broke down.
+#: Value of the objectives for a simulation that diverged.
 BROKEN_OBJECTIVE = 1e9
 
 
 @dataclass(frozen=True)
 class Front:
-    """The points of which none is better than another in every objective."""
+    """The non-dominated points: no point is better than another one in every objective."""
 
-    #: Points in the order of the first objective, shape (n, d).
+    #: Points, sorted by the first objective, shape (n, d).
     points: Array
-    #: Shape (n, m).
+    #: Objectives of the points, shape (n, m).
     objectives: Array
-    #: Smallest value of each objective in the population of each generation, shape (generations, m).
+    #: Lowest value of each objective in the population of each generation, shape (generations, m).
     history: Array
     evaluations: int
 
 
 def knee(objectives: Array) -> int:
-    """Return the point nearest to the best of every objective, each over its range on the front.
+    """Return the index of the point that is nearest to the ideal point.
 
-    The objectives have the shape (n, m). This is the ideal-point rule (Miettinen 1999, Nonlinear
-    Multiobjective Optimization, section 2.2).
+    The objectives have the shape (n, m). Each is divided by its range on the front. The ideal point has the
+    lowest value of each objective (Miettinen 1999, Nonlinear Multiobjective Optimization, section 2.2).
 
     >>> knee(np.array([[0.0, 1.0], [0.2, 0.2], [1.0, 0.0]]))
     1
@@ -211,7 +215,7 @@ def knee(objectives: Array) -> int:
 
 
 def least_worst(objectives: Array) -> int:
-    """Return the point whose worst objective, relative to its least value on the front, is smallest.
+    """Return the index of the point whose largest ratio of an objective to its lowest value is smallest.
 
     >>> least_worst(np.array([[1.0, 9.0], [2.0, 4.0], [8.0, 2.0]]))
     1
@@ -240,18 +244,21 @@ def nsga2(
     Parameters
     ----------
     evaluate : callable
-        Objectives, shape (n, m), of points, shape (n, d), within finite bounds, shape (d,).
+        Function from points, shape (n, d), to their objectives, shape (n, m). The points lie within the
+        finite bounds ``lower`` and ``upper``, shape (d,).
     objectives : int
         Number of objectives, m.
     population, generations, crossover, seed
-        Size, number of generations, probability of crossover. The same seed gives the same front.
+        Population size, number of generations, crossover probability and random seed. The same seed gives the
+        same front.
     first : ndarray, shape (d,), optional
-        A point of the first population.
+        A point of the first population, such as the result of an earlier fit.
     checkpoint : Checkpoint, optional
-        Keeps the objectives of every generation under ``name``. A search that was stopped repeats its
-        generations from them, and goes on as if it had not been stopped.
+        Storage for the objectives of every generation, under ``name``. An interrupted search that is started
+        again reads its first generations from the storage, and has the same result as without an
+        interruption.
     advance : callable
-        Called after each generation.
+        Function that is called after each generation.
     """
     with extra_needed("a genetic search", "search"):
         from pymoo.algorithms.moo.nsga2 import NSGA2
@@ -292,7 +299,7 @@ def nsga2(
 
 
 def _kept(checkpoint: Checkpoint, label: str, points: Array, objectives: int) -> Array | None:
-    """Return the objectives that an earlier search found for just these points; None if there are none."""
+    """Return the objectives that an interrupted search stored for these points; None if there are none."""
     known = checkpoint.get(label)
     if known is None or len(known) != points.size + len(points) * objectives:
         return None

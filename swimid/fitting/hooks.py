@@ -1,7 +1,7 @@
-"""Hooks: the places where an effect changes the simulation of a model.
+"""Hooks: functions by which an effect changes the simulation of a model.
 
-The simulation runs from command over actuation, structure, fluid, environment and sensing to the log. An
-effect enters at one of these places as a hook. A model without hooks runs as fast as if there were none.
+A simulation has these parts, in order: command, actuation, structure, fluid, environment, sensing, log. An
+effect changes one or more of these parts by a hook. Without hooks a model simulates at its full speed.
 """
 
 from __future__ import annotations
@@ -18,33 +18,35 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# numba still calls compiled functions as arguments of compiled functions experimental
+# suppress numba's warning that compiled functions as arguments of compiled functions are experimental
 warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)
 
-#: ``force(t, pose, velocity, constants, wrench)``: see :class:`Force`.
+#: Signature ``force(t, pose, velocity, constants, wrench)`` of the function of a :class:`Force`.
 FORCE_SIGNATURE = types.void(
     types.float64, types.float64[::1], types.float64[::1], types.float64[::1], types.float64[::1]
 )
-#: Maximum number of forces in a compiled step: those of three effects, and of one that is tried beside them.
+#: Maximum number of forces in a compiled step: one for each of three effects, and one for an effect that is
+#: tested in addition to them.
 MOST_FORCES = 4
 
 
 @cfunc(FORCE_SIGNATURE, cache=True)
 def no_force(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Add nothing to the wrench."""
+    """Leave the wrench unchanged."""
 
 
 @dataclass(frozen=True)
 class Traceable:
-    """A function of a :class:`Force` that can also be traced with symbols, for batches of simulations.
+    """A function of a :class:`Force` that can also be traced with symbols to simulate batches of trials.
 
     Attributes
     ----------
     function : compiled function
     on : str
-        Link of a robot with links on which it acts: the base, the heaviest or the last.
+        Link on which the force acts, in a robot with links: the base, the heaviest link (``hull``) or the
+        last link.
     constants : int
-        Number of its constants.
+        Number of constants that the function takes.
     """
 
     function: Any
@@ -52,15 +54,15 @@ class Traceable:
     constants: int
 
 
-#: Traceable functions of all modules that have been imported, by module and name.
+#: Traceable functions of all imported modules, by module and function name.
 TRACEABLE: dict[str, Traceable] = {}
 
 
 def traceable(on: Literal["base", "hull", "last"], constants: int) -> Callable[[Callable[..., None]], Any]:
-    """Compile a function of a :class:`Force` that can be traced (see :class:`Traceable`).
+    """Return a decorator that compiles a function of a :class:`Force` that can be traced.
 
-    The function branches on values only by ``max``, ``min`` and ``abs``, and uses only sine and cosine of the
-    heading.
+    The function must branch on values only by ``max``, ``min`` and ``abs``. It may use the heading only in
+    sine and cosine. See :class:`Traceable`.
     """
 
     def compiled(function: Callable[..., None]) -> Any:
@@ -73,27 +75,28 @@ def traceable(on: Literal["base", "hull", "last"], constants: int) -> Callable[[
 
 @dataclass(frozen=True)
 class Force:
-    """A force on one link, computed inside the compiled step."""
+    """A force on one link, evaluated inside the compiled integration step."""
 
-    #: Numba cfunc of :data:`FORCE_SIGNATURE`, by :func:`traceable` if batches of simulations use it. It adds
-    #: to ``wrench`` (fx, fy, moment) at the point, in the axes of the link, N and N m. Its arguments are the
-    #: time (s), the ``pose`` (x, y of the reference point of the base in the world, heading of the link, m
-    #: and rad), the ``velocity`` of the point through the water in the axes of the link and the yaw rate of
-    #: the link, m/s and rad/s, and its ``constants``. A rig has one coordinate: pose[0], velocity[0],
-    #: wrench[0]; velocity[2] is its speed over ground.
+    #: Numba cfunc with :data:`FORCE_SIGNATURE`. If batches of simulations use it, :func:`traceable` must
+    #: compile it. It adds a force (fx, fy, N) and a moment (N m) at the point to ``wrench``, in the axes of
+    #: the link. Its arguments are the time (s), the ``pose``, the ``velocity`` and the ``constants``. The
+    #: ``pose`` is x and y (m) of the reference point of the base in the world, and the heading (rad) of the
+    #: link. The ``velocity`` is that of the point through the water in the axes of the link (m/s), and the
+    #: yaw rate of the link (rad/s). A rig has one coordinate, in pose[0], velocity[0] and wrench[0];
+    #: velocity[2] is the speed of the body over ground.
     function: Any
-    #: Shape (c,).
+    #: Constants that are passed to the function, shape (c,).
     constants: Array
-    #: Index of the link of a robot with links, 0 for the base, -1 for the last.
+    #: Index of the link on which the force acts: 0 for the base, -1 for the last link.
     link: int = 0
-    #: The point in the axes of the link, m.
+    #: Coordinates of the point at which the force acts, in the axes of the link, m.
     x: float = 0.0
     y: float = 0.0
 
 
 @dataclass(frozen=True)
 class Stroke:
-    """A steady beat, for models that average over it; arrays over runs, or single values.
+    """A steady tail beat for models that average over a beat; fields are single values or one value per run.
 
     Attributes
     ----------
@@ -108,40 +111,45 @@ class Stroke:
     inertia_kg_m2: float = float("nan")
 
 
-#: From time (s), angle or signal, and number of the driven joint to the output of the actuator.
+#: Function of time (s), command (angle or signal) and index of the driven joint that returns the output of
+#: the actuator.
 Command = Callable[[Array, Array, int], Array]
-#: From the simulated channels and their times to the channels that the sensors show.
+#: Function of the simulated channels and their times (s) that returns the channels as the sensors measure
+#: them.
 Output = Callable[[dict[str, Array], Array], dict[str, Array]]
-#: From time (s) to displacement (m) and velocity (m/s) of the water in the world, shape (n, 2) each.
+#: Function of time (s) that returns displacement (m) and velocity (m/s) of the water in the world, shape (n,
+#: 2) each.
 Flow = Callable[[Array], tuple[Array, Array]]
 
 
 @dataclass(frozen=True)
 class Hooks:
-    """Functions at the places of a simulation; the functions of each place act in their order."""
+    """Functions that change a simulation. Several functions of one kind act in the given order."""
 
-    #: Change the command of each driven joint, or of the input column of a black-box model.
+    #: Functions that change the command of each driven joint, or the input column of a black-box model.
     command: tuple[Command, ...] = ()
-    #: Change the steady beat of models of the average over a beat.
+    #: Functions that change the steady beat of a model that averages over a beat.
     stroke: tuple[Callable[[Stroke], Stroke], ...] = ()
-    #: Change the tables of a multi-link engine in place: dict of name to array
-    #: (:mod:`swimid.swimmer.planar.engine`, columns ``INERTIA``, ``PASSIVE``, ``DRAG`` ...).
+    #: Functions that change in place the arrays of body properties (dict of name to array) from which a robot
+    #: with links is simulated. :mod:`swimid.swimmer.planar.engine` defines their columns (``INERTIA``,
+    #: ``PASSIVE``, ``DRAG`` ...).
     tables: tuple[Callable[[dict[str, Any]], None], ...] = ()
-    #: Change the coefficients of a model of one equation in place: dict of name to float.
+    #: Functions that change in place the coefficients (dict of name to float) of a model with one equation.
     coefficients: tuple[Callable[[dict[str, float]], None], ...] = ()
-    #: Add forces, at most :data:`MOST_FORCES`.
+    #: Forces that are added, at most :data:`MOST_FORCES`.
     force: tuple[Force, ...] = ()
-    #: Move the water, relative to which all fluid forces act.
+    #: Motions of the water. All fluid forces depend on the velocity relative to the water.
     flow: tuple[Flow, ...] = ()
-    #: Change the output of the sensors.
+    #: Functions that change the output of the sensors.
     output: tuple[Output, ...] = ()
-    #: The log shows events this much earlier.
+    #: Time by which the log shows events too early, s.
     clock_s: float = 0.0
-    #: The log shows events earlier by this share of its time.
+    #: Time by which the log shows events too early, as a fraction of the time in the log. This time is
+    #: added to ``clock_s``.
     clock_drift: float = 0.0
-    #: Identifies the motion: hooks with one key move the robot alike.
+    #: Identifier of the motion: simulations whose hooks have the same key have the same motion.
     key: bytes = b""
-    #: Identifies the commands in the same way.
+    #: Identifier of the commands: simulations whose hooks have the same key have the same commands.
     command_key: bytes = b""
 
     def __add__(self, other: Hooks) -> Hooks:
@@ -149,40 +157,40 @@ class Hooks:
 
     @property
     def moves(self) -> bool:
-        """Whether anything changes the motion itself, and not only how it is seen."""
+        """Whether a hook changes the motion itself, and not only its measurement."""
         return bool(
             self.command or self.stroke or self.tables or self.coefficients or self.force or self.flow
         )
 
     def actuated(self, time_s: Array, command: Array, joint: int = 0) -> Array:
-        """Return the command after all actuation hooks."""
+        """Return the output of the actuator of a driven joint, after all ``command`` hooks."""
         for change in self.command:
             command = change(time_s, command, joint)
         return command
 
     def beaten(self, stroke: Stroke) -> Stroke:
-        """Return the stroke after all stroke hooks."""
+        """Return the steady beat after all ``stroke`` hooks."""
         for change in self.stroke:
             stroke = change(stroke)
         return stroke
 
     def changed(self, values: dict[str, Any], hooks: str) -> dict[str, Any]:
-        """Return ``values`` after all ``tables`` or ``coefficients`` hooks, which work in place."""
+        """Return ``values`` after all ``tables`` or ``coefficients`` hooks, which change them in place."""
         for change in getattr(self, hooks):
             change(values)
         return values
 
     @property
     def late(self) -> bool:
-        """Whether the clock of the log differs from that of the drive."""
+        """Whether the clock of the log differs from the clock of the drive."""
         return self.clock_s != 0.0 or self.clock_drift != 0.0
 
     def happened(self, time_s: Array) -> Array:
-        """Return the times, s, of the events that a log shows at these times."""
+        """Return the true times of the events that the log shows at the given times, s."""
         return time_s - (self.clock_s + self.clock_drift * time_s) if self.late else time_s
 
     def seen(self, channels: Mapping[str, Array], time_s: Array) -> dict[str, Array]:
-        """Return the channels after all sensing hooks."""
+        """Return the channels after all ``output`` hooks."""
         found = dict(channels)
         for change in self.output:
             found = change(found, time_s)

@@ -1,9 +1,10 @@
 """Result of an output-error fit, and errors of any simulation against a measurement, with their limits.
 
-:class:`FitResult` holds estimates, covariance, noise, and every measured series with its simulation. All
-commands use the same errors. A pose has no natural origin and no natural axes, so that its errors are
-relative to each trial's own motion. Positions in the horizontal plane are turned into the trial's mean
-heading (:func:`own_axes`). Ranges and variances are those about each trial's own mean (:func:`score_trials`).
+:class:`FitResult` holds the estimates, their covariance, the noise, and each measured series with its
+simulation. All commands use the same errors. The origin and the axes of a pose are arbitrary, so that errors
+of a pose are relative to each trial's own motion. Horizontal positions are rotated into the mean heading of
+the trial (:func:`own_axes`). Ranges and variances are taken about the mean of each trial
+(:func:`score_trials`).
 """
 
 from __future__ import annotations
@@ -25,14 +26,15 @@ Loss = Literal["linear", "huber"]
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of one channel."""
+    """Noise of one channel, as estimated by a fit."""
 
-    #: Standard deviation of the measured value, in the channel's unit; the root mean square if it differs
-    #: between samples.
+    #: Standard deviation of the measured values, in the unit of the channel. If it differs between samples,
+    #: the root mean square over the samples.
     value_sd: float
-    #: Standard deviation of the time stamps, s; 0 if they are exact.
+    #: Standard deviation of the time stamps, s; 0 if the time stamps are exact.
     time_sd_s: float
-    #: Coefficients of the autoregression of the weighted residuals, shape (p,); empty if they are white.
+    #: Coefficients of the autoregression of the weighted residuals, shape (p,). Empty if the residuals are
+    #: white.
     autoregression: Array
 
 
@@ -43,7 +45,8 @@ class Series:
     trial: str
     role: str
     channel: str
-    #: Shape (n,) each. ``sd`` is the standard deviation of each sample in the noise model.
+    #: Time and values of the samples, shape (n,) each. ``sd`` is the standard deviation of each sample in the
+    #: noise model.
     time_s: Array
     measured: Array
     simulated: Array
@@ -51,36 +54,38 @@ class Series:
 
     @property
     def residual(self) -> Array:
-        """Measured minus simulated, shape (n,), NaN for missing samples."""
+        """Measured minus simulated values, shape (n,); NaN for missing samples."""
         return self.measured - self.simulated
 
     @property
     def weighted(self) -> Array:
-        """Residual over its standard deviation, shape (n,)."""
+        """Residuals divided by the standard deviations of their samples, shape (n,)."""
         return self.residual / self.sd
 
 
 @dataclass(frozen=True)
 class FitResult:
-    """Estimates of a fit, with their covariance and its evidence."""
+    """Result of a fit: estimates, covariance, and the series and numbers that support them."""
 
     model: Model
-    #: As fitted, with the choices of the user.
+    #: Parameters of the fit, with the choices of the user.
     parameters: tuple[Parameter, ...]
     trials: tuple[Trial, ...]
-    #: One label for each unknown: the name of its parameter, or ``name[trial]`` if each trial has its own.
+    #: One label for each unknown: the name of its parameter, or ``name[trial]`` if each trial has its own
+    #: value.
     labels: list[str]
     #: Estimates, shape (p,).
     estimate: Array
-    #: Shape (p, p); NaN for parameters at a bound, and for those that the trials do not see at all.
+    #: Covariance of the estimates, shape (p, p). NaN for parameters at a bound, and for parameters that do
+    #: not affect the residuals.
     covariance: Array
-    #: By label: ``estimated``, ``at-bound`` or ``unidentifiable``.
+    #: Status of each label: ``estimated``, ``at-bound`` or ``unidentifiable``.
     status: dict[str, str]
-    #: Series of fitted and validation trials.
+    #: Series of the fitted and of the validation trials.
     series: list[Series]
-    #: Noise by channel.
+    #: Noise of each channel.
     noise: dict[str, Noise]
-    #: Factor by which the trials differ more than their noise allows (1 if they agree). The covariance
+    #: Factor by which trials differ more than their noise explains; 1 if the trials agree. The covariance
     #: includes it.
     scatter: float
     #: p-value of the test that the trials agree.
@@ -88,30 +93,31 @@ class FitResult:
     samples: int
     converged: bool
     message: str
-    #: Number of simulations of single trials in all searches and tests that led to the answer, without those
-    #: for rates of change at uncertain stamps.
+    #: Number of simulations of single trials in all searches and tests of the fit. Simulations for
+    #: derivatives by time (uncertain time stamps) are not counted.
     evaluations: int
-    #: Largest change of a simulated sample when the integration step is halved, in standard deviations of its
+    #: Largest change of a simulated sample if the integration step is halved, in standard deviations of the
     #: noise.
     step_error: float = 0.0
-    #: The user stopped the search; the estimate is the best one so far.
+    #: The user stopped the search. The estimates are then the best ones so far.
     interrupted: bool = False
-    #: Mean squared residual, averaged geometrically over channels of different units: the exponential of
-    #: twice the negative log-likelihood per sample, less one. Fits of the same samples can be compared by it,
-    #: whatever their weights.
+    #: Mean squared residual, as a geometric mean over channels of different units. It is the exponential of
+    #: (twice the negative log-likelihood per sample, minus one). It compares fits of the same samples, even
+    #: if their weights differ.
     cost: float = math.nan
-    #: Shape (q, p): ``information_root' information_root`` is the inverse of the covariance, also where that
-    #: is singular. Columns of parameters that their bound holds are NaN.
+    #: Square root of the information matrix, shape (q, p): ``information_root' information_root`` is the
+    #: inverse of the covariance. It is accurate even if the covariance is infinite. Columns of parameters
+    #: held at a bound are NaN.
     information_root: Array = field(default_factory=lambda: np.empty((0, 0)))
-    #: ``linear`` or ``huber``.
+    #: Loss function: ``linear`` or ``huber``.
     loss: Loss = "linear"
-    #: Number of derivatives of all residuals in these searches and tests.
+    #: Number of Jacobians computed in all searches and tests of the fit.
     jacobians: int = 0
-    #: Per-trial parameters of validation trials by label, estimated from them with the shared ones held.
+    #: Estimates of the per-trial parameters of validation trials, by label. The shared parameters are held.
     start_states: Mapping[str, float] = field(default_factory=dict)
-    #: Number of restarts near the answer that led to a better one; None if that was not tested.
+    #: Number of restarts near the estimates that led to a better fit; None if no restart was tested.
     restarts: int | None = None
-    #: Whether the last restart led to no better answer.
+    #: The last restart led to no better fit.
     settled: bool = True
 
     @property
@@ -120,19 +126,19 @@ class FitResult:
         return [label for label in self.labels if "[" not in label]
 
     def parameter(self, label: str) -> Parameter:
-        """Return the parameter of an unknown."""
+        """Return the parameter to which the label of an unknown belongs."""
         return next(p for p in self.parameters if p.name == label.split("[")[0])
 
     def series_of(self, channel: str, role: str | None = None) -> list[Series]:
-        """Return the series of a channel, of all trials or of those of one role."""
+        """Return the series of a channel, by default of all trials; otherwise of the trials of one role."""
         return [s for s in self.series if s.channel == channel and role in (None, s.role)]
 
     def at_estimates(self) -> tuple[Parameter, ...]:
-        """Return the parameters; shared ones start at their estimates."""
+        """Return the parameters with the estimates of shared parameters as start values."""
         return tuple(replace(p, start=self.value(p.name)) for p in self.parameters)
 
     def stderr(self, label: str) -> float | None:
-        """Return the standard error of an estimate, or None if it has none."""
+        """Return the standard error of an estimate; None if it has no standard error."""
         if label not in self.labels:
             return None
         index = self.labels.index(label)
@@ -140,7 +146,7 @@ class FitResult:
         return math.sqrt(variance) if math.isfinite(variance) and variance >= 0 else None
 
     def value(self, name: str, trial: str | None = None) -> float:
-        """Return the value of a parameter, estimated or fixed; of one trial if it is per trial."""
+        """Return the value of a parameter, estimated or fixed; in one trial for a per-trial parameter."""
         for label in (f"{name}[{trial}]", name):
             if label in self.labels:
                 return float(self.estimate[self.labels.index(label)])
@@ -149,43 +155,44 @@ class FitResult:
         return next(p.start for p in self.parameters if p.name == name)
 
     def values(self, trial: str) -> Array:
-        """Return the values of all parameters in one trial."""
+        """Return the values of all parameters in one trial, in the order of the model."""
         return np.array([self.value(p.name, trial) for p in self.parameters])
 
 
 # ---------------------------------------------------------------- errors
 
 
-#: Largest error over the measured range of a channel that is described well, and of one that is usable.
+#: Maximum error for a good and for a usable description of a channel, as fractions of its measured range.
 GOOD, USABLE = 0.15, 0.30
-#: The same limits for the mean speeds of trials, over the measured speeds.
+#: Maximum error of the mean speed of trials for a good and a usable model, as fractions of the measured
+#: speed.
 GOOD_SPEED, USABLE_SPEED = 0.10, 0.25
 
 
 @dataclass(frozen=True)
 class Score:
-    """Error of one channel."""
+    """Errors of one channel."""
 
-    #: Root-mean-square error, in the channel's unit.
+    #: Root-mean-square error, in the unit of the channel.
     rmse: float
-    #: Root-mean-square error over the measured range (maximum minus minimum); of a pose, the root mean square
-    #: of the trials' own.
+    #: Root-mean-square error divided by the measured range (maximum minus minimum). For a pose with several
+    #: trials, the range is the root mean square of the ranges of the trials.
     nrmse: float
     #: Variance accounted for, ``1 - var(error) / var(measured)``.
     vaf: float
-    #: ``100 (1 - |error| / |measured - mean|)``, as MATLAB's ``compare`` prints it.
+    #: Fit in percent, ``100 (1 - |error| / |measured - mean|)``, as MATLAB's ``compare`` prints it.
     fit_percent: float
-    #: Mean error, measured minus simulated.
+    #: Mean error, measured minus simulated, in the unit of the channel.
     bias: float
     samples: int
 
     def as_dict(self, unit: str) -> dict[str, Any]:
-        """Return the score as a parameter file holds it."""
+        """Return the errors as an entry of the parameter file."""
         return {**asdict(self), "unit": unit}
 
 
 def score(measured: Array, simulated: Array) -> Score:
-    """Compare two series, shape (n,), without samples missing in either; NaN if nothing is left.
+    """Compare two series, shape (n,). Samples missing in either are left out; NaN without samples.
 
     >>> score(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 2.0])).fit_percent
     100.0
@@ -198,7 +205,17 @@ def score(measured: Array, simulated: Array) -> Score:
 
 
 def _scored(error: Array, span: float, variance: float, missed: float) -> Score:
-    """Return the score of errors, from range and variance of the measurement and variance of the errors."""
+    """Return the errors of a channel, given the range and variance of the measurement.
+
+    Parameters
+    ----------
+    error : ndarray, shape (n,)
+        Measured minus simulated values.
+    span, variance : float
+        Range and variance of the measured values.
+    missed : float
+        Variance of the errors.
+    """
     rmse = float(np.sqrt(np.mean(error**2)))
     return Score(
         rmse=rmse,
@@ -211,26 +228,26 @@ def _scored(error: Array, span: float, variance: float, missed: float) -> Score:
 
 
 def _ratio(value: float, size: float) -> float:
-    """Return a value over a size; NaN unless the size is positive."""
+    """Return a value divided by a size; NaN unless the size is positive."""
     if size > 0:
         return value / size
     return math.nan
 
 
 def score_trials(parts: Sequence[tuple[Array, Array]], *, own_motion: bool) -> Score:
-    """Score one channel over several trials.
+    """Compute the errors of one channel over several trials.
 
     Parameters
     ----------
     parts : sequence of (ndarray, ndarray), each shape (n_k,)
         Measured and simulated values of each trial.
     own_motion : bool
-        The channel is part of a pose: range and variance are about each trial's own mean. Otherwise they are
-        those of all trials together.
+        Whether the channel belongs to a pose. Range and variance are then taken about the mean of each trial.
+        Otherwise they are taken over all trials together.
 
     Examples
     --------
-    Two trials that head in different directions, each with the same motion and the same error:
+    Two trials with different headings have the same motion and the same error:
 
     >>> wave = np.array([0.0, 1.0, 0.0, -1.0])
     >>> pair = (wave, 0.5 * wave)
@@ -252,7 +269,7 @@ def score_trials(parts: Sequence[tuple[Array, Array]], *, own_motion: bool) -> S
 
 
 def pose_channels(model: Model) -> tuple[str, ...]:
-    """Return the channels of the pose of a robot that moves freely; none for any other model."""
+    """Return the pose channels of a robot that moves freely; an empty tuple for any other model."""
     if model.swimmer is None or not model.swimmer.free_base:
         return ()
     return tuple(model.swimmer.pose)
@@ -261,18 +278,19 @@ def pose_channels(model: Model) -> tuple[str, ...]:
 def own_axes(
     measured: Mapping[str, Array], simulated: Mapping[str, Array]
 ) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Turn the horizontal position of one trial into the trial's own axes.
+    """Rotate the horizontal positions of one trial into the trial's own axes.
 
     Parameters
     ----------
     measured, simulated : mapping of channel name to ndarray, each shape (n,)
-        The axes are along and across the mean measured heading. Without a measured heading the first axis
-        points from the first to the last measured position.
+        Series of the trial. The axes are along and across the mean measured heading. Without a measured
+        heading the first axis points from the first to the last measured position.
 
     Returns
     -------
     measured, simulated : dict of channel name to ndarray
-        ``x_m`` is the coordinate along, ``y_m`` the one across. Without both, the series are unchanged.
+        Series in which ``x_m`` is the coordinate along, and ``y_m`` the coordinate across the mean heading.
+        If ``x_m`` or ``y_m`` is missing, the series are unchanged.
 
     Examples
     --------
@@ -301,7 +319,7 @@ def own_axes(
 
 
 def peak_error(measured: Array, simulated: Array) -> tuple[float, float]:
-    """Compute the difference of the largest magnitudes, and its ratio to the measured one.
+    """Compute the difference between the largest magnitudes of two series, and its ratio to the measured one.
 
     This is Eq 14 of the T-Fish paper. Samples missing in either series, shape (n,), are left out.
 
@@ -317,20 +335,21 @@ def peak_error(measured: Array, simulated: Array) -> tuple[float, float]:
 
 
 def dtw_distance(measured: Array, simulated: Array, *, band: int) -> float:
-    """Compute the dynamic-time-warping distance per sample: the error if time may be stretched.
+    """Compute the dynamic-time-warping distance, which is the error if time may be stretched.
 
     Parameters
     ----------
     measured, simulated : ndarray, shape (n,) or (n, d)
-        On one clock of constant steps; d series are warped as one. Samples missing in either are left out.
+        Two series at the same times with constant steps. The d columns are warped together. Samples missing
+        in either series are left out.
     band : int
-        Maximum shift between the two, in samples (Sakoe and Chiba, 1978). With 0 the distance is the
-        root-mean-square error, which it never exceeds.
+        Maximum shift between the two series, in samples (Sakoe and Chiba, 1978). With 0 the distance is the
+        root-mean-square error. With a larger shift it is at most the root-mean-square error.
 
     Returns
     -------
     float
-        Root of the least sum of squares over n, in the channel's unit.
+        Square root of the minimum sum of squared differences divided by n, in the unit of the channel.
 
     >>> late = np.array([0.0, 0.0, 1.0, 0.0])
     >>> dtw_distance(np.array([0.0, 1.0, 0.0, 0.0]), late, band=1)
@@ -346,20 +365,21 @@ def dtw_distance(measured: Array, simulated: Array, *, band: int) -> float:
 
 
 def phase_error(measured: Array, simulated: Array, time_s: Array, *, frequency_hz: float) -> float:
-    """Compute the phase of the simulation ahead of the measurement at one frequency.
+    """Compute the phase by which the simulation leads the measurement at one frequency.
 
     Parameters
     ----------
     measured, simulated, time_s : ndarray, shape (n,)
-        Samples missing in either are left out; the time steps may be uneven.
+        Series and their times. Samples missing in either series are left out. The time steps may be uneven.
     frequency_hz : float
-        Frequency of the beat. A sine of this frequency, a constant and a trend are fitted to both.
+        Frequency of the beat. A sine of this frequency, a constant and a linear trend are fitted to both
+        series.
 
     Returns
     -------
     float
-        Phase in (-pi, pi], rad; positive if the simulation is early. NaN if a series has no part at that
-        frequency, or fewer than five samples.
+        Phase in (-pi, pi], rad; positive if the simulation is early. NaN if a series has no component at the
+        frequency, or if fewer than five samples exist.
 
     >>> t = np.linspace(0.0, 4.0, 200)
     >>> early = 0.3 * np.sin(2 * np.pi * t + 0.5)
@@ -382,7 +402,7 @@ def phase_error(measured: Array, simulated: Array, time_s: Array, *, frequency_h
 
 
 def _both(measured: Array, simulated: Array) -> tuple[Array, Array]:
-    """Return two series without the samples that are missing in either."""
+    """Return two series without the samples that are missing in either of them."""
     there = np.isfinite(measured) & np.isfinite(simulated)
     if there.ndim > 1:
         there = np.asarray(there.all(axis=1))
@@ -391,10 +411,10 @@ def _both(measured: Array, simulated: Array) -> tuple[Array, Array]:
 
 @numba.njit(cache=True, nogil=True)
 def warping_cost(a: Array, b: Array, band: int) -> float:
-    """Return the least sum of squared distances along a warping path, shape (n, d) both.
+    """Return the minimum sum of squared distances along a warping path; both series have the shape (n, d).
 
-    Two rows of the cost matrix are kept. The path lies at most ``band`` cells off the diagonal (Sakoe and
-    Chiba, 1978).
+    The path lies at most ``band`` cells off the diagonal (Sakoe and Chiba, 1978). Only two rows of the cost
+    matrix are stored.
     """
     n = len(a)
     before = np.full(n + 1, np.inf)
@@ -411,7 +431,7 @@ def warping_cost(a: Array, b: Array, band: int) -> float:
 
 
 def warm_up() -> None:
-    """Compile the kernel of this module."""
+    """Compile the numba function of this module before its first use."""
     warping_cost(np.zeros((2, 1)), np.ones((2, 1)), 1)
 
 
@@ -421,18 +441,19 @@ def warm_up() -> None:
 def error_checks(
     scores: Mapping[str, Any], *, fitted: Iterable[str], noise: Iterable[str] = (), held_out: bool = False
 ) -> list[ev.Check]:
-    """Check the errors of channels against their limits.
+    """Check the errors of channels against the limits :data:`GOOD` and :data:`USABLE`.
 
     Parameters
     ----------
     scores : mapping of channel name to Score, or to an object with ``nrmse`` and ``vaf``
-        Errors over all trials.
+        Errors of each channel over all trials.
     fitted : iterable of str
-        Channels that the parameters were fitted to. There a negative variance accounted for is a failure.
+        Channels to which the parameters were fitted. For these channels a negative variance accounted for
+        fails.
     noise : iterable of str
-        Channels whose residuals are white. Their errors are noise, however large.
+        Channels whose residuals are white. Their errors are noise, and are not judged.
     held_out : bool
-        The trials were held out.
+        The trials were held out. The names of the checks then say so.
     """
     where = "held-out " if held_out else ""
     found = []
@@ -461,7 +482,7 @@ def error_checks(
 def share_check(
     name: str, share: float | None, good: float, usable: float, of: str, text: str = ""
 ) -> ev.Check:
-    """Check a share against two limits: above the first is a warning, above the second a failure."""
+    """Check a fraction against two limits: it passes up to ``good`` and fails above ``usable``."""
     value = math.inf if share is None or math.isnan(share) else share
     shown = numbers.percent(share)
     return ev.check(

@@ -1,8 +1,9 @@
-"""Usual mistakes in trials: transformations of the data or of the drive after which the model may fit.
+"""Common recording mistakes, and a search for the one that explains why a trial does not fit.
 
-Examples are a heading from the tail, a mirrored axis, a unit and a sign. Such a mistake in one trial, or in
-all, makes every fit bad and looks like a missing effect. Each one is undone in turn, and the model is
-compared with the trial again. Nothing is changed: the result is a sentence.
+Examples are a heading of the tail instead of the body, a mirrored axis, a wrong unit and a wrong sign. Such a
+mistake makes every fit bad and looks like a missing effect. Each known mistake is undone in turn by a
+transformation of the data or of the drive, and the model is compared with the trial again. The data stay
+unchanged: the result is a sentence.
 """
 
 from __future__ import annotations
@@ -25,10 +26,10 @@ from swimid.notices import recorded
 from swimid.results import evidence as ev
 from swimid.results import numbers
 
-#: Factors between units of length that are confused.
+#: Factors between units of length that are often confused.
 FACTORS = (10.0, 100.0, 1000.0, 0.1, 0.01, 0.001)
 DEGREE = math.pi / 180.0
-#: Factors on the amplitude of a drive, and on the motion of all driven joints.
+#: Factors on the amplitude of a drive, and factors on the motion of all driven joints, by description.
 AMPLITUDES = {
     "twice the amplitude of the drive": 2.0,
     "half the amplitude of the drive": 0.5,
@@ -42,25 +43,25 @@ JOINTS = {
     "the driven joints multiplied by 2": 2.0,
     "the driven joints multiplied by 0.5": 0.5,
 }
-#: Twice the logarithm of a Bayes factor that is decisive (Kass and Raftery, J. Am. Stat. Assoc. 90, 1995).
-#: Twice the logarithm of the number of alternatives comes on top.
+#: Minimum evidence for a mistake: twice the logarithm of a decisive Bayes factor (Kass and Raftery, J. Am.
+#: Stat. Assoc. 90, 1995). The allowance for the number of alternatives is subtracted from the evidence first.
 DECISIVE = 10.0
 #: Maximum number of mistakes that are tested by a new fit.
 MAX_REFITS = 4
-#: Relative tolerance of start states while mistakes are tried.
+#: Relative tolerance of the estimates of start states during the search for mistakes.
 START_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
 class Mistake:
-    """A transformation that undoes a mistake.
+    """A recording mistake, and the transformation that undoes it.
 
     Attributes
     ----------
     says : str
-        In words that follow "With": ``yaw + 180 degrees``.
+        Description of the correction, which follows the word "With" in a sentence: ``yaw + 180 degrees``.
     undo : callable
-        From a trial to the corrected one; None where the trial has nothing to correct.
+        Function from a trial to the corrected trial. It returns None if the trial has nothing to correct.
     """
 
     says: str
@@ -70,9 +71,10 @@ class Mistake:
 class Misfit(NamedTuple):
     """Error of one channel of one trial."""
 
-    #: Over the measured range.
+    #: Root-mean-square error, divided by the measured range of the channel.
     nrmse: float
-    #: The same, of both coordinates of a position together: independent of the direction of the axes.
+    #: For a coordinate of a position: root-mean-square error of both coordinates, divided by their joint
+    #: range, which does not depend on the direction of the axes. For other channels: ``nrmse``.
     relative: float
     #: Number of independent samples in the residual.
     independent: float
@@ -84,17 +86,17 @@ class Explanation(NamedTuple):
     Attributes
     ----------
     says : str
-        The mistake.
+        Description of the mistake.
     trials : tuple of str
-        Trials that it was undone in.
+        Trials in which the mistake was undone.
     everywhere : bool
-        These are all trials.
+        Whether the mistake was undone in all trials.
     channel : str
-        The channel whose error falls most.
+        Channel whose error falls most.
     before, after : float
-        Its error over the measured range.
+        Error of the channel before and after the correction, divided by its measured range.
     gain : float
-        Twice the logarithm of the likelihood ratio, less the allowance for the number of alternatives.
+        Twice the logarithm of the likelihood ratio, minus twice the logarithm of the number of alternatives.
     """
 
     says: str
@@ -107,7 +109,7 @@ class Explanation(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """The explanation as it is reported."""
+        """Explanation as a sentence of the report."""
         where = "all trials" if self.everywhere else f"trial {', '.join(self.trials)}"
         return (
             f"With {self.says} in {where} the error of {self.channel} falls from "
@@ -123,7 +125,7 @@ Evaluate = Callable[[Trial], Errors]
 
 
 def catalogue(model: Model, trials: Sequence[Trial]) -> list[Mistake]:
-    """List the transformations that apply to the trials of a model."""
+    """List the mistakes that can occur in the trials of a model."""
     names = list(dict.fromkeys(c for t in trials for c in (*t.measured, *t.inputs)))
     pose = metrics.pose_channels(model)
     units = {c.name: c.unit for c in model.channels}
@@ -161,7 +163,7 @@ def catalogue(model: Model, trials: Sequence[Trial]) -> list[Mistake]:
 def _changed(
     model: Model, says: str, factors: Mapping[str, float], offsets: Mapping[str, float] | None = None
 ) -> Mistake:
-    """Return a mistake that changes channels to ``factor * value + offset``, and the start pose too."""
+    """Return a mistake whose correction changes channels and start pose to ``factor * value + offset``."""
     offsets = offsets or {}
     pose = metrics.pose_channels(model)
     changes = {**dict.fromkeys(offsets, 1.0), **factors}
@@ -179,7 +181,7 @@ def _changed(
                 changes.get(n, 1.0) * p + offsets.get(n, 0.0) for n, p in zip(pose, swim.pose, strict=False)
             ]
             swim = replace(swim, pose=(*moved, *swim.pose[len(moved) :]))
-        # start velocities were read off the channels as they are
+        # discard the initial velocities, which were estimated from the uncorrected channels
         starts = {n: v for n, v in trial.starts.items() if not n.startswith("initial_")}
         return replace(
             trial, measured=changed(trial.measured), inputs=changed(trial.inputs), swim=swim, starts=starts
@@ -189,7 +191,7 @@ def _changed(
 
 
 def _driven(trial: Trial, *, factor: float) -> Trial | None:
-    """Return the trial with another amplitude of its beat; None without a beat."""
+    """Return the trial with the amplitude of its beat multiplied by a factor; None without a beat."""
     beat = trial.swim.beat
     if beat is None or not beat.amplitude_rad:
         return None
@@ -198,7 +200,7 @@ def _driven(trial: Trial, *, factor: float) -> Trial | None:
 
 
 def _joint(trial: Trial, *, factor: float, number: int | None = None) -> Trial | None:
-    """Return the trial with the motion of one joint, or of all, times a factor; None without joints."""
+    """Return the trial with the motion of one joint or all joints times a factor; None without joints."""
     if trial.swim.joints is None:
         return None
 
@@ -214,7 +216,7 @@ def _joint(trial: Trial, *, factor: float, number: int | None = None) -> Trial |
 
 
 def _steady(trial: Trial) -> Trial | None:
-    """Return the trial with a start in steady swimming; None if it has one, or no drive."""
+    """Return the trial with a start in steady swimming; None if it has such a start or has no drive."""
     if trial.swim.drive is None or trial.swim.steady:
         return None
     return replace(trial, swim=trial.swim.begun())
@@ -224,7 +226,7 @@ def _steady(trial: Trial) -> Trial | None:
 
 
 def misfits(trial: Trial, simulated: Mapping[str, Array]) -> dict[str, Misfit]:
-    """Compute the errors of the measured channels of a trial, relative to the trial's own motion."""
+    """Compute the errors of the measured channels of a trial, with positions in the trial's own axes."""
     measured, simulated = metrics.own_axes(trial.measured, simulated)
     known = [name for name in measured if name in simulated]
     scores = {name: metrics.score(measured[name], simulated[name]) for name in known}
@@ -246,19 +248,20 @@ def misfits(trial: Trial, simulated: Mapping[str, Array]) -> dict[str, Misfit]:
 def _independent(residual: Array) -> float:
     """Return the number of independent samples in a coloured series, ``n / (1 + 2 sum rho_k^2)``.
 
-    This is Bartlett's formula for the variance of a sample variance, over lags up to a quarter of the record.
+    This is Bartlett's formula for the variance of a sample variance. Lags up to a quarter of the record are
+    used.
     """
     count = int(np.isfinite(residual).sum())
     if count < 8 or not np.nanvar(residual) > 0.0:
         return float(count)
     rho = autocorrelation(residual, max_lag=count // 4).values
-    # the squares of a white series sum to their number over n
+    # for white noise the expected sum of the squared correlations is their number divided by n
     excess = float(np.nansum(rho[1:] ** 2)) - (len(rho) - 1) / count
     return count / (1.0 + 2.0 * max(excess, 0.0))
 
 
 def gain(before: Errors, after: Errors) -> float:
-    """Return twice the logarithm of a trial's likelihood ratio, from the independent samples that remain."""
+    """Return twice the logarithm of a trial's likelihood ratio, based on its independent samples."""
     shared = [name for name in after if name in before]
     return float(
         sum(2.0 * after[n].independent * math.log(before[n].relative / after[n].relative) for n in shared)
@@ -273,7 +276,8 @@ def screened(
     Returns
     -------
     list of (Mistake, dict of trial id to (Trial, Errors, gain))
-        The best first: by the gain of the trials in which the error falls.
+        Mistakes with the corrected trials, sorted by the sum of the gains of the trials in which the error
+        falls.
     """
     found = []
     for mistake in mistakes:
@@ -282,10 +286,11 @@ def screened(
             changed = mistake.undo(trial)
             if changed is None or trial.id not in before:
                 continue
-            # models keep what they simulated by the id of the trial
+            # give the corrected trial an id of its own, because models cache simulations by the id of the
+            # trial
             changed = replace(changed, id=f"{trial.id} ({mistake.says})")
             try:
-                # a correction that cannot be simulated is no problem of the recording
+                # ignore a correction that cannot be simulated
                 with recorded():
                     after = evaluate(changed)
             except (NoTrustworthyResult, np.linalg.LinAlgError):
@@ -305,16 +310,16 @@ def explained(
     before: Mapping[str, Errors],
     after: Mapping[str, Errors],
 ) -> Explanation | None:
-    """Return the explanation, if the errors fall decisively and to those of a good model; else None.
+    """Return the explanation if the errors fall decisively and to those of a good model; None otherwise.
 
     Parameters
     ----------
     trials : sequence of str
         Trials in which the mistake was undone.
     count, tried : int
-        Number of all trials, and of alternatives tried.
+        Number of all trials, and number of alternatives that were tested.
     before, after : mapping of trial id to Errors
-        Of all trials that changed.
+        Errors of all corrected trials, before and after the correction.
     """
     total = sum(gain(before[k], after[k]) for k in after) - 2.0 * math.log(max(tried, 1))
     if not trials or total < DECISIVE or any(m.nrmse > GOOD for k in trials for m in after[k].values()):
@@ -334,7 +339,7 @@ def explained(
 
 
 def check(found: Explanation | None, count: int) -> ev.Check:
-    """Report the search for usual mistakes, ``count`` of which were tried."""
+    """Report the result of the search for common mistakes; ``count`` is the number of mistakes tested."""
     if found is None:
         return ev.check("usual mistakes", f"none of {count} found", None)
     text = f"{found.sentence} Check how these data were recorded; nothing was changed"
@@ -343,7 +348,7 @@ def check(found: Explanation | None, count: int) -> ev.Check:
 
 
 def is_suspect(checks: Iterable[ev.Check], errors: Mapping[str, Errors]) -> bool:
-    """Whether a result calls for the search: a check fails, or a trial is not described."""
+    """Return whether to search for mistakes: a check fails, or the error of a trial exceeds ``USABLE``."""
     return any(c.verdict == "fail" for c in checks) or any(
         m.nrmse > USABLE for trial in errors.values() for m in trial.values()
     )

@@ -1,8 +1,8 @@
 """The interface of every model.
 
-A model is a robot with an experiment. It has parameters with units and bounds, output channels, and a
-function that simulates a trial from parameter values. Fits, comparisons, diagnoses and reports use only this
-interface, so that a new model is one new class.
+A model describes one robot in one kind of experiment. It has parameters with units and bounds, output
+channels, and a function that simulates a trial from parameter values. Fits, comparisons, diagnoses and
+reports use only this interface, so that a new model needs only one new class.
 """
 
 from __future__ import annotations
@@ -25,11 +25,12 @@ from swimid.fitting.hooks import NONE, Hooks
 from swimid.progress import Progress, silent
 
 Array = NDArray[np.float64]
-#: Channels of a position.
+#: Channels of the position, by axis.
 POSITIONS = ("x_m", "y_m", "z_m")
 #: Channel of the mean speed of a timed run.
 MEAN_SPEED = "mean_speed_m_s"
-#: Number of segments into which a track is cut to find its speed, so that noise does not lengthen it.
+#: Number of segments into which a track is divided to compute its speed. With longer segments, measurement
+#: noise does not lengthen the path.
 STRETCHES = 12
 Entry = TypeVar("Entry")
 Outcome = TypeVar("Outcome")
@@ -42,27 +43,28 @@ class Parameter:
     Attributes
     ----------
     name, unit : str
-        Unit in SI, ``"1"`` if there is none.
+        Name, and unit in SI; ``"1"`` if the parameter has no unit.
     lower, upper : float
-        Bounds; infinite if there is none.
+        Bounds; infinite if there is no bound.
     start : float
-        Start of the search, and the value of a fixed parameter.
+        Start value of the search. A fixed parameter has this value.
     scale : float
-        Typical size. It sets the steps of finite differences, and the uncertainty that still counts as an
-        estimate if the value is near zero.
+        Typical scale of the parameter. It sets the steps of finite differences. If the value is near zero,
+        the scale replaces the value in the limit of the standard error of an identifiable parameter.
     free : bool
-        Estimated, unless the user says otherwise.
+        Whether a fit estimates the parameter by default.
     per_trial : bool
-        Each trial has a value of its own (a start offset, for example).
+        Whether each trial has its own value of the parameter (a start offset, for example).
     meaning, source : str
-        For the report.
+        Description and source of the parameter, for the report.
     known : float, optional
-        Value from elsewhere: published, or measured in another way.
+        Known value from another source: published, or measured in another way.
     spread : float
-        Standard deviation between trials of a random effect, which is normal about the start. Infinite if the
-        parameter is no random effect.
+        Standard deviation between trials of a random effect, which has a normal distribution about the start
+        value. Infinite if the parameter is no random effect.
     kinked : bool
-        The motion has kinks in it (a body that sticks and slips), so that searches start from several sizes.
+        Whether the simulation is a non-smooth function of the parameter, as for a body that sticks and slips.
+        Searches then start from several values.
     """
 
     name: str
@@ -81,7 +83,7 @@ class Parameter:
 
     @property
     def bounds(self) -> tuple[float | None, float | None]:
-        """Bounds as files hold them, None for infinity."""
+        """Bounds as files store them: None for infinity."""
         lower, upper = (b if math.isfinite(b) else None for b in (self.lower, self.upper))
         return lower, upper
 
@@ -93,11 +95,11 @@ class Channel:
     Attributes
     ----------
     name : str
-        Its column in a log, with the unit as its suffix: ``"u_m_s"``.
+        Name of the column in a log, with the unit as its suffix: ``"u_m_s"``.
     unit : str
-        In SI: ``"m/s"``.
+        Unit in SI: ``"m/s"``.
     meaning : str
-        For figures and tables.
+        Description for figures and tables.
 
     Examples
     --------
@@ -112,31 +114,32 @@ class Channel:
 
 @dataclass(frozen=True)
 class Trial:
-    """A recorded trial, as a model uses it.
+    """A recorded trial as models use it.
 
     Attributes
     ----------
     id : str
     role : str
-        ``"fit"`` or ``"validate"``.
+        Role in a fit: ``"fit"`` or ``"validate"``.
     time_s : ndarray, shape (n,)
     measured : dict of channel name to ndarray, each shape (n,)
-        NaN for missing samples.
+        Measured values; NaN for missing samples.
     inputs : dict of name to ndarray
-        Measured inputs at the same samples.
+        Measured inputs at the same sample times.
     rig, swim, cruise, surge : RigInput, SwimInput, CruiseInput, SurgeInput
-        Known quantities beside the samples (a pulling force, a beat), resolved for the robot.
+        Known quantities in addition to the samples (a pulling force, a beat), with the values for the robot.
     starts : dict of parameter name to float
-        Starts of its own parameters, as its log suggests.
+        Start values of per-trial parameters, estimated from the log.
     held : tuple of str
         Per-trial parameters that are not estimated in this trial.
     value_sd : dict of channel name to ndarray or float
-        Known shape of the measurement error, whose size is still estimated. Without it and without
-        ``time_sd_s`` the error of a channel is constant.
+        Known shape of the measurement error. Its size is estimated. If neither ``value_sd`` nor ``time_sd_s``
+        is given, the error of a channel is constant.
     time_sd_s : float
-        Known standard deviation of the time stamps.
+        Known standard deviation of the time stamps, s.
     stamps_uncertain : bool
-        The stamps have an error of unknown size, which is estimated beside that of the values.
+        Whether the time stamps have an error of unknown size. Its size is estimated together with that of the
+        measured values.
     """
 
     id: str
@@ -156,7 +159,7 @@ class Trial:
 
     @property
     def steady(self) -> tuple[Array, Array]:
-        """Frequency (Hz) and amplitude (rad) of each run's steady beat, shape (runs,); NaN without one."""
+        """Frequency (Hz) and amplitude (rad) of the steady beat of each run, shape (runs,); else NaN."""
         frequency = self.inputs.get("frequency_hz", self.surge.frequency_hz)
         amplitude = self.inputs.get("amplitude_rad", self.surge.amplitude_rad)
         found, size = np.broadcast_arrays(np.atleast_1d(frequency), np.atleast_1d(amplitude))
@@ -171,9 +174,9 @@ class Rig:
     ----------
     displacement, speed : Channel
     rotation : bool
-        The body turns about the coordinate; otherwise it moves along it.
+        Whether the coordinate is an angle. Otherwise it is a position.
     swings : bool
-        A restoring force brings the body back (free decay); otherwise it is pulled from place to place.
+        Whether a restoring force moves the body back (free decay). Otherwise an applied force moves the body.
     """
 
     displacement: Channel
@@ -183,34 +186,36 @@ class Rig:
 
 
 class Model(ABC):
-    """A model, as fits, comparisons and diagnoses use it.
+    """A model as fits, comparisons and diagnoses use it.
 
-    A model also states how it differs from others: its coordinate on a :attr:`rig`, its :attr:`body` of
-    links, its :attr:`axes`, its :meth:`scales` and its :meth:`commands`. A model of your own needs ``name``,
-    ``parameters``, ``channels`` and :meth:`simulate`.
+    A user-defined model needs ``name``, ``parameters``, ``channels`` and :meth:`simulate`. Other members
+    state properties that only some models have: the coordinate on a :attr:`rig`, the links (:attr:`body`),
+    the :attr:`axes`, the typical scales (:meth:`scales`) and the :meth:`commands`.
 
     Attributes
     ----------
     name : str
-        Name in the parameter file.
+        Name of the model in the parameter file.
     parameters : tuple of Parameter
-        In the order of the values that :meth:`simulate` takes.
+        Parameters, in the order of the values that :meth:`simulate` takes.
     channels : tuple of Channel
-        Channels that it simulates.
+        Channels that the model simulates.
     abscissa : str
-        Label of the axis of a trial's ``time_s`` in figures.
+        Label of the horizontal axis (``time_s`` of a trial) in figures.
     offers : frozenset of str
-        Hooks (:class:`swimid.fitting.hooks.Hooks`) that :meth:`hooked` supports.
+        Names of the hooks (:class:`swimid.fitting.hooks.Hooks`) that :meth:`hooked` supports.
     force_unit : str
-        Unit of the forces in its equation: N, N m of an angle, m/s^2 per mass.
+        Unit of the forces in the equation of motion: N, N m for an angle, m/s^2 for a force per mass.
     timed_runs : bool
-        Its trials are tables of runs timed over ``distance_m``, and its one channel is their mean speed.
+        Whether trials are tables of runs timed over ``distance_m``. Their only channel is the mean speed of
+        the runs.
     has_gaps : bool
-        Its output is missing where its input is.
+        Whether the output is missing at the samples at which the input is missing.
     in_space : bool
-        It is a robot with links that moves in space, stroke by stroke, and not in a plane.
+        Whether the model is a robot with links that moves in 3-D, and not in a plane. It is simulated for one
+        stroke cycle after the other.
     groups : mapping of str to tuple of str
-        Names of shared parameters (:class:`Tied`), and the parameters that share each.
+        Names of shared parameters (:class:`Tied`), each with the parameters that it replaces.
 
     Examples
     --------
@@ -249,54 +254,54 @@ class Model(ABC):
 
     @property
     def swimmer(self) -> Any:
-        """The model itself if it is a robot with links (:class:`swimid.swimmer.model.Swimmer`); else None."""
+        """The model itself if it has links (:class:`swimid.swimmer.model.Swimmer`); None for other models."""
         return None
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Axes of the world along which the body moves from place to place."""
+        """World axes along which the body can travel."""
         return ("x",)
 
     def scales(self, trials: Sequence[Trial]) -> Scales:
-        """Return typical sizes of trials."""
+        """Return the typical scales of the quantities in trials."""
         return Scales(self, trials)
 
     def origin(self, trial: Trial) -> dict[str, float]:
-        """Return the start of a trial's positions by channel; channels that are not named start at zero."""
+        """Return the initial position of a trial by channel; channels that are not named start at zero."""
         return {}
 
     def stated(self) -> dict[str, float]:
-        """Return the values of parameters that the robot file states, where a fit does not start."""
+        """Return the parameter values that the robot file states, if a fit starts from other values."""
         return {}
 
-    # -------------------------------------------------------- what drives it
+    # -------------------------------------------------------- drive
 
     def commanded(self, trial: Trial) -> bool:
-        """Whether the actuators follow a command in a trial; a measured joint angle is their output."""
+        """Return whether the input of a trial is a command, and not the measured output of the actuators."""
         return True
 
     def commands(self, trial: Trial) -> Iterator[tuple[Array, Array, float]]:
-        """Yield time (s), command and largest known rate (per s) of each actuator that follows a command."""
+        """Yield the time (s), the command and its maximum known rate (per s) for each commanded actuator."""
         return iter(())
 
     def onset(self, trial: Trial) -> float:
-        """Return the begin of the run, s: zero with a drive, else the first sample of the log."""
+        """Return the start time of the simulation, s: zero with a drive, else the first sample of the log."""
         if trial.swim.drive is not None:
             return 0.0
         return float(trial.time_s[0])
 
     def beats(self, trials: Sequence[Trial]) -> list[float]:
-        """Return the known frequencies of the drive, Hz."""
+        """Return the known drive frequencies of the trials, Hz."""
         return [float(t.swim.drive.frequency_hz) for t in trials if t.swim.drive is not None]
 
     def given(self, trial: Trial) -> list[str]:
-        """Return the channels that drive a trial as measured, and that the model does not predict."""
+        """Return the measured channels that are inputs of the model in a trial, and no predictions of it."""
         return []
 
     # -------------------------------------------------------- simulation
 
     def at_own_level(self, values: Array, trial: Trial) -> tuple[Model, dict[str, float]]:
-        """Return the model at the working point of a trial, and the estimates for it; itself without one."""
+        """Return the model with a trial's own output offset, and this offset; unchanged if it has none."""
         return self, {}
 
     def prepare(  # noqa: B027
@@ -307,17 +312,17 @@ class Model(ABC):
         affected_s: float = 0.0,
         checkpoint: Checkpoint | None = None,
     ) -> None:
-        """Compile the simulation, if that pays, with a progress bar.
+        """Compile the simulation if the compilation saves time, and show a progress bar.
 
         Parameters
         ----------
         simulated_s : float, s
-            Time to be simulated, over all trials: it limits the time for compiling.
+            Time to be simulated, summed over all trials. It limits the time that is spent on compiling.
         affected_s : float, s
-            The part of it with effects that bring forces, or with elements that the model does not have. The
-            modules of the effects have been imported, also those of the user.
+            Part of ``simulated_s`` with effects that add forces, or with elements that the model does not
+            have. The modules of all effects, including those of the user, must have been imported.
         checkpoint : Checkpoint, optional
-            A run that is resumed continues with the choice of its first part.
+            Checkpoint of an interrupted run. The resumed run uses the same choice as its first part.
         """
 
     @abstractmethod
@@ -327,42 +332,42 @@ class Model(ABC):
         Parameters
         ----------
         values : ndarray, shape (len(self.parameters),)
-            One value per parameter, in the order of :attr:`parameters`; per-trial parameters have the value
-            of this trial.
+            One value for each parameter, in the order of :attr:`parameters`. A per-trial parameter has the
+            value of this trial.
         trial : Trial
 
         Returns
         -------
         dict of channel name to ndarray, each shape (n,)
-            At the trial's sample times. NaN where the model breaks down.
+            Simulated values at the sample times of the trial. NaN where the simulation diverges.
         """
 
     def attempt(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Simulate one trial without numpy's warnings where the model breaks down."""
+        """Simulate one trial, and suppress numpy's warnings if the simulation diverges."""
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             return self.simulate(values, trial)
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
         """Simulate one trial with effects.
 
-        A model that offers more hooks than those of sensing and of the clock overrides this.
+        A model that supports other hooks than ``output`` and ``clock`` overrides this method.
         """
         late = replace(trial, time_s=hooks.happened(trial.time_s)) if hooks.late else trial
         return hooks.seen(self.simulate(values, late), trial.time_s)
 
     def simulate_many(self, runs: Sequence[tuple[Array, Trial]]) -> list[dict[str, Array]]:
-        """Simulate several runs, each as :meth:`simulate`; NaN throughout for a run that breaks down."""
+        """Simulate several trials as :meth:`simulate` does; all values are NaN if a simulation diverges."""
         return self.hooked_many([(values, trial, NONE) for values, trial in runs])
 
     @property
     def together(self) -> int:
-        """Number of runs that take no longer than one."""
+        """Number of trials that the model simulates together in about the time of one trial."""
         return 1
 
     def hooked_many(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> list[dict[str, Array]]:
-        """Simulate several runs, each with its effects.
+        """Simulate several trials, each with its effects.
 
-        A model that simulates batches faster overrides this.
+        A model that simulates batches faster overrides this method.
         """
 
         def simulated(values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
@@ -374,11 +379,11 @@ class Model(ABC):
         ]
 
     def broken_down(self, trial: Trial) -> dict[str, Array]:
-        """Return the channels of a simulation that broke down."""
+        """Return the channels of a simulation that diverged: NaN at every sample."""
         return {c.name: np.full(len(trial.time_s), np.nan) for c in self.channels}
 
     def sensitivity_to_time(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Return the rate of change of each channel with time, for trials whose stamps are uncertain."""
+        """Return the derivative of each channel by time, for trials with uncertain time stamps."""
         step = 1e-4
         late = self.simulate(values, replace(trial, time_s=trial.time_s + step))
         early = self.simulate(values, replace(trial, time_s=np.maximum(trial.time_s - step, 0)))
@@ -386,21 +391,21 @@ class Model(ABC):
         return {name: (late[name] - early[name]) / width for name in late}
 
     def refined(self) -> Model | None:
-        """Return the model with half the integration step; None if nothing is integrated."""
+        """Return the model with half the integration step; None if the model does not integrate."""
         return None
 
     def coarser(self) -> Model | None:
-        """Return the model with twice the integration step, for searches; None if that is no faster."""
+        """Return the model with twice the integration step, for searches; None if that saves no time."""
         return None
 
     def apart(self, trial: Trial) -> list[Trial]:
-        """Return one trial for each run of a table of runs; the trial itself otherwise."""
+        """Return one trial for each run of a cruise table; other trials are returned unchanged."""
         return [trial]
 
     # -------------------------------------------------------- parameters
 
     def start(self, *names: str) -> float:
-        """Return the start value of the first of these parameters that the model has; 0 if it has none."""
+        """Return the start value of the first named parameter that the model has; 0 without any of them."""
         found = {p.name: p.start for p in self.parameters}
         return next((found[name] for name in names if name in found), 0.0)
 
@@ -409,16 +414,16 @@ class Model(ABC):
         return dict(entries)
 
     def estimates(self, *names: str) -> bool:
-        """Whether one of these parameters is free."""
+        """Return whether one of the named parameters is free."""
         return any(p.name in names and p.free for p in self.parameters)
 
     def index(self, name: str) -> int:
-        """Return the position of a parameter by name.
+        """Return the index of a parameter by name.
 
         Raises
         ------
         UsageError
-            If there is none, with the nearest name.
+            If the model has no such parameter. The hint has the nearest name.
         """
         names = [p.name for p in self.parameters]
         if name not in names:
@@ -428,7 +433,10 @@ class Model(ABC):
 
 
 def unless_broken(compute: Callable[..., Outcome], runs: Iterable[tuple[Any, ...]]) -> list[Outcome | None]:
-    """Compute a function of each run's arguments without numpy's warnings; None if it breaks down."""
+    """Call a function with the arguments of each run, and return None where the computation fails.
+
+    Warnings of numpy are suppressed.
+    """
 
     def one(arguments: tuple[Any, ...]) -> Outcome | None:
         try:
@@ -447,12 +455,12 @@ def chosen(
     freed: tuple[str, ...] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None,
 ) -> tuple[Parameter, ...]:
-    """Return the parameters with the choices of the user: fixed, freed, bounded.
+    """Return the parameters with the choices of the user: fixed values, freed parameters, and bounds.
 
     Raises
     ------
     UsageError
-        For a name that there is not, bounds in the wrong order, or a fixed value outside the bounds.
+        For an unknown name, bounds in the wrong order, or a fixed value outside the bounds.
     """
     fixed = dict(fixed or {})
     bounds = dict(bounds or {})
@@ -482,14 +490,14 @@ def chosen(
 
 
 class Scales:
-    """Typical sizes in the trials of a model.
+    """Typical scales of the quantities in the trials of a model.
 
-    A model that knows more of its forces and masses overrides them.
+    A model with more information on its forces and masses overrides these properties.
 
     Parameters
     ----------
     model : Model
-        Its parameters at their start values.
+        Model whose parameters have their start values.
     trials : sequence of Trial
     """
 
@@ -518,27 +526,27 @@ class Scales:
 
     @property
     def inertia(self) -> float:
-        """Inertia that is accelerated, kg (kg m2 for an angle); 1 if unknown."""
+        """Inertia that the forces accelerate, kg (kg m2 for an angle); 1 if unknown."""
         return 1.0
 
     @property
     def force(self) -> float:
-        """Typical force that moves the robot, in :attr:`Model.force_unit`."""
+        """Typical force that moves the robot, in the unit :attr:`Model.force_unit`."""
         return 0.1 * self.speed**2
 
     @property
     def brake(self) -> float:
-        """Smallest drag or friction that is worth a test: a tenth of the force that moves the robot."""
+        """Minimum drag or friction that is worth a test: a tenth of the force that moves the robot."""
         return 0.1 * self.force
 
     @property
     def quadratic(self) -> float:
-        """Least quadratic drag of the model over all trials; 0 if it has no such coefficient."""
+        """Minimum quadratic drag coefficient over all trials; 0 if the model has no such coefficient."""
         return 0.0
 
 
 def typical(values: Sequence[float], otherwise: float) -> float:
-    """Return the median of values, or another value if there is none or the median is zero."""
+    """Return the median of values; ``otherwise`` if there is no value or the median is zero."""
     if not len(values):
         return otherwise
     return float(np.median(values)) or otherwise
@@ -558,7 +566,7 @@ def _speed(trial: Trial) -> float | None:
 
 
 def _track(trial: Trial) -> tuple[Array, Array]:
-    """Return times and positions where all measured coordinates exist, shapes (n,) and (n, coordinates)."""
+    """Return the times and positions of samples with all coordinates, shapes (n,) and (n, coordinates)."""
     names = [name for name in POSITIONS if name in trial.measured]
     if not names:
         return np.zeros(0), np.zeros((0, 1))
@@ -570,20 +578,21 @@ def _track(trial: Trial) -> tuple[Array, Array]:
 class Tied(Model):
     """A model in which each group of parameters is replaced by one shared parameter.
 
-    The shared parameter has the place of the group's first member. It starts at the mean of the members. Its
-    bounds are those that all members allow, and its scale is the largest.
+    The shared parameter has the index of the first member of its group. Its start value is the mean of the
+    members' start values. Its bounds are the intersection of the members' bounds. Its scale is the largest
+    scale of the members.
 
     Parameters
     ----------
     model : Model
     groups : mapping of name to sequence of str
-        Name of each shared parameter, and its members.
+        Name of each shared parameter, and the names of its members.
 
     Raises
     ------
     UsageError
-        For an unknown member, one in two groups, a group of one, a name that is taken, and members of
-        different unit or without a common value.
+        If a member is unknown or belongs to two groups, if a group has only one member, if the name is
+        already used, or if members differ in unit or have no common value within their bounds.
     """
 
     def __init__(self, model: Model, groups: Mapping[str, Sequence[str]]) -> None:
@@ -615,48 +624,48 @@ class Tied(Model):
 
     @property
     def body(self) -> Any:
-        """Links of the untied model."""
+        """Links of the model without shared parameters."""
         return self.model.body
 
     @property
     def swimmer(self) -> Any:
-        """The untied model if it is a robot with links."""
+        """The model without shared parameters, if it is a robot with links."""
         return self.model.swimmer
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Simulate with every member at the value of its group (see :meth:`Model.simulate`)."""
+        """Simulate with the group's value for every member (see :meth:`Model.simulate`)."""
         return self.model.simulate(self.members(values), trial)
 
     @property
     def together(self) -> int:
-        """Number of runs that the untied model simulates in the time of one."""
+        """Number of trials that the model simulates together in about the time of one trial."""
         return self.model.together
 
     def hooked_many(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> list[dict[str, Array]]:
-        """Simulate several runs (see :meth:`Model.hooked_many`)."""
+        """Simulate several trials (see :meth:`Model.hooked_many`)."""
         return self.model.hooked_many([(self.members(values), trial, hooks) for values, trial, hooks in runs])
 
     def prepare(self, progress: Progress = silent, **how: Any) -> None:
-        """Prepare the untied model (see :meth:`Model.prepare`)."""
+        """Compile the simulation of the model without shared parameters (see :meth:`Model.prepare`)."""
         self.model.prepare(progress, **how)
 
     def sensitivity_to_time(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Return the rate of change of each channel (see :meth:`Model.sensitivity_to_time`)."""
+        """Return the derivative of each channel by time (see :meth:`Model.sensitivity_to_time`)."""
         return self.model.sensitivity_to_time(self.members(values), trial)
 
     def refined(self) -> Tied | None:
-        """Return the same with half the integration step; None if nothing is integrated."""
+        """Return the model with half the integration step; None if the model does not integrate."""
         finer = self.model.refined()
         return None if finer is None else Tied(finer, self.groups)
 
     def members(self, values: Array) -> Array:
-        """Return the values of the untied model's parameters, shape (len(self.model.parameters),)."""
+        """Return the parameter values of the model without shared parameters."""
         return np.asarray(values, dtype=float)[self._places]
 
     def expanded(self, entries: Mapping[str, Entry]) -> dict[str, Entry]:
-        """Return entries of shared parameters for every member, by the names of the untied model.
+        """Return entries with every shared parameter replaced by its members.
 
-        The standard error of a shared parameter is that of each member, all of them fully correlated.
+        Each member has the standard error of the shared parameter. The members are fully correlated.
         """
         found: dict[str, Entry] = {}
         for label, entry in entries.items():
@@ -666,7 +675,7 @@ class Tied(Model):
         return found
 
     def _shared(self, name: str) -> Parameter:
-        """Return the parameter that the members of a group share."""
+        """Return the shared parameter of a group."""
         members = [self.model.parameters[self.model.index(m)] for m in self.groups[name]]
         first = members[0]
         for other in members[1:]:
@@ -692,12 +701,12 @@ class Tied(Model):
 
 
 def groups_by_prefix(model: Model, prefix: str) -> dict[str, tuple[str, ...]]:
-    """Return the group of all parameters whose name is the prefix followed by digits.
+    """Return one group with all parameters whose name is the prefix followed by digits.
 
     Raises
     ------
     UsageError
-        If fewer than two parameters have it, with the nearest prefix.
+        If fewer than two parameters match. The hint has the nearest prefix.
     """
     members = tuple(p.name for p in model.parameters if re.fullmatch(re.escape(prefix) + r"\d+", p.name))
     if len(members) < 2:

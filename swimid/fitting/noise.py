@@ -1,13 +1,14 @@
-"""The noise of residuals: its model, estimated by a fit, and tests of whiteness and independence.
+"""Noise model of the residuals, estimated by a fit, and tests of residuals for whiteness and independence.
 
-The error of a measured value is constant, or a known shape times a factor, or (with uncertain time stamps)
-the speed times the error of the stamp. The residuals divided by it follow an autoregression.
+The error of a measured value has one of three forms. It is constant, it has a known shape times an unknown
+factor, or (with uncertain time stamps) it includes the speed times the error of the time stamp. The residuals
+divided by the standard deviation of the error follow an autoregression.
 
-The tests are functions of arrays. A residual series is one array at a constant rate, in which NaN marks
-missing samples. Several records are joined with NaN between them (:func:`joined`). A pair of samples counts
-only if both exist, so that gaps do not bias a test. The tests of statsmodels have the same formulas, but
-count all samples of a series: with a fifth of the samples missing its Ljung-Box test rejects 0.8 % of white
-series at the 5 % level, and the one here 5.4 %.
+The tests are functions of arrays. A residual series is one array at a constant sampling rate, in which NaN
+marks missing samples. Several trials are joined with NaN between them (:func:`joined`). A pair of samples
+counts only if both exist, so that gaps do not bias a test. The tests of statsmodels use the same formulas,
+but count all samples. With a fifth of the samples missing, the Ljung-Box test of statsmodels rejects 0.8 % of
+white series at the 5 % level. The test of this module rejects 5.4 %.
 
 References
 ----------
@@ -34,9 +35,10 @@ from scipy.linalg import toeplitz
 from swimid.fitting.model import Array
 from swimid.fitting.problem import Problem
 
-#: Residual, in standard deviations, beyond which Huber's loss is linear: 95 % efficient for normal noise.
+#: Residual, in standard deviations, above which Huber's loss is linear. With this value the estimates are 95
+#: % efficient for normal noise.
 CORNER = 1.345
-#: Mean square of standard normal noise that is clipped at the corner.
+#: Mean square of standard normal noise whose values are limited to plus or minus ``CORNER``.
 CLIPPED = float(
     special.erf(CORNER / math.sqrt(2))
     - CORNER * math.sqrt(2 / math.pi) * math.exp(-(CORNER**2) / 2)
@@ -45,7 +47,11 @@ CLIPPED = float(
 
 
 def weigh_first(problem: Problem, even: bool) -> None:
-    """Set the first weights: a channel by its own size, known error shapes as they are; none if ``even``."""
+    """Set the first weights of a problem.
+
+    A channel has 1 % of its standard deviation as noise, or the known shape of its error. If ``even`` is
+    true, all weights stay equal.
+    """
     if even:
         return
     for k, trial in enumerate(problem.trials):
@@ -62,23 +68,23 @@ def weigh_first(problem: Problem, even: bool) -> None:
 def estimate(
     problem: Problem, theta: Array, previous: dict[str, tuple[float, float]], *, robust: bool = False
 ) -> dict[str, tuple[float, float]]:
-    """Estimate the sizes of value and stamp errors by channel, and set the weights of the problem.
+    """Estimate the standard deviations of the errors of values and time stamps, and set the weights.
 
     Parameters
     ----------
     theta : ndarray, shape (p,)
-        Where the residuals are taken.
+        Unknowns at which the residuals are computed.
     previous : dict of channel name to (float, float)
-        Sizes of the iteration before; empty in the first.
+        Standard deviations of the previous noise iteration; empty in the first iteration.
     robust : bool
-        Estimate the sizes from the median absolute deviation, and weight with Huber's loss [4]_: beyond
-        :data:`CORNER` standard deviations only the sign of a residual counts.
+        Whether to use the median absolute deviation and Huber's loss [4]_. Of a residual beyond
+        :data:`CORNER` standard deviations only the sign then influences the estimates.
 
     Returns
     -------
     dict of channel name to (value, stamp)
-        Standard deviations in the channel's unit (a factor if the shape of the error is known) and in
-        seconds.
+        Standard deviation of the values in the unit of the channel, and of the time stamps in s. If the shape
+        of the error is known, the first one is a factor on this shape.
     """
     found: dict[str, tuple[float, float]] = {}
     simulations = problem.simulations(theta)
@@ -113,16 +119,16 @@ def estimate(
 
 
 def huber_damping(residuals: Array) -> Array:
-    """Return factors of weighted residuals whose squares then pull as under Huber's loss."""
+    """Return factors for weighted residuals with which least squares has the minimum of Huber's loss."""
     far = np.maximum(np.abs(np.nan_to_num(residuals, nan=0.0)) / CORNER, 1.0)
     return np.asarray(1.0 / np.sqrt(far))
 
 
 def influence(problem: Problem, residuals: list[Array]) -> tuple[list[Array], list[Array]]:
-    """Return each trial's residuals as those of a least-squares fit, and factors for their derivatives.
+    """Return the residuals and the factors of their derivatives for the covariance under a robust loss.
 
-    A robust loss limits the pull of a sample, and has no curvature beyond its corner. With the linear loss
-    the residuals are unchanged, and the factors are ones.
+    A robust loss limits the influence of a sample, and its curvature is zero for large residuals. With the
+    linear loss the residuals are unchanged and the factors are ones.
     """
     inside: dict[str, list[Array]] = {}
     for k, dampings in enumerate(problem.damping):
@@ -145,7 +151,7 @@ def weights(problem: Problem) -> list[Array]:
 
 
 def largest_change(problem: Problem, before: list[Array]) -> float:
-    """Return the largest relative change of a sample's weight since ``before``, relative to their median."""
+    """Return the largest relative change of a weight since ``before``, compared with the median change."""
     every = np.concatenate(weights(problem)) / np.concatenate(before)
     return float(np.max(np.abs(every / np.median(every) - 1.0), initial=0.0))
 
@@ -158,7 +164,10 @@ def _components(
     previous: tuple[float, float] | None,
     robust: bool,
 ) -> tuple[float, float]:
-    """Return the standard deviations of value and stamp; the first is a factor if the shape is known."""
+    """Return the standard deviations of the errors of values and of time stamps in one channel.
+
+    If the shape of the error is known, the first result is the factor on this shape.
+    """
     r = np.concatenate(residuals)
     there = np.isfinite(r)
     shape = np.concatenate(shapes)
@@ -182,23 +191,28 @@ def _components(
     norm = np.linalg.norm(design, axis=0)
     norm[norm == 0] = 1.0
     parts = optimize.nnls(design / norm, square / variance)[0] / norm
-    # the value's part must not vanish: a sample without error would outweigh all others
+    # the variance of the values must stay above zero, because a sample without error would outweigh all
+    # others
     least = 1e-4 * float(np.mean(square))
     return math.sqrt(max(float(parts[0]), least)), math.sqrt(max(float(parts[1]), 0.0))
 
 
 def _size(errors: Array) -> float:
-    """Return the root mean square."""
+    """Return the root mean square of errors."""
     return float(np.sqrt(np.mean(errors**2)))
 
 
 def _robust_size(errors: Array) -> float:
-    """Return the standard deviation of normal noise with the median absolute size of these errors."""
+    """Return the standard deviation of normal noise whose median absolute value is that of the errors."""
     return float(np.median(np.abs(errors)) / special.ndtri(0.75)) or _size(errors)
 
 
 def value_sd(problem: Problem, channel: str, constant: float) -> float:
-    """Return the root mean square of the samples' standard deviations, without uncertain stamps."""
+    """Return the root mean square of the standard deviations of a channel's samples.
+
+    With uncertain time stamps, return ``constant``, the standard deviation of the values without the time
+    stamps.
+    """
     owners = [k for k, names in enumerate(problem.channels) if channel in names]
     if any(problem.trials[k].stamps_uncertain for k in owners):
         return constant
@@ -225,39 +239,39 @@ def autoregressions(problem: Problem, residuals: list[Array]) -> dict[str, Array
 # ---------------------------------------------------------------- tests of residuals
 
 
-#: p-value below which a residual series is called not white, or not independent of the input.
+#: Minimum p-value of a residual series that counts as white or as independent of an input.
 SIGNIFICANCE = 0.01
 
 
 @dataclass(frozen=True)
 class Correlation:
-    """A correlation function with its band under the null hypothesis; fields of shape (m,)."""
+    """A correlation function with its confidence band under the null hypothesis; fields of shape (m,)."""
 
     #: Lags in samples.
     lags: np.ndarray
-    #: Correlation coefficients, NaN if no pair of samples exists.
+    #: Correlation coefficients; NaN if no pair of samples exists.
     values: np.ndarray
-    #: Half-width of the 95 % band around zero.
+    #: Half-width of the 95 % confidence band around zero.
     bound: np.ndarray
-    #: Number of sample pairs of each value.
+    #: Number of sample pairs for each lag.
     pairs: np.ndarray
 
 
 @dataclass(frozen=True)
 class TestResult:
-    """A chi-square test."""
+    """Result of a chi-square test."""
 
     __test__ = False  # not a pytest class
 
     statistic: float
-    #: Degrees of freedom.
+    #: Number of degrees of freedom.
     degrees: int
-    #: Probability of a statistic at least this large if the hypothesis holds.
+    #: Probability of a statistic at least this large under the null hypothesis.
     p_value: float
 
     @property
     def passed(self) -> bool:
-        """Whether the hypothesis is not rejected at :data:`SIGNIFICANCE`."""
+        """Whether the test does not reject the null hypothesis at the level :data:`SIGNIFICANCE`."""
         return self.p_value >= SIGNIFICANCE
 
 
@@ -265,19 +279,21 @@ class TestResult:
 class AutoregressiveFit:
     """An autoregression ``x(k) + a1 x(k-1) + ... + ap x(k-p) = e(k)``."""
 
-    #: Coefficients a1 .. ap, shape (p,); empty for a white series.
+    #: Coefficients a1 to ap, shape (p,); empty for a white series.
     coefficients: np.ndarray
-    #: Variance of e.
+    #: Variance of the innovation e.
     variance: float
 
     @property
     def long_run_variance(self) -> float:
-        """Spectral density at frequency zero: the variance of a sum of n samples over n, for large n."""
+        """Spectral density at frequency zero: variance of a sum of n samples divided by n, for large n."""
         return self.variance / (1.0 + float(np.sum(self.coefficients))) ** 2
 
 
 def joined(parts: Sequence[np.ndarray], *, gap: int) -> np.ndarray:
-    """Join several series with ``gap`` samples of NaN between them, at least the largest lag in use.
+    """Join several series with ``gap`` samples of NaN between them.
+
+    ``gap`` must be at least the largest lag that is used.
 
     >>> joined([np.array([1.0]), np.array([2.0])], gap=2)
     array([ 1., nan, nan,  2.])
@@ -287,12 +303,12 @@ def joined(parts: Sequence[np.ndarray], *, gap: int) -> np.ndarray:
 
 
 def default_lags(samples: int) -> int:
-    """Return the number of lags to test: 25, or a fifth of the samples of a short series."""
+    """Return the number of lags to test: a fifth of the number of samples, but at most 25."""
     return max(1, min(25, samples // 5))
 
 
 def _centred(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return x without its mean and with zeros for NaN, and where it is finite."""
+    """Return x without its mean and with zeros for NaN, and a mask of its finite samples."""
     x = np.asarray(x, dtype=float)
     there = np.isfinite(x)
     if not np.any(there):
@@ -303,7 +319,7 @@ def _centred(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _lagged_means(
     x: np.ndarray, x_there: np.ndarray, y: np.ndarray, y_there: np.ndarray, lags: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean of x(k) y(k - lag) over the pairs that exist, and their number."""
+    """Return the mean of x(k) y(k - lag) over existing sample pairs, and their number, for each lag."""
     n = len(x)
     means = np.full(len(lags), np.nan)
     pairs = np.zeros(len(lags), dtype=int)
@@ -319,16 +335,17 @@ def _lagged_means(
 
 
 def autocorrelation(x: np.ndarray, *, max_lag: int | None = None) -> Correlation:
-    """Compute the autocorrelation at lags 0 .. max_lag, with the band of white noise, 1.96 / sqrt(pairs).
+    """Compute the autocorrelation at lags 0 .. max_lag, and the confidence band of white noise.
 
-    Each lag is the mean over its own pairs, because with gaps their number differs.
+    The band is ``1.96 / sqrt(pairs)``. The value at a lag is the mean over the sample pairs of this lag,
+    because the number of pairs differs if there are gaps.
 
     Parameters
     ----------
     x : ndarray, shape (n,)
-        NaN for missing samples. The mean is removed; the result is NaN for a constant series.
+        Series; NaN for missing samples. The mean is removed. The result is NaN for a constant series.
     max_lag : int, optional
-        Default :func:`default_lags`.
+        Largest lag. The default is :func:`default_lags`.
 
     >>> autocorrelation(np.array([1.0, -1.0] * 50), max_lag=2).values.round(6)
     array([ 1., -1.,  1.])
@@ -347,12 +364,12 @@ def ljung_box(x: np.ndarray, *, lags: int | None = None, fitted: int = 0) -> Tes
     Parameters
     ----------
     x : ndarray, shape (n,)
-        Residuals, NaN for missing samples.
+        Residuals; NaN for missing samples.
     lags : int, optional
-        Number of lags tested together, default :func:`default_lags`.
+        Number of lags that are tested together. The default is :func:`default_lags`.
     fitted : int
         Number of noise parameters (autoregressive and moving-average) that were estimated from the same data.
-        It is subtracted from the degrees of freedom.
+        They are subtracted from the degrees of freedom.
 
     Returns
     -------
@@ -361,8 +378,8 @@ def ljung_box(x: np.ndarray, *, lags: int | None = None, fitted: int = 0) -> Tes
 
     Notes
     -----
-    Without gaps the statistic is ``n (n + 2) sum r_k^2 / (n - k)`` of [1]_. With gaps ``n - k`` becomes the
-    number of pairs at lag k, and r_k their mean product.
+    Without gaps the statistic is ``n (n + 2) sum r_k^2 / (n - k)`` of [1]_. With gaps, ``n - k`` is replaced
+    by the number of sample pairs at lag k, and r_k is the mean product of these pairs.
     """
     correlation = autocorrelation(x, max_lag=lags)
     n = int(correlation.pairs[0]) if len(correlation.pairs) else 0
@@ -383,21 +400,22 @@ def cross_correlation(
     Parameters
     ----------
     residuals, source : ndarray, shape (n,)
-        At the same rate; NaN for missing samples.
+        Series at the same sampling rate; NaN for missing samples.
     max_lag : int, optional
-        Default :func:`default_lags`.
+        Largest lag. The default is :func:`default_lags`.
 
     Returns
     -------
     Correlation
-        A value outside the band at a positive lag shows an effect of the source, ``lag`` samples before, that
-        the model lacks. At a negative lag it shows feedback from the output to the source.
+        A value outside the confidence band at a positive lag shows that the model lacks an effect of the
+        source. The effect occurs ``lag`` samples after its cause. At a negative lag it shows feedback from
+        the output to the source.
 
     Notes
     -----
     For independent series the variance of the correlation is ``sum_j r_e(j) r_u(j) / pairs`` (Bartlett; [2]_,
-    eq. 16.68 f.). The band follows from it, so that a source of one frequency raises no false alarm with
-    coloured residuals.
+    eq. 16.68 f.). The confidence band follows from this variance. Without it, a source of one frequency would
+    raise false alarms with coloured residuals.
     """
     e, e_there = _centred(residuals)
     u, u_there = _centred(source)
@@ -413,43 +431,44 @@ def cross_correlation(
 
 
 def _deviation(values: np.ndarray, there: np.ndarray) -> float:
-    """Return the standard deviation of centred values where they exist."""
+    """Return the standard deviation of the existing samples of a series with zero mean."""
     return float(np.sqrt(np.mean(values[there] ** 2))) if np.any(there) else 0.0
 
 
 def _bartlett_factor(e: np.ndarray, u: np.ndarray) -> float:
-    """Return the sum over j of r_e(j) r_u(j), over the lags at which the residuals correlate."""
+    """Return the sum over j of r_e(j) r_u(j), for lags j with significant correlation of e."""
     top = default_lags(int(np.count_nonzero(np.isfinite(e))))
     re, ru = autocorrelation(e, max_lag=top), autocorrelation(u, max_lag=top)
     r = np.where(np.abs(re.values) > re.bound, re.values, 0.0) * np.nan_to_num(ru.values)
     r = np.nan_to_num(r)
-    # sampling errors may make the sum small or negative; it is 1 for white residuals
+    # the sum is 1 for white residuals, but sampling errors may make it smaller or negative
     return max(float(r[0] + 2.0 * np.sum(r[1:])), 1.0) if len(r) else 1.0
 
 
 def independence(
     residuals: np.ndarray, source: np.ndarray, *, lags: int | None = None, first: int = 0
 ) -> TestResult:
-    """Test with a chi-square statistic that residuals are independent of the past of a source.
+    """Test the independence of residuals from the past of a source with a chi-square statistic.
 
     Parameters
     ----------
     residuals, source : ndarray, shape (n,)
-        NaN for missing samples.
+        Series at the same sampling rate; NaN for missing samples.
     lags : int, optional
-        Number of lags ``first .. first + lags - 1`` tested together, default :func:`default_lags`.
+        Number of lags that are tested together, ``first`` to ``first + lags - 1``. The default is
+        :func:`default_lags`.
 
     Returns
     -------
     TestResult
-        The degrees of freedom are the numerical rank of the source's covariance: two for a single sine,
-        whatever the number of lags.
+        Result of the test. The number of degrees of freedom is the numerical rank of the covariance matrix of
+        the source. It is two for a single sine, for any number of lags.
 
     Notes
     -----
-    The statistic is ``n r' P^-1 r`` with r the vector of cross-covariances and ``P = sum_j R_e(j) R_u(j)``,
-    R_u(j) the shifted Toeplitz covariance of the source ([2]_, section 16.6). Residual covariances inside the
-    band of white noise are set to zero.
+    The statistic is ``n r' P^-1 r`` with ``P = sum_j R_e(j) R_u(j)`` ([2]_, section 16.6). The vector r has
+    the cross-covariances, and R_u(j) is the shifted Toeplitz covariance matrix of the source. Residual
+    covariances inside the confidence band of white noise are set to zero.
     """
     e, e_there = _centred(residuals)
     u, u_there = _centred(source)
@@ -483,16 +502,16 @@ def independence(
 def fit_autoregression(
     x: np.ndarray, *, max_order: int | None = None, order: int | None = None
 ) -> AutoregressiveFit:
-    """Fit an autoregression to all segments of a series by Burg's method, which is always stable.
+    """Fit an autoregression to all segments of a series by Burg's method, whose results are always stable.
 
     Parameters
     ----------
     x : ndarray, shape (n,)
-        NaN for missing samples. The mean is removed.
+        Series; NaN for missing samples. The mean is removed.
     max_order : int, optional
-        Largest order, default :func:`default_lags`; the BIC selects the order.
+        Largest order; the default is :func:`default_lags`. The BIC selects the order.
     order : int, optional
-        Order to use instead.
+        Order that is used instead of the one selected by the BIC.
 
     Raises
     ------
@@ -529,20 +548,21 @@ def fit_autoregression(
 
 
 def long_run_covariance(scores: np.ndarray) -> np.ndarray:
-    """Estimate the covariance of a sum of correlated vectors (Newey and West).
+    """Estimate the covariance matrix of a sum of correlated vectors (Newey and West).
 
     Parameters
     ----------
     scores : ndarray, shape (n, p)
-        Row k is regressor times residual at sample k; a row with NaN is a gap.
+        Row k is the regressor times the residual at sample k. A row with NaN is a gap.
 
     Returns
     -------
     ndarray, shape (p, p)
-        ``G_0 + sum_l (1 - l / (L + 1)) (G_l + G_l')``, ``G_l = sum_k s_k s_(k-l)'`` [3]_. It is positive
-        semi-definite. With J the derivative of the model and J'J invertible, the covariance of a
-        least-squares estimate is ``(J'J)^-1 M (J'J)^-1``. The bandwidth L of the Bartlett window is ``floor(4
-        (n / 100)^(2/9))``, but at least twice the lag at which the scores still correlate.
+        Matrix ``M = G_0 + sum_l (1 - l / (L + 1)) (G_l + G_l')`` with ``G_l = sum_k s_k s_(k-l)'`` [3]_. It
+        is positive semi-definite. If J is the derivative of the model and J'J is invertible, the covariance
+        of a least-squares estimate is ``(J'J)^-1 M (J'J)^-1``. The bandwidth L of the Bartlett window is
+        ``floor(4 (n / 100)^(2/9))``. It is at least twice the largest lag with significant correlation of the
+        scores.
     """
     scores = np.atleast_2d(np.asarray(scores, dtype=float))
     there = np.all(np.isfinite(scores), axis=1)

@@ -1,8 +1,9 @@
 """Output-error identification: maximum likelihood over all samples of all trials.
 
-The simulated channels are compared with the measured ones. The residuals are weighted by a noise model that
-is estimated from them. The covariance of the estimates allows for coloured residuals, and for trials that
-differ by more than their noise. The estimator works for every :class:`swimid.fitting.model.Model`.
+The simulated channels are compared with the measured channels. The residuals are weighted by a noise model,
+which is estimated from the residuals. The covariance of the estimates allows for coloured residuals, and for
+trials that differ by more than their noise. The estimator works for every
+:class:`swimid.fitting.model.Model`.
 """
 
 from __future__ import annotations
@@ -27,32 +28,35 @@ from swimid.fitting.problem import KINKED, MIN_DECREASE, STALLED, STRIDE, Patien
 from swimid.notices import warn
 from swimid.progress import Progress, show, silent
 
-#: Maximum number of noise iterations, and the relative change of the weights that ends them.
+#: Maximum number of noise iterations, and the maximum relative change of a weight at which they have
+#: converged.
 MAX_NOISE_ITERATIONS = 12
 WEIGHT_RTOL = 0.01
-#: Relative tolerance of the cost while the weights still change, and in the last search.
+#: Relative tolerances of the cost: while the weights still change, and in the last search.
 COARSE_RTOL, FINE_RTOL = 1e-3, 1e-10
-#: Change of an estimate, in standard errors, that is not worth another step.
+#: Maximum change of an estimate, in standard errors, that is negligible.
 NEGLIGIBLE_MOVE = 0.03
-#: Maximum number of iterations of a fit, and of one that may be returned unfinished: three times what fits of
-#: right models take (6 to 25; 52 if simulations break down at the start).
+#: Maximum number of iterations of a fit that must converge, and of a fit that may be returned unfinished. The
+#: second is three times the number that fits of correct models need (6 to 25; 52 if simulations diverge at
+#: the start).
 MAX_ITERATIONS, UNFINISHED_ITERATIONS = 200, 75
-#: Largest change of a sample, in standard deviations of its noise, when the integration step is halved.
+#: Maximum change of a simulated sample if the integration step is halved, in noise standard deviations.
 STEP_ERROR = 0.1
-#: Maximum number of halvings of the integration step.
+#: Maximum number of times that the integration step is halved.
 MAX_REFINEMENTS = 6
-#: Relative tolerance of the search for the start state of a trial.
+#: Relative tolerance of the estimated start state of a trial.
 START_TOLERANCE = 1e-8
-#: Maximum number of restarts near an answer.
+#: Maximum number of restarts near the estimates.
 MAX_RESTARTS = 6
-#: Gain in twice the log-likelihood that shows a restart to have been needed (one standard error), and the
-#: gain below which no further one follows where the cost is smooth (a third of a standard error).
+#: Minimum increase of twice the log-likelihood by restarts that is reported (it moves an estimate by one
+#: standard error). Minimum increase after which a further restart follows if the cost is smooth (a third of a
+#: standard error).
 NEEDED_GAIN, SMALL_GAIN = 1.0, 0.1
 
 
 @dataclass(frozen=True)
 class _Task:
-    """Model, trials and settings of a fit."""
+    """Model, trials and settings of one fit."""
 
     model: Model
     trials: tuple[Trial, ...]
@@ -80,30 +84,32 @@ def fit(
     ----------
     model : Model
     trials : sequence of Trial
-        Trials of role ``validate`` are simulated and scored, not fitted.
+        Trials of the role ``validate`` are simulated and scored, but not fitted.
     parameters : sequence of Parameter, optional
-        The parameters of the model with the choices of the user
-        (:func:`swimid.fitting.model.chosen`); by default those of the model.
+        Parameters of the model with the choices of the user (:func:`swimid.fitting.model.chosen`). The
+        default is the parameters of the model.
     jobs : int, optional
-        Number of threads for long simulations, by default one for each processor. The result does not depend
-        on it. ``model.simulate`` must then be safe to call from several threads at once.
+        Number of threads for long simulations. The default is the number of processors. The result does not
+        depend on the number of threads. With several threads, ``model.simulate`` must be safe to call from
+        several threads at once.
     loss : {"linear", "huber"}
-        Huber's loss limits the pull of outliers. The size of the noise is then the median absolute deviation.
+        Loss function. Huber's loss limits the influence of outliers, and the noise is then estimated from the
+        median absolute deviation.
     begin : ndarray, shape (p,), optional
-        Start of the search, one value for each label of the result; by default the start values of the
-        parameters.
+        Starting point of the search, one value for each label of the result. The default is the start values
+        of the parameters.
     tested : bool
-        Compare the answer with points and short searches around it, and search again from a better one
-        (:mod:`swimid.fitting.restarts`).
+        Whether to compare the estimates with points and short searches around them, and to search again from
+        a better point (:mod:`swimid.fitting.restarts`).
     unfinished : bool
-        Return a result that is marked as not converged, instead of an error, if the search does not converge
-        within :data:`UNFINISHED_ITERATIONS`.
+        Whether to return a result that is marked as not converged if the search does not converge within
+        :data:`UNFINISHED_ITERATIONS`. Otherwise this raises an error.
 
     Returns
     -------
     FitResult
-        Ctrl-C stops the search: the result is then the best point so far, not converged, and ``message``
-        says why. A second Ctrl-C raises KeyboardInterrupt.
+        Result of the fit. Ctrl-C stops the search. The result is then the best point so far, marked as not
+        converged, and ``message`` says why. A second Ctrl-C raises KeyboardInterrupt.
 
     Raises
     ------
@@ -113,15 +119,16 @@ def fit(
 
     Notes
     -----
-    Weighted nonlinear least squares by a bounded Levenberg-Marquardt method. The weights follow from the
-    estimated noise, and the search is repeated until they settle. It ends if five steps together neither
-    lower the squared residuals by more than one parameter takes up of noise alone (:attr:`Sandwich.gain`) nor
-    move a shared estimate by :data:`NEGLIGIBLE_MOVE` of its standard error.
+    The method is weighted nonlinear least squares by a bounded Levenberg-Marquardt search. The weights follow
+    from the estimated noise, and the search is repeated until the weights converge. The search
+    ends when five successive steps together have two properties. They lower the squared residuals by less
+    than one parameter that is fitted to noise alone does (:attr:`Sandwich.gain`). They move each shared
+    estimate by less than :data:`NEGLIGIBLE_MOVE` standard errors.
 
     The covariance is ``H^-1 M H^-1`` with ``H = J'J`` and ``M = sum_trials J_k' R J_k``. R is the correlation
-    of the weighted residuals under an autoregression whose order the BIC selects. If trials disagree, the
-    covariance is multiplied by their scatter. A parameter that noise alone may hold at its bound counts as
-    free in it.
+    matrix of the weighted residuals under an autoregression whose order the BIC selects. If trials disagree,
+    the covariance is enlarged to include their differences. A parameter counts as free in the covariance if
+    noise alone can explain that it is at its bound.
     """
     threads = jobs or os.cpu_count() or 1
     task = _Task(model, tuple(trials), tuple(parameters or model.parameters), threads, loss, progress)
@@ -130,9 +137,9 @@ def fit(
 
 
 def check_by_restarts(result: FitResult, *, jobs: int) -> FitResult:
-    """Return a fit, or a better one that a restart near its answer leads to; warn of the latter.
+    """Return a fit, or a better fit that a restart near its estimates finds; warn of a better fit.
 
-    The result states :attr:`FitResult.restarts` and :attr:`FitResult.settled`.
+    The result has :attr:`FitResult.restarts` and :attr:`FitResult.settled`.
     """
     first, count, settled = result, 0, True
     spent, taken, gain = result.evaluations, result.jacobians, 0.0
@@ -140,7 +147,8 @@ def check_by_restarts(result: FitResult, *, jobs: int) -> FitResult:
         return result
     try:
         while True:
-            # restarts take no more simulations than the first search, unless the cost has kinks
+            # restarts need at most twice the simulations of the first fit in total, unless the cost is not
+            # smooth
             if spent > 2 * first.evaluations and not restarts.kinked(result):
                 settled = gain <= NEEDED_GAIN
                 break
@@ -174,7 +182,7 @@ def check_by_restarts(result: FitResult, *, jobs: int) -> FitResult:
 
 
 def _objective(result: FitResult) -> float:
-    """Return twice the negative log-likelihood without its constant, including random effects."""
+    """Return twice the negative log-likelihood, without its constant and including random effects."""
     effects = 0.0
     for p in result.parameters:
         if math.isfinite(p.spread):
@@ -184,9 +192,9 @@ def _objective(result: FitResult) -> float:
 
 
 def _refined(task: _Task, begin: Array | None, unfinished: bool, near: FitResult | None = None) -> FitResult:
-    """Fit, and halve the integration step until that changes nothing.
+    """Fit, and halve the integration step until the simulated samples no longer change.
 
-    The weights begin as those of the fit ``near``, if there is one.
+    The initial weights are those of the fit ``near``, if it is given.
     """
     spent = taken = 0
     budget = UNFINISHED_ITERATIONS if unfinished else MAX_ITERATIONS
@@ -218,19 +226,20 @@ def at(
     parameters: Sequence[Parameter] | None = None,
     jobs: int | None = None,
 ) -> FitResult:
-    """Return the result that :func:`fit` would give if its search ended at a point.
+    """Return the result that :func:`fit` would have if its search ended at a given point.
 
-    The covariance is that of the model made linear at the point. The residuals there count as noise.
+    The covariance is that of the model linearised at the point. The residuals at the point are treated as
+    noise.
 
     Parameters
     ----------
     point : ndarray, shape (p,)
-        One value for each label of the result.
+        Unknowns at which the fit is evaluated, one value for each label of the result.
 
     Raises
     ------
     NoTrustworthyResult
-        If the model cannot be simulated there, or there are fewer samples than unknowns.
+        If the model cannot be simulated at the point, or if there are fewer samples than unknowns.
     """
     task = _Task(model, tuple(trials), tuple(parameters or model.parameters), jobs or os.cpu_count() or 1)
     result = _fit_once(task, point)
@@ -241,7 +250,7 @@ def at(
 
 
 def _step_error(result: FitResult, finer: Model) -> float:
-    """Return the largest change of a sample with half the integration step, in units of its noise."""
+    """Return the largest change of a simulated sample if the step is halved, in noise deviations."""
     worst = 0.0
     for trial in result.trials:
         fine = finer.simulate(result.values(trial.id), trial)
@@ -251,7 +260,7 @@ def _step_error(result: FitResult, finer: Model) -> float:
     return worst
 
 
-# the matrices here are small: threads of BLAS would only take the processors from the simulations
+# the matrices are small, so that threads of BLAS would only slow down the simulations
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def _fit_once(
     task: _Task, begin: Array | None, *, budget: int | None = None, near: FitResult | None = None
@@ -294,7 +303,7 @@ def _fit_once(
 
 
 class _Search:
-    """A search for the minimum, repeated with the weights of the estimated noise until these settle."""
+    """A search for the minimum, repeated with the weights of the estimated noise until they converge."""
 
     def __init__(self, problem: Problem, theta: Array, loss: Loss, near: FitResult | None) -> None:
         self.problem = problem
@@ -306,7 +315,7 @@ class _Search:
         self.converged = self.interrupted = False
         self.message = ""
         self.iterations = 0
-        # with one channel of constant error all weights stay equal, and one search is enough
+        # with one channel of constant error all weights stay equal, so that one search is enough
         self.equal = (
             loss == "linear"
             and not problem.random.any()
@@ -315,7 +324,7 @@ class _Search:
         )
 
     def run(self, budget: int, progress: Progress) -> None:
-        """Search until the weights settle, or the user interrupts once there is a point to keep."""
+        """Search until the weights converge or the user interrupts the search."""
         rounds = 1 if self.equal else MAX_NOISE_ITERATIONS
         known = self.near is not None and not self.equal
         if self.near is not None and known:
@@ -337,7 +346,7 @@ class _Search:
             self.message = f"interrupted after {self.iterations} iterations"
 
     def stay(self) -> None:
-        """Take the start as the answer, and let the weights settle there."""
+        """Use the start as the end point of the search, and iterate the weights at this point."""
         noise_model.weigh_first(self.problem, self.equal)
         for _ in range(MAX_NOISE_ITERATIONS):
             if self.equal or self._reweigh() < WEIGHT_RTOL:
@@ -345,30 +354,30 @@ class _Search:
         self.converged, self.message = True, "no search: the point was given"
 
     def _reweigh(self) -> float:
-        """Estimate the noise at the present point; return the largest relative change of a weight."""
+        """Estimate the noise at the current point, and return the largest relative change of a weight."""
         _insist_unbroken(self.problem, self.theta)
         before = noise_model.weights(self.problem)
         self.estimate_noise()
         return noise_model.largest_change(self.problem, before)
 
     def estimate_noise(self) -> None:
-        """Estimate the noise at the present point, and set the weights that follow from it."""
+        """Estimate the noise at the current point, and set the weights that follow from it."""
         self.noise = noise_model.estimate(self.problem, self.theta, self.noise, robust=self.loss == "huber")
 
     def _noise_limits(self) -> Patience:
-        """Return the rule that ends a search once noise hides its steps."""
+        """Return the rule that ends a search if noise is larger than the effect of its steps."""
         problem, theta = self.problem, self.theta
         _insist_unbroken(problem, theta)
         _, residuals, rows = _influences(problem, theta)
         found = sandwich(problem, rows, residuals, noise_model.autoregressions(problem, residuals))
         errors = np.sqrt(np.maximum(np.diag(found.covariance), 0.0)) * problem.scale
         shared = np.array([owner is None for _, owner in problem.slots])
-        # unknowns of single trials (start states) are no result, so that they need not stand still
+        # unknowns of single trials (start states) are no result of the fit and may still change
         known = shared & (errors <= UNIDENTIFIABLE * np.maximum(np.abs(theta), problem.scale))
         return Patience(found.gain, np.where(known, NEGLIGIBLE_MOVE * errors, math.inf))
 
     def _solve(self, last: bool, budget: int, tell: Callable[[str], None]) -> None:
-        """Search with the present weights."""
+        """Search with the current weights."""
         done = self.iterations
         patience = Patience()
         if last and (done or self.near is not None):
@@ -391,7 +400,7 @@ class _Search:
 
 
 def _unfinished(search: _Search, result: FitResult) -> str | None:
-    """Return the reason why the end of a search is no minimum; None if it is one to within noise."""
+    """Return the reason why a search did not end at a minimum to within noise; None if it did."""
     moving = {}
     lowered, moved = search.patience.last(STRIDE)
     if not search.converged or search.message == STALLED:
@@ -418,7 +427,7 @@ def _unfinished(search: _Search, result: FitResult) -> str | None:
 
 
 def _insist_unbroken(problem: Problem, theta: Array) -> None:
-    """Raise an error if a trial cannot be simulated at a point."""
+    """Raise an error if a trial cannot be simulated at the given point."""
     broken = problem.broken(theta)
     if broken:
         raise NoTrustworthyResult(
@@ -430,7 +439,7 @@ def _insist_unbroken(problem: Problem, theta: Array) -> None:
 def _influences(
     problem: Problem, theta: Array, *, central: bool = False
 ) -> tuple[list[Array], list[Array], list[Array]]:
-    """Return each trial's weighted residuals, and residuals and scaled derivatives for the covariance."""
+    """Return the weighted residuals of each trial, and residuals and derivatives for the covariance."""
     raw = [problem.trial_residuals(theta, k) for k in range(len(problem.trials))]
     residuals, factors = noise_model.influence(problem, raw)
     jacobians = problem.trial_jacobians(theta, central=central)
@@ -438,7 +447,7 @@ def _influences(
 
 
 def _result(search: _Search, task: _Task) -> FitResult:
-    """Return estimates, covariance and status at the end of a search."""
+    """Return the estimates, their covariance and their status at the end of a search."""
     problem, theta = search.problem, search.theta
     samples = sum(int(mask.sum()) for masks in problem.masks for mask in masks)
     raw, residuals, rows = _influences(problem, theta, central=samples * len(theta) <= 50_000)
@@ -456,13 +465,13 @@ def _result(search: _Search, task: _Task) -> FitResult:
     scatter, scatter_p = 1.0, 1.0
     if found is not None:
         scale = problem.scale[free]
-        # Student's t for few samples: 1.96 of these standard errors cover 95 %
+        # for few samples use Student's t: 1.96 of these standard errors then cover 95 %
         few = float(special.stdtrit(max(samples - int(free.sum()), 1), 0.975) / special.ndtri(0.975))
         covariance[np.ix_(free, free)] = few**2 * found.covariance * np.outer(scale, scale)
         root[:, free] = found.root / few / scale
         null[free] = found.null
         scatter, scatter_p = found.scatter, found.scatter_p
-    # the comparison is false for an unknown variance
+    # an unknown (NaN) standard error makes the comparison false
     errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     known = ~null & (errors <= UNIDENTIFIABLE * np.maximum(np.abs(theta), problem.scale))
     held = (outward != 0) & (known | ~free)
@@ -504,11 +513,11 @@ def _free_in_noise(
     autoregressions: dict[str, Array],
     outward: Array,
 ) -> tuple[NDArray[np.bool_], Sandwich | None]:
-    """Return the unknowns that count as free, and their covariance.
+    """Return a mask of the unknowns that count as free, and their covariance.
 
-    A bound holds an unknown if the minimum without bounds is more than two standard errors beyond it. The
-    others at a bound may be there by noise alone. Leaving them out would make the unknowns that they are
-    confounded with look well known.
+    An unknown is held by its bound if the minimum without bounds is more than two standard errors beyond the
+    bound. Noise alone can explain why other unknowns are at a bound, so that they count as free. If they were
+    held, unknowns that are confounded with them would have too small standard errors.
     """
     free = np.ones(len(outward), dtype=bool)
     while free.any():
@@ -523,11 +532,11 @@ def _free_in_noise(
 
 
 def _cost(problem: Problem, residuals: list[Array]) -> float:
-    """Return :attr:`FitResult.cost` of residuals with the weights of the final noise model."""
+    """Return :attr:`FitResult.cost` of residuals, with the weights of the final noise model."""
     total, count = 0.0, 0
     for k, values in enumerate(residuals):
         sds, dampings = problem.at_samples(k, problem.sd[k]), problem.at_samples(k, problem.damping[k])
-        # Huber's loss of a far residual is 2 c |r| - c^2; the linear loss has no damping
+        # Huber's loss of a large residual is 2 c |r| - c^2; with the linear loss all damping factors are 1
         squares = np.where(dampings < 1, 2 * values**2 - noise_model.CORNER**2, values**2)
         total += float(np.sum(2 * np.log(sds) + squares))
         count += len(values)
@@ -535,7 +544,7 @@ def _cost(problem: Problem, residuals: list[Array]) -> float:
 
 
 def _series(problem: Problem, result: FitResult) -> list[Series]:
-    """Return measured and simulated series of every trial and channel."""
+    """Return the measured and simulated series of every trial and channel."""
     series = []
     fitted = dict(zip((t.id for t in problem.trials), problem.simulations(result.estimate), strict=True))
     sds = {
@@ -568,21 +577,23 @@ def estimate_start(
     *,
     tolerance: float = START_TOLERANCE,
 ) -> dict[str, float]:
-    """Estimate the per-trial parameters of one trial, with the shared ones held.
+    """Estimate the per-trial parameters of one trial, with the shared parameters held.
 
-    A held-out trial has its own start pose, speed and clock, which are no part of the test.
+    A held-out trial has its own start pose, initial speed and clock offset. They are estimated, because they
+    are not part of the test.
 
     Parameters
     ----------
     parameters : tuple of Parameter
-        Shared ones are held at ``start``. Free per-trial ones are estimated.
+        Parameters of the model. Shared parameters are held at ``start``; free per-trial parameters are
+        estimated.
     sd : mapping of channel name to float
-        Noise of each channel, for the weights. Other channels are not used.
+        Noise of each channel for the weights. Channels that are not named are not used.
 
     Returns
     -------
     dict of str to float
-        Estimates by label, ``name[trial]``.
+        Estimates by label ``name[trial]``.
     """
     held = [replace(p, free=p.free and p.per_trial) for p in parameters]
     used = {c: v for c, v in trial.measured.items() if c in sd}
@@ -592,14 +603,14 @@ def estimate_start(
     problem.sd[0] = [np.full(len(trial.time_s), sd[channel]) for channel in problem.channels[0]]
     begin = problem.start
     if problem.broken(begin):
-        # the start was estimated with other coefficients, with which the simulation did not diverge
+        # the simulation may diverge because the start was estimated with other coefficients
         begin = np.clip([held[i].start for i, _ in problem.slots], problem.lower, problem.upper)
     solution = problem.solve(begin, tolerance=tolerance, watch=Patience())
     return {label: float(v) for label, v in zip(problem.labels, solution.x, strict=True)}
 
 
 def with_held_out(result: FitResult) -> FitResult:
-    """Return the result with each validation trial simulated from its own start state."""
+    """Return the result with each validation trial simulated from its own estimated start state."""
     waiting = [t for t in result.trials if t.role == "validate"]
     if not any(p.free and p.per_trial for p in result.parameters):
         return result

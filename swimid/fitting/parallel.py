@@ -1,4 +1,4 @@
-"""Computation of many items in threads or processes."""
+"""Evaluation of a function for many items in parallel threads or processes."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from typing import Any, TypeVar
 Item = TypeVar("Item")
 Made = TypeVar("Made")
 
-#: Function and items of a pool of processes, which inherit them.
+#: Function and items of the running process pool. Forked processes inherit them.
 _work: tuple[Callable[[Any], Any], list[Any]] | None = None
 
 
 def map_in_processes(function: Callable[[Item], Made], items: Iterable[Item], jobs: int) -> Iterator[Made]:
-    """Yield the results of a function in the order of its items, each as soon as it is there.
+    """Yield the results of a function in the order of the items, each as soon as it is available.
 
-    On Linux the items are shared among forked processes, because most of a simulation is Python, which
-    threads do not run at the same time. The processes begin with everything in memory. Only results are sent
-    back, and other changes that the function makes are lost. Elsewhere forking is not safe, and threads are
-    used.
+    On Linux the items are divided among forked processes. Threads would not help, because most of a
+    simulation is Python code, which threads do not run simultaneously. A forked process starts with
+    everything in memory. Only results are sent back; other changes that the function makes are lost. On other
+    systems forking is not safe, and threads are used.
     """
     global _work
     items = list(items)
@@ -52,13 +52,13 @@ def _one(index: int) -> Any:
 def map_in_threads(
     work: Callable[[Item], Made], items: Iterable[Item], jobs: int
 ) -> Iterator[Iterator[Made]]:
-    """Compute a function of many items in threads.
+    """Evaluate a function for many items in threads.
 
     Parameters
     ----------
     work : callable
-        Called with one item, in any thread. After the first failure, also an interrupt, it is called with no
-        further item.
+        Function that is called with one item, in any thread. After the first exception or interrupt it is not
+        called again.
     items : iterable
     jobs : int
         Number of threads, at least one.
@@ -66,13 +66,13 @@ def map_in_threads(
     Yields
     ------
     iterator
-        Results in the order of the items; waits for each. Items that have not begun when the block ends are
-        cancelled.
+        Results in the order of the items. The iterator waits for each result. When the ``with`` block ends,
+        items that have not started are cancelled.
     """
     failures: list[BaseException] = []
 
     def one(item: Item) -> Made:
-        # the caller may notice a failure late, and the queue would go on until then
+        # the caller may notice an exception late, and the threads would process further items until then
         if failures:
             raise failures[0]
         try:

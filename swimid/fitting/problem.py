@@ -1,9 +1,9 @@
 """The least-squares problem of an output-error fit, and a Levenberg-Marquardt search inside bounds.
 
-:class:`Problem` computes the residuals of all trials and their derivatives; :func:`minimise` searches.
-SciPy's trust-region method decomposes the whole Jacobian in every iteration. With thousands of residuals and
-few parameters the normal equations cost a tenth of that, and these problems are scaled well enough for them.
-Tests compare both optima.
+:class:`Problem` computes the residuals of all trials and their derivatives. :func:`minimise` searches for
+their minimum. SciPy's trust-region method decomposes the whole Jacobian in every iteration. With thousands of
+residuals and few parameters the normal equations need a tenth of that time, and the parameters are scaled
+well enough for them. Tests compare the optima of both methods.
 """
 
 from __future__ import annotations
@@ -21,18 +21,19 @@ from numpy.typing import NDArray
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.parallel import map_in_threads
 
-#: Duration of one simulation, s, above which simulations are shared among threads.
+#: Minimum duration of one simulation, s, for which simulations are divided among threads.
 WORTH_A_THREAD = 3e-4
-#: Largest step, in standard errors, over which derivatives are used again. It shifts an optimum by far less.
+#: Maximum step, in standard errors, after which derivatives are used again. The error of the optimum is much
+#: smaller than this step.
 NEAR = 0.01
-#: Weighted residual of a sample that the model cannot simulate.
+#: Value of the weighted residual of a sample that the model cannot simulate.
 BROKEN = 1e6
-#: Number of points whose simulations are remembered.
+#: Number of points whose simulations are cached.
 KEPT = 5
 
 
 class Box(NamedTuple):
-    """Bounds and typical sizes of the unknowns, shape (p,) each."""
+    """Bounds and typical scales of the unknowns, shape (p,) each."""
 
     lower: Array
     upper: Array
@@ -42,41 +43,43 @@ class Box(NamedTuple):
 class Problem:
     """Weighted residuals of trials, and their derivatives, as functions of the unknowns.
 
-    Simulations and derivatives are kept without weights, so that new weights need no new simulation.
+    Simulations and derivatives are cached without weights, so that new weights need no new simulation.
 
     Parameters
     ----------
     jobs : int
         Number of threads for simulations that take longer than :data:`WORTH_A_THREAD`. The results do not
-        depend on it.
+        depend on the number of threads.
 
     Attributes
     ----------
     labels : list of str, length p
-        One label for each unknown: the name of its parameter, or ``name[trial]`` if each trial has its own.
+        One label for each unknown: the name of its parameter, or ``name[trial]`` if each trial has its own
+        value.
     slots : list of (int, int or None), length p
-        Index of the parameter of each unknown, and index of its trial.
+        Index of the parameter of each unknown, and index of its trial (None for a shared parameter).
     taken : list of (ndarray, ndarray)
-        For each trial, the indices of the estimated parameters, and those of the unknowns they take.
+        For each trial: indices of its estimated parameters, and indices of the corresponding unknowns.
     channels : list of list of str
-        Channels of each trial that have samples.
+        Names of the channels of each trial that have samples.
     masks, sd, damping : list of list of ndarray, each shape (n_k,)
-        By trial and channel: where samples are, their standard deviations, and the factor (at most 1) by
-        which a robust loss reduces a sample's residual.
+        Arrays by trial and channel: a mask of the existing samples, their standard deviations, and the factor
+        (at most 1) by which a robust loss reduces each residual.
     start, lower, upper, scale : ndarray, shape (p,)
-        Start values, bounds and typical sizes of the unknowns.
+        Start values, bounds and typical scales of the unknowns.
     evaluations, jacobians : int
-        Number of simulations of single trials so far, and of derivatives of all residuals.
+        Number of simulations of single trials and number of Jacobians so far.
     near : float
-        Largest step over which derivatives are used again, as :data:`NEAR`.
+        Maximum step after which derivatives are used again, as in :data:`NEAR`.
     random : ndarray of bool, shape (p,)
         Unknowns that are random effects (:attr:`Parameter.spread`).
     prior : tuple of ndarray, shapes (p,) and (m, p)
-        Mean of the unknowns, and a root of their precision, which add ``root @ (theta - mean)`` to the
-        residuals. By default it is that of the random effects.
+        Prior of the unknowns: mean, and square root of the precision matrix. They add the rows ``root @
+        (theta - mean)`` to the residuals. The default is the prior of the random effects.
     whiten : callable
-        Map of the weighted residuals of a trial, or of their derivatives, to independent ones of unit
-        variance; by default the identity. It is called with the index of the trial.
+        Function that is called with the index of a trial and its weighted residuals or their derivatives. It
+        returns independent residuals of unit variance, or their derivatives. The default returns its
+        argument.
     """
 
     def __init__(
@@ -125,7 +128,7 @@ class Problem:
         self.random = np.isfinite(spread)
         self.prior = mean, np.diag(1.0 / spread)[self.random]
         self.whiten: Callable[[int, Array], Array] = lambda k, rows: rows
-        # the log of a trial may suggest a better start than that of the parameter
+        # the log of a trial may suggest a better start value than that of the parameter
         known = [{} if owner is None else self.trials[owner].starts for _, owner in self.slots]
         starts = [float(found.get(p.name, p.start)) for p, found in zip(own, known, strict=True)]
         self.start = np.clip(np.array(starts), self.lower, self.upper)
@@ -139,13 +142,14 @@ class Problem:
 
     @property
     def box(self) -> Box:
-        """Bounds and typical sizes of the unknowns."""
+        """Bounds and typical scales of the unknowns."""
         return Box(self.lower, self.upper, self.scale)
 
     def search_range(self) -> tuple[Array, Array]:
-        """Return the ends of the range from which starts are drawn, each shape (p,).
+        """Return the range from which starting points are sampled: lower and upper ends, each shape (p,).
 
-        They are the bounds. A side without a bound ends one scale from the start.
+        The range of a parameter with two bounds ends at the bounds. Other ranges end at one typical scale on
+        either side of the start value, or at the bound if that is nearer.
         """
         bounded = np.isfinite(self.lower) & np.isfinite(self.upper)
         low = np.where(bounded, self.lower, np.maximum(self.start - self.scale, self.lower))
@@ -153,7 +157,7 @@ class Problem:
         return low, high
 
     def own(self, trial: int) -> list[int]:
-        """Return the indices of the unknowns that belong to one trial alone."""
+        """Return the indices of the unknowns that belong to one trial only."""
         return [j for j, (_, owner) in enumerate(self.slots) if owner == trial]
 
     def vector(self, theta: Array, trial: int) -> Array:
@@ -164,7 +168,7 @@ class Problem:
         return values
 
     def simulations(self, theta: Array) -> list[dict[str, Array]]:
-        """Simulate every trial; the channels of the last :data:`KEPT` points are remembered."""
+        """Simulate every trial, and cache the channels of the last :data:`KEPT` points."""
         key = np.asarray(theta, dtype=float).tobytes()
         if key not in self._simulated:
             found = self.simulated([(theta, k) for k in range(len(self.trials))])
@@ -174,7 +178,7 @@ class Problem:
         return self._simulated[key]
 
     def broken(self, theta: Array) -> list[str]:
-        """Return the trials in which a measured sample cannot be simulated."""
+        """Return the ids of trials in which a measured sample cannot be simulated."""
         return [
             self.trials[k].id
             for k, simulated in enumerate(self.simulations(theta))
@@ -182,20 +186,20 @@ class Problem:
         ]
 
     def trial_residuals(self, theta: Array, k: int) -> Array:
-        """Return the weighted residuals of trial ``k``, channel after channel, without missing samples."""
+        """Return the weighted residuals of a trial, channel after channel, without missing samples."""
         with np.errstate(over="ignore", invalid="ignore"):
             error = self._measured[k] - self.stacked(k, self.simulations(theta)[k])
             values = error * self.sample_weights(k)
         return np.where(np.isfinite(values), values, BROKEN)
 
     def residuals(self, theta: Array) -> Array:
-        """Return the whitened residuals of all trials, then those of the prior, shape (n,)."""
+        """Return the whitened residuals of all trials, followed by those of the prior, shape (n,)."""
         mean, root = self.prior
         parts = [self.whiten(k, self.trial_residuals(theta, k)) for k in range(len(self.trials))]
         return np.concatenate([*parts, root @ (theta - mean)])
 
     def jacobian(self, theta: Array) -> Array:
-        """Return the derivatives of these residuals, shape (n, p)."""
+        """Return the derivatives of :meth:`residuals`, shape (n, p)."""
         _, root = self.prior
         blocks = self._blocks()
         count = sum(self._samples)
@@ -206,7 +210,7 @@ class Problem:
         return found
 
     def _blocks(self) -> list[tuple[slice, NDArray[np.intp]]]:
-        """Return the rows of each trial's residuals, and the columns of the unknowns it takes."""
+        """Return for each trial the rows of its residuals and the columns of its unknowns."""
         ends = np.cumsum(self._samples).tolist()
         return [
             (slice(end - n, end), numbers)
@@ -214,7 +218,7 @@ class Problem:
         ]
 
     def random_residuals(self, theta: Array) -> list[tuple[Array, Array]]:
-        """Return residuals and derivatives of each trial's random effects, shapes (m_k,) and (m_k, p)."""
+        """Return residuals and derivatives of the random effects by trial, shapes (m_k,) and (m_k, p)."""
         mean, root = self.prior
         residuals = root @ (theta - mean)
         owners = [self.slots[j][1] for j in np.flatnonzero(self.random)]
@@ -222,10 +226,11 @@ class Problem:
         return [(residuals[rows], root[rows]) for rows in mine]
 
     def trial_jacobians(self, theta: Array, *, central: bool = False) -> list[Array]:
-        """Return the derivatives of each trial's residuals to all unknowns, shape (n_k, p) each.
+        """Return the derivatives of each trial's residuals by all unknowns, shape (n_k, p) each.
 
-        Forward differences are accurate to about 1e-6; central ones are better and cost twice as much.
-        Derivatives of an earlier point are used again within :attr:`near` of it.
+        Forward differences have a relative accuracy of about 1e-6. Central differences are more accurate and
+        cost twice as much. Derivatives at an earlier point are used again if the point is within :attr:`near`
+        of it.
         """
         found = []
         for k, rows in enumerate(self.own_jacobians(theta, central=central)):
@@ -235,17 +240,17 @@ class Problem:
         return found
 
     def own_jacobians(self, theta: Array, *, central: bool = False) -> list[Array]:
-        """Return the derivatives of each trial's residuals to the unknowns it takes, each (n_k, m_k)."""
+        """Return the derivatives of each trial's residuals by its own unknowns, shape (n_k, m_k) each."""
         slopes = self._derivatives(theta, central)
         return [-self.sample_weights(k)[:, None] * rows for k, rows in enumerate(slopes)]
 
     def hold_derivatives(self, labels: Sequence[str], rows: Sequence[Array]) -> None:
-        """Hold the derivatives to some unknowns at given values; without labels, hold none.
+        """Hold the derivatives by some unknowns at given values; without labels, hold none.
 
         Parameters
         ----------
         rows : sequence of ndarray, each shape (n_k, len(labels))
-            Derivatives of the simulated samples of each trial, with the present weights.
+            Derivatives of the simulated samples of each trial, multiplied by the current weights.
         """
         weights = [self.sample_weights(k) for k in range(len(self.trials))]
         self._slopes = None
@@ -262,12 +267,12 @@ class Problem:
         watch: Watch | None = None,
         secant: bool = False,
     ) -> Solution:
-        """Minimise the squared residuals inside the bounds, from ``theta`` on (see :func:`minimise`).
+        """Minimise the sum of squared residuals inside the bounds, from ``theta`` on (see :func:`minimise`).
 
         Parameters
         ----------
         secant : bool
-            Update the derivatives from step to step, each trial's to the unknowns that it takes.
+            Whether to update the Jacobian from step to step by the secant method, for each trial separately.
         """
         blocks = self._blocks()
 
@@ -291,25 +296,25 @@ class Problem:
         )
 
     def sample_weights(self, k: int) -> Array:
-        """Return the factor from error to weighted residual of each sample of a trial, shape (n_k,)."""
+        """Return the factors from errors to weighted residuals of the samples of a trial, shape (n_k,)."""
         parts = [*self.damping[k], *self.sd[k]]
         known = self._weights.get(k)
-        # computed again only if an array was replaced
+        # compute the weights again only if an array of standard deviations or damping factors was replaced
         if known is None or any(a is not b for a, b in zip(known[0], parts, strict=True)):
             each = [d / sd for d, sd in zip(self.damping[k], self.sd[k], strict=True)]
             known = self._weights[k] = parts, self.at_samples(k, each)
         return known[1]
 
     def stacked(self, k: int, series: Mapping[str, Array]) -> Array:
-        """Return the values of channels at the samples of a trial, in the order of its residuals."""
+        """Return the existing samples of channels of a trial, in the order of its residuals, shape (n_k,)."""
         return self.at_samples(k, [series[c] for c in self.channels[k]])
 
     def at_samples(self, k: int, parts: Sequence[Array]) -> Array:
-        """Return one series for each channel of a trial at the trial's samples, joined, shape (n_k,)."""
+        """Join one series for each channel of a trial, without missing samples, shape (n_k,)."""
         return np.concatenate(parts)[self._kept[k]] if parts else np.empty(0)
 
     def by_channel(self, k: int, rows: Array) -> list[tuple[str, NDArray[np.bool_], Array]]:
-        """Return channel, mask and rows of each channel of a trial's residuals."""
+        """Split rows of a trial by channel, and return name, mask of samples and rows of each channel."""
         ends = np.cumsum([int(mask.sum()) for mask in self.masks[k]])
         parts = np.split(rows[: ends[-1]], ends[:-1]) if len(ends) else []
         return list(zip(self.channels[k], self.masks[k], parts, strict=True))
@@ -325,7 +330,7 @@ class Problem:
         return found
 
     def _derivatives(self, theta: Array, central: bool) -> list[Array]:
-        """Return the derivatives of each trial's simulated samples to its unknowns, shape (n_k, m_k) each."""
+        """Return the derivatives of each trial's simulated samples by its unknowns, shape (n_k, m_k) each."""
         if self._slopes is not None:
             where, was_central, known = self._slopes
             if (was_central or not central) and self._near(theta, where, known):
@@ -333,11 +338,12 @@ class Problem:
         size = np.maximum(np.abs(theta), self.scale)
         here = [self.stacked(k, simulated) for k, simulated in enumerate(self.simulations(theta))]
         steps = (1e-5 if central else 1e-6) * size
-        # step towards the inside of the bounds
+        # use a backward difference if a forward step would exceed the upper bound
         steps = np.where(theta + steps > self.upper, -steps, steps)
         both = central & (theta - steps >= self.lower) & (theta - steps <= self.upper)
         points: list[tuple[Array, int]] = []
-        # simulations of one trial are neighbours, so that they can share the table of its drive
+        # order the simulations by trial, so that simulations of one trial can share the computed motion of
+        # its drive
         for k, (_, numbers) in enumerate(self.taken):
             for j in (j for j in numbers if self.labels[j] not in self._held):
                 for sign in (1, -1)[: 1 + both[j]]:
@@ -364,7 +370,7 @@ class Problem:
         return slopes
 
     def _near(self, theta: Array, where: Array, slopes: list[Array]) -> bool:
-        """Whether two points differ by less than :attr:`near` standard errors."""
+        """Return whether two points differ by less than :attr:`near` standard errors."""
         moved, left, samples = 0.0, 0.0, 0
         for k, rows in enumerate(slopes):
             change = rows @ (theta - where)[self.taken[k][1]] * self.sample_weights(k)
@@ -372,18 +378,18 @@ class Problem:
             moved += float(change @ change)
             left += float(residuals @ residuals)
             samples += len(residuals)
-        # a step of one standard error in any direction changes the cost by the residuals' variance
+        # a step of one standard error in any direction changes the cost by the variance of the residuals
         return moved * samples <= self.near**2 * left
 
     def simulated(self, points: list[tuple[Array, int]]) -> list[dict[str, Array]]:
-        """Return the measured channels of simulations, one for each pair of unknowns and trial."""
+        """Simulate pairs of unknowns and trial index, and return the measured channels of each."""
         self.evaluations += len(points)
         runs = [(self.vector(theta, k), self.trials[k]) for theta, k in points]
         begun, threads = time.perf_counter(), 1
-        # the shortest duration so far, because the first simulation may have compiled the model
+        # use the shortest duration of a simulation so far, because the first one may have compiled the model
         if self.jobs > 1 and len(runs) > 1 and WORTH_A_THREAD < self._typical_s < math.inf:
             threads = self.jobs
-            # in whole batches of what the model simulates at once
+            # give each thread whole batches of the size that the model simulates together
             together = self.model.together
             share = math.ceil(len(runs) / threads / together) * together
             parts = [runs[i : i + share] for i in range(0, len(runs), share)]
@@ -402,19 +408,23 @@ class Problem:
 # ---------------------------------------------------------------- Levenberg-Marquardt search
 
 
-#: A step that lowers the cost by less than this share of the prediction is corrected for curvature.
+#: Minimum decrease of the cost by a step, as a fraction of the predicted decrease. A step with a smaller
+#: decrease is corrected for curvature.
 MIN_AGREEMENT = 0.9
-#: Maximum length of that correction, as a share of the step.
+#: Maximum length of the correction for curvature, as a fraction of the length of the step.
 MAX_CORRECTION = 0.75
-#: A step that lowers the cost by more than this share of the prediction allows a secant update.
+#: Minimum decrease of the cost by a step, as a fraction of the predicted decrease, that allows a secant
+#: update instead of new derivatives.
 SECANT_AGREEMENT = 0.75
-#: Maximum number of successive secant updates.
+#: Maximum number of successive secant updates before new derivatives are computed.
 MAX_SECANT_STEPS = 5
-#: Reasons why a search ends: no change, no descent, and no descent although the gradient promises one.
+#: Messages of a search that ended because nothing changes, because no step lowers the cost, or because no
+#: step lowers the cost although the gradient is not zero.
 STILL = "cost and parameters no longer change"
 STUCK = "no step lowers the cost"
 KINKED = "no step lowers the cost though the gradient does not vanish"
-#: Maximum number of columns that are multiplied without BLAS. Waking its threads takes longer than the sums.
+#: Maximum number of columns of a Jacobian that is multiplied without BLAS. For few columns, waking the
+#: threads of BLAS takes longer than the multiplication.
 FEW_COLUMNS = 16
 
 #: A function of parameters, cost and iteration, called at the start and after each step that lowers the cost.
@@ -424,7 +434,7 @@ Watch = Callable[[Array, float, int], "str | None"]
 
 @dataclass(frozen=True)
 class Solution:
-    """End of a search: the parameters, the sum of squares there, and why the search ended."""
+    """End point of a search: the parameters, their sum of squares, and the reason why the search ended."""
 
     x: Array
     cost: float
@@ -434,7 +444,7 @@ class Solution:
 
 
 class _Tried(NamedTuple):
-    """A step in typical sizes, the point it leads to, and residuals and cost there (infinite if NaN)."""
+    """A step in typical scales, and the point, residuals and cost (infinite if NaN) to which it leads."""
 
     step: Array
     x: Array
@@ -442,7 +452,7 @@ class _Tried(NamedTuple):
     cost: float
 
 
-# the cost of a very bad step may overflow: it is infinite, and the step is not taken
+# the cost of a very bad step may overflow: the cost is then infinite, and the step is rejected
 @np.errstate(over="ignore", invalid="ignore")
 def minimise(
     residuals: Callable[[Array], Array],
@@ -463,21 +473,23 @@ def minimise(
     jacobian : callable, (p,) -> (n, p)
     start : ndarray, shape (p,)
     box : Box
-        Bounds and typical sizes.
+        Bounds and typical scales of the parameters.
     tolerance : float
-        The search ends if neither the cost nor the parameters change by more than this, relatively.
+        The search ends if neither the cost nor the parameters change by more than this fraction.
     watch : callable, optional
-        May end the search after a step (:data:`Watch`).
+        Function that is called after each step and may end the search (:data:`Watch`).
     secant : callable, (n, p), (n,), (p,), (p,) -> (n, p)
-        Updates the derivatives after a step, from those before, the difference between the residuals and
-        their prediction, the step, and the weight of each parameter in its length; parameters are in typical
-        sizes. With it, new derivatives are computed only if a step falls short of its prediction [1]_ [2]_,
-        and such a step is also corrected for curvature. Use it where derivatives are expensive.
+        Function that updates the Jacobian after a step. Its arguments are the Jacobian before the step, the
+        difference between the residuals and their linear prediction, the step, and the weight of each
+        parameter in the length of the step. Parameters are in typical scales. With such a function, a new
+        Jacobian is computed only if a step falls short of its prediction [1]_ [2]_, and such a step is also
+        corrected for curvature. Use it if derivatives are expensive.
 
     Notes
     -----
-    The damping follows Nielsen [2]_. Parameters at a bound that the gradient pushes outwards take no part in
-    a step. A parameter that would cross a bound is set to it, and the step of the others is solved again.
+    The damping follows Nielsen [2]_. A parameter at a bound is left out of a step if the gradient pushes it
+    outwards. A parameter that would cross a bound is set to the bound, and the step of the other parameters
+    is computed again.
 
     References
     ----------
@@ -505,7 +517,7 @@ def minimise(
             blocked = ((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0))
             free = ~blocked
             size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-            # cosine of the angle between the residuals and each column
+            # cosine of the angle between the residuals and each column of the Jacobian
             slope = np.abs(gradient[free]) / (size[free] * np.sqrt(max(cost, 1e-300)))
             if not free.any() or cost <= 1e-300 or np.max(slope, initial=0.0) < 1e-12:
                 return Solution(x, cost, True, "the gradient vanishes", iteration)
@@ -530,7 +542,7 @@ def minimise(
                     still = small or (lowered <= tolerance * cost and predicted <= 10 * tolerance * cost)
                     x, r, cost = tried.x, tried.residuals, tried.cost
                     reason = tell(x, cost, iteration)
-                    # updated derivatives may be why a step is small
+                    # end only with new derivatives: a secant update may be the reason for a small step
                     if still and not age:
                         return Solution(x, cost, True, STILL, iteration)
                     if reason is not None:
@@ -540,7 +552,7 @@ def minimise(
                         rows, age, renew = secant(rows, off, tried.step, size**2), age + 1, False
                     break
                 if age:
-                    # updated derivatives may be why the cost does not fall
+                    # compute new derivatives: the secant updates may be the reason why the cost does not fall
                     break
                 if small or abs(predicted) <= 1e-3 * tolerance * cost:
                     return Solution(x, cost, True, STUCK, iteration)
@@ -567,7 +579,7 @@ def _corrected(
     rows: Array,
     size: Array,
 ) -> _Tried:
-    """Return a step corrected by the prediction error of its residuals, if that is short and better."""
+    """Return a step corrected for curvature if the correction is short and lowers the cost; else the step."""
     bent = solve(rows.T @ (tried.residuals - r - rows @ tried.step))
     if np.linalg.norm(bent * size) > MAX_CORRECTION * np.linalg.norm(tried.step * size):
         return tried
@@ -575,7 +587,7 @@ def _corrected(
 
 
 def _products(rows: Array, r: Array) -> tuple[Array, Array]:
-    """Return the products of the columns with the residuals and with each other, shapes (p,) and (p, p)."""
+    """Return ``J' r`` and ``J' J`` of a Jacobian J and residuals r, shapes (p,) and (p, p)."""
     if rows.shape[1] <= FEW_COLUMNS:
         return np.einsum("ij,i->j", rows, r), np.einsum("ij,ik->jk", rows, rows)
     return rows.T @ r, rows.T @ rows
@@ -584,7 +596,7 @@ def _products(rows: Array, r: Array) -> tuple[Array, Array]:
 def _step(
     normal: Array, gradient: Array, damping: Array, low: Array, high: Array, blocked: NDArray[np.bool_]
 ) -> Array:
-    """Return the damped Gauss-Newton step within ``low .. high``; parameters that would cross are fixed."""
+    """Return the damped Gauss-Newton step; parameters that would leave the limits are set to them."""
     step = np.zeros(len(gradient))
     fixed = blocked.copy()
     while not fixed.all():
@@ -604,29 +616,30 @@ def _step(
 # ---------------------------------------------------------------- ends of a search that noise justifies
 
 
-#: Number of last steps that are judged together against the noise.
+#: Number of successive steps whose total effect is compared with the noise.
 BRIEF = 5
-#: Number of last steps that are judged together for slow progress, and iterations before they are.
+#: Number of successive steps whose total progress is judged, and number of iterations before that.
 STRIDE, CREEPING = 10, 40
-#: Relative decrease of the cost that the last :data:`STRIDE` steps must reach.
+#: Minimum relative decrease of the cost by the last :data:`STRIDE` steps. A search with less progress is
+#: ended.
 MIN_DECREASE = 2e-4
-#: Reasons: steps below the noise, and slow progress.
+#: Messages of a search that ended because its steps are below the noise, or because its progress is slow.
 HIDDEN = "cost and estimates change by less than noise shows"
 STALLED = "the search creeps"
 
 
 @dataclass
 class Patience:
-    """Ends a search whose steps are below the noise, or that moves slowly along a flat valley.
+    """Rule that ends a search whose steps are below the noise, or whose progress in a flat valley is slow.
 
     Attributes
     ----------
     cost : float
-        Decrease of the cost that noise hides; negative if that is not known.
+        Decrease of the cost that is below the noise; negative if the noise is not known.
     move : ndarray, shape (p,)
-        Change of each parameter that noise hides; infinite for parameters that may still change.
+        Change of each parameter that is below the noise; infinite for parameters that may still change.
     path : list of (ndarray, float)
-        Parameters and cost at the start and after each step.
+        Parameters and cost at the start and after each step of the search.
     """
 
     cost: float = -1.0
@@ -634,7 +647,7 @@ class Patience:
     path: list[tuple[Array, float]] = field(default_factory=list)
 
     def __call__(self, x: Array, cost: float, iteration: int) -> str | None:
-        """Return the reason to end the search after this step, or None."""
+        """Return the reason to end the search after this step; None to continue the search."""
         self.path.append((x, cost))
         lowered, moved = self.last(BRIEF)
         if lowered <= self.cost and np.all(np.abs(moved) <= self.move):
@@ -644,7 +657,7 @@ class Patience:
         return None
 
     def last(self, steps: int) -> tuple[float, Array]:
-        """Return the decrease of the cost over the last steps, and the moves; infinite for fewer steps."""
+        """Return the changes of cost and parameters over the last steps; infinite for fewer steps."""
         if not self.path:
             return math.inf, np.empty(0)
         x, cost = self.path[-1]

@@ -1,8 +1,8 @@
-"""Tests whether the answer of a search is a minimum, and profile-likelihood intervals.
+"""Tests whether the end point of a search is a minimum, and profile-likelihood intervals.
 
-Points around the answer, and short searches from some of them, must not reach a lower cost. A search stops
-where its own model of the cost promises no decrease. That is no minimum if the cost has kinks, as with dry
-friction, or if a bound keeps a parameter from leaving.
+No point near the estimates, and no short search from such a point, may reach a lower cost than the estimates.
+A search ends where its local model of the cost predicts no decrease. Such a point need not be a minimum if
+the cost is not smooth, as with dry friction, or if a bound holds a parameter.
 """
 
 from __future__ import annotations
@@ -17,45 +17,52 @@ from swimid.fitting.model import Array, Parameter
 from swimid.fitting.noise import huber_damping
 from swimid.fitting.problem import Patience, Problem, minimise
 
-#: Number of pairs of points around the answer, and their distance in standard errors under white noise.
+#: Number of pairs of points around the estimates, and their distance from the estimates in standard errors
+#: under white noise.
 N_PAIRS, PAIR_DISTANCE = 3, 2.0
-#: Deviation of the cost of a pair from the prediction by curvature, as a share of it, that shows kinks.
+#: Minimum deviation of the mean cost of a pair from its quadratic prediction, as a fraction of the
+#: prediction, that shows a non-smooth cost.
 KINK_SHARE = 0.5
-#: Distances, in the same standard errors, from which short searches start: for a smooth cost, and with kinks.
+#: Distances from the estimates at which short searches start, in standard errors under white noise. The first
+#: tuple is for a smooth cost, the second for a non-smooth cost.
 SMOOTH_DISTANCES = (10.0,)
 KINK_DISTANCES = (3.0, 10.0, 30.0, 100.0, 3.0, 10.0, 30.0, 100.0)
-#: Number of iterations of a short search, and of the two best ones where the cost has kinks.
+#: Number of iterations of a short search, and of the second search from the two best end points of a
+#: non-smooth cost.
 SHORT_ITERATIONS, LONG_ITERATIONS = 3, 10
-#: Values at which a parameter with kinks is tried: multiples of its scale, because the search may have gone
-#: far astray, and of its estimate. A decay that sticks has a minimum for every number of half swings.
+#: Values at which a parameter with a non-smooth effect is tested: multiples of its typical scale, and
+#: multiples of its estimate. Multiples of the scale help if the estimate is far from the best value. A free
+#: decay with dry friction has a local minimum for every number of half swings before the body sticks.
 SCALES, FACTORS = (0.25, 1.0, 3.0), (0.6, 0.8, 0.9, 1.1, 1.25, 1.6)
-#: Distance from its bound, in its scale, at which a parameter at a bound is tried.
+#: Distance from the bound at which a parameter at a bound is tested, in typical scales of the parameter.
 INSIDE = 1.0
-#: Largest relative step along a direction that the data hardly determine.
+#: Maximum step along a direction that the data hardly determine, as a fraction of the parameter values.
 MAX_STEP = 0.5
-#: Decrease of the squared residuals, in variances, that moves an estimate by a thirtieth of its error.
+#: Minimum decrease of the sum of squared residuals that counts as a lower cost, in units of the residual
+#: variance. Such a decrease moves an estimate by about a thirtieth of its standard error.
 IMMATERIAL = 1e-3
 
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Result of a test of an answer."""
+    """Result of a search around the estimates of a fit."""
 
-    #: Point with a lower cost than the answer, shape (p,); None if there is none.
+    #: Point with a lower cost than the estimates, shape (p,); None if there is none.
     point: Array | None
-    #: Number of simulations of single trials, and of derivatives.
+    #: Number of simulations of single trials, and number of Jacobians.
     evaluations: int
     jacobians: int
-    #: The cost has kinks: a parameter says so, or the cost differs from the prediction by its curvature.
+    #: The cost is not smooth: :attr:`Parameter.kinked` of a parameter is set, or the cost deviates from its
+    #: quadratic prediction.
     rough: bool
 
 
 def search_around(result: FitResult, *, jobs: int = 1, seed: int = 0) -> Surroundings:
-    """Search for a lower cost around the answer of a fit.
+    """Search for a lower cost around the estimates of a fit.
 
-    If the cost is smooth, the derivatives at the answer serve all starts. A start is done with if a step
-    leads at least half of the way back to the answer, measured in residuals. Other starts are searched with
-    derivatives of their own.
+    If the cost is smooth, all starting points use the derivatives at the estimates for one step. If this step
+    leads at least half of the way back to the estimates, measured in residuals, the starting point is not
+    searched further. Otherwise the search continues with new derivatives.
     """
     if not len(result.labels):
         return Surroundings(None, 0, 0, False)
@@ -65,7 +72,7 @@ def search_around(result: FitResult, *, jobs: int = 1, seed: int = 0) -> Surroun
 
 
 def weighted(result: FitResult, parameters: tuple[Parameter, ...] | None = None, *, jobs: int = 1) -> Problem:
-    """Return the problem of a fit with its final weights, also for other choices of parameters."""
+    """Return the least-squares problem of a fit with its final weights; its parameters can be replaced."""
     fitted = [t for t in result.trials if t.role == "fit"]
     problem = Problem(result.model, parameters or result.parameters, fitted, jobs=jobs)
     set_weights(problem, result)
@@ -73,7 +80,7 @@ def weighted(result: FitResult, parameters: tuple[Parameter, ...] | None = None,
 
 
 def set_weights(problem: Problem, result: FitResult) -> None:
-    """Give a problem the final weights of a fit of its trials."""
+    """Set the weights of a problem to the final weights of a fit of the same trials."""
     known = {(s.trial, s.channel): s for s in result.series}
     for k, trial in enumerate(problem.trials):
         series = [known[trial.id, channel] for channel in problem.channels[k]]
@@ -83,7 +90,7 @@ def set_weights(problem: Problem, result: FitResult) -> None:
 
 
 def _better(problem: Problem, result: FitResult, rng: np.random.Generator) -> tuple[Array | None, bool]:
-    """Return a point with a lower cost, if there is one, and whether the cost has kinks."""
+    """Return a point with a lower cost (None if there is none), and whether the cost is not smooth."""
     theta = np.asarray(result.estimate, dtype=float)
     here = _cost(problem, theta)
     rows = problem.jacobian(theta)
@@ -130,16 +137,17 @@ def _better(problem: Problem, result: FitResult, rng: np.random.Generator) -> tu
 
 
 def _smooth(problem: Problem, theta: Array, rows: Array, step: Array, off: float) -> bool:
-    """Whether the deviation from the predicted cost vanishes with the fourth power of the step.
+    """Return whether the deviation from the quadratic prediction falls with the fourth power of the step.
 
-    It does so in a bent valley. With kinks it falls as the step, and with stairs as the square of the step.
+    It does so for a smooth cost. With a kink it falls with the step, and with a piecewise constant cost it
+    falls with the square of the step.
     """
     here = _cost(problem, theta)
     for _ in range(2):
         step = step / 4.0
         predicted = float(np.sum((rows @ step) ** 2))
         nearer = 0.5 * (_cost(problem, theta + step) + _cost(problem, theta - step)) - here - predicted
-        # at a quarter of the distance 1/256 is left of a bend, and 1/16 of stairs
+        # at a quarter of the distance, 1/256 of the deviation remains if smooth, 1/16 if piecewise constant
         if abs(nearer) < 1.0 / 32.0 * abs(off):
             return True
         off = nearer
@@ -147,14 +155,14 @@ def _smooth(problem: Problem, theta: Array, rows: Array, step: Array, off: float
 
 
 def kinked(result: FitResult) -> bool:
-    """Whether an estimated parameter puts kinks into the cost."""
+    """Return whether an estimated parameter makes the cost non-smooth (:attr:`Parameter.kinked`)."""
     return any(p.kinked and p.free for p in result.parameters)
 
 
 def _searched(
     problem: Problem, starts: list[Array], iterations: int, tolerance: float
 ) -> list[tuple[float, Array]]:
-    """Return costs and ends of short searches."""
+    """Return the cost and the end point of a short search from each starting point."""
     found = [problem.solve(start, tolerance=tolerance, max_iterations=iterations) for start in starts]
     return [(solution.cost, solution.x) for solution in found if np.isfinite(solution.cost)]
 
@@ -165,7 +173,7 @@ def _cost(problem: Problem, theta: Array) -> float:
 
 
 def _unit(rng: np.random.Generator, size: int) -> Array:
-    """Return a random direction."""
+    """Return a random unit vector."""
     direction = rng.normal(size=size)
     return np.asarray(direction / np.linalg.norm(direction))
 
@@ -184,7 +192,11 @@ def _standard_steps(problem: Problem, theta: Array, rows: Array, variance: float
 
 
 def _inside(problem: Problem, result: FitResult, theta: Array, rough: bool) -> list[Array]:
-    """Return starts with a parameter moved away from its bound, or with kinks to another value."""
+    """Return starting points in which one parameter has another value.
+
+    A parameter at a bound is moved away from the bound. A parameter with a non-smooth effect is set to
+    several values. Parameters of single trials are included only if the cost is not smooth.
+    """
     kinked = {p.name for p in result.parameters if p.kinked}
     found = []
     margin = 1e-3 * problem.scale
@@ -213,10 +225,11 @@ def profile_interval(
 ) -> tuple[float | None, float | None]:
     """Return the profile-likelihood interval of one shared parameter.
 
-    The parameter is held at values further and further from its estimate, and all others are fitted again.
-    The interval ends where the fit is worse by the quantile of the chi-square distribution. Coloured
-    residuals and trials that disagree widen it by the factor by which they widen the standard error. An end
-    is None if the interval reaches a bound, or does not end within some ten standard errors.
+    The parameter is held at values at increasing distance from its estimate, and all other parameters are
+    fitted again. The interval ends where the sum of squared residuals, divided by the residual variance, has
+    increased by the quantile of the chi-square distribution. Coloured residuals and trials that disagree
+    widen the interval by the factor by which they increase the standard error. An end of the interval is None
+    if the interval reaches a bound, or extends more than 18 standard errors from the estimate.
     """
     stderr = result.stderr(name)
     if stderr is None:

@@ -1,6 +1,6 @@
-"""Propulsion by a caudal fin (boxfish paper), and beat-averaged surge: ``swimid fit-propulsion``.
+"""Propulsion by a caudal fin (boxfish paper), and surge averaged over tail beats: ``swimid fit-propulsion``.
 
-``trials`` reads cruise tables and straight free swims. ``model`` has the recoil law and the surge model.
-``cruise`` fits the recoil law. ``fit_propulsion`` is the command, and fits the surge model; ``options`` are
-its options.
+``trials`` reads cruise tables and logs of straight free swimming. ``model`` has the energy recoil law of
+cruise tables and the surge model of straight swimming. ``cruise`` fits the recoil law. ``fit_propulsion`` is
+the command, and fits the surge model. ``options`` has the options of the command.
 """

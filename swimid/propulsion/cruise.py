@@ -1,4 +1,4 @@
-"""Fit of the energy recoil law to a cruise table, its checks, and its operating points."""
+"""Fit of the energy recoil law to a cruise table, checks of the law, and operating points of the runs."""
 
 from __future__ import annotations
 
@@ -22,20 +22,21 @@ from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results.parameters import Estimate, ParameterFile
 
-#: A frequency departs from the law if its runs are off by more than this share and by more than this number
-#: of standard errors. At least MIN_LEVELS frequencies stay in the fit, and at most a third is left out.
+#: Minimum relative deviation of the mean speed at a frequency from the law, and minimum deviation in standard
+#: errors, that count as a departure. At least ``MIN_LEVELS`` frequencies stay in the fit, and at most a third
+#: of the frequencies is left out.
 DEPARTURE_RTOL, DEPARTURE_Z, MIN_LEVELS = 0.01, 4.0, 3
-#: Exponents of the law for the power.
+#: Exponents of the power in the recoil law.
 LAWS = {"frequency_exponent": 3.0, "amplitude_exponent": 2.0}
-#: Largest distance of a free exponent from that of the law, in standard errors.
+#: Maximum deviation of a free exponent from that of the law, in standard errors.
 EXPONENT_Z = 3.0
-#: Distance over which the average speed is the terminal one to a millionth, m.
+#: Distance over which the average speed equals the terminal speed to a relative error of a millionth, m.
 FAR_M = 1e7
-#: Parameters that the law takes from a drag file.
+#: Parameters of the drag file that the law uses.
 DRAG_PARAMETERS = ("drag_coefficient", "added_mass")
-#: Strouhal numbers of efficient swimmers.
+#: Minimum and maximum Strouhal number of efficient swimmers.
 EFFICIENT_STROUHAL = (0.25, 0.4)
-#: Columns of the table of runs: quantity, and factor to the unit of the column.
+#: Columns of the table of runs. Each has the name of its quantity, and the factor to the unit of the column.
 COLUMNS = {
     "f (Hz)": ("frequency_hz", 1.0),
     "amplitude (°)": ("amplitude_deg", 1.0),
@@ -56,19 +57,19 @@ def fit(
     keep_departures: bool,
     progress: Progress,
 ) -> tuple[ParameterFile, ev.Evidence]:
-    """Fit the law without the frequencies that depart from it, with the errors of the drag file.
+    """Fit the law to all frequencies that follow it; standard errors include those of the drag file.
 
     Parameters
     ----------
     choices : tuple of Parameter
         Parameters of the model with the choices of the user.
     origin : dict
-        Provenance.
+        Provenance of the inputs.
 
     Raises
     ------
     NoTrustworthyResult
-        If neither parameter can be identified.
+        If neither the recoil efficiency nor the amplitude offset can be identified.
     """
     model = experiment.model
     assert isinstance(model, RecoilModel)
@@ -132,7 +133,7 @@ def fit(
 
 
 def _without(trials: Sequence[Trial], frequencies: Sequence[float]) -> list[Trial]:
-    """Return the trials without the speeds at some frequencies."""
+    """Return the trials with the speeds at some frequencies set to missing."""
     kept = []
     for trial in trials:
         out = np.isclose(trial.inputs["frequency_hz"][:, None], frequencies).any(axis=1)
@@ -168,7 +169,7 @@ def _find_departures(
 
 
 def _departure(fitted: FitResult, trials: list[Trial], level: float) -> dict[str, Any] | None:
-    """Return the mean relative distance of the runs at a frequency from the law; None without a speed."""
+    """Return the mean relative deviation of the runs at a frequency from the law; None without a speed."""
     shares, spread = [], []
     size = float(np.sqrt(np.mean([np.nanmean(s.weighted**2) for s in fitted.series])))
     reference = fitted.noise[SPEED].value_sd
@@ -182,13 +183,13 @@ def _departure(fitted: FitResult, trials: list[Trial], level: float) -> dict[str
     if not shares:
         return None
     share, variance = float(np.mean(shares)), float(np.mean(np.square(spread)))
-    # the error of the mean, and that of the law, which is about twice that of one run among all others
+    # error of the mean, and error of the law, which is about twice that of the mean of all fitted runs
     error = math.hypot(math.sqrt(variance / len(shares)), 2 * math.sqrt(variance / max(fitted.samples, 1)))
     return {"frequency_hz": level, "share": share, "stderr": error, "z": share / error, "runs": len(shares)}
 
 
 def _departure_check(departures: list[dict[str, Any]], everything: FitResult) -> ev.Check:
-    """Check that every frequency follows the law; warn of those that do not."""
+    """Check that every frequency follows the law; warn of the frequencies that depart from it."""
     for d in departures:
         word = "slower" if d["share"] < 0 else "faster"
         warn(
@@ -213,19 +214,19 @@ def _departure_check(departures: list[dict[str, Any]], everything: FitResult) ->
 def free_exponents(
     model: Model, trials: Sequence[Trial], choices: tuple[Parameter, ...], laws: Mapping[str, float], of: str
 ) -> tuple[dict[str, Estimate], list[ev.Check]]:
-    """Estimate each exponent of a law in a fit of its own, and check that it is that of the law.
+    """Estimate each exponent of a law in a separate fit, and check that it agrees with the law.
 
     Parameters
     ----------
     laws : mapping of str to float
-        Value of each exponent under the law.
+        Value of each exponent in the law.
     of : str
-        Quantity that has the exponents, for the messages.
+        Name of the quantity that is a power law, for the messages.
 
     Returns
     -------
     exponents : dict of str to Estimate
-        Free exponents, by names such as ``free_frequency_exponent``.
+        Estimates of the exponents, with names such as ``free_frequency_exponent``.
     checks : list of Check
     """
     exponents, checks = {}, []
@@ -236,7 +237,7 @@ def free_exponents(
             continue
         fit_common.refuse_interrupted(result)
         value, stderr, status = result.value(name), result.stderr(name), result.status[name]
-        # an exponent beside an offset at its bound is not that of the law
+        # an exponent is not identifiable if the amplitude offset is at its bound
         if result.status.get("amplitude_offset_deg", "estimated") != "estimated":
             status = "unidentifiable"
         exponents[f"free_{name}"] = Estimate(
@@ -257,7 +258,7 @@ def free_exponents(
 
 
 def _models_by_drag_error(experiment: Experiment) -> dict[str, RecoilModel]:
-    """Return the model with each parameter of the drag file increased by its standard error."""
+    """Return a model for each parameter of the drag file, with it increased by its standard error."""
     drag, fins = experiment.facts["drag"], [t.id for t in experiment.trials]
     models = {}
     for name in DRAG_PARAMETERS:
@@ -272,7 +273,7 @@ def _models_by_drag_error(experiment: Experiment) -> dict[str, RecoilModel]:
 def _with_drag_error(
     result: FitResult, trials: list[Trial], choices: tuple[Parameter, ...], experiment: Experiment
 ) -> FitResult:
-    """Add the contribution of the drag file to the covariance."""
+    """Add the errors of the drag file's parameters to the covariance of the estimates."""
     drag: ParameterFile = experiment.facts["drag"]
     shifts = np.zeros((2, len(result.labels)))
     for name, other in _models_by_drag_error(experiment).items():
@@ -286,7 +287,7 @@ def _with_drag_error(
 
 
 def _derive(experiment: Experiment, result: FitResult, points: list[dict[str, Any]]) -> dict[str, Estimate]:
-    """Return the velocity ratio, and the smallest and the largest propulsive force."""
+    """Return the velocity ratio, and the minimum and the maximum propulsive force."""
     drag, model = experiment.facts["drag"], experiment.model
     assert isinstance(model, RecoilModel)
     distance = float(np.median(np.concatenate([t.inputs["distance_m"] for t in experiment.trials])))
@@ -309,7 +310,7 @@ def _derive(experiment: Experiment, result: FitResult, points: list[dict[str, An
 
 
 def _operating_points(experiment: Experiment, result: FitResult, wake: str) -> list[dict[str, Any]]:
-    """Return terminal speed, force, Strouhal numbers and efficiency of every run."""
+    """Return the terminal speed, force, Strouhal numbers and efficiency of every run."""
     model = result.model
     assert isinstance(model, RecoilModel)
     offset = np.deg2rad(result.value("amplitude_offset_deg"))
@@ -345,7 +346,7 @@ def _operating_points(experiment: Experiment, result: FitResult, wake: str) -> l
 
 
 def _tables(experiment: Experiment, points: list[dict[str, Any]]) -> list[ev.Table]:
-    """Return the tables of runs and of fins."""
+    """Return the tables of the runs and of the fins."""
     runs = []
     for p in points:
         row: dict[str, blocks.Cell] = {"fin": p["fin"]}
@@ -373,7 +374,7 @@ def _tables(experiment: Experiment, points: list[dict[str, Any]]) -> list[ev.Tab
 
 
 def _figures(experiment: Experiment, result: FitResult, points: list[dict[str, Any]]) -> list[ev.Figure]:
-    """Return speeds over frequency and over amplitude with the law, and force and Strouhal number."""
+    """Return figures of speed over frequency and amplitude with the law, and of force and Strouhal number."""
     amplitudes, counts = np.unique([round(p["amplitude_deg"], 6) for p in points], return_counts=True)
     amplitude = float(amplitudes[np.argmax(counts)])
     settings = {(p["frequency_hz"], p["amplitude_deg"]) for p in points}
@@ -433,7 +434,7 @@ def _points(
 def _law(
     result: FitResult, trial: Trial, frequency: Array, amplitude_deg: Array, distance_m: float | None = None
 ) -> Array:
-    """Return the average speed of runs under the law, m/s, by default over the median distance."""
+    """Return the average speed of runs by the law, m/s; the default distance is the median of the trial."""
     if distance_m is None:
         distance_m = float(np.median(trial.inputs["distance_m"]))
     runs = replace(

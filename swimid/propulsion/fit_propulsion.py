@@ -27,7 +27,7 @@ from swimid.results import evidence as ev
 from swimid.results.fitted import Fitted
 from swimid.results.parameters import Estimate, ParameterFile
 
-#: Exponent of the amplitude in the thrust of the law.
+#: Exponent of the amplitude in the law of thrust.
 AMPLITUDE_EXPONENT = 2.0
 
 
@@ -39,39 +39,39 @@ def fit_propulsion(
     output: Path | None = None,
     progress: Progress = silent,
 ) -> Fitted:
-    """Identify the propulsion of a fin: recoil law of cruising speeds, or thrust and drag of straight runs.
+    """Identify the propulsion of a fin: recoil law of cruise speeds, or thrust and drag of straight runs.
 
-    The recoil law is that of a rigid fin. Frequencies that depart from it (SWM030) are left out of the fit,
-    and the result does not hold for them. The start speed of a held-out trial is estimated from the trial
-    itself with all other parameters held.
+    The recoil law is that of a rigid fin. Frequencies whose runs depart from the law (SWM030) are left out of
+    the fit, and the result is not valid at these frequencies. The initial speed of a held-out trial is
+    estimated from the trial itself, with all other parameters held.
 
     Parameters
     ----------
     trials : path or TrialSet
-        Trials file, or the result of :func:`swimid.load`: a cruise experiment (recoil law, boxfish paper
-        Eqs 3-6, 25-27), or straight free-swim trials (beat-averaged surge: thrust by a power of amplitude,
-        quadratic drag).
+        Trials file, or the result of :func:`swimid.load`. It describes a cruise experiment (recoil law,
+        boxfish paper Eqs 3-6, 25-27) or straight free-swim trials. Free-swim trials are fitted with the surge
+        averaged over tail beats, a thrust by a power of the amplitude, and quadratic drag.
     output : path, optional
-        Parameter file to write; its evidence is written beside it.
+        Parameter file to write, together with its evidence file.
     progress : Progress
-        Shows the search.
+        Progress bar of the search.
 
     Returns
     -------
     Fitted
-        For a cruise ``.parameters`` has ``recoil_efficiency`` (1), ``amplitude_offset_deg`` (deg) and the
-        ``inertia_<fin>`` (kg m^2) of fins of unknown inertia. ``.derived`` has ``velocity_ratio`` (1), the
-        smallest and the largest propulsive force (N) and the free exponents (1). Standard errors contain
-        those of the drag file. ``.tables()`` has speeds, forces and Strouhal numbers of each run, with both
-        levers of the wake. For straight runs ``.parameters`` has ``thrust_acceleration`` (m/s^2),
-        ``surge_drag`` (1/m, drag over mass) and the exponents of amplitude and frequency (1).
+        For a cruise ``.parameters`` has ``recoil_efficiency`` (1), ``amplitude_offset_deg`` (deg), and
+        ``inertia_<fin>`` (kg m^2) for each fin of unknown inertia. ``.derived`` has ``velocity_ratio`` (1),
+        the minimum and the maximum propulsive force (N), and the free exponents (1). The standard errors
+        include those of the drag file. ``.tables()`` has speeds, forces and Strouhal numbers of each run,
+        with both levers of the wake width. For straight runs ``.parameters`` has ``thrust_acceleration``
+        (m/s^2), ``surge_drag`` (1/m, drag per mass), and the exponents of amplitude and frequency (1).
 
     Raises
     ------
     InputError, UsageError
-        For bad files and options.
+        If a file or an option is wrong.
     NoTrustworthyResult
-        If nothing can be identified.
+        If no parameter can be identified.
 
     References
     ----------
@@ -126,16 +126,17 @@ def _fit_surge(
     *,
     from_rest: bool = False,
 ) -> tuple[ParameterFile, ev.Evidence]:
-    """Fit thrust and drag of beat-averaged surge.
+    """Fit thrust and drag to the surge averaged over tail beats.
 
     Parameters
     ----------
     choices : tuple of Parameter
         Parameters of the model with the choices of the user.
     origin : dict
-        Provenance.
+        Provenance of the inputs.
     from_rest : bool
-        Trials start at rest at their first beat; otherwise the speed there is estimated for each trial.
+        Whether trials are at rest at their first beat. Otherwise the initial speed of each trial is
+        estimated.
 
     Raises
     ------

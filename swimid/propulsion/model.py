@@ -1,4 +1,4 @@
-"""Propulsion by a rigid caudal fin: the boxfish paper's recoil law, and a beat-averaged surge model."""
+"""Propulsion by a rigid caudal fin: the boxfish paper's recoil law, and a surge model for beat averages."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from swimid.fitting.hooks import Hooks, Stroke
 from swimid.fitting.model import MEAN_SPEED, Array, Channel, Model, Parameter, Scales, Trial
 
 SPEED = MEAN_SPEED
-#: Longest integration step of a surge without a closed form, s.
+#: Maximum integration step of a surge that has no closed form, s.
 STEP_S = 0.05
-#: Maximum number of steps of Newton's method; it converges in fewer, because the functions are convex and the
-#: start is above the root.
+#: Maximum number of iterations of Newton's method. The method converges in fewer iterations, because the
+#: functions are convex and the start is above the root.
 MAX_ITERATIONS = 60
 
 
@@ -32,14 +32,14 @@ def plate_inertia(height_m: float, length_m: float, axle_gap_m: float, density_k
 
 
 def velocity_ratio(b1: Array | float, start_m: Array | float, end_m: Array | float) -> Array:
-    """Return the average over the terminal speed of a run from rest, between two displacements (Eq 25).
+    """Return the average speed of a run from rest divided by the terminal speed (Eq 25).
 
     Parameters
     ----------
     b1 : float, 1/m
-        ``rho C_d A / (2 (m_f + m_a))`` of Eq 23.
+        Coefficient ``rho C_d A / (2 (m_f + m_a))`` of Eq 23.
     start_m, end_m : float, m
-        Displacements from the point of rest.
+        Displacements, measured from the point of rest, between which the speed is averaged.
 
     >>> round(float(velocity_ratio(1.304, 0.0, 1.15)), 3)
     0.688
@@ -58,14 +58,14 @@ def terminal_speed(
 ) -> Array:
     """Return the speed at which drag consumes a propulsive power, m/s.
 
-    The speed is the largest root of ``v (dry + linear v + quadratic v^2) = power``, zero without power. For
-    quadratic drag alone it is ``(power / quadratic)^(1/3)`` (Eq 26).
+    The speed is the largest root of ``v (dry + linear v + quadratic v^2) = power``. It is zero if the power
+    is not positive. For quadratic drag alone it is ``(power / quadratic)^(1/3)`` (Eq 26).
 
     Parameters
     ----------
     power : ndarray, W
     quadratic, linear, dry : ndarray or float
-        Drag coefficients in kg/m, kg/s and N.
+        Drag coefficients: kg/m, kg/s and N.
     """
     power, quadratic, linear, dry = np.broadcast_arrays(
         *(np.asarray(v, dtype=float) for v in (power, quadratic, linear, dry))
@@ -89,22 +89,24 @@ def mean_speed(
     quadratic: Array | float,
     linear: Array | float,
 ) -> Array:
-    """Return the average speed from rest over a distance, m/s, under the thrust of the terminal speed.
+    """Return the average speed of a run from rest over a distance, m/s.
 
-    Dry friction only reduces the thrust, so that it is not a parameter.
+    The thrust is constant, and the robot would finally reach the given terminal speed. Dry friction only
+    reduces the thrust, so that it is not a parameter.
 
     Parameters
     ----------
     terminal_m_s, distance_m : ndarray
+        Terminal speed and distance of each run.
     mass, quadratic, linear : ndarray or float
-        Mass in kg, drag coefficients in kg/m and kg/s.
+        Mass in kg; drag coefficients in kg/m and kg/s.
 
     Notes
     -----
-    ``mass v' = quadratic (v1 - v) (v + v2)`` with ``v2 = v1 + linear / quadratic``. With
-    ``y = -log(1 - v / v1)`` and ``rho = v2 / v1`` distance and time are ``y - rho log(1 + (1 -
-    exp(-y)) / rho)`` and ``y + log(1 + (1 - exp(-y)) / rho)``, times ``mass / (quadratic (1 + rho))``
-    and that over ``v1``. Without linear drag it is Eq 25.
+    The equation of motion is ``mass v' = quadratic (v1 - v) (v + v2)`` with ``v2 = v1 + linear / quadratic``.
+    Define ``y = -log(1 - v / v1)``, ``rho = v2 / v1`` and ``scale = mass / (quadratic (1 + rho))``. Then the
+    distance is ``scale (y - rho log(1 + (1 - exp(-y)) / rho))``, and the time is ``scale (y + log(1 + (1 -
+    exp(-y)) / rho)) / v1``. Without linear drag the result is Eq 25.
     """
     v1 = np.asarray(terminal_m_s, dtype=float)
     moving = v1 > 0
@@ -126,20 +128,20 @@ def mean_speed(
 def strouhal(frequency_hz: float, amplitude_rad: float, lever_m: float, terminal_speed_m_s: float) -> float:
     """Return the Strouhal number ``f A_w / v`` with the wake width ``A_w = 2 lever sin(amplitude)`` (Eq 28).
 
-    The lever in the paper's nomenclature is the length of the fin. Its printed values agree better with the
-    distance from the axle to the trailing edge, which is length plus gap.
+    In the nomenclature of the paper the lever is the length of the fin. The values that the paper prints
+    agree better with the distance from the axle to the trailing edge, which is the length plus the gap.
     """
     return float(frequency_hz * 2 * lever_m * np.sin(amplitude_rad) / terminal_speed_m_s)
 
 
 class RecoilScales(Scales):
-    """Typical sizes of cruising runs."""
+    """Typical scales of cruising runs."""
 
     model: RecoilModel
 
     @property
     def inertia(self) -> float:
-        """Moving mass, kg."""
+        """Moving mass, including added mass, kg."""
         return self.model.drag_area_kg_m / self.model.b1
 
     @property
@@ -149,23 +151,23 @@ class RecoilScales(Scales):
 
 
 class SurgeScales(Scales):
-    """Typical sizes of straight swimming, per mass."""
+    """Typical scales of straight swimming; forces are divided by the mass."""
 
     @property
     def force(self) -> float:
-        """Drag at the typical speed, m/s2."""
+        """Drag per mass at the typical speed, m/s2."""
         return max(self.model.start("surge_drag"), 0.1) * self.speed**2
 
 
 class RecoilModel(Model):
-    """Average speed of cruising runs under the energy recoil law (Eqs 5, 25-27).
+    """Average speed of cruising runs by the energy recoil law (Eqs 5, 25-27).
 
-    ``v = R_v (8 eta pi^2 I f^p (theta - theta_off)^q / (rho C_d A / 2))^(1/3)``. The law has p = 3 and q = 2;
-    both can be freed to test it.
+    The law is ``v = R_v (8 eta pi^2 I f^p (theta - theta_off)^q / (rho C_d A / 2))^(1/3)`` with p = 3 and q =
+    2. Both exponents can be freed to test the law.
 
-    A trial is one fin. Its inputs are ``frequency_hz``, ``amplitude_rad`` and ``distance_m`` of each run; the
-    known quantities of the fin are :attr:`Trial.cruise`. A fin of unknown inertia has the parameter
-    ``inertia_<fin>``.
+    A trial has all runs of one fin. Its inputs are ``frequency_hz``, ``amplitude_rad`` and ``distance_m`` of
+    each run. :attr:`Trial.cruise` has the known quantities of the fin. For a fin of unknown inertia the model
+    has the parameter ``inertia_<fin>``.
     """
 
     name = "propulsion"
@@ -177,7 +179,7 @@ class RecoilModel(Model):
     def __init__(
         self, *, drag_area_kg_m: float, moving_mass_kg: float, fins: Mapping[str, float | None]
     ) -> None:
-        """Make the model from ``rho C_d A / 2`` (kg/m), ``m_f + m_a`` (kg), and inertias of fins (kg m2)."""
+        """Create the model from ``rho C_d A / 2`` (kg/m), ``m_f + m_a`` (kg) and fin inertias (kg m2)."""
         self.drag_area_kg_m = drag_area_kg_m
         self.moving_mass_kg = moving_mass_kg
         self.fins = fins
@@ -207,7 +209,7 @@ class RecoilModel(Model):
         return {SPEED: velocity_ratio(self.b1, 0.0, inputs["distance_m"]) * terminal}
 
     def scales(self, trials: Sequence[Trial]) -> RecoilScales:
-        """Return the typical sizes of trials."""
+        """Return the typical scales of the quantities in trials."""
         return RecoilScales(self, trials)
 
     def _inertia(self, values: Array, trial: Trial) -> float:
@@ -220,7 +222,8 @@ class RecoilModel(Model):
     ) -> Array:
         """Return the propulsive power of each run, W (Eqs 5, 27)."""
         efficiency, offset, p, q = values[:4]
-        # a power of the ratio to the middle setting, so that a free exponent does not change the efficiency
+        # scale frequency and amplitude by reference values, so that a free exponent does not change the
+        # efficiency
         f_mid, a_mid = trial.cruise.middle
         f, a = frequency_hz / f_mid, np.maximum(amplitude_rad - np.deg2rad(offset), 0.0) / a_mid
         factor = 8 * efficiency * np.pi**2 * inertia_kg_m2
@@ -229,9 +232,9 @@ class RecoilModel(Model):
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
         """Return the average speed of each run with effects (see :meth:`Model.hooked`).
 
-        Hooks of ``coefficients`` change ``quadratic`` (kg/m), ``linear`` (kg/s), ``dry`` (N) and ``mass``
-        (kg). A factor on the thrust of a stroke multiplies its power. A flow along x carries the robot over
-        the run.
+        ``coefficients`` hooks change ``quadratic`` (kg/m), ``linear`` (kg/s), ``dry`` (N) and ``mass`` (kg).
+        The factor on the thrust of a steady beat multiplies the power. A water flow along x displaces the
+        robot during the run.
         """
         if not hooks.moves:
             return hooks.seen(self.simulate(values, trial), trial.time_s)
@@ -269,7 +272,7 @@ class RecoilModel(Model):
         return hooks.seen({SPEED: speed}, trial.time_s)
 
     def apart(self, trial: Trial) -> list[Trial]:
-        """Split the trial of a fin into one trial for each run, called ``fin/1``, ``fin/2`` and so on."""
+        """Split the trial of a fin into one trial for each run, with the ids ``fin/1``, ``fin/2``, ..."""
 
         def run(k: int) -> Trial:
             def cut(columns: Mapping[str, Any]) -> dict[str, Any]:
@@ -292,11 +295,11 @@ class RecoilModel(Model):
 
 
 class SurgeModel(Model):
-    """Beat-averaged surge of straight swimming: thrust by a power of amplitude, quadratic drag.
+    """Surge in straight swimming, averaged over tail beats, with a power law of thrust and quadratic drag.
 
-    ``du/dt = a (A / A_ref)^n (f / f_ref)^m - c u |u|`` from an initial speed of each trial. The exponent n is
-    2 unless it is freed; m is estimated if the trials have several frequencies. The known quantities of a
-    trial are its :attr:`Trial.surge`.
+    The equation of motion is ``du/dt = a (A / A_ref)^n (f / f_ref)^m - c u |u|``, with an initial speed for
+    each trial. The exponent n is 2 unless it is freed. The exponent m is estimated if the trials have several
+    frequencies. :attr:`Trial.surge` has the known quantities of a trial.
     """
 
     name = "surge-propulsion"
@@ -307,7 +310,7 @@ class SurgeModel(Model):
     def __init__(
         self, *, amplitudes_rad: Sequence[float], frequencies_hz: Sequence[float], speed_m_s: float
     ) -> None:
-        """Make the model from the amplitudes and frequencies of the drives, and a typical speed."""
+        """Create the model from amplitudes and frequencies of the drives, and a typical speed."""
         self.reference_amplitude_rad = float(np.exp(np.mean(np.log(amplitudes_rad))))
         self.reference_frequency_hz = float(np.exp(np.mean(np.log(frequencies_hz))))
         many = len(np.unique(np.round(frequencies_hz, 6))) > 1
@@ -329,7 +332,7 @@ class SurgeModel(Model):
         return {"u_m_s": _closed_form(trial.time_s - trial.surge.start_s, a, drag, u0)}
 
     def scales(self, trials: Sequence[Trial]) -> SurgeScales:
-        """Return the typical sizes of trials."""
+        """Return the typical scales of the quantities in trials."""
         return SurgeScales(self, trials)
 
     def _thrust(self, values: Array, amplitude_rad: float, frequency_hz: float) -> float:
@@ -343,8 +346,8 @@ class SurgeModel(Model):
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
         """Return the surge with effects (see :meth:`Model.hooked`).
 
-        Hooks of ``coefficients`` change ``quadratic`` (1/m), ``linear`` (1/s), ``dry`` (m/s^2) and ``mass``,
-        which is 1, all per unit of mass. Drag depends on the speed relative to a flow along x.
+        ``coefficients`` hooks change ``quadratic`` (1/m), ``linear`` (1/s), ``dry`` (m/s^2) and ``mass`` (1).
+        All values are per unit of mass. Drag depends on the speed relative to a water flow along x.
         """
         if not hooks.moves:
             return hooks.seen(self.simulate(values, trial), trial.time_s)
@@ -374,7 +377,7 @@ class SurgeModel(Model):
 
 
 def _closed_form(t: Array, a: float, drag: float, u0: float) -> Array:
-    """Return the surge from ``u0`` under a constant thrust ``a`` and quadratic drag, m/s."""
+    """Return the surge from the initial speed ``u0`` with constant thrust ``a`` and quadratic drag, m/s."""
     if a <= 0 or drag <= 0:
         return u0 + max(a, 0.0) * t
     terminal, rate = math.sqrt(a / drag), math.sqrt(a * drag)
@@ -383,7 +386,7 @@ def _closed_form(t: Array, a: float, drag: float, u0: float) -> Array:
 
 
 def _half_steps(t: Array) -> Array:
-    """Return the ends of half integration steps from zero to the last sample, every sample among them."""
+    """Return the limits of half integration steps from zero to the last sample; they include all samples."""
     knots = np.unique(np.append(t[t > 0], 0.0))
     parts = [np.zeros(1)]
     for begin, end in itertools.pairwise(knots):
@@ -394,7 +397,10 @@ def _half_steps(t: Array) -> Array:
 
 @numba.njit(cache=True, nogil=True)
 def _integrated(half, water, thrust, quadratic, linear, dry, u0):  # type: ignore[no-untyped-def]
-    """Return the surge at every second half step by fourth-order Runge-Kutta; ``water`` is at every one."""
+    """Integrate the surge by fourth-order Runge-Kutta, and return it at every second time of ``half``.
+
+    ``water`` has the speed of the water at every time of ``half``.
+    """
     count = (len(half) + 1) // 2
     surge = np.empty(count)
     surge[0] = u0

@@ -1,4 +1,4 @@
-"""Trials of the propulsion of a fin: cruise tables and straight free swimming."""
+"""Read the trials for the propulsion of a fin: cruise tables and logs of straight free swimming."""
 
 from __future__ import annotations
 
@@ -33,12 +33,13 @@ from swimid.robots.file import Robot
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Error of the stop watch, s (boxfish paper, section 3.4), and relative scatter of speeds between runs.
+#: Error of the stop watch, s (boxfish paper, section 3.4), and relative standard deviation of speeds between
+#: runs.
 TIME_SD_S, SPEED_RSD = 0.1, 0.01
-#: Minimum number of whole beats of a trial.
+#: Minimum number of whole tail beats in a trial.
 MIN_BEATS = 4
-#: Keys of a trials file that are used, by experiment. All keys of a drive are known, so that a stroke gets an
-#: error of its own.
+#: Keys of a trials file that have an effect, by experiment. The keys of all drives are included, so that a
+#: stroke, which is not supported, gets a specific error message.
 USES = {
     "cruise": frozenset({"format", "experiment", "robot", "table", "drag"}),
     "free-swim": trials_format.EVERYWHERE
@@ -48,17 +49,17 @@ USES = {
 
 
 def load(source: str | Path | TrialSet, *, drag: parameters_format.Source | None = None) -> Experiment:
-    """Read a cruise or free-swim trials file.
+    """Read the trials file of a cruise or of free swimming.
 
     Parameters
     ----------
     drag : path, ParameterFile or result of fit_drag, optional
-        Parameters of the falling-weight rig, instead of ``drag`` of the trials file.
+        Parameters of the falling-weight rig. They replace ``drag`` of the trials file.
 
     Raises
     ------
     InputError
-        For anything wrong in one of the files.
+        If one of the files is wrong.
     """
     path = trials_format.place(source)
     entries = trials_format.read(source, Cruise, FreeSwim, uses=USES)
@@ -82,7 +83,7 @@ def load(source: str | Path | TrialSet, *, drag: parameters_format.Source | None
 
 
 def drag_numbers(drag: ParameterFile, path: Path, robot: Robot) -> tuple[float, float]:
-    """Return ``rho C_d A / 2`` (kg/m) and ``m_f + m_a`` (kg) from a drag file and the robot."""
+    """Return ``rho C_d A / 2`` (kg/m) and ``m_f + m_a`` (kg) from a drag file and the robot file."""
     coefficient, added = parameters_format.require(drag, ("drag_coefficient", "added_mass"), path)
     body = robot.body
     if body.inertial_mass_kg is None or body.frontal_area_m2 is None:
@@ -94,7 +95,7 @@ def drag_numbers(drag: ParameterFile, path: Path, robot: Robot) -> tuple[float, 
 
 
 def fin_inertias(robot: Robot, fins: list[str], path: Path) -> dict[str, float | None]:
-    """Return the hydrodynamic inertia of each fin, kg m2: as stated, from Eq 6 for a rectangle, or None."""
+    """Return each fin's hydrodynamic inertia, kg m2: stated, or by Eq 6 (rectangle); None if unknown."""
     inertias: dict[str, float | None] = {}
     for fin in dict.fromkeys(fins):
         if fin not in robot.fins:
@@ -114,17 +115,18 @@ def fin_inertias(robot: Robot, fins: list[str], path: Path) -> dict[str, float |
 def recoil_model(
     robot: Robot, fins: list[str], drag: parameters_format.Source, *, unknown: Sequence[str] = (), path: Path
 ) -> RecoilModel:
-    """Return the recoil law of the fins of a robot, with the drag of a rig.
+    """Return the recoil-law model of the fins of a robot, with the drag parameters of a rig.
 
     Parameters
     ----------
     fins : list of str
+        Names of the fins.
     drag : path or ParameterFile
-        Parameters of the rig.
+        Drag parameters of the rig.
     unknown : sequence of str
-        Fins whose inertia is a parameter even if the robot file states it.
+        Fins whose inertia is estimated even if the robot file states it.
     path : Path
-        File that names the fins.
+        File that names the fins, for error messages.
     """
     file = parameters_format.read(drag, model=("falling-weight", "towed", "free-decay"))
     area, mass = drag_numbers(file, parameters_format.place(drag), robot)
@@ -143,7 +145,7 @@ def _cruise(path: Path, entries: Cruise, robot: Robot, source: parameters_format
     for fin, inertia in model.fins.items():
         rows = np.array([f == fin for f in table.fin])
         speed, distance = table.mean_speed_m_s[rows], table.distance_m[rows]
-        # relative weights of the runs; the overall size of the noise is estimated
+        # these are relative weights of the runs; the size of the noise is estimated
         spread = np.hypot(speed**2 / distance * TIME_SD_S, SPEED_RSD * speed)
         inputs = {
             "frequency_hz": table.frequency_hz[rows],
@@ -197,7 +199,7 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
         if beat is not None:
             frequency = beat.frequency_hz
         time, speed = beat_averages(log, 1.0 / frequency)
-        # the law is that of the full stroke; a measured log has no ramp unless the trial states one
+        # the law is valid for the full amplitude; assume no ramp unless the trial states one
         ramp = 0.0
         if "ramp_s" in drive.model_fields_set:
             ramp = drive.ramp_s
@@ -242,33 +244,35 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
 
 
 def _waveform(drive: Drive) -> tuple[str, float]:
-    """Return waveform and asymmetry; on its limit cycle the Hopf oscillator is a sine."""
+    """Return the waveform and its asymmetry; a Hopf oscillator on its limit cycle gives a sine."""
     if drive.waveform == "a-cpg" and drive.asymmetry != 0:
         return "a-cpg", drive.asymmetry
     return "sine", 0.0
 
 
 def _pooled_frequencies(trials: list[Trial]) -> list[Trial]:
-    """Replace measured frequencies that belong to one setting by their median."""
+    """Replace the measured frequencies of trials with the same setting by their median."""
     values = np.array([t.surge.frequency_hz for t in trials])
     pooled = [float(np.median(values[np.abs(values / v - 1) < FREQUENCY_RTOL])) for v in values]
     return [replace(t, surge=replace(t.surge, frequency_hz=f)) for t, f in zip(trials, pooled, strict=True)]
 
 
 def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the surge averaged over whole beats.
+    """Return the surge averaged over whole tail beats.
 
-    The surge is ``u_m_s``. If the log has none, it is the displacement over a beat along the mean heading.
+    The surge is the column ``u_m_s``. If the log has no such column, the surge is the displacement during a
+    beat along the mean heading, divided by the period.
 
     Returns
     -------
     middle, surge : ndarray, shape (n,)
-        Middle of each beat (s), and its average (m/s), NaN if samples are missing.
+        Time of the middle of each beat (s), and average surge over the beat (m/s). NaN if samples are
+        missing.
 
     Raises
     ------
     InputError
-        If the log does not resolve the beat, or has no complete samples.
+        If the samples are too few for the beat frequency, or if no samples are complete.
     """
     columns = ["u_m_s"] if "u_m_s" in log else ["x_m", "y_m", "yaw_rad"]
     there = np.all([np.isfinite(log[c]) for c in columns], axis=0)
@@ -289,7 +293,7 @@ def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
         return np.diff(np.interp(edges, time, values))
 
     def averages(values: np.ndarray) -> np.ndarray:
-        # integrated to the exact ends of a beat, because one sample more or less would leave a ripple
+        # integrate to the exact ends of a beat, because one sample more or less would cause an error
         return over_beats(cumulative_trapezoid(values, time, initial=0.0)) / period_s
 
     if "u_m_s" in log:
@@ -307,17 +311,18 @@ def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
 # ---------------------------------------------------------------- cruise table
 
 
-#: Columns of numbers that must not be missing.
+#: Columns of numbers in which no value may be missing.
 NUMBERS = ("frequency_hz", "amplitude_deg", "distance_m")
-#: Line of the file (None in memory), and cells by column name.
+#: A row of a table: its line in the file (None for data in memory), and its cells by column name.
 Row = tuple[int | None, dict[str, str]]
 
 
 @dataclass(frozen=True)
 class CruiseTable:
-    """Runs of a robot from rest over a distance.
+    """Table of timed runs of a robot from rest over a distance.
 
-    The speed of a run without a measurement is NaN. ``source`` is the entry of the provenance.
+    The mean speed of a run without a measurement is NaN. ``source`` is the entry of the table in the
+    provenance.
     """
 
     path: Path
@@ -335,7 +340,7 @@ def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
     Raises
     ------
     InputError
-        For missing columns, cells that are no positive number, and a table without rows.
+        For missing columns, for cells that are no positive number, and for a table without rows.
     """
     held, line = None, None
     try:
@@ -389,7 +394,7 @@ def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
 
 
 def _rows(text: str, path: Path, header_line: int | None, names: list[str]) -> list[Row]:
-    """Return line and cells of every row that is not blank and no comment."""
+    """Return the line number and the cells of every row that is neither blank nor a comment."""
     rows: list[Row] = []
     before = header_line or 1
     stream = io.StringIO(text, newline="")
@@ -411,7 +416,7 @@ def _rows(text: str, path: Path, header_line: int | None, names: list[str]) -> l
 
 
 def _numbers(rows: list[Row], name: str, path: Path) -> Array:
-    """Return a column of positive numbers; a missing measurement is NaN."""
+    """Return a column of positive numbers; NaN where a measurement is missing."""
     values = np.full(len(rows), np.nan)
     for row, (line, cells) in enumerate(rows):
         text = cells[name]

@@ -1,7 +1,7 @@
-"""Quantities derived from the parameters of a rig, and tests of whether a body can have these parameters.
+"""Quantities derived from the parameters of a rig, and tests whether these parameters are possible.
 
 Terminal speed, period and damping ratios are derived with their standard errors. Added mass, drag and driving
-force are compared with the largest values of any body of the known size, from theory and tables.
+force are compared with the largest values that any body of the known size can have, from theory and tables.
 """
 
 from __future__ import annotations
@@ -23,26 +23,27 @@ from swimid.results.parameters import Estimate
 from swimid.rig.model import COORDINATES, terminal_speed
 from swimid.robots.file import Body, Robot, Theory
 
-#: Length over side, and added-mass coefficient of a square prism that moves along its length, on its own
-#: volume (DNV-RP-C205, appendix D).
+#: Added-mass coefficients of square prisms that move along their length (DNV-RP-C205, appendix D). Each row
+#: has the ratio of length to side, and the added mass divided by the mass of the displaced water.
 PRISM = np.array(
     [[1.0, 0.68], [2.0, 0.36], [3.0, 0.24], [4.0, 0.19], [5.0, 0.15], [6.0, 0.13], [7.0, 0.11], [10.0, 0.08]]
 )
-#: Largest length of a body, in diameters of its frontal area.
+#: Maximum length of a body, in diameters of a circle with the frontal area of the body.
 MAX_SLENDERNESS = 10.0
-#: Densities of fresh and salt water (kg/m3), and their kinematic viscosity at 20 degrees Celsius (m2/s).
+#: Minimum and maximum density of water (fresh to salt, kg/m3), and kinematic viscosity of water at 20 degrees
+#: Celsius (m2/s).
 WATER_KG_M3, WATER_VISCOSITY_M2_S = (950.0, 1050.0), 1.0e-6
-#: Step of the finite differences of the delta method, in standard errors.
+#: Step of the finite differences of the delta method, in standard errors of the parameter.
 DELTA_STEP = 1e-4
-#: Function of the coefficients of the equation of motion; NaN if it has no value.
+#: Function of the coefficients of the equation of motion; NaN if the quantity does not exist.
 Quantity = Callable[[Mapping[str, float]], float]
 
 
 def derive(experiment: Experiment, result: FitResult) -> dict[str, Estimate]:
-    """Return the terminal speed of each falling-weight trial, or period and damping ratios of a decay.
+    """Return the terminal speed of each falling-weight trial, or the period and damping ratios of a decay.
 
-    There are two damping ratios of a decay: of all damping at the largest first swing, and of linear damping
-    alone, which is the limit of small swings.
+    A decay has two damping ratios. One includes all damping, at the amplitude of the largest first swing. The
+    other includes linear damping only, and is the limit for small swings.
     """
     first = result.trials[0]
     quantities: dict[str, Estimate | None] = {}
@@ -62,11 +63,11 @@ def derive(experiment: Experiment, result: FitResult) -> dict[str, Estimate]:
 
 
 def propagate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) -> Estimate | None:
-    """Return a function of the coefficients of a trial with its standard error, by the delta method.
+    """Return the value and the standard error of a function of a trial's coefficients (delta method).
 
-    The status is ``fixed`` if the function depends on no estimated parameter, ``at-bound`` if a parameter at
-    its bound takes part, and ``unidentifiable`` if the standard error is above half the value. The result is
-    None if the function has no value.
+    The status is ``fixed`` if the function depends on no estimated parameter, and ``at-bound`` if it depends
+    on a parameter at its bound. It is ``unidentifiable`` if the standard error is above half the value. The
+    result is None if the function has no finite value.
     """
 
     def at(values: Array) -> float:
@@ -91,7 +92,7 @@ def propagate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) ->
         if moved[k] > parameter.upper:
             moved[k] = values[k] - step
         gradient[j] = (at(moved) - centre) / (moved[k] - values[k])
-        # a parameter that is zero at its bound needs no error: the errors of the others allow for it
+        # the value 0 at a lower bound of 0 needs no error: the errors of the other parameters allow for it
         vanishes = result.status[label] == "at-bound" and parameter.lower == 0.0 >= values[k]
         if gradient[j] != 0 and error is None and not vanishes:
             unknown = True
@@ -111,7 +112,7 @@ def propagate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) ->
 
 
 def _rate(c: Mapping[str, float]) -> float:
-    """Return the natural frequency of small swings, rad/s; NaN without a restoring force."""
+    """Return the natural angular frequency of small swings, rad/s; NaN without a restoring force."""
     stiffness = c["stiffness"] + c["gravity"]
     return math.sqrt(stiffness / c["inertia"]) if stiffness > 0 else math.nan
 
@@ -125,10 +126,10 @@ def _linear_ratio(c: Mapping[str, float]) -> float:
 
 
 def _equivalent_ratio(c: Mapping[str, float], amplitude: float) -> float:
-    """Return the ratio of linear damping with the same loss of energy in a swing of this amplitude.
+    """Return the damping ratio with which linear damping alone would lose the same energy in a swing.
 
-    Linear, quadratic and dry damping are linearised (Chakrabarti, "Empirical calculation of roll damping for
-    ships and barges", Ocean Engineering 2001).
+    Linear, quadratic and dry damping are linearised at the given amplitude (Chakrabarti, "Empirical
+    calculation of roll damping for ships and barges", Ocean Engineering 2001).
     """
     speed = _rate(c) * amplitude
     if not speed > 0:
@@ -138,7 +139,7 @@ def _equivalent_ratio(c: Mapping[str, float], amplitude: float) -> float:
 
 
 def _first_amplitude(result: FitResult, trial: Trial) -> float:
-    """Return the largest excursion of the fitted decay from its rest position."""
+    """Return the maximum displacement of the fitted decay from its rest position."""
     series = next(s for s in result.series if s.trial == trial.id)
     values = series.simulated[np.isfinite(series.simulated)]
     rest = result.values(trial.id)[result.model.index("rest_position")]
@@ -149,10 +150,10 @@ def _first_amplitude(result: FitResult, trial: Trial) -> float:
 
 
 def possible_checks(experiment: Experiment, result: FitResult) -> list[ev.Check]:
-    """Check that a body can have the added mass, the drag and the swing, and that the force can be right.
+    """Check that added mass, drag, swing and driving force are physically possible.
 
-    The limits follow from body mass, frontal area and size alone. A limit that depended on the stated force
-    would let a wrong force pass.
+    The limits follow from body mass, frontal area and size only. If a limit depended on the stated force, a
+    wrong force could pass the check.
     """
     checks = []
     for limit in (_added_mass_limit(experiment, result), _drag_limit(experiment, result)):
@@ -165,12 +166,13 @@ def possible_checks(experiment: Experiment, result: FitResult) -> list[ev.Check]
     return checks
 
 
-#: Name of an estimate, its limit, the body that the limit is of, and the inputs to look at beyond it.
+#: Name of an estimate, its maximum, the body that has this maximum, and the inputs to check if it is
+#: exceeded.
 Limit = tuple[str, float, str, str]
 
 
 def _drag_limit(experiment: Experiment, result: FitResult) -> Limit | None:
-    """Return the largest drag coefficient of any body at the speeds reached."""
+    """Return the limit of the drag coefficient: the maximum of all body shapes at the simulated speeds."""
     density = experiment.robot.fluid.density_kg_m3
     sized = [t for t in result.trials if t.role == "fit" and t.rig.area_factor]
     if "drag_coefficient" not in result.labels or not sized:
@@ -188,7 +190,7 @@ def _drag_limit(experiment: Experiment, result: FitResult) -> Limit | None:
 
 
 def _added_mass_limit(experiment: Experiment, result: FitResult) -> Limit | None:
-    """Return the largest possible added mass or inertia."""
+    """Return the limit of the added mass or of the added moment of inertia."""
     name = next((n for n in ("added_mass", "added_inertia") if n in result.labels), None)
     if name is None:
         return None
@@ -210,7 +212,7 @@ def _added_mass_limit(experiment: Experiment, result: FitResult) -> Limit | None
 
 
 def _estimate_check(result: FitResult, name: str, most: float, basis: str, inputs: str) -> ev.Check:
-    """Check an estimate against its limit."""
+    """Check that an estimate is not above its limit."""
     value, error = result.value(name), result.stderr(name) or 0.0
     unit = next(p.unit for p in result.parameters if p.name == name)
     size, limit = numbers.measured(value, error or None, unit), numbers.number(most, 2, unit)
@@ -228,7 +230,7 @@ def _estimate_check(result: FitResult, name: str, most: float, basis: str, input
 
 
 def _swing_check(experiment: Experiment) -> list[ev.Check]:
-    """Check that a decay in roll or pitch swings by less than half a turn."""
+    """Check that the angle of a decay in roll or pitch stays within half a revolution of its median."""
     swings = [
         (float(np.nanmax(np.abs(values - np.nanmedian(values)))), trial.id)
         for trial in experiment.trials
@@ -250,7 +252,7 @@ def _swing_check(experiment: Experiment) -> list[ev.Check]:
 
 
 def _force_check(experiment: Experiment) -> list[ev.Check]:
-    """Check that the weight or the lift of a body without a pulley can be as large as its driving force."""
+    """Check that the driving force of a body without a pulley is at most its weight or net buoyancy."""
     gravity = experiment.robot.fluid.gravity_m_s2
     forces: list[tuple[float, float, str]] = []
     for trial in experiment.trials:
@@ -269,26 +271,26 @@ def _force_check(experiment: Experiment) -> list[ev.Check]:
 
 
 def _max_displaced(experiment: Experiment, trial: Trial) -> float:
-    """Return the largest mass of water that the body of a trial can displace, kg."""
+    """Return the maximum mass of water that the body of a trial can displace, kg."""
     rig, gravity = trial.rig, experiment.robot.fluid.gravity_m_s2
     pulling = (experiment.facts.get("pulling_mass_kg") or {}).get(trial.id)
     if pulling is not None:
         return rig.inertia - pulling - experiment.robot.rig.pulley_inertia_kg
     if rig.pulley:
         return rig.inertia
-    # a rising body is lighter than its water by its lift, but it displaces no more than its size allows
+    # a rising body displaces more than its own mass, by its net buoyancy, but not more than its size allows
     return max(rig.inertia, min(rig.inertia + rig.pull / gravity, _water_in_body(experiment, trial)))
 
 
 def _box(body: Body) -> tuple[float, float, float] | None:
-    """Return length, width and height of a body, m."""
+    """Return the length, width and height of a body, m; None if one is unknown."""
     if body.length_m and body.width_m and body.height_m:
         return body.length_m, body.width_m, body.height_m
     return None
 
 
 def _water_in_body(experiment: Experiment, trial: Trial) -> float:
-    """Return the mass of water in the largest body of the size of a trial, kg; infinite if unknown."""
+    """Return the mass of water in the largest body of the known size, kg; infinite if the size is unknown."""
     box, density = _box(experiment.robot.body), experiment.robot.fluid.density_kg_m3
     if box is not None:
         return density * math.prod(box)
@@ -305,8 +307,9 @@ def prism_added_mass(length_m: float, width_m: float, height_m: float, density_k
 
     Notes
     -----
-    Tabulated coefficients of square prisms (DNV-RP-C205, appendix D) are interpolated at the length over the
-    side of a square of the same frontal area. The coefficient multiplies the mass of the displaced water.
+    Tabulated coefficients of square prisms (DNV-RP-C205, appendix D) are interpolated at the length of the
+    box divided by the side of a square with the same frontal area. The coefficient multiplies the mass of the
+    displaced water.
 
     >>> round(prism_added_mass(1.0, 1.0, 1.0, 1000.0))
     680
@@ -319,18 +322,19 @@ def prism_added_mass(length_m: float, width_m: float, height_m: float, density_k
 def max_added_mass_in_box(
     length_m: float, width_m: float, height_m: float, density_kg_m3: float, *, along: bool
 ) -> float:
-    """Return the largest added mass of a body that lies in a box, kg.
+    """Return the maximum added mass of a body that fits into a box, kg.
 
     Parameters
     ----------
     along : bool
-        The body moves along its length; otherwise in any direction.
+        Whether the body moves along its length. Otherwise it may move in any direction.
 
     Notes
     -----
-    Water takes the motion of least energy (Kelvin), and one possible motion is that it moves with the body.
-    So the added mass of a body is at most that of a larger one around it, plus all water between the two. The
-    larger one is the box along its length, and in any direction the ball around the box.
+    The flow around a moving body has the minimum kinetic energy of all possible flows (Kelvin). In one
+    possible flow the surrounding water moves with the body. The added mass of a body is therefore at most the
+    added mass of a larger body around it, plus all water between the two bodies. For motion along the length
+    the larger body is the box. For motion in any direction it is the sphere around the box.
 
     >>> max_added_mass_in_box(1.0, 1.0, 1.0, 1000.0, along=True)
     1680.0
@@ -343,12 +347,12 @@ def max_added_mass_in_box(
 
 
 def max_added_inertia(length_m: float, width_m: float, height_m: float, density_kg_m3: float) -> float:
-    """Return the largest added moment of inertia of a body that turns about a point in its box, kg m2.
+    """Return the maximum added moment of inertia of a body that rotates about a point in its box, kg m2.
 
     Notes
     -----
-    See :func:`max_added_mass_in_box`. The limit is the moment of inertia of a ball of water with the diagonal
-    of the box as its radius.
+    The limit is derived as in :func:`max_added_mass_in_box`. It is the moment of inertia of a sphere of water
+    whose radius is the diagonal of the box.
 
     >>> round(max_added_inertia(1.0, 1.0, 1.0, 1000.0))
     26119
@@ -358,20 +362,20 @@ def max_added_inertia(length_m: float, width_m: float, height_m: float, density_
 
 
 def max_added_mass(displaced_kg: float, frontal_area_m2: float | None, density_kg_m3: float) -> float:
-    """Return the largest added mass of a convex body that moves across its frontal area, kg.
+    """Return the maximum added mass of a convex body that moves perpendicular to its frontal area, kg.
 
     Parameters
     ----------
     displaced_kg : float
-        Mass of the displaced water, or an upper bound of it.
+        Mass of the displaced water, or an upper bound of this mass.
     frontal_area_m2 : float or None
 
     Notes
     -----
     A convex body fills at least a third of the prism around it, as a pyramid does. The added mass of a prism
-    along its length is at most 0.8 of the water in a cube of its frontal area (DNV-RP-C205, appendix D). See
-    :func:`max_added_mass_in_box` for the rest. Without an area the limit is ten times the displaced water,
-    which is more than that of a disc ten times as wide as thick.
+    along its length is at most 0.8 of the mass of water in a cube of the same frontal area (DNV-RP-C205,
+    appendix D). The rest follows as in :func:`max_added_mass_in_box`. Without a frontal area the limit is ten
+    times the displaced water. This is more than the added mass of a disc that is ten times as wide as thick.
 
     >>> round(max_added_mass(1.0, 0.01, 1000.0), 3)
     3.8
@@ -382,7 +386,7 @@ def max_added_mass(displaced_kg: float, frontal_area_m2: float | None, density_k
 
 
 def max_displaced(frontal_area_m2: float, density_kg_m3: float) -> float:
-    """Return the mass of water that the longest body of a frontal area displaces, kg.
+    """Return the mass of water that the longest possible body with a frontal area displaces, kg.
 
     >>> round(max_displaced(np.pi / 4, 1000.0))
     7854
@@ -392,7 +396,7 @@ def max_displaced(frontal_area_m2: float, density_kg_m3: float) -> float:
 
 
 def reynolds(speed_m_s: float, frontal_area_m2: float, density_kg_m3: float) -> float:
-    """Return the Reynolds number with the diameter of the frontal area; NaN in a fluid that is not water.
+    """Return the Reynolds number with the diameter of the frontal area; NaN if the fluid is not water.
 
     >>> round(reynolds(1.0, np.pi / 4, 1000.0))
     1000000
@@ -404,14 +408,16 @@ def reynolds(speed_m_s: float, frontal_area_m2: float, density_kg_m3: float) -> 
 
 
 def max_drag_coefficient(reynolds_number: float) -> float:
-    """Return the largest drag coefficient of any body, on its frontal area; NaN without a Reynolds number.
+    """Return the maximum drag coefficient of any body, based on its frontal area.
+
+    The result is NaN if the Reynolds number is not positive.
 
     Notes
     -----
-    Discs and plates across the flow have 1.17 to 2, an open half cylinder 2.3, and no body has 3 (Hoerner,
-    Fluid-Dynamic Drag, 1965, chapter 3). In slow flow viscosity adds 24/Re to a sphere, 20.4/Re to a disc and
-    64/Re to a prolate spheroid ten times as long as wide (Happel and Brenner, Low Reynolds Number
-    Hydrodynamics, section 5-11).
+    Discs and plates across the flow have drag coefficients of 1.17 to 2, an open half cylinder has 2.3, and
+    no body has 3 (Hoerner, Fluid-Dynamic Drag, 1965, chapter 3). In slow flow viscosity adds 24/Re for a
+    sphere, 20.4/Re for a disc and 64/Re for a prolate spheroid that is ten times as long as wide (Happel and
+    Brenner, Low Reynolds Number Hydrodynamics, section 5-11).
 
     >>> max_drag_coefficient(1e4), max_drag_coefficient(1.0)
     (3.0072, 75.0)
@@ -420,7 +426,7 @@ def max_drag_coefficient(reynolds_number: float) -> float:
 
 
 def theory_estimates(robot: Robot) -> list[Theory]:
-    """Return the estimates that the robot file quotes, and the added mass of a prism of its size."""
+    """Return the theoretical estimates of the robot file, and the added mass of a prism of its size."""
     quoted = list(robot.theory)
     box = _box(robot.body)
     if box is not None:

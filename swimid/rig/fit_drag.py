@@ -1,10 +1,11 @@
 """``fit-drag``: drag, added mass and friction of a rig, by maximum likelihood or the boxfish paper's method.
 
 The two-point method of the paper uses speeds at two displacements (Eqs 13-19). At a fixed displacement the
-squared speed is linear in the pulling mass. The slopes at two displacements give ``a1`` (Eq 18), and hence
-drag coefficient and added mass. Slope and intercept give the pulley friction (Eq 17). The method assumes the
-same moving mass for all pulling weights. Its bias is its error on noise-free data simulated at its own
-answer; the stated error contains the bias. The output-error fit makes no such assumption.
+squared speed is a linear function of the pulling mass. The slopes at two displacements give ``a1`` (Eq 18),
+and hence the drag coefficient and the added mass. Slope and intercept give the pulley friction (Eq 17). The
+method assumes the same moving mass for all pulling weights. The bias is the error of
+the method on noise-free data that are simulated with its own estimates. The reported standard error includes
+the bias. The output-error fit does not assume an equal moving mass.
 """
 
 from __future__ import annotations
@@ -38,19 +39,21 @@ from swimid.rig import trials as rig_experiment
 from swimid.rig.model import falling_weight_closed_form
 from swimid.rig.options import FitDragOptions
 
-#: Reason for which the two-point method has no answer.
+#: Reason why the two-point method has no result.
 NO_ANSWER = "its speeds do not rise with the pulling mass as Eq 13 says"
-#: Parameters of the two-point method, in 1, kg and N.
+#: Parameters of the two-point method, in 1 (no unit), kg and N.
 NAMES = ("drag_coefficient", "added_mass", "pulley_friction")
-#: Default displacements of the two-point method, as shares of the displacement that all drops reached.
+#: Default displacements of the two-point method, as fractions of the displacement that all drops reached.
 POINT_SHARES = (0.255, 0.51)
-#: Half-width of the stretch around a point in which its speed is fitted, as a share of the first point.
+#: Half-width of the interval of displacement around a point in which the speed is fitted, as a fraction of
+#: the first displacement.
 HALF_WIDTH = 1 / 6
-#: Minimum number of samples in that stretch, and number above which their scatter is estimated.
+#: Minimum number of samples in the interval around a point, and number of samples above which the noise is
+#: estimated.
 MIN_SAMPLES, MIN_SCATTER_SAMPLES = 3, 4
-#: Minimum number of different pulling masses.
+#: Minimum number of different pulling masses for the two-point method.
 MIN_MASSES = 3
-#: Number of starts of the search if the residuals are coloured.
+#: Number of starting points of the search if the residuals are coloured.
 N_STARTS = 4
 
 
@@ -64,19 +67,19 @@ def fit_drag(
 ) -> Fitted:
     """Identify drag, added mass and friction of a body on a rig: falling weight, towing or free decay.
 
-    For a falling weight the report also shows the two-point method, if it can be used. If the residuals are
-    coloured (SWM013), the model may lack an effect that the estimates have absorbed. Let
-    :func:`swimid.diagnose` find it before the estimates are used.
+    For a falling weight the report also shows the result of the two-point method, if the method can be used.
+    Coloured residuals (SWM013) show that the model may lack an effect, which then biases the estimates. Use
+    :func:`swimid.diagnose` to find this effect before you use the estimates.
 
     Parameters
     ----------
     trials : path or TrialSet
-        Trials file, or the result of :func:`swimid.load`. Displacements in m (rad for a rotation), forces in
-        N (N m), pulling masses in kg.
+        Trials file, or the result of :func:`swimid.load`. Displacements are in m (rad for a rotation), forces
+        in N (N m), pulling masses in kg.
     output : path, optional
-        Parameter file to write; its evidence is written beside it.
+        Parameter file to write, together with its evidence file.
     progress : Progress
-        Shows the search and the profiles.
+        Progress bar of the search and of the profile-likelihood intervals.
 
     Returns
     -------
@@ -89,9 +92,9 @@ def fit_drag(
     Raises
     ------
     InputError, UsageError
-        For bad files and options.
+        If a file or an option is wrong.
     NoTrustworthyResult
-        If nothing can be identified.
+        If no parameter can be identified.
 
     References
     ----------
@@ -176,7 +179,7 @@ def fit_drag(
 def _fit_best(
     experiment: Experiment, choices: tuple[Parameter, ...], start_state: str, progress: Progress
 ) -> lack_of_fit.Explained:
-    """Return the best fit over the readings of the logs and the differences between trials."""
+    """Return the best fit over interpretations of the logs and models of differences between trials."""
     if start_state == "estimate":
         choices = chosen(choices, freed=("start_offset", "initial_speed"))
     no_spring = any(p.name == "stiffness" and not p.free and p.start == 0.0 for p in choices)
@@ -184,10 +187,10 @@ def _fit_best(
     adapted = []
     for p in choices:
         if p.name == "gravity_stiffness" and p.free and no_spring:
-            # without a spring the search begins at the stiffness of the period
+            # without a spring, the search starts at the gravity stiffness that follows from the period
             p = replace(p, start=p.scale)
         if p.name == lack_of_fit.FRICTION:
-            # the friction of a trial is a random effect and never a free parameter
+            # the friction of a trial is estimated as a random effect, and never as a free parameter
             p = replace(p, free=False)
         adapted.append(p)
     choices = tuple(adapted)
@@ -219,9 +222,9 @@ def _fit_best(
 
 
 def _search_from_starts(first: FitResult, progress: Progress) -> tuple[FitResult, list[ev.Check]]:
-    """Search again from several starts if the residuals are coloured; warn of a better minimum.
+    """Search again from several starting points if the residuals are coloured; warn of a better minimum.
 
-    White residuals leave nothing that a better minimum could explain.
+    If the residuals are white, no other minimum can be better to within noise, and nothing is searched.
     """
     if first.interrupted or not any(len(noise.autoregression) for noise in first.noise.values()):
         return first, []
@@ -250,7 +253,7 @@ def _search_from_starts(first: FitResult, progress: Progress) -> tuple[FitResult
 
 
 def _profiles(result: FitResult, progress: Progress) -> dict[str, tuple[float | None, float | None]]:
-    """Return the profile-likelihood interval of each shared parameter with a standard error."""
+    """Return the profile-likelihood interval of each shared parameter that has a standard error."""
     names = [label for label in result.labels if "[" not in label and result.stderr(label) is not None]
     intervals = {}
     with progress("profiling", total=len(names)) as step:
@@ -283,7 +286,7 @@ def _methods(
 
 
 def _methods_table(experiment: Experiment, result: FitResult, pair: TwoPointResult | None) -> ev.Table:
-    """Return the estimates of both methods beside theory."""
+    """Return a table of the estimates of both methods together with values from theory."""
     theory = derived.theory_estimates(experiment.robot)
     fitted = fit_common.estimates(result, {})
     rows: list[list[Any]] = []
@@ -314,7 +317,7 @@ def _methods_table(experiment: Experiment, result: FitResult, pair: TwoPointResu
 
 @dataclass(frozen=True)
 class Drop:
-    """Falling-weight trial from its release on, without missing samples."""
+    """Falling-weight trial from the time of release on, without missing samples."""
 
     pulling_mass_kg: float
     time_s: Array
@@ -328,13 +331,13 @@ class TwoPointResult:
     Attributes
     ----------
     values, stderr, bias : dict of str to float
-        Estimates of :data:`NAMES`. The standard error combines random error and bias.
+        Results for the parameters :data:`NAMES`. The standard error combines random error and bias.
     points_m : tuple of float
-        Displacements.
+        The two displacements.
     pulling_mass_kg : ndarray, shape (k,)
     speed_squared, speed_squared_sd : ndarray, shape (2, k), m2/s2
     slopes, intercepts : ndarray, shape (2,)
-        Lines of squared speed over pulling mass: alpha and beta of Eq 13.
+        Lines of squared speed over pulling mass at each displacement: alpha and beta of Eq 13.
     """
 
     values: dict[str, float]
@@ -349,14 +352,14 @@ class TwoPointResult:
 
     @property
     def is_valid(self) -> bool:
-        """Whether the speeds lie on rising lines, so that there are errors."""
+        """Whether the speeds lie on rising lines, so that the standard errors are finite."""
         return all(map(math.isfinite, self.stderr.values()))
 
 
 def speed_at(
     time_s: Array, displacement_m: Array, point_m: float, half_width_m: float
 ) -> tuple[float, float]:
-    """Return the speed at a displacement by a straight-line fit around it, and its standard error, m/s.
+    """Return the speed at a displacement and its standard error, m/s, by a straight-line fit around it.
 
     Raises
     ------
@@ -373,7 +376,8 @@ def speed_at(
     t, x = time_s[near] - time_s[near].mean(), displacement_m[near]
     spread = 0.0
     if len(t) > MIN_SCATTER_SAMPLES:
-        # a quadratic keeps the curvature out of the error; its slope in the middle is that of the line
+        # the residuals are those of a parabola, so that curvature does not count as noise; in the middle the
+        # parabola has the slope of the line
         residual = x - np.polyval(np.polyfit(t, x, 2), t)
         spread = math.sqrt(float(residual @ residual) / (len(t) - 3))
     return float(t @ x) / float(t @ t), spread / math.sqrt(float(t @ t))
@@ -393,17 +397,18 @@ def two_point(
     Parameters
     ----------
     drops : sequence of Drop
-        At least three different pulling masses.
+        Falling-weight trials with at least three different pulling masses.
     mass_kg : float
-        Inertia of body and pulley.
+        Inertia of body and pulley, without the pulling mass.
     points_m : (x1, x2), optional
-        Displacements, by default :data:`POINT_SHARES` of the displacement that all drops reached. The paper
-        used 0.293 and 0.584 m.
+        The two displacements. The default is :data:`POINT_SHARES` of the displacement that all drops reached.
+        The paper used 0.293 and 0.584 m.
 
     Raises
     ------
     NoTrustworthyResult
-        If there are too few drops, the points are outside the data, or the speeds fit no drag.
+        If there are too few drops, if a displacement is outside the data, or if the speeds do not follow a
+        drag law.
     """
     masses = np.array([d.pulling_mass_kg for d in drops])
     if len(np.unique(masses)) < MIN_MASSES:
@@ -435,7 +440,7 @@ def two_point(
     squared, squared_sd = measured**2, 2 * np.abs(measured) * measured_sd
     answer, slopes, intercepts = solve(squared)
 
-    # random error, from the scatter of the squared speeds about their lines
+    # random error, from the residuals of the squared speeds about their lines
     scatter = squared - (slopes[:, None] * masses + intercepts[:, None])
     pooled = math.sqrt(float(np.sum(scatter**2)) / max(2 * len(masses) - 4, 1))
     spread = np.maximum(squared_sd, pooled)
@@ -466,12 +471,12 @@ def two_point(
 
 
 def solve_a1(ratio: float, points_m: tuple[float, float]) -> float:
-    """Solve Eq 18 for a1, 1/m; Eq 19 is its closed form if the second displacement is twice the first.
+    """Solve Eq 18 for a1, 1/m. If the second displacement is twice the first, Eq 19 is the closed form.
 
     Raises
     ------
     NoTrustworthyResult
-        If no drag has this ratio of squared speeds.
+        If no drag coefficient gives this ratio of squared speeds.
 
     >>> round(solve_a1(0.75, (0.3, 0.6)), 3)
     1.831
@@ -493,7 +498,7 @@ def solve_a1(ratio: float, points_m: tuple[float, float]) -> float:
 
 
 def _two_point(experiment: Experiment, points_m: tuple[float, float] | None) -> TwoPointResult:
-    """Apply the two-point method to an experiment; raise an error if it cannot be used."""
+    """Apply the two-point method to an experiment; raise an error if the method cannot be used."""
     body, fluid = experiment.robot.body, experiment.robot.fluid
     pulled = [t for t in experiment.trials if t.rig.pulley and t.role == "fit"]
     cannot = "the two-point method cannot be used: "
@@ -518,12 +523,12 @@ def _two_point(experiment: Experiment, points_m: tuple[float, float] | None) -> 
 
 
 def _two_point_file(file: ParameterFile, pair: TwoPointResult) -> ParameterFile:
-    """Return the parameter file with the estimates of the two-point method.
+    """Return a parameter file in which the estimates are those of the two-point method.
 
     Raises
     ------
     NoTrustworthyResult
-        If the method has no errors.
+        If the method has no finite standard errors.
     """
     if not pair.is_valid:
         raise NoTrustworthyResult(
@@ -549,7 +554,7 @@ def _two_point_file(file: ParameterFile, pair: TwoPointResult) -> ParameterFile:
 
 
 def _two_point_text(pair: TwoPointResult) -> str:
-    """Return the answer of the two-point method as a sentence."""
+    """Return the result of the two-point method as a sentence."""
     if not pair.is_valid:
         return f"The two-point method has no answer: {NO_ANSWER}."
     parts = [f"{n} {numbers.measured(value, pair.stderr[n])}" for n, value in pair.values.items()]

@@ -1,9 +1,11 @@
 """Lack-of-fit tests of a rig: omitted parameters, differences between trials, and the measured force.
 
-Each parameter that all trials share and that is held is tested in two ways. First it is freed beside the
-others. Its standard error, which allows for coloured residuals and trials that disagree, decides. Then it
-replaces the parameters with a similar effect (:data:`swimid.rig.model.ALIKE`), such as dry friction a linear
-damping. This fit has as many unknowns as the stated one, so that their likelihoods can be compared.
+The reference fit (``stated``) has the parameters that the user chose. Each parameter that it holds for all
+trials is tested in two ways. First the parameter is freed in addition to the others. The test compares its
+estimate with its standard error, which allows for coloured residuals and for trials that disagree. Then it
+replaces the parameters with a similar effect (:data:`swimid.rig.model.ALIKE`). For example, dry friction
+replaces linear damping. This fit has as many unknowns as the reference fit, so that their likelihoods can be
+compared.
 
 References
 ----------
@@ -36,27 +38,29 @@ from swimid.results.parameters import Estimate
 from swimid.rig.model import ALIKE
 from swimid.rig.trials import third_difference_sd
 
-#: Start values of a freed parameter, as multiples of its scale from the value at which it was held.
+#: Start values of a freed parameter, as multiples of its typical scale from the value at which it was held.
 FREED_STARTS = (0.0, 1.0, -1.0)
-#: Twice the logarithm of a likelihood ratio that is strong evidence [1]_.
+#: Minimum of twice the logarithm of a likelihood ratio that counts as strong evidence [1]_.
 STRONG = 6.0
-#: Number of draws of the noise of a measured force.
+#: Number of random samples of the noise of a measured force.
 N_DRAWS = 30
 #: Maximum number of parameters that a warning names.
 MAX_NAMED = 3
-#: Largest p-value, and largest ratio of squared errors, at which each trial gets a start of its own.
+#: Maximum p-value, and maximum ratio of the sums of squared residuals with and without start parameters, at
+#: which each trial gets its own start state.
 START_P, START_RATIO = 1e-6, 0.8
-#: Parameters of the start of a trial, and the words for them.
+#: Parameters of the start state of a trial, and their descriptions in a warning.
 STARTS = {"initial_speed": "moving", "clock_offset": "at another time than their first sample"}
-#: Friction of a trial, and the common friction from which it deviates.
+#: Deviation of the friction in a trial from the common friction, and the common friction.
 FRICTION, COMMON_FRICTION = "friction_deviation", "pulley_friction"
-#: Largest p-value at which the friction follows the pulling mass.
+#: Maximum p-value of the slope of the friction over the pulling mass that counts as a trend.
 TREND_P = 1e-2
-#: One parameter for all trials is preferred to one for each up to this ratio of their squared errors.
+#: Maximum ratio of the squared residuals with one more shared parameter to those with a parameter for each
+#: trial. Up to this ratio the shared parameter is preferred.
 SHARED_RATIO = 1.1
-#: Minimum number of samples in which a body stands still.
+#: Minimum number of samples at rest for the check of the force at rest.
 MIN_SAMPLES = 10
-#: Smallest excursion of a body that has moved, in standard deviations of its noise.
+#: Minimum displacement of a body that has moved, in standard deviations of the measurement noise.
 MOVED_SD = 5.0
 
 
@@ -72,12 +76,12 @@ class Omitted:
     fit : FitResult
         Fit with the parameter.
     replaced : tuple of str
-        Parameters that it replaces; empty if it is freed beside them.
+        Parameters that it replaces; empty if the parameter is freed in addition to the others.
     evidence : float
-        Twice the logarithm of the likelihood ratio of this fit against the stated one.
+        Twice the logarithm of the likelihood ratio of the fit with the parameter to the reference fit.
     p_value : float
-        Probability of an estimate this far from the held value by chance, with Bonferroni's correction for
-        all held parameters; NaN for a replacement.
+        Probability that the estimate is this far from the held value by chance, with Bonferroni's correction
+        for all held parameters. NaN if the parameter replaces others.
     """
 
     parameter: Parameter
@@ -88,19 +92,19 @@ class Omitted:
 
     @property
     def text(self) -> str:
-        """Name and estimate."""
+        """Name and estimate of the parameter as text."""
         name = self.parameter.name
         size = numbers.measured(self.fit.value(name), self.fit.stderr(name), self.parameter.unit)
         return f"{name} {size}" + f" in the place of {', '.join(self.replaced)}" * bool(self.replaced)
 
     @property
     def criterion(self) -> float:
-        """Schwarz's criterion against the stated fit: minus twice the logarithm of the Bayes factor."""
+        """BIC minus that of the reference fit, which is about -2 times the logarithm of the Bayes factor."""
         return math.log(self.fit.samples) * (not self.replaced) - self.evidence
 
     @property
     def command(self) -> str:
-        """Options that fit with the parameter."""
+        """Command-line options for a fit with the parameter."""
         name = self.parameter.name
         if any(p.name == name and p.free for p in self.fit.model.parameters):
             return f"leave out --fix {name}"
@@ -111,7 +115,7 @@ class Omitted:
         return f"choose it with --fix {name}={acting.start:g}{held}"
 
     def sentence(self, stated: FitResult) -> str:
-        """Return what the parameter explains, and the options to use."""
+        """Return a sentence on the effect of the parameter on the fit, and the options to use."""
         share = f"{100.0 * (1.0 - self.fit.cost / stated.cost):.3g} % of the squared residuals"
         explains = "the trials as well"
         if not self.replaced:
@@ -122,10 +126,11 @@ class Omitted:
 
 
 def find_omitted(stated: FitResult) -> list[Omitted]:
-    """Return the held parameters that the data support, the best fit first.
+    """Return the held parameters that the data support, sorted by BIC (lowest first).
 
     A freed parameter is supported if its p-value is below :data:`SIGNIFICANCE`. A replacement is supported
-    unless the evidence for the stated fit is :data:`STRONG`, provided that the estimates differ.
+    unless its log-likelihood is lower than that of the reference fit by strong evidence (:data:`STRONG`). It
+    must also move an estimate of the reference fit out of its 95 % interval.
     """
     held = [p for p in stated.parameters if not p.free and not p.per_trial]
     found = []
@@ -137,7 +142,7 @@ def find_omitted(stated: FitResult) -> list[Omitted]:
             distance, error = abs(fit.value(name) - parameter.start), fit.stderr(name) or 0.0
             if distance > 2.0 * error:
                 error = math.hypot(error, _force_error(fit, name))
-            # the likelihood ratio does not depend on the scale of a parameter, unlike the standard error
+            # unlike the standard error, the likelihood ratio does not depend on the parametrisation
             z = min(distance / error, math.sqrt(max(evidence, 0.0)))
             sides = 1.0 if parameter.start in parameter.bounds else 2.0
             p_value = min(1.0, len(held) * sides * float(special.ndtr(-z)))
@@ -152,7 +157,7 @@ def find_omitted(stated: FitResult) -> list[Omitted]:
 
 
 def fit_freed(stated: FitResult, name: str) -> FitResult | None:
-    """Return the best fit with one more parameter free, from several starts; None if there is none."""
+    """Return the best fit with one more free parameter, from several start values; None if all fail."""
     held = next((p for p in stated.parameters if p.name == name and not p.free), None)
     if held is None:
         return None
@@ -162,8 +167,9 @@ def fit_freed(stated: FitResult, name: str) -> FitResult | None:
 def _force_error(fit: FitResult, name: str) -> float:
     """Return the standard error of an estimate due to the noise of a measured force, to first order.
 
-    Noise of a force moves the simulated body on a random walk, of which the autocorrelation of the residuals
-    shows only a part. Third differences give the size of the noise, because a smooth force has hardly any.
+    Noise of the force moves the simulated body on a random walk. The autocorrelation of the residuals shows
+    only a part of this motion. The size of the noise is estimated from third differences, because a smooth
+    force has hardly any.
     """
     fitted = [t for t in fit.trials if t.role == "fit"]
     if not any("force_N" in t.inputs for t in fitted):
@@ -186,9 +192,9 @@ def _force_error(fit: FitResult, name: str) -> float:
 
 
 def _fit_replacement(stated: FitResult, held: Parameter) -> tuple[FitResult | None, tuple[str, ...]]:
-    """Return the fit with a parameter in place of those with a similar effect, and their names.
+    """Return the fit in which a parameter replaces those with a similar effect, and the replaced names.
 
-    A parameter that only the user holds is not tested.
+    A parameter is not tested if only the user, and not the model, holds it.
     """
     alike = next((names for names in ALIKE if held.name in names), ())
     others = [
@@ -211,7 +217,7 @@ def _fit_replacement(stated: FitResult, held: Parameter) -> tuple[FitResult | No
 def _fit_from_starts(
     stated: FitResult, held: Parameter, parameters: tuple[Parameter, ...]
 ) -> FitResult | None:
-    """Return the best fit of other parameters, from several values of the one that was held."""
+    """Return the best fit with the given parameters, from several start values of the parameter ``held``."""
     free = any(p.name == held.name and p.free for p in parameters)
     starts = [held.start]
     if free:
@@ -228,7 +234,7 @@ def _fit_from_starts(
             elif p.free and p.name in stated.labels:
                 start = stated.value(p.name)
             begun.append(replace(p, start=start))
-        # a search that fails is no news if another one succeeds
+        # ignore a search that fails, because another start value may succeed
         with suppress(NoTrustworthyResult), recorded():
             fits.append(output_error.fit(stated.model, stated.trials, parameters=begun, tested=False))
     if not fits:
@@ -237,12 +243,12 @@ def _fit_from_starts(
 
 
 def compute_evidence(stated: FitResult, fit: FitResult) -> float:
-    """Return twice the logarithm of the likelihood ratio of a fit against the stated one."""
+    """Return twice the logarithm of the likelihood ratio of a fit to the reference fit."""
     return stated.samples * math.log(max(stated.cost, 1e-300) / max(fit.cost, 1e-300))
 
 
 def find_moved(stated: FitResult, other: FitResult) -> list[str]:
-    """Return the shared parameters whose stated 95 % interval does not contain the other fit's value."""
+    """Return the shared parameters whose 95 % interval in one fit excludes the estimate of another fit."""
     found = []
     for label in stated.shared:
         error = stated.stderr(label)
@@ -253,7 +259,7 @@ def find_moved(stated: FitResult, other: FitResult) -> list[str]:
 
 
 def omission_check(stated: FitResult, omitted: Sequence[Omitted]) -> ev.Check:
-    """Return the check that the data support no held parameter; warn of those that they support."""
+    """Check that the data support no held parameter; warn of the parameters that the data support."""
     name = "no parameter left out"
     limit = f"p ≥ {SIGNIFICANCE:g}, and no other law explains as much"
     if not omitted:
@@ -277,10 +283,10 @@ def omission_check(stated: FitResult, omitted: Sequence[Omitted]) -> ev.Check:
 
 @dataclass(frozen=True)
 class Explained:
-    """A fit with the differences between its trials, and what is written of them."""
+    """A fit that describes differences between trials, with its entries for parameter file and report."""
 
     result: FitResult
-    #: Entries of the settings of the parameter file.
+    #: Entries for the settings in the parameter file.
     facts: dict[str, Any] = field(default_factory=dict)
     derived: dict[str, Estimate] = field(default_factory=dict)
     checks: list[ev.Check] = field(default_factory=list)
@@ -294,25 +300,25 @@ def explain_trials(
     *,
     insist: bool,
 ) -> Explained:
-    """Return the fit with a start or a friction of each trial, if the data clearly support it.
+    """Return a fit with a start state or a friction of each trial, if the data clearly support it.
 
     Parameters
     ----------
     plain : FitResult
-        Fit from rest, without parameters of single trials.
+        Fit with all trials starting at rest, and without per-trial parameters.
     choices : tuple of Parameter
         Parameters with the choices of the user.
     pulling_kg : mapping of str to float
-        Pulling mass of each trial.
+        Pulling mass of each trial, kg.
     odd : OutlierTrial or None
         Trial that contradicts the others.
     insist : bool
-        Use a friction of each trial, without a comparison.
+        Whether to estimate a friction of each trial without comparing it with other explanations.
 
     Raises
     ------
     NoTrustworthyResult
-        If ``insist`` is true and the trials do not identify the friction.
+        If ``insist`` is true and the trials do not determine the friction.
     """
     if insist:
         return _explain_friction(plain, pulling_kg, odd, *_fit_friction(plain, odd))
@@ -339,12 +345,12 @@ def explain_trials(
         f"the trials start {STARTS[reason]}; {reason} is estimated for each ({_list_values(best, reason)} "
         f"{unit}). Use --start-state rest to insist on rest at the first sample",
     )
-    # tested again, because the starts may have absorbed a part of the omitted effect
+    # test again, because the start states may have absorbed a part of the omitted effect
     return Explained(best, {"start_state": reason}, checks=[omission_check(best, find_omitted(best))])
 
 
 def find_odd(plain: FitResult) -> OutlierTrial | None:
-    """Return the trial that contradicts the others; search only if the residuals give a reason."""
+    """Return the outlier trial; search for it only if residuals are coloured or trials disagree."""
     if plain.scatter_p < HETEROGENEITY or any(len(n.autoregression) for n in plain.noise.values()):
         return find_outlier_trial(plain)
     return None
@@ -371,12 +377,12 @@ def odd_check(result: FitResult, odd: OutlierTrial) -> ev.Check:
 
 
 def _fit_friction(plain: FitResult, odd: OutlierTrial | None) -> tuple[FitResult, between_trials.Spread]:
-    """Return the fit with friction as a random effect.
+    """Return the fit with friction as a random effect, and its standard deviation between trials.
 
     Raises
     ------
     NoTrustworthyResult
-        If the trials do not identify it.
+        If the trials do not determine the friction.
     """
     pulled = [t for t in plain.trials if t.role == "fit" and t.rig.pulley]
     reason = ""
@@ -386,7 +392,7 @@ def _fit_friction(plain: FitResult, odd: OutlierTrial | None) -> tuple[FitResult
         reason = f"{COMMON_FRICTION} is held"
     if reason:
         raise NoTrustworthyResult(f"{FRICTION} cannot be estimated: {reason}")
-    # the model is nearly linear at the fit of the other trials, and not where an odd trial moves it
+    # start from the fit of the other trials, because an outlier moves the estimates out of the linear range
     near = odd.others if odd is not None and COMMON_FRICTION in odd.others.labels else None
     return between_trials.fit_random_effect(plain, FRICTION, COMMON_FRICTION, near=near)
 
@@ -398,12 +404,12 @@ def _explain_friction(
     with_friction: FitResult,
     spread: between_trials.Spread,
 ) -> Explained:
-    """Return the fit with a random friction, unless the friction cannot be a random one."""
+    """Return the fit with friction as a random effect, or the plain fit if friction is not random."""
     facts: dict[str, Any] = {"start_state": "rest"}
     if spread.sd == 0.0:
         return Explained(plain, facts)
     checks = [omission_check(with_friction, find_omitted(with_friction))]
-    # an odd trial must neither make a trend nor hide one
+    # leave out the outlier, which could cause a trend or hide one
     others = with_friction if odd is None else odd.others
     own = between_trials.estimate_own_values(others, FRICTION, COMMON_FRICTION)
     pulling = np.array([pulling_kg.get(name) or math.nan for name in own.trials])
@@ -439,7 +445,7 @@ def _explain_friction(
 
 
 def _is_significant(plain: FitResult, rival: FitResult) -> bool:
-    """Return whether an F-test, allowing for coloured noise, prefers a fit with more unknowns."""
+    """Return whether an F-test that allows for coloured noise prefers a fit with more unknowns."""
     extra = len(rival.labels) - len(plain.labels)
     before, after = squared_error(plain), squared_error(rival)
     if after <= 0 or before <= after or after > START_RATIO * before:
@@ -460,7 +466,7 @@ def squared_error(result: FitResult) -> float:
 
 
 def _list_values(result: FitResult, name: str) -> str:
-    """List the values of a parameter of each trial."""
+    """List the values of a per-trial parameter as text."""
     return ", ".join(
         f"{label[len(name) + 1 : -1]} {value:+.3g}"
         for label, value in zip(result.labels, result.estimate, strict=True)
@@ -472,12 +478,12 @@ def _list_values(result: FitResult, name: str) -> str:
 
 
 def force_checks(result: FitResult) -> list[ev.Check]:
-    """Return the checks of the measured force of towed trials; warn of those that fail."""
+    """Return the checks of the measured force of towed trials; warn of each check that fails."""
     return [_sign_check(result), *_rest_check(result)]
 
 
 def _sign_check(result: FitResult) -> ev.Check:
-    """Check that no trial fits better with the opposite force."""
+    """Check that no trial fits better if the sign of the force is changed."""
     name, limit = "sign of force_N", "no trial agrees better with -force_N"
     fitted = [t for t in result.trials if t.role == "fit"]
     channel = next(s.channel for s in result.series if s.role == "fit")
@@ -491,7 +497,8 @@ def _sign_check(result: FitResult) -> ev.Check:
     def turned(trial: Trial) -> Trial:
         return replace(trial, inputs={**trial.inputs, "force_N": -trial.inputs["force_N"]})
 
-    # at the start values, because a fit to the wrong sign makes the body so heavy that no force moves it
+    # simulate with the start values, because a fit to a force of the wrong sign makes the body so heavy that
+    # no force moves it
     start = np.array([p.start for p in result.model.parameters])
     suspects = [t.id for t in fitted if mean_square(turned(t), start) < mean_square(t, start)]
     trials = list(result.trials)
@@ -522,7 +529,7 @@ def _sign_check(result: FitResult) -> ev.Check:
 
 
 def _rest_check(result: FitResult) -> list[ev.Check]:
-    """Check that the force is zero while the body stands still, within its offset and dry friction."""
+    """Check that the force is zero while the body is at rest, within its offset and the dry friction."""
     loads = {}
     for trial in result.trials:
         count = _count_still(trial)
@@ -547,9 +554,10 @@ def _rest_check(result: FitResult) -> list[ev.Check]:
 
 
 def _count_still(trial: Trial) -> int:
-    """Return the number of samples at the start of a trial in which the body certainly stands still.
+    """Return the number of samples at the start of a trial in which the body is certainly at rest.
 
-    It is half the number of samples before a motion shows, because the force that starts it begins earlier.
+    The result is half the number of samples before the first visible motion, because the force that starts
+    the motion begins earlier.
     """
     counts = []
     for values in trial.measured.values():

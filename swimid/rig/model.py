@@ -1,6 +1,6 @@
 """Model of the rig with one degree of freedom: falling weight, towing and free decay, with compiled kernels.
 
-One equation describes all three::
+One equation of motion describes the falling weight, towing and free decay::
 
     (m + m_added + m_pull + m_pulley) x'' = F - dry sgn(x') - linear x'
                                             - quadratic x' |x'| - R(x - x_rest)
@@ -8,8 +8,8 @@ One equation describes all three::
 with ``R(d) = stiffness d + gravity sin(d) + cubic d^3``, and ``quadratic = rho C_d A / 2`` for a body of
 known frontal area (boxfish paper, Eqs 7, 8). For a rotation, moments of inertia replace masses, and moments
 replace forces; ``gravity`` is m g l of a pendulum. In water that moves with the velocity w, the velocities on
-the right are relative to the water, and the left side is ``M (v' - w')``: accelerating water carries the body
-along, as it carries a neutrally buoyant body.
+the right are relative to the water. The left side is then ``M (v' - w')``, because accelerating water moves
+the body as it moves a neutrally buoyant body.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from swimid.fitting.drives import RigInput
 from swimid.fitting.hooks import MOST_FORCES, NONE, Hooks, no_force
 from swimid.fitting.model import Array, Channel, Model, Parameter, Rig, Scales, Trial
 
-#: Coordinates of a rig: unit, unit of the speed, and whether it is a rotation.
+#: Coordinates of a rig: unit, unit of the speed, and whether the coordinate is an angle.
 COORDINATES: dict[str, tuple[str, str, bool]] = {
     "x_m": ("m", "m/s", False),
     "z_m": ("m", "m/s", False),
@@ -34,7 +34,7 @@ COORDINATES: dict[str, tuple[str, str, bool]] = {
     "pitch_rad": ("rad", "rad/s", True),
     "yaw_rad": ("rad", "rad/s", True),
 }
-#: Groups of parameters with a similar effect: one of a group may replace the others.
+#: Groups of parameters with a similar effect. One parameter of a group may replace the others.
 ALIKE = (
     (
         *("drag_coefficient", "quadratic_drag", "quadratic_damping"),
@@ -42,16 +42,17 @@ ALIKE = (
     ),
     ("stiffness", "gravity_stiffness"),
 )
-#: Largest integration step before the accuracy check refines it, s.
+#: Maximum integration step of a first fit, s. If the simulation is not accurate enough, the fit halves the
+#: step.
 DEFAULT_STEP = 0.01
-#: Maximum number of such steps; longer trials begin with longer steps.
+#: Maximum number of steps of :data:`DEFAULT_STEP` in a trial. Longer trials have longer steps.
 MAX_STEPS = 5_000
-#: Coefficients of the equation of motion, in the order of the argument of :func:`integrate`.
+#: Coefficients of the equation of motion, in the order in which :func:`integrate` takes them.
 EQUATION = ("inertia", "quadratic", "linear", "dry", "stiffness", "rest", "gravity", "cubic")
 
 
 class RigScales(Scales):
-    """Typical sizes of a rig's trials."""
+    """Typical scales of the quantities in the trials of a rig."""
 
     model: RigModel
 
@@ -61,7 +62,7 @@ class RigScales(Scales):
 
     @property
     def speed(self) -> float:
-        """Typical speed; of a decay, the range of the motion times the natural frequency."""
+        """Typical speed; in a free decay, the range of the motion times the natural angular frequency."""
         if not self.model.rig.swings:
             return super().speed
         rate = math.sqrt(max(self.stiffness, 1e-12) / self.inertia)
@@ -74,7 +75,7 @@ class RigScales(Scales):
 
     @property
     def inertia(self) -> float:
-        """Known plus added inertia, kg or kg m2; 1 if unknown."""
+        """Sum of known and added inertia, kg or kg m2; 1 if unknown."""
         known = [t.rig.inertia for t in self.trials if not math.isnan(t.rig.inertia)]
         if not known:
             return 1.0
@@ -82,7 +83,7 @@ class RigScales(Scales):
 
     @property
     def force(self) -> float:
-        """Pull, or restoring force over the range of the motion, N or N m."""
+        """Typical applied force; in a free decay the restoring force at the range of motion, N or N m."""
         if self.model.rig.swings:
             return max(self.stiffness, 1e-12) * self.span
         known = [float(np.sqrt(np.mean(np.square(t.inputs.get("force_N", t.rig.pull))))) for t in self.trials]
@@ -90,23 +91,23 @@ class RigScales(Scales):
 
     @property
     def brake(self) -> float:
-        """Tenth of the force; hundredth in a free decay, where losses add up over many swings."""
+        """A tenth of the force; a hundredth in a free decay, because losses add up over many swings."""
         if self.model.rig.swings:
             return 0.01 * self.force
         return 0.1 * self.force
 
     @property
     def quadratic(self) -> float:
-        """Quadratic drag at the start values, the least of all trials."""
+        """Minimum quadratic drag coefficient of all trials, at the start values of the parameters."""
         start = np.array([p.start for p in self.model.parameters])
         return min((self.model.coefficients(start, t.rig)["quadratic"] for t in self.trials), default=0.0)
 
 
 class RigModel(Model):
-    """Model of a rig experiment of one robot.
+    """Model of one robot on a test rig.
 
-    Build it with :func:`falling_weight`, :func:`towed` or :func:`free_decay`. The known quantities of a trial
-    are its :attr:`Trial.rig`; a measured force is its input ``force_N``.
+    Create the model with :func:`falling_weight`, :func:`towed` or :func:`free_decay`. :attr:`Trial.rig` has
+    the known quantities of a trial. The input ``force_N`` of a trial is a measured force.
     """
 
     offers = frozenset({"coefficients", "force", "flow", "output", "clock"})
@@ -133,21 +134,21 @@ class RigModel(Model):
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Axis of the motion; empty for a rotation."""
+        """Axis along which the body moves; empty for a rotation."""
         if self.rig.rotation:
             return ()
         return (self.coordinate.removesuffix("_m"),)
 
     def scales(self, trials: Sequence[Trial]) -> RigScales:
-        """Return the typical sizes of trials."""
+        """Return the typical scales of the quantities in trials."""
         return RigScales(self, trials)
 
     def onset(self, trial: Trial) -> float:
-        """Return the time of the release, s."""
+        """Return the time of release, s."""
         return trial.rig.begin_s
 
     def origin(self, trial: Trial) -> dict[str, float]:
-        """Return the displacement at the start of a trial."""
+        """Return the displacement at the start of a trial, by channel."""
         return {self.coordinate: trial.rig.x0}
 
     def _value(self, values: Array, *names: str) -> float:
@@ -157,7 +158,7 @@ class RigModel(Model):
         return 0.0
 
     def coefficients(self, values: Array, known: RigInput) -> dict[str, float]:
-        """Return the coefficients of the equation of motion for one trial."""
+        """Return the coefficients of the equation of motion in one trial."""
         drag = self._value(values, "drag_coefficient")
         friction = 0.0
         if known.pulley:
@@ -175,7 +176,7 @@ class RigModel(Model):
         }
 
     def _equation(self, values: Array, trial: Trial) -> dict[str, float]:
-        """Return the coefficients, the constant force and the initial state."""
+        """Return the coefficients, the constant force, the drift of the force and the initial state."""
         return {
             **self.coefficients(values, trial.rig),
             "force": self._value(values, "force_offset") + trial.rig.pull,
@@ -199,7 +200,7 @@ class RigModel(Model):
     def _moved(
         self, c: dict[str, float], trial: Trial, release: float, hooks: Hooks = NONE
     ) -> dict[str, Array]:
-        """Return displacement and speed for the coefficients of :meth:`_equation`."""
+        """Return displacement and speed for the values that :meth:`_equation` returns."""
         if c["inertia"] <= 0 or not np.isfinite(list(c.values())).all():
             return self._broken(trial)
         measured, known = trial.inputs.get("force_N"), c["force"]
@@ -240,13 +241,13 @@ class RigModel(Model):
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
         """Return displacement and speed with effects (see :meth:`Model.hooked`).
 
-        Hooks of ``coefficients`` change those of :meth:`coefficients`, the constant ``force`` (N) and the
-        initial state ``x0``, ``v0``, before the forces act.
+        ``coefficients`` hooks change the values of :meth:`coefficients`, the constant ``force`` (N), and the
+        initial state ``x0`` and ``v0``. Forces of effects are added afterwards.
 
         Raises
         ------
         ValueError
-            For more than :data:`swimid.fitting.hooks.MOST_FORCES` forces.
+            If there are more than :data:`swimid.fitting.hooks.MOST_FORCES` forces.
         """
         late = trial
         if hooks.late:
@@ -265,7 +266,7 @@ class RigModel(Model):
         return RigModel(self.name, self.parameters, self.coordinate, max_step=0.5 * self.max_step)
 
     def sensitivity_to_time(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Return the rate of each channel: the speed, and the difference quotient of the speed."""
+        """Return the derivatives of the channels by time: the speed, and its numerical derivative."""
         simulated = self.simulate(values, trial)
         rate = np.zeros(1)
         if len(trial.time_s) > 1:
@@ -274,7 +275,7 @@ class RigModel(Model):
 
 
 def terminal_speed(c: Mapping[str, float], force: float) -> float:
-    """Return the speed at which drag and friction balance a force, m/s; NaN if there is none."""
+    """Return the speed at which drag and friction balance a force, m/s; NaN if no such speed exists."""
     push = force - c["dry"]
     brake = c["linear"] + math.sqrt(c["linear"] ** 2 + 4 * max(c["quadratic"], 0.0) * max(push, 0.0))
     return 2 * push / brake if push > 0 and brake > 0 else math.nan
@@ -283,17 +284,17 @@ def terminal_speed(c: Mapping[str, float], force: float) -> float:
 def _parameter(
     name: str, unit: str, start: float, scale: float, meaning: str, *, lower: float = 0.0, **more: Any
 ) -> Parameter:
-    """Return a parameter without an upper bound."""
+    """Return a parameter without an upper bound, and by default with the lower bound 0."""
     return Parameter(name, unit, lower, math.inf, start, scale, meaning=meaning, **more)
 
 
 def _signed(name: str, unit: str, scale: float, meaning: str, **more: Any) -> Parameter:
-    """Return a parameter without bounds that starts at zero."""
+    """Return a parameter without bounds, whose start value is zero."""
     return _parameter(name, unit, 0.0, scale, meaning, lower=-math.inf, **more)
 
 
 def _drag(area_known: bool, source: str = "") -> Parameter:
-    """Return the drag coefficient, or the quadratic coefficient without a frontal area."""
+    """Return the drag coefficient; the quadratic drag if the frontal area is unknown."""
     if area_known:
         return Parameter(
             "drag_coefficient", "1", 0.0, 5.0, 1.0, 0.5, meaning="drag coefficient C_d", source=source
@@ -302,7 +303,7 @@ def _drag(area_known: bool, source: str = "") -> Parameter:
 
 
 def _start(coordinate: str, *, length: float, speed: float, free: bool) -> tuple[Parameter, ...]:
-    """Return displacement, speed and time of the start of each trial."""
+    """Return the parameters of each trial's start: displacement, speed, and clock offset."""
     unit, speed_unit, _ = COORDINATES[coordinate]
     own: dict[str, Any] = {"per_trial": True}
     return (
@@ -320,9 +321,10 @@ def falling_weight(
     Parameters
     ----------
     area_known : bool
-        Estimate the drag coefficient instead of the quadratic coefficient.
+        Whether the frontal area is known, so that the drag coefficient is estimated. Otherwise the quadratic
+        drag is estimated.
     pulley : bool
-        Estimate the friction of the pulley; it is zero otherwise.
+        Whether the friction of the pulley is estimated. Otherwise it is zero.
     """
     half, friction = 0.5 * mass_kg, 0.1 * force_N * pulley
     common = "pulley friction of a trial against the common one"
@@ -340,7 +342,7 @@ def falling_weight(
 
 
 def towed(*, mass_kg: float, force_N: float, area_known: bool, speed_m_s: float = 0.3) -> RigModel:
-    """Return the model of a body under a measured force; added mass and drag are free."""
+    """Return the model of a body under a measured force, with added mass and drag as free parameters."""
     half = 0.5 * max(mass_kg, 0.1)
     parameters = (
         _drag(area_known),
@@ -363,7 +365,7 @@ def free_decay(
     amplitude: float,
     gravity: float = 0.0,
 ) -> RigModel:
-    """Return the model of a free decay of one of :data:`COORDINATES`.
+    """Return the model of a free decay in one of :data:`COORDINATES`.
 
     Parameters
     ----------
@@ -371,13 +373,13 @@ def free_decay(
         Known inertia, kg or kg m2.
     stiffness : float or None
         Known stiffness, N/m or N m/rad; the added inertia is then estimated. If it is None, the stiffness is
-        estimated and the added inertia fixed, because a decay determines ratios only.
+        estimated and the added inertia is held, because a decay determines only ratios to the inertia.
     guess : float
-        Stiffness that follows from the period.
+        Stiffness that follows from the period of the decay.
     amplitude : float
-        Amplitude of the first swing, for the scales.
+        Amplitude of the first swing, for the typical scales of the parameters.
     gravity : float
-        Known gravity stiffness m g l, in roll and pitch.
+        Known gravity stiffness m g l in roll and pitch, N m/rad.
     """
     unit, _, rotation = COORDINATES[coordinate]
     force, mass, kind, loss = "N", "kg", "mass", "drag"
@@ -416,22 +418,22 @@ def free_decay(
 # ---------------------------------------------------------------- integration
 
 
-#: Maximum number of stops and breakaways within one integration step.
+#: Maximum number of times that the body stops or starts within one integration step.
 MAX_EVENTS = 8
 
 
 @numba.njit(cache=True, nogil=True)
 def breakaway(push, slope, dry, left):  # type: ignore[no-untyped-def]
-    """Return when a body at rest overcomes its dry friction, and in which direction (0 if it stays).
+    """Return when a body at rest overcomes dry friction, and in which direction (0 if it stays at rest).
 
     Parameters
     ----------
     push, slope : float
-        Net force without friction, and its rate.
+        Net force without friction, N, and its rate, N/s.
     dry : float
-        Largest force of friction.
+        Maximum force of dry friction, N.
     left : float, s
-        Time to look ahead; the result if the body stays.
+        Duration in which the body may start to move. It is returned as the time if the body stays at rest.
 
     >>> breakaway(0.5, 2.0, 1.0, 1.0)
     (0.25, 1.0)
@@ -447,7 +449,7 @@ def breakaway(push, slope, dry, left):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def restoring(x, c):  # type: ignore[no-untyped-def]
-    """Return the restoring force at a displacement, for the coefficients of the equation of motion."""
+    """Return the restoring force at a displacement, for the coefficients in the order of :data:`EQUATION`."""
     _, _, _, _, stiffness, rest, gravity, cubic = c
     away = x - rest
     pull = stiffness * away
@@ -458,7 +460,8 @@ def restoring(x, c):  # type: ignore[no-untyped-def]
     return pull
 
 
-# ``extra`` is None in still water without further forces; numba then compiles these functions without them.
+# ``extra`` is None in still water without further forces. Numba then compiles these functions without the
+# code for moving water and forces.
 
 
 @numba.njit(cache=True, nogil=True)
@@ -499,7 +502,7 @@ def _rk4(t, x, v, side, h, f0, f1, w0, dw, c, extra):  # type: ignore[no-untyped
 
 @numba.njit(cache=True, nogil=True)
 def _with_friction(t, x, v, h, f0, f1, w0, dw, c, extra):  # type: ignore[no-untyped-def]
-    """Integrate one step with dry friction, divided where the body stops and where it moves again."""
+    """Integrate one step with dry friction; the step is divided where the body stops or starts to move."""
     inertia, dry = c[0], c[3]
     slope = (f1 - f0) / h
     done = 0.0
@@ -510,7 +513,7 @@ def _with_friction(t, x, v, h, f0, f1, w0, dw, c, extra):  # type: ignore[no-unt
             if extra is None:
                 after, side = breakaway(f - restoring(x, c), slope, dry, left)
             else:
-                # other forces are assumed linear in time over the rest of the step
+                # the sum of all forces is assumed to be linear in time over the rest of the step
                 push = inertia * _acceleration(t + done, x, v, 0.0, f, w, dw, c, extra)
                 end = inertia * _acceleration(t + h, x, v, 0.0, f1, w0 + dw * h, dw, c, extra)
                 after, side = breakaway(push, (end - push) / left, dry, left)
@@ -575,19 +578,19 @@ def _run(time, start, max_step, force, c, x0, v0, water, extra):  # type: ignore
 
 @numba.njit(cache=True, nogil=True)
 def integrate(time, start, max_step, force, x0, v0, c):  # type: ignore[no-untyped-def]
-    """Return positions and speeds at given times, by fixed-step fourth-order Runge-Kutta.
+    """Integrate the equation of motion with the fourth-order Runge-Kutta method and fixed steps.
 
     Parameters
     ----------
     time : ndarray, shape (n,), s
-        Increasing times. Samples before ``start`` have the initial state.
+        Increasing sample times. Samples before ``start`` have the initial state.
     start : float, s
         Time of release.
     max_step : float, s
-        Largest step. Each interval between samples is divided into equal steps, which do not depend on the
-        parameters, so that finite differences are smooth.
+        Maximum step. Each interval between samples is divided into equal steps. The steps do not depend on
+        the parameters, so that finite differences are smooth.
     force : ndarray, shape (n,) or (1,)
-        Applied force at the samples with linear interpolation, or one constant value.
+        Applied force at the samples, between which it is interpolated linearly, or one constant value.
     x0, v0 : float
         Initial position and speed.
     c : tuple of float
@@ -596,12 +599,14 @@ def integrate(time, start, max_step, force, x0, v0, c):  # type: ignore[no-untyp
     Returns
     -------
     x, v : ndarray, shape (n,)
+        Displacements and speeds at the sample times.
 
     Notes
     -----
-    Dry friction keeps its sign within a step. A step in which the speed changes sign is divided at the
-    reversal. There the body sticks while the net force is below the friction. Both instants are exact:
-    rounded to the steps, the motion would be a discontinuous function of the friction.
+    The sign of dry friction is constant within a step. A step in which the speed changes sign is divided at
+    the reversal. At the reversal the body sticks as long as the net force is below the friction. The times of
+    reversal and of breakaway are exact. If they were rounded to the steps, the motion would be a
+    discontinuous function of the friction.
     """
     return _run(time, start, max_step, force, c, x0, v0, None, None)
 
@@ -610,16 +615,18 @@ def integrate(time, start, max_step, force, x0, v0, c):  # type: ignore[no-untyp
 def integrate_forced(  # type: ignore[no-untyped-def]
     time, start, max_step, force, water, x0, v0, c, acting, f1, c1, f2, c2, f3, c3, f4, c4
 ):
-    """Integrate as :func:`integrate`, in moving water and with forces that depend on the motion.
+    """Integrate the equation of motion in moving water, and with forces that depend on the motion.
+
+    Parameters that are not listed are those of :func:`integrate`.
 
     Parameters
     ----------
     water : ndarray, shape (steps + 1,), m/s
-        Velocity of the water at :func:`step_ends`, with linear interpolation.
+        Velocity of the water at :func:`step_ends`, between which it is interpolated linearly.
     acting : int
-        Number of forces that act.
+        Number of forces that act on the body.
     f1, c1, f2, c2, f3, c3, f4, c4
-        Compiled forces (:class:`swimid.fitting.hooks.Force`) and their constants.
+        Compiled functions of the forces (:class:`swimid.fitting.hooks.Force`) and their constants.
     """
     extra = (np.zeros((3, 3)), acting, (c1, f1), (c2, f2), (c3, f3), (c4, f4))
     return _run(time, start, max_step, force, c, x0, v0, water, extra)
@@ -627,7 +634,7 @@ def integrate_forced(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def step_ends(time, start, max_step):  # type: ignore[no-untyped-def]
-    """Return the ends of the steps of :func:`integrate` from the release on, s.
+    """Return the limits of the integration steps of :func:`integrate` from the release on, s.
 
     >>> step_ends(np.array([-1.0, 0.1, 0.15]), 0.0, 0.05)
     array([0.  , 0.05, 0.1 , 0.15])
@@ -654,16 +661,16 @@ def falling_weight_closed_form(time, start, inertia, quadratic, force):  # type:
     start : float, s
         Time of release.
     inertia : float, kg
-        M of Eq 8.
+        Inertia M of Eq 8.
     quadratic : float, N s2/m2
-        ``rho C_d A / 2``; zero is allowed.
+        Coefficient ``rho C_d A / 2``; zero is allowed.
     force : float, N
-        Net force ``m_w g - f_c``; the body stays at rest unless it is positive.
+        Net force ``m_w g - f_c``. The body stays at rest unless it is positive.
 
     Notes
     -----
-    Eqs 9 and 10 of the boxfish paper. The argument in its Eq 14 is a misprint: ``sqrt(a1 a2) t`` is right,
-    ``sqrt(a1 a2 t)`` is not.
+    The formulas are Eqs 9 and 10 of the boxfish paper. The argument in its Eq 14 is a misprint: ``sqrt(a1 a2)
+    t`` is correct, and ``sqrt(a1 a2 t)`` is wrong.
 
     >>> x, v = falling_weight_closed_form(np.array([100.0]), 0.0, 2.0, 4.0, 1.0)
     >>> float(v[0])
@@ -680,11 +687,11 @@ def falling_weight_closed_form(time, start, inertia, quadratic, force):  # type:
         t = max(time[i] - start, 0.0)
         phi = rate * t
         if phi < 1e-4:
-            # series of ln cosh and tanh, without a division by the drag
+            # Taylor series of ln cosh and tanh, which avoid a division by zero drag
             x[i] = 0.5 * a2 * t * t * (1.0 - phi * phi / 6.0)
             v[i] = a2 * t * (1.0 - phi * phi / 3.0)
         else:
-            # ln cosh without overflow, and tanh, from one exponential
+            # ln cosh (without overflow) and tanh are computed from the same exponential
             decay = math.exp(-2.0 * phi)
             x[i] = (phi + math.log1p(decay) - math.log(2.0)) / a1
             v[i] = math.sqrt(a2 / a1) * (1.0 - decay) / (1.0 + decay)
@@ -692,7 +699,7 @@ def falling_weight_closed_form(time, start, inertia, quadratic, force):  # type:
 
 
 def warm_up() -> None:
-    """Compile the kernels of this module."""
+    """Compile the numba functions of this module before their first use."""
     time = np.array([0.0, 0.1])
     integrate(time, 0.0, 0.1, np.array([1.0]), 0.0, 0.0, (1.0, 1.0, 1.0, 0.1, 1.0, 0.0, 0.0, 0.0))
     falling_weight_closed_form(time, 0.0, 1.0, 1.0, 1.0)

@@ -1,4 +1,4 @@
-"""Trials of the rig with one degree of freedom: falling weight, towing and free decay."""
+"""Read the trials of a rig with one degree of freedom: falling weight, towing and free decay."""
 
 from __future__ import annotations
 
@@ -22,19 +22,20 @@ from swimid.notices import warn
 from swimid.rig import model as rig
 from swimid.robots.file import Robot
 
-#: Largest relative distance of a sample from an extreme, and of a swing from the largest one, that count as
-#: equal.
+#: Maximum relative difference of a sample from an extreme, and of a swing from the largest swing, that count
+#: as equal.
 EXTREME_RTOL = 0.05
-#: Share of a period after which a body near one place is held there. A free swing stays within 5 % of its
-#: extreme for ``2 arccos(0.95) / (2 pi)`` of a period, which is 0.1.
+#: Minimum time near one place, as a fraction of a period, after which a body counts as held there. A free
+#: swing stays within 5 % of its extreme for ``2 arccos(0.95) / (2 pi)`` of a period, which is 0.1.
 HELD_PERIODS = 0.1
-#: Minimum number of samples of a falling weight.
+#: Minimum number of samples of a falling-weight trial.
 MIN_SAMPLES = 5
-#: Largest first position of a drop that starts at the origin, as a share of its length.
+#: Maximum initial position, as a fraction of the drop distance, at which a drop is taken to start at the
+#: origin.
 ORIGIN_RTOL = 0.02
 _INERTIA = "trials.inertial_mass_kg"
 _DRAG = ("trials.frontal_area_m2", "trials.fluid_density_kg_m3")
-#: Keys of a trials file that are used, by experiment.
+#: Keys of a trials file that have an effect, by experiment.
 USES = {
     "falling-weight": trials_format.EVERYWHERE
     | {"trials.pulling_mass_kg", "trials.driving_force_N", _INERTIA, *_DRAG},
@@ -44,17 +45,17 @@ USES = {
 
 
 def load(source: str | Path | TrialSet, *, coordinate: str | None = None) -> Experiment:
-    """Read a trials file of one of the rig experiments.
+    """Read a trials file of a rig experiment.
 
     Parameters
     ----------
     coordinate : str, optional
-        Coordinate of a free decay, if the logs hold several.
+        Coordinate of a free decay. It is needed if the logs hold several coordinates.
 
     Raises
     ------
     InputError
-        For anything wrong in the trials file, the robot file or a log.
+        If the trials file, the robot file or a log is wrong.
     """
     path = trials_format.place(source)
     entries = trials_format.read(source, FallingWeight, Towed, FreeDecay, uses=USES)
@@ -84,7 +85,7 @@ def _mass(entry: RigTrial, robot: Robot, path: Path) -> float:
 
 
 def _area_factors(entries: Sequence[RigTrial], robot: Robot, path: Path) -> list[float | None]:
-    """Return ``rho A / 2`` of Eq 7 for each trial, kg/m; None for all if no frontal area is known."""
+    """Return ``rho A / 2`` of Eq 7 for each trial, kg/m; None for each trial if no frontal area is known."""
     factors: list[float | None] = []
     for entry in entries:
         area = entry.frontal_area_m2 or robot.body.frontal_area_m2
@@ -139,9 +140,9 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
     span = min(float(record.time_s[-1] - record.time_s[0]) for record in records)
     model.parameters = chosen(
         model.parameters,
-        # a trial is released within its own duration of the start of its log
+        # the release lies within one trial duration of the start of the log
         bounds={"clock_offset": (-span, span)},
-        # a start outside the origin has the noise of the first sample
+        # if a drop starts outside the origin, its start position has the noise of the first sample
         freed=("start_offset",) if any(k.x0 != 0 for k in known) else (),
     )
 
@@ -149,7 +150,7 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
         made = []
         for entry, record, one in zip(entries.trials, records, known, strict=True):
             position = true_position(record, rounding)
-            # the row that defines the origin is no measurement
+            # the row that defines the origin is not a measurement
             first = int(record.kind == "clicks" and record.position[0] == 0)
             made.append(
                 Trial(
@@ -184,7 +185,7 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
 
 
 def _without_standstill(log: Log, time: Array, position: Array) -> tuple[Array, Array]:
-    """Cut off the end of a drop in which the body stands still, because it has reached the wall."""
+    """Remove the end of a drop in which the body stands still because it has reached the wall."""
     span = float(position.max() - position.min())
     noise = float(np.median(np.abs(np.diff(position, 2))))
     arrived = position.max() - max(0.01 * span, 6.0 * noise)
@@ -218,7 +219,7 @@ def _drop(
     position: Array,
     record: Displacement,
 ) -> RigInput:
-    """Return mass, force and release of a drop."""
+    """Return the mass, the force and the time of release of a drop."""
     mass = _mass(entry, robot, path)
     pulley = entry.pulling_mass_kg is not None
     if entry.pulling_mass_kg is not None:
@@ -235,11 +236,12 @@ def _drop(
             )
     travelled = position - position[0]
     from_origin = abs(position[0]) <= ORIGIN_RTOL * float(travelled.max())
-    # If the body has already moved in the first row, the release was earlier: at time zero if the force can
-    # have moved it so far since then, or else as long before as the force needs.
+    # If the body has already moved in the first row, the release was earlier. It is at time zero if the force
+    # can have moved the body that far since time zero. Otherwise it is estimated from the time that the force
+    # needs.
     quickest = np.sqrt(2.0 * max(float(position[0]), 0.0) * mass / force)
     at_zero = from_origin and position[0] > 0 and 0.5 * quickest <= time[0] <= 5.0 * quickest
-    # only a count shows certainly that the body has moved: the first sample of a camera has noise
+    # only a count of the encoder shows for certain that the body has moved; a camera position has noise
     counted = record.kind != "continuous" and record.position[0] > 0 and from_origin
     release, x0 = float(time[0]), float(position[0])
     if at_zero:
@@ -299,7 +301,7 @@ def _mean_speed(trial: Trial) -> float:
 
 
 def _typical(speeds: Sequence[float]) -> float:
-    """Return the median of speeds, m/s, or 0.1 m/s if it is zero."""
+    """Return the median of speeds, m/s; 0.1 m/s if the median is zero."""
     return float(np.median(speeds)) or 0.1
 
 
@@ -391,14 +393,14 @@ def _inertia(entry: RigTrial, robot: Robot, axis: str, rotation: bool, path: Pat
 
 
 def _swings(values: Array, noise: float, log: Log, name: str) -> tuple[Array, Array]:
-    """Return the half swings of a record, which are its parts on alternate sides of the rest position.
+    """Return the half swings of a record: its parts on alternating sides of the rest position.
 
     Returns
     -------
     crossings : ndarray, shape (n - 1,)
-        Index of the first sample of each half swing but the first.
+        Index of the first sample of each half swing except the first.
     extremes : ndarray, shape (n,)
-        Most distant value of each half swing.
+        Value of each half swing that is farthest from the rest position.
 
     Raises
     ------
@@ -406,14 +408,14 @@ def _swings(values: Array, noise: float, log: Log, name: str) -> tuple[Array, Ar
         If the record has fewer than three half swings.
     """
     found = None
-    # most records end at rest; the middle of the range is the second choice
+    # most records end at rest; otherwise try the middle of the range as the rest position
     for level in (float(np.median(values[len(values) * 3 // 4 :])), 0.5 * float(values.max() + values.min())):
         for _ in range(3):
             crossings, extremes = _half_swings(values, level, noise)
             if len(extremes) < 3:
                 break
             found = crossings, extremes
-            # the error of this mean over two swings is of second order in the decrement
+            # the rest position is a weighted mean of extremes, with an error of second order in the decay
             level = float(extremes[-3:] @ (0.25, 0.5, 0.25))
         if found is not None:
             return found
@@ -423,10 +425,10 @@ def _swings(values: Array, noise: float, log: Log, name: str) -> tuple[Array, Ar
 
 
 def _half_swings(values: Array, level: float, noise: float) -> tuple[Array, Array]:
-    """Return where values change to the other side of a level, and the extreme of each part."""
+    """Return the indices at which values change side of a level, and the extreme of each part."""
     away = values - level
     amplitude = float(np.max(np.abs(away)))
-    # the band keeps noise about the level from counting as a change of side
+    # values within the band around the level are ignored, so that noise does not count as a change of side
     band = min(max(0.1 * amplitude, 4.0 * noise), 0.25 * amplitude)
     state = np.sign(away) * (np.abs(away) > band)
     marked = np.flatnonzero(state)
@@ -436,11 +438,11 @@ def _half_swings(values: Array, level: float, noise: float) -> tuple[Array, Arra
 
 
 def _period(time: Array, crossings: Array) -> float:
-    """Return the mean period of the swings up to the first irregular one."""
+    """Return the mean period of the swings before the first irregular swing."""
     halves = np.diff(time[crossings])
     regular = np.abs(halves / np.median(halves) - 1.0) < 0.3
     count = max(int(np.argmin([*regular, False])), 1)
-    # whole periods, because the two halves differ if the level is beside the rest position
+    # use whole periods, because the two half swings differ in duration if the level is not the rest position
     if count > 1:
         count -= count % 2
     return 2.0 * float(np.sum(halves[:count])) / count
@@ -450,7 +452,7 @@ def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
     """Return time and coordinate of a decay from its release on, its period and its first amplitude.
 
     Swings of a free decay do not grow, so that it begins with the first of the largest swings. If the body
-    was held at an excursion, or stood still before it was deflected, the decay begins after that.
+    was held at an excursion, or was at rest before it was deflected, the decay begins after that.
     """
     there = np.isfinite(log[name])
     time, values = log.time_s[there], log[name][there]
@@ -501,22 +503,22 @@ def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
 
 @dataclass(frozen=True)
 class Displacement:
-    """Displacement record with known errors.
+    """Displacement record of an experiment, with its known errors.
 
     Attributes
     ----------
     kind : str
-        ``continuous``: no encoder. ``clicks``: one row each time that the encoder passes a step, so that the
-        displacement is exact and the time has an error. ``sampled``: the count of the encoder at regular
-        times.
+        ``continuous``: there is no encoder. ``clicks``: there is one row for each step of the encoder, so
+        that the displacement is exact and the time has an error. ``sampled``: the rows are the count of the
+        encoder at regular times.
     time_s, position : ndarray, shape (n,)
-        Samples; with ``events`` the instants at which a sampled count changed.
+        Samples of the record. If ``events`` is true, these are the times at which a sampled count changed.
     resolution : float or None
-        Step of the encoder, in the unit of the displacement.
+        Step of the encoder, in the unit of the displacement; None without an encoder.
     time_sd_s : float or ndarray, shape (n,)
-        Standard deviation of the times that follows from the sampling interval.
+        Standard deviation of the times, due to the sampling interval.
     position_sd : float
-        Standard deviation of the positions that follows from the step.
+        Standard deviation of the positions, due to the step of the encoder.
     """
 
     kind: Literal["continuous", "clicks", "sampled"]
@@ -528,18 +530,18 @@ class Displacement:
     events: bool = False
 
 
-#: Roundings of a count, and the true position minus the count, in steps: at the instant at which the count
-#: rises, at which it falls, and on average over the time of one count.
+#: Roundings of an encoder count. Each has the true position minus the count, in steps, in three cases: when
+#: the count rises, when the count falls, and on average while the count is constant.
 ROUNDINGS = {"floor": (0.0, 1.0, 0.5), "nearest": (-0.5, 0.5, 0.0), "ceil": (-1.0, 0.0, -0.5)}
 
 
 def read_encoder(time_s: Array, position: Array, resolution: float | None = None) -> Displacement:
-    """Recognise an encoder in a displacement record without missing samples, and find its errors.
+    """Detect an encoder in a displacement record without missing samples, and return its errors.
 
     Parameters
     ----------
     resolution : float, optional
-        Step of the encoder. It decides for records that move several steps per sample.
+        Known step of the encoder. It is needed for records that move several steps per sample.
     """
     plain = Displacement("continuous", time_s, position)
     step = step_of(position)
@@ -549,16 +551,16 @@ def read_encoder(time_s: Array, position: Array, resolution: float | None = None
     moves = np.diff(counts)
     forward = moves[moves != 0]
     if len(forward) < 3 or np.mean(np.sign(forward) == np.sign(np.median(forward))) < 0.98:
-        return plain  # rounded values go up and down, a count does not
+        return plain  # rounded values rise and fall, but a count moves in one direction
     if np.mean(np.abs(moves) == 1) > 0.9 and np.std(np.diff(time_s)) >= 0.02 * np.mean(np.diff(time_s)):
         return Displacement("clicks", time_s, position, step)
     if np.median(np.abs(moves)) <= 1 and np.mean(moves == 0) > 0.05:
         at = np.flatnonzero(moves) + 1
         gap = time_s[at] - time_s[at - 1]
-        # a count that changed by m passed m steps within the interval; use the middle one
+        # a count that changed by m passed m steps within the interval; use the middle step
         middle = position[at] - 0.5 * (moves[at - 1] - np.sign(moves[at - 1])) * step
         times = time_s[at] - 0.5 * gap
-        # the instant is uniformly distributed between the two samples
+        # the time of the change is uniformly distributed between the two samples
         return Displacement("sampled", times, middle, step, gap / np.sqrt(12.0), 0.0, events=True)
     if np.median(np.abs(moves)) <= 3 or (resolution is not None and abs(step / resolution - 1) < 0.02):
         return Displacement("sampled", time_s, position, step, 0.0, step / np.sqrt(12.0))
@@ -572,12 +574,12 @@ def third_difference_sd(values: Array) -> float:
     2.0
     """
     rough = np.abs(np.diff(values, 3))
-    # normal noise: 0.6745 standard deviations to the median, and 1 + 9 + 9 + 1 variances in a difference
+    # normal noise has the median absolute value 0.6745 sd, and its third difference has 20 times the variance
     return float(np.median(rough)) / (0.6745 * float(np.sqrt(20.0))) if len(rough) else 0.0
 
 
 def true_position(record: Displacement, rounding: str) -> Array:
-    """Return the positions, shape (n,), of a record whose counts have a rounding of :data:`ROUNDINGS`."""
+    """Return the true positions of a record, shape (n,), for one of the :data:`ROUNDINGS` of its counts."""
     if record.kind != "sampled" or record.resolution is None:
         return record.position
     rising, falling, shown = ROUNDINGS[rounding]
