@@ -1,13 +1,14 @@
 """Estimation of ARX and ARMAX models from records with gaps.
 
-The model is that of :mod:`swimid.blackbox.difference`. The regression has a row for each sample whose past
-samples are all there, so that a gap costs only the rows around it. See L. Ljung, "System Identification:
+The model is defined in :mod:`swimid.blackbox.difference`. The regression has a row for each sample whose past
+samples are all known, so that only the rows around a gap are lost. See L. Ljung, "System Identification:
 Theory for the User", 2nd ed. (1999), ch. 7-9 and 11.
 
-The coefficients of C minimise the one-step error (Gauss-Newton). SARIMAX of statsmodels could do the same
-with a Kalman filter across the gaps. On 60 records of 600 samples of an ARMAX(2, 2, nc 2) model its estimates
-are as good: one coefficient varies 13 % less with 30 % of the samples missing, and none without gaps. But it
-takes 40 to 70 times as long, one search in ten does not converge, and it cannot discount old samples.
+The coefficients of C minimise the one-step error (Gauss-Newton). SARIMAX of statsmodels is an alternative,
+with a Kalman filter across the gaps. On 60 simulated records of 600 samples of an ARMAX(2, 2, nc 2) model,
+the estimates of both are about equally good: with 30 % of the samples missing, SARIMAX reduces the scatter of
+one coefficient by 13 %, and without gaps the scatter is equal. SARIMAX takes 40 to 70 times as long, one
+search in ten does not converge, and old samples cannot be discounted.
 """
 
 from __future__ import annotations
@@ -24,19 +25,22 @@ from swimid.errors import NoTrustworthyResult
 from swimid.fitting import noise as rt
 from swimid.logs.sampling import rounding
 
-#: Maximum magnitude of a zero of C; the inverse of C is stable below 1.
+#: Maximum magnitude of a zero of C. The inverse of C is stable if all magnitudes are below 1.
 MAX_ZERO = 0.999
-#: Maximum number of Gauss-Newton steps, and of halvings of one step.
+#: Maximum number of Gauss-Newton steps, and maximum number of halvings of one step.
 MAX_STEPS, MAX_HALVINGS = 100, 30
-#: Residuals below this share of the output's standard deviation are rounding errors.
+#: Maximum root-mean-square residual that is taken for a rounding error, divided by the standard deviation of
+#: the output.
 EXACT = 1e-9
-#: Relative tolerance of a zero singular value of the scaled regression.
+#: Maximum singular value of the scaled regression that counts as zero, divided by the largest singular value.
 RANK_RTOL = 1e-10
-#: Maximum effect of rounding: no singular value above this share of the largest counts as zero.
+#: Maximum singular value that counts as zero because of rounding, divided by the largest singular value.
 MAX_ROUNDING = 0.01
-#: Minimum share of a coefficient in a direction without information that makes it undetermined.
+#: Minimum sum of squared components of a coefficient in the directions without information, for a coefficient
+#: that is not identifiable. The sum is 1 if the data have no information about the coefficient.
 MIN_SHARE = 1e-3
-#: Variance inflation factor of nearly dependent columns: standard errors 100 times those of independent ones.
+#: Minimum variance inflation factor of nearly dependent columns. The standard errors are then 100 times those
+#: of independent columns.
 NEARLY_DEPENDENT = 1e4
 
 
@@ -44,7 +48,7 @@ NEARLY_DEPENDENT = 1e4
 def errors_and_gradient(
     theta: np.ndarray, rows: np.ndarray, outputs: np.ndarray, fresh: np.ndarray, nc: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the one-step errors of an ARMAX model and the derivative of its prediction.
+    """Return the one-step errors of an ARMAX model and the derivative of the one-step prediction.
 
     Parameters
     ----------
@@ -53,14 +57,15 @@ def errors_and_gradient(
     rows, outputs : ndarray, shape (n, m) and (n,)
         Regression vectors of A and B, and the outputs z.
     fresh : ndarray of bool, shape (n,)
-        True where a row does not follow the row before: the past errors are taken as zero.
+        True where a row does not directly follow the previous row in time. Past errors are taken as zero
+        there.
 
     Returns
     -------
     errors : ndarray, shape (n,)
         ``e(k) = z(k) - h(k)' theta_AB - sum_j c_j e(k-j)``.
     gradient : ndarray, shape (n, m + nc)
-        Negative derivative of the errors: the regression vector filtered by 1 / C.
+        Negative derivative of the errors with respect to theta: the regression vector filtered by 1 / C.
     """
     n, m = rows.shape
     p = m + nc
@@ -91,26 +96,28 @@ def invertible(c: np.ndarray) -> np.ndarray:
     roots = roots / np.maximum(np.abs(roots), 1.0) ** 2
     roots = roots * np.minimum(MAX_ZERO / np.maximum(np.abs(roots), MAX_ZERO), 1.0)
     coefficients = np.real(np.poly(roots))[1:]
-    # np.roots drops zeros at the origin: the last coefficients are then zero
+    # np.roots drops zeros at the origin: the missing last coefficients are zero
     return np.pad(coefficients, (0, len(c) - len(coefficients)))
 
 
 def refine(
     theta: np.ndarray, rows: np.ndarray, outputs: np.ndarray, fresh: np.ndarray, nc: int, weights: np.ndarray
 ) -> np.ndarray:
-    """Return the coefficients with the least weighted one-step error, by Gauss-Newton with step halving.
+    """Return the coefficients with the minimum weighted sum of squared one-step errors.
+
+    The search uses Gauss-Newton steps with step halving.
 
     Parameters
     ----------
     theta, rows, outputs, fresh, nc
-        Start, and data as of :func:`errors_and_gradient`.
+        Initial coefficients, and data as in :func:`errors_and_gradient`.
     weights : ndarray, shape (n,)
         Weights of the squared errors.
 
     Raises
     ------
     NoTrustworthyResult
-        When the search does not converge.
+        The search does not converge.
     """
     m = rows.shape[1]
     root = np.sqrt(weights)
@@ -131,7 +138,7 @@ def refine(
             if tried < value:
                 break
         else:
-            return best  # no step reduces the error beyond rounding: the minimum
+            return best  # no step reduces the cost: this is the minimum
         gained = value - tried
         best, value = candidate, tried
         if gained <= 1e-13 * value:
@@ -143,34 +150,34 @@ def refine(
 
 
 def warm_up() -> None:
-    """Compile the kernel of this module."""
+    """Compile the numba function of this module before its first use."""
     errors_and_gradient(np.zeros(2), np.ones((3, 1)), np.ones(3), np.array([True, False, False]), 1)
 
 
 @dataclass(frozen=True)
 class Regression:
-    """Rows of ``z = H theta + e`` for A and B; C has no columns of data."""
+    """Regression ``z = H theta + e`` for the coefficients of A and B. The columns of C are not data."""
 
-    #: H, shape (n, na + nb), and z, shape (n,).
+    #: Matrix H, shape (n, na + nb), and vector z, shape (n,).
     rows: np.ndarray
     outputs: np.ndarray
-    #: Record and sample in it that each row predicts, shape (n,).
+    #: Index of the record, and index of the sample in this record, that each row predicts, shape (n,).
     record: np.ndarray
     sample: np.ndarray
-    #: True where a row does not follow the row before, shape (n,).
+    #: True where a row does not directly follow the previous row in time, shape (n,).
     fresh: np.ndarray
     #: Number of samples of each record.
     lengths: list[int]
-    #: Number of rows if no sample were missing.
+    #: Number of rows there would be without missing samples.
     possible: int
 
     def __len__(self) -> int:
         return len(self.outputs)
 
     def on_grid(self, values: np.ndarray, *, gap: int) -> np.ndarray:
-        """Return values of the rows, shape (n,) or (n, p), on the time grid of the records.
+        """Return values of the rows, shape (n,) or (n, p), on the time grid of the concatenated records.
 
-        They are NaN where a row is missing, and for ``gap`` samples between two records.
+        The result is NaN where a row is missing, and for ``gap`` samples between two records.
         """
         starts = np.cumsum([0, *(length + gap for length in self.lengths)])
         result = np.full((int(starts[-1]) - gap, *np.shape(values)[1:]), np.nan)
@@ -179,7 +186,7 @@ class Regression:
 
 
 def regression(records: Sequence[Record], orders: Orders) -> Regression:
-    """Return all complete rows of several records with one sample time.
+    """Return all complete rows of the regression over several records with one sample time.
 
     Row k is ``[-y(k-1) .. -y(k-na), u(k-nk) .. u(k-nk-nb+1)]`` (Eq 7 of the paper).
     """
@@ -204,34 +211,35 @@ def regression(records: Sequence[Record], orders: Orders) -> Regression:
 
 @dataclass(frozen=True)
 class Identifiability:
-    """Coefficients that a regression with p columns determines."""
+    """Identifiability of the p coefficients of a regression."""
 
-    #: Whether each coefficient is determined, shape (p,).
+    #: Whether the data determine each coefficient, shape (p,).
     determined: np.ndarray
-    #: Number of determined directions of the columns.
+    #: Number of independent directions in the space of the coefficients that the data determine.
     rank: int
-    #: Condition number of the determined part, with columns scaled to length one.
+    #: Condition number of the regression in the determined directions, with columns scaled to length one.
     condition: float
-    #: Factor R of the scaled regression, shape (p, p).
+    #: Factor R of the QR decomposition of the scaled regression, shape (p, p).
     factor: np.ndarray
-    #: Number of directions that the input columns determine (order of excitation).
+    #: Number of directions that the input columns determine (order of persistent excitation).
     input_rank: int = 0
 
 
 def find_directions(rows: np.ndarray, steps: np.ndarray) -> Identifiability:
-    """Find the directions of the coefficients about which a regression has information.
+    """Find the directions in the space of the coefficients about which a regression has information.
 
     Parameters
     ----------
     rows : ndarray, shape (n, p)
     steps : ndarray, shape (p,)
-        Rounding step of each column of the log, 0 where it is exact.
+        Rounding step of each column of the regression; 0 for a column that is not rounded.
 
     Notes
     -----
-    The columns are scaled to length one. Rounding of n samples to a step q adds a random column of length
-    ``q sqrt(n / 12)`` to each. A direction has no information if its singular value is below three times the
-    length of the random columns in it, but only below :data:`MAX_ROUNDING` of the largest one.
+    The columns are scaled to length one. Rounding of n samples to a step q adds a random vector of length ``q
+    sqrt(n / 12)`` to a column. The regression has no information about a direction if its singular value is
+    below three times the length of these random vectors in that direction. A singular value above
+    :data:`MAX_ROUNDING` of the largest singular value always counts as information.
     """
     n, p = rows.shape
     scale = _lengths(rows)
@@ -249,18 +257,18 @@ def find_directions(rows: np.ndarray, steps: np.ndarray) -> Identifiability:
 
 
 def _lengths(rows: np.ndarray) -> np.ndarray:
-    """Return the lengths of the columns, 1 for columns of zeros."""
+    """Return the lengths of the columns; 1 for columns of zeros."""
     length = np.linalg.norm(rows, axis=0)
     return np.where(length > 0, length, 1.0)
 
 
 def find_determined(data: Regression, orders: Orders, quanta: tuple[float, float]) -> Identifiability:
-    """Find the coefficients of A and B that the rows determine; those of C always are.
+    """Find the coefficients of A and B that the rows determine. Those of C are always determined.
 
     Parameters
     ----------
     quanta : (float, float)
-        Rounding steps of input and output.
+        Rounding step of the input, and rounding step of the output.
     """
     steps = np.repeat([quanta[1], quanta[0]], [orders.na, orders.nb])
     both = find_directions(data.rows, steps)
@@ -277,13 +285,14 @@ def exclude_collinear(
     stderr: np.ndarray,
     noise_sd: float,
 ) -> Identifiability:
-    """Exclude coefficients that the noise makes indistinguishable, although the regression has full rank.
+    """Flag coefficients as not determined if noise makes them indistinguishable despite full rank.
 
-    The noise of a sensor that measures a single sine excites every coefficient of B a little. The estimates
-    are then large numbers that cancel. A coefficient of A or B is one of them if its column is nearly
-    dependent on the others (:data:`NEARLY_DEPENDENT`), and its standard error alone moves the prediction by
-    more than the whole polynomial does. They are excluded together if any has a standard error above half of
-    its size. A coefficient that is known to be small stays.
+    If the input is a measured single sine, the sensor noise excites every coefficient of B a little. The
+    estimates are then large and cancel each other. A coefficient of A or B is a candidate if its column is
+    nearly dependent on the others (:data:`NEARLY_DEPENDENT`) and its standard error, times the length of its
+    column, exceeds the contribution of the whole polynomial to the prediction. All candidates of a polynomial
+    are excluded if any of them has a standard error above half of its magnitude. A coefficient that is known
+    to be small is not excluded.
     """
     count = orders.na + orders.nb
     inflation = np.sum(np.linalg.pinv(known.factor) ** 2, axis=1)
@@ -308,31 +317,33 @@ def exclude_collinear(
 
 @dataclass(frozen=True)
 class ArxEstimate:
-    """Estimated model with p coefficients, from n rows."""
+    """Estimated model with p coefficients, from n rows of the regression."""
 
     orders: Orders
-    #: Coefficients, and their standard errors, shape (p,): NaN where the data do not determine one.
+    #: Coefficients, and their standard errors, shape (p,). Standard errors are NaN for coefficients that the
+    #: data do not determine.
     theta: np.ndarray
     stderr: np.ndarray
-    #: Shape (p, p).
+    #: Covariance of the coefficients, shape (p, p).
     covariance: np.ndarray
-    #: Standard deviation of e.
+    #: Standard deviation of the noise e, in the unit of the output.
     noise_sd: float
     #: One-step errors of the model, shape (n,).
     residuals: np.ndarray
     data: Regression
     recursion: recursive.Recursion
     known: Identifiability
-    #: Test of the one-step errors; with forgetting, of the innovations of the recursion.
+    #: Test of the one-step errors for whiteness. With forgetting, the innovations of the recursion are
+    #: tested.
     whiteness: rt.TestResult
     #: Whether the covariance allows for correlated residuals (sandwich form).
     robust: bool
-    #: Whether the residuals are rounding errors.
+    #: Whether the residuals are no larger than rounding errors.
     exact: bool
 
     @property
     def correlation(self) -> np.ndarray:
-        """Correlation matrix of the m determined coefficients, shape (m, m)."""
+        """Correlation matrix of the m coefficients that the data determine, shape (m, m)."""
         use = np.isfinite(self.stderr)
         sd = np.where(self.stderr[use] > 0, self.stderr[use], 1.0)
         matrix = self.covariance[np.ix_(use, use)] / np.outer(sd, sd)
@@ -341,12 +352,12 @@ class ArxEstimate:
 
 
 def check_enough(data: Regression, orders: Orders) -> None:
-    """Refuse a regression that cannot give a result.
+    """Raise an error for a regression that cannot give a result.
 
     Raises
     ------
     NoTrustworthyResult
-        When there are not more rows than coefficients, or the output is constant.
+        There are not more rows than coefficients, or the output is constant.
     """
     if len(data) <= orders.count:
         text = f"{len(data)} usable rows for {orders.count} parameters ({orders})"
@@ -366,12 +377,12 @@ def estimate(
     prior_scale: float = recursive.PRIOR_SCALE,
     stride: int = 1,
 ) -> ArxEstimate:
-    """Fit a model to one or several records.
+    """Fit an ARX or ARMAX model to one or several records.
 
     Parameters
     ----------
     records : sequence of Record
-        Records with one sample time; subtract a working point before
+        Records with one sample time. A working point must already be subtracted
         (:func:`swimid.blackbox.identified.find_working_point`).
     weight, forgetting, prior_scale, stride
         See :func:`swimid.blackbox.recursive.recursive_least_squares`. The recursion runs through the records
@@ -380,18 +391,19 @@ def estimate(
     Raises
     ------
     NoTrustworthyResult
-        When there are too few rows, the output is constant, or the regression determines no coefficient of A
-        and B, or no effect of the input.
+        There are too few rows, the output is constant, or the data determine no coefficient of A and B, or no
+        effect of the input.
 
     Notes
     -----
-    With ``nc = 0`` theta is the last estimate of the recursion. It equals batch weighted least squares with
-    the prior. With ``nc > 0`` the extended recursion gives the start of a search for the least one-step error
-    (:func:`refine`), whose standard errors are known.
+    With ``nc = 0`` theta is the last estimate of the recursion, which equals batch weighted least squares
+    with the prior. With ``nc > 0`` the estimate of the extended recursion is the starting point of a search
+    for the minimum of the squared one-step errors (:func:`refine`). Unlike the recursion, this search gives
+    known standard errors.
 
-    Let the weights be ``w_k = forgetting^(n-1-k)``, J the derivative of the one-step prediction, and
-    ``S = J'WJ + prior``. The covariance is ``sigma^2 S^-1 (J'W^2 J) S^-1``. Where the residuals are not white
-    it is ``S^-1 M S^-1`` with M of :func:`swimid.fitting.noise.long_run_covariance`.
+    Let the weights be ``w_k = forgetting^(n-1-k)``, J the derivative of the one-step prediction, and ``S =
+    J'WJ + prior``. For white residuals the covariance is ``sigma^2 S^-1 (J'W^2 J) S^-1``. Otherwise it is
+    ``S^-1 M S^-1``, with M from :func:`swimid.fitting.noise.long_run_covariance`.
     """
     data = regression(records, orders)
     check_enough(data, orders)
@@ -408,7 +420,7 @@ def estimate(
         fresh=data.fresh,
         stride=stride,
     )
-    weights = forgetting ** np.arange(len(data) - 1, -1, -1.0)  # the age is counted in rows
+    weights = forgetting ** np.arange(len(data) - 1, -1, -1.0)  # the age of a sample is counted in rows
     theta = run.theta
     residuals, jacobian = data.outputs - data.rows @ theta[: orders.na + orders.nb], data.rows
     if orders.nc:
@@ -459,9 +471,9 @@ def covariance(
     ----------
     jacobian, residuals, weights : ndarray, shape (n, p), (n,) and (n,)
     prior : float
-        Information about each coefficient before the data.
+        Prior information about each coefficient: the diagonal of the prior information matrix.
     data : Regression
-        Regression with these rows.
+        Regression to which the rows belong.
     robust : bool
         Whether to allow for correlated residuals; see the notes of :func:`estimate`.
     """
@@ -471,7 +483,7 @@ def covariance(
     inverse = np.linalg.pinv(r)
     whitened = (jacobian * weights[:, None]) @ inverse
     middle = whitened.T @ whitened
-    # number of samples left for the noise: n - p without forgetting
+    # effective number of samples minus effective number of parameters: n - p without forgetting
     remaining = max(float(np.sum(weights)) - float(np.trace(middle)), 1e-12)
     variance = float(np.sum(weights * residuals**2)) / remaining
     middle = middle * variance

@@ -1,4 +1,4 @@
-"""The difference equation of an ARX or ARMAX model: orders, records, free run and poles.
+"""Difference equation of an ARX or ARMAX model: orders, records, free run (simulation) and poles.
 
     A(z^-1) y(k) = B(z^-1) u(k) + C(z^-1) e(k)
     A = 1 + a1 z^-1 + ... + a_na z^-na
@@ -18,18 +18,19 @@ from typing import Literal
 import numpy as np
 from numba import njit
 
-#: Minimum magnitude of an integrating pole, whatever its standard error.
+#: Minimum magnitude of a pole that counts as integrating, whatever its standard error is.
 INTEGRATING = 0.999
-#: Maximum standard error of a magnitude for a test of integration. The linearisation behind larger ones
-#: fails, above all for nearly double poles.
+#: Maximum standard error of a pole's magnitude for a test of integration. Larger standard errors are not
+#: reliable, because the linearisation behind them fails, above all for nearly double poles.
 MAX_POLE_STDERR = 0.05
-#: Distance of a free run from the measured output at which it is stopped, in ranges of that output.
+#: Maximum distance of a free run from the measured output, divided by the range of that output. At a larger
+#: distance the free run is stopped.
 MAX_DISTANCE = 100.0
 
 
 @dataclass(frozen=True)
 class Record:
-    """Input and output on a grid of constant rate; shape (n,) each, NaN where a sample is missing."""
+    """Input and output on a grid of constant rate, each of shape (n,); NaN where a sample is missing."""
 
     #: Name of the log.
     name: str
@@ -45,7 +46,7 @@ class Record:
 
 @dataclass(frozen=True)
 class Orders:
-    """Number of coefficients of A, B and C, and the delay of b1 in samples."""
+    """Numbers of coefficients of A, B and C (``na``, ``nb``, ``nc``), and delay ``nk`` of b1 in samples."""
 
     na: int
     nb: int
@@ -60,16 +61,16 @@ class Orders:
 
     @property
     def count(self) -> int:
-        """Number of coefficients."""
+        """Total number of coefficients."""
         return self.na + self.nb + self.nc
 
     @property
     def lag(self) -> int:
-        """Number of past samples that a row of the regression needs."""
+        """Number of past samples that a row of the regression contains."""
         return max(self.na, self.nk + self.nb - 1)
 
     def split(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the coefficients of A, of B and of C, from all of them in one vector."""
+        """Return the coefficients of A, of B and of C, from one vector of all coefficients."""
         theta = np.asarray(theta, dtype=float)
         return theta[: self.na], theta[self.na : self.na + self.nb], theta[self.na + self.nb :]
 
@@ -80,32 +81,32 @@ class Orders:
 
 @dataclass(frozen=True)
 class Pole:
-    """Pole in the z plane, with the natural frequency and the damping of the continuous pole log(z) / Ts."""
+    """Pole in the z plane, with natural frequency and damping of the continuous-time pole log(z) / Ts."""
 
     value: complex
     magnitude: float
     #: Standard error of the magnitude; NaN for a repeated pole.
     stderr: float
-    #: NaN for z = 0, as is the damping ratio.
+    #: Natural frequency, Hz; NaN for z = 0, as is the damping ratio.
     frequency_hz: float
     damping_ratio: float
 
     @property
     def integrating(self) -> bool:
-        """Whether the magnitude cannot be distinguished from 1: within two standard errors, or very close."""
+        """Whether the magnitude differs from 1 by at most two standard errors, or is very close to 1."""
         near = self.stderr < MAX_POLE_STDERR and abs(self.magnitude - 1.0) <= 2.0 * self.stderr
         return bool(near or INTEGRATING < self.magnitude < 2.0 - INTEGRATING)
 
     @property
     def state(self) -> Literal["stable", "integrating", "unstable"]:
-        """Effect on a free run; a pole on or outside the unit circle is unstable."""
+        """Effect of the pole on a free run. A pole on or outside the unit circle is unstable."""
         if self.magnitude >= 1.0:
             return "unstable"
         return "integrating" if self.integrating else "stable"
 
 
 def poles(a: np.ndarray, covariance: np.ndarray | None, sample_time_s: float) -> list[Pole]:
-    """Return the roots of A with the standard errors of their magnitudes, largest first.
+    """Return the roots of A with the standard errors of their magnitudes, the largest magnitude first.
 
     Parameters
     ----------
@@ -118,7 +119,8 @@ def poles(a: np.ndarray, covariance: np.ndarray | None, sample_time_s: float) ->
 
     Notes
     -----
-    For a simple root z of ``p(z) = z^n + a1 z^(n-1) + ...``: ``dz/da_i = -z^(n-i) / p'(z)``.
+    The standard errors follow from ``dz/da_i = -z^(n-i) / p'(z)``, for a simple root z of the polynomial
+    ``p(z) = z^n + a1 z^(n-1) + ...``.
     """
     polynomial = np.concatenate(([1.0], a))
     result = []
@@ -143,7 +145,7 @@ def poles(a: np.ndarray, covariance: np.ndarray | None, sample_time_s: float) ->
 def free_run(
     a: np.ndarray, b: np.ndarray, delay: int, source: np.ndarray, measured: np.ndarray, limit: float
 ) -> np.ndarray:
-    """Simulate A(z^-1) y = B(z^-1) u from the input and the first outputs.
+    """Simulate A(z^-1) y = B(z^-1) u from the input and the first measured outputs.
 
     Parameters
     ----------
@@ -154,15 +156,15 @@ def free_run(
     source : ndarray, shape (n,)
         Input u, NaN where missing.
     measured : ndarray, shape (n,)
-        Output y, NaN where missing. It only starts the simulation, again after each stretch of missing
-        input: a start needs na consecutive samples.
+        Measured output y, NaN where missing. Only na consecutive samples are used, to start the simulation at
+        the beginning and again after each gap in the input.
     limit : float
-        Magnitude at which a simulation is stopped: NaN from there until the next start.
+        Maximum magnitude of the simulated output. If it is exceeded, the result is NaN until the next start.
 
     Returns
     -------
     ndarray, shape (n,)
-        Simulated output; NaN at the samples of a start and where there is no simulation.
+        Simulated output; NaN at the samples that start the simulation and where nothing is simulated.
     """
     n, na, nb = len(source), len(a), len(b)
     result = np.full(n, np.nan)
@@ -201,18 +203,19 @@ def free_run(
 
 
 def lagged(x: np.ndarray, lag: int) -> np.ndarray:
-    """Return a series delayed by ``lag`` samples, shape (n,), that begins with NaN."""
+    """Return a series delayed by ``lag`` samples, shape (n,). The first ``lag`` samples are NaN."""
     return np.concatenate((np.full(lag, np.nan), x))[: len(x)]
 
 
 def simulate(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
     """Return the free run of a record from its first ``na`` outputs, shape (n,).
 
-    It is NaN from where it leaves the measured output by :data:`MAX_DISTANCE` ranges of that output.
+    The free run is NaN after its distance from the measured output exceeds :data:`MAX_DISTANCE` ranges of
+    that output.
     """
     a, b, _ = orders.split(theta)
     values = record.output[np.isfinite(record.output)]
-    limit = 1e150  # an output without a range (a start from rest) sets no limit: prevent overflow only
+    limit = 1e150  # prevents overflow if the output has no range (a start from rest)
     if len(values) and np.ptp(values) > 0:
         limit = float(np.max(np.abs(values))) + MAX_DISTANCE * float(np.ptp(values))
     return free_run(a, b, orders.nk, record.source, record.output, limit)
@@ -221,21 +224,21 @@ def simulate(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
 def simulate_all(
     records: Sequence[Record], orders: Orders, theta: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the measured outputs and the free runs of several records, concatenated."""
+    """Return the measured outputs and the free runs of several records, each concatenated."""
     runs = [simulate(r, orders, theta) for r in records]
     return np.concatenate([r.output for r in records]), np.concatenate(runs)
 
 
 def best_level(measured: np.ndarray, run: np.ndarray, raised: np.ndarray) -> float:
-    """Return the output level at which the free run has the least squared error.
+    """Return the output level that minimises the sum of squared errors of the free run.
 
-    The level is 0 where it has no effect. A free run is linear in its initial samples, so that at level L it
-    is ``run + L (raised - run)``.
+    The result is 0 if the level has no effect. A free run is linear in its initial samples, so that at level
+    L it is ``run + L (raised - run)``.
 
     Parameters
     ----------
     measured, run, raised : ndarray, shape (n,)
-        Measured output, and the free runs at level 0 and at level 1.
+        Measured output, free run at level 0, and free run at level 1.
     """
     slope, error = raised - run, measured - run
     use = np.isfinite(slope) & np.isfinite(error)
@@ -246,6 +249,6 @@ def best_level(measured: np.ndarray, run: np.ndarray, raised: np.ndarray) -> flo
 
 
 def warm_up() -> None:
-    """Compile the kernels of this module."""
+    """Compile the numba function of this module before its first use."""
     one = np.ones(3)
     free_run(one[:1], one[:1], 1, one, one, 1.0)

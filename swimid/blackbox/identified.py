@@ -1,8 +1,9 @@
-"""Identification of an ARX or ARMAX model: working point, orders, estimate, and errors of its predictions.
+"""Identification of an ARX or ARMAX model: working point, orders, estimate, and prediction errors.
 
-A model without a constant term describes deviations. Data recorded around a working point (20 degrees, half
-throttle) need its means subtracted. Data that obey the model as they are must not be changed. The predictions
-are one step ahead, several steps ahead, and the free run (simulation), which uses no output after its start.
+A model without a constant term describes deviations from a working point. If data are recorded around a
+working point (20 degrees, half throttle), the means must be subtracted. If data obey the model without a
+constant term, they must not be changed. Predictions are one step ahead, several steps ahead, and the free run
+(simulation), which uses no measured output after its start.
 """
 
 from __future__ import annotations
@@ -36,31 +37,36 @@ from swimid.fitting.metrics import Score, score
 from swimid.notices import warn
 from swimid.progress import Progress, silent
 
-#: |t| of a constant term above which the working point is subtracted.
+#: Minimum |t| of the constant term at which the working point is subtracted without further conditions.
 CLEAR_T = 5.0
-#: Minimum |t| if the free run improves by :data:`CLEAR_GAIN`. Data that need no constant reach both less than
-#: once in a hundred records by chance, also those of slow systems.
+#: Minimum |t| of the constant term at which the working point is subtracted if this improves the free run by
+#: :data:`CLEAR_GAIN`. Data that need no constant term reach both thresholds by chance in less than one of a
+#: hundred records, also for slow systems.
 LIKELY_T = 3.5
-#: Minimum |t| if the output is far from zero and the free run improves at all. A missing constant then biases
-#: the other coefficients (a spurious pole at 1), so that its own t is small.
+#: Minimum |t| of the constant term at which the working point is subtracted if the output is far from zero
+#: and the free run improves at all. A missing constant term then biases the other coefficients (a spurious
+#: pole at 1), so that the |t| of the constant term is small.
 WEAK_T = 2.0
-#: Minimum relative improvement of the free-run error.
+#: Minimum relative reduction of the root-mean-square error of the free run that counts as a clear
+#: improvement.
 CLEAR_GAIN = 0.1
-#: Mean of the output, in its standard deviations, above which it is far from zero.
+#: Minimum ratio of the absolute mean of the output to its standard deviation, for an output that is far from
+#: zero.
 FAR = 3.0
-#: Maximum ratio of the free-run error on held-out data to that on the fitted data (SWM015).
+#: Maximum ratio of the root-mean-square error of the free run on held-out data to that on the fitted data
+#: (SWM015).
 MAX_RATIO = 2.0
-#: Maximum number of rows whose recursive estimates are kept.
+#: Maximum number of rows after which the recursive estimates are stored.
 MAX_KEPT = 1000
 
 
 @dataclass(frozen=True)
 class WorkingPoint:
-    """Means subtracted from input and output, zero where none were."""
+    """Means that are subtracted from input and output; zero if none are subtracted."""
 
     source: float
     output: float
-    #: Constant term of the regression over its standard error.
+    #: Constant term of the regression divided by its standard error.
     t: float
     removed: bool
 
@@ -71,16 +77,17 @@ def find_working_point(records: Sequence[Record], orders: Orders, mode: str = "a
     Parameters
     ----------
     mode : {"auto", "none", "mean"}
-        ``none`` and ``mean`` never and always subtract them. ``auto`` does so in four cases. Two concern the
-        constant term beside A and B: |t| above :data:`CLEAR_T`, or above :data:`LIKELY_T` while the free run
-        improves by :data:`CLEAR_GAIN`. Two concern an output whose mean is more than :data:`FAR` standard
-        deviations from zero: the free run improves by :data:`CLEAR_GAIN` (with |t| above :data:`WEAK_T`: at
-        all), or a pole at 1 disappears.
+        ``none`` never subtracts the means, ``mean`` always does. ``auto`` subtracts them in four cases, where
+        t is the t value of a constant term that is fitted together with A and B. (1) |t| is above
+        :data:`CLEAR_T`. (2) |t| is above :data:`LIKELY_T`, and the free run improves by :data:`CLEAR_GAIN`.
+        (3) The mean of the output is more than :data:`FAR` standard deviations from zero, and the free run
+        improves by :data:`CLEAR_GAIN`, or at all if |t| is above :data:`WEAK_T`. (4) The mean of the output
+        is that far from zero, and a pole at 1 disappears.
 
     Raises
     ------
     NoTrustworthyResult
-        When there are not more rows than coefficients, or the output is constant.
+        There are not more rows than coefficients, or the output is constant.
     """
     data = regression(records, replace(orders, nc=0))
     check_enough(data, orders)
@@ -106,7 +113,7 @@ def _columns(records: Sequence[Record]) -> tuple[list[np.ndarray], list[np.ndarr
 def _helps(
     records: Sequence[Record], orders: Orders, point: WorkingPoint, *, far: bool, likely: bool
 ) -> bool:
-    """Return whether subtracting the means improves the free run, or removes a spurious integrator.
+    """Return whether subtracting the means improves the free run, or removes a spurious pole at 1.
 
     Parameters
     ----------
@@ -128,9 +135,9 @@ def _helps(
 
 
 def constant_term(data: Regression) -> tuple[float, float]:
-    """Return the constant term beside A and B, and that over its standard error.
+    """Return the constant term that is fitted together with A and B, and its t value.
 
-    They are NaN and 0 where the data do not determine it.
+    They are NaN and 0 if the data do not determine the constant term.
     """
     n, p = data.rows.shape
     rows = np.hstack((data.rows, np.ones((n, 1))))
@@ -147,7 +154,7 @@ def constant_term(data: Regression) -> tuple[float, float]:
 
 
 def shifted(records: Sequence[Record], point: WorkingPoint) -> list[Record]:
-    """Return the records relative to a working point."""
+    """Return the records as deviations from a working point."""
     if not point.removed:
         return list(records)
     return [replace(r, source=r.source - point.source, output=r.output - point.output) for r in records]
@@ -156,8 +163,8 @@ def shifted(records: Sequence[Record], point: WorkingPoint) -> list[Record]:
 def predict(record: Record, orders: Orders, theta: np.ndarray, *, steps: int = 1) -> np.ndarray:
     """Return the prediction ``steps`` samples ahead, shape (n,).
 
-    The input is known throughout. The output is known up to the sample at which the prediction is made, and
-    the prediction is NaN where this output is missing.
+    The input is known at all samples. The output is known up to the sample at which the prediction starts.
+    The prediction is NaN where this output is missing.
     """
     a, b, c = orders.split(theta)
     driven = np.zeros(len(record))
@@ -168,7 +175,7 @@ def predict(record: Record, orders: Orders, theta: np.ndarray, *, steps: int = 1
         data = regression([record], orders)
         found, _ = errors_and_gradient(theta, data.rows, data.outputs, data.fresh, orders.nc)
         errors[data.sample] = np.nan_to_num(found)
-    recent: list[np.ndarray] = []  # the predictions 1, 2, ... steps before
+    recent: list[np.ndarray] = []  # predictions of the samples 1, 2, ... steps before
     for ahead in range(1, steps + 1):
         total = driven.copy()
         known = [*recent, *[record.output] * orders.na]
@@ -183,9 +190,10 @@ def predict(record: Record, orders: Orders, theta: np.ndarray, *, steps: int = 1
 def about_own_level(
     records: Sequence[Record], orders: Orders, theta: np.ndarray
 ) -> tuple[list[Record], float]:
-    """Return records relative to the output level that minimises their free-run error, and that level.
+    """Return records relative to the output level that minimises the free-run error, and this level.
 
-    Held-out data can have a working point of their own. The free run starts from ``y - level``, too.
+    Held-out data can have another working point than the fitted data. The level is subtracted from all
+    outputs, also from those that start the free run.
     """
     measured, run = simulate_all(records, orders, theta)
     _, raised = simulate_all([replace(r, output=r.output - 1.0) for r in records], orders, theta)
@@ -195,20 +203,21 @@ def about_own_level(
 
 @dataclass(frozen=True)
 class Scores:
-    """Errors of the predictions on one set of records."""
+    """Prediction errors on one set of records: one step ahead, several steps ahead, and free run."""
 
     one_step: Score
     k_step: Score
     free_run: Score
-    #: Whether the free run of a model that is not stable leaves the data.
+    #: Whether the model is not stable and its free run diverges from the data.
     diverged: bool
-    #: Own output level of the records, relative to that of the fitted part.
+    #: Output level of these records, relative to the level of the fitted data.
     level: float = 0.0
-    #: Error of the free run at the level of the fitted part; the other errors are about the own level.
+    #: Free-run error at the output level of the fitted data. The other errors are computed at the output
+    #: level of the records themselves.
     strict: Score | None = None
 
     def as_dict(self, unit: str, steps: int) -> dict[str, Any]:
-        """Return the errors as the parameter file contains them."""
+        """Return the errors in the form in which the parameter file contains them."""
         free = {**self.free_run.as_dict(unit), "diverged": self.diverged}
         if self.strict is not None:
             free |= {"level_shift": self.level, "at_predicted_level": self.strict.as_dict(unit)}
@@ -217,12 +226,12 @@ class Scores:
 
 
 def score_records(records: list[Record], model: ArxEstimate, poles: list[Pole], horizon: int) -> Scores:
-    """Return the errors one step ahead, ``horizon`` steps ahead and in free run.
+    """Return the prediction errors one step ahead, ``horizon`` steps ahead and of the free run.
 
     Raises
     ------
     NoTrustworthyResult
-        When no record is longer than the past samples that the model needs.
+        No record has more samples than the past samples that the model needs.
     """
     orders, theta = model.orders, model.theta
     longest = max((len(r) for r in records), default=0)
@@ -262,7 +271,7 @@ def frequency_response(
     -------
     response : ndarray of complex, shape (m,)
     log_gain, phase_rad : ndarray, shape (m,)
-        Standard errors of the logarithm of the gain and of the phase, rad.
+        Standard error of the logarithm of the gain, and standard error of the phase, rad.
     """
     a, b, _ = orders.split(theta)
     backward = np.exp(-1j * np.asarray(omega_rad_s) * sample_time_s)
@@ -270,7 +279,7 @@ def frequency_response(
     driven = [backward ** (orders.nk + j) for j in range(orders.nb)]
     denominator = 1.0 + sum(value * power for value, power in zip(a, past, strict=True))
     numerator = sum(value * power for value, power in zip(b, driven, strict=True))
-    # d ln G: -z^-i / A for a_i, z^-(nk+j) / B for b_j
+    # derivatives of ln G: -z^-i / A for a_i, z^-(nk+j) / B for b_j
     gradient = np.array([-power / denominator for power in past] + [power / numerator for power in driven])
     used = covariance[: orders.na + orders.nb, : orders.na + orders.nb]
     log_gain, phase = (
@@ -282,31 +291,32 @@ def frequency_response(
 
 @dataclass(frozen=True)
 class Identified:
-    """Model with its data and errors, the data relative to the working point."""
+    """Identified model with its data and prediction errors. Records are relative to the working point."""
 
     options: RwlsOptions
     data: Data
     point: WorkingPoint
     fit: list[Record]
-    #: By the name of the data; about a level of their own if a working point was subtracted.
+    #: Held-out records by the name of the data. If a working point was subtracted, they are relative to their
+    #: own output level.
     held_out: Mapping[str, list[Record]]
     estimate: ArxEstimate
-    #: Largest first.
+    #: Poles of the model, the largest magnitude first.
     poles: list[Pole]
     fit_scores: Scores
-    #: Errors on the held-out data.
+    #: Prediction errors on the held-out data, by the name of the data.
     scores: Mapping[str, Scores]
-    #: Orders of the search with their BIC, least first; empty without a search.
+    #: Orders of the order search with their BIC, lowest first; empty without a search.
     candidates: Sequence[tuple[Orders, float]]
 
     @property
     def kind(self) -> str:
-        """``ARX``, or ``ARMAX`` with a noise polynomial."""
+        """Kind of the model: ``ARX``, or ``ARMAX`` if it has a noise polynomial."""
         return "ARMAX" if self.estimate.orders.nc else "ARX"
 
     @cached_property
     def residual_series(self) -> tuple[np.ndarray, np.ndarray, int]:
-        """One-step residuals and input of the fitted records on one time grid, and the lags to test."""
+        """One-step residuals and input of the fitted records on one time grid, and number of lags to test."""
         data, lags = self.estimate.data, rt.default_lags(len(self.estimate.data))
         gap = 2 * lags + self.estimate.orders.lag
         source = rt.joined([r.source for r in self.fit], gap=gap)
@@ -314,7 +324,7 @@ class Identified:
 
     @cached_property
     def independent(self) -> rt.TestResult:
-        """Test that the residuals are independent of past inputs."""
+        """Test of the hypothesis that the residuals are independent of past inputs."""
         residuals, source, lags = self.residual_series
         return rt.independence(residuals, source, lags=lags, first=self.estimate.orders.nk)
 
@@ -326,18 +336,18 @@ class Identified:
 
     @property
     def critical_pole(self) -> Pole | None:
-        """Pole that decides on the stability: an unstable one, else an integrating one, else the largest."""
+        """Pole that determines the stability: an unstable one, else an integrating one, else the largest."""
         states = ("unstable", "integrating", "stable")
         return min(self.poles, key=lambda pole: states.index(pole.state), default=None)
 
 
 def identify(data: Data, options: RwlsOptions, progress: Progress) -> Identified:
-    """Choose the orders where they are not given, fit the model, and compute its errors.
+    """Choose the orders if they are not given, fit the model, and compute its prediction errors.
 
     Raises
     ------
     NoTrustworthyResult
-        As :func:`swimid.blackbox.arx.estimate`.
+        The errors of :func:`swimid.blackbox.arx.estimate`.
     """
     candidates: list[tuple[Orders, float]] = []
     if options.na is None or options.nb is None:
@@ -371,7 +381,7 @@ def identify(data: Data, options: RwlsOptions, progress: Progress) -> Identified
 
 
 def _search(data: Data, options: RwlsOptions, progress: Progress) -> list[tuple[Orders, float]]:
-    """Rank the orders of the grid; warn where the best ones lie at its edge."""
+    """Rank the orders of the search grid by BIC; warn if the best orders lie at the edge of the grid."""
     largest = options.max_order
     delays = range(options.max_nk + 1)
     if options.nk is not None:
@@ -400,25 +410,25 @@ def search_orders(
     Returns
     -------
     list of (Orders, float)
-        Orders and Bayesian information criterion ``n ln(RSS / n) + p ln n``, least first. Of equal ones, the
-        model with fewer coefficients is first.
+        Orders and Bayesian information criterion (BIC) ``n ln(RSS / n) + p ln n``, lowest first. If criteria
+        are equal, the model with fewer coefficients is first.
 
     Raises
     ------
     NoTrustworthyResult
-        When there are too few rows, or the output is constant.
+        There are too few rows, or the output is constant.
 
     Notes
     -----
-    All models are fitted to the same n rows, those complete for the longest lags of the grid, so that their
-    criteria can be compared. One QR factor of the widest regression serves them all.
+    All models are fitted to the same n rows, which are complete for the longest lags of the grid, so that the
+    criteria can be compared. All fits use one QR decomposition, that of the regression with all lags.
     """
     widest = Orders(largest, delays[-1] + largest, 0)
     data = regression(records, widest)
     check_enough(data, widest)
     n = len(data)
     factor = np.asarray(np.linalg.qr(np.column_stack((data.rows, data.outputs)), mode="r"))
-    # without a minimum, noise-free data would favour ever more coefficients
+    # without this minimum, noise-free data would always favour more coefficients
     floor = max(n * (EXACT * float(np.std(data.outputs))) ** 2, float(np.finfo(float).tiny))
     grid = list(product(range(largest + 1), range(1, largest + 1), delays))
     found = []

@@ -1,4 +1,4 @@
-"""The ARX model behind the model interface, and its conversion from parameter files and to python-control.
+"""ARX model with the interface of all swimid models, and its conversions (parameter file, python-control).
 
 The folder ``published`` contains the models of Tables II and III of the long-fin paper.
 """
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 #: Name of the model in parameter files.
 NAME = "arma"
-#: Source of the equations.
+#: Source of the equations, for the parameters.
 _PAPER = (
     "Shang, Wang, Tan, Cheng: Swimming locomotion modeling for biomimetic underwater vehicle with two "
     "undulating long-fins, Robotica 30 (2012) 913-923, doi:10.1017/S0263574711001159"
@@ -37,24 +37,25 @@ PUBLISHED = Path(__file__).with_name("published")
 
 
 class ArxModel(Model):
-    """A discrete-time model from one input column to one output column.
+    """Discrete-time model from one input column to one output column.
 
     Parameters
     ----------
     orders : Orders
-        Orders na, nb and nk; a simulation does not use the noise polynomial.
+        Orders na, nb and nk. The order nc is ignored, because a simulation does not use the noise polynomial.
     sample_time_s : float
         Sample time, s.
     source, output : str
         Names of the input and the output column.
     source_level, output_level : float
-        Working point: subtracted from the input, added to the simulated output.
+        Working point. ``source_level`` is subtracted from the input, ``output_level`` is added to the
+        simulated output.
     sine : tuple of float, optional
-        Amplitude, frequency (Hz) and phase (rad) of an input without a column.
+        Amplitude, frequency (Hz) and phase (rad) of a computed input, if no column holds the input.
     start : ndarray, shape (na + nb,), optional
-        Start values of the coefficients a1, ..., b1, ...
+        Initial values of the coefficients a1, ..., b1, ...
     unit, gain_unit : str
-        Units of the output, and of the b coefficients.
+        Unit of the output, and unit of the b coefficients.
     """
 
     name = NAME
@@ -97,12 +98,12 @@ class ArxModel(Model):
 
     @classmethod
     def from_file(cls, parameters: ParameterFile, path: Path | None = None) -> ArxModel:
-        """Return the model of a parameter file; ``path`` is the name of the file in errors.
+        """Return the model of a parameter file; ``path`` is the path of the file in error messages.
 
         Raises
         ------
         InputError
-            When the file is of another model, or lacks the delay, the sample time or coefficients.
+            The file is of another model, or the delay, the sample time or coefficients are missing.
         """
         if parameters.model != NAME:
             raise InputError(f"model '{parameters.model}' is not '{NAME}'", file=path, column="model")
@@ -123,35 +124,35 @@ class ArxModel(Model):
         )
 
     def commanded(self, trial: Trial) -> bool:
-        """Return whether the input column is a command and not a measured joint angle."""
+        """Return whether the input column is a command, and not a measured joint angle."""
         return not self.source.startswith("joint")
 
     def commands(self, trial: Trial) -> Iterator[tuple[Array, Array, float]]:
-        """Yield times and values of the input samples; their rate of change is unknown."""
+        """Yield times, values and 0.0 (the rate of change is unknown) of the known input samples."""
         time = np.asarray(trial.time_s, dtype=float)
         signal = self.input_of(trial, time)
         known = np.isfinite(signal)
         yield time[known], signal[known], 0.0
 
     def onset(self, trial: Trial) -> float:
-        """Return minus infinity: the model has no body that starts from rest."""
+        """Return minus infinity, because the model has no body that starts from rest."""
         return -np.inf
 
     def beats(self, trials: Sequence[Trial]) -> list[float]:
-        """Return the frequency of a computed input, Hz."""
+        """Return the frequency of a computed input, Hz; empty for an input column."""
         return [self.sine[1]] if self.sine else []
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Return the free run of one trial.
+        """Return the free run of one trial: the simulation from the input and the first outputs.
 
-        It starts from the first na measured outputs, and returns these unchanged. Without a measured output
-        it starts from the working point. It is NaN from a missing input until it can start again, and where
-        an unstable model diverges.
+        The simulation starts from the first na measured outputs, which are returned unchanged. Without a
+        measured output it starts from the working point. The result is NaN after a missing input until the
+        simulation can start again, and where an unstable model diverges.
 
         Raises
         ------
         InputError
-            When the sample time differs from that of the model, or the trial has no input.
+            The sample time of the trial differs from that of the model, or the trial has no input.
         """
         time = np.asarray(trial.time_s, dtype=float)
         step = sampling.rate(time).step_s
@@ -178,9 +179,10 @@ class ArxModel(Model):
         return {self.output: result}
 
     def at_own_level(self, values: Array, trial: Trial) -> tuple[ArxModel, dict[str, float]]:
-        """Return the model at the output level of one trial, and that level.
+        """Return the model with an output level estimated from one trial, and this level.
 
-        The level minimises the squared error of the free run. A model without a working point is unchanged.
+        The level minimises the sum of squared errors of the free run. A model without a working point is
+        unchanged.
         """
         if not (self.output_level or self.source_level):
             return self, {}
@@ -195,9 +197,9 @@ class ArxModel(Model):
         return moved
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-        """Return the free run with effects on the input column, the clock and the output.
+        """Return the free run with effects on the input column, on the clock and on the output.
 
-        See :meth:`Model.hooked`. The clock delays the output by linear interpolation.
+        See :meth:`Model.hooked`. A delay of the clock is applied to the output by linear interpolation.
         """
         time = np.asarray(trial.time_s, dtype=float)
         if hooks.command:
@@ -218,7 +220,7 @@ class ArxModel(Model):
         Raises
         ------
         InputError
-            When the trial has no such column, and the model no computed input.
+            The trial has no input column, and the model has no computed input.
         """
         column = trial.inputs.get(self.source)
         if column is not None:
@@ -230,12 +232,12 @@ class ArxModel(Model):
 
 
 def sine_input(time_s: Array, amplitude: float, frequency_hz: float, phase_rad: float) -> Array:
-    """Return ``A sin(2 pi f t + phase)`` in the unit of A: F_u of Eq 3 without its noise."""
+    """Return ``A sin(2 pi f t + phase)`` in the unit of A: the input F_u of Eq 3, without its noise."""
     return amplitude * np.sin(2 * np.pi * frequency_hz * np.asarray(time_s, dtype=float) + phase_rad)
 
 
 def _coefficients(parameters: ParameterFile, path: Path | None = None) -> tuple[Orders, float, Array]:
-    """Return orders, sample time (s) and coefficients a1, ..., b1, ... of a parameter file."""
+    """Return the orders, the sample time (s) and the coefficients a1, ..., b1, ... of a parameter file."""
     delay, sample_time_s = parameters.delay, parameters.sample_time_s
     if delay is None or sample_time_s is None:
         text = f"a model '{NAME}' needs 'delay' and 'sample_time_s'"
@@ -253,7 +255,8 @@ def _coefficients(parameters: ParameterFile, path: Path | None = None) -> tuple[
 def to_control(parameters: ParameterFile) -> control.TransferFunction:
     """Return the model of a parameter file as a discrete-time transfer function of python-control.
 
-    It is B / A in z, with the sample time ``dt``, between deviations from the working point.
+    The transfer function is B / A in z, with the sample time ``dt``. Input and output are deviations from the
+    working point.
     """
     import control
 
@@ -265,7 +268,7 @@ def to_control(parameters: ParameterFile) -> control.TransferFunction:
 
 
 def published(name: str) -> ParameterFile:
-    """Return a model of the long-fin paper, one of :func:`published_names`, without uncertainties.
+    """Return a model of the long-fin paper by its name (see :func:`published_names`), without uncertainties.
 
     The model of the rotating motion is unstable.
     """

@@ -1,4 +1,4 @@
-"""Recursive (weighted, extended) least squares, compiled.
+"""Recursive (weighted, extended) least squares, compiled with numba.
 
 The recursion is Eq 9 of the long-fin paper [1]_,
 
@@ -6,11 +6,11 @@ The recursion is Eq 9 of the long-fin paper [1]_,
     theta(k) = theta(k-1) + K(k) (z(k) - h(k)' theta(k-1))
     P(k)     = (I - K(k) h(k)') P(k-1)          [divided by ``forgetting`` afterwards]
 
-with P(0) = a^2 I. The recursion updates the factors U D U' of P instead of P (Bierman [2]_). The numbers are
-the same, P stays symmetric and positive definite, and a large a costs no digits.
+with P(0) = a^2 I. The recursion updates the factors U D U' of P instead of P (Bierman [2]_). The results
+are the same, P stays symmetric and positive definite, and a large value of a causes no loss of digits.
 
-A constant ``weight`` multiplies every row alike. The result equals ordinary least squares with the prior P(0)
-scaled by ``weight``. Only ``forgetting`` below 1 discounts old samples.
+``weight`` is constant and multiplies every row. The result equals ordinary least squares with the prior P(0)
+scaled by ``weight``. Old samples are discounted only if ``forgetting`` is below 1.
 
 References
 ----------
@@ -29,31 +29,31 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-#: Default of a in P(0) = a^2 I. The paper recommends more than 10^3.
+#: Default of a in P(0) = a^2 I. The paper recommends values above 10^3.
 PRIOR_SCALE = 1e6
-#: Maximum of the diagonal factor D, in a^2. With forgetting, P grows without limit in directions that the
-#: input does not excite. No excited direction reaches this limit.
+#: Maximum of the elements of the diagonal factor D, in units of a^2. With forgetting, P grows without limit
+#: in directions that the input does not excite. In excited directions D stays below this limit.
 MAX_GROWTH = 1e6
 
 
 @dataclass(frozen=True)
 class Recursion:
-    """Result of a recursion over n rows with p coefficients, of which m rows were kept."""
+    """Result of a recursion over n rows with p coefficients. The estimates after m of the rows are stored."""
 
-    #: Last estimate, shape (p,).
+    #: Last estimate of the coefficients, shape (p,).
     theta: np.ndarray
-    #: P after the last row, shape (p, p). Without forgetting, the covariance of the estimate is P times the
-    #: noise variance and the weight.
+    #: P after the last row, shape (p, p). Without forgetting, the covariance of the estimate is P multiplied
+    #: by the noise variance and the weight.
     covariance: np.ndarray
     #: One-step errors ``z(k) - h(k)' theta(k-1)``, shape (n,).
     innovations: np.ndarray
-    #: Rows whose estimates were kept, shape (m,); the last row is always one of them.
+    #: Indices of the rows after which the estimate is stored, shape (m,). The last row is always one of them.
     kept: np.ndarray
-    #: Estimates after the kept rows, shape (m, p).
+    #: Estimates after the stored rows, shape (m, p).
     thetas: np.ndarray
-    #: Square roots of the diagonal of P after the kept rows, shape (m, p).
+    #: Square roots of the diagonal of P after the stored rows, shape (m, p).
     spreads: np.ndarray
-    #: Number of rows at which a factor of P reached :data:`MAX_GROWTH`.
+    #: Number of rows at which an element of D reached :data:`MAX_GROWTH`.
     limited: int
 
 
@@ -73,27 +73,27 @@ def recursive_least_squares(
     Parameters
     ----------
     regressors : ndarray, shape (n, p)
-        Row k is h(k)', finite.
+        Regression vectors; row k is h(k)'. All elements must be finite.
     outputs : ndarray, shape (n,)
-        Outputs z, finite.
+        Outputs z; all elements must be finite.
     weight : float
-        Lambda of the paper, above 0.
+        Weight of every row (lambda in the paper), above 0.
     forgetting : float
         Factor by which P is divided after every row, above 0 and at most 1.
     prior_scale : float
-        a of P(0) = a^2 I, above 0.
+        Value of a in P(0) = a^2 I, above 0.
     noise_terms : int
-        Number of last columns of ``regressors`` whose values are replaced by the residuals of the rows before
-        (extended least squares [3]_).
+        Number of columns at the end of ``regressors`` whose values are replaced by the residuals of the
+        previous rows (extended least squares [3]_).
     fresh : ndarray of bool, shape (n,), optional
-        True where a row does not follow the row before: the past residuals start from zero.
+        True where a row does not directly follow the previous row in time. Past residuals are zero there.
     stride : int
-        Interval between the rows whose estimates are kept.
+        Interval between the rows after which the estimate is stored.
 
     Raises
     ------
     ValueError
-        When an argument is not finite, has another shape, or lies outside its range.
+        An argument is not finite, has another shape, or lies outside its range.
 
     Examples
     --------
@@ -133,7 +133,7 @@ def recursive_least_squares(
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _run(h, z, fresh, noise_terms, variance, growth, prior, stride, thetas, spreads):  # type: ignore[no-untyped-def]  # noqa: C901
-    """Run the recursion as one compiled loop, because calls and branches would cost time.
+    """Run the recursion as one compiled loop, because function calls and branches would cost time.
 
     Row j of ``factors`` holds column j of U.
     """
@@ -155,7 +155,7 @@ def _run(h, z, fresh, noise_terms, variance, growth, prior, stride, thetas, spre
                 for j in range(p - 1, first, -1):
                     h[k, j] = h[k - 1, j - 1]
                 h[k, first] = residuals[k - 1]
-        # the innovation, and f = U' h
+        # compute the innovation, and f = U' h
         error = z[k]
         for j in range(p):
             error -= h[k, j] * theta[j]
@@ -163,7 +163,7 @@ def _run(h, z, fresh, noise_terms, variance, growth, prior, stride, thetas, spre
             for i in range(j):
                 total += factors[j, i] * h[k, i]
             f[j] = total
-        # update of U and D column by column (Bierman)
+        # update U and D column by column (Bierman)
         alpha = variance
         for j in range(p):
             v = diagonal[j] * f[j]
@@ -206,5 +206,5 @@ def _run(h, z, fresh, noise_terms, variance, growth, prior, stride, thetas, spre
 
 
 def warm_up() -> None:
-    """Compile the kernel of this module."""
+    """Compile the numba function of this module before its first use."""
     recursive_least_squares(np.ones((2, 1)), np.ones(2))

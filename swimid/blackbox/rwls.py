@@ -1,4 +1,4 @@
-"""``swimid rwls``: a discrete-time model from an input and an output column, and its evidence."""
+"""Command ``swimid rwls``: identifies a discrete-time model from an input and an output column."""
 
 from __future__ import annotations
 
@@ -26,15 +26,17 @@ from swimid.results import evidence as ev
 from swimid.results.evidence import Check, Evidence, Figure, NoticeRecord, Panel, Span, Table, Trace
 from swimid.results.fitted import Fitted
 
-#: Warnings whose text is the reason of a check.
+#: Codes of the warnings whose text is the reason of a check, by the name of the check.
 CODES = {"Largest pole": "SWM020", "Residuals white": "SWM013", "Coefficients determined": "SWM010"}
-#: Minimum NRMSE fit of a free run that reproduces the output, %.
+#: Minimum NRMSE fit of a free run that counts as reproducing the output, %.
 MIN_FIT_PERCENT = 50.0
-#: Condition number of the scaled regression above which it is ill-conditioned.
+#: Maximum condition number of the scaled regression. A regression with a larger condition number is reported
+#: as ill-conditioned.
 MAX_CONDITION = 1e6
-#: Maximum number of orders in the table of a search.
+#: Maximum number of candidate orders listed in the table of an order search.
 MAX_ORDERS = 15
-#: Share of the input's power outside of the shaded band of the frequency response, on each side.
+#: Fraction of the input's power outside of the shaded band of the frequency response, on each side of the
+#: band.
 TAIL = 0.05
 REFERENCES = [
     "L. Shang, S. Wang, M. Tan, L. Cheng: Swimming locomotion modeling for biomimetic underwater vehicle "
@@ -55,41 +57,40 @@ def rwls(
 ) -> Fitted:
     """Identify an ARX or ARMAX model by recursive weighted least squares.
 
-    A trials file can state the columns. Without ``na`` and ``nb`` the orders have the least BIC. See
-    :class:`swimid.blackbox.difference.Orders` for the orders, :mod:`swimid.blackbox.recursive` for weight,
-    forgetting and P(0), and :func:`swimid.blackbox.identified.find_working_point` for the means. If the
-    one-step residuals are not white (SWM013), the coefficients of an ARX model are biased: judge it by its
-    free run, or give ``nc``.
+    A trials file can state the columns. Without ``na`` and ``nb`` the orders with the lowest BIC are chosen.
+    See :class:`swimid.blackbox.difference.Orders` for the orders, :mod:`swimid.blackbox.recursive` for
+    weight, forgetting and P(0), and :func:`swimid.blackbox.identified.find_working_point` for the means. If
+    the one-step residuals are not white (SWM013), the coefficients of an ARX model are biased. Judge such a
+    model by its free run, or give ``nc``.
 
     Parameters
     ----------
     logs : sequence of path, Log or DataFrame
         Logs with one row for each sample, all at one rate; or trials files of the experiment ``arma``.
     output : Path, optional
-        Parameter file to write, with its evidence beside it.
+        Parameter file to write. The evidence file is written to the same folder.
     progress : Progress
-        Shows the order search.
+        Shows the progress of the order search.
 
     Returns
     -------
     Fitted
-        ``.parameters`` has ``a1``, ... (1), ``b1``, ... (unit of the output over that of the input) and
+        ``.parameters`` has ``a1``, ... (1), ``b1``, ... (unit of the output divided by that of the input) and
         ``c1``, ... (1). ``.tables()`` has the ``errors`` of the predictions and the ``modes`` of the model.
-        ``.data["orders_tried"]`` has the orders of a search with their BIC, least first.
+        ``.data["orders_tried"]`` has the orders of an order search with their BIC, lowest first.
 
         The errors contain ``fit_percent``, the NRMSE fit ``100 (1 - ||y - yhat|| / ||y - mean(y)||)`` as the
-        System Identification Toolbox defines it. The mean is that of the measured output itself, over the
-        compared samples of all records of a set of data.
+        System Identification Toolbox defines it. The mean is taken over the compared samples of the measured
+        output in all records of a data set.
 
     Raises
     ------
     InputError
-        When a log cannot be read, lacks a column, or has held-out rows that are also fitted.
+        A log cannot be read, a column is missing, or held-out rows are also fitted.
     UsageError
-        When the options contradict each other.
+        The options contradict each other.
     NoTrustworthyResult
-        When there are too few rows, input or output do not move, or the search for ``c1``, ... does not
-        converge.
+        There are too few rows, input or output are constant, or the search for ``c1``, ... does not converge.
 
     References
     ----------
@@ -104,7 +105,7 @@ def rwls(
 
     Examples
     --------
-    A table made by y(k) = 0.8 y(k-1) + 0.5 u(k-1) + e(k):
+    A table simulated with y(k) = 0.8 y(k-1) + 0.5 u(k-1) + e(k):
 
     >>> import numpy as np, pandas as pd
     >>> rng = np.random.default_rng(1)
@@ -136,7 +137,7 @@ def rwls(
 
 
 def _deciding_scores(m: Identified) -> dict[str, Scores]:
-    """Return the errors that decide on the model: on held-out data, else on the fitted data."""
+    """Return the errors by which the model is judged: on held-out data, or on the fitted data if none."""
     return dict(m.scores) or {"the fitted part": m.fit_scores}
 
 
@@ -195,7 +196,7 @@ def _undetermined(m: Identified) -> list[str]:
 
 
 def _warnings(m: Identified, checks: Sequence[Check]) -> Iterator[tuple[str, str]]:
-    """Yield codes and texts of the warnings about the data and the model."""
+    """Yield the code and the text of each warning about the data and the model."""
     fitted, data, point = m.estimate, m.data, m.point
     known, nb = fitted.known, fitted.orders.nb
     unit = numbers.unit_text(data.columns.unit)
@@ -246,7 +247,7 @@ def _warnings(m: Identified, checks: Sequence[Check]) -> Iterator[tuple[str, str
 
 
 def _settings(m: Identified) -> dict[str, Any]:
-    """Return the options as the file contains them, with the orders, columns and levels found."""
+    """Return the options as the parameter file contains them, with the orders, columns and levels in use."""
     columns = m.data.columns
     settings: dict[str, Any] = {
         "orders": asdict(m.estimate.orders),
@@ -289,7 +290,7 @@ def _parameter_file(m: Identified) -> parameters.ParameterFile:
             f"The data span {fitted.known.rank} of {orders.na + orders.nb} directions; only combinations of "
             f"{', '.join(lost)} are determined."
         )
-    # deviations from the input level, outside of which the model is extrapolated
+    # deviations from the input level; outside of their range the model extrapolates
     deviation = np.concatenate([record.source for record in data.fit]) - m.point.source
     details = {
         "rows": len(fitted.data),
@@ -302,7 +303,7 @@ def _parameter_file(m: Identified) -> parameters.ParameterFile:
         "recursion_end": dict(zip(names, fitted.recursion.theta.tolist(), strict=True)),
     }
     settings = _settings(m)
-    # held-out data are named by a share, a file, or a log in memory
+    # held-out data are named by a fraction, a file, or a log in memory
     shares = [
         str(v if isinstance(v, str | float | Path) else getattr(v, "name", "log")) for v in m.options.held_out
     ]
@@ -449,7 +450,7 @@ def _methods(m: Identified) -> list[str]:
 
 
 def _free_run(m: Identified) -> Figure:
-    """Return measured output and free run of the data with the worst and with the best free run."""
+    """Return the figure of measured output and free run, for the worst and the best data set."""
     sets, scores = dict(m.held_out) or {"the fitted part": m.fit}, _deciding_scores(m)
     ranked = sorted(sets, key=lambda name: scores[name].free_run.fit_percent)
     panels = []
@@ -492,7 +493,7 @@ def _frequency_response(m: Identified) -> Figure:
 
 
 def _excited(m: Identified) -> list[Span]:
-    """Return the frequency band with the central 90 % of the input's power."""
+    """Return the frequency band that contains the central 90 % of the input's power."""
     longest = max(m.fit, key=len)
     u = np.nan_to_num(longest.source - np.nanmean(longest.source))
     total = np.cumsum(np.abs(np.fft.rfft(u * np.hanning(len(u)))) ** 2)
@@ -521,10 +522,11 @@ def _residuals(m: Identified) -> Figure:
 
 
 def _trajectories(m: Identified) -> Figure:
-    """Return the recursive estimates over the rows."""
+    """Return the figure of the recursive estimates over the rows."""
     run, names = m.estimate.recursion, m.estimate.orders.names
     scale = m.estimate.noise_sd * math.sqrt(m.options.weight)
-    # the first rows only replace the prior: their range would hide all others
+    # leave out the first rows, where the estimates still depend on the prior: their range would hide all
+    # others
     settled = np.all(run.spreads <= 8 * run.spreads[-1], axis=1) & (run.kept >= 3 * len(names))
     shown = slice(min(int(np.argmax(settled)), len(run.kept) // 2), None)
     panels = []

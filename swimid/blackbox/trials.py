@@ -1,4 +1,4 @@
-"""Trials of a black-box model, and the records that ``swimid rwls`` fits and holds out."""
+"""Trials of a black-box model, and the records that ``swimid rwls`` fits or holds out."""
 
 from __future__ import annotations
 
@@ -29,17 +29,19 @@ from swimid.results import numbers
 from swimid.results.parameters import ParameterFile
 
 Array = np.ndarray
-#: Minimum share of the measurements that last for the same number of samples.
+#: Minimum fraction of the measurements that are repeated for the same number of samples, for a constant
+#: measurement rate.
 REGULAR_SHARE = 0.9
-#: Minimum median change of a signal, in rounding steps; below it rounding alone repeats many samples.
+#: Minimum median change between measurements, in rounding steps. With smaller changes, rounding alone causes
+#: many repeated samples.
 MIN_CHANGE = 5.0
-#: Maximum share of missing samples in the mean of an input, in time.
+#: Maximum fraction of an averaging interval of the input, in time, in which samples are missing.
 MAX_MISSING = 1e-3
 
 
 @dataclass(frozen=True)
 class _Even:
-    """Rows of a column's measurements, their times (s), and the time between them."""
+    """Evenly spaced measurements of a column: row numbers, times (s), and time between measurements."""
 
     rows: Array
     times_s: Array
@@ -49,23 +51,24 @@ class _Even:
 def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[str]]:
     """Return a log at the rate of its measurements, and a sentence for each column with repeated samples.
 
-    A discrete-time model of a log that contains each measurement several times describes the logger: its
-    poles are wrong. Columns with a value in every n-th row only are resampled, too. An input of a few levels,
-    or of independent levels, is a command that is constant by design, and stays.
+    If a log contains each measurement several times, a discrete-time model fitted to it describes the logger,
+    and its poles are wrong. Columns with a value in every n-th row only are also resampled. An input with few
+    levels, or with independent levels, is a command that is constant by design. It is not resampled for its
+    own sake.
 
     Parameters
     ----------
     log : Log
     source : str or None
-        Input column; None for a computed input.
+        Name of the input column; None for a computed input.
     output : str
         Output column.
 
     Notes
     -----
-    The slower of the two columns sets the rate. The output keeps the first sample of each measurement. The
-    input of a row is its mean until the next row, as of a zero-order hold. If the measurements have no even
-    rate, the repeated samples are set to NaN instead.
+    The column that is measured at the lower rate sets the rate. Of each measurement of the output, the first
+    sample is used. The input of a row is the mean of the input until the next row, as for a zero-order hold.
+    If the measurements have no constant rate, the repeated samples are set to NaN instead.
     """
     repeats, slowest, emptied = [], None, {}
     for column in (output, source):
@@ -74,7 +77,7 @@ def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[st
         values = log[column]
         held = find_held(log.time_s, [values])
         empty = np.isnan(values)
-        # independent values between the repeats are the levels of a random staircase
+        # independent values between the repeated samples are the levels of a random command
         if column == source and rt.ljung_box(values[~held.repeated & ~empty]).passed:
             continue
         even = _even_times(log.time_s, values, held)
@@ -98,13 +101,13 @@ def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[st
 
 
 def _even_times(time_s: Array, values: Array, held: Held) -> _Even | None:
-    """Return the measurements of a column if they have an even rate below that of the log; else None."""
+    """Return a column's measurements if their rate is constant and below the rate of the log; else None."""
     rows = np.flatnonzero(~(held.repeated | np.isnan(values)))
     lasts = np.diff(rows)
     if not (lasts > 1).any():
         return None
     factor = int(np.median(lasts[lasts > 1]))
-    # a robot at rest repeats itself without a repeated measurement: its samples are not counted
+    # samples at which a resting robot repeats its value are new measurements, so they are not counted
     shown = lasts[(lasts > 1) | (values[rows[1:]] != values[rows[1:] - 1])]
     if np.mean(shown == factor) >= REGULAR_SHARE:
         kept: list[int] = []
@@ -119,7 +122,7 @@ def _even_times(time_s: Array, values: Array, held: Held) -> _Even | None:
 
 
 def _resampled(log: Log, even: _Even, source: str | None, by_source: bool) -> Log:
-    """Return the log at the times of the measurements of its output, or of its input if ``by_source``."""
+    """Return the log at the measurement times of its output, or of its input if ``by_source``."""
     columns = {}
     for name, values in log.columns.items():
         if name == source and not by_source:
@@ -132,7 +135,7 @@ def _resampled(log: Log, even: _Even, source: str | None, by_source: bool) -> Lo
 
 
 def _means(time_s: Array, values: Array, times: Array) -> Array:
-    """Return the means of a held signal from each time to the next; NaN where samples are missing."""
+    """Return the mean of a held signal from each time to the next; NaN if too many samples are missing."""
     steps, missing = np.diff(time_s), np.isnan(values)
     held = np.column_stack([np.where(missing, 0.0, values), missing])
     total = np.vstack([[0.0, 0.0], np.cumsum(held[:-1] * steps[:, None], axis=0)])
@@ -144,7 +147,7 @@ def _means(time_s: Array, values: Array, times: Array) -> Array:
 
 
 def _is_lossy(values: Array, repeated: Array) -> bool:
-    """Return whether a signal repeats samples and otherwise moves by more than its rounding."""
+    """Return whether a signal repeats samples although its other changes are larger than its rounding."""
     changes = np.abs(np.diff(values[~repeated]))
     return bool(repeated.any() and np.median(changes) >= MIN_CHANGE * (step_of(values) or quantum(values)))
 
@@ -156,12 +159,12 @@ USES = {"arma": trials_format.EVERYWHERE | {"input", "output"}}
 def load(source: str | Path | TrialSet, file: ParameterFile, parameters_path: Path) -> Experiment:
     """Read trials of the experiment ``arma`` for the model of a parameter file.
 
-    Input and output are the columns that the model was fitted to.
+    Input and output are the columns to which the model was fitted.
 
     Raises
     ------
     InputError
-        When the trials file names other columns, or a file cannot be used.
+        The trials file names other columns, or a file cannot be used.
     """
     path = trials_format.place(source)
     entries = trials_format.read(source, trials_format.Arma, uses=USES)
@@ -191,7 +194,7 @@ def load(source: str | Path | TrialSet, file: ParameterFile, parameters_path: Pa
 
 @dataclass(frozen=True)
 class Columns:
-    """Columns of input and output, and the sine that replaces the input column."""
+    """Names of the input and output columns, and the sine that replaces the input column, if any."""
 
     source: str
     output: str
@@ -200,12 +203,12 @@ class Columns:
 
     @property
     def unit(self) -> str:
-        """Unit of the output by the ending of its name, ``"1"`` where there is none."""
+        """Unit of the output, from the ending of its name; ``"1"`` if the name has no unit."""
         return numbers.split_unit(self.output)[1] or "1"
 
     @property
     def gain_unit(self) -> str:
-        """Unit of b: output over input."""
+        """Unit of the coefficients of B: unit of the output divided by that of the input."""
         source = numbers.split_unit(self.source)[1] or "1"
         if source == "1":
             return self.unit
@@ -216,48 +219,47 @@ class Columns:
 
     @property
     def measured_source(self) -> str | None:
-        """Input column; None for a computed input."""
+        """Name of the input column; None for a computed input."""
         return None if self.sine else self.source
 
 
 @dataclass(frozen=True)
 class Data:
-    """Records of the logs that are fitted and of those held out."""
+    """Records of the fitted logs and of the held-out data."""
 
     columns: Columns
     sample_time_s: float
     fit: list[Record]
-    #: By the name of the data.
+    #: Held-out records by the name of the data.
     held_out: dict[str, list[Record]]
     #: Names of the fitted logs.
     logs: list[str]
-    #: Every input, for the provenance.
+    #: Paths or objects of all inputs, for the provenance.
     files: list[Input]
     robot: str | None
-    #: A sentence for each column with repeated samples.
+    #: Sentences about repeated samples, one for each column that has them.
     repeats: list[str]
 
 
-#: A log or trials of the experiment ``arma``: a file, or an object in memory.
+#: Type of an input: a log or trials of the experiment ``arma``, as a file or as an object in memory.
 Source = Any
 
 
 def read(logs: Sequence[Source], options: RwlsOptions) -> Data:
-    """Read logs and trials files of the experiment ``arma``, and hold parts of them out.
+    """Read logs and trials files of the experiment ``arma``, and hold out parts of them.
 
     Parameters
     ----------
     logs : sequence of paths, Log, DataFrame or TrialSet
     options : RwlsOptions
-        Columns, and data to hold out.
+        Options that state the columns and the data to hold out.
 
     Raises
     ------
     UsageError
         When the options contradict each other.
     InputError
-        When a file cannot be used: unreadable, columns missing, no constant rate, held-out rows that are
-        fitted.
+        A file is unreadable, columns are missing, the rate is not constant, or held-out rows are also fitted.
     """
     share, held_out = _split_held_out(options.held_out)
     entries: list[TrialEntry] = []
@@ -308,14 +310,14 @@ def read(logs: Sequence[Source], options: RwlsOptions) -> Data:
 
 
 def _at(entry: TrialEntry, folder: Path) -> TrialEntry:
-    """Return an entry of a trials file with the path of its log relative to the working folder."""
+    """Return an entry of a trials file, with the path of its log relative to the working folder."""
     placed = entry.model_copy(update={"log": str(folder / entry.log)})
     placed._held = entry._held
     return placed
 
 
 def _single(source: Source, role: Any, name: str) -> TrialEntry:
-    """Return the entry of a log without a trials file; ``name`` is that of a bare table."""
+    """Return the entry of a log without a trials file; ``name`` is the name of a table without a name."""
     if isinstance(source, str | Path):
         return TrialEntry(id=Path(source).name, log=str(source), role=role)
     held = source if isinstance(source, Log) else Log.from_frame(source, name=name)
@@ -325,7 +327,7 @@ def _single(source: Source, role: Any, name: str) -> TrialEntry:
 
 
 def _agreed(listings: dict[Path, trials_format.Arma], key: Literal["input", "output", "robot"]) -> str | None:
-    """Return the value of a key on which all trials files that have it agree."""
+    """Return the value of a key in the trials files that state it; raise an error if the values differ."""
     stated = {path: getattr(listed, key) for path, listed in listings.items() if getattr(listed, key)}
     for path, value in stated.items():
         first = next(iter(stated))
@@ -336,7 +338,7 @@ def _agreed(listings: dict[Path, trials_format.Arma], key: Literal["input", "out
 
 
 def _split_held_out(given: Sequence[Source | float]) -> tuple[float, list[Source]]:
-    """Return the share to hold out, 0 without one, and the logs to hold out."""
+    """Return the fraction to hold out (0 if none is given), and the logs to hold out."""
     shares: list[float] = []
     logs: list[Source] = []
     for item in given:
@@ -367,7 +369,7 @@ def _columns(options: RwlsOptions, listings: dict[Path, trials_format.Arma]) -> 
 
 
 def _check_distinct(log: Log, columns: Columns) -> None:
-    """Refuse an output that moves and is a copy of the input."""
+    """Raise an error if the output is a copy of the input and not constant."""
     if columns.sine:
         return
     u, y = log[columns.source], log[columns.output]
@@ -379,7 +381,7 @@ def _check_distinct(log: Log, columns: Columns) -> None:
 
 
 def _common_step(names: Sequence[str], logs: Sequence[Log]) -> float:
-    """Return the common sample time of all logs, s."""
+    """Return the common sample time of all logs, s; raise an error if the rates differ or vary."""
     rates = [sampling.rate(log.time_s) for log in logs]
     first_s = rates[0].step_s
     for name, log, rate in zip(names, logs, rates, strict=True):
@@ -402,7 +404,7 @@ def _common_step(names: Sequence[str], logs: Sequence[Log]) -> float:
 
 
 def _records(log: Log, name: str, columns: Columns, step_s: float, rows: slice) -> list[Record]:
-    """Return the uninterrupted stretches of some rows of a log on the time grid."""
+    """Return the gap-free parts of the given rows of a log, on the time grid."""
     time = log.time_s[rows]
     if len(time) < 2:
         return []

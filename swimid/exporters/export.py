@@ -1,4 +1,4 @@
-"""The command ``export``: estimated coefficients in the format of a simulator."""
+"""Command ``swimid export``: writes estimated coefficients in the format of a simulator."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from swimid.results.result import Text
 from swimid.robots import file as robot
 from swimid.swimmer.planar.model import MultilinkModel
 
-#: Models whose parameters can be exported.
+#: Names of the models whose parameters can be exported.
 MODELS = ("multilink", "falling-weight", "towed")
-#: Modules of the formats by the name that ``--to`` takes.
+#: Modules of the formats, by the name that the option ``--to`` takes.
 TARGETS: dict[str, ModuleType] = {"mjcf": mjcf, "gazebo": gazebo, "json": plain}
 
 
@@ -29,29 +29,31 @@ TARGETS: dict[str, ModuleType] = {"mjcf": mjcf, "gazebo": gazebo, "json": plain}
 def export(params: parameters.Source, *, options: ExportOptions, output: str | Path | None = None) -> Text:
     """Write the coefficients of a parameter file in the format of a simulator.
 
-    The robot that the parameter file names is looked for beside that file. No simulator carries everything:
-    read the limits before you trust a motion that it computes (``docs/export.md``).
+    The robot file that the parameter file names is searched in the folder of the parameter file. No simulator
+    represents all effects: read the limits before you trust a motion that the simulator computes
+    (``docs/export.md``).
 
     Parameters
     ----------
     params : path, ParameterFile or result of a fit
         Parameters of a multi-link robot, a falling weight or a towed body.
     output : path, optional
-        The file to write. None or ``-`` returns the text only.
+        Path of the file to write. With None or ``-`` the text is only returned.
 
     Returns
     -------
     Result
-        ``.document`` is the text (XML or JSON), in SI units; ``.data`` has ``target``, ``added_mass`` and
-        ``limits``. Each limit is also a warning SWM060.
+        ``.document`` is the text of the file (XML or JSON), in SI units. ``.data`` has ``target``,
+        ``added_mass`` and ``limits``, the effects that the format cannot represent. Each limit is also a
+        warning SWM060.
 
     Raises
     ------
     InputError
-        A file is broken, the parameters are those of another model, or the robot file lacks what the format
-        needs.
+        A file is invalid, the parameters are those of another model, or the robot file lacks a value that the
+        format needs.
     UsageError
-        The format cannot take this model.
+        The format cannot represent this model.
 
     Examples
     --------
@@ -97,12 +99,12 @@ def export(params: parameters.Source, *, options: ExportOptions, output: str | P
 
 
 def load(params: parameters.Source, robot_name: str | None = None) -> Source:
-    """Return parameters with their robot, or with the robot of another name or file.
+    """Return parameters with the robot that they name, or with another robot given by name or file.
 
     Raises
     ------
     InputError
-        A file is broken, no robot is named, or the parameters are those of another robot.
+        A file is invalid, no robot is named, or the parameters are those of another robot.
     """
     path = parameters.place(params)
     file = parameters.read(params, model=MODELS)
@@ -112,7 +114,7 @@ def load(params: parameters.Source, robot_name: str | None = None) -> Source:
     folder = None if robot_name else path.parent
     readings = {str(key): str(value) for key, value in (file.settings.get("readings") or {}).items()}
     if robot_name:
-        # the other robot file may not have all readings of the one that the parameters were fitted with
+        # the other robot file may not have all readings (interpretations) of the robot file used for the fit
         other = robot.read(name).readings
         readings = {k: v for k, v in readings.items() if k in other and v in other[k].options}
     origin = {
@@ -128,7 +130,7 @@ def load(params: parameters.Source, robot_name: str | None = None) -> Source:
 
 
 def _check_robot(source: Source, place: Path | str, path: Path) -> None:
-    """Raise an InputError unless the robot has links, a possible mass, and all coefficients of the file."""
+    """Raise an error unless the robot has links, a valid mass matrix, and all coefficients of the file."""
     if source.robot.multilink is None:
         raise InputError("has no multilink part", file=place, column="multilink")
     try:

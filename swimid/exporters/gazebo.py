@@ -1,10 +1,11 @@
-"""Gazebo: an SDF model with Hydrodynamics plugins.
+"""Export to Gazebo: an SDF model with Hydrodynamics plugins.
 
-The plugin takes stability derivatives, by which it multiplies velocities: a resistance is negative (gz-sim,
-``Hydrodynamics.hh``, after Fossen 1994). ``<fluid_added_mass>`` holds the added mass itself, positive.
-Physics engines disagree whether it is about the origin of the link or its centre of mass. Therefore the frame
-of each link is at its centre of mass. A plugin knows the velocity of the frame of its link only. Therefore a
-drag point elsewhere sits on a helper link of negligible mass, which is welded on.
+The plugin multiplies velocities by stability derivatives, so that a resistance has a negative coefficient
+(gz-sim, ``Hydrodynamics.hh``, after Fossen 1994). ``<fluid_added_mass>`` holds the added mass itself, with a
+positive sign. Physics engines differ in the reference point of this added mass: the origin of the link or its
+centre of mass. Therefore the frame of each link is placed at its centre of mass. A plugin knows only the
+velocity of the frame of its link. Therefore a drag point at another position belongs to a helper link of
+negligible mass, which is fixed to the link.
 """
 
 from __future__ import annotations
@@ -33,17 +34,17 @@ from swimid.fitting.model import Array
 from swimid.swimmer.planar import engine
 
 TITLE = "Gazebo SDF"
-#: Letters of force and velocity (SNAME), and axes of the plane among the six with their signs, by whether the
-#: plane is vertical.
+#: Letters of force and velocity components (SNAME), indices of the planar components among the six
+#: components, and their signs. The key says whether the plane is vertical.
 PLANES = {
     False: ("xyn", "UVR", (0, 1, 5), (1.0, 1.0, 1.0)),
     True: ("xzm", "UWQ", (0, 2, 4), (1.0, 1.0, -1.0)),
 }
-#: Names of the motions out of the plane, by whether the plane is vertical.
+#: Names of the motions out of the plane. The key says whether the plane is vertical.
 OUT_OF_PLANE = {False: "roll, pitch and heave", True: "roll, yaw and sway"}
-#: Mass of a helper link as a share of its link's, and its radius of gyration, m.
+#: Mass of a helper link divided by the mass of its link, and radius of gyration of a helper link, m.
 HELPER_MASS, HELPER_RADIUS_M = 1e-6, 0.01
-#: Kinds of elements that Gazebo has no plugin for.
+#: Kinds of force elements for which Gazebo has no plugin.
 LEFT_OUT = {
     "foil": "lift and drag of foils",
     "wake": "thrust and side force of trailing edges",
@@ -54,7 +55,7 @@ DART_ONLY = "fluid_added_mass acts with the DART engine only (Gazebo's default);
 
 @dataclass(frozen=True)
 class Part:
-    """A link of the SDF model.
+    """Link of the SDF model.
 
     Attributes
     ----------
@@ -62,13 +63,13 @@ class Part:
     mass : float, kg
     moments : sequence of 3 floats, kg m2
     derivatives : list of (str, float)
-        Stability derivatives by the tag of the plugin.
+        Stability derivatives with the tags of the plugin.
     fluid : nested list, shape (6, 6), or None
         Added mass.
     pose : sequence of 6 floats
         Position (m) and angles (rad), in the frame ``relative_to``.
     welded_to : str
-        Link that a helper link is welded to.
+        Name of the link to which a helper link is fixed; empty for other links.
     """
 
     name: str
@@ -82,7 +83,7 @@ class Part:
 
 
 def export(source: Source, options: ExportOptions) -> Exported:
-    """Return the SDF of a multi-link robot, or of one rigid body with surge drag."""
+    """Return the SDF document of a multi-link robot, or of one rigid body with surge drag."""
     joints: list[dict[str, Any]] = []
     servos: list[dict[str, Any]] = []
     heading = None
@@ -102,14 +103,14 @@ def export(source: Source, options: ExportOptions) -> Exported:
 
 
 def _pose(source: Source, x: float, y: float, turn: float = 0.0) -> tuple[float, ...]:
-    """Return position and angles of a frame in the plane of the robot."""
+    """Return position and angles of a frame in the plane of the robot, as the six values of an SDF pose."""
     if source.vertical:
         return (x, 0.0, y, 0.0, -turn, 0.0)
     return (x, y, 0.0, 0.0, 0.0, turn)
 
 
 def _joint_name(source: Source, name: str) -> str:
-    """Return a joint name that no link has: links and joints of an SDF model share their names."""
+    """Return a joint name that differs from all link names: in SDF they share a name space."""
     return f"{name}_joint" if any(link.name == name for link in source.links) else name
 
 
@@ -139,9 +140,10 @@ def _links(source: Source, options: ExportOptions, inertias: list[Array]) -> lis
 
 
 def _six_by_six(source: Source, added: Array) -> list[list[float]]:
-    """Return an added mass over (u, v, r) about the frame of the link as one over six velocities.
+    """Return a planar added mass, over (u, v, r) in the frame of the link, as a 6 x 6 matrix.
 
-    A positive rotation of swimid turns x towards z in the vertical plane, one of Gazebo z towards x.
+    In the vertical plane a positive rotation of swimid is from x towards z, a positive rotation of Gazebo
+    from z towards x.
     """
     _, _, axes, signs = PLANES[source.vertical]
     matrix = np.zeros((6, 6))
@@ -150,12 +152,12 @@ def _six_by_six(source: Source, added: Array) -> list[list[float]]:
 
 
 def _pushes(element: Element) -> bool:
-    """Return whether a drag element has a force, not only a moment."""
+    """Return whether a drag element exerts a force, and not only a moment."""
     return any(element.numbers[key] for key in ("quadratic_x", "quadratic_y", "linear_x", "linear_y"))
 
 
 def _derivatives(source: Source, drag: list[Element]) -> list[tuple[str, float]]:
-    """Return the stability derivatives of drag elements by the tag of the plugin."""
+    """Return the stability derivatives of drag elements, with the tags of the plugin."""
     tags = []
     forces, speeds, _, _ = PLANES[source.vertical]
     for force, speed, key in zip(forces, speeds, "xyr", strict=True):
@@ -203,7 +205,7 @@ def _limits(source: Source, options: ExportOptions) -> list[str]:
 
 
 def _rigid_body(source: Source, options: ExportOptions) -> tuple[list[Part], list[str]]:
-    """Return one rigid body with surge drag only, and its limits."""
+    """Return one rigid body with surge drag only, and the limits of this export."""
     body = source.robot.body
     sizes = {key: getattr(body, key) for key in ("inertial_mass_kg", "length_m", "width_m", "height_m")}
     for key, size in sizes.items():

@@ -1,8 +1,8 @@
-"""MuJoCo MJCF: bodies, joints, springs, wires and servos. A callback applies the forces of the water.
+"""Export to MuJoCo MJCF: bodies, joints, springs, wires and servos; a callback for the forces of water.
 
-The fluid models of MuJoCo have no added-mass inertia. Their drag acts along the velocity instead of
-separately along and across the link. Therefore the laws of the water are written as ``user`` data of sites,
-and :func:`water` applies them exactly.
+The fluid models of MuJoCo have no added-mass inertia. Their drag acts along the velocity, and not separately
+along and across the link. Therefore the coefficients of the forces of the water are written as ``user`` data
+of sites, and :func:`water` applies these forces exactly.
 """
 
 from __future__ import annotations
@@ -27,21 +27,22 @@ from swimid.exporters.source import (
 )
 
 TITLE = "MuJoCo MJCF"
-#: Kinds of elements in the order of their numbers at a site, with their names in a limit.
+#: Kinds of force elements in the order of their index in the data of a site, with their names in the limits.
 KINDS = {
     "drag": "Morison drag at points",
     "foil": "lift and drag of foils",
     "force": "weight, buoyancy and forces",
     "wake": "momentum shed at trailing edges",
 }
-#: Number of values at a site: its kind, then the row of its table without the point.
+#: Number of values in the data of a site: index of the kind, then the values of the element without its point
+#: of application.
 USER_SIZE = 1 + max(len(columns) for columns in COLUMNS.values()) - 2
-#: Beginning of the names of the sites that :func:`water` reads.
+#: Beginning of the names of the sites whose data :func:`water` reads.
 PREFIX = "water:"
 
 
 def export(source: Source, options: ExportOptions) -> Exported:
-    """Return the MJCF of a multi-link robot."""
+    """Return the MJCF document of a multi-link robot."""
     inertias = source.inertias(fold=options.added_mass == "fold")
     return export_xml(
         "mjcf.xml",
@@ -58,13 +59,13 @@ def export(source: Source, options: ExportOptions) -> Exported:
 
 
 def _user(element: Element) -> list[float]:
-    """Return the kind of an element as a number, and the coefficients of its law."""
+    """Return the data of a site: index of the kind of the element, and the coefficients of its force."""
     row = [value for name, value in element.numbers.items() if name not in ("x", "y")]
     return [list(KINDS).index(element.kind), *row]
 
 
 def _wires(source: Source) -> list[dict[str, Any]]:
-    """Return the spatial tendons of the links that wire and spring pull straight."""
+    """Return the spatial tendons of all joints that have a wire with a spring."""
     return [
         _wire(link, i, source.laws[link.joint.name])
         for i, link in enumerate(source.links)
@@ -73,10 +74,11 @@ def _wires(source: Source) -> list[dict[str, Any]]:
 
 
 def _wire(link: Link, i: int, law: dict[str, float]) -> dict[str, Any]:
-    """Return wire and spring as a spatial tendon.
+    """Return wire and spring of one joint as a spatial tendon.
 
-    The length of its path is ``D`` and a constant, so that the law is exact at every angle. The tension
-    ``K_t (D + constant)`` needs a longer path if the constant is positive, and a rest length otherwise.
+    The length of the path of the tendon is ``D`` plus a constant, so that the restoring moment is exact at
+    every angle. The tension is ``K_t (D + constant)``. If the constant is positive, the path is extended;
+    otherwise the tendon has a rest length.
     """
     assert link.joint is not None
     arm, crank = law["arm"], law["crank"]
@@ -118,20 +120,21 @@ def water(model: Any) -> Callable[[Any, Any], None]:
     Parameters
     ----------
     model : mujoco.MjModel
-        Loaded from an exported file. The callback does nothing for other models.
+        Model loaded from an exported file. The callback does nothing for other models.
 
     Returns
     -------
     callable
-        For ``mujoco.set_mjcb_passive``.
+        Callback for ``mujoco.set_mjcb_passive``.
 
     Notes
     -----
-    Install the callback after loading: MuJoCo compiles no model while a Python callback is set.
+    Install the callback after loading the model, because MuJoCo compiles no model while a Python callback is
+    set.
 
-    The laws are those of :func:`swimid.swimmer.planar.engine.derivative`: Morison drag along each
-    axis (tendon fish, Eq 7), a flat plate's lift and drag (dolphin, Eq 9) and momentum shed at trailing
-    edges (Lighthill 1971).
+    The forces are those of :func:`swimid.swimmer.planar.engine.derivative`: Morison drag along each axis
+    (tendon fish, Eq 7), lift and drag of a flat plate (dolphin, Eq 9) and momentum shed at trailing edges
+    (Lighthill 1971).
     """
     import mujoco  # type: ignore[import-not-found,import-untyped,unused-ignore]
 
@@ -163,9 +166,9 @@ def water(model: Any) -> Callable[[Any, Any], None]:
 
 
 def _force(row: Any, u: float, v: float, r: float) -> tuple[float, float, float, bool]:
-    """Return force along and across the link, moment, and whether the force is in the world's axes.
+    """Return force along and across the link, moment, and whether the force is in world axes.
 
-    ``row`` is the data of a site, and u, v, r are its velocities in m/s and rad/s.
+    ``row`` is the data of a site. u, v and r are the velocities of the site in m/s and rad/s.
     """
     kind = list(KINDS)[int(row[0])]
     if kind == "drag":
@@ -179,7 +182,7 @@ def _force(row: Any, u: float, v: float, r: float) -> tuple[float, float, float,
     speed = math.hypot(u, v)
     if speed == 0.0:
         return 0.0, 0.0, 0.0, False
-    # lift and drag of a flat plate depend on sin(2 a) and 1 - cos(2 a), a the angle of attack
+    # lift and drag of a flat plate depend on sin(2 a) and 1 - cos(2 a), where a is the angle of attack
     along, across = (u * cos + v * sin) / speed, (v * cos - u * sin) / speed
     up, back = gain * speed * lift * 2.0 * along * across, gain * speed * (drag0 + drag1 * 2.0 * across**2)
     return up * v - back * u, -up * u - back * v, 0.0, False

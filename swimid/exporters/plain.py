@@ -1,4 +1,4 @@
-"""JSON with every known number, for simulators of one's own."""
+"""Export to JSON with all known values, for simulators that have no export format of their own."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from swimid.exporters.source import Exported, Link, Source, central
 
 TITLE = "JSON"
 FORMAT = "swimid-export/1"
-#: Names of the lists of elements by kind of element.
+#: Name of the list of force elements in the JSON document, by kind of element.
 LISTS = {"drag": "drag_points", "foil": "foils", "force": "forces", "wake": "trailing_edges"}
 CONVENTIONS = (
     "SI units and radians. A link's frame sits at its front end, x forward, y to port (up in the vertical "
@@ -24,7 +24,7 @@ CONVENTIONS = (
 
 
 def export(source: Source, options: ExportOptions) -> Exported:
-    """Return the JSON document of any source; it has no limits."""
+    """Return the JSON document of any source. This format represents everything, so it has no limits."""
     file = source.parameters.model_dump(mode="json")
     data: dict[str, Any] = {
         "format": FORMAT,
@@ -71,7 +71,7 @@ def _link(link: Link, links: list[Link]) -> dict[str, Any]:
         "mass_kg": mass,
         "com_m": list(centre),
         "inertia_about_com_kg_m2": moment,
-        # adding 0.0 turns -0.0 into 0.0
+        # adding 0.0 changes -0.0 to 0.0
         "rigid_inertia": (link.rigid + 0.0).tolist(),
         "added_inertia": (link.added + 0.0).tolist(),
         "apparent_inertia": (link.rigid + link.added + 0.0).tolist(),

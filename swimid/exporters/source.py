@@ -1,4 +1,4 @@
-"""Description of an exported robot, in which every quantity is a number, and helpers of all formats."""
+"""Description of an exported robot by numerical values, and functions that all formats share."""
 
 from __future__ import annotations
 
@@ -21,30 +21,32 @@ from swimid.swimmer.planar import engine
 from swimid.swimmer.planar.assembly import Assembly
 from swimid.swimmer.tree import Polynomial
 
-#: Columns of the engine's table of each kind of element.
+#: Names of the numerical values of each kind of force element, in the order in which the equations of motion
+#: (``engine``) store them.
 COLUMNS = {"drag": engine.DRAG, "foil": engine.FOIL, "force": engine.FORCE, "wake": engine.WAKE}
-#: Limit of the formats that keep standard errors in a comment.
+#: Limit of the formats that state standard errors only in a comment.
 NO_ERRORS = "standard errors and correlations stand in a comment only; --to json keeps them as numbers"
 
 
 @dataclass(frozen=True)
 class Link:
-    """A link. Its frame has its origin at the front end, x forward and y to port.
+    """Link of the robot. Its frame has its origin at the front end of the link, x forward and y to port.
 
     Attributes
     ----------
     name : str
     parent : int
-        Index of the parent, -1 for the base.
+        Index of the parent link; -1 for the base.
     joint : Joint or None
         Joint that connects the link to its parent.
     at : (float, float), m
         Position of the joint in the frame of the parent.
     mount_rad : float
-        Angle against the parent at zero joint angle.
+        Angle of the link relative to its parent at zero joint angle, rad.
     length_m : float
     rigid, added : ndarray, shape (3, 3)
-        Inertia of the body and of the water over (u, v, r) at the origin of the link; kg, kg m, kg m2.
+        Inertia matrix of the body, and added-mass matrix of the water, over (u, v, r) at the origin of the
+        link; kg, kg m, kg m2.
     """
 
     name: str
@@ -58,13 +60,13 @@ class Link:
 
     @property
     def moves(self) -> bool:
-        """Whether the link turns against its parent."""
+        """Whether the link rotates relative to its parent."""
         return self.joint is not None and bool(self.joint.driven or self.joint.passive)
 
 
 @dataclass(frozen=True)
 class Element:
-    """One row of an element table of the engine.
+    """Force element: drag point, foil, force or trailing edge.
 
     Attributes
     ----------
@@ -73,7 +75,7 @@ class Element:
     link : int
         Index of the link.
     numbers : dict of str to float
-        Values by the names of the columns.
+        Numerical values of the element, by name.
     """
 
     kind: str
@@ -88,7 +90,7 @@ class Element:
 
 @dataclass(frozen=True)
 class Source:
-    """A parameter file with its robot, and the robot's quantities at the estimated values.
+    """Parameter file with its robot, and the robot's quantities at the estimated values.
 
     Attributes
     ----------
@@ -97,7 +99,7 @@ class Source:
     origin : mapping
         ``file`` (name of the parameter file), ``sha256``, ``version``, ``robot`` (path or name).
     readings : mapping
-        Chosen readings of ambiguities in the robot file.
+        Chosen interpretation for each ambiguous value of the robot file (``readings``).
     """
 
     parameters: ParameterFile
@@ -107,7 +109,7 @@ class Source:
 
     @property
     def multilink(self) -> bool:
-        """Whether this is a multi-link robot; otherwise it is the drag of one rigid body."""
+        """Whether the model is a multi-link robot; otherwise it is one rigid body with surge drag."""
         return self.parameters.model == "multilink"
 
     @property
@@ -130,24 +132,24 @@ class Source:
 
     @cached_property
     def assembly(self) -> Assembly:
-        """Checked tables of the robot."""
+        """Validated description of the robot, from which the arrays of the simulation are computed."""
         return Assembly(self.body, self.robot.fluid)
 
     @cached_property
     def values(self) -> Array:
-        """Coefficients from the parameter file, completed from the robot file."""
+        """Values of the coefficients: those of the parameter file, completed from the robot file."""
         robot = {name: coefficient.value for name, coefficient in self.body.coefficients.items()}
         values = robot | {name: estimate.value for name, estimate in self.parameters.parameters.items()}
         return np.array([values[name] for name in self.assembly.names])
 
     @cached_property
     def tables(self) -> dict[str, Any]:
-        """Tables of the engine at these values."""
+        """Arrays of the equations of motion (``engine``) at the values of the coefficients."""
         return self.assembly.tables(self.values)
 
     @cached_property
     def links(self) -> list[Link]:
-        """The links, parents before children."""
+        """Links of the robot; parents precede their children."""
         dry = Assembly(self.body.model_copy(update={"elements": []}), self.robot.fluid)
         rigid = [_symmetric(row) for row in dry.tables(self.values)["inertia"]]
         total = [_symmetric(row) for row in self.tables["inertia"]]
@@ -163,10 +165,10 @@ class Source:
 
     @cached_property
     def laws(self) -> dict[str, dict[str, float]]:
-        """Coefficients of each passive joint: columns of :data:`engine.PASSIVE`, and ``wire_stiffness``.
+        """Coefficients of each passive joint: values named in :data:`engine.PASSIVE`, and ``wire_stiffness``.
 
-        The latter is the stiffness of wire and spring at small angles, ``K_t d_p l_3 l_cr / (l_3 - l_cr)``,
-        in N m/rad.
+        ``wire_stiffness`` is the stiffness of wire and spring at small angles, ``K_t d_p l_3 l_cr / (l_3 -
+        l_cr)``, in N m/rad.
         """
         laws = {}
         for axis, row in zip(self.assembly.passive, self.tables["passive"], strict=True):
@@ -193,10 +195,10 @@ class Source:
         return ", ".join(dict.fromkeys(names))
 
     def inertias(self, *, fold: bool) -> list[Array]:
-        """Return the inertia of the body of each link, over (u, v, r) at its origin.
+        """Return the inertia matrix of the body of each link, over (u, v, r) at the origin of the link.
 
-        With ``fold`` it includes the added mass. An added mass that depends on the direction is replaced by
-        its mean.
+        With ``fold`` the added mass is included. An added mass that depends on the direction is replaced by
+        its mean over both directions.
         """
         inertias = [link.rigid for link in self.links]
         for i, link in enumerate(self.links):
@@ -208,8 +210,8 @@ class Source:
     def servos(self, inertias: list[Array], default_hz: float) -> list[dict[str, Any]]:
         """Return ``joint``, ``stiffness`` (N m/rad) and ``damping`` (N m s/rad) of the servo of each joint.
 
-        The gains give the bodies behind the joint the natural frequency and the damping ratio of the robot
-        file, or ``default_hz`` and 1.
+        The servo moves all bodies that the joint carries. Its gains give these bodies the natural frequency
+        and the damping ratio stated in the robot file, or ``default_hz`` and 1.
         """
         moments = _moments_behind_joints(self.links, inertias)
         values = dict(zip(self.assembly.names, self.values, strict=True))
@@ -226,18 +228,18 @@ class Source:
         return servos
 
     def surge(self) -> dict[str, float]:
-        """Return surge drag and added mass of one rigid body, from a rig identification.
+        """Return surge drag and added mass of one rigid body, estimated from rig trials.
 
         Returns
         -------
         dict
-            ``quadratic`` (N s2/m2), ``linear`` (N s/m), ``added_mass`` (kg); force
-            ``-(quadratic |u| + linear) u``, ``quadratic = rho C_d A / 2`` (boxfish paper, Eq 7).
+            ``quadratic`` (N s2/m2), ``linear`` (N s/m) and ``added_mass`` (kg). The drag force is
+            ``-(quadratic |u| + linear) u``, with ``quadratic = rho C_d A / 2`` (boxfish paper, Eq 7).
 
         Raises
         ------
         InputError
-            There is neither a quadratic drag nor a drag coefficient with a frontal area.
+            The files state neither a quadratic drag nor a drag coefficient with a frontal area.
         """
         held = {name: estimate.value for name, estimate in self.parameters.parameters.items()}
         area = self.robot.body.frontal_area_m2
@@ -260,13 +262,13 @@ class Source:
 
 
 def _symmetric(row: Array) -> Array:
-    """Return the matrix of a row of the engine's table of inertias."""
+    """Return the symmetric 3 x 3 matrix whose six different elements are stored in a row."""
     a, b, c, d, e, f = (float(value) for value in row)
     return np.array([[a, b, c], [b, d, e], [c, e, f]])
 
 
 def about(inertia: Array, x: float, y: float) -> Array:
-    """Return an inertia over (u, v, r) at the origin as one over the velocity at the point (x, y).
+    """Convert a planar inertia matrix from the velocity (u, v, r) at the origin to that at the point (x, y).
 
     >>> about(np.diag([2.0, 2.0, 1.0]), 0.5, 0.0)[2, 2]
     np.float64(1.5)
@@ -276,9 +278,9 @@ def about(inertia: Array, x: float, y: float) -> Array:
 
 
 def central(inertia: Array) -> tuple[float, tuple[float, float], float]:
-    """Return mass (kg), centre (m) and moment about the centre (kg m2) of a planar inertia.
+    """Return mass (kg), centre (m) and moment of inertia about the centre (kg m2) of a planar inertia matrix.
 
-    The mass is the mean of the two directions.
+    The mass is the mean of the masses in the two directions.
     """
     along, across = inertia[0, 0], inertia[1, 1]
     x = y = 0.0
@@ -291,7 +293,7 @@ def central(inertia: Array) -> tuple[float, tuple[float, float], float]:
 
 
 def _moments_behind_joints(links: list[Link], inertias: list[Array]) -> list[float]:
-    """Return the moment of inertia about each joint of all that it carries, at zero angles, in kg m2."""
+    """Return for each joint the moment of inertia, kg m2, of all links that it carries, at zero angles."""
     sums = [np.array(inertia) for inertia in inertias]
     for i in range(len(links) - 1, 0, -1):
         link = links[i]
@@ -307,14 +309,14 @@ def _moments_behind_joints(links: list[Link], inertias: list[Array]) -> list[flo
 
 @dataclass(frozen=True)
 class Exported:
-    """A finished export.
+    """Result of an export to one format.
 
     Attributes
     ----------
     text : str
         Content of the file.
     limits : sequence of str
-        Sentences that say what the format cannot carry.
+        Sentences that name the effects that the format cannot represent.
     """
 
     text: str
@@ -345,7 +347,7 @@ def added_mass_limits(source: Source, choice: str, native: str) -> list[str]:
 
 
 def joint_limits(source: Source, servo_hz: float) -> list[str]:
-    """Return the limits of dry friction, and of driven joints that have no servo in the robot file."""
+    """Return the limits for dry friction, and for driven joints that have no servo in the robot file."""
     limits = [
         f"{name}: swimid rounds the dry friction of {law['friction']:.4g} N m off below "
         f"{law['friction_below']:g} rad/s; the target holds the joint still there"
@@ -366,15 +368,15 @@ def joint_limits(source: Source, servo_hz: float) -> list[str]:
 
 
 def export_xml(template: str, source: Source, limits: list[str], **more: Any) -> Exported:
-    """Return the XML of a template, with the origin of the numbers and the limits in a comment.
+    """Return the XML of a template, with the source of the values and the limits in a comment.
 
     Parameters
     ----------
     template : str
-        File name in ``templates``. The template gets ``source`` and ``more``, and may hold numbers and
-        sequences of numbers as they are.
+        File name in the folder ``templates``. Its variables are ``source`` and ``more``. Numbers and
+        sequences of numbers in the template are written as XML text.
     limits : list of str
-        Limits of the format, apart from that of the standard errors.
+        Limits of the format, except the limit that concerns standard errors.
     **more
         Further variables of the template.
     """
@@ -394,7 +396,7 @@ def export_xml(template: str, source: Source, limits: list[str], **more: Any) ->
         "Not carried by this format:",
         *(f"  {limit}" for limit in limits),
     ]
-    # a comment must not hold two hyphens in a row
+    # an XML comment must not contain two consecutive hyphens
     note = "\n".join(lines).replace("--", "- -")
     text = ET.tostring(root, encoding="unicode")
     return Exported(f'<?xml version="1.0"?>\n<!--\n{note}\n-->\n{text}\n', limits)

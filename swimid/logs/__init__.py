@@ -1,14 +1,13 @@
 """Logs of trials: read, imported from other programs, cleaned, and examined without a model.
 
-``log`` is the log of one trial, ``trials`` the trials file, ``logged`` the result of commands that make a
-log, with its figures; ``plot`` draws logs, ``options`` are those of the commands.
+``log`` is the log of one trial, ``trials`` the file that lists the trials. ``logged`` is the result of
+commands that write a log. ``plot`` draws logs. ``options`` holds the options of the commands of this package.
 
-Import: ``foreign`` (readers of file formats), ``profiles`` (a profile per known program), ``mapping``,
-``clock`` (sample times), ``units``, ``guess_mapping`` (a drafted mapping),
-``import_log``, ``examine``, ``consistency`` (contradicting columns).
+Import: ``foreign`` (readers of file formats), ``profiles`` (a profile per known program), ``mapping``
+(assignment of a file's columns to those of a log), ``clock`` (sample times), ``units``, ``guess_mapping`` (a
+drafted mapping), ``import_log``, ``examine``, ``consistency`` (contradicting columns).
 
-Samples: ``sampling`` (rate, gaps, repeats, rounding, noise, derivative), ``rotation``.
-Tracks: ``tracks`` (jumps, mean speed), ``swimming`` (steady swimming).
-Strokes: ``beat`` (frequency of one channel), ``rhythm`` (stroke of all channels), ``kinematics`` (quantities
-of whole cycles and swims, for all commands).
+Samples: ``sampling`` (rate, gaps, repeats, rounding, noise, derivative), ``rotation``. Tracks: ``tracks``
+(jumps, mean speed), ``swimming`` (steady swimming). Strokes: ``beat`` (frequency of one channel), ``rhythm``
+(stroke from all channels), ``kinematics`` (quantities of whole cycles and of whole swims, for all commands).
 """

@@ -1,4 +1,4 @@
-"""Beat frequency of a channel of a log, with its uncertainty."""
+"""Beat frequency of one channel of a log, with its uncertainty."""
 
 from __future__ import annotations
 
@@ -16,38 +16,40 @@ from swimid.notices import warn
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Length of the windows in which a beat is fitted, cycles. They overlap by all but one cycle.
+#: Length of the windows in which a beat is fitted, cycles. Successive windows overlap by all but one cycle.
 WINDOW_CYCLES = 2
-#: Order of the polynomial fitted with the beat in each window. Drift and turns are slower than two cycles.
+#: Order of the polynomial that is fitted together with the beat in each window. Drift and turns of the path
+#: are slower than two cycles.
 DRIFT_ORDER = 3
-#: Minimum number of cycles for a frequency estimate. With fewer, a line is not distinct from the noise about
-#: it.
+#: Minimum number of cycles for a frequency estimate. With fewer cycles a spectral line cannot be
+#: distinguished from the noise near its frequency.
 MIN_CYCLES = 4.0
-#: Time-bandwidth product and number of the tapers of the line test, and maximum number of cycles for the
-#: test. In longer records a rhythm wanders, and the windows have enough power.
+#: Time-bandwidth product and number of tapers of the test for a spectral line, and maximum number of cycles
+#: for this test. In longer records the frequency of a rhythm varies, and the test with windows is powerful
+#: enough.
 BAND, N_TAPERS, MAX_LINE_CYCLES = 3.0, 5, 30.0
-#: Share of a record at either end that is tapered for its spectrum.
+#: Fraction of a record at either end that is tapered before its spectrum is computed.
 TAPERED_SHARE = 0.1
-#: Minimum share of known samples for the line test.
+#: Minimum fraction of known samples for the test for a spectral line.
 MIN_KNOWN_SHARE = 0.8
-#: Probability that noise of any colour, without a beat, is taken for one.
+#: Probability of a false detection: noise of any spectrum, without a beat, is taken for a beat.
 FALSE_ALARM = 0.01
-#: Minimum share of the variance about the drift that a beat explains, and that of a beat beside a harmonic
-#: larger than itself.
+#: Minimum fraction of the variance about the drift that a channel's largest beat explains, and minimum
+#: fraction for any other beat, such as a stroke whose harmonic is larger than the stroke.
 MIN_SHARE, MIN_FAINT_SHARE = 0.1, 0.02
-#: Relative tolerance of two frequencies that are equal, or one a multiple of the other.
+#: Relative tolerance for two frequencies that are equal, or of which one is a multiple of the other.
 SAME_RTOL = 0.03
-#: Maximum number of windows whose phases are regressed. They are spread over the record.
+#: Maximum number of windows whose phases are regressed. The windows are spread over the record.
 MAX_WINDOWS = 120
-#: Minimum number of samples in a window.
+#: Minimum number of samples in a window of two cycles.
 MIN_SAMPLES = DRIFT_ORDER + 5
-#: Ridge that keeps the covariance of phases regular. A window whose amplitude is below the square root of it,
-#: relative to the largest amplitude, carries no phase.
+#: Ridge that is added to the covariance of the phases to make it regular. A window has no phase if its
+#: amplitude, divided by the largest amplitude, is below the square root of this ridge.
 RIDGE = 1e-9
-#: Maximum order of a harmonic: ratio of a beat to a stronger, slower motion.
+#: Maximum harmonic order, for a beat that may be a harmonic of a stronger and slower motion.
 MAX_HARMONIC = 5
-#: A slow motion is periodic if the residual of a sine is below this share of that of a polynomial with as
-#: many coefficients. The polynomial describes a drift or a turn.
+#: Maximum ratio of two sums of squared residuals for a periodic slow motion: that of a sine fit divided by
+#: that of a polynomial with as many coefficients. The polynomial describes a drift or a turn.
 PERIODIC_SHARE = 0.5
 
 
@@ -61,10 +63,10 @@ class Beat:
     amplitude : float
         Amplitude of the fundamental, in the unit of the channel.
     share : float
-        Share of the variance about the drift that the fundamental explains.
+        Fraction of the variance about the drift that the fundamental explains.
     cycles : float
-        Number of cycles in the record. Below :data:`MIN_CYCLES` the frequency is approximate, and its
-        standard error and share are unknown (NaN).
+        Number of cycles in the record. Below :data:`MIN_CYCLES` the frequency is approximate, and
+        ``stderr_hz`` and ``share`` are unknown (NaN).
     """
 
     frequency_hz: float
@@ -75,19 +77,19 @@ class Beat:
 
     @property
     def interval_hz(self) -> tuple[float, float]:
-        """95 % interval, by Student's t over the cycles, Hz."""
+        """95 % interval of the frequency, Hz, by Student's t with the number of cycles as sample size."""
         from scipy import special
 
         half = float(special.stdtrit(max(self.cycles - WINDOW_CYCLES - 1.0, 1.0), 0.975)) * self.stderr_hz
         return self.frequency_hz - half, self.frequency_hz + half
 
     def may_cause(self, frequency_hz: float) -> bool:
-        """Return whether a beat at this frequency may be a harmonic of this motion."""
+        """Return whether a beat at ``frequency_hz`` may be a harmonic of this beat."""
         return frequency_hz < (MAX_HARMONIC + 0.5) * self.frequency_hz
 
 
 def contradiction(found: Beat, stated_hz: float) -> str | None:
-    """Return in words how a beat contradicts a stated frequency; None if it does not.
+    """Return words that say how a beat contradicts a stated frequency; None if the two agree.
 
     >>> contradiction(Beat(2.0, 0.01, 1.0, 0.9), 1.0)
     'beats at 2.000 ± 0.010 Hz, 2.00 times as fast'
@@ -111,7 +113,7 @@ def stated_against_found(
     beat : Beat or None
         Beat of the heading.
     used : {"measured", "stated"}
-        Frequency that is used from here on, for the warning.
+        Which of both frequencies the caller uses; the warning names this choice.
     """
     if beat is None:
         return {"stated_hz": stated_hz, "found_hz": None, "stderr_hz": None}
@@ -129,43 +131,44 @@ def stated_against_found(
 def find_beat(
     time_s: Array, values: Array, *, lowest_hz: float | None = None, highest_hz: float | None = None
 ) -> Beat | None:
-    """Return the first of :func:`find_beats`; None if there is none."""
+    """Return the strongest beat that :func:`find_beats` finds; None if it finds none."""
     return next(iter(find_beats(time_s, values, lowest_hz=lowest_hz, highest_hz=highest_hz)), None)
 
 
 def find_beats(
     time_s: Array, values: Array, *, lowest_hz: float | None = None, highest_hz: float | None = None
 ) -> list[Beat]:
-    """Find the periodic components of a channel that are no multiples of each other, the strongest first.
+    """Find the periodic components of a channel, the strongest first, without multiples of the first one.
 
     Parameters
     ----------
     time_s, values : ndarray, shape (n,)
         Uneven steps and NaN are allowed.
     lowest_hz, highest_hz : float, optional
-        Range of the search; default :data:`MIN_CYCLES` in the record to half the sample rate. Frequencies
-        with fewer cycles are never searched.
+        Range of the search, by default from :data:`MIN_CYCLES` cycles in the record up to about half the
+        sample rate. Frequencies with fewer cycles are never searched.
 
     Returns
     -------
     list of Beat
-        Empty if the record is too short, if no motion keeps its phase from window to window, or if the beats
-        may be harmonics of a stronger motion of fewer than :data:`MIN_CYCLES` cycles. Beats after the first
-        explain at least :data:`MIN_FAINT_SHARE` of the variance about the drift.
+        Beats found. The list is empty if the record is too short, if no motion keeps its phase from window to
+        window, or if the beats may be harmonics of a stronger motion of fewer than :data:`MIN_CYCLES` cycles.
+        Each beat explains at least :data:`MIN_FAINT_SHARE` of the variance about the drift.
 
     Notes
     -----
-    Candidates are the peaks of the Lomb-Scargle spectrum and of that of the derivative. Each is fitted as a
-    sine beside a cubic in windows of two cycles. Drift and turns drop out, and harmonics are orthogonal to
-    it.
+    Candidates are the peaks of the Lomb-Scargle spectra of the channel and of its first two derivatives. A
+    sine at each candidate frequency is fitted together with a cubic polynomial in windows of two cycles. The
+    polynomial removes drift and turns, and harmonics are orthogonal to the sine.
 
-    A beat keeps its phase. The squared coherence of amplitudes two windows apart is Beta(1, m - 1) over m
-    independent pairs for noise of any colour (Goodman 1963). It must exceed its quantile for all frequencies
-    of the search. In a record of few cycles, Thomson's F test (1982) also detects a line.
+    A beat keeps its phase from window to window. For noise of any spectrum, the squared coherence between the
+    amplitudes of windows that do not overlap has a Beta(1, m - 1) distribution, with m independent pairs
+    (Goodman 1963). The coherence of a beat must exceed the quantile of this distribution, corrected for the
+    number of frequencies in the search. In a record of few cycles, Thomson's F test (1982) is an alternative.
 
-    The frequency is the slope of the phases over time, by generalised least squares. The phases scatter by
-    noise and wander like a random walk, in a proportion that restricted likelihood estimates. The standard
-    error is therefore small for a clock and larger for a wandering rhythm.
+    The frequency is the slope of the phases over time, by generalised least squares. The errors of the phases
+    are noise and a random walk. The ratio of the two variances is estimated by restricted maximum likelihood.
+    The standard error is therefore small for a constant frequency and larger for a varying one.
     """
     there = np.isfinite(values) & np.isfinite(time_s)
     t, x = time_s[there], values[there]
@@ -173,7 +176,7 @@ def find_beats(
         return []
     duration, step = t[-1] - t[0], float(np.median(np.diff(t)))
     low = max(lowest_hz or 0.0, MIN_CYCLES / duration)
-    # an uneven record has no more frequencies than an even one with as many samples
+    # an unevenly sampled record has no more frequencies than an evenly sampled one of as many samples
     high = min(highest_hz or 0.45 / step, low + 2 * len(t) / duration)
     if high <= low or np.ptp(x) <= 1e-12 * np.max(np.abs(x)):
         return []
@@ -183,7 +186,7 @@ def find_beats(
     sure = [beat for chance, beat in found if chance < limit]
     slow = find_slow_motion(t, x) if lowest_hz is None else None
     if has_levels(x):
-        # a signal that jumps has harmonics of any order, but no more cycles than half of its jumps
+        # a signal with jumps has harmonics of any order, but at most half as many cycles as jumps
         jumps = np.count_nonzero(np.diff(x))
         sure = [beat for beat in sure if 2.0 * beat.cycles <= jumps + 1.0]
     if slow is not None:
@@ -197,14 +200,14 @@ def find_beats(
     if not large:
         return []
     largest = max(large, key=lambda beat: beat.amplitude)
-    # a harmonic may be larger than the stroke itself, which must then be found too
+    # a harmonic may be larger than the stroke itself, which must then be among the detected beats
     below = [
         beat
         for _, beat in found
         if any(abs(k * beat.frequency_hz - largest.frequency_hz) < 1.0 / duration for k in (2, 3))
     ]
     first = max(below, key=lambda beat: beat.amplitude, default=largest)
-    # windows of two cycles do not separate a beat from another one near it
+    # windows of two cycles cannot separate a beat from another beat at a similar frequency
     others = [
         beat
         for beat in sure
@@ -215,7 +218,7 @@ def find_beats(
 
 
 def find_slow_motion(time_s: Array, values: Array) -> Beat | None:
-    """Return the strongest motion of a channel if it is periodic and has too few cycles for a beat.
+    """Return a channel's strongest motion if it is periodic and has too few cycles for a beat; else None.
 
     Parameters
     ----------
@@ -224,8 +227,9 @@ def find_slow_motion(time_s: Array, values: Array) -> Beat | None:
 
     Notes
     -----
-    A sine beside a parabola is fitted at every frequency up to one and a half times the limit. Its residual
-    is compared with that of a quintic, which has as many coefficients.
+    A sine and a parabola are fitted together, at every frequency up to 1.5 times :data:`MIN_CYCLES` cycles
+    per record. The sum of squared residuals is compared with that of a polynomial of order 5, which has as
+    many coefficients.
     """
     there = np.flatnonzero(np.isfinite(values) & np.isfinite(time_s))
     there = there[:: max(len(there) // 1000, 1)]
@@ -261,7 +265,10 @@ def waves(t: Array, frequency_hz: float, harmonics: Iterable[int] = (1,)) -> Arr
 
 
 def multiple(beat: Beat, of: Beat, resolution_hz: float = 0.0) -> int:
-    """Return the order of one beat as a harmonic of another, within their errors; 0 if it is none."""
+    """Return the harmonic order of one beat relative to another; 0 if it is no multiple.
+
+    Frequencies are compared within their errors.
+    """
     order = round(beat.frequency_hz / of.frequency_hz)
     error = 3.0 * float(np.hypot(beat.stderr_hz, order * of.stderr_hz))
     off = abs(beat.frequency_hz - order * of.frequency_hz)
@@ -269,8 +276,8 @@ def multiple(beat: Beat, of: Beat, resolution_hz: float = 0.0) -> int:
 
 
 def _peaks(t: Array, x: Array, low: float, high: float, duration: float) -> list[float]:
-    """Return the frequencies of the highest peaks of the spectra of the channel and its derivatives."""
-    # the grid begins lower, so that the flank of a slower motion is no peak
+    """Return the peak frequencies of the spectra of a channel and of its first two derivatives."""
+    # the frequency grid begins below ``low``, so that the flank of a slower motion is not taken for a peak
     grid = np.arange(max(low - 3.0 / duration, 1.0 / duration), high, 0.1 / duration)
     if len(grid) < 4:
         return []
@@ -289,9 +296,9 @@ def _peaks(t: Array, x: Array, low: float, high: float, duration: float) -> list
 
 
 def _test(t: Array, x: Array, frequency: float, duration: float) -> tuple[float, Beat] | None:
-    """Return the beat at a frequency, and the probability that noise makes its windows as coherent.
+    """Return the beat at a frequency, and the probability of such a test result for noise.
 
-    The result is None where there is no beat.
+    The result is None if there is no beat.
     """
     windows = demodulate(t, x, frequency)
     if windows is None:
@@ -304,14 +311,14 @@ def _test(t: Array, x: Array, frequency: float, duration: float) -> tuple[float,
     slope, stderr = _slope(time, np.unwrap(np.angle(amplitude)), size)
     found = frequency + slope / (2 * np.pi)
     beat = Beat(found, stderr / (2 * np.pi), float(np.mean(size)), share, found * duration)
-    # Phases that turn by a cycle over the record are those of another frequency. The number of cycles in the
-    # record must be known to one.
+    # Phases that drift by a cycle over the record belong to another frequency. The number of cycles in the
+    # record must be known with an error below one.
     resolved = beat.interval_hz[1] - found < 1.0 / duration
     return (chance, beat) if resolved and abs(found - frequency) < 1.0 / duration else None
 
 
 def demodulate(t: Array, x: Array, frequency: float) -> tuple[Array, Complex, float, float, float] | None:
-    """Fit a sine of given frequency beside a polynomial in windows of two cycles.
+    """Fit a sine of given frequency, together with a polynomial, in windows of two cycles.
 
     Parameters
     ----------
@@ -323,15 +330,15 @@ def demodulate(t: Array, x: Array, frequency: float) -> tuple[Array, Complex, fl
     Returns
     -------
     time, amplitude : ndarray, shape (m,)
-        Middle of each window, s, and complex amplitude in the unit of the channel. Windows without amplitude
-        carry no phase and are left out.
+        Middle of each window, s, and complex amplitude in the unit of the channel. Windows with a negligible
+        amplitude have no phase and are left out.
     share : float
-        Share of the variance about the polynomial that the sine explains.
+        Fraction of the variance about the polynomial that the sine explains.
     width, hop : float
-        Duration of a window, and usual distance of windows, s. The result is None if fewer than three windows
-        are left.
+        Duration of a window, and time between successive windows, s. The result is None if fewer than three
+        windows are left.
     """
-    # coarser sampling needs longer windows
+    # at a low sample rate the windows must be longer, so that they hold enough samples
     step = float(np.median(np.diff(t)))
     hop = max(1.0, np.ceil(MIN_SAMPLES * step * frequency / WINDOW_CYCLES)) / frequency
     width = WINDOW_CYCLES * hop
@@ -340,7 +347,7 @@ def demodulate(t: Array, x: Array, frequency: float) -> tuple[Array, Complex, fl
         return None
     starts = t[0] + hop * np.arange(count)
     if count > MAX_WINDOWS:
-        # pairs of successive windows without overlap, spread over the record
+        # pairs of successive windows that do not overlap, spread over the record
         first = np.linspace(0, count - WINDOW_CYCLES - 1, MAX_WINDOWS // 2).astype(int)
         starts = starts[np.unique(np.concatenate((first, first + WINDOW_CYCLES)))]
     ends = np.searchsorted(t, np.column_stack((starts, starts + width)))
@@ -356,7 +363,7 @@ def demodulate(t: Array, x: Array, frequency: float) -> tuple[Array, Complex, fl
 
 
 def _incoherent(time: Array, amplitude: Complex, width: float, hop: float) -> float:
-    """Return the probability that noise of any colour is as coherent from window to window."""
+    """Return the probability that noise of any spectrum is as coherent from window to window."""
     pairs = [(i, int(j)) for i, j in enumerate(np.searchsorted(time, time + width - 0.5 * hop))]
     pairs = [(i, j) for i, j in pairs if j < len(time) and abs(time[j] - time[i] - width) < 0.1 * hop]
     if len(pairs) < 2:
@@ -365,13 +372,13 @@ def _incoherent(time: Array, amplitude: Complex, width: float, hop: float) -> fl
     inner = abs(np.vdot(amplitude[i], amplitude[j]))
     size = float(np.sqrt(np.sum(np.abs(amplitude[i]) ** 2) * np.sum(np.abs(amplitude[j]) ** 2)))
     coherence = min(inner / max(size, 1e-300), 1.0)
-    # a window that overlaps another by a half counts as two thirds of one
+    # a window that overlaps another window by one half counts as two thirds of an independent window
     independent = len(pairs) * 2.0 / 3.0
     return float((1.0 - coherence**2) ** max(independent - 1.0, 0.0))
 
 
 def _slepian_tapers(count: int) -> Array:
-    """Return the tapers most concentrated within :data:`BAND` cycles a record, shape (N_TAPERS, count)."""
+    """Return the tapers most concentrated within :data:`BAND` cycles per record, shape (N_TAPERS, count)."""
     from scipy.linalg import eigh_tridiagonal
 
     k = np.arange(count)
@@ -382,10 +389,11 @@ def _slepian_tapers(count: int) -> Array:
 
 
 def _no_line(t: Array, x: Array, frequency: float) -> float:
-    """Return the probability that noise with a flat spectrum near a frequency looks as much like a line.
+    """Return the probability of such a spectral line in noise whose spectrum is flat near a frequency.
 
-    This is Thomson's F test of the amplitudes under orthogonal tapers. Near is :data:`BAND` cycles per record
-    on either side. The line may be a tenth of a cycle off.
+    This is Thomson's F test, applied to the amplitudes under orthogonal tapers. The spectrum must be flat
+    within :data:`BAND` cycles per record on either side. The frequency of the line may differ by a tenth of a
+    cycle per record.
     """
     duration = float(t[-1] - t[0])
     if frequency * duration > MAX_LINE_CYCLES:
@@ -394,7 +402,7 @@ def _no_line(t: Array, x: Array, frequency: float) -> float:
     even = np.linspace(t[0], t[-1], count)
     u = 2.0 * (even - t[0]) / duration - 1.0
     values = np.interp(even, t, x)
-    # a gap of more than a quarter of a cycle is filled with the line itself
+    # a gap of more than a quarter of a cycle is filled with the fitted line itself
     after = np.clip(np.searchsorted(t, even), 1, len(t) - 1)
     known = t[after] - t[after - 1] <= 0.25 / frequency
     if known.mean() < MIN_KNOWN_SHARE:
@@ -412,14 +420,14 @@ def _no_line(t: Array, x: Array, frequency: float) -> float:
         left = float(np.sum(np.abs(tapered - line * sums) ** 2))
         best = max(best, (N_TAPERS - 1) * abs(line) ** 2 * float(sums @ sums) / max(left, 1e-300))
     best *= float(known.mean())
-    # survival function of the F distribution with 2 and 2 (N_TAPERS - 1) degrees of freedom
+    # p-value: survival function of the F distribution with 2 and 2 (N_TAPERS - 1) degrees of freedom
     return float((1.0 + best / (N_TAPERS - 1)) ** (1 - N_TAPERS))
 
 
 def _fitted(
     t: Array, x: Array, ends: NDArray[np.intp], middles: Array, width: float, frequency: float
 ) -> tuple[Complex, float]:
-    """Return the complex amplitude of a frequency in each window, and its share of the variance."""
+    """Return the complex amplitude of a frequency in each window, and the fraction of variance explained."""
     rows = ends[:, :1] + np.arange(int(np.max(ends[:, 1] - ends[:, 0])))
     inside = rows < ends[:, 1:]
     rows = np.minimum(rows, len(t) - 1)
@@ -433,7 +441,7 @@ def _fitted(
     right = np.einsum("wli,wl->wi", design, values)[..., None]
     weights = np.linalg.solve(normal, right)[..., 0]
     amplitude = weights[:, DRIFT_ORDER + 1] + 1j * weights[:, DRIFT_ORDER + 2]
-    # variance that the sine explains beyond the drift
+    # variance explained by the sine in addition to the drift
     d = DRIFT_ORDER + 1
     level = np.linalg.solve(normal[:, :d, :d], right[:, :d])
     drifted = float(np.sum(right[:, :d] * level))
@@ -444,8 +452,8 @@ def _fitted(
 def _slope(time: Array, phase: Array, size: Array) -> tuple[float, float]:
     """Return the slope of phases over time and its standard error, by restricted maximum likelihood.
 
-    The covariance of the phases is that of overlapping windows of white noise, relative to their amplitudes,
-    and of a random walk, in a proportion that the likelihood estimates.
+    The covariance of the phases is a sum of two parts: white noise in overlapping windows, relative to the
+    amplitudes, and a random walk. The ratio of both parts maximises the likelihood.
     """
     from scipy.linalg import eigh
 
@@ -455,7 +463,7 @@ def _slope(time: Array, phase: Array, size: Array) -> tuple[float, float]:
     small = np.mean(size) / size
     noise = np.clip(1.0 - hops / WINDOW_CYCLES, 0.0, 1.0) * np.outer(small, small)
     walk = (np.minimum.outer(time, time) - time[0]) / hop
-    # in coordinates where both covariances are diagonal
+    # transform to coordinates in which both covariances are diagonal
     shares, axes = eigh(walk, noise + RIDGE * np.eye(n))
     design = axes.T @ np.column_stack((np.ones(n), time - time.mean()))
     turned = axes.T @ phase
@@ -473,13 +481,14 @@ def _slope(time: Array, phase: Array, size: Array) -> tuple[float, float]:
 
 
 def _power(t: Array, x: Array, grid: Array) -> Array:
-    """Return the periodogram of a record at given frequencies, by FFT if its steps are even."""
+    """Return the periodogram of a record at given frequencies, by FFT if the time steps are even."""
     steps = np.diff(t)
     step = float(np.mean(steps))
     if np.ptp(steps) > 1e-3 * step:
         from scipy.signal import lombscargle
 
-        # scipy builds arrays of frequencies times samples: parts limit their size
+        # scipy builds arrays of frequencies times samples; splitting the frequencies limits the size of these
+        # arrays
         parts = np.array_split(2 * np.pi * grid, 1 + len(t) * len(grid) // 1_000_000)
         return np.concatenate([lombscargle(t, x, part) for part in parts])
     count = 1 << int(np.ceil(np.log2(20 * len(x))))

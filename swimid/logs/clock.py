@@ -1,6 +1,6 @@
-"""Sample times of a foreign table, from numbers, frames, dates or times of day, and the order of its rows.
+"""Sample times of a foreign table (from numbers, frame numbers, dates, times of day), and its row order.
 
-:class:`Time` is the part ``time:`` of a mapping, and :class:`Stated` the base of all its parts.
+:class:`Time` is the part ``time:`` of a mapping. :class:`Stated` is the base class of all parts of a mapping.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from swimid.logs.log import TIME, longest_run
 Array = NDArray[np.float64]
 _TIME_OF_DAY = r"\d{1,2}:\d\d(:\d\d(\.\d+)?)?"
 _DATE = r"^(\d{1,2})[/.-](\d{1,2})[/.-](\d{4})(?:[T ]+|$)"
-#: Names of columns that count frames or rows.
+#: Names of columns that hold a frame number or a row number.
 COUNT = re.compile(
     r"(frame|index|idx|row|sample|num(ber)?|n|no|count)s?([ _.#]*(number|num|index|idx|no|id|#))?"
 )
 
-#: Mark in a drafted mapping for a value that the user must state.
+#: Placeholder in a drafted mapping for a value that the user must state.
 ASK = "ASK"
-#: A column by its name in the file, or by its number from 1.
+#: Key of a column: its name in the file, or its number, counted from 1.
 ColumnKey = Annotated[str | int, Field(union_mode="left_to_right")]
 
 
 class Stated(yamlio.Document):
-    """A part of a mapping in which no value is ``ASK``."""
+    """Part of a mapping; a value that is still ``ASK`` is refused."""
 
     @field_validator("*", mode="before")
     @classmethod
@@ -54,21 +54,23 @@ class Stated(yamlio.Document):
 class Time(Stated):
     """Source of the sample times (``time:`` of a mapping)."""
 
-    #: The column, or several columns that form one time: date and time of day, or seconds and nanoseconds.
+    #: Column of the times, or several columns that form one time: date and time of day, or seconds and
+    #: nanoseconds.
     source: ColumnKey | list[ColumnKey] | None = None
-    #: Column of frame numbers; the time is the frame number over the rate.
+    #: Column of frame numbers. The time is the frame number divided by the rate.
     frame: ColumnKey | None = None
-    #: Unit of the source, or a list with the unit of each source.
+    #: Unit of the source column, or a list with the unit of each source column.
     unit: str | list[str] = "s"
-    #: Rate of the rows or frames, Hz, or the name of a number in the file that states it.
+    #: Rate of the rows or frames, Hz, or the name of the single number in the file that states this rate.
     rate_hz: PositiveFloat | str | None = None
     #: Format of dates for ``datetime.strptime``, if they are not ISO 8601.
     format: str | None = None
-    #: Whether the day stands before the month, in dates such as 03/11/2025.
+    #: Whether the day precedes the month in dates such as 03/11/2025.
     day_first: bool | None = None
-    #: Number at which a counter starts again from 0, in the unit of the source.
+    #: Value at which the time counter restarts from 0, in the unit of the source column.
     wraps_at: PositiveFloat | None = None
-    #: ``keep`` the clock of the file, count from the ``first`` sample, or subtract a number of seconds.
+    #: Origin of the time: ``keep`` leaves the times as in the file, ``first`` counts from the first sample,
+    #: and a number, s, is subtracted.
     origin: Literal["keep", "first"] | float = "keep"
 
     @model_validator(mode="after")
@@ -86,7 +88,7 @@ class Time(Stated):
 
     @property
     def sources(self) -> list[str | int]:
-        """The columns that hold the time; empty if it is counted from the rows."""
+        """Columns that hold the time; empty if the time is counted from the rows."""
         if self.frame is not None:
             return [self.frame]
         if isinstance(self.source, list):
@@ -95,22 +97,23 @@ class Time(Stated):
 
     @property
     def units_of_sources(self) -> list[str]:
-        """The unit of each source."""
+        """Unit of each column in ``sources``."""
         if isinstance(self.unit, list):
             return self.unit
         return [self.unit] * len(self.sources)
 
 
 def seconds(table: Table, time: Time, rows: int, path: Path, metadata: dict[str, Any]) -> Array:
-    """Return the sample times in s, shape (rows,); NaN for a row without one.
+    """Return the sample times in s, shape (rows,); NaN for a row without a time.
 
-    The origin is subtracted before whole numbers become floating-point numbers. With ``origin: first`` the
-    first stamp goes to ``metadata['first_stamp_s']``.
+    The origin is subtracted before integers become floating-point numbers, so that no digit is lost. With
+    ``origin: first`` the time of the first sample in the file's clock is stored as
+    ``metadata['first_stamp_s']``.
 
     Raises
     ------
     InputError
-        A column or rate is missing, or a cell is no time; names line and column.
+        A column or the rate is missing, or a cell holds no time. The message names the line and the column.
     """
     names = [table.column(key, path) for key in time.sources]
     parts = [table.columns[name] for name in names]
@@ -119,7 +122,7 @@ def seconds(table: Table, time: Time, rows: int, path: Path, metadata: dict[str,
         parts = [_frames(table, name, path) for name in names] or [np.arange(rows, dtype=float)]
         factors = [1.0 / _rate(time.rate_hz, table, path)]
     elif any(is_text(part) for part in parts):
-        # times of day are seconds already
+        # text of times of day is already converted to seconds
         parts, factors = [_parsed(parts, table, time, names, path)], [1.0]
     known = np.logical_and.reduce([np.isfinite(part) for part in parts])
     if not known.any():
@@ -155,7 +158,7 @@ def _rate(given: float | str, table: Table, path: Path) -> float:
 
 
 def _frames(table: Table, name: str, path: Path) -> Array:
-    """Return a column of frame numbers."""
+    """Return a column of frame numbers as floating-point numbers; a fraction or a text is refused."""
     values = table.columns[name]
     if is_text(values) or values.dtype.kind == "M":
         raise InputError("holds no frame numbers", file=path, column=name)
@@ -170,7 +173,7 @@ def _frames(table: Table, name: str, path: Path) -> Array:
 
 
 def unwrapped(counts: NDArray[Any], period: float) -> Array:
-    """Return a counter that restarts from 0 at ``period`` as numbers that grow.
+    """Return the values of a counter that restarts from 0 at ``period`` as values that keep growing.
 
     >>> unwrapped(np.array([65534.0, 65535.0, 0.0, 1.0]), 65536).tolist()
     [65534.0, 65535.0, 65536.0, 65537.0]
@@ -181,7 +184,7 @@ def unwrapped(counts: NDArray[Any], period: float) -> Array:
 
 
 def wrap_hint(times_s: Array, time: Time | None) -> str:
-    """Return the hint for a clock that goes back where a counter of 16 or 32 bits restarts; else ''."""
+    """Return the hint to add 'wraps_at' if a clock goes back by the range of a 16/32-bit counter; else ''."""
     factor = 1.0
     if time is not None and isinstance(time.unit, str):
         factor = units.factor(time.unit, TIME)
@@ -196,10 +199,10 @@ def wrap_hint(times_s: Array, time: Time | None) -> str:
 def _parsed(
     parts: list[NDArray[Any]], table: Table, time: Time, names: list[str], path: Path
 ) -> NDArray[Any]:
-    """Return text as dates (``datetime64[ns]``), or as times of day in s."""
+    """Return cells of text as dates (``datetime64[ns]``), or as times of day in s."""
     import pandas as pd
 
-    # whole numbers beside a text are written without a decimal point
+    # whole numbers in a column next to a text column are written without a decimal point
     columns = [pd.Series(part).convert_dtypes().astype("string").str.strip() for part in parts]
     cells = columns[0].str.cat(columns[1:], sep=" ") if columns[1:] else columns[0]
     plain = cells.str.replace(",", ".", regex=False)
@@ -231,9 +234,11 @@ def _parsed(
 
 # ---------------------------------------------------------------- rows in order
 
-#: Maximum share of samples that come late, and maximum number in a row. With more the clock was reset.
+#: Maximum fraction of samples that arrive late, and maximum number of consecutive late samples. With more
+#: late samples, the clock is taken to have been reset.
 LATE_SHARE, LATE_RUN = 0.01, 20
-#: Words for the rows that are out of order, by the attribute of :class:`Order` that counts them.
+#: Words of the summary for each kind of rows out of order, by the attribute of :class:`Order` that counts
+#: these rows.
 ODD_ROWS = {
     "untimed": "without a time left out",
     "repeated": "repeated left out",
@@ -249,7 +254,7 @@ class Order:
     Attributes
     ----------
     index : ndarray of int, shape (m,)
-        Rows that stay, in the order of their times.
+        Numbers of the rows that are kept, sorted by time.
     untimed : int
         Number of rows without a time, which are left out.
     repeated : int
@@ -257,9 +262,9 @@ class Order:
     clashing : int
         Number of rows with other values at the time of an earlier row, which are left out.
     late : int
-        Number of rows that came after later ones and were moved to their place.
+        Number of rows that follow a row with a later time, and that are moved to the place of their time.
     reset_row : int or None
-        Row at which the clock starts again. Such a record cannot be put in order.
+        Row at which the clock was reset, or None. A record with a reset clock cannot be sorted by time.
     """
 
     index: NDArray[np.int64]
@@ -271,17 +276,17 @@ class Order:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Number of rows out of order, by kind."""
+        """Number of rows out of order, by kind (key of :data:`ODD_ROWS`)."""
         return {name: getattr(self, name) for name in ODD_ROWS}
 
     @property
     def changed(self) -> bool:
-        """Whether the record was not in order."""
+        """Whether any row is left out or moved."""
         return any(self.counts.values())
 
     @property
     def summary(self) -> str:
-        """Description of what was done with the rows out of order."""
+        """Words that say how many rows of each kind are left out or moved; empty if none is."""
         return "; ".join(f"{count} {ODD_ROWS[name]}" for name, count in self.counts.items() if count)
 
 
@@ -293,12 +298,14 @@ def in_order(time_s: Array, columns: Mapping[str, Array]) -> Order:
     time_s : ndarray, shape (n,)
         Times, s, which may be NaN, repeat, or go back.
     columns : mapping of str to ndarray, each shape (n,)
-        The other columns, which distinguish a repeated row from a clashing one.
+        All other columns. They decide whether a row at the time of an earlier row is equal to it or
+        contradicts it.
 
     Notes
     -----
-    Single rows that come late (packets on a network) are moved to the place of their time. A clock that goes
-    back and counts on from there was reset, and nothing shows which of its times are right.
+    Single rows that arrive late (packets on a network) are moved to the place of their time. A clock that
+    goes back and counts on from the earlier time was reset. In that case the rows are not sorted, because the
+    log does not show which times are right.
     """
     index = np.flatnonzero(np.isfinite(time_s))
     times, untimed = time_s[index], len(time_s) - len(index)

@@ -1,7 +1,7 @@
-"""Comparison of columns of one log: rates with poses, and the course of a track with its heading.
+"""Comparison of columns of one log: rates with poses, and the direction of travel with the heading.
 
-The y axis of a camera points down. If the track or the heading is written without turning that axis, one of
-them is mirrored. Then every sample is plausible, and every fit is wrong.
+The y axis of an image points down. If only one of track and heading is converted to a y axis that points up,
+they are mirrored to each other. Each column still looks plausible, but a model fitted to them is wrong.
 """
 
 from __future__ import annotations
@@ -17,27 +17,28 @@ from swimid.logs.log import TIME
 from swimid.logs.rotation import AXES
 
 Array = NDArray[np.float64]
-#: Minimum distance of a gain from 0, in standard errors, for a judgement. Unrelated columns exceed it once in
-#: 16,000 pairs.
+#: Minimum ratio of a gain (regression coefficient between two columns) to its standard error. A gain with a
+#: smaller ratio is not judged. Unrelated columns exceed the minimum in one of 16,000 pairs.
 MIN_STDERRS = 4.0
-#: Minimum number of increments that do not overlap, for a useful standard error.
+#: Minimum number of increments that do not overlap. With fewer the standard error of a gain is not useful.
 MIN_WINDOWS = 8
-#: Factors of a confusion of degrees and radians.
+#: Factors by which a column is wrong if degrees and radians are confused.
 _DEGREES = (np.pi / 180, 180 / np.pi)
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A column compared with another one that tells the same motion.
+    """Comparison of a column with another column that shows the same motion.
 
     Attributes
     ----------
     column, against : str
-        The column, and what it was compared with.
+        Name of the column, and name of the quantity that the column is compared with.
     gain, stderr : float
-        Motion of the second per motion that the first makes when it is integrated; 1 if both agree.
+        Increments of the other quantity divided by increments of the integrated column, by regression, and
+        the standard error of this gain. The gain is 1 if both agree.
     text : str
-        What is wrong, in words; empty if both agree.
+        Mistake that explains the gain, in words; empty if both agree.
     """
 
     column: str
@@ -48,18 +49,18 @@ class Comparison:
 
 
 def compare_columns(columns: Mapping[str, Array], period_s: float | None = None) -> list[Comparison]:
-    """Compare rates with their pose, and the course of the track with its heading.
+    """Compare rates with the change of their pose, and the direction of travel with the heading.
 
-    The result holds the comparisons that the log allows. Compared are u, v with the track seen along the
-    heading, every ``<name>_m_s`` and ``<name>_rad_s`` with ``<name>_m`` and ``<name>_rad``, the yaw rate with
-    the heading, and turn rates with the quaternion.
+    The result holds those of the following comparisons for which the log has the columns: u, v with the
+    velocity of the track in the body frame, every ``<name>_m_s`` and ``<name>_rad_s`` with ``<name>_m`` and
+    ``<name>_rad``, the yaw rate with the heading, and turn rates with the attitude quaternion.
 
     Parameters
     ----------
     columns : mapping of str to ndarray, each shape (n,)
         Columns of a log in SI, ``t_s`` among them.
     period_s : float, optional
-        Period of the stroke, s. Without it course and heading are not compared.
+        Period of the stroke, s. Without this period, direction of travel and heading are not compared.
     """
     time = columns[TIME]
     found: list[Comparison] = []
@@ -100,7 +101,7 @@ def compare_columns(columns: Mapping[str, Array], period_s: float | None = None)
 
 
 def _of_course(time: Array, x: Array, y: Array, yaw: Array, period_s: float) -> list[Comparison]:
-    """Compare the course of a track with its heading over windows of at least one stroke."""
+    """Compare the direction of travel with the heading, averaged over windows of one stroke."""
     seen = compare_course([(time, x, y, yaw)], period_s)
     if seen is None:
         return []
@@ -114,7 +115,7 @@ def _of_course(time: Array, x: Array, y: Array, yaw: Array, period_s: float) -> 
 def _of_quaternion(
     time: Array, q: Array, columns: Mapping[str, Array], turns: Sequence[str]
 ) -> list[Comparison]:
-    """Compare turn rates with the rotation from one attitude to the next, in the body frame."""
+    """Compare turn rates with the rotation between consecutive attitudes, in the body frame."""
     from scipy.spatial.transform import Rotation
 
     there = np.isfinite(q).all(axis=1) & (np.abs(np.linalg.norm(q, axis=1) - 1.0) < 0.05)
@@ -148,10 +149,11 @@ def _judge(
     *,
     angle: bool,
 ) -> list[Comparison]:
-    """Regress increments of the pose on increments of the integrated rates; say which gains are far from 1.
+    """Regress increments of the pose on those of the integrated rates, and name gains that differ from 1.
 
-    ``rates[k]`` holds the part of the rate ``names[k]`` in each coordinate of the pose. The increments have
-    the length at which the rates explain most of the pose. A gain that is not significant is left out.
+    ``rates[k]`` holds the contribution of the rate ``names[k]`` to each coordinate of the pose. The
+    increments span the number of samples at which the rates explain the largest fraction of the sum of
+    squares of the pose increments. Gains that do not differ significantly from 0 are left out.
     """
     there = np.isfinite([time, *pose, *(part for parts in rates for part in parts)]).all(axis=0)
     if there.sum() < 2 * MIN_WINDOWS:
@@ -174,7 +176,7 @@ def _judge(
         x /= scale
         gain, *_ = np.linalg.lstsq(x, y, rcond=None)
         squares = float(np.sum((y - x @ gain) ** 2))
-        # increments that overlap are not independent: only one in ``lag`` counts
+        # overlapping increments are not independent: the degrees of freedom count one in ``lag``
         freedom = max(len(y) / lag - x.shape[1], 1.0)
         stderr = np.sqrt(squares / freedom * np.diag(np.linalg.pinv(x.T @ x)))
         explained = 1.0 - squares / float(y @ y)
@@ -191,7 +193,7 @@ def _judge(
 
 
 def _named(gain: float, *, angle: bool) -> str:
-    """Return in words the mistake whose factor is nearest to a gain; empty for a gain near 1."""
+    """Return in words the mistake whose factor is nearest to a column's gain; empty for a gain near 1."""
     factors = [10.0**k for k in range(-3, 4)]
     if angle:
         factors += _DEGREES
@@ -210,26 +212,27 @@ def _named(gain: float, *, angle: bool) -> str:
 
 # ---------------------------------------------------------------- course and heading
 
-#: Natural logarithm of the smallest Bayes factor that is "very strong" evidence (Kass and Raftery 1995, JASA
-#: 90).
+#: Natural logarithm of the smallest Bayes factor that counts as "very strong" evidence (Kass and Raftery
+#: 1995, JASA 90).
 VERY_STRONG = math.log(150.0)
 #: Maximum drift angle of a hull in its tightest turn, rad (Fossen 2011, *Handbook of Marine Craft
-#: Hydrodynamics*, 7.1: 10 to 20 degrees for ships). A larger angle between course and heading is no slip.
+#: Hydrodynamics*, 7.1: 10 to 20 degrees for ships). A larger angle between direction of travel and heading is
+#: taken for an error of the columns.
 LARGEST_SLIP = math.radians(30.0)
 
 
 @dataclass(frozen=True)
 class Course:
-    """Difference of course and heading over the windows of some tracks.
+    """Difference between the direction of travel (course) and the heading, over windows of tracks.
 
     Attributes
     ----------
     slip_rad : float
-        Mean of course minus heading, -pi to pi.
+        Mean of course minus heading, rad, -pi to pi.
     spread_rad : float
-        Circular standard deviation of course minus heading.
+        Circular standard deviation of course minus heading, rad.
     mirrored : bool
-        Whether the courses follow the headings with the opposite sign, and not the headings.
+        Whether the course follows minus the heading, and not the heading.
     """
 
     slip_rad: float
@@ -238,19 +241,19 @@ class Course:
 
 
 def compare_course(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s: float) -> Course | None:
-    """Compare course and heading of tracks seen by one camera.
+    """Compare the direction of travel (course) with the heading, in tracks seen by one camera.
 
     Parameters
     ----------
     tracks : iterable of (t, x, y, heading)
         Each shape (n,), in s, m, m and rad; NaN where missing.
     window_s : float
-        Length of a window, s: at least one stroke, so that recoil averages out.
+        Length of a window, s: at least one stroke, so that the oscillation of the body averages out.
 
     Returns
     -------
     Course or None
-        None if the swimmer advances farther than it sways in too few windows.
+        None if fewer than :data:`MIN_WINDOWS` windows have more advance than sway.
     """
     pairs = [pair for track in tracks for pair in _windows(*track, window_s)]
     if len(pairs) < MIN_WINDOWS:
@@ -264,19 +267,19 @@ def compare_course(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s
 
 
 def is_in_degrees(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s: float) -> bool:
-    """Return whether the courses follow the headings only if these are taken for degrees.
+    """Return whether the course follows the heading only if the headings are interpreted as degrees.
 
-    That needs courses which differ.
+    Tracks that all have the same course do not show this; the result is then False.
 
     Parameters
     ----------
     tracks, window_s
-        As of :func:`compare_course`.
+        The arguments of :func:`compare_course`.
     """
     tracks = list(tracks)
     turned = [(t, x, y, np.radians(heading)) for t, x, y, heading in tracks]
     plain, found = compare_course(tracks, window_s), compare_course(turned, window_s)
-    # the spread of the courses themselves
+    # circular standard deviation of the course itself
     still = compare_course([(t, x, y, np.zeros_like(heading)) for t, x, y, heading in tracks], window_s)
     if found is None or still is None or (plain is not None and plain.spread_rad < LARGEST_SLIP):
         return False
@@ -287,7 +290,7 @@ def is_in_degrees(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s:
 def _windows(
     time: Array, x: Array, y: Array, heading: Array, window_s: float
 ) -> list[tuple[complex, complex]]:
-    """Return the unit vectors of course and mean heading of each window with more advance than sway."""
+    """Return unit vectors of course and mean heading, for each window with more advance than sway."""
     there = np.isfinite(x) & np.isfinite(y) & np.isfinite(heading)
     if there.sum() < 3:
         return []
@@ -307,14 +310,15 @@ def _windows(
 
 
 def _likelihood(length: float, count: int) -> float:
-    """Return the largest log-likelihood of ``count`` angles under von Mises' distribution.
+    """Return the maximum log-likelihood of ``count`` angles under a von Mises distribution.
 
-    ``length`` is their mean resultant length.
+    ``length`` is the mean resultant length of the angles.
     """
     from scipy.special import i0e
 
     length = min(length, 1.0 - 1e-6)
-    # Fisher 1993, *Statistical Analysis of Circular Data*, 4.5.5: maximum-likelihood concentration
+    # maximum-likelihood estimate of the concentration: Fisher 1993, *Statistical Analysis of Circular Data*,
+    # 4.5.5
     if length < 0.53:
         kappa = 2 * length + length**3 + 5 * length**5 / 6
     elif length < 0.85:

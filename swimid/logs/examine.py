@@ -1,4 +1,4 @@
-"""A foreign log put in order: cut, scaled and projected as asked, its track cleaned, its stroke found."""
+"""Cleaning and examination of a foreign log: row order, cut, scale, projection, track, speed and stroke."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ Array = NDArray[np.float64]
 METRES = ("x_m", "y_m", "z_m")
 PIXELS = ("x_px", "y_px", "z_px")
 ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")
-#: First words of the names of columns of a pose, and of the rates that follow from a pose.
+#: Beginnings of the names of pose columns, and of the rates that are computed from a pose.
 _POSE, _POSE_RATES = ("x", "y", "z", "yaw", "pitch", "roll"), ("u", "v", "w", "vx", "vy", "vz")
 
 
 @dataclass(frozen=True)
 class Projection:
-    """A track along a line.
+    """Projection of a track on a line.
 
     Attributes
     ----------
@@ -41,7 +41,8 @@ class Projection:
     direction : ndarray, shape (d,)
         Unit vector of the line.
     across : float
-        Root-mean-square distance of the track from the line through its mean position.
+        Root-mean-square distance of the track from the line, which goes through the mean position of the
+        track.
     extent : float
         Range of ``along``.
     """
@@ -54,42 +55,42 @@ class Projection:
 
 @dataclass(frozen=True)
 class Examined:
-    """A foreign log in order, and what was found in it.
+    """Foreign log with its rows in order, together with the findings of the examination.
 
     Attributes
     ----------
     mapped : MappedLog
-        The log as it was read. Its columns are those of this object.
+        Log as it was read. It shares its columns with this object.
     metadata, columns : dict
-        Metadata and columns as they are written.
+        Metadata and columns as they are written to the log.
     order : Order
         Rows that were moved or left out.
     cleaning : Cleaning or None
-        Repeats, jumps and gaps of the track; None without a track.
+        Repeated samples, jumps and gaps of the track; None without a track.
     cleaned : bool
-        Whether repeats and jumps were left out of the log.
+        Whether repeated samples and jumps were left out of the log.
     speed : TrackSpeed or None
         Speed of the track.
     stroke : Rhythm or None
-        The stroke, if the log shows one.
+        Stroke; None if none is found.
     against : str
-        How the stroke contradicts the metadata; empty if it does not.
+        Words that say how the stroke contradicts the metadata; empty if both agree.
     unknown : str
-        Reason why there is no stroke; empty if there is one.
+        Reason why no stroke is found; empty if one is found.
     doubts : list of Doubt
         Columns with values that no swimmer reaches.
     projection : Projection or None
-        The line on which the track was projected.
+        Line on which the track was projected; None if it was not projected.
     unit : str
         Unit of the track, m or px.
     comparisons : list of Comparison
-        Columns that tell the same motion, and whether they agree.
+        Comparisons of columns that show the same motion.
     frozen : dict of str to (float, float)
-        Longest stretch in which each frozen channel holds one value, s.
+        Start and end, s, of the longest period in which each frozen channel holds one value.
     unmeasured : dict of str to str
-        Channels with values that a working sensor does not give, each with what is wrong.
+        Channels whose values no working sensor gives, each with a description of the fault.
     uneven : str
-        How the sampling departs from an even one, in words; empty if it does not.
+        Range of the time steps of uneven sampling, in words; empty for even sampling.
     bursts : bool
         Whether the samples are stamped in bursts.
     """
@@ -125,12 +126,12 @@ class Examined:
 
     @property
     def channels(self) -> dict[str, Array]:
-        """The columns other than the time."""
+        """Columns of the log except the time."""
         return {name: values for name, values in self.columns.items() if name != TIME}
 
     @property
     def done(self) -> str:
-        """Word for what happened to repeats and jumps of the track."""
+        """Words for the treatment of repeated samples and jumps of the track."""
         return "left out" if self.cleaned else "kept"
 
     @property
@@ -140,16 +141,16 @@ class Examined:
 
 
 def examine(source: MappedLog, options: ImportOptions) -> Examined:
-    """Put a foreign log in order, clean its track, and find its speed and stroke.
+    """Clean a foreign log and its track, and find the speed and the stroke.
 
-    ``source.columns`` is changed in place, so that a long log is held in memory once.
+    ``source.columns`` is changed in place, so that a long log is in memory only once.
 
     Raises
     ------
     InputError
-        No sample has a time, or the clock starts again within the log.
+        No sample has a time, or the clock is reset within the log.
     NoTrustworthyResult
-        A cleaned track keeps fewer samples than :data:`swimid.logs.tracks.MIN_SAMPLES`.
+        A cleaned track has fewer samples than :data:`swimid.logs.tracks.MIN_SAMPLES`.
     """
     name, columns = source.path.name, source.columns
     order = _in_order(source)
@@ -180,7 +181,7 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
     if cleaning is not None and cleaning.held is not None:
         times_sd_s = cleaning.held.lateness_s / np.sqrt(12.0)
         measured_s = np.interp(times, stamps, cleaning.held.measured_s)
-        if (np.diff(measured_s) > 0).all():  # else rows of other channels stand between the pictures
+        if (np.diff(measured_s) > 0).all():  # false if other channels have rows between pictures
             times, times_sd_s = measured_s, cleaning.held.measured_sd_s
     stated_hz = _stated(metadata)
     stroke = rhythm.find(times, channels, range_hz=options.stroke_hz, stated_hz=stated_hz)
@@ -229,7 +230,7 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
 
 
 def _in_order(source: MappedLog) -> Order:
-    """Return how the rows get strictly increasing times; raise if the clock does not allow it."""
+    """Return the row order with strictly increasing times; raise an error if the clock was reset."""
     channels = {name: values for name, values in source.columns.items() if name != TIME}
     order = clock.in_order(source.time_s, channels)
     if len(order.index) < 2:
@@ -244,13 +245,13 @@ def _in_order(source: MappedLog) -> Order:
 
 
 def _keep(columns: dict[str, Array], rows: NDArray[Any]) -> None:
-    """Keep these rows of all columns, in place."""
+    """Reduce all columns to the given rows, in place."""
     for name in columns:
         columns[name] = columns[name][rows]
 
 
 def _track(columns: dict[str, Array]) -> list[str]:
-    """Return the columns of the track, in metres if both units are there."""
+    """Return the names of the track's columns: in metres if the log has them, else in pixels."""
     return [n for n in METRES if n in columns] or [n for n in PIXELS if n in columns]
 
 
@@ -259,7 +260,7 @@ def _unit(coordinates: list[str]) -> str:
 
 
 def _bent(stroke: Rhythm | None) -> list[Doubt]:
-    """Return the angles that swing by more than half a turn to either side, which no joint can."""
+    """Return a doubt for each angle that oscillates by more than half a rotation, which no joint can do."""
     if stroke is None:
         return []
     text = "swings by ±{:.3g} rad: state the unit if it is degrees (a factor of 57.3)"
@@ -268,7 +269,7 @@ def _bent(stroke: Rhythm | None) -> list[Doubt]:
 
 
 def _take_out(columns: dict[str, Array], cleaning: Cleaning, name: str, metadata: dict[str, Any]) -> None:
-    """Empty the pose of repeats and jumps, and drop rows that hold nothing else, in place."""
+    """Empty the pose of repeated samples and of jumps in place, and remove rows that hold nothing else."""
     done = metadata["track_cleaned"] = {**cleaning.counts, "gaps": len(cleaning.gaps)}
     elsewhere = [float(columns[TIME][row]) for row in cleaning.offset_rows]
     if elsewhere:
@@ -293,7 +294,7 @@ def _take_out(columns: dict[str, Array], cleaning: Cleaning, name: str, metadata
 
 
 def _stated(metadata: dict[str, Any]) -> float | None:
-    """Return the stroke frequency in the metadata, Hz; None if it is no positive number."""
+    """Return the stroke frequency in the metadata, Hz; None if it is not a positive number."""
     stated = metadata.get("frequency_hz")
     if isinstance(stated, bool) or not isinstance(stated, int | float) or not stated > 0:
         return None
@@ -301,7 +302,7 @@ def _stated(metadata: dict[str, Any]) -> float | None:
 
 
 def _against(stroke: Rhythm, stated_hz: float | None, name: str) -> str:
-    """Return how a stroke contradicts the metadata; warn of that, and of a doubtful stroke."""
+    """Return words that say how a stroke contradicts the metadata; warn of this and of a doubtful stroke."""
     against = ""
     if stated_hz is not None and (text := contradiction(stroke.beat, stated_hz)):
         against = f"{stroke.channel} {text}; the metadata say {stated_hz:g} Hz"
@@ -312,7 +313,7 @@ def _against(stroke: Rhythm, stated_hz: float | None, name: str) -> str:
 
 
 def _cut(columns: dict[str, Array], options: ImportOptions, source: MappedLog) -> None:
-    """Keep the part of the log that was asked for, in place."""
+    """Cut the log to the requested period, in place."""
     if options.start_s is None and options.end_s is None:
         return
     time, kept = columns[TIME], np.ones(len(columns[TIME]), dtype=bool)
@@ -329,7 +330,8 @@ def _cut(columns: dict[str, Array], options: ImportOptions, source: MappedLog) -
 def _measured(columns: dict[str, Array]) -> dict[str, Array]:
     """Return the columns as they were measured.
 
-    In a track of swimid these are the positions before smoothing, with NaN where a gap was bridged.
+    In a log written by ``swimid track`` the measured positions are those before smoothing, with NaN where a
+    gap was interpolated.
     """
     raw = {name: columns[raw] for name in columns if (raw := _raw(name)) in columns}
     bridged = columns.get("interpolated")
@@ -340,7 +342,7 @@ def _measured(columns: dict[str, Array]) -> dict[str, Array]:
 
 
 def _to_metres(columns: dict[str, Array], options: ImportOptions, source: MappedLog) -> None:
-    """Convert the pose of a track in pixels to metres, in place."""
+    """Convert the pose of a track from pixels to metres, in place."""
     if options.scale is None:
         return
     if not any(name in columns for name in PIXELS):
@@ -353,7 +355,7 @@ def _to_metres(columns: dict[str, Array], options: ImportOptions, source: Mapped
 
 
 def _along(columns: dict[str, Array], options: ImportOptions, source: MappedLog) -> Projection | None:
-    """Replace the pose by the distance along a line, in place."""
+    """Replace the pose by the distance along a line, in place; return the projection, if requested."""
     if options.along is None:
         return None
     names = _track(columns)
@@ -378,7 +380,7 @@ def _along(columns: dict[str, Array], options: ImportOptions, source: MappedLog)
 
 
 def _project(place: Array, there: NDArray[np.bool_], towards: Array | None) -> Projection:
-    """Project a track on a line: by default the one closest to the track, in the direction of its travel."""
+    """Project a track on a line: by default on the line of best fit, in the direction of travel."""
     centred = place - place[there].mean(axis=0)
     if towards is None:
         towards = np.linalg.svd(centred[there], full_matrices=False)[2][0]
@@ -393,13 +395,13 @@ def _project(place: Array, there: NDArray[np.bool_], towards: Array | None) -> P
 
 
 def _raw(name: str) -> str:
-    """Return the name of the column of a track before smoothing; empty if there is none."""
+    """Return the name of the raw column (before smoothing) of a pose column; empty for other columns."""
     stem, _, unit = name.partition("_")
     return f"{stem}_raw_{unit}" if stem in _POSE else ""
 
 
 def _of_pose(name: str) -> bool:
-    """Return whether a column is a pose or follows from one."""
+    """Return whether a column is part of a pose or a rate of change of the pose."""
     stem, _, rest = name.partition("_")
     if stem in _POSE:
         return bool(rest)

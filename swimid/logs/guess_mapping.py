@@ -1,4 +1,4 @@
-"""``swimid import --guess``: a drafted mapping, with ``ASK`` for everything that the file does not state."""
+"""Command ``swimid import --guess``: drafts a mapping, with ``ASK`` for all that the file does not state."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from swimid.logs.log import TIME, LogLike
 from swimid.logs.mapping import Mapping
 from swimid.results.result import Result
 
-#: Names of a rate, and of columns with parts of a time, in small letters.
+#: Names of a sample rate, and names of columns with parts of a time, in lower case.
 RATES, SECONDS = ("fs", "rate", "rate_hz", "fps", "sample_rate"), ("secs", "sec", "s", "seconds")
 NANOSECONDS = ("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds", "ns")
-#: Arbitrary stand-ins for open values of a drafted time, which the search for instances needs.
+#: Arbitrary values that replace open values of a drafted time, because the search for instances needs a time.
 ANSWERS = {"unit": "s", "rate_hz": 1.0, "day_first": True}
 _XYZ = r"[ _.\[]*(?P<axis>[xyz])\]?"
-#: Names that state a quantity but no unit: pattern of the whole name in small letters, and target column.
+#: Names that state a quantity but no unit: pattern of the whole name in lower case, and target column.
 _NAMES: list[tuple[str, str]] = [
     (r"(lin(ear)?[ _.]*)?acc(el(eration|erometer)?)?" + _XYZ, "a{axis}_m_s2"),
     (r"(gyr(o(scope)?)?|ang(ular)?[ _.]?(vel(ocity)?|rate)|omega)" + _XYZ, "w{axis}_rad_s"),
@@ -50,22 +50,22 @@ _TIME = re.compile(
     r"(header|log)?[ _.]?(stamp|time)|clock|date|datum|(uhr)?zeit"
 )
 _UNIT = re.compile(r"(?P<bare>.*?)[ _]*(?:[\[(](?P<inside>[^\])]+)[\])]|/ ?(?P<over>[^\d\s]\S*))\s*")
-#: Word and unit at the end of a name, as in ``heading_deg`` or ``x mm``.
+#: Pattern of a column name that ends in a unit, such as ``heading_deg`` or ``x mm``.
 _ENDING = re.compile(r"(?P<bare>.+?)[ _](?P<unit>[A-Za-z°µ/]+(?:_s2?)?)")
 
 
 @dataclass(frozen=True, eq=False)
 class Draft(Result):
-    """A drafted mapping, as ``guess_mapping`` returns it. Its ``document`` is commented YAML."""
+    """Drafted mapping: result of ``guess_mapping``. Its ``document`` is YAML text with comments."""
 
     @property
     def mapping(self) -> Mapping:
-        """The mapping, for ``import_log`` and ``track_imu``.
+        """Mapping, which ``import_log`` and ``track_imu`` accept.
 
         Raises
         ------
         InputError
-            Something is still ``ASK``.
+            A value is still ``ASK``.
         """
         return mapping.of(yamlio.parse_scalar(self.document))
 
@@ -77,23 +77,23 @@ class Draft(Result):
 def guess_mapping(source: LogLike, *, select: str | None = None, output: str | Path | None = None) -> Draft:
     """Draft the mapping of a foreign log.
 
-    The draft states what follows from a profile, from the name of a column or from a stated unit. All else is
-    ``ASK``, with the first values in a comment. A mapping with ``ASK`` is refused. Nothing is inferred from
-    the size of values.
+    The draft states what follows from a profile, from the name of a column or from a stated unit. All other
+    values are ``ASK``, with the first values of the column in a comment. A mapping with ``ASK`` is refused.
+    Nothing is inferred from the magnitude of the values.
 
     Parameters
     ----------
     source : path, DataFrame or Log
-        The foreign log; a table has shape (n, k), one row per sample.
+        Foreign log. A table has shape (n, k), one row per sample.
     select : str, optional
-        Track, topic, struct or the like to take, if the file holds several.
+        Track, topic, struct or group to read, if the file holds several.
     output : path, optional
-        Path of the mapping file. Without it nothing is written.
+        Path of the mapping file. Without a path nothing is written.
 
     Returns
     -------
     Draft
-        ``.document`` the text of the mapping file, ``.mapping`` the mapping in memory.
+        ``.document`` holds the text of the mapping file, ``.mapping`` the mapping in memory.
 
     Raises
     ------
@@ -147,7 +147,7 @@ def _of_profile(profile: Format, path: Path, select: str | None) -> list[str]:
 
 
 def _of_names(name: str, table: Table, select: str | None) -> list[str]:
-    """Return the lines of the draft that follow from names and stated units."""
+    """Return the lines of the draft that follow from column names and stated units."""
     usual = max((len(v) for v in table.columns.values()), default=0)
     columns = {key: values for key, values in table.columns.items() if len(values) == usual}
     lines = [
@@ -190,7 +190,7 @@ def _of_names(name: str, table: Table, select: str | None) -> list[str]:
 
 
 def _line(key: str, value: Any, comment: str = "") -> str:
-    """Return a line of YAML, ``key: value   # comment``, or an item of a list where the key is a dash."""
+    """Return a line of YAML, ``key: value   # comment``, or an item of a list if the key is a dash."""
     text = _written(key, value)
     if isinstance(value, dict):
         entries = [f"{name}: {_written(name, v)}" for name, v in value.items() if v is not None]
@@ -202,14 +202,14 @@ def _line(key: str, value: Any, comment: str = "") -> str:
 
 
 def _written(key: str, value: Any) -> str:
-    """Return a value as YAML: names and units of the file in quotes, column numbers and keywords without."""
+    """Return a value as YAML: names and units of the file in quotes, column numbers and keywords plain."""
     if value == ASK or key in ("target", "origin") or (key in ("source", "frame") and str(value).isdecimal()):
         return str(value)
     return json.dumps(value, ensure_ascii=False)
 
 
 def named(source: str, written: str | None = None) -> tuple[str, str | None]:
-    """Return the target and the unit that follow from the name of a column and from the unit beside it.
+    """Return the target and the unit that follow from the name of a column and from the unit stated for it.
 
     An unknown target or unit is ``ASK``. The unit is None for a column of the log format.
 
@@ -230,7 +230,7 @@ def named(source: str, written: str | None = None) -> tuple[str, str | None]:
 
 
 def _split(name: str) -> tuple[str, str | None]:
-    """Return the name of a column without its unit, and the unit; None if the name states none."""
+    """Return the name of a column without its unit, and the unit; None if the name states no unit."""
     if hit := _UNIT.fullmatch(name):
         return hit["bare"], hit["inside"] or hit["over"]
     if hit := _ENDING.fullmatch(name):
@@ -241,7 +241,7 @@ def _split(name: str) -> tuple[str, str | None]:
 
 
 def _target(bare: str, unit: str | None) -> str | None:
-    """Return the column of the log format that a bare name states; None if it states none."""
+    """Return the column of the log format that a name without unit states; None if there is none."""
     for pattern, target in _NAMES:
         hit = re.fullmatch(pattern, bare)
         if hit is not None:
@@ -250,7 +250,7 @@ def _target(bare: str, unit: str | None) -> str | None:
             return wanted if unit is None or unit in fitting else None
     if unit is None or bare == "":
         return None
-    # the unit of a word states its quantity if no other quantity has that unit
+    # the unit determines the quantity if no other quantity has this unit
     quantities = [quantity for quantity, table in units.UNITS.items() if unit in table]
     word = re.sub(r"[^a-z0-9]+", "_", bare).strip("_")
     if len(quantities) != 1 or not word[:1].isalpha():
@@ -259,8 +259,8 @@ def _target(bare: str, unit: str | None) -> str | None:
 
 
 def _time(table: Table, columns: dict[str, Any]) -> tuple[dict[str, Any] | str, str]:
-    """Return the value of ``time:`` and the comment beside it."""
-    # the stamp of the sensor precedes that of the recorder
+    """Return the value of ``time:`` and the comment for its line."""
+    # the time stamp of the sensor has precedence over the time stamp of the recorder
     stamps = sorted(filter(_is_time, columns), key=lambda name: "header" not in name.lower())
     counts = [name for name, values in columns.items() if _counts(name, values)]
     rates = [name for name in table.scalars if name.lower() in RATES]
@@ -308,7 +308,7 @@ def _counts(name: str, values: Any) -> bool:
 
 
 def _first(values: Any) -> str:
-    """Return the first values of a column as text."""
+    """Return the first three values of a column as text."""
     if values.dtype.kind == "f":
         return ", ".join(f"{value:.6g}" for value in values[:3])
     return ", ".join(str(value)[:30] for value in values[:3])

@@ -1,4 +1,4 @@
-"""``swimid import``: logs of other programs in the log format."""
+"""Command ``swimid import``: converts logs of other programs to the log format."""
 
 from __future__ import annotations
 
@@ -31,14 +31,15 @@ from swimid.results.result import Result
 
 @dataclass(frozen=True, eq=False)
 class Imported(Logged):
-    """A log of another program in the log format, as ``import_log`` returns it.
+    """Log of another program, converted to the log format: result of ``import_log``.
 
     Attributes
     ----------
     examined : Examined or None
-        Order of the rows, jumps and speed of the track, and the stroke; None for a result read from a file.
+        Findings on the log: order of the rows, jumps and speed of the track, stroke. None for a result read
+        from a file.
     progress : Progress
-        Shows the writing.
+        Shows the progress of the writing.
     """
 
     examined: Examined | None = None
@@ -58,37 +59,40 @@ def import_log(
     output: str | Path | None = None,
     progress: Progress = silent,
 ) -> Imported:
-    """Turn a foreign recording into a log in SI units, with its rows in order and its jumps removed.
+    """Convert a foreign recording to a log in SI units, with rows in order and jumps removed.
 
-    A profile reads a file of a known format. For any other file a mapping, which may be a dict, says which
-    source column becomes which column of the log, and in which unit it was written. Without a mapping the
-    columns must be named as in the log format. Repeats and jumps are removed from logs with two or more
-    position columns, except from tracks made by swimid.
+    A profile reads a file of a known format. For any other file, a mapping (file or dict) assigns a source
+    column and its unit to each column of the log. Without a mapping the columns must be named as in the log
+    format. Repeated samples and jumps are removed from logs with two or more position columns, except from
+    tracks computed by swimid.
 
     Parameters
     ----------
     source : path, DataFrame or Log
-        A file of any format in ``docs/import.md``; or a table, shape (n, k), one row per sample.
+        Path of a file in any format listed in ``docs/import.md``; or a table, shape (n, k), one row per
+        sample.
     output : path, optional
-        Path of the log, CSV or Parquet by its ending; ``<stem>.evidence.json`` is written beside it. Without
-        it nothing is written, and :meth:`~swimid.results.result.Result.save` writes both later.
+        Path of the log, CSV or Parquet by its ending. ``<stem>.evidence.json`` is written to the same folder.
+        Without a path nothing is written; :meth:`~swimid.results.result.Result.save` writes both files later.
     progress : Progress
-        Shows reading and writing.
+        Shows the progress of reading and writing.
 
     Returns
     -------
     Imported
-        ``.log`` and ``.frame`` the columns, each shape (n,), SI; ``.examined`` the speed (m/s), stroke (Hz)
-        and jumps found; ``.checks()``, ``.figures()``.
+        ``.log`` and ``.frame`` hold the columns, each shape (n,), in SI units. ``.examined`` holds the speed
+        (m/s), the stroke (Hz) and the jumps. ``.checks()`` and ``.figures()`` return the checks and the
+        figures.
 
     Raises
     ------
     InputError
-        The source or the mapping cannot be used, or states no time; names file, line and column.
+        The source or the mapping cannot be used, or neither states a time. The message names file, line and
+        column.
     NoTrustworthyResult
-        Too few samples of a cleaned track are left.
+        A cleaned track has too few samples.
     UsageError
-        The output is the source.
+        The output path is the path of the source.
 
     References
     ----------
@@ -114,7 +118,7 @@ def import_log(
     if output is not None:
         output = atomic.check_writable(output, inputs=inputs)
     with recorded(repeat=True) as notices, ThreadPoolExecutor(1) as beside:
-        # a long file is hashed while it is read
+        # hash a long file while it is read
         digests = beside.submit(provenance.digests_of, inputs)
         read = mapping.apply(rules, given, options.stated, progress=progress)
         found = examine(read, options)
@@ -138,29 +142,30 @@ def import_logs(
 ) -> Result:
     """Import several foreign logs, each as :func:`import_log` does.
 
-    A file that cannot be imported does not stop the others.
+    If a file cannot be imported, the other files are still imported.
 
     Parameters
     ----------
     files : sequence of paths
-        At least one.
+        Paths of the logs, at least one.
     output : path
-        Path of the log, CSV or Parquet by its ending; for several files a folder, which is made.
+        Path of the log, CSV or Parquet by its ending; for several files a folder, which is created.
 
     Raises
     ------
     InputError
-        The mapping cannot be used, or some files cannot be imported; then all others were imported before.
+        The mapping cannot be used, or some files cannot be imported. In the second case all other files are
+        imported before the error is raised.
     NoTrustworthyResult
-        The only file is a track of which too few samples are left.
+        There is only one file, and its cleaned track has too few samples.
     UsageError
-        No file is named, or two files would be written to one.
+        No file is named, or two logs would be written to the same file.
     """
     if not files:
         raise UsageError("name at least one log to import")
     paths = list(dict.fromkeys(Path(file) for file in files))
     if options.map_path is not None:
-        mapping.of(options.map_path)  # an invalid mapping is refused before any file is read
+        mapping.of(options.map_path)  # refuse an invalid mapping before any file is read
     done: list[Imported] = []
     failed: list[InputError | NoTrustworthyResult] = []
     for path, target in zip(paths, destinations(paths, Path(output)), strict=True):
@@ -187,12 +192,14 @@ def import_logs(
 
 
 def destinations(paths: Sequence[Path], output: Path) -> list[Path]:
-    """Return the path of each imported log: the named file, or a file in the named folder, which is made.
+    """Return the path of each imported log: the output file, or a file in the output folder.
+
+    The folder is created.
 
     Raises
     ------
     UsageError
-        Several logs would be written to one file.
+        Several logs would be written to the same file.
     """
     if len(paths) == 1 and not output.is_dir() and not str(output).endswith("/"):
         atomic.check_writable(output, inputs=tuple(paths))
@@ -206,7 +213,7 @@ def destinations(paths: Sequence[Path], output: Path) -> list[Path]:
     for k, path in enumerate(paths):
         if [other.stem for other in paths].count(path.stem) > 1:
             names[k] = f"{path.resolve().parent.name}-{path.stem}"
-    # some file systems ignore capitals
+    # some file systems do not distinguish capital letters
     folded = Counter(name.casefold() for name in names)
     twice = [name for name in names if folded[name.casefold()] > 1]
     if twice:
@@ -216,17 +223,19 @@ def destinations(paths: Sequence[Path], output: Path) -> list[Path]:
 
 # ---------------------------------------------------------------- evidence
 
-#: Minimum number of values of each channel, and of samples, for a judgement of a log.
+#: Minimum number of values of each channel, and minimum number of samples, for the checks of a log.
 MIN_SAMPLES = LONG_ENOUGH + 1
-#: Minimum number of samples per stroke for an estimate of the path between the samples.
+#: Minimum number of samples per stroke. With fewer samples the path between them is not known.
 MIN_SAMPLES_PER_STROKE = 6.0
-#: Maximum distance of a track from a line, as a share of its extent along the line.
+#: Maximum root-mean-square distance of a track from the line of its projection, as a fraction of its extent
+#: along the line.
 OFF_LINE = 0.1
-#: Maximum share of rows that are dropped. With more the time is hardly complete.
+#: Maximum fraction of the rows that are dropped. With a larger fraction the time column is probably
+#: incomplete.
 MAX_DROPPED = 0.1
-#: Maximum share of samples that jump. With more a track is no track.
+#: Maximum fraction of the samples in jumps. A larger fraction means that the columns are not a track.
 MAX_JUMPED = 0.2
-#: Columns whose size is limited for a swimmer (:func:`swimid.logs.log.doubts`).
+#: Columns whose values are limited for a swimmer (:func:`swimid.logs.log.doubts`).
 LIMITED = re.compile(r"[xyz]_m|.*_(rad|rad_s|m_s)")
 REFERENCES = [
     "Pearson, R. K., Neuvo, Y., Astola, J., Gabbouj, M. (2016). Generalized Hampel filters. EURASIP "
@@ -237,7 +246,7 @@ REFERENCES = [
 
 
 def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]) -> Evidence:
-    """Assemble the evidence of a log."""
+    """Return the evidence of an imported log."""
     checks = [*_amount_checks(found), *_value_checks(found), *_track_checks(found), *_stroke_checks(found)]
     with recorded(repeat=True) as drawn:
         shown = figures_of([Log(found.path, {}, found.columns)], found=found.stroke)
@@ -266,10 +275,11 @@ def _check(
     made: bool = True,
     fails: bool = False,
 ) -> Check:
-    """Return a check; it is for information if nothing is wrong and it could not be made.
+    """Return a check with its verdict: pass, warn, fail, or "not judged" if the data do not allow it.
 
-    ``reason`` says what is wrong if the check does not pass. The value is by default the reason, or the limit
-    if the check passes. A check that does not pass warns, or fails with ``fails``.
+    A check is not judged if nothing is wrong and ``made`` is False. ``reason`` says what is wrong if the
+    check does not pass. By default ``value`` is the reason, or the limit if the check passes. A check that
+    does not pass is a warning, or a failure with ``fails``.
     """
     if passed and not made:
         return check(name, "not judged", None, limit, "no channel allows it, or the samples are too few")
@@ -279,7 +289,7 @@ def _check(
 
 
 def _amount_checks(found: Examined) -> list[Check]:
-    """Return the checks of rows, columns and times: whether there is enough to judge, and all of it."""
+    """Return the checks of rows, columns and times: whether they are complete and sufficient."""
     time, n, rows = found.time_s, len(found.time_s), len(found.mapped)
     counts = {name: int(np.isfinite(values).sum()) for name, values in found.channels.items()}
     scarce = [f"{name} ({count} of {n})" for name, count in counts.items() if count < MIN_SAMPLES]
@@ -320,7 +330,7 @@ def _amount_checks(found: Examined) -> list[Check]:
 
 
 def _value_checks(found: Examined) -> list[Check]:
-    """Return the checks of the samples."""
+    """Return the checks of the values of the samples."""
     disagree = "; ".join(f"{one.column} {one.text} (against {one.against})" for one in found.contradictions)
     holds = "; ".join(f"{name} from {a:.4g} to {b:.4g} s" for name, (a, b) in found.frozen.items())
     faults = "; ".join(f"{name} {text}" for name, text in found.unmeasured.items())
@@ -395,7 +405,7 @@ def _stroke_checks(found: Examined) -> list[Check]:
 
 
 def _facts(found: Examined) -> dict[str, str]:
-    """Return the facts of an imported log, in addition to those of any log."""
+    """Return the facts of an imported log, in addition to the facts of any log."""
     cleaning, speed, stroke, line = found.cleaning, found.speed, found.stroke, found.projection
     facts = {"Stroke": f"unknown: {found.unknown}"}
     if stroke is not None:
@@ -415,7 +425,7 @@ def _facts(found: Examined) -> dict[str, str]:
 
 
 def _tables(found: Examined) -> list[Table]:
-    """Return the tables of the speed, the stroke and its channels, and the sources of the columns."""
+    """Return the tables of the speed, of the stroke and its channels, and of the sources of the columns."""
     tables, speed, stroke, unit = [], found.speed, found.stroke, found.unit
     if speed is not None:
         rows: list[list[Any]] = [
@@ -472,7 +482,7 @@ def _methods(found: Examined) -> list[str]:
 
 
 def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
-    """Return the findings as plain data."""
+    """Return the findings as plain data (numbers, text, lists and dicts)."""
     time, unit, step = found.time_s, found.unit, usual_step(found.time_s)
     cleaning, speed, line, stroke = found.cleaning, found.speed, found.projection, found.stroke
     made: dict[str, Any] = {

@@ -1,8 +1,8 @@
-"""Kinematics of a motion with a known beat: whole cycles, mean speed, settling, and the quantities of a swim.
+"""Kinematics of a swim with a known beat frequency: whole cycles, mean speed, settling time, and quantities.
 
 Each quantity has one name and one definition, for simulations, logs and tracks alike. :data:`QUANTITIES`
-lists the names with their units and meanings. The beat itself is estimated by :mod:`swimid.logs.beat` (one
-channel) and :mod:`swimid.logs.rhythm` (all channels of a log).
+lists the names with their units and meanings. The beat frequency itself is estimated by
+:mod:`swimid.logs.beat` (from one channel) and :mod:`swimid.logs.rhythm` (from all channels of a log).
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ Array = NDArray[np.float64]
 
 
 class Kind(NamedTuple):
-    """Kind of a quantity: unit, meaning, and the runs that have it.
+    """Description of a quantity: its unit, its meaning, and the kinds of motion for which it is computed.
 
-    ``of`` names ``plane`` (a free swim in a plane), ``cycle`` (one cycle in the vertical plane), ``power``
-    (driven joints), or several of them.
+    ``of`` names one or several kinds of motion: ``plane`` (a free swim in a plane), ``cycle`` (one cycle in
+    the vertical plane), ``power`` (driven joints).
     """
 
     unit: str
@@ -33,8 +33,8 @@ class Kind(NamedTuple):
     of: str
 
 
-#: Quantities of a swim. Those of a turn exist for yaw (horizontal plane) and pitch (vertical plane). Those of
-#: a passive joint are called ``amplitude_<joint>_rad``.
+#: Quantities of a swim. Quantities of the rotation exist for yaw (horizontal plane) and for pitch (vertical
+#: plane). The amplitude of a passive joint, which is not listed, is named ``amplitude_<joint>_rad``.
 QUANTITIES = {
     "mean_speed_m_s": Kind(
         "m/s", "length of the path through the mean positions of cycles, over time", "plane cycle"
@@ -72,21 +72,23 @@ QUANTITIES = {
 #: Quantities of one cycle of a stroke in the vertical plane (sea lion, Tables I and II).
 CYCLE_QUANTITIES = tuple(name for name, kind in QUANTITIES.items() if "cycle" in kind.of)
 
-#: Maximum number of cycles at the end of a run from which its quantities are computed.
+#: Maximum number of cycles at the end of a trial from which the quantities are computed.
 N_CYCLES = 4
-#: Samples per cycle of a simulated run that is evaluated by whole cycles.
+#: Number of samples per cycle of a simulated trial that is evaluated over whole cycles.
 PER_CYCLE = 64
-#: Minimum number of samples in a cycle.
+#: Minimum number of samples in a cycle for the quantities of this cycle.
 MIN_SAMPLES = 6
-#: Minimum speed for a Strouhal number, body lengths per second, and maximum turn in a beat, rad.
+#: Minimum speed for a Strouhal number, body lengths per second, and maximum change of the heading from beat
+#: to beat for a Strouhal number, rad.
 MIN_SPEED_BL_S, MAX_TURN_IN_BEAT = 0.05, math.radians(15.0)
-#: Minimum turning rate for a turning radius of a robot that is not commanded to turn, rad/s.
+#: Minimum turning rate, rad/s, for a turning radius of a robot that is not commanded to turn.
 MIN_TURNING_RATE = math.radians(2.0)
-#: Maximum change of the speed from beat to beat in a steady run, relative to the speed.
+#: Maximum change of the speed from beat to beat in a steady swim, divided by the speed.
 UNSTEADY = 0.005
-#: Tolerance of the settling time: deviation of the mean surge from its last value, relative to that value.
+#: Tolerance of the settling time: deviation of the mean surge from its last value, divided by that value.
 SETTLED_RTOL = 0.05
-#: Maximum turn between blocks of a path, rad. A course that turns faster is not that of a swimmer under way.
+#: Maximum change of the course between successive blocks of a path, rad. A course that changes faster is not
+#: corrected for the curvature of the path.
 MAX_TURN_OF_COURSE = 1.0
 
 
@@ -95,7 +97,7 @@ MAX_TURN_OF_COURSE = 1.0
 
 @dataclass(frozen=True)
 class Window:
-    """Whole cycles of a record.
+    """Window of whole cycles in a record.
 
     Attributes
     ----------
@@ -111,26 +113,26 @@ class Window:
 
     @property
     def duration_s(self) -> float:
-        """Time from begin to end, s."""
+        """Duration of the window, s."""
         return self.end_s - self.begin_s
 
     @property
     def edges_s(self) -> Array:
-        """Begin and end of each cycle, s, shape (cycles + 1,)."""
+        """Start of each cycle and end of the last one, s, shape (cycles + 1,)."""
         return np.linspace(self.begin_s, self.end_s, self.cycles + 1)
 
     def times(self) -> Array:
-        """Return :data:`PER_CYCLE` even times per cycle, both ends included, s."""
+        """Return :data:`PER_CYCLE` evenly spaced times per cycle, s, start and end of the window included."""
         return np.linspace(self.begin_s, self.end_s, self.cycles * PER_CYCLE + 1)
 
 
 def last_cycles(begin_s: float, end_s: float, frequency_hz: float) -> Window | None:
-    """Return the last :data:`N_CYCLES` whole cycles, fewer in a short run; None if no cycle fits.
+    """Return the last :data:`N_CYCLES` whole cycles, fewer in a short trial; None if no cycle fits.
 
     Parameters
     ----------
     begin_s : float
-        Time from which cycles are whole: the end of the ramp of the drive, s.
+        Earliest start of the window, s: the end of the ramp of the drive.
     """
     count = min(N_CYCLES, int((end_s - begin_s) * frequency_hz + 1e-9))
     if count < 1:
@@ -154,7 +156,7 @@ def whole_cycles(time_s: Array, frequency_hz: float, *, begin_s: float = 0.0) ->
 
 
 def cycle_means(time_s: Array, values: Array, edges_s: Array) -> Array:
-    """Return the mean between successive edges, shape (..., edges - 1), of samples joined by straight lines.
+    """Return the mean between successive edges, shape (..., edges - 1), of linearly interpolated samples.
 
     Parameters
     ----------
@@ -184,13 +186,14 @@ def block_speeds(place: Array, duration_s: float, turn_rad: Array | None = None)
     duration_s : float
         Duration of a block, s.
     turn_rad : ndarray, shape (m - 1,), optional
-        Turn from each block to the next. By default it is that of the course, up to
+        Rotation from each block to the next. By default it is the change of the course, if below
         :data:`MAX_TURN_OF_COURSE`.
 
     Notes
     -----
-    Each piece is an arc of a circle. The chord is shorter than the arc by the factor ``sinc(turn / 2)``, and
-    the mean position over an arc lies inside the circle by the same factor.
+    The path between successive blocks is taken for an arc of a circle. The chord is shorter than the arc by
+    the factor ``sin(turn / 2) / (turn / 2)``. The mean position over an arc lies inside the circle by the
+    same factor.
     """
     steps = np.diff(place, axis=1)
     speed = np.hypot(*steps) / duration_s
@@ -213,11 +216,11 @@ def cycle_speeds(time_s: Array, place: Array, window: Window, heading_rad: Array
     place : ndarray, shape (2, n)
         Positions, m, without NaN.
     heading_rad : ndarray, shape (n,), optional
-        Unwrapped heading, from which the turns follow.
+        Unwrapped heading, rad, which gives the rotation between cycles.
 
     Notes
     -----
-    In a window of one cycle the speed is that from its first to its last position.
+    In a window of one cycle the speed is computed from its first and its last position.
     """
     edges, turn = window.edges_s, None
     if window.cycles > 1:
@@ -232,17 +235,19 @@ def cycle_speeds(time_s: Array, place: Array, window: Window, heading_rad: Array
 
 
 def settling_time(time_s: Array, surge_m_s: Array, frequency_hz: float) -> float:
-    """Return the time after which the mean surge of a beat stays within :data:`SETTLED_RTOL` of its last, s.
+    """Return the time, s, after which the mean surge over a beat stays near its last value.
+
+    The tolerance is :data:`SETTLED_RTOL`.
 
     Parameters
     ----------
     time_s, surge_m_s : ndarray, shape (n,)
-        :data:`PER_CYCLE` samples per beat.
+        Times, s, and forward speed, with :data:`PER_CYCLE` samples per beat.
 
     Returns
     -------
     float
-        NaN if the surge does not settle: it still changes over the last beat, or the run is too short.
+        Settling time, s. NaN if the surge still changes over the last beat, or if the trial is too short.
     """
     mean = np.convolve(surge_m_s, np.full(PER_CYCLE, 1.0 / PER_CYCLE), "valid")
     if len(mean) < PER_CYCLE + 1 or not np.isfinite(mean).all():
@@ -262,7 +267,7 @@ def body_velocity(time_s: Array, pose: Sequence[Array], half_width_s: float) -> 
     pose : sequence of ndarray, each shape (n,)
         Two positions, m, and the heading, rad.
     half_width_s : float
-        Half width of the window of the derivative, s.
+        Half width of the window in which the derivative is fitted, s.
     """
     dx, dy, rate = (slope(time_s, values, half_width_s) for values in pose)
     c, s = np.cos(pose[2]), np.sin(pose[2])
@@ -270,14 +275,14 @@ def body_velocity(time_s: Array, pose: Sequence[Array], half_width_s: float) -> 
 
 
 def world_velocity(time_s: Array, channels: Mapping[str, Array]) -> Array | None:
-    """Return the velocity along the x and z axes of the world, m/s, shape (2, n); None without a path.
+    """Return the velocity along the x and z axes of the world, m/s, shape (2, n); None without positions.
 
     Notes
     -----
-    Logged velocities are taken first: ``vx_m_s`` and ``vz_m_s``, then those along the axes of the body,
-    turned into the world. Without them it is the central difference of the positions. This is too small by
-    ``(2 pi f / rate)^2 / 6`` at a frequency f, and the noise of a position times ``rate / sqrt 2`` adds to
-    it.
+    Logged velocities have precedence: ``vx_m_s`` and ``vz_m_s``, then the velocities along the axes of the
+    body, rotated into the world frame. Without logged velocities, central differences of the positions are
+    used. At a frequency f a central difference is too small by the relative error ``(2 pi f / rate)^2 / 6``,
+    and its noise is the noise of a position times ``rate / sqrt 2``.
     """
     if "vx_m_s" in channels and "vz_m_s" in channels:
         return np.array([channels["vx_m_s"], channels["vz_m_s"]])
@@ -296,7 +301,7 @@ def world_velocity(time_s: Array, channels: Mapping[str, Array]) -> Array | None
 
 
 def _differences(time_s: Array, values: Array) -> Array:
-    """Return central differences of the known samples; NaN elsewhere."""
+    """Return central differences of the known samples; NaN where a sample is missing."""
     known = np.isfinite(values)
     rates = np.full(len(values), np.nan)
     if known.sum() > 1:
@@ -316,19 +321,20 @@ def plane_quantities(
     turn: str,
     commanded_turn: bool,
 ) -> dict[str, float]:
-    """Return the quantities of whole cycles of a swim in a plane, by name (see :data:`QUANTITIES`).
+    """Return the quantities of a swim in a plane over whole cycles, by name (see :data:`QUANTITIES`).
 
     Parameters
     ----------
     pose, velocity : sequence of three ndarray, each shape (n,)
-        Two positions and heading, and surge, sway and turning rate, at ``window.times()``.
+        Pose (two positions and heading), and velocity (surge, sway and turning rate), at the times
+        ``window.times()``.
     length_m : float
         Body length.
     turn : str
-        ``"yaw"`` or ``"pitch"``.
+        Name of the rotation, ``"yaw"`` or ``"pitch"``.
     commanded_turn : bool
-        Whether the drive has a bias or an asymmetry. Without one, a turning radius is given only for a
-        turning rate of at least :data:`MIN_TURNING_RATE`.
+        Whether the drive has a bias or an asymmetry. If it has neither, a turning radius is given only for a
+        turning rate above :data:`MIN_TURNING_RATE`.
     """
     heading, (surge, _, turning) = pose[2], velocity
     speeds = cycle_speeds(window.times(), np.array(pose[:2]), window, heading)
@@ -366,7 +372,7 @@ def is_straight(heading_rad: Array, speed_m_s: float, length_m: float) -> bool:
 
 
 def tail_excursion(x_m: Array, y_m: Array) -> float:
-    """Return the peak-to-peak excursion of the tail across its path, mean over the cycles, m.
+    """Return the peak-to-peak excursion of the tail across its path, averaged over the cycles, m.
 
     Parameters
     ----------
@@ -382,24 +388,25 @@ def tail_excursion(x_m: Array, y_m: Array) -> float:
 
 
 def cycle_quantities(time_s: Array, channels: Mapping[str, Array], window: Window) -> dict[str, float]:
-    """Return the known quantities of :data:`CYCLE_QUANTITIES` of one cycle in the vertical plane.
+    """Return those :data:`CYCLE_QUANTITIES` that the channels determine, for one cycle in the vertical plane.
 
     Parameters
     ----------
     time_s : ndarray, shape (n,)
     channels : mapping of str to ndarray, each shape (n,)
-        ``x_m``, ``z_m`` and ``pitch_rad``, and their rates, if known (see :func:`world_velocity`).
+        Channels ``x_m``, ``z_m`` and ``pitch_rad``, and their rates (see :func:`world_velocity`), as far as
+        known.
 
     Notes
     -----
-    A quantity needs :data:`MIN_SAMPLES` samples in the cycle. The pitch rate is ``pitch_rate_rad_s``, or the
-    central difference of the pitch.
+    A quantity is computed only if the cycle has at least :data:`MIN_SAMPLES` samples. The pitch rate is the
+    channel ``pitch_rate_rad_s``, or the central difference of the pitch.
     """
     inside = (time_s >= window.begin_s - 1e-9) & (time_s <= window.end_s + 1e-9)
     found: dict[str, float] = {}
 
     def within(values: Array | None) -> tuple[Array, Array] | None:
-        """Return times and samples in the cycle; None if they are too few."""
+        """Return times and samples in the cycle; None if there are fewer than MIN_SAMPLES."""
         if values is None:
             return None
         there = inside & np.isfinite(np.atleast_2d(values)).all(axis=0)

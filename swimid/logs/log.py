@@ -1,7 +1,7 @@
 """Log of one trial: a CSV or Parquet file (``docs/formats.md``), or a table in memory.
 
-The first column is ``t_s``, which increases strictly. A missing sample is an empty cell. ``#`` lines before
-the header hold metadata as YAML ``key: value``. The names of columns end in their units.
+The first column is ``t_s``, which increases strictly. A missing sample is an empty cell. Lines that begin
+with ``#`` before the header hold metadata as YAML ``key: value``. The name of a column ends in its unit.
 """
 
 from __future__ import annotations
@@ -28,11 +28,12 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 TIME = "t_s"
-#: Relative tolerance of a stroke frequency: one that differs by more contradicts the stated one.
+#: Relative tolerance of a stroke frequency. A frequency that differs by more contradicts the stated
+#: frequency.
 FREQUENCY_RTOL = 0.05
-#: Number of samples that are written at once, and number of bytes that are read at once.
+#: Number of samples written at once, and number of bytes read at once.
 ROWS, BLOCK = 100_000, 1 << 20
-#: Log as an argument: its path, or the log itself.
+#: Type of a log as an argument: the path of the log, the log itself, or a table.
 LogLike: TypeAlias = "str | Path | Log | pd.DataFrame"
 
 
@@ -43,11 +44,11 @@ class Log:
     Attributes
     ----------
     path : Path
-        File of the log; the name of a log in memory.
+        Path of the file; for a log in memory its name.
     metadata : dict
         Entries of the ``# key: value`` lines.
     columns : dict of str to ndarray, each shape (n,)
-        Samples with ``t_s``, NaN where missing, in SI units and radians.
+        Samples of each column, ``t_s`` included, in SI units and radians; NaN where missing.
     first_line : int or None
         Line of the file with the first sample; 0 for Parquet, None for a log in memory.
     time_s : ndarray, shape (n,)
@@ -75,7 +76,7 @@ class Log:
         metadata: Mapping[str, Any] | None = None,
         required: Sequence[str] = (),
     ) -> Self:
-        """Make a log from a table in memory, with the checks of a file.
+        """Create a log from a table in memory, with the same checks as for a file.
 
         Parameters
         ----------
@@ -85,7 +86,7 @@ class Log:
         name : str
             Name of the log in messages and in the provenance of results.
         metadata : mapping, optional
-            Entries of the ``# key: value`` lines of a file: ``frequency_hz``, ``robot``, ...
+            Metadata, as in the ``# key: value`` lines of a file: ``frequency_hz``, ``robot``, ...
         required : sequence of str
             Columns that the table must have besides ``t_s``.
 
@@ -118,11 +119,11 @@ class Log:
 
     @property
     def source(self) -> Path | Log:
-        """Source of the log for the provenance: its file, or the log itself."""
+        """Source of the log for the provenance: path of its file, or the log itself if it is in memory."""
         return self if self.first_line is None else self.path
 
     def chosen(self, required: Sequence[str], optional: Sequence[str] | None = None) -> Log:
-        """Return the log with some of its columns, after the checks of :func:`read`."""
+        """Return the log with the required and the optional columns, after the checks of :func:`read`."""
         wanted = _wanted(list(self.columns), required, optional, self.path, None)
         log = replace(self, columns={name: self.columns[name] for name in wanted})
         _check(log, required)
@@ -130,7 +131,7 @@ class Log:
 
     @property
     def name(self) -> str:
-        """Name of the file, or of a log in memory."""
+        """Name of the file, or name of a log in memory."""
         return self.path.name
 
     def digest(self) -> str:
@@ -173,21 +174,21 @@ class Log:
         return len(self.time_s)
 
     def line(self, row: int) -> int | None:
-        """Return the line of the file with a sample; None for Parquet and in memory."""
+        """Return the line number of a sample in the file; None for Parquet and for a log in memory."""
         return _line_of(self.path, self.first_line - 1, row) if self.first_line else None
 
     def place(self, row: int) -> dict[str, Any]:
-        """Return the line of a sample, or its row in memory, for an :class:`InputError`."""
+        """Return the line number of a sample, or its row in memory, as an argument of :class:`InputError`."""
         return {"row": row} if self.first_line is None else {"line": self.line(row)}
 
 
 def of(given: LogLike, *, name: str = "log", required: Sequence[str] = ()) -> Log:
-    """Return an argument as a log: a file is read, a table is checked.
+    """Return a log for any argument that stands for one: a path is read, a table is checked.
 
     Raises
     ------
     InputError
-        As :func:`read` and :meth:`Log.from_frame`.
+        The errors of :func:`read` and :meth:`Log.from_frame`.
     """
     if isinstance(given, str | Path):
         return read(given, required=required)
@@ -198,7 +199,7 @@ def of(given: LogLike, *, name: str = "log", required: Sequence[str] = ()) -> Lo
 
 
 def unread(given: LogLike, *, name: str = "log") -> Path | Log:
-    """Return a path, or a log in memory; a table becomes a log without any check."""
+    """Return a path, or a log in memory. A table is converted to a log without any check."""
     if isinstance(given, str | Path):
         return Path(given)
     if isinstance(given, Log):
@@ -207,7 +208,7 @@ def unread(given: LogLike, *, name: str = "log") -> Path | Log:
 
 
 def numeric(columns: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
-    """Return the columns with numbers as :func:`read` would, without those of text."""
+    """Return the columns that hold numbers, converted as in :func:`read`, without columns of text."""
     import pandas as pd
 
     frame = pd.DataFrame(dict(columns)).select_dtypes(["number", "bool"])
@@ -247,7 +248,7 @@ def arrays(frame: pd.DataFrame, name: str) -> dict[str, NDArray[Any]]:
 
 
 def written_by(metadata: Mapping[str, Any], program: str) -> bool:
-    """Return whether ``swimid`` (or one of its commands, ``swimid track``) wrote a log, by its metadata."""
+    """Return whether the metadata say that ``program`` (such as ``swimid track``) wrote the log."""
     return str(metadata.get("made_by", "")).startswith(program)
 
 
@@ -264,7 +265,7 @@ def read(
     required : sequence of str
         Columns that the log must have besides ``t_s``.
     optional : sequence of str, optional
-        Further columns to read. By default all columns of numbers are read, and those of text are left out.
+        Further columns to read. By default all columns of numbers are read, and columns of text are left out.
 
     Raises
     ------
@@ -283,12 +284,12 @@ def read(
 def _wanted(
     names: list[str], required: Sequence[str], optional: Sequence[str] | None, path: Path, line: int | None
 ) -> list[str]:
-    """Return the columns to read of those in a log.
+    """Return the names of the columns to read from a log.
 
     Raises
     ------
     InputError
-        A required column is missing, or ``t_s`` is not the first.
+        A required column is missing, or ``t_s`` is not the first column.
     """
     for column in (TIME, *required):
         if column not in names:
@@ -311,13 +312,13 @@ def _read_csv(path: Path, required: Sequence[str], optional: Sequence[str] | Non
     source: Path | bytes = path
     skip = header_line
     if any('"' in line for line in comments):
-        # pandas would skip lines up to the next quotation mark
+        # pandas would skip the lines up to the next quotation mark
         source, skip = path.read_bytes().split(b"\n", header_line)[-1], 0
     read = partial(tabular.parse, source, names, skip_lines=skip)
     try:
         table = read(dict.fromkeys(wanted, float))
     except ValueError:
-        # read as text, to keep the columns of numbers and to name the cell that is none
+        # read the cells as text, to find the columns of numbers and the cell that is not a number
         try:
             table = read(str)
         except ValueError as error:
@@ -344,7 +345,8 @@ def _numbers(
     Raises
     ------
     InputError
-        A cell is no number. Without ``strict``, a column in which most cells are no numbers is one of text.
+        A cell is not a number. Without ``strict``, a column in which most cells are not numbers is taken for
+        text.
     """
     import pandas as pd
 
@@ -362,12 +364,12 @@ def _numbers(
 
 
 def metadata_of(comments: list[str], path: Path, *, strict: bool = True) -> dict[str, Any]:
-    """Return the entries of ``# key: value`` lines, each as YAML; other remarks are left out.
+    """Return the entries of ``# key: value`` lines, each parsed as YAML; other comments are left out.
 
     Raises
     ------
     InputError
-        A value is not YAML. Without ``strict`` such a line is a remark.
+        A value is not YAML. Without ``strict`` a line with such a value is left out.
     """
     metadata: dict[str, Any] = {}
     for line in comments:
@@ -385,14 +387,14 @@ def metadata_of(comments: list[str], path: Path, *, strict: bool = True) -> dict
 
 
 def _samples(path: Path, header_line: int) -> Iterator[tuple[int, str]]:
-    """Yield number and text of each line below the header that is not blank."""
+    """Yield the number and the text of each line after the header, without blank lines."""
     with path.open("r", encoding="utf-8", errors="replace") as stream:
         lines = enumerate(stream, start=1)
         yield from ((at, line) for at, line in lines if at > header_line and line.strip())
 
 
 def _is_regular(path: Path, header_line: int, rows: int, width: int) -> bool:
-    """Return whether the samples have as many commas as a table of this shape, and no quotation marks."""
+    """Return whether the file has no quotation mark and the number of commas of a table of this shape."""
     commas = 0
     with path.open("rb") as stream:
         for _ in range(header_line):
@@ -405,7 +407,7 @@ def _is_regular(path: Path, header_line: int, rows: int, width: int) -> bool:
 
 
 def _refuse_ragged(path: Path, header_line: int, width: int) -> None:
-    """Refuse the first line with more or fewer cells than the header."""
+    """Raise an error at the first line that has more or fewer cells than the header."""
     for at, line in _samples(path, header_line):
         cells = tabular.count_cells(line.rstrip("\n"))
         if cells != width:
@@ -414,7 +416,7 @@ def _refuse_ragged(path: Path, header_line: int, width: int) -> None:
 
 
 def _line_of(path: Path, header_line: int, row: int) -> int:
-    """Return the line of a sample, with blank lines counted."""
+    """Return the line number of a sample; blank lines count."""
     samples = islice(_samples(path, header_line), row, None)
     return next((at for at, _ in samples), header_line + 1 + row)
 
@@ -424,7 +426,7 @@ def _line_of(path: Path, header_line: int, row: int) -> int:
 
 def _read_parquet(path: Path, required: Sequence[str], optional: Sequence[str] | None) -> Log:
     pyarrow = tabular.pyarrow()
-    path.stat()  # a missing file is no damaged one
+    path.stat()  # report a missing file as missing, not as damaged
     try:
         file = pyarrow.parquet.ParquetFile(path)
         wanted = _wanted(list(file.schema_arrow.names), required, optional, path, None)
@@ -449,7 +451,7 @@ def _read_parquet(path: Path, required: Sequence[str], optional: Sequence[str] |
 
 
 def _check(log: Log, required: Sequence[str]) -> None:
-    """Check a log; warn of missing samples, and of values that are unusual for a swimmer."""
+    """Raise an error for an invalid log; warn of missing samples and of unusual values."""
     time = log.time_s
     if len(time) < 2:
         raise InputError(f"has {len(time) or 'no'} samples; at least 2 are needed", file=log.path)
@@ -470,13 +472,13 @@ def _check(log: Log, required: Sequence[str]) -> None:
 
 
 def _refuse(bad: NDArray[np.bool_], text: str, log: Log, column: str, hint: str | None = None) -> None:
-    """Raise an error at the first bad sample."""
+    """Raise an error at the first sample that is flagged as bad."""
     if bad.any():
         raise InputError(text, file=log.path, column=column, hint=hint, **log.place(int(np.argmax(bad))))
 
 
 def _warn_missing(log: Log) -> None:
-    """Warn of missing samples, once per log; columns with equal gaps are named together."""
+    """Warn once of all missing samples; columns with equal numbers of missing samples share one entry."""
     gaps: dict[tuple[int, int], list[str]] = {}
     for name, values in log.columns.items():
         missing = np.isnan(values)
@@ -492,7 +494,7 @@ def _warn_missing(log: Log) -> None:
 
 
 def runs(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Return the unbroken runs of True as rows of (first, last + 1), shape (k, 2).
+    """Return the unbroken runs of True as rows of (first index, last index + 1), shape (k, 2).
 
     >>> runs(np.array([True, True, False, True])).tolist()
     [[0, 2], [3, 4]]
@@ -501,7 +503,7 @@ def runs(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
 
 
 def longest_run(flags: NDArray[np.bool_]) -> int:
-    """Return the length of the longest unbroken run of True.
+    """Return the number of elements in the longest unbroken run of True.
 
     >>> longest_run(np.array([True, False, True, True]))
     2
@@ -510,7 +512,7 @@ def longest_run(flags: NDArray[np.bool_]) -> int:
 
 
 def warn_units(log: Log) -> None:
-    """Warn of values that are unusual in the stated unit."""
+    """Warn of values that are unusual in the unit of their column."""
     for doubt in doubts(log.time_s, log.columns):
         warn("SWM002", f"{log.path.name}, '{doubt.column}': {doubt.text}")
 
@@ -525,17 +527,17 @@ def write(
     *,
     step: Callable[[int], object] = lambda amount: None,
 ) -> None:
-    """Write a log piece by piece, complete or not at all.
+    """Write a log in blocks of rows. If writing fails, an existing file is not changed.
 
     Parameters
     ----------
     columns : mapping of name to array_like, each shape (n,)
-        ``t_s`` first. NaN becomes an empty cell; every other number is written exactly. Columns of text are
-        allowed.
+        Columns, ``t_s`` first. NaN becomes an empty cell; every other number is written exactly. Columns of
+        text are allowed.
     metadata : mapping, optional
         Entries of the ``# key: value`` lines.
     step : callable
-        Function that is called with the number of samples of each piece.
+        Function that is called after each block with its number of samples.
     """
     import pandas as pd
 
@@ -547,7 +549,7 @@ def write(
             pyarrow = tabular.pyarrow()
             schema = pyarrow.Schema.from_pandas(frame, preserve_index=False)
             schema = schema.with_metadata({**(schema.metadata or {}), b"swimid": "\n".join(lines).encode()})
-            # measured numbers hardly ever repeat, so that a dictionary only costs time
+            # measured values hardly ever repeat, so that a dictionary would only cost time
             options = {"use_dictionary": False, "write_statistics": False}
             with pyarrow.parquet.ParquetWriter(stream, schema, **options) as writer:
                 for piece in pieces:
@@ -566,8 +568,8 @@ def write(
 
 
 def _printed(samples: NDArray[np.float64]) -> bytes:
-    """Return samples, shape (n, k), as lines of CSV, with exact numbers."""
-    # pydantic writes a JSON list of numbers ten times as fast as pandas
+    """Return samples, shape (n, k), as lines of CSV; no digits are lost."""
+    # pydantic writes a JSON list of numbers ten times as fast as pandas writes CSV
     text = np.frombuffer(bytearray(to_json(samples.ravel().tolist(), inf_nan_mode="constants")), np.uint8)
     text[-1] = ord(",")
     width = samples.shape[1]
@@ -577,25 +579,26 @@ def _printed(samples: NDArray[np.float64]) -> bytes:
 
 # ---------------------------------------------------------------- values that are unusual in the stated unit
 
-# A warning does not change the unit: the stated one is used.
+# A warning does not change the unit: the values are used in the unit of their column.
 
-#: Maximum speed of a swimmer, m/s: cavitation and muscle power limit it to 10 to 15 m/s. Iosilevskii, G.,
+#: Maximum speed of a swimmer, m/s. Cavitation and muscle power limit it to 10 to 15 m/s. Iosilevskii, G.,
 #: Weihs, D. (2008). Speed limits on swimming of fishes and cetaceans. J. R. Soc. Interface 5, 329-338.
 MAX_SPEED_M_S = 15.0
-#: Maximum usual turn rate, rad/s: ten turns a second, more than the fastest escape of a fish or a fin that
-#: beats through ±50 degrees at 10 Hz.
+#: Maximum usual turn rate, rad/s: about ten rotations per second, more than the fastest escape of a fish or a
+#: fin that beats through ±50 degrees at 10 Hz.
 MAX_RATE_RAD_S = 60.0
-#: Maximum usual extent of a track, m: larger than a tank, a pool or a field of view.
+#: Maximum usual extent of a track, m. A tank, a pool and a field of view are smaller.
 MAX_EXTENT_M = 100.0
-#: Minimum usual step, s, and minimum duration, s, of a record whose time may be in milliseconds.
+#: Minimum time step, s, and minimum duration, s, of a record whose times are probably in milliseconds.
 MS_STEP_S, MS_DURATION_S = 5.0, 2000.0
-#: Share of a record that may lie above a limit: outliers of a tracker.
+#: Maximum fraction of the samples of a record that may exceed a limit without a warning. They are taken for
+#: outliers of a tracker.
 OUTLIER_SHARE = 0.05
 
 
 @dataclass(frozen=True)
 class Doubt:
-    """Column with unusual values, and the unit that would explain them."""
+    """Column with unusual values, and a text with the unit that would explain these values."""
 
     column: str
     text: str
@@ -608,7 +611,7 @@ def doubts(time_s: Array, columns: Mapping[str, Array]) -> list[Doubt]:
     ----------
     time_s : ndarray, shape (n,)
     columns : mapping of str to ndarray, each shape (n,)
-        Columns with or without ``t_s``; NaN where missing.
+        Columns of the log; ``t_s`` may be missing. NaN where a sample is missing.
     """
     found = []
     if len(time_s) > 2 and np.nanmedian(np.diff(time_s)) >= MS_STEP_S and np.ptp(time_s) >= MS_DURATION_S:
@@ -622,7 +625,7 @@ def doubts(time_s: Array, columns: Mapping[str, Array]) -> list[Doubt]:
 
 
 def _doubt(name: str, time_s: Array, values: Array) -> str | None:
-    """Return in words what is unusual about a column; None if nothing is."""
+    """Return words that name the unusual values of a column; None if there are none."""
     low, high = _ends(values)
     largest = max(-low, high)
     if name.endswith("_rad"):
@@ -648,12 +651,12 @@ def _doubt(name: str, time_s: Array, values: Array) -> str | None:
 
 
 def _usual_rate(time_s: Array, values: Array) -> float:
-    """Return the rate that all but :data:`OUTLIER_SHARE` of a record stays below; 0 if it is short."""
+    """Return the rate that all but :data:`OUTLIER_SHARE` of the samples stay below; 0 if too short."""
     known = np.isfinite(values) & np.isfinite(time_s)
     t, x = time_s[known], values[known]
     if len(t) < 3 or not np.median(np.diff(t)) > 0:
         return 0.0
-    # over at least 0.1 s, so that noise and a jump do not make a rate
+    # differences over at least 0.1 s, so that noise or a single jump does not cause a high rate
     lag = max(1, round(0.1 / float(np.median(np.diff(t)))))
     if len(t) <= 2 * lag:
         return 0.0
@@ -664,7 +667,7 @@ def _usual_rate(time_s: Array, values: Array) -> float:
 
 
 def _ends(values: Array) -> tuple[float, float]:
-    """Return the minimum and the maximum; zeros without a value."""
+    """Return the minimum and the maximum of an array; zeros if it has no value."""
     if len(values) == 0:
         return 0.0, 0.0
     low, high = np.nan_to_num([np.fmin.reduce(values), np.fmax.reduce(values)])

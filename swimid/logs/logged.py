@@ -1,4 +1,4 @@
-"""Result of commands that make a log (tracking, import), and the figures of logs."""
+"""Result of the commands that write a log (tracking, import), and the figures of logs."""
 
 from __future__ import annotations
 
@@ -45,9 +45,10 @@ class Logged(Result):
     Attributes
     ----------
     table : dict of str to array_like, each shape (n,)
-        Columns as they are written, with text and whole numbers; empty if they are those of the log.
+        Columns as they are written to the file, with text and integers. Empty if the columns of ``log`` are
+        written.
     log : Log
-        The log, an argument of any function that reads logs.
+        The log, which any function that reads logs accepts.
     frame : DataFrame
         Columns of the log, one row per sample, in SI units and radians.
 
@@ -66,13 +67,13 @@ class Logged(Result):
 
     @property
     def log(self) -> Log:
-        """The log, an argument of any function that reads logs."""
+        """The log, which any function that reads logs accepts."""
         assert isinstance(self.document, Log)
         return self.document
 
     @property
     def frame(self) -> pd.DataFrame:
-        """Columns of the log, one row per sample, in SI units."""
+        """Columns of the log, one row per sample, in SI units and radians."""
         import pandas as pd
 
         return pd.DataFrame(dict(self.table or self.log.columns))
@@ -113,7 +114,7 @@ class Logged(Result):
         return [Table(id="channels", title="Channels", columns=columns, rows=rows, folded=folded)]
 
     def bare(self) -> Evidence:
-        """Return the evidence of a log whose evidence file is missing."""
+        """Return evidence for a log whose evidence file is missing."""
         verdict = Verdict(level="caution", text="A log without evidence of how it was made.")
         if self.log.metadata.get("made_by") == "swimid simulate":
             verdict = Verdict(level="good", text="A simulated run.")
@@ -128,11 +129,11 @@ class Logged(Result):
 
 # ---------------------------------------------------------------- figures
 
-#: Maximum number of channels in the figure; more are only listed in the table.
+#: Maximum number of channels in the figure. Further channels are only listed in the table.
 MAX_PANELS = 12
-#: Maximum numbers of shaded gaps in a panel, of spectra in a figure, and of arrows along a path.
+#: Maximum number of shaded gaps in a panel, of spectra in a figure, and of arrows along a path.
 MAX_GAPS, MAX_SPECTRA, MAX_ARROWS = 60, 6, 24
-#: Columns with another name for the same channel.
+#: Names of columns that show the same channel as another column, by name.
 SAME_CHANNEL = {"wz_rad_s": "yaw_rate_rad_s"}
 
 
@@ -142,9 +143,9 @@ def figures_of(logs: Sequence[Log], *, found: Rhythm | None = None) -> list[Figu
     Parameters
     ----------
     logs : sequence of Log
-        Several logs are drawn over each other, each on its own clock.
+        Logs to draw. Several logs are drawn over each other, each with its own time axis origin.
     found : Rhythm, optional
-        Stroke of a single log, if it is known already.
+        Stroke of a single log, if it is already known.
     """
     drawn = [channels(logs), track(logs)]
     for record in logs:
@@ -153,12 +154,12 @@ def figures_of(logs: Sequence[Log], *, found: Rhythm | None = None) -> list[Figu
 
 
 def _signals(record: Log) -> dict[str, Array]:
-    """Return the columns without the time."""
+    """Return the columns of a log except the time."""
     return {name: values for name, values in record.columns.items() if name != TIME}
 
 
 def _missing(time: Array, values: Array, after: NDArray[np.intp]) -> list[tuple[float, float]]:
-    """Return the ends of stretches without samples, s; pauses follow the samples ``after``."""
+    """Return start and end, s, of each period without samples; pauses follow the samples ``after``."""
     empty = np.isnan(values)
     blank = np.add(runs(empty if empty.any() else empty[:0]), [-1, 0])
     ends = np.vstack([blank, np.add.outer(after, [0, 1])]).clip(0, len(time) - 1)
@@ -166,7 +167,7 @@ def _missing(time: Array, values: Array, after: NDArray[np.intp]) -> list[tuple[
 
 
 def _broken(time: Array, values: Array, after: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Return the samples with an empty one in every pause, so that no line is drawn across it."""
+    """Insert a NaN sample into every pause, so that no line is drawn across the pause."""
     if not len(after):
         return time, values
     middle = 0.5 * (time[after] + time[after + 1])
@@ -174,7 +175,7 @@ def _broken(time: Array, values: Array, after: NDArray[np.intp]) -> tuple[Array,
 
 
 def channels(logs: Sequence[Log]) -> Figure:
-    """Return the figure of the channels over time, those of several logs over each other, gaps shaded."""
+    """Return the figure of the channels over time. Several logs share the panels, and gaps are shaded."""
     names, several = _names(logs), len(logs) > 1
     after = [pauses(record.time_s) for record in logs]
     by_channel: dict[str, list[tuple[int, Log, Array]]] = {}
@@ -184,7 +185,7 @@ def channels(logs: Sequence[Log]) -> Figure:
             if several:
                 channel = SAME_CHANNEL.get(column, column)
             by_channel.setdefault(channel, []).append((number, record, values))
-    # channels of several logs come first
+    # channels that several logs have come first
     order = sorted(by_channel, key=lambda channel: -len(by_channel[channel]))
     panels = []
     for channel in order[:MAX_PANELS]:
@@ -217,7 +218,7 @@ def channels(logs: Sequence[Log]) -> Figure:
 
 
 def _names(logs: Sequence[Log]) -> list[str]:
-    """Return a short name for each log; logs of the same name have their folder before it."""
+    """Return a short name for each log. Logs of the same name are preceded by the name of their folder."""
     names = [record.path.name for record in logs]
     folders = [record.path.parent.name for record in logs]
     return [n if names.count(n) == 1 else f"{f}/{n}" for n, f in zip(names, folders, strict=True)]
@@ -252,7 +253,7 @@ def track(logs: Sequence[Log]) -> Figure | None:
 
 
 def _arrows(x: Array, y: Array, angle: Array, label: str) -> Trace:
-    """Return arrows along the heading as one broken line."""
+    """Return arrows along the heading, drawn as one line with interruptions."""
     good = np.flatnonzero(np.isfinite(x) & np.isfinite(y) & np.isfinite(angle))
     rows = good[np.linspace(0, len(good) - 1, min(MAX_ARROWS, len(good))).astype(int)]
     size = 0.06 * max(float(np.ptp(x[good])), float(np.ptp(y[good])), 1e-9) if len(good) else 0.0
@@ -266,7 +267,7 @@ def _arrows(x: Array, y: Array, angle: Array, label: str) -> Trace:
 
 
 def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
-    """Return the amplitude spectra of the channels that move with the stroke, with marks at its harmonics."""
+    """Return the amplitude spectra of the channels that move with the stroke; its harmonics are marked."""
     told = (rhythm.SIDEWAYS, rhythm.PUSHED)
     signals = {n: v for n, v in _signals(record).items() if any(names.fullmatch(n) for names in told)}
     caption = "No stroke was found."
@@ -303,7 +304,7 @@ def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
 
 
 def _spectrum(time: Array, values: Array, stroke: Rhythm | None) -> tuple[Array, Array] | None:
-    """Return frequencies, Hz, and amplitudes of the longest stretch of a channel; None if it is too short."""
+    """Return frequencies, Hz, and amplitudes of the longest gap-free part of a channel; None if too short."""
     even_s, even = longest_even(time, values, rhythm.MAX_RATE_HZ)
     if len(even) < 32 or np.ptp(even) == 0:
         return None

@@ -1,8 +1,8 @@
-"""The mapping of a foreign log to the log format (``swimid-mapping/1``, ``docs/import.md``).
+"""Mapping of a foreign log to the log format (``swimid-mapping/1``, ``docs/import.md``).
 
-A mapping says which source column becomes which target column, and in which unit it was written.
-:func:`apply` returns the target columns in SI in the order of the file: its times may still repeat, go back
-or be missing.
+A mapping assigns a source column of the file to each target column of the log, with the unit of the source.
+:func:`apply` returns the target columns in SI units, in the row order of the file. The times may still
+repeat, go back or be missing.
 """
 
 from __future__ import annotations
@@ -32,32 +32,33 @@ from swimid.progress import Progress, silent
 Array = NDArray[np.float64]
 FORMAT: Literal["swimid-mapping/1"] = "swimid-mapping/1"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-#: Maximum number of instances (sensors, animals, tags) in one table.
+#: Maximum number of instances (sensors, animals, tags) whose rows may alternate in one table.
 MAX_INSTANCES = 16
-#: Names of columns that are part of a time, and of columns that number instances.
+#: Names of columns that are part of a time, and names of columns that number instances.
 _OF_TIME = re.compile(r".*(time|stamp|date|n?sec(ond)?s?|nanosec)", re.I)
 _INSTANCE = re.compile(
     r"(.*[ _.])?(i|id|instance|instances|tag|track|individual|animal|sensor|marker|device)"
 )
-#: Minimum likelihood of a tracked point, below which it is left empty (the default ``pcutoff`` of
-#: DeepLabCut).
+#: Minimum likelihood of a tracked point. Points with a lower likelihood are left empty. The value is the
+#: default ``pcutoff`` of DeepLabCut.
 MIN_LIKELIHOOD = 0.6
 _LIKELIHOOD = re.compile(r"(?P<point>.+?)[ _.](likelihood|confidence|score|prob(ability)?)", re.I)
-#: Pattern of a coordinate behind the name of its point.
+#: Pattern of a coordinate that follows the name of its point.
 _COORDINATE = r"[ _.]*(?i:[xyz]([ _.].*)?)"
-#: Unit of a quantity without a dimension.
+#: Unit of a dimensionless quantity in a mapping.
 NO_UNIT = "1"
 
 
 class Column(Stated):
-    """One column: ``target = source * (factor of the unit) * factor + offset``."""
+    """Mapping of one column: ``target = source * (factor of the unit) * factor + offset``."""
 
     source: ColumnKey
     target: str
-    #: Unit of the source, converted to that of the target's name; ``1`` for a quantity without a dimension.
+    #: Unit of the source, which is converted to the unit in the name of the target; ``1`` for a dimensionless
+    #: quantity.
     unit: str | None = None
     factor: float = 1.0
-    #: Offset in the unit of the target.
+    #: Offset in the unit of the target column.
     offset: float = 0.0
 
     @field_validator("target")
@@ -75,14 +76,14 @@ class Column(Stated):
 
     @property
     def scale(self) -> float:
-        """Factor from the source to the target."""
+        """Factor from the values of the source column to those of the target column."""
         if self.unit in (None, NO_UNIT):
             return self.factor
         return self.factor * units.factor(str(self.unit), self.target)
 
     @property
     def is_known(self) -> bool:
-        """Whether the target names its quantity, or the unit says that it has no dimension."""
+        """Whether the name of the target states its quantity, or the quantity is declared dimensionless."""
         return self.unit == NO_UNIT or units.is_known(self.target)
 
 
@@ -97,19 +98,19 @@ class Mapping(Stated):
     """Content of a mapping file."""
 
     format: Literal["swimid-mapping/1"]
-    #: Name of the format. That of a profile names the columns, too.
+    #: Name of the file format. If the format is a profile, it also names the columns.
     profile: str | None = Field(default=None, alias="as")
-    #: Track, individual, topic, message type, struct or group to take, if the file holds several.
+    #: Track, individual, topic, message type, struct or group to read, if the file holds several.
     select: str | int | None = None
-    #: Minimum likelihood of a tracked point, below which it is left empty.
+    #: Minimum likelihood of a tracked point. Points with a lower likelihood are left empty.
     min_likelihood: Annotated[float, Field(ge=0, le=1)] = MIN_LIKELIHOOD
     reader: Options = Options()
     time: Time | None = None
-    #: Rows to take: one value or several values of each named column.
+    #: Rows to take: those with one of the given values in each named column.
     where: dict[str, str | float | int | list[str | float | int]] = {}
     quaternion: Quaternion = Quaternion()
     columns: list[Column] = []
-    #: Metadata that are added to those of the file.
+    #: Metadata that are added to the metadata of the file.
     metadata: dict[str, str | float | int | bool | list[str | float | int]] = {}
 
     @model_validator(mode="after")
@@ -132,36 +133,36 @@ class Mapping(Stated):
 
     @property
     def name(self) -> str:
-        """Name of a mapping in memory in the provenance of a result."""
+        """Name that a mapping in memory has in the provenance of a result."""
         return "mapping"
 
 
 @dataclass(frozen=True)
 class MappedLog:
-    """A foreign log in target columns, before it is cleaned.
+    """Foreign log, converted to target columns but not cleaned.
 
     Attributes
     ----------
     path : Path
         Path of the foreign log.
     columns : dict of str to ndarray, each shape (n,)
-        Target columns in SI, ``t_s`` first, NaN where missing. Times may repeat, go back or be missing.
+        Target columns in SI units, ``t_s`` first; NaN where missing. Times may repeat, go back or be missing.
     rows : ndarray of int, shape (n,)
-        Line of each sample in a text file, else its row, from 1.
+        Line number of each sample in a text file; for other files the row number, from 1.
     metadata : dict
-        That of the file, the profile and the mapping.
+        Metadata of the file, of the profile and of the mapping.
     notes : list of str
-        Problems of the reading that a user must know.
+        Problems found while the file was read, for the user.
     sources : dict of str to (str, float, float)
-        Source, factor and offset of each target.
+        Source column, factor and offset of each target column.
     unknown : list of str
-        Columns whose quantity nothing states.
+        Target columns whose quantity is stated neither by the name nor by the mapping.
     profile : str
-        Profile that read the file; empty without one.
+        Name of the profile that read the file; empty without a profile.
     unlikely : dict of str to int
-        Number of samples left empty for their likelihood, by point.
+        Number of samples that were left empty because of a low likelihood, by column of the likelihood.
     hint : str
-        Advice for a clock that goes back.
+        Advice for a clock that goes back; empty if there is none.
     """
 
     path: Path
@@ -185,12 +186,12 @@ class MappedLog:
 
 
 def of(given: str | Path | Mapping | dict[str, Any]) -> Mapping:
-    """Return a mapping that is given as a file, as an object, or as a dict with the keys of the file.
+    """Return the mapping given as a path of a mapping file, as an object, or as a dict with its keys.
 
     Raises
     ------
     InputError
-        It is invalid, or a value is still ``ASK``; names line and key.
+        The mapping is invalid, or a value is still ``ASK``. The message names line and key.
     """
     if isinstance(given, Mapping):
         return given
@@ -206,26 +207,27 @@ def apply(
     *,
     progress: Progress = silent,
 ) -> MappedLog:
-    """Read a foreign log through a mapping or a profile.
+    """Read a foreign log with a mapping or a profile.
 
     Parameters
     ----------
     mapping : Mapping or None
-        Without one the profile that recognises the file is used; without a profile the columns must have the
-        names of the log format.
+        Mapping. If None, the profile that recognises the file is used. If there is no such profile, the
+        columns must have the names of the log format.
     given : path or Log
-        The foreign log; or one in memory (:func:`swimid.logs.log.unread`).
+        Path of the foreign log, or a log in memory (:func:`swimid.logs.log.unread`).
     stated : dict, optional
-        Statements of the user beside the mapping. ``profile``, ``select``, ``length_unit`` and
-        ``min_likelihood`` replace those of the mapping. ``rate_hz`` is the rate of the frames, Hz, for a
-        mapping without a time.
+        Statements of the user in addition to the mapping. ``profile``, ``select``, ``length_unit`` and
+        ``min_likelihood`` replace the values of the mapping. ``rate_hz`` is the frame rate, Hz, for a mapping
+        without a time.
     progress : Progress
-        Shows the reading.
+        Shows the progress of the reading.
 
     Raises
     ------
     InputError
-        The file cannot be read, has no such column, or a cell is no number; names file, line and column.
+        The file cannot be read, a column is missing, or a cell is not a number. The message names file, line
+        and column.
     """
     path, stated = path_of(given), dict(stated or {})
     rules = mapping or Mapping(format=FORMAT, **{"as": ""})
@@ -314,12 +316,12 @@ def _with_unit(column: Column, stated: str | None, notes: list[str]) -> Column:
 
 
 def _short(value: Any) -> Any:
-    """Return the first line of a remark; any other value is returned unchanged."""
+    """Return the first line of a text, at most 120 characters; any other value is returned unchanged."""
     return value.strip().partition("\n")[0][:120] if isinstance(value, str) else value
 
 
 def _identity(table: Table, path: Path, metadata: dict[str, Any]) -> list[Column]:
-    """Return the columns named as in the log format; warn of the others, which are left out."""
+    """Return the columns named as in the log format; warn of all other columns, which are left out."""
     names = ", ".join(list(table.columns)[:20])
     hint = f"a mapping says which column is which (swimid import --guess drafts one); the file has: {names}"
     if not {TIME, "frame"} & set(table.columns):
@@ -345,7 +347,7 @@ def _identity(table: Table, path: Path, metadata: dict[str, Any]) -> list[Column
 
 
 def _time(mapping: Mapping, table: Table, sources: dict[str, str], path: Path) -> Time | None:
-    """Return the rule for the time; None if the time is a column of the log format."""
+    """Return the rule for the sample times; None if the time is a column of the log format."""
     time, has_frames = mapping.time, "frame" in table.columns and mapping.profile is not None
     if TIME in sources:
         if time is not None:
@@ -363,7 +365,7 @@ def _time(mapping: Mapping, table: Table, sources: dict[str, str], path: Path) -
 
 
 def _same_length(names: Sequence[str], table: Table, path: Path) -> int:
-    """Return the number of rows of the columns in use."""
+    """Return the number of rows of the columns in use; raise an error if their lengths differ."""
     lengths = {name: len(table.columns[name]) for name in names}
     if len(set(lengths.values())) > 1:
         text = ", ".join(f"{name} {rows}" for name, rows in lengths.items())
@@ -376,7 +378,7 @@ def _same_length(names: Sequence[str], table: Table, path: Path) -> int:
 
 
 def _numbers(table: Table, name: str, missing: Sequence[float | str], path: Path) -> Array | None:
-    """Return a column as numbers, NaN for the marks of missing samples; None for dates or text."""
+    """Return a column as numbers, with NaN for codes of missing samples; None for dates or text."""
     values = table.columns[name]
     if values.dtype.kind == "M":
         return None
@@ -400,7 +402,7 @@ def _numbers(table: Table, name: str, missing: Sequence[float | str], path: Path
 
 
 def _contradicted(table: Table, name: str) -> list[str]:
-    """Return a note if the name and the steps of the time are those of a frame number."""
+    """Return a note if a time column has the name and the steps of a frame number; else an empty list."""
     values = table.columns[name]
     if values.dtype.kind not in "iuf" or not clock.COUNT.fullmatch(name.strip().lower()):
         return []
@@ -420,7 +422,7 @@ def _chosen(table: Table, where: dict[str, Any], rows: int, path: Path) -> NDArr
     Raises
     ------
     InputError
-        No row is left; lists the values that are there.
+        No row is left. The message lists the values in the column.
     """
     kept = np.ones(rows, dtype=bool)
     for key, wanted in where.items():
@@ -440,10 +442,11 @@ def _chosen(table: Table, where: dict[str, Any], rows: int, path: Path) -> NDArr
 
 
 def find_mixed(table: Table, time_s: Array, kept: NDArray[np.bool_], used: Set[str]) -> tuple[str, list[str]]:
-    """Return the column that numbers several instances whose rows alternate, and its values.
+    """Return the column that numbers several instances whose rows alternate, and the values of this column.
 
-    Such a column changes at most rows and has few values. Also, its name is that of an instance, or the times
-    are even within each value and uneven over all rows. Without such a column the result is ``("", [])``.
+    Such a column has few values and changes from row to row in at least half of the rows. In addition, either
+    its name is that of an instance, or the times are even within each of its values and uneven over all rows.
+    Without such a column the result is ``("", [])``.
     """
     time = time_s[kept]
     if len(time) < 10:
@@ -470,7 +473,7 @@ def find_mixed(table: Table, time_s: Array, kept: NDArray[np.bool_], used: Set[s
 
 
 def _evenness(time: Array) -> float:
-    """Return the share of steps that lie within half of the median step."""
+    """Return the fraction of the time steps that lie within half of the median step."""
     steps = np.diff(time)
     if len(steps) == 0 or not np.median(steps) > 0:
         return 0.0
@@ -479,10 +482,10 @@ def _evenness(time: Array) -> float:
 
 
 def _distinct(values: NDArray[Any]) -> list[str]:
-    """Return the values of a column in the order of their first appearance, without missing ones."""
+    """Return the distinct values of a column in order of first appearance, without missing values."""
     import pandas as pd
 
-    # whole numbers are written without a decimal point
+    # convert whole numbers, so that they are written without a decimal point
     known: list[str] = pd.Series(pd.unique(values)).dropna().convert_dtypes().astype(str).tolist()
     return known
 
@@ -490,8 +493,8 @@ def _distinct(values: NDArray[Any]) -> list[str]:
 def empty_unlikely(columns: dict[str, Array], sources: dict[str, str], minimum: float) -> dict[str, int]:
     """Empty the coordinates of unlikely points in place; return the number of emptied samples by likelihood.
 
-    A likelihood belongs to the coordinates with the name of the same point, in the log or in the file. A
-    sample without a likelihood counts as unlikely.
+    A likelihood belongs to the coordinates whose names begin with the same point, in the log or in the file.
+    A sample without a likelihood counts as unlikely.
 
     >>> columns = {"x_px": np.array([1.0, 2.0]), "c": np.array([0.9, 0.1])}
     >>> empty_unlikely(columns, {"x_px": "nose_x", "c": "nose_likelihood"}, 0.6), columns["x_px"]

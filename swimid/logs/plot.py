@@ -1,4 +1,4 @@
-"""``swimid plot``: logs as figures."""
+"""Command ``swimid plot``, which draws logs as figures."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ PICTURES = (".svg", ".png")
 
 @dataclass(frozen=True, eq=False)
 class Drawn(Result):
-    """Figures of logs, as ``plot`` returns them. They are saved as one page or picture.
+    """Figures of logs: result of ``plot``. They are saved as one page or picture.
 
     Attributes
     ----------
     inputs : sequence of path or Log
-        The logs that were drawn.
+        Paths of the logs that were drawn, or logs in memory.
     progress : Progress
-        Shows the drawing.
+        Shows the progress of the drawing.
     """
 
     kind = "Log"
@@ -43,14 +43,14 @@ class Drawn(Result):
     progress: Progress = field(default=silent, repr=False)
 
     def save(self, path: str | Path) -> Self:
-        """Write the figures as ``.html``, ``.svg`` or ``.png``.
+        """Write the figures to a file that ends in ``.html``, ``.svg`` or ``.png``.
 
         Raises
         ------
         InputError
-            The folder does not exist or cannot be written.
+            The folder does not exist, or files cannot be written to it.
         UsageError
-            The ending is none of these.
+            The path has another ending.
         """
         path = _picture(Path(path))
         assert self.evidence is not None
@@ -86,31 +86,32 @@ def plot(
     output: str | Path | None = None,
     progress: Progress = silent,
 ) -> Drawn:
-    """Draw logs: channels over time, the track from above, spectra.
+    """Draw logs: channels over time, the track from above, and spectra of the channels.
 
     By default the title lists the names of the logs.
 
     Parameters
     ----------
     logs : path, Log or DataFrame, or a sequence of these
-        Several are drawn over each other, each on its own clock. A table has the columns of the log format,
-        shape (n, k), SI units.
+        Logs. Several logs are drawn over each other, each with its own time axis origin. A table has the
+        columns of the log format, shape (n, k), in SI units.
     output : path, optional
-        ``.html``, ``.svg`` or ``.png``; without it nothing is written.
+        File that ends in ``.html``, ``.svg`` or ``.png``. Without this path nothing is written.
     progress : Progress
-        Shows the drawing.
+        Shows the progress of the drawing.
 
     Returns
     -------
     Drawn
-        ``.figures()`` gives all on matplotlib, ``.plot(name, axes)`` one of ``.figure_names``.
+        Its method ``figures()`` returns all figures in matplotlib; ``plot(name, axes)`` draws one of
+        ``figure_names``.
 
     Raises
     ------
     InputError
         A log cannot be read.
     UsageError
-        The ending of the output is none of these.
+        The output has another ending.
 
     Examples
     --------

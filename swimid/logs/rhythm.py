@@ -1,4 +1,4 @@
-"""Stroke of a swimmer from all channels of a log: its frequency and its harmonics."""
+"""Stroke of a swimmer, estimated from all channels of a log: frequency and harmonics."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from swimid.logs.log import FREQUENCY_RTOL
 from swimid.logs.sampling import longest_even, quantum
 
 Array = NDArray[np.float64]
-#: Channels that swing once per stroke, to one side and to the other.
+#: Channels that oscillate once per stroke, because they have opposite signs in the two half strokes.
 SIDEWAYS = re.compile(
     r"(joint|cmd|fin|tail)\w*(?<!_likelihood)(?<!_area_px)|yaw_rad|yaw_rate_rad_s|roll_rad|pitch_rad|"
     r"pitch_rate_rad_s|v_m_s|w_m_s|w[xyz]_rad_s|ay_m_s2|sway"
 )
-#: Channels that may swing twice per stroke: both half strokes push.
+#: Channels that may oscillate twice per stroke, because both half strokes push.
 PUSHED = re.compile(r"u_m_s|a[xz]_m_s2|force_N")
-#: Channels of the drive. If one is logged, its frequency is that of the stroke.
+#: Channels of the drive. If one of them is logged, its frequency is taken for the stroke frequency.
 DRIVEN = re.compile(r"cmd\w*|(joint|fin|tail)\w*_rad(_s)?")
-#: Channels of :func:`swing` that may swing twice per stroke.
+#: Channels returned by :func:`swing` that may oscillate twice per stroke.
 ALONG = ("surge", "long_axis", "short_axis")
-#: Channels of the motion to the side.
+#: Channels of the motion of the body to the side.
 MOVED = re.compile(r"sway|v_m_s|w_m_s|ay_m_s2|(joint|fin|tail)\w*_(m|px)")
-#: Channels of each motion. Several channels of one motion count once.
+#: Channels of each kind of motion. Several channels of one kind of motion count once.
 MOTIONS = tuple(
     re.compile(part)
     for part in (
@@ -49,26 +49,30 @@ MOTIONS = tuple(
         rf"{PUSHED.pattern}|surge|\w+_axis",
     )
 )
-#: Columns without a motion: positions (see :func:`swing`), standard deviations, qualities and states.
+#: Columns that are not searched for a stroke: positions (see :func:`swing`), standard deviations, likelihoods
+#: and states.
 NO_MOTION = re.compile(
     r"[xyz](_raw)?_(m|px)|sd_.*|.*_sd(_.*)?|.*likelihood|.*confidence|.*area_px|interpolated|status|frame"
 )
-#: Maximum ratio of the two rotations of a lap, which goes round one way: (a - b) / (a + b) with the half axes
-#: a and b. Below it the circle in the ellipse has more power than the line.
+#: Maximum ratio of the smaller to the larger of the two counter-rotating components of a path that counts as
+#: a lap. For an ellipse with half axes a and b the ratio is (a - b) / (a + b). Below this maximum the
+#: circular part of the ellipse has more power than the linear part.
 MAX_LAP_RATIO = np.sqrt(2.0) - 1.0
-#: Maximum harmonic of a lap: a rectangular pool has four corners. Maximum harmonic of a turning compass: its
-#: deviation has one or two periods per turn (semicircular and quadrantal deviation).
+#: Maximum harmonic order of a lap: a rectangular pool has four corners. Maximum harmonic order of a compass
+#: heading under rotation: the compass deviation has one or two periods per rotation (semicircular and
+#: quadrantal deviation).
 MAX_LAP_HARMONIC, MAX_COMPASS_HARMONIC = 4, 2
-#: Maximum frequency of a stroke, Hz: faster motion is vibration. Bainbridge (J. Exp. Biol. 35, 1958) found 25
-#: Hz for dace of 5 cm and 20 Hz for dace of 8 cm.
+#: Maximum frequency of a stroke, Hz. Faster motion is taken for vibration. Bainbridge (J. Exp. Biol. 35,
+#: 1958) found 25 Hz for dace of 5 cm and 20 Hz for dace of 8 cm.
 MAX_STROKE_HZ = 20.0
-#: Sample rate above which a channel is averaged before the search for its beat, Hz.
+#: Maximum sample rate in the search for a beat, Hz. Channels with a higher rate are averaged over blocks of
+#: samples.
 MAX_RATE_HZ = 60.0
-#: Minimum share of the samples in a stretch without gaps that represents the record, and maximum number of
-#: samples that are used with their gaps instead.
+#: Minimum fraction of a channel's samples in its longest gap-free part, for a search in this part only. With
+#: a smaller fraction all samples are used with their gaps, if there are at most ``MAX_SAMPLES``.
 MIN_STRETCH_SHARE, MAX_SAMPLES = 0.8, 20_000
-#: Number of standard errors that the amplitude of a harmonic must exceed: noise, whose amplitude is
-#: Rayleigh's, does so in one of a hundred records.
+#: Minimum ratio of the amplitude of a significant harmonic to its standard error. The amplitude of white
+#: noise has a Rayleigh distribution and exceeds this ratio in one of a hundred records.
 HARMONIC_Z = float(np.sqrt(2.0 * np.log((MAX_HARMONIC - 1) / 0.01)))
 
 
@@ -79,7 +83,7 @@ class Harmonic:
     Attributes
     ----------
     order : int
-        1 for the stroke itself.
+        Order of the harmonic; 1 for the stroke itself.
     amplitude, stderr : float
         Amplitude and its standard error, in the unit of the channel.
     """
@@ -96,17 +100,19 @@ class Rhythm:
     Attributes
     ----------
     beat : Beat
-        The stroke in the channel with the smallest standard error.
+        Periodic motion of the channel whose frequency has the smallest standard error.
     channel : str
         Name of that channel.
     harmonics : list of Harmonic
-        Significant harmonics of that channel.
+        Significant harmonics in that channel.
     channels : dict of str to Beat
-        First beat of each channel with a beat.
+        Strongest beat of each channel that has a beat.
     maybe_double : bool
-        Whether only channels that may swing twice per stroke are logged.
+        Whether the stroke is seen only in channels that may oscillate twice per stroke, so that the frequency
+        may be twice that of the stroke.
     rivals : dict of str to Beat
-        Largest beat of each channel that is no multiple of the stroke. It contradicts the stroke.
+        Largest beat of each channel whose frequency is no multiple of the stroke frequency. Such a beat
+        contradicts the stroke.
     """
 
     beat: Beat
@@ -118,7 +124,7 @@ class Rhythm:
 
     @property
     def doubt(self) -> str:
-        """Reason to doubt this stroke, in words; empty if there is none."""
+        """Reason to doubt this stroke, in words; empty if there is no reason."""
         said = []
         if self.rivals:
             others = " and ".join(f"{n} at {b.frequency_hz:.4g} Hz" for n, b in self.rivals.items())
@@ -134,27 +140,28 @@ class Rhythm:
 
     @property
     def period_s(self) -> tuple[float, float]:
-        """Period and its standard error, s."""
+        """Period of the stroke and its standard error, s."""
         period = 1.0 / self.beat.frequency_hz
         return period, period**2 * self.beat.stderr_hz
 
 
 def swing(columns: Mapping[str, Array], share: float = 1.0 / MIN_CYCLES) -> dict[str, Array]:
-    """Return how a track swings about its averaged path, in the unit of the track.
+    """Return the oscillation of a track about its averaged path, in the unit of the track.
 
     Parameters
     ----------
     columns : mapping of str to ndarray, each shape (n,)
-        Two of ``x_m``, ``y_m``, ``z_m`` (or in ``_px``). A single one swings along itself.
+        Columns with two of ``x_m``, ``y_m``, ``z_m`` (or the same in ``_px``). A single coordinate is
+        returned as ``surge``.
     share : float
-        Share of the record over which the path is averaged; by default one cycle of the slowest stroke that
-        is searched for.
+        Fraction of the samples over which the path is averaged. By default this is one cycle of the slowest
+        stroke that is searched for.
 
     Returns
     -------
     dict of str to ndarray
-        ``sway`` across the averaged path and ``surge`` along it. For a body that stays in place,
-        ``long_axis`` and ``short_axis``. Empty without a track.
+        Components of the oscillation: ``sway`` across the averaged path and ``surge`` along this path. For a
+        body that stays in place, ``long_axis`` and ``short_axis``. Empty without a track.
     """
     place = _place(columns)
     if place is None:
@@ -180,9 +187,9 @@ def swing(columns: Mapping[str, Array], share: float = 1.0 / MIN_CYCLES) -> dict
 
 
 def _averaged_path(place: Array, width: int) -> tuple[Array, Array]:
-    """Return the places and the steps per sample of lines fitted to ``width`` samples around each sample.
+    """Return the values and the slopes per sample of lines fitted to ``width`` samples around each sample.
 
-    The first and the last samples lie on the first and the last of these lines.
+    Within half a window of the ends the values are those of the first and the last complete window's line.
     """
     half = width // 2
     offsets = np.arange(-half, half + 1)
@@ -195,7 +202,7 @@ def _averaged_path(place: Array, width: int) -> tuple[Array, Array]:
 
 
 def _place(columns: Mapping[str, Array]) -> Array | None:
-    """Return the first two coordinates of a track, shape (n, 2), or the lone one, shape (n, 1)."""
+    """Return the first two coordinates of a track, shape (n, 2), or a single coordinate, shape (n, 1)."""
     units = [[n for n in (f"x_{u}", f"y_{u}", f"z_{u}") if n in columns] for u in ("m", "px")]
     names = next((found for found in units if found), [])[:2]
     if not names:
@@ -210,7 +217,7 @@ def find(
     range_hz: tuple[float, float] | None = None,
     stated_hz: float | None = None,
 ) -> Rhythm | None:
-    """Find the stroke in the channels of a log; None if there is none.
+    """Find the stroke in the channels of a log; None if no stroke is found.
 
     Parameters
     ----------
@@ -220,20 +227,20 @@ def find(
     range_hz : (float, float), optional
         Range of the search.
     stated_hz : float, optional
-        Stated frequency of the drive. If the free search finds nothing, a search near this frequency follows,
-        which needs less evidence.
+        Stated frequency of the drive, Hz. If the search over all frequencies finds nothing, a search near
+        this frequency follows, which needs less evidence.
 
     Notes
     -----
-    If the drive is logged, its frequency is that of the stroke. Otherwise it is the frequency seen in most
-    motions (heading, sway, ...), where motions at twice the frequency count too: surge and drag follow both
-    half strokes. If two frequencies are seen in equally many motions, it is the one that moves the body to
-    the side: a heading that swings moves every point but its pivot, and a vibration of one sensor moves
-    nothing.
+    If the drive is logged, the stroke frequency is the frequency of the drive. Otherwise it is the frequency
+    found in most kinds of motion (heading, sway, ...). A motion at twice the frequency also counts, because
+    surge and drag follow both half strokes. If two frequencies are found in equally many kinds of motion, the
+    one that moves the body to the side is chosen: an oscillating heading moves every point except the pivot,
+    but the vibration of a sensor does not move the body.
 
-    The value is that of the channel with the smallest standard error. Channels are not independent, so they
-    are not averaged. Contradicting beats are kept as :attr:`Rhythm.rivals`, unless the frequency is the
-    stated one.
+    The returned frequency is the estimate from the channel with the smallest standard error. Estimates are
+    not averaged, because the channels are not independent. Beats that contradict the stroke are stored in
+    :attr:`Rhythm.rivals`, unless the frequency equals the stated one.
     """
     ranges = [range_hz]
     if stated_hz is not None and range_hz is None:
@@ -252,7 +259,8 @@ def find(
         is_stated = (
             stated_hz is not None and abs(chosen.frequency_hz - stated_hz) <= FREQUENCY_RTOL * stated_hz
         )
-        # of the channels that beat with the stroke, the one with the smallest standard error
+        # among the channels that beat with the stroke frequency, take the one with the smallest standard
+        # error
         at_it = {name: [b for b in found if multiple(b, chosen) == 1] for name, found in beats.items()}
         best = {name: min(found, key=lambda b: b.stderr_hz) for name, found in at_it.items() if found}
         channel = min(best, key=lambda name: best[name].stderr_hz)
@@ -273,9 +281,9 @@ def find(
 def _motions(
     time_s: Array, columns: Mapping[str, Array], within: tuple[float, float] | None
 ) -> tuple[dict[str, Array], dict[str, list[Beat]]]:
-    """Return the channels of a log that may move with the stroke, and the beats of those that have any.
+    """Return the channels of a log that may move with the stroke, and the beats found in these channels.
 
-    Beats of laps of the path and of turns of the heading are left out.
+    Beats caused by laps of the path, by rotations of the heading, or by rounding are left out.
     """
     channels = {n: _unwrap(n, v) for n, v in columns.items() if not NO_MOTION.fullmatch(n)}
     channels |= swing(columns)
@@ -305,7 +313,7 @@ def _motions(
 
 
 def _last_place(columns: Mapping[str, Array], name: str) -> float:
-    """Return the step of the last decimal of a channel, or of the positions that it follows from."""
+    """Return the rounding step of a channel, or the sum of those of the positions it is computed from."""
     if name in columns:
         return quantum(columns[name])
     place = _place(columns)
@@ -315,16 +323,16 @@ def _last_place(columns: Mapping[str, Array], name: str) -> float:
 
 
 def _is_rounding(beat: Beat, last_place: float) -> bool:
-    """Return whether rounding to the last decimal may cause a beat.
+    """Return whether rounding may cause a beat.
 
-    A rounding error is at most half of the last decimal. Under a steady motion it is periodic. A motion about
-    the drift that is no larger cannot be distinguished from it.
+    A rounding error is at most half of the rounding step. In a steady motion this error is periodic. A beat
+    whose amplitude is not larger cannot be distinguished from the rounding error.
     """
     return beat.amplitude <= last_place / 2 * np.sqrt(2.0 * beat.share)
 
 
 def _is_lap(time_s: Array, columns: Mapping[str, Array], frequency_hz: float) -> bool:
-    """Return whether the path goes round once per period of a frequency."""
+    """Return whether the path makes one lap per period of a frequency."""
     place = _place(columns)
     if place is None or place.shape[1] < 2:
         return False
@@ -337,7 +345,7 @@ def _is_lap(time_s: Array, columns: Mapping[str, Array], frequency_hz: float) ->
 
 
 def _phasors(t: Array, x: Array, frequency_hz: float) -> NDArray[np.complex128]:
-    """Return the complex amplitude of a frequency in each window, or in the whole of a short record."""
+    """Return the complex amplitudes of a frequency in windows; in a short record, a single amplitude."""
     windows = demodulate(t, x, frequency_hz)
     if windows is not None:
         return windows[1]
@@ -347,15 +355,16 @@ def _phasors(t: Array, x: Array, frequency_hz: float) -> NDArray[np.complex128]:
 
 
 def _turns(angle: Array) -> float:
-    """Return the number of full turns between the first and the last sample of an unwrapped angle."""
+    """Return the number of full rotations from the first to the last sample of an unwrapped angle."""
     known = angle[np.isfinite(angle)]
     return abs(float(known[-1] - known[0])) / (2 * np.pi) if len(known) else 0.0
 
 
 def find_slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat] | None:
-    """Return the channel whose strongest motion has too few cycles for a stroke, and that motion.
+    """Return the name and motion of the channel whose strongest motion has too few cycles for a stroke.
 
-    If the drive is logged, only its channels are used; otherwise all that swing to the side.
+    If the drive is logged, only its channels are searched. Otherwise all channels that oscillate to the side
+    are searched, and the track. If several channels qualify, the one with the highest frequency is returned.
     """
     driven = [n for n in columns if DRIVEN.fullmatch(n)]
     names = driven or [n for n in columns if SIDEWAYS.fullmatch(n)]
@@ -374,7 +383,7 @@ def find_slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat
 
 
 def _chosen(candidates: Mapping[str, list[Beat]], seen: Mapping[str, list[Beat]]) -> Beat:
-    """Return the candidate that is the stroke: the one seen in most motions (see :func:`find`)."""
+    """Return the candidate that is taken for the stroke, by the rules given in :func:`find`."""
 
     def worth(beat: Beat) -> tuple[bool, bool, int, bool, float, float]:
         at_it = {
@@ -396,12 +405,16 @@ def _chosen(candidates: Mapping[str, list[Beat]], seen: Mapping[str, list[Beat]]
 
 
 def _part(beat: Beat, beats: list[Beat]) -> float:
-    """Return the share of one beat in the variance of a channel, from the amplitudes of all its beats."""
+    """Return the fraction of a channel's variance that one of its beats explains, from the amplitudes."""
     return beats[0].share * beat.amplitude**2 / sum(b.amplitude**2 for b in beats)
 
 
 def _rivals(chosen: Beat, seen: Mapping[str, list[Beat]]) -> dict[str, Beat]:
-    """Return the largest beat of each channel that is no multiple of the stroke, and no ripple upon it."""
+    """Return the largest beat of each channel that contradicts the stroke.
+
+    Multiples of the stroke frequency, and faster beats with little power relative to the stroke, do not
+    count.
+    """
     found = {}
     for name, beats in seen.items():
         stroke = max((b.amplitude for b in beats if multiple(b, chosen)), default=0.0)
@@ -414,7 +427,7 @@ def _rivals(chosen: Beat, seen: Mapping[str, list[Beat]]) -> dict[str, Beat]:
 
 
 def add_time_error(stroke: Rhythm, time_sd_s: float, time_s: Array) -> Rhythm:
-    """Return a stroke whose standard error includes independent errors of the first and the last time."""
+    """Return a stroke whose standard error includes errors of the first and the last sample time."""
     error = stroke.beat.frequency_hz * np.sqrt(2.0) * time_sd_s / float(np.ptp(time_s))
     beat = replace(stroke.beat, stderr_hz=float(np.hypot(stroke.beat.stderr_hz, error)))
     return replace(stroke, beat=beat)
@@ -446,7 +459,7 @@ def explain_missing(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, f
 def _beats(
     time_s: Array, columns: Mapping[str, Array], within: tuple[float, float] | None
 ) -> dict[str, list[Beat]]:
-    """Return the beats of each channel that has any."""
+    """Return the beats of each channel that has a beat."""
     low, high = within or (None, None)
     found = {}
     for name, values in columns.items():
@@ -457,7 +470,7 @@ def _beats(
 
 
 def _unwrap(name: str, values: Array) -> Array:
-    """Return a channel; an angle without jumps by full turns."""
+    """Return a channel. Angles are unwrapped, so that they have no jumps by full rotations."""
     if name.endswith("_rad"):
         known = np.isfinite(values)
         values = values.copy()
@@ -466,9 +479,10 @@ def _unwrap(name: str, values: Array) -> Array:
 
 
 def _prepared(time_s: Array, values: Array) -> tuple[Array, Array]:
-    """Return times and samples of a channel at no more than :data:`MAX_RATE_HZ`.
+    """Return times and samples of a channel at a rate of at most :data:`MAX_RATE_HZ`.
 
-    They are the longest stretch without gaps, on even steps, or all samples if that stretch is too short.
+    The samples are those of the longest part without gaps, at even time steps. If that part is too short, all
+    samples are returned.
     """
     time, even = longest_even(time_s, values, MAX_RATE_HZ)
     there = np.isfinite(values)
@@ -484,7 +498,10 @@ def _prepared(time_s: Array, values: Array) -> tuple[Array, Array]:
 
 
 def _as_logged(time_s: Array, values: Array) -> tuple[Array, Array]:
-    """Return the logged samples of the stretch of :func:`_prepared`: interpolation would make harmonics."""
+    """Return the logged samples of the period that :func:`_prepared` returns.
+
+    The logged samples are used because interpolation would cause harmonics.
+    """
     time, even = _prepared(time_s, values)
     first, last = np.searchsorted(time_s, (time[0], time[-1]))
     there = np.flatnonzero(np.isfinite(values[first : last + 1])) + first
@@ -494,7 +511,7 @@ def _as_logged(time_s: Array, values: Array) -> tuple[Array, Array]:
 
 
 def _harmonics(time: Array, values: Array, frequency: float) -> list[Harmonic]:
-    """Return the significant amplitudes of a sine series that is fitted with a cubic trend."""
+    """Return the significant harmonics of a channel, by a fit of a sine series and a cubic trend."""
     known = np.isfinite(values)
     t, x = time[known] - time[known].mean(), values[known]
     nyquist = 0.5 / float(np.median(np.diff(time)))

@@ -1,4 +1,4 @@
-"""Attitudes in space: angles, quaternions, and conventions of axes."""
+"""Attitudes in 3-D: angles, quaternions, and conventions of axes."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 def angles(rotation: Rotation) -> tuple[Array, Array, Array]:
     """Return roll, pitch and yaw, rad: a rotation by yaw about z, then by pitch, then by roll.
 
-    Pitch is positive nose up, which is counter-clockwise in the x-z plane. Roll is positive port side up. Yaw
-    is unwrapped.
+    Pitch is positive with the nose up, which is counter-clockwise in the x-z plane. Roll is positive with the
+    port side up. Yaw is unwrapped.
 
     >>> from scipy.spatial.transform import Rotation
     >>> nose_up = Rotation.from_rotvec([0.0, -0.1, 0.0])
@@ -27,24 +27,24 @@ def angles(rotation: Rotation) -> tuple[Array, Array, Array]:
     [0.0, 0.1, 0.0]
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # at the pole roll is set to 0
+        warnings.simplefilter("ignore", UserWarning)  # at a pitch of ±90 degrees roll is set to 0
         yaw, pitch, roll = np.atleast_2d(rotation.as_euler("ZYX")).T
     return roll, -pitch, np.unwrap(yaw)
 
 
 def from_angles(roll: Any, pitch: Any, yaw: Any) -> Rotation:
-    """Return the attitude of angles in rad, shape (n,): the inverse of :func:`angles`."""
+    """Return the rotation of roll, pitch and yaw in rad, shape (n,): the inverse of :func:`angles`."""
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_euler("ZYX", np.column_stack((yaw, -np.asarray(pitch), roll)))
 
 
-#: Columns of an attitude quaternion from body to world, real part first.
+#: Columns of an attitude quaternion from body to world; the real part is the first.
 AXES = ("qw", "qx", "qy", "qz")
 
 
 def rearranged(q: Array, order: str = "wxyz", direction: str = "body-to-world") -> Array:
-    """Return quaternions, shape (n, 4), with the real part first and from body to world.
+    """Return quaternions, shape (n, 4), converted to real part first and to the direction from body to world.
 
     >>> rearranged(np.array([[0.0, 0.0, 0.6, 0.8]]), "xyzw", "world-to-body").tolist()
     [[0.8, -0.0, -0.0, -0.6]]
@@ -57,20 +57,20 @@ def rearranged(q: Array, order: str = "wxyz", direction: str = "body-to-world") 
 
 
 def from_frd(columns: dict[str, Array]) -> dict[str, Array]:
-    """Return columns with axes forward, right, down in axes forward, left, up.
+    """Convert columns from axes forward, right, down to axes forward, left, up.
 
-    y, z and yaw change their sign. Roll (right side down is port side up), pitch (nose up), and the real and
-    the x part of a quaternion do not.
+    The components along y and z, and yaw, change their sign. Roll (right side down is port side up), pitch
+    (nose up), and the real and the x part of a quaternion do not.
     """
     turned = re.compile(r"(desired_)?([awvmq]?[yz]|yaw)(_.*)?")
     return {name: -values if turned.fullmatch(name) else values for name, values in columns.items()}
 
 
 def with_angles(columns: dict[str, Array]) -> dict[str, Array]:
-    """Return columns with roll, pitch and yaw from an attitude quaternion.
+    """Return columns with roll, pitch and yaw computed from an attitude quaternion.
 
-    Samples with a quaternion that is not of unit length have no angles. A quaternion without any sample is
-    removed.
+    Samples whose quaternion is not of unit length have no angles (NaN). If no sample has a valid quaternion,
+    its columns are removed.
     """
     if not set(AXES) <= set(columns):
         return columns

@@ -1,4 +1,4 @@
-"""Sample times and samples of a record: its rate, gaps, repeats, rounding, noise and rates of change."""
+"""Sampling of a record: rate, gaps, repeated samples, rounding, noise and derivatives."""
 
 from __future__ import annotations
 
@@ -14,47 +14,50 @@ from swimid.logs.units import measured
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-#: Minimum length of a gap, in sample times. A shorter pause is no gap.
+#: Minimum length of a gap, in sampling intervals. A shorter pause is no gap.
 PAUSE = 6.0
-#: Maximum distance of a step from a whole number of sample times, as a share of one, for a step on the grid.
+#: Maximum difference between a time step and a whole number of sampling intervals, as a fraction of one
+#: interval. A step within this tolerance is on the grid.
 ON_GRID = 0.15
-#: Minimum share of steps on the grid in a uniformly sampled record.
+#: Minimum fraction of time steps on the grid in a uniformly sampled record.
 UNIFORM_SHARE = 0.8
-#: Minimum root-mean-square jitter, in sample times, that deserves a warning.
+#: Minimum root-mean-square jitter of the time steps, in sampling intervals, for a warning.
 NOTABLE_JITTER = 0.05
-#: Minimum ratio of neighbouring steps in uneven sampling, and in bursts, if more than the share
-#: ``FEW_CHANGES`` of the steps has that ratio. A single missing sample makes a ratio of 2.
+#: Minimum ratio of neighbouring time steps in uneven sampling, and in sampling in bursts. The sampling is
+#: uneven, or in bursts, if more than the fraction ``FEW_CHANGES`` of the steps has such a ratio. A single
+#: missing sample causes a ratio of 2.
 UNEVEN, BURST, FEW_CHANGES = 2.0, 10.0, 0.1
-#: Minimum number of steps of a record for a judgement of its sampling. In fewer steps a missing sample and a
-#: coarse rounding look the same.
+#: Minimum number of time steps in a record whose sampling is judged. In fewer steps a missing sample cannot
+#: be distinguished from coarse rounding.
 LONG_ENOUGH = 20
-#: Maximum number of missing samples within one piece of a record. A longer jump starts a new piece.
+#: Maximum number of consecutive missing samples within one piece of a record. A longer gap starts a new
+#: piece.
 LONGEST_FILL = 1000
-#: Maximum relative difference of two sample times at the same rate.
+#: Maximum relative difference between two sampling intervals that count as equal.
 SAME_RATE = 0.01
-#: Minimum number of distinct values of a continuous signal, and its minimum share of the samples. A column
-#: with fewer holds levels that were set.
+#: Minimum number of distinct values of a continuous signal, and minimum ratio of this number to the number of
+#: samples. A column with fewer distinct values holds commanded levels.
 LEVELS, LEVEL_SHARE = 100, 0.05
-#: Maximum number of samples that are searched for a motion. Of a longer record the middle is searched.
+#: Maximum number of samples that are searched for a motion. Of a longer record only the middle is searched.
 LONGEST_SOUGHT = 1_000_000
-#: Maximum last decimal place of a computed signal that repeats itself, as a share of its range. Such a signal
-#: (a sine of 20 samples per period) has few distinct values, but set levels are coarser.
+#: Maximum rounding step of a periodic computed signal, as a fraction of its range. A sine of 20 samples per
+#: period has few distinct values, but commanded levels are coarser than this step.
 FINE = 1e-4
 
 
 @dataclass(frozen=True)
 class Rate:
-    """The sampling of one record.
+    """Rate and regularity of the sampling of one record.
 
     Attributes
     ----------
     step_s : float
-        Sample time, s.
+        Sampling interval, s.
     jitter : float
-        Root-mean-square deviation of single steps from the sample time, in sample times. It is 0 if every
-        stamp is a rounded point of a uniform grid.
+        Root-mean-square deviation of the time steps from the sampling interval, in sampling intervals. The
+        jitter is 0 if all time stamps are those of a uniform grid, rounded.
     on_grid : float
-        Share of the steps that are a whole number of sample times within :data:`ON_GRID`.
+        Fraction of the time steps that are a whole number of sampling intervals within :data:`ON_GRID`.
     """
 
     step_s: float
@@ -68,9 +71,9 @@ class Rate:
 
 
 def usual_step(time_s: np.ndarray) -> float:
-    """Return the median step of a record, s; NaN for one sample.
+    """Return the median time step of a record, s; NaN for one sample.
 
-    Of a long record the first :data:`LONGEST_SOUGHT` samples are used.
+    In a long record only the first :data:`LONGEST_SOUGHT` samples are used.
 
     >>> usual_step(np.array([0.0, 0.1, 0.2, 0.7]))
     0.1
@@ -81,9 +84,9 @@ def usual_step(time_s: np.ndarray) -> float:
 
 
 def pauses(time_s: np.ndarray, step_s: float | None = None) -> np.ndarray:
-    """Return the index of the last sample before each pause of more than :data:`PAUSE` sample times.
+    """Return the index of the last sample before each pause of more than :data:`PAUSE` sampling intervals.
 
-    By default the sample time is the usual step. A record of two samples has no pause.
+    By default the sampling interval is the median time step. A record of two samples has no pause.
     """
     if len(time_s) <= 2:
         return np.empty(0, dtype=np.intp)
@@ -93,10 +96,10 @@ def pauses(time_s: np.ndarray, step_s: float | None = None) -> np.ndarray:
 
 
 def find_uneven(time_s: np.ndarray) -> tuple[str, bool]:
-    """Return how a record departs from even sampling, in words, and whether its stamps come in bursts.
+    """Return the range of uneven time steps, in words, and whether the time stamps come in bursts.
 
     The words are empty for even sampling. Missing samples, pauses and a slowly changing rate count as even.
-    Stamps in bursts show when samples arrived, and not when they were taken.
+    Time stamps in bursts tell when samples were received, not when they were measured.
 
     >>> find_uneven(np.cumsum(np.tile([137e-6, 19863e-6], 100)))[1], find_uneven(np.arange(50) / 7.0)
     (True, ('', False))
@@ -114,26 +117,27 @@ def find_uneven(time_s: np.ndarray) -> tuple[str, bool]:
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of a record on a grid of constant rate.
+    """Part of a record, assigned to a grid of constant rate.
 
     Attributes
     ----------
     time_s : ndarray, shape (n,)
-        Time of each grid point, s. It is the stamp of the sample if there is one.
+        Time of each grid point, s: the time stamp of the sample, or an interpolated time for a missing
+        sample.
     rows : ndarray of int, shape (n,)
-        Row of the record for each grid point; -1 for a missing sample.
+        Row number in the record for each grid point; -1 for a missing sample.
     """
 
     time_s: np.ndarray
     rows: np.ndarray
 
     def take(self, column: np.ndarray) -> np.ndarray:
-        """Return a column of the record on this grid, shape (n,), with NaN for missing samples."""
+        """Return a column of the record on the grid of this piece, shape (n,); NaN for missing samples."""
         return np.where(self.rows >= 0, np.asarray(column, dtype=float)[self.rows], np.nan)
 
 
 def rate(time_s: np.ndarray) -> Rate:
-    """Return the sample time and the regularity of a record.
+    """Return the sampling interval and the regularity of a record.
 
     Parameters
     ----------
@@ -149,7 +153,8 @@ def rate(time_s: np.ndarray) -> Rate:
         line = _rounded_grid(time_s, (float(np.mean(steps)), median))
         if line is not None:
             return Rate(float(f"{line[0]:.10g}"), 0.0, 1.0)
-    # the median of stamps rounded to milliseconds is biased, the mean of the ordinary steps is not
+    # the median of time stamps rounded to milliseconds is biased, the mean of the steps near the median is
+    # not
     typical = float(f"{np.mean(steps[np.abs(steps - median) <= 0.5 * median]):.10g}")
     relative = steps / typical
     whole = np.maximum(np.round(relative), 1)
@@ -160,14 +165,14 @@ def rate(time_s: np.ndarray) -> Rate:
 
 
 def late_grid(time_s: np.ndarray, step_s: float, lateness_s: float) -> tuple[float, np.ndarray, float] | None:
-    """Return the step and the times of an even sensor whose samples are stamped late; None if no times fit.
+    """Return step and times of an even sensor whose samples are stamped late; None if no times agree.
 
     Parameters
     ----------
     time_s : ndarray, shape (n,)
         Strictly increasing stamps, s.
     step_s : float
-        First guess of the sensor's step, s.
+        Initial guess of the sensor's sampling interval, s.
     lateness_s : float
         Maximum time from a measurement to its stamp, s.
 
@@ -175,9 +180,10 @@ def late_grid(time_s: np.ndarray, step_s: float, lateness_s: float) -> tuple[flo
     -------
     step_s : float
     measured_s : ndarray, shape (n,)
-        The latest even times that no stamp precedes, s.
+        Evenly spaced times of the measurements, s: the latest ones that are not after any time stamp.
     slack_s : float
-        Time by which the last measurement can move against the first, s.
+        Uncertainty of the time between the first and the last measurement, s: width of the interval of
+        possible values.
     """
     from scipy import optimize
 
@@ -186,14 +192,14 @@ def late_grid(time_s: np.ndarray, step_s: float, lateness_s: float) -> tuple[flo
     fits = [line for line in lines if line is not None]
     if not fits:
         return None
-    # take the longest step that fits: it needs the fewest missing samples
+    # take the longest sampling interval that fits: it needs the fewest missing samples
     step, number = max(fits, key=lambda line: line[0])
     reach = 4.0 * lateness_s / number[-1]
 
     def excess(one: float) -> float:
         return float(np.ptp(time_s - one * number)) - lateness_s
 
-    # the excess is convex in the step; even times fit where it is not positive
+    # the excess is convex in the step; evenly spaced times fit where the excess is not positive
     bounds = step - reach, step + reach
     best = optimize.minimize_scalar(excess, bounds=bounds, method="bounded", options={"xatol": 1e-6 * reach})
     if best.fun >= 0.0 or min(excess(bound) for bound in bounds) <= 0.0:
@@ -207,12 +213,13 @@ def late_grid(time_s: np.ndarray, step_s: float, lateness_s: float) -> tuple[flo
 def _rounded_grid(
     time_s: np.ndarray, starts: Sequence[float], unit: float | None = None, first_s: float | None = None
 ) -> tuple[float, np.ndarray] | None:
-    """Return step and sample numbers of a uniform grid whose rounded times are these stamps.
+    """Return step and sample numbers of the uniform grid whose rounded times are the given time stamps.
 
-    ``starts`` are guesses of the step, ``unit`` is the rounding (default: the last decimal place) and
-    ``first_s`` is a guess of the first grid point (default: the first stamp). The line through stamps and
-    numbers is fitted to a growing part of the record, so that the guess must be good for a few samples only.
-    The result is None if any stamp lies farther from the grid than its rounding.
+    ``starts`` are guesses of the step. ``unit`` is the rounding unit of the stamps (default: their last
+    decimal place). ``first_s`` is a guess of the first grid point (default: the first stamp). A line through
+    stamps against sample numbers is fitted to a growing part of the record, so that the guess of the step
+    need be good for a few samples only. The result is None if any stamp differs from the grid by more than
+    the rounding.
     """
     time_s = np.asarray(time_s, dtype=float)
     n = len(time_s)
@@ -240,16 +247,16 @@ def _rounded_grid(
         if np.any(np.diff(number) < 1) or unit > step * (1 + 1e-6):
             continue
         if np.mean(np.diff(number) == 1) < UNIFORM_SHARE:
-            continue  # on the grid of their unit all rounded stamps lie, with many samples missing
+            continue  # any rounded stamps lie on the grid of their rounding unit, with many gaps
         off = time_s - origin - step * number
-        # the error of the fitted line adds to the rounding
+        # the error of the fitted line adds to the rounding error
         if np.ptp(off) <= unit * (1 + 4 / np.sqrt(n)) + 1e-9 * step:
             return step, number.astype(int)
     return None
 
 
 def pieces(time_s: np.ndarray, step_s: float) -> list[Piece]:
-    """Return a record as pieces on a grid, cut where the time leaves that grid.
+    """Return a record as pieces on grids of one rate, cut where the times leave the grid.
 
     Parameters
     ----------
@@ -261,13 +268,14 @@ def pieces(time_s: np.ndarray, step_s: float) -> list[Piece]:
     Returns
     -------
     list of Piece
-        A new piece begins where the time jumps by no whole number of samples, or by more than
-        :data:`LONGEST_FILL` samples. Shorter jumps become missing samples within a piece.
+        A new piece begins where the time step is not a whole number of sampling intervals, or is longer than
+        :data:`LONGEST_FILL` intervals. Shorter gaps become missing samples within a piece.
     """
     time_s = np.asarray(time_s, dtype=float)
     line = _rounded_grid(time_s, (step_s,))
     if line is not None and abs(line[0] / step_s - 1) < SAME_RATE:
-        # rounded stamps lie on the grid even if single steps are far from a whole number of samples
+        # rounded stamps can lie on the grid although single steps are far from a whole number of sampling
+        # intervals
         whole = np.diff(line[1]).astype(float)
         cut = np.zeros(len(whole), dtype=bool)
     else:
@@ -286,17 +294,17 @@ def pieces(time_s: np.ndarray, step_s: float) -> list[Piece]:
 
 
 def _one_late_stamp(relative: np.ndarray) -> np.ndarray:
-    """Return the steps that make two sample times with a neighbour: only the stamp between them is off."""
+    """Flag pairs of time steps that add up to two sampling intervals: the stamp between them is off."""
     pair = relative[:-1] + relative[1:]
     whole = (np.abs(pair - np.round(pair)) <= ON_GRID) & (np.round(pair) == 2)
     return np.append(whole, False) | np.append(False, whole)
 
 
 def rounding(values: Sequence[float] | np.ndarray) -> float:
-    """Return the step to which a continuous signal was rounded; 0 for an exact signal.
+    """Return the step to which a continuous signal was rounded; 0 for a signal that is not rounded.
 
-    A commanded input of a few levels (binary, steps, stairs) is exact, however few decimals it has. A column
-    counts as rounded only if it has many distinct values or many decimals.
+    A commanded input of a few levels (binary, steps, stairs) counts as not rounded, however few decimals it
+    has. A column counts as rounded only if it has many distinct values or many decimals.
 
     Parameters
     ----------
@@ -329,7 +337,7 @@ def has_levels(values: np.ndarray) -> bool:
 
 
 def step_of(values: np.ndarray) -> float | None:
-    """Return the step of which all values are multiples, to 2 % of a step; None if there is none.
+    """Return the step of which all values are multiples, within 2 % of the step; None if there is none.
 
     Fewer than four distinct values have no step.
 
@@ -343,13 +351,13 @@ def step_of(values: np.ndarray) -> float | None:
     step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
     count = np.round((values - values[0]) / step)
     if count[-1] > 0:
-        # the whole range gives more digits
+        # the whole range gives a more precise step
         step = float((values[-1] - values[0]) / count[-1])
     return step if np.max(np.abs((values - values[0]) / step - count)) < 0.02 else None
 
 
 def quantum(values: Sequence[float] | np.ndarray) -> float:
-    """Return the last decimal place of written values as a step; 0 if they are not rounded.
+    """Return the last decimal place of the values as a step (0.01 for two decimals); 0 if not rounded.
 
     >>> quantum(np.array([0.25, 1.5, -0.75]))
     0.01
@@ -370,23 +378,23 @@ def quantum(values: Sequence[float] | np.ndarray) -> float:
 def longest_even(
     time_s: np.ndarray, values: np.ndarray, fastest_hz: float, most: int = 20_000
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the longest part of a channel without a gap, on even steps, for a spectrum.
+    """Return the longest part of a channel without a gap, resampled to even time steps, for a spectrum.
 
     Parameters
     ----------
     time_s, values : ndarray, shape (n,)
         Strictly increasing times; NaN where missing.
     fastest_hz : float
-        Maximum rate, Hz. A faster channel is averaged. Of more samples than :data:`LONGEST_SOUGHT` the middle
-        is used.
+        Maximum rate, Hz. Channels with a higher rate are averaged over blocks of samples. If a channel has
+        more than :data:`LONGEST_SOUGHT` samples, only the middle is used.
     most : int
-        Maximum number of samples that are returned.
+        Maximum number of returned samples.
 
     Returns
     -------
     time_s, values : ndarray, shape (m,)
-        Empty for fewer than two samples. Pauses up to :data:`PAUSE` sample times are bridged by straight
-        lines, which suits a spectrum and nothing else.
+        Times and values; empty for fewer than two samples. Pauses up to :data:`PAUSE` sampling intervals are
+        interpolated linearly, so that the values are suitable only for a spectrum.
     """
     if len(values) > LONGEST_SOUGHT:
         first = (len(values) - LONGEST_SOUGHT) // 2
@@ -407,21 +415,22 @@ def longest_even(
         return np.empty(0), np.empty(0)
     even = np.linspace(t[0], t[-1], max(round((t[-1] - t[0]) / float(np.median(np.diff(t)))) + 1, 2))
     if len(even) == len(t) and np.allclose(even, t, rtol=0.0, atol=1e-6 * (even[1] - even[0])):
-        return t, x  # interpolation would smear a signal that jumps
+        return t, x  # interpolation would distort a signal with jumps
     return even, np.interp(even, t, x)
 
 
 def white_noise_sd(values: np.ndarray, least: float) -> float:
-    """Return the standard deviation of the white noise of a channel, from its third differences (robust).
+    """Return the standard deviation of a channel's white noise, a robust estimate from third differences.
 
-    The variance of a third difference of white noise is 20 times that of the noise.
+    The variance of the third differences of white noise is 20 times the variance of the noise.
 
     Parameters
     ----------
     values : ndarray, shape (n,)
         Evenly sampled, NaN where missing.
     least : float
-        Minimum of the result, which is also returned for too few samples.
+        Minimum of the returned value, in the unit of the channel. This minimum is also returned for too few
+        samples.
     """
     if len(values) < 4:
         return least
@@ -435,43 +444,46 @@ def white_noise_sd(values: np.ndarray, least: float) -> float:
 
 # ---------------------------------------------------------------- repeated samples
 
-#: Maximum ratios of a step to the next one for a repeat with jitter; 0 stands for exact repeats.
+#: Thresholds of the search for repeats with jitter: maximum ratio of a step of the signal to the next step. 0
+#: stands for exact repeats.
 RATIOS = (0.0, 0.003, 0.01, 0.03, 0.1)
-#: Probability of finding repeats in a log without repeats.
+#: Probability of a false detection of repeats in a log without repeats.
 FALSE_ALARM = 1e-3
-#: Minimum length of a rest or of a frozen sensor, in measurements, and maximum distance, in usual steps, of
-#: the next sample after a rest. After a frozen sensor it is larger.
+#: Minimum length of a rest or of a frozen sensor value, in measurement intervals. Maximum step of the signal
+#: after a rest, in median steps. The step after a frozen sensor value is larger.
 LONG_HOLD, NEAR = 5.0, 3.0
-#: Columns that are set or computed, and not measured: commands, deviations and qualities.
+#: Columns that are commanded or computed, not measured: commands, standard deviations, likelihoods and
+#: confidences.
 SET = re.compile(r"cmd.*|.*_sd(_.*)?|.*likelihood|.*confidence")
-#: Maximum rounding of a channel, as a share of its mean step, for a stop to be seen. A coarser channel stands
-#: still between its steps.
+#: Maximum rounding step of a channel, as a fraction of its mean change per sample, for the detection of a
+#: sudden stop. A channel with coarser rounding also repeats values while it moves.
 NEAR_ROUNDED = 0.2
-#: Maximum relative sum of the steps before and after a turning point of a smooth signal. It is twice the
-#: largest of ``RATIOS``, because the mean of both steps is about the step between them.
+#: Maximum relative sum of the steps before and after a turning point of a smooth signal. The value is twice
+#: the largest of ``RATIOS``, because the mean of both steps is about equal to the step between them.
 TURN = 2.0 * RATIOS[-1]
 
 
 @dataclass(frozen=True)
 class Held:
-    """Repeated samples of a log.
+    """Samples of a log that repeat the previous measurement.
 
     Attributes
     ----------
     repeated : ndarray of bool, shape (n,)
-        Samples that repeat the previous measurement, without the first sample of each measurement.
+        Whether each sample repeats the previous measurement. The first sample of each measurement is not
+        flagged.
     period_s : float
-        Mean time between measurements, s. Without repeats it is the usual step of the log.
+        Mean time between measurements, s. Without repeats it is the median time step of the log.
     lateness_s : float
-        Maximum time from a measurement to the stamp of its first sample, s: one step of the log, and 0
+        Maximum time from a measurement to the stamp of its first sample, s: one time step of the log, or 0
         without repeats.
     measured_s : ndarray, shape (n,)
-        Estimated time of the measurement that each sample shows, s, up to a constant offset. It equals the
-        stamps where the measurements are not evenly spaced.
+        Estimated time of the measurement that each sample holds, s, up to a constant offset. If the
+        measurements are not evenly spaced, these times are the time stamps.
     measured_sd_s : float
-        Standard deviation of ``measured_s`` about the true times and the constant offset, s.
+        Standard deviation of the errors of ``measured_s``, apart from the constant offset, s.
     even : bool
-        Whether measurements at an even rate explain all stamps.
+        Whether all time stamps agree with measurements at a constant rate.
     """
 
     repeated: Flags
@@ -485,24 +497,26 @@ class Held:
 def find_held(time_s: Array, channels: Sequence[Array]) -> Held:
     """Find the samples that repeat the previous measurement.
 
-    A robot at rest is no repeat, nor a counter between its steps, nor a command of a few levels.
+    Equal samples of a robot at rest, of a counter between its increments, and of a command with a few levels
+    are not taken for repeats.
 
     Parameters
     ----------
     time_s : ndarray, shape (n,)
         Strictly increasing, s.
     channels : sequence of ndarray, each shape (n,)
-        The channels of one sensor in any units: a repeat repeats all of them. NaN where missing.
+        Channels of one sensor, in any units; NaN where missing. In a repeated sample all channels repeat.
 
     Notes
     -----
-    The size of a step is the largest change of a channel over its 95th percentile. Let a signal without
-    repeats have independent normal steps. Then a step is less than ``r`` times the next one with probability
-    ``2/pi atan(r)`` in one channel, and less often in several. A smooth signal has fewer such steps: they
-    occur at its turning points. Rounding to a quantum ``q`` adds equal samples as a ratio ``q / m`` does,
-    where ``m`` is the mean step. More small steps than a binomial distribution allows are repeats. The
-    measurements of an even sensor lie on a line over their number, at most one step of the log before their
-    stamps.
+    The size of a step between samples is the largest change of a channel divided by the 95th percentile of
+    the changes of that channel. If the steps of a signal without repeats are independent and normally
+    distributed, a step is less than ``r`` times the next step with probability ``2/pi atan(r)`` in one
+    channel, and with a smaller probability in several channels. A smooth signal has fewer such steps; they
+    occur at its turning points. Rounding to a unit ``q`` adds as many equal samples as a ratio ``r = q / m``,
+    where ``m`` is the mean step. If there are more small steps than a binomial distribution allows, they are
+    repeats. The measurement times of an evenly sampling sensor are a linear function of the number of the
+    measurement, and precede the stamps by at most one time step of the log.
 
     Examples
     --------
@@ -543,17 +557,18 @@ def find_held(time_s: Array, channels: Sequence[Array]) -> Held:
 
 
 def may_freeze(name: str, values: Array) -> bool:
-    """Return whether a channel is measured, continuous, and long enough to show that it is frozen."""
+    """Return whether a channel is measured, continuous, and long enough to detect a frozen sensor."""
     known = values[np.isfinite(values)]
     return not SET.fullmatch(name) and len(known) >= LONG_ENOUGH and not has_levels(known)
 
 
 def find_frozen(time_s: Array, columns: Mapping[str, Array]) -> dict[str, tuple[float, float]]:
-    """Return the longest stretch (start and end, s) over which each frozen channel holds one value.
+    """Return the start and end, s, of the longest period over which each frozen channel holds one value.
 
-    A frozen channel holds one value for more than :data:`LONG_HOLD` times as long as it usually does. It also
-    jumps to or from that value, or stops suddenly while it moves. A robot comes to rest and leaves its rest
-    step by step. A command, a channel of a few levels and a value that recurs are not frozen.
+    A channel is frozen under two conditions. It holds one value more than :data:`LONG_HOLD` times as long as
+    it usually does. In addition it jumps to or from that value, or stops suddenly while it moves. A robot
+    that comes to rest, or starts from rest, changes gradually. Commands, channels with a few levels, and
+    values that recur do not count as frozen.
 
     Parameters
     ----------
@@ -585,7 +600,7 @@ def find_frozen(time_s: Array, columns: Mapping[str, Array]) -> dict[str, tuple[
 
 
 def _step_sizes(place: Array) -> Array:
-    """Return the size of each step: the largest change of a channel over the channel's large steps."""
+    """Return the size of each step: largest over the channels, relative to their 95th percentile."""
     steps = np.abs(np.diff(place, axis=0))
     missing = np.isnan(place)
     steps[missing[1:] & missing[:-1]] = 0.0
@@ -599,7 +614,7 @@ def _step_sizes(place: Array) -> Array:
 
 
 def _turns(place: Array) -> Flags:
-    """Return the steps at which all channels turn round. Samples on both sides of a peak are no repeats."""
+    """Return the steps at which all channels have a turning point. Samples on both sides are no repeats."""
     steps = np.diff(place, axis=0)
     before, after = steps[:-2], steps[2:]
     back = np.abs(before + after) <= TURN * (np.abs(before) + np.abs(after))
@@ -609,7 +624,7 @@ def _turns(place: Array) -> Flags:
 
 
 def _rounding_ratio(values: Array) -> float:
-    """Return the quantum of a channel over its mean step."""
+    """Return the rounding step of a channel divided by its mean change per sample."""
     known = values[np.isfinite(values)]
     if len(known) == 0 or not np.ptp(known) > 0:
         return np.inf
@@ -617,9 +632,9 @@ def _rounding_ratio(values: Array) -> float:
 
 
 def _small(sizes: Array, ratio: float) -> Flags:
-    """Return the steps below ``ratio`` times a neighbour, and all other steps of that size.
+    """Return the steps below ``ratio`` times the next step, and all other steps of similar size.
 
-    The limit lies midway, on a logarithmic scale, between the small steps and the large steps beside them.
+    The threshold is the geometric mean of the small steps and the large steps next to them.
     """
     if ratio == 0.0:
         return sizes == 0.0
@@ -631,7 +646,7 @@ def _small(sizes: Array, ratio: float) -> Flags:
 
 
 def _without_rests(time_s: Array, sizes: Array, small: Flags) -> Flags:
-    """Return the small steps without those of rests, after which the signal goes on where it was."""
+    """Return the small steps except those at rest, after which the signal continues from the same value."""
     fresh = np.concatenate(([True], ~small))
     if fresh.sum() < 3 or not small.any():
         return np.zeros_like(small)
@@ -646,50 +661,52 @@ def _without_rests(time_s: Array, sizes: Array, small: Flags) -> Flags:
 
 
 def _timed(time_s: Array, rows: NDArray[np.intp], repeated: Flags) -> Held:
-    """Return the repeated samples with the times of their measurements."""
+    """Return the repeated samples together with the measurement time of each sample."""
     fresh = rows[~repeated[rows]]
     stamps, step = time_s[fresh], usual_step(time_s)
     gaps = np.diff(stamps)
     period = float(np.mean(gaps[gaps <= LONG_HOLD * np.median(gaps)]))
-    # the log may begin within a hold: the first stamp can be late by more than one step
+    # the log may begin while a value is repeated: the first stamp can be late by more than one step
     line = late_grid(stamps[1:], period, step)
-    # each uneven stamp fits an even sensor by chance with the probability step / period
+    # each unevenly spaced stamp agrees with an evenly sampling sensor by chance with probability step /
+    # period
     if line is None or (len(stamps) - 3) * np.log(line[0] / step) < -np.log(FALSE_ALARM):
         return Held(repeated, period, step, time_s, step / np.sqrt(12.0))
     period, measured, slack = line
     measured = np.append(measured[0] - period, measured)
-    # a repeated sample shows the measurement of the fresh sample before it
+    # a repeated sample holds the measurement of the last new sample before it
     shown = np.clip(np.searchsorted(fresh, np.arange(len(time_s)), side="right") - 1, 0, None)
-    # the last measurement is uniform over the slack; half of the variance belongs to each end
+    # the time of the last measurement is uniform over the slack; half of the variance belongs to each end
     return Held(repeated, period, step, measured[shown], slack / np.sqrt(24.0), even=True)
 
 
 # ---------------------------------------------------------------- channels that are no measurement
 
-#: Minimum distance of a mark of missing samples, or of an error, from all other values, in ranges of these.
+#: Minimum distance of an outlying value (a code for missing samples, or an error) from all other values,
+#: divided by the range of the other values.
 FAR = 10.0
-#: Minimum number of samples in a stretch at the largest or smallest value, and minimum number of such
-#: stretches, of a channel that is cut off.
+#: Minimum number of consecutive samples at the largest or smallest value, and minimum number of such runs, of
+#: a channel that is saturated.
 CUT_SAMPLES, CUT_TIMES = 3, 3
-#: Relative tolerance of the steps of a column that counts the rows.
+#: Relative tolerance of the increments of a column that counts the rows.
 COUNT_RTOL = 1e-6
-#: Two names of the turn rate about the vertical, whose columns may be equal.
+#: Two names of the yaw rate. Columns with these names may be equal.
 SYNONYMS = {"wz_rad_s", "yaw_rate_rad_s"}
 
 
 def find_unmeasured(columns: Mapping[str, Array], scales: Mapping[str, float]) -> dict[str, str]:
-    """Return the channels with values that a working sensor does not give, each with what is wrong.
+    """Return the channels whose values no working sensor gives, each with a description of the fault.
 
-    Such a channel is constant, counts the rows, equals another column, is cut off at a value, or holds a
-    value far from all others. Commands, deviations and qualities are not looked at, nor channels with fewer
-    than :data:`LONG_ENOUGH` values.
+    Such a channel is constant, counts the rows, equals another column, is saturated at a value, or holds a
+    value far from all others. Commands, standard deviations, likelihoods and confidences are not checked, nor
+    are channels with fewer than :data:`LONG_ENOUGH` values.
 
     Parameters
     ----------
     columns : mapping of str to ndarray, each shape (n,)
         Columns of a log, ``t_s`` among them; NaN where missing.
     scales : mapping of str to float
-        Factor from the values in the file to those of a column.
+        Factor from the values in the file to the values of each column.
 
     Examples
     --------
@@ -724,7 +741,7 @@ def find_unmeasured(columns: Mapping[str, Array], scales: Mapping[str, float]) -
 
 
 def _find_far(known: Array) -> str:
-    """Return how the largest or smallest value lies far from all others; empty if none does."""
+    """Return words that name an extreme value far from all other values; empty if there is none."""
     for extreme in (known.min(), known.max()):
         others = known[known != extreme]
         away = float(np.min(np.abs(others - extreme)))
@@ -735,7 +752,7 @@ def _find_far(known: Array) -> str:
 
 
 def _find_cut(known: Array) -> str:
-    """Return the value at which a channel is cut off, in words; empty for a coarsely rounded channel."""
+    """Return words that name the value at which a channel is saturated; empty if there is none."""
     if has_levels(known) or _rounding_ratio(known) > NEAR_ROUNDED:
         return ""
     for extreme in (known.min(), known.max()):
@@ -747,30 +764,30 @@ def _find_cut(known: Array) -> str:
 
 # ---------------------------------------------------------------- rate of change
 
-#: Minimum number of samples in the window of a cubic, which has 4 coefficients.
+#: Minimum number of samples in the window of a cubic polynomial, which has 4 coefficients.
 SLOPE_SAMPLES = 6
 
 
 def slope(time_s: Array, values: Array, half_width_s: float) -> Array:
-    """Return the derivative by a cubic fitted to the samples around each instant.
+    """Return the derivative of a channel, by a cubic polynomial fitted to the samples around each instant.
 
     Parameters
     ----------
     time_s, values : ndarray, shape (n,)
-        Uneven steps and NaN are allowed.
+        Times, s, and samples. Uneven steps and NaN are allowed.
     half_width_s : float
-        Half width of the fitted window, s. It is enlarged if the window would hold fewer than
+        Half width of the fitted window, s. The window is enlarged if it would hold fewer than
         :data:`SLOPE_SAMPLES` samples.
 
     Returns
     -------
     ndarray, shape (n,)
-        NaN within half a window of the ends, and beside a gap that leaves no samples on one side.
+        Derivative; NaN within half a window of the ends, and near a gap that leaves no samples on one side.
 
     Notes
     -----
-    This is the filter of Savitzky and Golay (1964) for any sampling. To leading order a sine of frequency f
-    has the gain ``1 - (2 pi f h)^4 / 504``, with the half width h.
+    This is the filter of Savitzky and Golay (1964) for any sampling. To leading order the derivative of a
+    sine of frequency f is multiplied by ``1 - (2 pi f h)^4 / 504``, with the half width h.
 
     >>> t = np.linspace(0.0, 1.0, 101)
     >>> float(np.round(slope(t, t**3, 0.05)[50], 9))

@@ -1,4 +1,4 @@
-"""Swimming of a track: its speeds, accelerations and stroke, over a window or its steady part."""
+"""Swimming motion from a track: speeds, accelerations and stroke, over a given window or the steady part."""
 
 from __future__ import annotations
 
@@ -17,45 +17,48 @@ from swimid.logs.tracks import Cleaning, Estimate, gaps, mean_of_blocks
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-#: Number of blocks of a track without a stroke, and maximum number of blocks of any track. A block of a
-#: longer track has several strokes.
+#: Number of blocks of a track without a stroke, and maximum number of blocks of any track. In a longer track
+#: each block has several strokes.
 N_BLOCKS, MAX_BLOCKS = 20, 200
 #: Minimum number of measured samples in a window.
 MIN_SAMPLES = 12
-#: Minimum number of blocks in a steady part, from which a trend is distinct from scatter.
+#: Minimum number of blocks in a steady part. With fewer blocks a trend cannot be distinguished from scatter.
 MIN_BLOCKS = 5
-#: Minimum speed of a block under way, relative to the 90th percentile. Slower ones are start, coasting or
-#: rest.
+#: Minimum speed of a block of the cruise, divided by the 90th percentile of the block speeds. Slower blocks
+#: are start, coasting or rest.
 MIN_CRUISE = 0.5
-#: Maximum change of the speed over a steady part, relative to the speed, unless the change is not
-#: significant.
+#: Maximum change of the speed over a steady part, divided by the mean speed. A change that is not significant
+#: is also accepted.
 MAX_CHANGE = 0.02
-#: Maximum reach of the 95 % interval of that change, relative to the speed.
+#: Maximum absolute value in the 95 % interval of the change of speed over a steady part, divided by the mean
+#: speed.
 MAX_CHANGE_REACH = 0.2
-#: Maximum shares of the blocks under way that are cut off as start, and of the rest as end.
+#: Maximum fraction of the cruise blocks that is cut off as the start, and maximum fraction of the remaining
+#: blocks that is cut off as the end.
 MAX_START, MAX_END = 1 / 2, 1 / 3
-#: Number of strokes for one amplitude.
+#: Number of strokes in each fit of an amplitude.
 N_STROKES = 2.0
-#: Minimum amplitude, in standard errors of the amplitude and of the track.
+#: Minimum ratio of a significant amplitude to its standard error, and to the error of the track.
 AMPLITUDE_Z = 3.0
-#: Minimum speed of a point with a course at all times, relative to its mean speed.
+#: Minimum ratio of the lowest speed of a point to its mean speed, for a course that is defined at all times.
 MIN_SPEED_SHARE = 0.2
 
 
 @dataclass(frozen=True)
 class Track:
-    """Track as measured and as smoothed, with one unit of length.
+    """Track as measured and as smoothed, in one unit of length.
 
     Attributes
     ----------
     time_s : ndarray, shape (n,)
     measured : ndarray of bool, shape (n,)
     raw, smooth, velocity : ndarray, shape (2, n)
-        Measured and smoothed position, and velocity; NaN where missing.
+        Measured position, smoothed position, and velocity; NaN where missing.
     raw_angle, angle : ndarray, shape (n,), or None
-        Heading, measured and smoothed, unwrapped, rad.
+        Measured heading and smoothed heading, unwrapped, rad.
     error, angle_error : float
-        Standard deviation of the errors of position and heading (rad) that do not average out.
+        Standard deviation of the systematic errors of position and of heading (rad), which do not average
+        out.
     """
 
     time_s: Array
@@ -71,19 +74,20 @@ class Track:
 
 @dataclass(frozen=True)
 class Swimming:
-    """Speeds, accelerations and stroke in one window of a track, in its unit of length, s and rad.
+    """Speeds, accelerations and stroke in one window of a track, in the track's unit of length, s and rad.
 
     Attributes
     ----------
     begin_s, end_s : float
-        Ends of the window.
+        Start and end of the window, s.
     window : str
-        ``given``, ``steady part``, or ``whole track`` if no part is steady.
+        Kind of the window: ``given``, ``steady part``, or ``whole track`` if no part is steady.
     path_speed : Estimate or None
-        Mean of the speed along the path, sway included; None if no stretch is long enough.
+        Mean of the speed along the path, including sway; None if no segment is long enough.
     advance : Estimate or None
-        Mean speed of the path averaged over strokes. In a steady window it is the steady speed. Without a
-        stroke it is the displacement over time, or on a path that turns round the mean speed of blocks.
+        Mean speed along the path averaged over strokes. In a steady window this is the steady speed. Without
+        a stroke it is the displacement divided by the duration, or, if the course makes a full rotation, the
+        mean speed of the blocks.
     change : Estimate or None
         Change of the advance speed from the start to the end of the window.
     acceleration : Estimate or None
@@ -93,12 +97,12 @@ class Swimming:
     stroke : Beat or None
     frequency_hz : Estimate or None
     amplitudes : dict of str to Estimate
-        Significant amplitudes of the fundamental of the stroke: ``sway`` across the mean heading (or the path
-        without a heading), and ``turn`` of the heading (rad).
+        Significant amplitudes at the stroke frequency: ``sway`` across the mean heading (across the path if
+        there is no heading), and ``turn``, the amplitude of the heading (rad).
     doubt : str
-        Reason to doubt the stroke; empty if there is none.
+        Reason to doubt the stroke; empty if there is no doubt.
     unknown : str
-        Reason why there is no stroke; empty if there is one.
+        Reason why no stroke is found; empty if one is found.
     """
 
     begin_s: float
@@ -117,7 +121,7 @@ class Swimming:
 
     @property
     def steady(self) -> bool:
-        """Whether the advance speed does not change over the window, but by chance or a little."""
+        """Whether the change of the advance speed over the window is small or not significant."""
         if self.advance is None or self.change is None:
             return False
         return _is_level(self.change, self.advance.value)
@@ -125,7 +129,7 @@ class Swimming:
 
 @dataclass(frozen=True)
 class _Blocks:
-    """Blocks of one or several strokes: middle (s), velocity (2, n), speed along the arc; duration (s)."""
+    """Blocks of one or several strokes: middle (s), velocity (2, n), speed along the arc, duration (s)."""
 
     middle: Array
     velocity: Array
@@ -134,14 +138,14 @@ class _Blocks:
 
     @property
     def turn_round(self) -> bool:
-        """Whether the course makes at least one full turn."""
+        """Whether the course makes at least one full rotation."""
         course = np.unwrap(np.arctan2(self.velocity[1], self.velocity[0]))
         return len(course) > 1 and bool(abs(course[-1] - course[0]) >= 2.0 * np.pi)
 
 
 @dataclass(frozen=True)
 class _Stroke:
-    """Stroke of a window and its doubt; or the reason why there is none, and a slow frequency (Hz)."""
+    """Stroke of a window and a reason to doubt it; or the reason for no stroke, and a slow frequency, Hz."""
 
     beat: Beat | None = None
     doubt: str = ""
@@ -150,27 +154,29 @@ class _Stroke:
 
     @property
     def period_s(self) -> float | None:
-        """Period of the stroke, s; None without a stroke."""
+        """Period of the stroke, s; None if there is no stroke."""
         return None if self.beat is None else 1.0 / self.beat.frequency_hz
 
 
 def measure(track: Track, window_s: tuple[float | None, float | None] = (None, None)) -> Swimming:
-    """Measure speeds, accelerations and stroke of a track.
+    """Measure the speeds, the accelerations and the stroke of a track.
 
     Parameters
     ----------
     track : Track
     window_s : (float or None, float or None)
-        Begin and end, s. If both are None, the steady part is taken.
+        Start and end of the window, s. If both are None, the steady part is used.
 
     Notes
     -----
-    The path is averaged over one stroke, so that its swing drops out, and cut into blocks of one stroke, each
-    an arc of a circle (:func:`swimid.logs.kinematics.block_speeds`). The steady part lies in the longest run
-    of blocks that are not slower than half of the cruise. Its start and its end are cut off by the marginal
-    standard error rule [1]_: as few blocks as give the mean of the rest the smallest standard error, within
-    the uncertainty of that error. The rest must have :data:`MIN_BLOCKS` blocks, and its speed must not change
-    significantly, or by no more than :data:`MAX_CHANGE`.
+    The path is averaged over one stroke, which removes the oscillation of the body. It is then cut into
+    blocks of one stroke, each of which is taken for an arc of a circle
+    (:func:`swimid.logs.kinematics.block_speeds`). The steady part lies in the longest sequence of blocks that
+    are not slower than :data:`MIN_CRUISE` of the cruise speed. The start and the end of this sequence are cut
+    off by the marginal standard error rule [1]_: the smallest number of blocks is cut off for which the
+    standard error of the mean of the remaining blocks is minimal, within the uncertainty of that error. The
+    steady part must have :data:`MIN_BLOCKS` blocks. The change of its speed must not be significant, or must
+    be at most :data:`MAX_CHANGE`.
 
     References
     ----------
@@ -191,7 +197,7 @@ def measure(track: Track, window_s: tuple[float | None, float | None] = (None, N
     stroke = _find_stroke(track, begin, end)
     blocks = _blocks(track, begin, end, stroke.period_s)
     advance = change = acceleration = across = frequency = None
-    # blocks that cut a slow stroke swing with it; those of a lap follow it
+    # speeds of blocks shorter than a slow stroke oscillate with this stroke, unless the slow motion is a lap
     if len(blocks.middle) >= 3 and (stroke.slow_hz is None or blocks.turn_round):
         durations = np.full(len(blocks.speed), blocks.duration_s)
         advance = _not_negative(mean_of_blocks(blocks.speed, durations))
@@ -228,14 +234,14 @@ def measure(track: Track, window_s: tuple[float | None, float | None] = (None, N
 
 
 def _is_level(change: Estimate, speed: float) -> bool:
-    """Return whether a change of the speed is known well enough, and small or not significant."""
+    """Return whether the change of a speed is known well enough, and is small or not significant."""
     if max(-change.low, change.high) > MAX_CHANGE_REACH * abs(speed):
         return False
     return abs(change.value) <= MAX_CHANGE * abs(speed) or change.low <= 0 <= change.high
 
 
 def _not_negative(speed: Estimate | None) -> Estimate | None:
-    """Return a speed whose interval does not go below zero."""
+    """Return an estimate of a speed whose interval is cut off at zero."""
     if speed is None:
         return None
     return Estimate(speed.value, max(speed.low, 0.0), speed.high)
@@ -245,12 +251,12 @@ def _not_negative(speed: Estimate | None) -> Estimate | None:
 
 
 def _find_stroke(track: Track, begin: float, end: float) -> _Stroke:
-    """Return the stroke of a window. A track without a heading shows it by its course."""
+    """Return the stroke of a window. In a track without a heading the course is searched for the stroke."""
     rows = np.flatnonzero((track.time_s >= begin) & (track.time_s <= end))
     if len(rows) < 3:
         return _Stroke(unknown="too few samples")
     raw, (vx, vy) = track.raw[:, rows], track.velocity[:, rows]
-    # the names are those of the log, whatever the unit of length
+    # the column names are those of the log format, whatever the unit of length is
     columns = {"x_m": raw[0], "y_m": raw[1]}
     if track.angle is not None and track.raw_angle is not None:
         angle = track.angle[rows]
@@ -270,7 +276,7 @@ def _find_stroke(track: Track, begin: float, end: float) -> _Stroke:
     if found.maybe_double:
         return _Stroke(unknown="only motions that may swing twice a stroke keep a beat")
 
-    # any bend swings a little about a cubic: a stroke must be significant in the track
+    # any bend of a path deviates from a cubic: the amplitude of a stroke must be significant in the track
     def is_significant(beat: Beat) -> bool:
         return bool(_amplitudes(track, begin, end, beat.frequency_hz))
 
@@ -284,15 +290,16 @@ def _find_stroke(track: Track, begin: float, end: float) -> _Stroke:
 
 
 def _is_under_way(velocity: Array) -> bool:
-    """Return whether a point never stops, so that it has a course at all times."""
+    """Return whether a point never stops, so that its course is defined at all times."""
     speed = np.hypot(*velocity)
     return bool(np.isfinite(speed).all() and speed.min() > MIN_SPEED_SHARE * float(speed.mean()))
 
 
 def _stays(place: Array) -> bool:
-    """Return whether a point swings about one place.
+    """Return whether a point oscillates about one place.
 
-    The means of the first and the second half are then nearer than half of their distance at constant speed.
+    Then the mean positions of the first and the second half of the track are closer together than half of
+    their distance at constant speed.
     """
     along = _long_axis(place) @ place[:, np.isfinite(place).all(axis=0)]
     half = len(along) // 2
@@ -300,15 +307,16 @@ def _stays(place: Array) -> bool:
 
 
 def _long_axis(place: Array) -> Array:
-    """Return the unit vector of the largest spread of positions, shape (2, n)."""
+    """Return the unit vector of the direction with the largest variance of positions, shape (2, n)."""
     known = place[:, np.isfinite(place).all(axis=0)]
     return np.asarray(np.linalg.eigh(np.cov(known))[1][:, -1])
 
 
 def _amplitudes(track: Track, begin: float, end: float, frequency: float) -> dict[str, Estimate]:
-    """Return the significant amplitudes of a frequency across the mean heading and of the heading.
+    """Return the significant amplitudes at a frequency: of the sway and of the heading.
 
-    Without a heading it is that across the mean path, or along the swing of a point that stays in place.
+    The sway is the motion across the mean heading. Without a heading it is the motion across the mean path,
+    or, for a point that stays in place, along the direction of its largest motion.
     """
     time = track.time_s
     rows = (time >= begin) & (time <= end)
@@ -335,7 +343,7 @@ def _amplitudes(track: Track, begin: float, end: float, frequency: float) -> dic
 
 
 def _amplitude(time: Array, values: Array, frequency: float) -> Estimate | None:
-    """Return the mean amplitude of a sine fitted to stretches of strokes; None if it is not significant."""
+    """Return the mean amplitude of a sine fitted to successive strokes; None if it is not significant."""
     if not len(time):
         return None
     strokes = min(N_STROKES, float(time[-1] - time[0]) * frequency)
@@ -368,7 +376,7 @@ def _amplitude(time: Array, values: Array, frequency: float) -> Estimate | None:
 
 
 def _running_mean(time: Array, values: Array, period: float) -> Array:
-    """Return the running mean over one period; NaN where a part of the period is unknown."""
+    """Return the running mean over one period; NaN where part of the period has no samples."""
     known = np.isfinite(values)
     safe = np.where(known, values, 0.0)
     area = np.concatenate(([0.0], np.cumsum(0.5 * np.diff(time) * (safe[1:] + safe[:-1]))))
@@ -381,11 +389,11 @@ def _running_mean(time: Array, values: Array, period: float) -> Array:
 
 
 def _blocks(track: Track, begin: float, end: float, period: float | None) -> _Blocks:
-    """Return blocks of whole strokes inside the unbroken track; of equal duration without a stroke."""
+    """Return blocks of whole strokes inside gap-free parts; without a stroke, blocks of equal duration."""
     time = track.time_s
     if period is None or period > (end - begin) / 3:
         period = (end - begin) / N_BLOCKS
-    # smoothed samples have common errors, so measured ones are used where there are any
+    # errors of smoothed samples are correlated, so measured samples are used where there are any
     filled = np.where(track.measured & np.isfinite(track.raw), track.raw, track.smooth)
     path = np.array([_running_mean(time, row, period) for row in filled])
     known = np.isfinite(path[0])
@@ -421,10 +429,10 @@ def _steady_part(blocks: _Blocks) -> tuple[float, float] | None:
 
 
 def _transient(speed: Array, most: float) -> int:
-    """Return the number of blocks to cut off in front, at most a share of all.
+    """Return the number of blocks to cut off at the beginning, at most the fraction ``most`` of all blocks.
 
-    It is the smallest number whose squared standard error of the mean is within one standard error of the
-    minimum.
+    The result is the smallest number for which the squared standard error of the mean speed is within one
+    standard error of its minimum.
     """
     counts = len(speed) - np.arange(int(most * len(speed)) + 1)
     counts = counts[counts >= 3]
@@ -432,18 +440,18 @@ def _transient(speed: Array, most: float) -> int:
         return 0
     scores = np.array([float(np.var(speed[len(speed) - n :], ddof=1)) / n for n in counts])
     best = int(np.argmin(scores))
-    # a variance of n samples has the relative standard error sqrt(2 / (n - 1))
+    # a variance estimated from n samples has the relative standard error sqrt(2 / (n - 1))
     return int(np.argmax(scores <= scores[best] * (1 + math.sqrt(2 / (counts[best] - 1)))))
 
 
 def _change(middle: Array, speed: Array) -> Estimate:
-    """Return the change of the speed from the first to the last block."""
+    """Return the change of the speed from the first to the last block, from a fitted line."""
     span, slope = float(middle[-1] - middle[0]), _slope(middle, speed)
     return Estimate(span * slope.value, span * slope.low, span * slope.high)
 
 
 def _slope(time: Array, values: Array) -> Estimate:
-    """Return the slope of a line with its 95 % interval, widened for correlated residuals."""
+    """Return the slope of a fitted line with its 95 % interval, widened for correlated residuals."""
     design = np.column_stack([np.ones(len(time)), time - time.mean()])
     weights = np.linalg.lstsq(design, values, rcond=None)[0]
     residual = values - design @ weights

@@ -1,4 +1,4 @@
-"""Tracks of a camera: their repeats, jumps and gaps, which are never filled, and their mean speed."""
+"""Tracks of a camera: repeated samples, jumps and gaps (which are never filled), and the mean speed."""
 
 from __future__ import annotations
 
@@ -16,39 +16,42 @@ from swimid.logs.sampling import PAUSE, Held, find_held, pauses, quantum
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-#: Number of steps in the median for the expected velocity, and in the median for the local deviation.
+#: Number of steps in the running median for the expected velocity, and in the running median for the local
+#: deviation from it.
 WINDOW, WIDE = 11, 41
-#: Minimum deviation of an outlying step from the expected one, in median deviations. For Gaussian noise in a
-#: plane that is seven standard deviations.
+#: Minimum deviation of an outlying step from the expected step, in median deviations. For Gaussian noise in a
+#: plane, six median deviations are seven standard deviations.
 OUTLYING = 6.0
-#: Minimum speed of an outlying step, in speeds of the fastest part of the track, and number of steps in the
-#: median for that speed. A robot can be fast for several steps, a jump out and back cannot.
+#: Minimum speed of an outlying step, divided by the speed of the fastest part of the track, and number of
+#: steps in the running median for that speed. A robot can be fast for several steps, but a jump and return
+#: has only two fast steps.
 FASTER, ALIKE = 2.0, 5
-#: Minimum number of samples, and minimum share of all samples, of a track that goes on elsewhere. Fewer
-#: samples are a jump there and back.
+#: Minimum number of samples, and minimum fraction of all samples, in a part of the track that continues at
+#: another place. A part with fewer samples is taken for a jump with return.
 FEW, FEW_SHARE = 12, 0.05
 
 
 @dataclass(frozen=True)
 class Cleaning:
-    """Repeats, jumps and gaps of a track.
+    """Repeated samples, jumps and gaps of a track.
 
     Attributes
     ----------
     good : ndarray of bool, shape (n,)
-        Samples that show the position of the robot.
+        Whether each sample is a measured position of the robot.
     repeated : ndarray of bool, shape (n,)
-        Samples that repeat all columns of the pose, except for jitter, because the camera had no new picture.
+        Whether each sample repeats all columns of the pose, except for jitter, because the camera had no new
+        picture.
     jumped : ndarray of bool, shape (n,)
-        Samples away from the track that goes on before and after them.
+        Whether each sample lies away from the track, which continues before and after the sample.
     jumps : int
-        Number of jumps there and back, and of jumps after which the track goes on elsewhere.
+        Number of jumps: those with return, and those after which the track continues at another place.
     offset_rows : list of int
-        Rows from which the track goes on elsewhere.
+        Row numbers at which the track continues at another place.
     gaps : list of (float, float)
         Start and end of the gaps between good samples, s.
     held : Held or None
-        Repeats with the times of the pictures; None if they were not searched.
+        Repeated samples, with the measurement times of the pictures; None if repeats were not searched.
     """
 
     good: Flags
@@ -61,7 +64,7 @@ class Cleaning:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Numbers of repeats, of jumps and of samples that jumped."""
+        """Number of repeated samples, number of jumps, and number of samples flagged as jumped."""
         repeats, lost = int(self.repeated.sum()), int(self.jumped.sum())
         return {"repeats": repeats, "jumps": self.jumps, "samples_jumped": lost}
 
@@ -72,7 +75,7 @@ class Cleaning:
 
 
 def clean(time_s: Array, positions: list[Array], others: list[Array] | None = None) -> Cleaning:
-    """Find the repeats, jumps and gaps of a track.
+    """Find the repeated samples, jumps and gaps of a track.
 
     Parameters
     ----------
@@ -81,16 +84,16 @@ def clean(time_s: Array, positions: list[Array], others: list[Array] | None = No
     positions : list of ndarray, each shape (n,)
         Coordinates, m; NaN where missing.
     others : list of ndarray, optional
-        Other columns of the same picture (angles), which a repeat repeats too.
+        Other columns of the same picture (angles). In a repeated sample they repeat as well.
 
     Notes
     -----
-    A step is outlying under two conditions. First, it differs from the running median velocity by more than
-    :data:`OUTLYING` times the larger of the local and the global median deviation (Hampel's identifier on the
-    steps, each with its own duration). Second, it is more than :data:`FASTER` times as fast as the track at
-    its fastest (the 99th percentile of the running median of :data:`ALIKE` steps). Outlying steps cut the
-    track into pieces. The track is the chain of pieces with most samples, less a cost for each piece that
-    does not continue the one before.
+    A step is outlying if it meets two conditions. First, it differs from the running median velocity by more
+    than :data:`OUTLYING` times the larger of the local and the global median deviation (Hampel's identifier,
+    applied to the steps with their durations). Second, it is more than :data:`FASTER` times as fast as the
+    fastest part of the track (the 99th percentile of the running median over :data:`ALIKE` steps). Outlying
+    steps cut the track into pieces. The accepted track is the sequence of pieces with the largest number of
+    samples minus a cost for each piece that does not continue the previous piece.
 
     References
     ----------
@@ -115,13 +118,13 @@ def clean(time_s: Array, positions: list[Array], others: list[Array] | None = No
 
 
 def gaps(time_s: Array, good: Flags) -> list[tuple[float, float]]:
-    """Return the gaps between good samples (:func:`swimid.logs.sampling.pauses`) as start and end, s."""
+    """Return start and end, s, of each gap between good samples (see :func:`swimid.logs.sampling.pauses`)."""
     times = time_s[good]
     return [(float(times[k]), float(times[k + 1])) for k in pauses(times)]
 
 
 def _jumps(time: Array, place: Array) -> tuple[Flags, list[int]]:
-    """Return which samples stay, and the samples from which the track goes on elsewhere."""
+    """Return which samples belong to the track, and the samples at which it continues elsewhere."""
     from scipy import ndimage
 
     steps_s, steps = np.diff(time), np.diff(place, axis=0)
@@ -157,7 +160,7 @@ def _jumps(time: Array, place: Array) -> tuple[Flags, list[int]]:
 
 
 def _chain(sizes: NDArray[np.int64], goes_on: Callable[[int, int], bool], cost: float) -> list[int]:
-    """Return the chain of pieces with most samples, less ``cost`` for each piece that does not go on."""
+    """Return the sequence of pieces with the most samples, minus ``cost`` per interruption."""
     best = np.zeros(len(sizes))
     link = np.full(len(sizes), -1)
     for k, size in enumerate(sizes):
@@ -176,28 +179,31 @@ def _chain(sizes: NDArray[np.int64], goes_on: Callable[[int, int], bool], cost: 
 
 # ---------------------------------------------------------------- mean speed
 
-#: Minimum number of samples of a stretch without a gap, for a speed.
+#: Minimum number of samples in a segment without a gap, for an estimate of the speed.
 MIN_SAMPLES = 12
-#: Maximum number of samples that are smoothed together. A longer stretch is cut.
+#: Maximum number of samples that are smoothed together. A longer segment is cut.
 MAX_STRETCH = 1500
-#: Maximum number of samples that are smoothed. A longer track is thinned.
+#: Maximum number of samples of a track that are smoothed. A longer track is thinned.
 MAX_SAMPLES = 60_000
-#: Weights of the squared curvature that are compared, for one sample per unit of time.
+#: Smoothing weights (of the squared curvature) among which cross-validation chooses. They hold for one sample
+#: per unit of time.
 STRENGTHS = np.logspace(-4, 6, 11)
-#: Number of folds of the cross-validation that chooses the weight.
+#: Number of folds of the cross-validation that chooses the smoothing weight.
 FOLDS = 5
-#: Length of each end of a track, in cycles, from which the ends of its averaged path are estimated. A shorter
-#: track is fitted as a whole. Without a periodic motion each end is the second number, a share of the track.
+#: Length of the two ends of a track whose fits give the displacement: number of cycles of the periodic
+#: motion, or, without a periodic motion, fraction of the duration. A track shorter than both ends together is
+#: fitted as a whole.
 END_CYCLES, END_SHARE = 4.0, 0.125
-#: Maximum order of the polynomial fitted to a track as a whole, and order of the polynomial at its ends.
+#: Maximum order of the polynomial fitted to a whole track, and order of the polynomial fitted to the ends of
+#: a track.
 MAX_ORDER, END_ORDER = 3, 2
-#: Number of blocks whose means give the uncertainty of the mean.
+#: Number of blocks whose means give the uncertainty of the mean speed.
 BLOCKS = 12
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value with its 95 % interval, in one unit. The ends are NaN if the uncertainty is unknown."""
+    """Estimate with its 95 % interval, in one unit. The limits are NaN if the uncertainty is unknown."""
 
     value: float
     low: float
@@ -211,15 +217,15 @@ class TrackSpeed:
     Attributes
     ----------
     path : Estimate
-        Mean of the speed along the path, sway and turns included, m/s.
+        Mean of the speed along the path, including sway and turns, m/s.
     line : Estimate
-        Displacement over time of the path averaged over the periodic motion, m/s.
+        Displacement divided by duration, after the periodic motion is averaged out, m/s.
     naive_m_s : float
-        Mean of ``|dx/dt|`` over all samples as they are in the file, m/s.
+        Mean of ``|dx/dt|`` over all samples of the file, without cleaning, m/s.
     noise_m : float
         Standard deviation of a coordinate about the smoothed path, m.
     covered_s : float
-        Duration without the gaps, s.
+        Duration of the track without its gaps, s.
     """
 
     path: Estimate
@@ -235,9 +241,11 @@ def mean_of_blocks(values: Array, weights: Array, shift: float = 0.0) -> Estimat
     Parameters
     ----------
     values, weights : ndarray, shape (n,)
-        Values in the order of time, and the time for which each value stands, not all 0.
+        Values in the order of time, and weight of each value: the duration that it represents. At least one
+        weight must not be 0.
     shift : float
-        Correction of the mean. Its standard uncertainty is its own size.
+        Correction that is added to the mean. Its standard uncertainty is taken to be as large as the
+        correction.
     """
     from scipy.special import stdtrit
 
@@ -248,7 +256,7 @@ def mean_of_blocks(values: Array, weights: Array, shift: float = 0.0) -> Estimat
     means = np.bincount(block, weights * values, BLOCKS)[held] / totals[held]
     half = 0.0
     if len(means) > 1:
-        # the correlation of neighbouring blocks widens the interval
+        # widen the interval for the correlation of neighbouring blocks
         off = means - means.mean()
         together = float(off[1:] @ off[:-1] / max(float(off @ off), 1e-300))
         widen = np.sqrt((1 + max(together, 0.0)) / (1 - min(max(together, 0.0), 0.8)))
@@ -258,7 +266,7 @@ def mean_of_blocks(values: Array, weights: Array, shift: float = 0.0) -> Estimat
 
 
 def naive(time_s: Array, positions: list[Array]) -> float:
-    """Return the mean of ``|dx/dt|`` over the samples that are there, m/s; NaN for fewer than two."""
+    """Return the mean of ``|dx/dt|`` over the known samples, m/s; NaN for fewer than two samples."""
     place = np.column_stack(positions)
     there = np.isfinite(place).all(axis=1)
     if there.sum() < 2:
@@ -270,7 +278,7 @@ def naive(time_s: Array, positions: list[Array]) -> float:
 def net_speed(
     time_s: Array, place: Array, frequency_hz: float | None = None, stamp_sd_s: float = 0.0
 ) -> Estimate | None:
-    """Return the displacement of an averaged path over its duration, in units of ``place`` per s.
+    """Return the displacement of an averaged path divided by its duration, in units of ``place`` per s.
 
     Parameters
     ----------
@@ -279,22 +287,23 @@ def net_speed(
     place : ndarray, shape (n, d)
         Positions, without NaN.
     frequency_hz : float, optional
-        Frequency of the periodic motion, which is fitted and left out, Hz, known to a tenth of a cycle in the
-        record.
+        Frequency of the periodic motion, Hz, known to a tenth of a cycle over the record. This motion is
+        fitted and left out of the displacement.
     stamp_sd_s : float
         Standard deviation of the stamps, s.
 
     Returns
     -------
     Estimate or None
-        None for fewer than :data:`MIN_SAMPLES` samples.
+        Net speed; None for fewer than :data:`MIN_SAMPLES` samples.
 
     Notes
     -----
     A polynomial and two harmonics are fitted by least squares to both ends of the track, or to the whole of a
-    short track. For a short track, orders and frequencies are averaged with the weights of the Bayesian
-    information criterion [1]_, and an amplitude that changes linearly absorbs the error of the frequency.
-    Correlated residuals widen the interval by the factor of a first-order autoregressive process.
+    short track. For a short track, the displacements of fits with several polynomial orders and frequencies
+    are averaged with the weights of the Bayesian information criterion [1]_. In these fits an amplitude that
+    changes linearly absorbs the error of the frequency. The interval is widened for correlated residuals by
+    the factor of a first-order autoregressive process.
 
     References
     ----------
@@ -348,8 +357,8 @@ def _fit_path(
 ) -> tuple[float, Array, Array, int]:
     """Fit a polynomial and a periodic motion to positions.
 
-    Returned are the information criterion, the polynomial at the times ``at``, shape (m, d), its covariance
-    by coordinate, shape (m, m, d), and the degrees of freedom.
+    The result holds the Bayesian information criterion, the polynomial at the times ``at``, shape (m, d), the
+    covariance of these values for each coordinate, shape (m, m, d), and the degrees of freedom.
     """
     u = (t - t[0]) / float(np.ptp(t))
     design = np.vander(u, order + 1, increasing=True)
@@ -374,26 +383,26 @@ def _fit_path(
 def speed(
     time_s: Array, positions: list[Array], cleaning: Cleaning, frequency_hz: float | None = None
 ) -> TrackSpeed | None:
-    """Return the mean speed of a cleaned track; None if no stretch is long enough.
+    """Return the mean speed of a cleaned track; None if no segment is long enough.
 
     Parameters
     ----------
     time_s : ndarray, shape (n,)
-        Stamps, s. If samples are repeated, the times of the measurements are used in their place.
+        Time stamps, s. If samples are repeated, the measurement times of ``cleaning`` are used instead.
     positions : list of ndarray, each shape (n,)
         Coordinates as in the file, m.
     cleaning : Cleaning
         Good samples of the track.
     frequency_hz : float, optional
-        Frequency of the periodic motion that the displacement leaves out, Hz.
+        Frequency of the periodic motion that is left out of the displacement, Hz.
 
     Notes
     -----
-    Each stretch between gaps is smoothed by a cubic spline, whose weight is chosen by cross-validation on the
-    longest stretch [1]_. Noise lengthens a path. To correct for that, resampled noise is added to the
-    smoothed path, which is smoothed again, and the added length is subtracted (parametric bootstrap [2]_).
-    The interval of the path speed contains noise and the unsteadiness of the swimming
-    (:func:`mean_of_blocks`). The displacement over time is that of :func:`net_speed`.
+    Each segment between gaps is smoothed by a cubic spline. Its smoothing weight is chosen by
+    cross-validation on the longest segment [1]_. Noise lengthens a path. To correct this bias, resampled
+    residuals are added to the smoothed path, the sum is smoothed again, and the added length is subtracted
+    (parametric bootstrap [2]_). The interval of the path speed includes noise and unsteady swimming
+    (:func:`mean_of_blocks`). The speed ``line`` is computed by :func:`net_speed`.
 
     References
     ----------
@@ -417,7 +426,7 @@ def speed(
         smooth, slope = _smoothed(t, x, strength)
         left = x - smooth
         again = _smoothed(t, smooth + rng.choice(left, len(left)), strength)[1]
-        part = np.convolve(np.diff(t), [0.5, 0.5])  # time for which each sample stands
+        part = np.convolve(np.diff(t), [0.5, 0.5])  # duration that each sample represents
         weights[rows] = part
         velocity[rows] = slope
         excess += float(part @ (np.linalg.norm(again, axis=1) - np.linalg.norm(slope, axis=1)))
@@ -426,7 +435,7 @@ def speed(
     used = weights > 0
     along = np.linalg.norm(velocity[used], axis=1)
     line = net_speed(time_s[cleaning.good], place[cleaning.good], frequency_hz, stamp_sd_s)
-    assert line is not None  # a stretch has the samples that it needs
+    assert line is not None  # each segment has at least MIN_SAMPLES samples
     return TrackSpeed(
         mean_of_blocks(along, weights[used], -excess / covered),
         line,
@@ -437,7 +446,7 @@ def speed(
 
 
 def _stretches(time_s: Array, cleaning: Cleaning) -> list[NDArray[np.int64]]:
-    """Return the rows of the stretches without a gap or a jump that are long enough; long ones in parts."""
+    """Return the rows of each segment without a gap or jump that is long enough; long segments are cut."""
     rows = np.flatnonzero(cleaning.good)
     rows = rows[:: max(len(rows) // MAX_SAMPLES, 1)]
     if len(rows) < MIN_SAMPLES:
@@ -454,7 +463,7 @@ def _stretches(time_s: Array, cleaning: Cleaning) -> list[NDArray[np.int64]]:
 
 
 def _smoothed(t: Array, x: Array, strength: Array) -> tuple[Array, Array]:
-    """Return the smoothed coordinates and their derivatives, each shape (n, d)."""
+    """Return the smoothed coordinates and their time derivatives, each shape (n, d)."""
     from scipy.interpolate import make_smoothing_spline
 
     step = float(np.mean(np.diff(t)))
@@ -469,7 +478,7 @@ def _smoothed(t: Array, x: Array, strength: Array) -> tuple[Array, Array]:
 
 
 def _strength(t: Array, x: Array) -> Array:
-    """Return the weight with the smallest cross-validation error for each coordinate, shape (d,)."""
+    """Return the smoothing weight with the smallest held-out squared error per coordinate, shape (d,)."""
     from scipy.interpolate import make_smoothing_spline
 
     unit = (t - t[0]) / float(np.mean(np.diff(t)))

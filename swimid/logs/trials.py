@@ -1,4 +1,4 @@
-"""Trials file (``swimid-trials/1``): logs of one experiment with one robot."""
+"""Trials file (``swimid-trials/1``): a list of the logs of one experiment with one robot."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FORMAT = "swimid-trials/1"
 
 
 class Drive(yamlio.Document):
-    """Commanded tail beat of a free-swimming trial."""
+    """Commanded tail beat in a free-swimming trial."""
 
     waveform: Literal["sine", "hopf", "a-cpg"] = "sine"
     frequency_hz: PositiveFloat
@@ -31,7 +31,7 @@ class Drive(yamlio.Document):
     bias_deg: float = 0.0
     asymmetry: Annotated[float, Field(gt=-1, lt=1)] = 0.0
     ramp_s: Annotated[float, Field(ge=0)] = 1.0
-    #: Phase of the beat at time zero.
+    #: Phase of the beat at time zero, degrees.
     phase_deg: float = 0.0
 
     @model_validator(mode="after")
@@ -42,15 +42,15 @@ class Drive(yamlio.Document):
 
 
 class StrokeDrive(yamlio.Document):
-    """Stroke of the robot file, which moves several joints at once."""
+    """Drive by a stroke of the robot file, which moves several joints at once."""
 
     stroke: str
-    #: Frequency; default that of the stroke.
+    #: Frequency, Hz; by default the frequency that the stroke states.
     frequency_hz: PositiveFloat | None = None
-    #: Factor of the angles of the stroke.
+    #: Factor by which the joint angles of the stroke are multiplied.
     scale: Annotated[float, Field(ge=0)] = 1.0
     ramp_s: Annotated[float, Field(ge=0)] = 0.0
-    #: Number of cycles after which the joints rest; default no end.
+    #: Number of cycles after which the joints rest; by default the stroke does not end.
     cycles: PositiveFloat | None = None
     phase_deg: float = 0.0
 
@@ -61,15 +61,15 @@ def _kind_of_drive(value: Any) -> str:
 
 
 class Trial(yamlio.Document):
-    """Keys of every trial."""
+    """Keys of a trial in any experiment."""
 
-    #: Log in memory; ``log`` is then its name.
+    #: Log in memory. In this case ``log`` is the name of the log.
     _held: Log | None = PrivateAttr(default=None)
 
     id: str = ""
     log: str
     role: Literal["fit", "validate"] = "fit"
-    #: Part of the log that is used.
+    #: Start and end of the part of the log that is used, s.
     start_s: float | None = None
     end_s: float | None = None
 
@@ -82,7 +82,7 @@ class Trial(yamlio.Document):
 
 
 class RigTrial(Trial):
-    """Keys of a trial on a single-degree-of-freedom rig; they replace those of the robot."""
+    """Keys of a trial on a single-degree-of-freedom rig. They replace the values of the robot file."""
 
     inertial_mass_kg: Annotated[float, Field(ge=0)] | None = None
     frontal_area_m2: PositiveFloat | None = None
@@ -90,7 +90,7 @@ class RigTrial(Trial):
 
 
 class FallingWeightTrial(RigTrial):
-    """Trial of a body pulled by a falling weight over a pulley, or driven by a known force."""
+    """Trial of a body that is pulled by a falling weight over a pulley, or driven by a known force."""
 
     pulling_mass_kg: PositiveFloat | None = None
     driving_force_N: float | None = None
@@ -103,7 +103,7 @@ class FallingWeightTrial(RigTrial):
 
 
 class FreeSwimTrial(Trial):
-    """Free-swimming trial; without ``drive`` the joint columns of the log are the input."""
+    """Free-swimming trial. Without ``drive``, the joint columns of the log are the input."""
 
     drive: (
         Annotated[
@@ -112,14 +112,14 @@ class FreeSwimTrial(Trial):
         ]
         | None
     ) = None
-    #: Coefficients with another value in this trial, as the stiffness of a spring.
+    #: Coefficients that have another value in this trial, for instance the stiffness of a spring.
     coefficients: dict[str, float] = {}
     #: State at the first sample: at rest, estimated, or steady swimming under the drive.
     start_state: Literal["auto", "rest", "estimate", "steady"] = "auto"
 
 
 class Trials(yamlio.Document):
-    """Keys of every trials file."""
+    """Keys of the trials file of any experiment."""
 
     _in_memory: bool = PrivateAttr(default=False)
 
@@ -128,30 +128,30 @@ class Trials(yamlio.Document):
 
 
 class FallingWeight(Trials):
-    """Falling-weight trials."""
+    """Trials file of a falling-weight experiment."""
 
     experiment: Literal["falling-weight"]
     trials: Annotated[list[FallingWeightTrial], Field(min_length=1)]
 
 
 class Towed(Trials):
-    """Trials under a measured force."""
+    """Trials file of an experiment with a measured force on the towed robot."""
 
     experiment: Literal["towed"]
     trials: Annotated[list[RigTrial], Field(min_length=1)]
 
 
 class FreeDecay(Trials):
-    """Trials of a displaced body that decays freely."""
+    """Trials file of a free-decay experiment: the robot is displaced and released."""
 
     experiment: Literal["free-decay"]
     trials: Annotated[list[RigTrial], Field(min_length=1)]
 
 
 class Cruise(Trials):
-    """Table of cruising speeds."""
+    """Trials file with a table of cruising speeds."""
 
-    #: Table in memory; ``table`` is then its name.
+    #: Table in memory. In this case ``table`` is the name of the table.
     _held: Any = PrivateAttr(default=None)
 
     experiment: Literal["cruise"]
@@ -160,21 +160,21 @@ class Cruise(Trials):
 
 
 class FreeSwim(Trials):
-    """Free-swimming trials."""
+    """Trials file of a free-swimming experiment."""
 
     experiment: Literal["free-swim"]
     trials: Annotated[list[FreeSwimTrial], Field(min_length=1)]
 
 
 class Multibody(Trials):
-    """Trials of a robot with links whose logs have joint angles, a pose, or both."""
+    """Trials file for a robot with links. The logs have joint angles, a pose, or both."""
 
     experiment: Literal["multibody"]
     trials: Annotated[list[FreeSwimTrial], Field(min_length=1)]
 
 
 class Arma(Trials):
-    """Trials for a black-box model from one input column to one output column."""
+    """Trials file for a black-box model from one input column to one output column."""
 
     experiment: Literal["arma"]
     input: str | None = None
@@ -187,13 +187,13 @@ EXPERIMENTS: dict[str, type[Trials]] = {
     for kind in (FallingWeight, Towed, FreeDecay, Cruise, FreeSwim, Multibody, Arma)
 }
 T = TypeVar("T", bound=Trials)
-#: Trials file of any experiment, for the JSON Schema.
+#: Type of a trials file of any experiment, for the JSON Schema.
 AnyTrials = Annotated[
     FallingWeight | Towed | FreeDecay | Cruise | FreeSwim | Multibody | Arma,
     Field(discriminator="experiment"),
 ]
 
-#: Keys that every reader of trials uses, with their path.
+#: Paths of the keys that every reader of trials uses.
 EVERYWHERE = frozenset(
     {"format", "experiment", "robot", "trials"}
     | {f"trials.{key}" for key in ("id", "log", "role", "start_s", "end_s")}
@@ -204,14 +204,14 @@ EVERYWHERE = frozenset(
 class TrialSet:
     """Trials of one experiment with one robot, from a trials file or from logs in memory.
 
-    :func:`swimid.load` makes it.
+    :func:`swimid.load` creates it.
 
     Attributes
     ----------
     entries : pydantic model
-        Content of the trials file, one of :data:`EXPERIMENTS`.
+        Content of the trials file, an object of one of the classes in :data:`EXPERIMENTS`.
     path : Path
-        Trials file; a name for trials in memory.
+        Path of the trials file; for trials in memory their name.
     experiment : str
         ``"falling-weight"``, ``"free-swim"``, ...
     ids : list of str
@@ -232,12 +232,12 @@ class TrialSet:
 
     @property
     def experiment(self) -> str:
-        """``"falling-weight"``, ``"free-swim"``, ..."""
+        """Name of the experiment: ``"falling-weight"``, ``"free-swim"``, ..."""
         return str(self.entries.experiment)
 
     @property
     def ids(self) -> list[str]:
-        """Ids of the trials; empty for a cruise, which is one table."""
+        """Identifiers of the trials; empty for a cruise, which is one table."""
         return [trial.id for trial in getattr(self.entries, "trials", [])]
 
     @classmethod
@@ -250,14 +250,16 @@ class TrialSet:
         name: str = "trials",
         **keys: Any,
     ) -> TrialSet:
-        """Make trials from logs in memory.
+        """Create trials from logs in memory.
 
         Parameters
         ----------
         trials : sequence of mappings
-            Keys of a trial in a trials file; ``log`` is a DataFrame or a :class:`~swimid.logs.log.Log`.
+            One mapping per trial, with the keys of a trial in a trials file. ``log`` is a DataFrame or a
+            :class:`~swimid.logs.log.Log`.
         experiment, robot : str
-            As in a trials file; the path of a robot file is relative to the working folder.
+            Experiment and robot, as in a trials file. The path of a robot file is relative to the working
+            folder.
         name : str
             Name of the trials in messages.
         **keys
@@ -266,7 +268,7 @@ class TrialSet:
         Raises
         ------
         InputError
-            A trial has a key that the experiment does not have, or its log is none.
+            A trial has a key that the experiment does not have, or its log is not a valid log.
         UsageError
             The experiment is unknown.
         """
@@ -305,13 +307,13 @@ class TrialSet:
         Raises
         ------
         InputError
-            As :func:`read`.
+            The errors of :func:`read`.
         """
         return cls(read(path), Path(path))
 
 
 def place(source: str | Path | TrialSet) -> Path:
-    """Return the path of trials, by which messages name them and to which their logs are relative."""
+    """Return the path of trials. Messages name this path, and the paths of logs are relative to it."""
     return source.path if isinstance(source, TrialSet) else Path(source)
 
 
@@ -320,20 +322,20 @@ def read(
     *experiments: type[T],
     uses: Mapping[str, Collection[str]] | None = None,
 ) -> T:
-    """Return the trials of a file or in memory, of one of the given experiments.
+    """Return the trials of a file or in memory, if their experiment is one of the given ones.
 
     Parameters
     ----------
     source : path or TrialSet
     uses : mapping, optional
-        Keys that the caller uses, by experiment (``trials.drive.ramp_s``). Another key in the file is an
-        error. Every caller that computes with the trials gives it.
+        Keys that the caller uses, by experiment (``trials.drive.ramp_s``). Any other key in the file is an
+        error. Every caller that computes with the trials passes this argument.
 
     Raises
     ------
     InputError
-        The file is not YAML, has unknown or unused keys, another experiment, or two trials with the same id,
-        or rows of a log are both fitted and held out.
+        The file is not YAML, has unknown or unused keys, has another experiment, or has two trials with the
+        same id; or rows of a log are both fitted and held out.
     """
     path = place(source)
     held: Any = None
@@ -368,7 +370,7 @@ def read(
 
 
 def same_recording(first: Trial, one: Path, second: Trial, other: Path) -> bool:
-    """Return whether the logs of two trials, in files or in memory, are the same or copies."""
+    """Return whether the logs of two trials, in files or in memory, have the same content."""
     if first._held is not None or second._held is not None:
         held = [trial._held.digest() for trial in (first, second) if trial._held is not None]
         return len(held) == 2 and held[0] == held[1]
@@ -390,7 +392,7 @@ def _key_line(data: Any, key: str) -> int | None:
 
 
 def given(document: yamlio.Document, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield each key that a document sets to another value than its default, with its path and value."""
+    """Yield the path and the value of each key that a document sets to another value than the default."""
     for name in type(document).model_fields:
         value = getattr(document, name)
         if name not in document.model_fields_set or value == type(document).model_fields[name].default:
@@ -420,16 +422,16 @@ def _refuse_unused(trials: Trials, path: Path, uses: Collection[str], data: Any)
 
 
 def check_apart(one: Trial, other: Trial, file: Path, line: int | None = None) -> None:
-    """Refuse rows of one log that are both fitted and held out; warn of rows that are fitted twice.
+    """Raise an error if rows of one log are both fitted and held out; warn if rows are fitted twice.
 
-    Adjacent trials may share one row.
+    Two adjacent trials may have one row in common.
 
     Parameters
     ----------
     one, other : Trial
-        Two parts of the same log.
+        Two trials that use parts of the same log.
     file, line
-        Place for the message.
+        Path of the trials file and line number, for the message.
 
     Raises
     ------
@@ -449,5 +451,5 @@ def check_apart(one: Trial, other: Trial, file: Path, line: int | None = None) -
 
 
 def robot_of(trials: Trials, path: Path) -> robot_format.Robot:
-    """Return the robot that a trials file names, by built-in name or path relative to the file."""
+    """Return the robot of a trials file, by built-in name or by a path relative to the trials file."""
     return robot_format.read(trials.robot, path.parent)

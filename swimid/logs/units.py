@@ -1,4 +1,4 @@
-"""Units of foreign logs and their factors to SI, chosen by what the target column measures."""
+"""Units of foreign logs, with their factors to SI. The name of the target column determines the quantity."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from swimid.errors import suggestion
 _G = 9.80665  # standard gravity, ISO 80000-3
 _DEG, _REV, _RPM = math.pi / 180, 2 * math.pi, 2 * math.pi / 60
 
-#: Factor to SI of every unit, by quantity; the SI unit stands first.
+#: Factor from each unit to the SI unit, by quantity. The first unit of a quantity is the SI unit.
 UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60, "h": 3600},
     "pixels": {"px": 1},
@@ -41,11 +41,11 @@ UNITS: dict[str, dict[str, float]] = {
     "frequency": {"Hz": 1, "kHz": 1e3, "rpm": 1 / 60},
     "temperature": {"degC": 1},
 }
-#: Quantity by the ending of the name of a column, ``m_s`` for m/s.
+#: Quantity for each ending of a column name, such as ``m_s`` for m/s.
 SUFFIXES = {next(iter(table)).replace("/", "_"): quantity for quantity, table in UNITS.items()}
-#: All units of all quantities.
+#: Names of all units of all quantities.
 KNOWN = frozenset(name for table in UNITS.values() for name in table)
-#: Other spellings of a unit.
+#: Other spellings of each unit.
 _SPELLED = {
     "s": ("sec", "secs", "second", "seconds"),
     "ms": ("msec", "millis", "milliseconds"),
@@ -64,7 +64,7 @@ _SPELLED = {
     "px": ("pixel", "pixels"),
     "tick": ("ticks",),
 }
-#: Columns of the log format without a unit.
+#: Names of columns of the log format that have no unit.
 _NO_UNIT = re.compile(r"q[wxyz]|m[xyz]|(.+_)?(likelihood|score|confidence)|found|interpolated")
 _SPELLINGS = {spelling: unit for unit, others in _SPELLED.items() for spelling in others}
 
@@ -75,7 +75,7 @@ def canonical(unit: str) -> str:
     >>> canonical("m/s^2"), canonical("°/s"), canonical("µT"), canonical("m s-1")
     ('m/s2', 'deg/s', 'uT', 'm/s')
     """
-    # NFKC turns "m/s²" into "m/s2", and the two characters for micro into one
+    # NFKC converts "m/s²" to "m/s2", and both characters for micro to the same one
     text = unicodedata.normalize("NFKC", unit.strip()).replace("μ", "u")
     text = re.sub(r"\*\*|\^", "", text)
     text = re.sub(r"[ *]s-2|/s/s", "/s2", re.sub(r"[ *]s-1", "/s", text))
@@ -86,7 +86,7 @@ def canonical(unit: str) -> str:
 
 
 def measured(column: str) -> str | None:
-    """Return the quantity that a column measures, by the ending of its name; None if the name has no unit.
+    """Return the quantity that a column measures, from the ending of its name; None if the name has no unit.
 
     >>> measured("yaw_rate_rad_s"), measured("x_m"), measured("valve")
     ('turn rate', 'length', None)
@@ -96,7 +96,7 @@ def measured(column: str) -> str | None:
 
 
 def is_known(column: str) -> bool:
-    """Return whether the name of a column states its quantity, by its unit or as a known name without a unit.
+    """Return whether the name of a column states its quantity, by a unit or as a known name without a unit.
 
     >>> is_known("x_m"), is_known("qw"), is_known("nose_likelihood"), is_known("column_3")
     (True, True, True, False)

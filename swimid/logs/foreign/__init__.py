@@ -1,6 +1,6 @@
-"""Readers of file formats: a :class:`Format` turns a file into a :class:`Table`.
+"""Readers of file formats: a :class:`Format` reads a file into a :class:`Table`.
 
-All formats in the modules of this package and of ``profiles`` are found automatically. A new one is one new
+All formats in the modules of this package and of ``profiles`` are found automatically. To add a format, add a
 module.
 """
 
@@ -35,7 +35,7 @@ from swimid.files import yamlio
 from swimid.logs import log
 from swimid.logs.log import Log
 
-#: Maximum number of elements of a list that become columns.
+#: Maximum length of a list whose elements become columns.
 MAX_ELEMENTS = 100
 
 
@@ -44,23 +44,23 @@ class Options(yamlio.Document):
 
     #: Delimiter of a text file: one character, ``tab`` or ``whitespace``.
     delimiter: Annotated[str, Field(pattern=r"^([ !#-~\t]|tab|whitespace)$")] | None = None
-    #: Whether a line of names stands above the samples.
+    #: Whether a header line with column names precedes the samples.
     header: bool | None = None
     #: Number of lines before the header, or before the samples.
     skip_rows: Annotated[int, Field(ge=0)] | None = None
-    #: Cells that mean "no sample", besides the empty cell and ``nan``.
+    #: Cells that mark a missing sample, in addition to the empty cell and ``nan``.
     missing: list[float | str] = []
-    #: Beginning of a line of comment.
+    #: Character or characters with which a comment line begins.
     comment: Annotated[str, Field(min_length=1, max_length=4)] = "#"
     decimal: Literal[".", ","] | None = None
     encoding: str | None = None
-    #: Unit of lengths in a file that states none.
+    #: Unit of lengths in a file that does not state a unit.
     length_unit: str | None = None
 
 
 @dataclass(eq=False)
 class Table:
-    """Samples of one file, or of one topic of it.
+    """Samples of one file, or of one topic in a file.
 
     Attributes
     ----------
@@ -70,17 +70,17 @@ class Table:
     units : dict of str to str
         Units that the file states, by column.
     metadata : dict
-        Plain values that describe the file.
+        Metadata of the file: text and single values that describe it.
     scalars : dict of str to float
-        Single numbers in the file, a sampling rate for instance.
+        Single numbers in the file, such as a sampling rate.
     notes : list of str
-        Problems of the reading that a user must know.
+        Problems found while the file was read, for the user.
     comments : list of str
-        Comment lines, without their mark.
+        Text of the comment lines, without the comment character.
     lines : ndarray of int, shape (n,), or None
-        Line of the file of each row, from 1; None for a file without lines.
+        Line number of each row in the file, from 1; None for a file without lines.
     profile : str
-        Name of the profile that read the file; empty without one.
+        Name of the profile that read the file; empty without a profile.
     """
 
     columns: dict[str, NDArray[Any]]
@@ -93,12 +93,12 @@ class Table:
     profile: str = ""
 
     def column(self, key: str | int, path: Path) -> str:
-        """Return the name of a column that is given by its name, or by its number from 1.
+        """Return the name of a column that is given by its name, or by its number, counted from 1.
 
         Raises
         ------
         InputError
-            There is no such column; names the nearest one.
+            There is no such column. The message suggests the most similar name.
         """
         names = list(self.columns)
         if isinstance(key, str) and key in names:
@@ -114,13 +114,13 @@ class Table:
         raise InputError("there is no such column", file=path, column=key, hint=hint)
 
     def place(self, row: int) -> dict[str, int]:
-        """Return the place of a row for an :class:`InputError`: its line, or its row from 1."""
+        """Return the line of a row, or its row number from 1, as an argument of :class:`InputError`."""
         return {"row": row + 1} if self.lines is None else {"line": int(self.lines[row])}
 
 
 @dataclass(frozen=True)
 class Peek:
-    """Beginning of a file, by which a profile recognises its format."""
+    """Beginning of a file, from which a profile recognises the format."""
 
     path: Path
     head: bytes
@@ -138,7 +138,7 @@ class Peek:
 
     @cached_property
     def lines(self) -> list[str]:
-        """The first lines of a text file; empty for any other file."""
+        """First lines of a text file; empty for any other file."""
         try:
             text = codecs.getincrementaldecoder("utf-8-sig")().decode(self.head)
         except UnicodeDecodeError:
@@ -149,11 +149,11 @@ class Peek:
 
     @cached_property
     def header(self) -> list[str]:
-        """The cells of the first line, separated by commas, without blanks around them."""
+        """Cells of the first line, separated by commas, without surrounding blanks and quotation marks."""
         return [cell.strip().strip('"') for cell in (self.lines or [""])[0].split(",")]
 
     def holds(self, *names: str) -> bool:
-        """Return whether the file is HDF5 and has data sets or groups of these names."""
+        """Return whether the file is HDF5 and contains data sets or groups with all these names."""
         if self.head.startswith(b"\x89HDF"):
             # if h5py is missing, the reader of HDF5 names the extra to install
             with contextlib.suppress(OSError, ImportError):
@@ -166,27 +166,27 @@ class Peek:
 
 @dataclass(frozen=True)
 class Format:
-    """One file format. A format with ``recognises`` is a profile.
+    """File format. A format with the attribute ``recognises`` is a profile.
 
     Attributes
     ----------
     name : str
-        Name for ``--as``.
+        Name of the format, for the option ``--as``.
     title : str
         Name of the format in messages.
     open : callable
-        ``open(path, options, select) -> Table``. ``select`` is the track, topic, struct or the like to take;
-        None if the user names none. :func:`reading` turns the exceptions of a library into an
-        :class:`InputError`.
+        Function ``open(path, options, select) -> Table``. ``select`` is the track, topic, struct or group to
+        read, or None. :func:`reading` converts the exceptions of a library to an :class:`InputError`.
     recognises : callable, optional
-        ``recognises(peek) -> bool``: whether the content of a file is known, so that the columns are named as
-        in the log format. Without it the first bytes or the ending show the format.
+        Function ``recognises(peek) -> bool``. It returns whether the content of a file is known, so that its
+        columns can be named as in the log format. Without this function the format is recognised by the first
+        bytes or the ending of the file.
     endings : tuple of str
         File endings of this format, with their dot.
     magic : tuple of bytes
-        First bytes of such a file. They take precedence over the ending.
+        First bytes of a file of this format. They have precedence over the ending.
     extra : str
-        Optional dependency to install, ``"mcap"`` for ``pip install swimid[mcap]``.
+        Extra to install, such as ``"mcap"`` for ``pip install swimid[mcap]``.
     """
 
     name: str
@@ -217,7 +217,7 @@ def first_bytes(path: Path, count: int) -> bytes:
 
 @contextmanager
 def reading(path: Path, title: str, extra: str = "") -> Iterator[None]:
-    """Turn each exception of a library into an :class:`InputError`: the file is no readable ``title``."""
+    """Convert each exception of a library to an :class:`InputError`: the file is no readable ``title``."""
     try:
         with extra_needed(f"reading this {title}", extra, file=path):
             yield
@@ -230,10 +230,10 @@ def reading(path: Path, title: str, extra: str = "") -> Iterator[None]:
 def flat(
     value: Any, parts: Callable[[Any], Any] = lambda value: value, brackets: str = "[]", name: str = ""
 ) -> Iterator[tuple[str, Any]]:
-    """Yield the plain values of a nested record by their dotted names.
+    """Yield the plain values of a nested record, each with its dotted name.
 
-    Elements of lists are ``name[1]``, ``name[2]``, ... Lists longer than :data:`MAX_ELEMENTS` are left out.
-    ``parts`` turns a value with parts into a dict or a list and returns any other value unchanged.
+    Elements of lists are named ``name[1]``, ``name[2]``, ... Lists longer than :data:`MAX_ELEMENTS` are left
+    out. ``parts`` converts a value with parts to a dict or a list and returns any other value unchanged.
 
     >>> dict(flat({"a": {"b": [1, 2]}, "c": 3}))
     {'a.b[1]': 1, 'a.b[2]': 2, 'c': 3}
@@ -250,24 +250,24 @@ def flat(
 
 
 def of_records(records: Sequence[dict[str, Any]]) -> dict[str, NDArray[Any]]:
-    """Return the columns of flat records: numbers (NaN where a record lacks one), dates or text."""
+    """Return the columns of flat records: numbers (NaN where a record has no value), dates or text."""
     import pandas as pd
 
     frame = pd.DataFrame.from_records(records)
     for name, values in frame.items():
-        # a column of whole numbers over 64 bits, or with values that some records lack
+        # a column of integers over 64 bits, or a column with values that some records do not have
         if values.dtype == object and not values.map(lambda value: isinstance(value, str)).any():
             frame[name] = pd.to_numeric(values, errors="coerce").astype(float)
     return log.arrays(frame, "records")
 
 
 def choose(select: str | None, known: Sequence[str], what: str, path: Path) -> str:
-    """Return the track, topic, group or the like that the user selects, or the only one there is.
+    """Return the track, topic or group that the user selects, or the only one in the file.
 
     Raises
     ------
     InputError
-        There is none of that name, or the user selects none and there are several.
+        There is no item of that name, or the file has several items and the user selects none.
     """
     if not known:
         raise InputError(f"holds no {what} with samples", file=path)
@@ -281,11 +281,11 @@ def choose(select: str | None, known: Sequence[str], what: str, path: Path) -> s
 
 
 def of_tree(content: Any, select: str | None, path: Path, parts: Callable[[Any], Any]) -> Table:
-    """Return the table of the nested arrays of a file, or of the group that ``select`` names.
+    """Return a table of the nested arrays of a file, or of the group that ``select`` names.
 
-    The columns of a matrix are ``name[1]``, ``name[2]``, ... A row vector is one column. A matrix that is
-    wider than long is transposed if the other arrays have its width as their length. Single numbers become
-    scalars, text becomes metadata. ``parts`` is that of :func:`flat`.
+    The columns of a matrix are named ``name[1]``, ``name[2]``, ... A row vector is one column. A matrix with
+    more columns than rows is transposed if its number of columns is the usual length of the arrays. Single
+    numbers become scalars, text becomes metadata. ``parts`` is the argument of :func:`flat`.
 
     Raises
     ------
@@ -324,7 +324,7 @@ def of_tree(content: Any, select: str | None, path: Path, parts: Callable[[Any],
 
 @cache
 def formats() -> dict[str, Format]:
-    """Return the formats in the modules of ``profiles`` and ``foreign`` by their names."""
+    """Return all formats in the modules of ``profiles`` and ``foreign``, by name."""
     packages = [importlib.import_module(f"swimid.logs.{name}") for name in ("profiles", "foreign")]
     entries = [
         entry
@@ -338,10 +338,11 @@ def formats() -> dict[str, Format]:
 
 
 def find_format(path: Path, name: str | None) -> Format:
-    """Return the format of a name, or the format of a file.
+    """Return the format with a given name, or the format of a file.
 
-    Without a name it is the profile that recognises the content of the file, else that of its first bytes,
-    else that of its ending. No profile is considered if the name is None.
+    Without a name, the format is the profile that recognises the content of the file. If there is none, the
+    first bytes and then the ending of the file determine the format. If the name is None, no profile is
+    considered.
 
     Raises
     ------
@@ -374,8 +375,8 @@ def open_table(
 ) -> Table:
     """Return a file, or a log in memory, as a table.
 
-    ``select`` is the track, topic, struct or the like to take, if the file holds several. ``kind`` is the
-    name of a format as of :func:`find_format`.
+    ``select`` is the track, topic, struct or group to read, if the file holds several. ``kind`` is the name
+    of a format, as in :func:`find_format`.
 
     Raises
     ------

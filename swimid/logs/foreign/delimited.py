@@ -1,4 +1,4 @@
-"""Reader of text files with columns, separated by commas, semicolons, tabs or blanks."""
+"""Reader of text files with columns that are separated by commas, semicolons, tabs or blanks."""
 
 from __future__ import annotations
 
@@ -25,42 +25,46 @@ from swimid.logs.log import TIME
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Number of bytes from which the layout is found, and number of lines for delimiter and decimal mark.
+#: Number of bytes from which the layout of the file is determined, and number of lines from which delimiter
+#: and decimal mark are determined.
 SAMPLE, LINES = 1 << 18, 200
-#: Maximum share of rows with a wrong number of cells, which are left out. With more the file is refused.
+#: Maximum fraction of rows with a wrong number of cells. Such rows are left out. A file with a larger
+#: fraction is refused.
 MAX_RAGGED = 0.01
-#: Weights of the delimiters. Commas can also mark decimals, and runs of blanks can stand within cells.
+#: Weights in the choice of the delimiter. Commas and blanks have lower weights, because commas can also be
+#: decimal marks, and blanks can occur within cells.
 DELIMITERS = {",": 0.9, ";": 1.0, "\t": 1.0, "|": 1.0, " ": 0.7}
 _MARKS: dict[str | None, str] = {"tab": "\t", "whitespace": " "}
 _ENCODINGS = {codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
-#: Characters that are exchanged so that a point is the decimal mark, by the decimal mark of the file.
+#: Characters that are exchanged so that the decimal mark is a point, for each decimal mark of a file.
 _POINTS: dict[str, dict[int, int]] = {".": {}, ",": str.maketrans(",.", ".,")}
 _COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
-#: A number with a unit, as in ``0.05 kg``.
+#: Pattern of a number with a unit, as in ``0.05 kg``.
 _QUANTITY = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?) ?([^\d\s.,+:/-][^\d\s.,:]*[\d]?)"
-#: A cell of a sample that is no plain number: a date, a time of day, or a number with a unit.
+#: Pattern of a cell that belongs to a sample but is no plain number: a date, a time of day, or a number with
+#: a unit.
 _SAMPLE = re.compile(rf"\d{{1,4}}[-/.]\d\d?[-/.]\d{{1,4}}([T ].*)?|\d\d?:\d\d(:\d\d)?.*|{_QUANTITY}")
 _BLANKS, _EDGES = re.compile(rb"[ \t]+"), re.compile(rb"(?m)^ | $")
 
 
 @dataclass(frozen=True)
 class Layout:
-    """The layout of one file.
+    """Layout of one file.
 
     Attributes
     ----------
     names : list of str
         Column names; ``"1"``, ``"2"``, ... if the file has no header.
     units : list of str
-        Line of units under the header; empty without one.
+        Cells of the line of units under the header; empty if there is no such line.
     numbers : list of str
-        Columns to read as numbers, because their cells are numbers in the first rows.
+        Names of the columns whose cells are numbers in the first rows, and which are read as numbers.
     delimiter : str
-        One character; a space if runs of blanks separate the cells.
+        Delimiter, one character. A space means that any number of blanks separates the cells.
     decimal : str
         Decimal mark.
     first_line : int
-        Line of the first sample, from 1.
+        Line number of the first sample, from 1.
     """
 
     names: list[str]
@@ -115,7 +119,7 @@ def _open(path: Path, options: Options, select: str | None) -> Table:
 
 
 def _read_utf8(path: Path, options: Options) -> tuple[bytes, list[str]]:
-    """Return the file as UTF-8 text with line feeds at the ends of lines, and notes for the user."""
+    """Return the file as UTF-8 text whose lines end in a line feed, and notes for the user."""
     raw, notes = path.read_bytes(), []
     encoding = options.encoding or _ENCODINGS.get(raw[:2], "utf-8-sig")
     try:
@@ -133,7 +137,7 @@ def _read_utf8(path: Path, options: Options) -> tuple[bytes, list[str]]:
 
 
 def _find_layout(lines: list[str], options: Options, path: Path, notes: list[str]) -> Layout:
-    """Return the layout of a file, as stated by the options or found in its first lines; add to the notes."""
+    """Return the layout of a file, from the options or from the first lines; append to the notes."""
     numbered = list(enumerate(lines, start=1))[options.skip_rows :]
     kept = [(at, line) for at, line in numbered if line.strip()]
     if not kept:
@@ -154,10 +158,10 @@ def _find_layout(lines: list[str], options: Options, path: Path, notes: list[str
     if above and _are_units(above[-1]) and (len(above) > 1 or not _differ(above[-1])):
         stated = [_unit(cell) for cell in above.pop()]
     if above and len(above[-1]) == width - 1 and not any(cells[-1] for cells in samples):
-        # each line of samples ends with a delimiter, and the line of names does not
+        # each line of samples ends with a delimiter, but the line of names does not
         above[-1] = [*above[-1], ""]
     levels: list[list[str]] = []
-    # repeated names are completed by the line above them
+    # repeated names are completed by the names in the line above
     while above and len(above[-1]) == width and not (levels and _differ(levels[0])):
         levels.insert(0, above.pop())
     if levels and above and options.skip_rows is None:
@@ -172,13 +176,13 @@ def _likely_delimiter(lines: list[str]) -> str:
     scores = {}
     for mark, weight in DELIMITERS.items():
         width, times = Counter(len(_cells(line, mark)) for line in lines).most_common(1)[0]
-        # many lines of one width count most, then many cells
+        # the score is dominated by the number of lines with equal width, then by the number of cells
         scores[mark] = weight * times * (1 + min(width, 50) / 1000) * (width > 1)
     return max(scores, key=lambda mark: scores[mark])
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
-    """Return the cells of one line, without blanks around them."""
+    """Return the cells of one line, without surrounding blanks."""
     if delimiter == " ":
         line = " ".join(line.split())
     return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter))]
@@ -192,12 +196,12 @@ def _decimal(table: list[list[str]], delimiter: str) -> str:
 
 
 def _value(cell: str, decimal: str) -> float | None:
-    """Return the number in a cell; None if the cell holds none."""
+    """Return the number in a cell; None if the cell holds no number."""
     return number(cell.translate(_POINTS[decimal]))
 
 
 def _first_sample(table: list[list[str]], width: int, decimal: str, options: Options) -> int | None:
-    """Return the index of the first line of samples."""
+    """Return the index of the first line with samples; None if there is none."""
     if options.header is False:
         return 0
     for at, cells in enumerate(table):
@@ -222,17 +226,18 @@ def _differ(cells: list[str]) -> bool:
 
 
 def _names(levels: list[list[str]], width: int) -> list[str]:
-    """Return different names for all columns: ``x``, ``x (2)``, ``column 3``; numbers without a header.
+    """Return a unique name for each column: ``x``, ``x (2)``, ``column 3``; numbers if there is no header.
 
-    A table may have one line for each level of the names: ``nose`` above ``x`` becomes ``nose_x``. A name
-    also stands for the empty cells to its right. A line that is equal in all columns is left out.
+    A table may have one line for each level of the names: ``nose`` above ``x`` becomes ``nose_x``. The empty
+    cells to the right of a name repeat this name. A line that is equal in all columns is left out.
     """
     if not levels:
         return [str(k + 1) for k in range(width)]
     telling = [row for row in map(_fill, levels[:-1]) if len(set(row[1:])) > 1]
     joined = ["_".join(filter(None, cells)) for cells in zip(*telling, levels[-1], strict=True)]
     if len(levels) > 1:
-        # the first column names the levels; in a table of DeepLabCut it counts the frames
+        # the cells of the first column name the levels; in a table of DeepLabCut this column counts the
+        # frames
         joined[0] = levels[-1][0].replace("coords", "") or "frame"
     names: list[str] = []
     for at, name in enumerate(joined, start=1):
@@ -246,7 +251,7 @@ def _names(levels: list[list[str]], width: int) -> list[str]:
 
 
 def _fill(cells: list[str]) -> list[str]:
-    """Return the cells with each empty one replaced by the cell before it."""
+    """Return the cells of a line; each empty cell is replaced by the cell before it."""
     filled = [""]
     for cell in cells:
         filled.append(cell or filled[-1])
@@ -254,9 +259,9 @@ def _fill(cells: list[str]) -> list[str]:
 
 
 def _read_plain(text: bytes, found: Layout) -> NDArray[np.float64] | None:
-    """Return the columns of a short text with a number in each cell, shape (k, n); None for any other text.
+    """Return the columns of a short text if all its cells are numbers, shape (k, n); otherwise None.
 
-    They are read without pandas, because its import takes longer than all else of a short log.
+    The text is read without pandas, because importing pandas takes longer than all other work on a short log.
     """
     width, lines = len(found.names), text.count(b"\n") + (not text.endswith(b"\n"))
     if len(text) > SAMPLE or len(found.numbers) < width or found.decimal != ".":
@@ -269,7 +274,7 @@ def _read_plain(text: bytes, found: Layout) -> NDArray[np.float64] | None:
 
 
 def _parse(text: bytes, found: Layout, options: Options) -> pd.DataFrame:
-    """Return the cells of the samples: numbers, or text."""
+    """Return the cells of the samples, as numbers or as text."""
     read = partial(
         parse,
         text,
@@ -281,14 +286,14 @@ def _parse(text: bytes, found: Layout, options: Options) -> pd.DataFrame:
     try:
         return read(dict.fromkeys(found.names, str) | dict.fromkeys(found.numbers, float))
     except ValueError:
-        # some cell is no number: its column stays text, which a mapping cannot use
+        # some cell is not a number: the columns stay text, and a mapping reports the cell
         return read(str)
 
 
 def _is_regular(text: bytes, parsed: pd.DataFrame, delimiter: str) -> bool:
-    """Return whether the text has one line per row, and each line the right number of cells.
+    """Return whether the text has one line per row, and the same number of cells in each line.
 
-    The last cell of a line with too few cells is missing.
+    In a line with too few cells the last cell is missing.
     """
     lines = text.count(b"\n") + (not text.endswith(b"\n"))
     marks = text.count(delimiter.encode())
@@ -297,9 +302,9 @@ def _is_regular(text: bytes, parsed: pd.DataFrame, delimiter: str) -> bool:
 
 
 def _convert(cells: pd.Series, decimal: str) -> tuple[NDArray[Any], str | None]:
-    """Return a column, and the unit that its cells state.
+    """Return a column as numbers if possible, and the unit that its cells state; None if there is none.
 
-    A column stays text unless each cell is a number, or a number and a unit of one quantity.
+    A column stays text unless all cells are numbers, or all are numbers with units of one quantity.
     """
     import pandas as pd
 
@@ -320,7 +325,7 @@ def _convert(cells: pd.Series, decimal: str) -> tuple[NDArray[Any], str | None]:
 
 
 def _note_ragged(broken: list[tuple[int, int]], width: int, rows: int, path: Path) -> list[str]:
-    """Return the note about lines with a wrong number of cells, or refuse the file for too many."""
+    """Return a note on lines with a wrong number of cells; refuse a file with too many such lines."""
     if not broken:
         return []
     line, cells = broken[0]
@@ -334,12 +339,12 @@ def _note_ragged(broken: list[tuple[int, int]], width: int, rows: int, path: Pat
 
 
 def _has_time(peek: Peek) -> bool:
-    """Return whether the first line without a comment names ``t_s``."""
+    """Return whether ``t_s`` is a column name in the first line that is not a comment."""
     header = next((line for line in peek.lines if line.strip() and not line.startswith("#")), "")
     return TIME in [cell.strip().strip('"') for cell in header.split(",")]
 
 
 ENDINGS = (".csv", ".txt", ".tsv", ".dat", ".asc", ".log")
 DELIMITED = Format("delimited", "delimited text file", _open, endings=ENDINGS)
-#: The log format of swimid, whose columns keep their names.
+#: Log format of swimid. Its columns keep their names.
 SWIMID = Format("swimid", "log of swimid", _open, _has_time)

@@ -1,4 +1,4 @@
-"""Readers of recordings with topics: ULog (by pyulog), and MCAP of ROS 2 or JSON messages (by mcap)."""
+"""Readers of recordings with topics: ULog (with pyulog), and MCAP with ROS 2 or JSON messages (with mcap)."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ ULOG_MAGIC, MCAP_MAGIC = b"ULog\x01\x12\x35", b"\x89MCAP0\r\n"
 
 
 def topics(path: Path) -> dict[str, str]:
-    """Return the topics of a recording, each with the type of its messages, as the file names it.
+    """Return the topics of a recording, each with the type of its messages as stated in the file.
 
-    Several instances of a topic of a ULog recording are ``name[0]``, ``name[1]``.
+    If a topic of a ULog recording has several instances, they are named ``name[0]``, ``name[1]``.
     """
     if first_bytes(path, len(ULOG_MAGIC)) == ULOG_MAGIC:
         return {topic: data.name for topic, data in _load_ulog(path)[1].items()}
@@ -38,9 +38,9 @@ def topics(path: Path) -> dict[str, str]:
 
 
 def _load_ulog(path: Path) -> tuple[Any, dict[str, Any]]:
-    """Return the recording and its topics by name."""
+    """Return the recording and its topics, by name."""
     with reading(path, "ULog recording", "ulog"), contextlib.redirect_stdout(io.StringIO()):
-        # the library prints warnings about a damaged file; stdout is for results
+        # the library prints warnings about a damaged file, but stdout is reserved for results
         from pyulog import ULog
 
         log = ULog(str(path))
@@ -57,7 +57,7 @@ def _load_ulog(path: Path) -> tuple[Any, dict[str, Any]]:
 def _open_ulog(path: Path, options: Options, select: str | None) -> Table:
     log, found = _load_ulog(path)
     topic = choose(select, list(found), "topic", path)
-    # q[0] becomes q[1]: columns count from 1 in every format
+    # rename q[0] to q[1]: elements are counted from 1 in every format
     values = {
         re.sub(r"\[(\d+)\]$", lambda index: f"[{int(index[1]) + 1}]", name): column
         for name, column in found[topic].data.items()
@@ -73,7 +73,7 @@ def _open_ulog(path: Path, options: Options, select: str | None) -> Table:
 def _open_mcap(path: Path, options: Options, select: str | None) -> Table:
     """Return the messages of one topic in the order of the file, with times as ``datetime64[ns]``.
 
-    They are not sorted by ``log_time``, because the clock of the recorder may step back.
+    The messages are not sorted by ``log_time``, because the clock of the recorder may be set back.
     """
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
@@ -94,7 +94,7 @@ def _open_mcap(path: Path, options: Options, select: str | None) -> Table:
 
 
 def _parts(value: Any) -> Any:
-    """Return the fields of a message as a dict, and a stamp of seconds and nanoseconds as a date."""
+    """Return the fields of a message as a dict, and a time stamp of seconds and nanoseconds as a date."""
     if hasattr(value, "__slots__"):
         value = {name: getattr(value, name) for name in value.__slots__}
     if isinstance(value, dict) and {"sec", "nanosec"} <= set(value):

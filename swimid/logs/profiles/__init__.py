@@ -1,9 +1,9 @@
 """Profiles of known formats. All profiles in the modules of this package are found automatically.
 
 A profile is a format that recognises its files by their content. It knows the units, axes and conventions of
-its files, or reads them in the file. It returns a table in SI with columns named as in the log format. Times
-are in ``t_s``. A format without times has ``frame``, and the rate in ``scalars["rate_hz"]`` if the file
-states it.
+these files, or reads them from the file. It returns a table in SI units whose columns are named as in the log
+format. Times are in the column ``t_s``. A format without times has a column ``frame``, and the frame rate is
+in ``scalars["rate_hz"]`` if the file states it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 def safe(name: str) -> str:
-    """Return a name as letters, digits and underscores, beginning with a letter.
+    """Return a name that consists of letters, digits and underscores, and begins with a letter.
 
     >>> safe("tail tip"), safe("/hip/value"), safe("2nd")
     ('tail_tip', 'hip_value', 'p2nd')
@@ -34,12 +34,12 @@ def safe(name: str) -> str:
 
 
 def length(unit: str | None, path: Path) -> tuple[float, str]:
-    """Return the factor to SI and the unit of lengths, "m" or "px".
+    """Return the factor of a unit of length to SI, and the resulting unit, "m" or "px".
 
     Raises
     ------
     InputError
-        The unit is None or empty, or no unit of length.
+        The unit is None, empty, or not a unit of length.
     """
     factors = {"px": 1.0, **UNITS["length"]}
     name = canonical(unit or "")
@@ -52,7 +52,7 @@ def length(unit: str | None, path: Path) -> tuple[float, str]:
 
 
 def axes(source: str, target: str, letters: str = "xyz", names: str = "") -> dict[str, str]:
-    """Return the names of the components of a vector in the file, each with its name in the log.
+    """Return the names of the components of a vector in the file, each with the column name in the log.
 
     >>> axes("Gyr{}", "w{}_rad_s", "XYZ", "xyz")
     {'GyrX': 'wx_rad_s', 'GyrY': 'wy_rad_s', 'GyrZ': 'wz_rad_s'}
@@ -69,18 +69,18 @@ def renamed(table: Table, names: Mapping[str, str]) -> dict[str, Array]:
 
 
 def rows(table: Table, kept: NDArray[np.bool_]) -> Table:
-    """Return a table with some of its rows."""
+    """Return a table with only the rows flagged in ``kept``."""
     lines = None if table.lines is None else table.lines[kept]
     return replace(table, columns={name: v[kept] for name, v in table.columns.items()}, lines=lines)
 
 
 def numbers(path: Path, start: int, delimiter: str, width: int) -> tuple[Array, NDArray[np.int64]]:
-    """Return the numbers below ``start`` lines, shape (n, width), and their lines; NaN for empty cells.
+    """Return the numbers after the first ``start`` lines, shape (n, width), and their lines; NaN if empty.
 
     Raises
     ------
     InputError
-        There are no numbers.
+        There are no numbers after the header.
     """
     import pandas as pd
 

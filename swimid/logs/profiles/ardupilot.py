@@ -1,7 +1,7 @@
-"""Logs of ArduPilot: text logs (``IMU, 1234, 0, ...`` under ``FMT`` lines), or CSV of one message type.
+"""Logs of ArduPilot: text logs (``IMU, 1234, 0, ...`` after ``FMT`` lines), or CSV of one message type.
 
-One instance of a sensor is taken. Units are those of the log messages of ArduPilot. The axes forward, right
-and down are turned to forward, left and up.
+One instance of a sensor is read. Units are those of the log messages of ArduPilot. Axes forward, right, down
+are converted to forward, left, up.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from swimid.logs.log import TIME
 from swimid.logs.profiles import axes, renamed, rows
 from swimid.logs.rotation import from_frd, with_angles
 
-#: Columns of a log by the name of a field.
+#: Column of the log for each field of a message.
 FIELDS: dict[str, str] = {
     **axes("Gyr{}", "w{}_rad_s", "XYZ", "xyz"),
     **axes("Acc{}", "a{}_m_s2", "XYZ", "xyz"),
@@ -28,7 +28,7 @@ FIELDS: dict[str, str] = {
     **axes("V{}", "v{}_m_s", "NED", "xyz"),
     **axes("Q{}", "q{}", "1234", "wxyz"),
 }
-#: Factors to SI of degrees and milligauss, by the ending of the column.
+#: Factors to SI for degrees and milligauss, by the ending of the column name.
 FACTORS = {"_rad": np.pi / 180, "_T": 1e-7}
 
 
@@ -68,7 +68,7 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
 
 
 def _messages(path: Path, kind: str | None) -> Table:
-    """Return the messages of one type of a text log."""
+    """Return the messages of one type in a text log."""
     import pandas as pd
 
     text = path.read_text(encoding="utf-8", errors="replace")

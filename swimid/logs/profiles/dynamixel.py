@@ -1,8 +1,8 @@
-"""Logs of Dynamixel servos (X series) with the names of the control table, as in Present Position.
+"""Logs of Dynamixel servos (X series) with the column names of the control table (Present Position).
 
-A turn has 4096 ticks, and 2048 is the middle. Velocities have the unit 0.229 rev/min (ROBOTIS e-Manual, X
-series). The present position is that of the joint, and the goal position is its command. A number in the name
-is that of the servo.
+A rotation has 4096 ticks; 2048 is the middle position. Velocities have the unit 0.229 rev/min (ROBOTIS
+e-Manual, X series). The present position is the joint angle, and the goal position is the command. A number
+in the name of a column is the number of the servo.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
         hint = "its columns are named as in the control table: Present Position, Goal Position"
         raise InputError("has no position of a servo", file=path, hint=hint)
     servos = {name: int([*re.findall(r"\d+", name), "1"][0]) for name in fields}
-    # joints are numbered from 1 in the order of the file, servos arbitrarily
+    # joints are numbered from 1 in the order of the file; numbers of servos are arbitrary
     numbers = list(dict.fromkeys(servos.values()))
     rows = len(table.columns[next(iter(fields))])
     columns = {"frame": np.arange(rows, dtype=float)}

@@ -1,9 +1,9 @@
-"""Tracked points of pictures: tables of DeepLabCut, and analysis files of SLEAP.
+"""Tracked points in images: tables of DeepLabCut, and analysis files of SLEAP.
 
 A table of DeepLabCut (CSV, HDF5) has one row per frame, and x, y and likelihood of each body part. Its
-columns have the levels scorer, (individuals,) bodyparts, coords. SLEAP writes HDF5 (``tracks``: tracks, x and
-y, nodes, frames) and CSV (``node.x``, ``node.y``). Coordinates are pixels from the upper left corner with y
-down, and are turned to y up. Neither format states a frame rate.
+columns have the levels scorer, (individuals,) bodyparts, coords. SLEAP writes HDF5 (array ``tracks`` with
+axes tracks, x and y, nodes, frames) and CSV (``node.x``, ``node.y``). In the files, coordinates are pixels
+from the upper left corner, with y down. They are converted to y up. Neither format states a frame rate.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def points(found: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def _levels(peek: Peek) -> list[str]:
-    """Return the levels of the column names that the file begins with."""
+    """Return the levels of the column names that the first lines of the file state."""
     starts = [line.split(",")[0].strip() for line in peek.lines[:4]]
     return [start for start in starts if start in _LEVELS]
 

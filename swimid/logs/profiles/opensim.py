@@ -1,8 +1,8 @@
-"""Files of OpenSim: marker trajectories (TRC), and motions or storages (MOT, STO).
+"""OpenSim files: marker trajectories (TRC), and motions or storages (MOT, STO).
 
 The header states the conventions: ``Units`` and ``DataRate`` of a TRC file, ``inDegrees`` of a motion.
-Coordinates of a motion are angles, except translations, which end in ``_tx``, ``_ty`` or ``_tz``. Forces are
-in N, torques in N m, and points of application in m.
+Coordinates of a motion are angles, except translations, whose names end in ``_tx``, ``_ty`` or ``_tz``.
+Forces are in N, torques in N m, and points of application in m.
 """
 
 from __future__ import annotations
@@ -19,14 +19,15 @@ from swimid.logs.profiles import Array, length, numbers, safe
 from swimid.logs.sampling import usual_step
 from swimid.notices import warn
 
-#: Units of the columns of a motion, by pattern. The first pattern that fits is used.
+#: Units of the columns of a motion, by pattern of the column name. The first matching pattern is used.
 _UNITS = {
     r".*(force.*_p|_t)[xyz]": "m",
     r".*(torque|moment).*": "Nm",
     r".*force.*": "N",
     r".*": "rad",
 }
-#: Name of the value or the speed of a coordinate, ``/jointset/hip/hip_flexion/value``.
+#: Pattern of a column with the value or the speed of a coordinate, such as
+#: ``/jointset/hip/hip_flexion/value``.
 _COORDINATE = re.compile(r"(?:.*/)?(?P<name>[^/]+)/(?P<kind>value|speed)")
 
 
@@ -70,7 +71,7 @@ def _motion(lines: list[str], path: Path) -> Table:
     if not {"indegrees=yes", "indegrees=no"} & set(head):
         hint = "add the line inDegrees=yes or inDegrees=no above 'endheader'"
         raise InputError("states no 'inDegrees'", file=path, line=end + 1, hint=hint)
-    # the cells of a storage are separated by tabs, or aligned by blanks
+    # cells of a storage file are separated by tabs, or aligned with blanks
     delimiter = "\t" if "\t" in lines[end + 2] else r"\s+"
     values, at = numbers(path, end + 2, delimiter, len(names))
     columns: dict[str, Array] = {TIME: values[:, 0]}

@@ -1,8 +1,9 @@
 """Recordings of messages of known types: ULog of PX4, and ROS 2 messages in MCAP.
 
-The axes of PX4 are forward, right, down and north, east, down. They are turned to y left and z up. ROS 2 has
-the units and axes of REP 103: SI, x forward, y left, z up. Its quaternions are x, y, z, w from body to world.
-Its times are those of the message header, which the driver of the sensor sets, and not those of the recorder.
+The axes of PX4 are forward, right, down and north, east, down. They are converted to y left and z up. ROS 2
+has the units and axes of REP 103: SI units, x forward, y left, z up. Quaternions of ROS 2 are x, y, z, w from
+body to world. Times of ROS 2 are those of the message header, which the driver of the sensor sets, not those
+of the recorder.
 """
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ from swimid.logs.rotation import from_frd, with_angles
 
 
 def _pose(at: str) -> dict[str, str]:
-    """Return the columns of a pose whose fields begin with ``at``."""
+    """Return the columns of a pose whose fields have names that begin with ``at``."""
     return axes(f"{at}position.{{}}", "{}_m") | axes(f"{at}orientation.{{}}", "q{}", "wxyz")
 
 
-#: Fields and their columns, by type of message. Names of ROS 2 are written without ``/msg``.
+#: Fields of each type of message, with the columns of the log. Types of ROS 2 are written without ``/msg``.
 FIELDS: dict[str, dict[str, str]] = {
     "vehicle_local_position": axes("{}", "{}_m") | axes("v{}", "v{}_m_s") | {"heading": "yaw_rad"},
     "vehicle_attitude": axes("q[{}]", "q{}", "1234", "wxyz"),
@@ -47,7 +48,7 @@ FIELDS: dict[str, dict[str, str]] = {
 
 
 def _topics(path: Path) -> dict[str, str]:
-    """Return the topics of known types, with their types."""
+    """Return the topics whose message type is known, each with its type."""
     kinds = {topic: kind.replace("/msg/", "/") for topic, kind in recordings.topics(path).items()}
     return {topic: kind for topic, kind in kinds.items() if kind in FIELDS}
 
@@ -59,7 +60,7 @@ def _recognises(peek: Peek) -> bool:
 
 
 def _open(path: Path, select: str | None) -> tuple[Table, str]:
-    """Return the samples and the type of the topic that the user selects, or of the only one."""
+    """Return the samples and the message type of the selected topic, or of the only topic."""
     topics = _topics(path)
     topic = choose(select, list(topics), "topic", path)
     return open_table(path, select=topic), topics[topic]
@@ -85,7 +86,7 @@ def _read_ros2(path: Path, options: Options, select: str | None) -> Table:
 
 
 def _joints(table: Table) -> dict[str, str]:
-    """Return the columns of joint states, of which all joints are taken for revolute."""
+    """Return the columns of joint states. All joints are taken for revolute joints."""
     fields = {}
     for name, words in table.columns.items():
         if not name.startswith("name["):

@@ -1,7 +1,7 @@
-"""Text exported by Tracker (Open Source Physics): a line with the tracks, a line of names, then t, x, y.
+"""Text exported by Tracker (Open Source Physics): track names, column names t, x, y, then samples.
 
-Times are in seconds. Lengths are in metres, unless the project sets another unit, which the names state
-(``x (cm)``).
+Times are in seconds. Lengths are in metres, unless the project sets another unit, which the column names
+state (``x (cm)``).
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from swimid.logs.profiles import length, numbers, safe
 _NAME = re.compile(
     r"(t|step|frame|(?P<kind>[va]?)_?\{?(?P<axis>[xyr])\}?)(\s*[(\[](?P<unit>[^)\]/]*)[^)\]]*[)\]])?"
 )
-#: Ending of the unit of positions, velocities and accelerations.
+#: Endings of the units of positions, velocities and accelerations.
 _PER = {"": "", "v": "_s", "a": "_s2"}
 
 
 def _layout(lines: list[str]) -> tuple[int, str, list[str], list[str]] | None:
-    """Return the number of lines of the header, the delimiter, and the cells of its last two lines."""
+    """Return the number of header lines, the delimiter, and the cells of the last two header lines."""
     is_multi = bool(lines) and lines[0].strip().startswith("#multi:")
     height = 2 + is_multi
     if len(lines) <= height:
@@ -50,7 +50,7 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
         raise InputError("is no export of Tracker", file=path, hint=hint)
     height, mark, above, names = found
     values, lines = numbers(path, height, mark, len(names))
-    # the name of a track stands above the first of its columns
+    # the name of a track is in the cell above the first of its columns
     filled = pd.Series(above).reindex(range(len(names)))
     owners = filled.where(filled != "").ffill().fillna("").tolist()
     tracks = [track for track in dict.fromkeys(owners[1:]) if track]
