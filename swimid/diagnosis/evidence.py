@@ -391,7 +391,7 @@ def _ranked(file: GapFile) -> list[ev.Figure]:
     )
     caption = (
         "Drop of the squared residuals, in units of the noise, with one standard error; each effect alone. "
-        "Effects that overlap here are distinguished by their probabilities, which compare them on equal data."
+        "Effects that overlap here differ in their probabilities, which compare them on equal data."
     )
     return [ev.Figure(id="effects", title="Gain of each effect", caption=caption, panels=[panel])]
 

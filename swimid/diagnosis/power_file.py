@@ -92,7 +92,7 @@ def evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord] = ()) -> ev.Evi
         methods=[
             "The change that an effect makes in the trials, the coefficients of the model projected out, was "
             "held against their noise: seen is what leaves less than 10 % to there being no gap, nine times "
-            "in ten (noncentral chi-square); never distinguished are effects whose changes are so alike that a "
+            "in ten (noncentral chi-square); never distinguished: effects whose changes are so alike that a "
             "very large one leaves the other more than 10 %.",
         ],
         provenance=dict(file.provenance),
