@@ -50,6 +50,8 @@ MAX_HELD_OUT = 1.5
 BLOCK_S, MIN_HELD_OUT = 0.5, 20
 #: Minimum difference between the mountings from rotations and from gravity that is reported, rad.
 MIN_MOUNT_CHANGE = 15 * DEG
+#: Minimum gain in the explained fraction of the rotations for a change of the sign of the pitch.
+MIN_GAIN = 0.05
 #: Median absolute value of normally distributed noise, divided by its standard deviation.
 MEDIAN_SHARE = 0.6745
 
@@ -125,13 +127,14 @@ def estimate(setup: Setup, poses: Poses) -> Fused:
     InputError
         When the axes of one log are mirrored.
     """
-    alignments, refusal = _align(setup, poses)
+    poses, alignments, flipped, refusal = _align(setup, poses)
     first = alignments[0]
     if first.handed < 0:
         text = "its turns are the mirror image of those in the other log: an axis is flipped in one of them"
         hint = "put the axes right in a mapping (--map), with factor -1 for a flipped one"
         raise InputError(text, file=setup.record.name, column="wx_rad_s ... wz_rad_s", hint=hint)
     mount, mount_sd, findings = _start_mount(setup, first)
+    findings = [*flipped, *findings]
     problem = _Problem(setup, poses, _first_fixes(setup, poses, alignments), mount, mount_sd)
     trial, offset, agree = _set_clocks(problem, alignments)
     wrong = _contradictions(trial)
@@ -170,19 +173,32 @@ def estimate(setup: Setup, poses: Poses) -> Fused:
     )
 
 
-def _align(setup: Setup, poses: Poses) -> tuple[list[Alignment], NoTrustworthyResult | None]:
-    """Return the alignments found, in order of increasing standard error, and an exception or None.
+def _align(
+    setup: Setup, poses: Poses
+) -> tuple[Poses, list[Alignment], list[Finding], NoTrustworthyResult | None]:
+    """Return poses, alignments in order of increasing standard error, findings, and an exception or None.
+
+    The sign of the pitch in the other log is changed if the rotations of both logs agree better with it.
 
     If no offset is found, equal clocks are assumed. The exception is raised later if the held-out fixes also
     show that the logs do not move together.
     """
     stated_s = setup.options.clock_offset_s
     if stated_s is not None:
-        return [alignment.align_at(setup.record, poses, stated_s)], None
+        return poses, [alignment.align_at(setup.record, poses, stated_s)], [], None
     try:
-        return alignment.align(setup.record, setup.source, poses), None
+        found = alignment.align(setup.record, setup.source, poses)
     except NoTrustworthyResult as refusal:
-        return [alignment.align_at(setup.record, poses, 0.0)], refusal
+        return poses, [alignment.align_at(setup.record, poses, 0.0)], [], refusal
+    first = found[0]
+    if poses.full and first.by == "turn rates":
+        flipped = replace(poses, angles=poses.angles * [1.0, -1.0, 1.0])
+        others = alignment.align(setup.record, setup.source, flipped)
+        gain = others[0].offset.explained - first.offset.explained
+        if others[0].by == first.by and gain > MIN_GAIN and others[0].handed >= 0:
+            text = "the pitch in the other log is positive nose down; its sign is changed"
+            return flipped, others, [Finding("sign of pitch", "handled", text)], None
+    return poses, found, [], None
 
 
 def _start_mount(setup: Setup, found: Alignment) -> tuple[Rotation, float, list[Finding]]:
