@@ -1,25 +1,25 @@
 """swimid: system identification for swimming robots, from logs to published parameters.
 
-Conventions, stated once for the whole package
-----------------------------------------------
+Conventions of the whole package
+--------------------------------
 Units
-    SI and radians everywhere inside and in every file. A column or key carries its unit
-    as a suffix (``x_m``, ``yaw_rad``, ``u_m_s``). Degrees and grams appear only where the
-    field writes them and the name then says so (``amplitude_deg``).
+    SI units and radians, in memory and in every file. The name of a column or key ends in its unit (``x_m``,
+    ``yaw_rad``, ``u_m_s``). Degrees and grams appear only where they are customary, and the name then says so
+    (``amplitude_deg``).
 Frames
-    World frame: x, y in the plane of motion, z up; yaw about z, counter-clockwise.
-    Body frame: x forward (nose), y to port, z up. Surge ``u``, sway ``v`` and yaw rate
-    ``r`` are components in the body frame. In the vertical plane z takes the place of y
-    and pitch that of yaw.
+    World frame: x, y in the plane of motion, z up; yaw about z, counter-clockwise. Body frame: x forward
+    (nose), y to port, z up. Surge ``u``, sway ``v`` and yaw rate ``r`` are components in the body frame. For
+    motion in the vertical plane, z replaces y and pitch replaces yaw.
 Time
-    ``t_s``, seconds, strictly increasing, from the recording's own stamps.
+    Column ``t_s``, in s, strictly increasing, from the time stamps of the recording.
 Missing data
-    NaN in arrays, an empty cell in files. Nothing is filled silently.
+    A missing value is NaN in an array and an empty cell in a file. Gaps are never filled without notice.
 Packages
-    Each is named after its subject: ``logs``, ``tracking``, ``inertial``; one for each family of experiment:
-    ``rig``, ``propulsion``, ``swimmer``, ``blackbox``; ``fitting``, which these share; ``simulation``,
-    ``effects``, ``diagnosis``, ``sensitivity_analysis``, ``exporters``; ``results``, ``robots``, ``files``,
-    which all use; ``cli``. Imports run one way (``docs/architecture.md``).
+    Each package is named after its subject. ``logs``, ``tracking`` and ``inertial`` read and create logs.
+    ``rig``, ``propulsion``, ``swimmer`` and ``blackbox`` each identify one family of experiments and share
+    ``fitting``. ``simulation``, ``effects``, ``diagnosis``, ``sensitivity_analysis``, ``optimisation`` and
+    ``exporters`` use the identified models. All packages use ``results``, ``robots`` and ``files``. ``cli``
+    is the command line. Packages import each other in one direction only (``docs/architecture.md``).
 """
 
 from typing import Any

@@ -1,4 +1,4 @@
-"""``python -m swimid``."""
+"""Entry point of ``python -m swimid``."""
 
 from swimid.cli.main import entry
 

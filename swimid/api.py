@@ -1,4 +1,4 @@
-"""The public names, and the functions that belong to no package of their own."""
+"""Names of the public API, and public functions that belong to no single package."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ if TYPE_CHECKING:
     from swimid.logs.trials import TrialSet
     from swimid.robots.file import Robot
 
-#: Where each public name is found; imported when it is first used, so that ``import swimid`` costs nothing.
+#: Module of each public name. The module is imported on the first use of the name, so that ``import swimid``
+#: stays fast.
 NAMES = {
-    # what is read
+    # reading of trials, logs, robots and results
     "load": "swimid.api",
     "load_result": "swimid.results.kinds",
     "read_log": "swimid.api",
@@ -26,19 +27,19 @@ NAMES = {
     "Log": "swimid.logs.log",
     "TrialSet": "swimid.logs.trials",
     "Robot": "swimid.robots.file",
-    # what is made of films and recordings
+    # creation of logs from videos and recordings
     "track_video": "swimid.tracking.track_video",
     "track_setup": "swimid.tracking.track_setup",
     "track_imu": "swimid.inertial.track_imu",
     "import_log": "swimid.logs.import_log",
     "guess_mapping": "swimid.logs.guess_mapping",
-    # what is identified
+    # identification
     "fit_drag": "swimid.rig.fit_drag",
     "fit_propulsion": "swimid.propulsion.fit_propulsion",
     "fit_graybox": "swimid.swimmer.fit_graybox",
     "rwls": "swimid.blackbox.rwls",
     "fit_model": "swimid.fitting.fit_common",
-    # what follows from it
+    # simulation, diagnosis, optimisation and publication
     "simulate": "swimid.simulation.simulate",
     "compare": "swimid.simulation.compare",
     "diagnose": "swimid.diagnosis.diagnose",
@@ -49,7 +50,7 @@ NAMES = {
     "export": "swimid.exporters.export",
     "report": "swimid.results.report",
     "plot": "swimid.logs.plot",
-    # what comes of it
+    # classes of results
     "Result": "swimid.results.result",
     "Fitted": "swimid.results.fitted",
     "Logged": "swimid.logs.logged",
@@ -61,13 +62,13 @@ NAMES = {
     "PerformanceMap": "swimid.optimisation.performance_map",
     "StiffnessRule": "swimid.optimisation.optimise_stiffness",
     "BestGait": "swimid.optimisation.optimise_gait",
-    # what a model or an effect of one's own is made of
+    # classes for models and effects of the user
     "Model": "swimid.fitting.model",
     "Parameter": "swimid.fitting.model",
     "Channel": "swimid.fitting.model",
     "Trial": "swimid.fitting.model",
     "Effect": "swimid.effects.base",
-    # what is raised
+    # errors and warnings
     "SwimidError": "swimid.errors",
     "InputError": "swimid.errors",
     "UsageError": "swimid.errors",
@@ -82,19 +83,21 @@ def read_log(path: str | Path, *, required: Sequence[str] = ()) -> Log:
     Parameters
     ----------
     path : path
-        ``t_s`` in s first; columns carry their unit as a suffix (``docs/formats.md``).
+        CSV or Parquet file. The first column is ``t_s``, in s. The name of every other column ends in its
+        unit (``docs/formats.md``).
     required : sequence of str
-        Columns that must be there.
+        Names of required columns.
 
     Returns
     -------
     Log
-        Columns as arrays of shape (n,), NaN where a sample is missing; ``.frame()`` is a DataFrame.
+        Log with its columns as arrays of shape (n,), NaN for a missing sample. ``.frame()`` returns a
+        DataFrame.
 
     Raises
     ------
     InputError
-        Naming file, line and column.
+        If the file is invalid. The message names the file, the line and the column.
 
     Examples
     --------
@@ -119,27 +122,27 @@ def load(
     Parameters
     ----------
     trials : path, sequence of mappings, or DataFrame
-        A trials file; or for each trial its keys as in a trials file, with a DataFrame (or a
-        :class:`~swimid.logs.log.Log`) as ``log``; or the table of a cruise.
+        Path of a trials file; or, for each trial, its keys as in a trials file, with a DataFrame or a
+        :class:`~swimid.logs.log.Log` as ``log``; or the table of a cruise experiment.
     experiment : str, optional
         ``"falling-weight"``, ``"towed"``, ``"free-decay"``, ``"cruise"``, ``"free-swim"``, ``"multibody"`` or
-        ``"arma"``; a trials file says it itself.
+        ``"arma"``. Omit it for a trials file, which states the experiment.
     robot : str or path, optional
-        Built-in name or robot file; a trials file says it itself.
+        Name of a built-in robot, or path of a robot file. Omit it for a trials file, which states the robot.
     **keys
         Further keys of the trials file (``docs/formats.md``).
 
     Returns
     -------
     TrialSet
-        To be given to the fits, to ``compare`` and to ``diagnose``.
+        Trials, as input of the fits, of ``compare`` and of ``diagnose``.
 
     Raises
     ------
     InputError
-        For a broken file, unknown keys, tables that are no logs.
+        If a file is invalid, a key is unknown, or a table is not a log.
     UsageError
-        When experiment or robot are missing, or given beside a file that names them.
+        If the experiment or the robot is missing, or is given together with a trials file, which states both.
 
     Examples
     --------
@@ -164,22 +167,23 @@ def load(
 
 
 def read_robot(name: str | Path) -> Robot:
-    """Read a built-in robot, or one of a robot file.
+    """Read a built-in robot or a robot file.
 
     Parameters
     ----------
     name : str or path
-        One of :func:`built_in_robots`, or the path of a robot file (swimid-robot/1).
+        Name of a built-in robot (:func:`built_in_robots`), or path of a robot file (swimid-robot/1).
 
     Returns
     -------
     Robot
-        ``.body``, ``.fluid``, ``.fins``, ``.multilink`` and others; each field has its unit in its name.
+        Robot with ``.body``, ``.fluid``, ``.fins``, ``.multilink`` and others. The name of each field
+        contains its unit.
 
     Raises
     ------
     InputError
-        For an unknown name, and for anything wrong in the file, with its line.
+        If the name is unknown or the robot file is invalid. The message names the line of the file.
 
     Examples
     --------
@@ -197,7 +201,7 @@ def built_in_robots() -> list[str]:
     Returns
     -------
     list of str
-        For :func:`read_robot`, and wherever a robot is asked for.
+        Names for :func:`read_robot` and for every argument that takes a robot.
 
     Examples
     --------

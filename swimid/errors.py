@@ -1,4 +1,4 @@
-"""The errors swimid raises on purpose, each with the exit status it ends the command with.
+"""Errors that swimid raises on purpose, and the exit status of the command for each of them.
 
 ::
 
@@ -6,7 +6,7 @@
     +-- UsageError          2  options or arguments are wrong
     +-- InputError          3  a file cannot be read or is invalid   (also a ValueError)
     +-- NoTrustworthyResult 4  the computation ended without a result that can be trusted
-        +-- Interrupted   130  it was stopped before its end
+        +-- Interrupted   130  the user stopped the computation
 """
 
 from __future__ import annotations
@@ -18,21 +18,22 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
-#: Argument of each option of the function that runs; None where the options themselves are typed.
+#: Argument name of each option of the running function. None on the command line, where messages name the
+#: options as they are typed.
 _ARGUMENTS: ContextVar[Mapping[str, str] | None] = ContextVar("_ARGUMENTS")
-#: A command, which is left as it is, or one option.
+#: Pattern of a whole command, which is left unchanged, or of one option.
 _OPTION = re.compile(r"swimid [a-z][^\n;]*|(?<![\w-])--?[a-z][a-z-]*")
 
 
 @contextmanager
 def naming(arguments: Mapping[str, str] | None) -> Iterator[None]:
-    """Let messages of this block name arguments (``start_state``) in place of options (``--start-state``).
+    """Replace option names (``--start-state``) by argument names (``start_state``) in messages of this block.
 
     Parameters
     ----------
     arguments : mapping or None
-        The argument of each option, beside those of a block around this one. None keeps the options also in
-        inner blocks: they were typed.
+        Argument name of each option, in addition to the names of an enclosing block. None keeps the option
+        names, also in inner blocks. The command line passes None.
     """
     inside = None
     outside = _ARGUMENTS.get({})
@@ -46,7 +47,7 @@ def naming(arguments: Mapping[str, str] | None) -> Iterator[None]:
 
 
 def in_words_of_the_caller(text: str) -> str:
-    """Return a message with the names of options as the caller writes them.
+    """Return a message in which each option has the name that the caller uses.
 
     >>> with naming({"--start-state": "start_state", "--raw": "clean=False"}):
     ...     in_words_of_the_caller("give --start-state rest, or --raw")
@@ -57,14 +58,14 @@ def in_words_of_the_caller(text: str) -> str:
 
 
 class SwimidError(Exception):
-    """Base of every error a user can cause. Anything else that escapes is a bug.
+    """Base class of errors that a user can cause. Any other exception is a bug.
 
     Attributes
     ----------
     message : str
-        What is wrong.
+        Description of the error.
     hint : str or None
-        What to do about it.
+        Suggested remedy.
     exit_status : int
         Exit status of the command.
     """
@@ -80,7 +81,7 @@ class SwimidError(Exception):
         return self.message if self.hint is None else f"{self.message}\n  hint: {self.hint}"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the error as the ``error`` member of the ``--json`` document."""
+        """Return the error as data for the ``error`` member of the ``--json`` document."""
         return {
             "type": type(self).__name__,
             "message": self.message,
@@ -90,12 +91,12 @@ class SwimidError(Exception):
 
 
 class UsageError(SwimidError, ValueError):
-    """Options or arguments do not exist, are not allowed, or contradict each other.
+    """Error for options or arguments that do not exist, are not allowed, or contradict each other.
 
     Attributes
     ----------
     message, hint, exit_status
-        As of :class:`SwimidError`.
+        See :class:`SwimidError`.
 
     Examples
     --------
@@ -111,16 +112,16 @@ class UsageError(SwimidError, ValueError):
 
 
 class InputError(SwimidError, ValueError):
-    """An input cannot be read or is invalid.
+    """Error for an input that cannot be read or is invalid.
 
     Parameters
     ----------
     message : str
-        What is wrong, with the offending value and what is allowed.
+        Description of the error, with the invalid value and the allowed values.
     file : path, optional
-        The file it is in.
+        File that contains the error.
     line : int, optional
-        Line of a text file, counted from 1 as editors do.
+        Line of a text file, counted from 1.
     frame : int, optional
         Frame of a video, counted from 0.
     row : int, optional
@@ -128,7 +129,7 @@ class InputError(SwimidError, ValueError):
     column : str, optional
         Name of the column, or dotted path of the key.
     hint : str, optional
-        What to do about it.
+        Suggested remedy.
     """
 
     exit_status = 3
@@ -159,7 +160,7 @@ class InputError(SwimidError, ValueError):
         super().__init__(": ".join(filter(None, [where, message])), hint=hint)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the error with its place, as the ``error`` member of the ``--json`` document."""
+        """Return the error and its location as data for the ``error`` member of the ``--json`` document."""
         return super().to_dict() | {
             "file": self.file,
             "line": self.line,
@@ -170,30 +171,30 @@ class InputError(SwimidError, ValueError):
 
 
 class NoTrustworthyResult(SwimidError):
-    """The computation ended without a result that should be used.
+    """Error for a computation that ended without a result that can be trusted.
 
     Attributes
     ----------
     message, hint, exit_status
-        As of :class:`SwimidError`.
+        See :class:`SwimidError`.
     """
 
     exit_status = 4
 
 
 class Interrupted(NoTrustworthyResult):
-    """The computation was stopped (Ctrl-C); the message names the files that were written."""
+    """Error for a computation that was stopped (Ctrl-C). The message names the files that were written."""
 
     exit_status = 130
 
 
 def first_line(error: BaseException) -> str:
-    """Return the first line of the message of a library's error."""
+    """Return the first line of an exception's message, or its class name if the message is empty."""
     return (str(error) or type(error).__name__).splitlines()[0]
 
 
 def nearest(word: str, allowed: list[str] | tuple[str, ...]) -> str | None:
-    """Return the allowed word most like ``word``, or None if none is close.
+    """Return the allowed word that is most similar to ``word``; None if no allowed word is similar.
 
     >>> nearest("pulling_mas_kg", ["pulling_mass_kg", "role"])
     'pulling_mass_kg'
@@ -208,7 +209,9 @@ def nearest(word: str, allowed: list[str] | tuple[str, ...]) -> str | None:
 
 
 def suggestion(word: str, allowed: list[str] | tuple[str, ...], lead: str = "there are") -> str:
-    """Return the hint for a word that is not allowed: the nearest allowed one, or all after the lead.
+    """Return a hint for a word that is not allowed: the most similar allowed word, or all allowed words.
+
+    ``lead`` is the text in front of the list of all allowed words.
 
     >>> suggestion("gap", ["robot", "trials"])
     'there are: robot, trials'
@@ -221,9 +224,9 @@ def suggestion(word: str, allowed: list[str] | tuple[str, ...], lead: str = "the
 
 @contextmanager
 def extra_needed(task: str, extra: str, *, file: str | Path | None = None) -> Iterator[None]:
-    """Turn the failed import of an optional library into an error that names its extra.
+    """Convert the failed import of an optional library into an error that names the extra to install.
 
-    It is an :class:`InputError` where a file needs the library, else a :class:`UsageError`.
+    The error is an :class:`InputError` if a file needs the library, and a :class:`UsageError` otherwise.
 
     Examples
     --------
@@ -244,7 +247,9 @@ def extra_needed(task: str, extra: str, *, file: str | Path | None = None) -> It
 
 @contextmanager
 def file_errors(file: str | Path, done: str = "read") -> Iterator[None]:
-    """Turn an error of the operating system into an :class:`InputError` (cannot be ``done``, and the reason).
+    """Convert an error of the operating system into an :class:`InputError`.
+
+    The message says that the file cannot be ``done`` (``"read"``, ``"written"``), and why.
 
     Examples
     --------

@@ -1,7 +1,7 @@
-"""Warnings with stable codes: printed at the end of a command and kept in its results.
+"""Warnings with stable codes, which a command prints at its end and stores in its results.
 
-Library code calls :func:`warn`; a Python user sees an ordinary :class:`SwimidWarning`, the
-command line records them with :func:`recorded` and repeats them in the report.
+Library code calls :func:`warn`. In Python, the user sees a :class:`SwimidWarning`. The command line collects
+the warnings with :func:`recorded`, and the report repeats them.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 
 from swimid.errors import in_words_of_the_caller
 
-#: Subject of every code. ``docs/warnings.md`` explains each.
+#: Subject of each warning code. ``docs/warnings.md`` explains the codes.
 CODES: dict[str, str] = {
     "SWM001": "missing samples masked",
     "SWM002": "values are unusual in the stated unit",
@@ -95,14 +95,14 @@ CODES: dict[str, str] = {
 
 
 class SwimidWarning(UserWarning):
-    """A warning with a code of :data:`CODES`.
+    """Warning with a code of :data:`CODES`.
 
     Attributes
     ----------
     code : str
-        ``"SWM013"``; ``docs/warnings.md`` explains each.
+        Code of the warning, such as ``"SWM013"``. ``docs/warnings.md`` explains the codes.
     text : str
-        Finding with its numbers.
+        Text of the warning, with the values that were found.
 
     Examples
     --------
@@ -125,23 +125,23 @@ class SwimidWarning(UserWarning):
 
 @dataclass(frozen=True)
 class Notice:
-    """One recorded warning."""
+    """Code and text of one recorded warning."""
 
     code: str
     text: str
 
 
 def warn(code: str, text: str) -> None:
-    """Warn the user; ``code`` must be one of :data:`CODES`."""
+    """Issue a warning to the user; ``code`` must be one of :data:`CODES`."""
     warnings.warn(SwimidWarning(code, text), stacklevel=2)
 
 
 @contextmanager
 def recorded(*, repeat: bool = False) -> Iterator[list[Notice]]:
-    """Collect every :class:`SwimidWarning` of the block, each distinct one once.
+    """Collect the warnings of class :class:`SwimidWarning` in the block, without duplicates.
 
-    With ``repeat`` they are raised again at the end of the block, also after an error, so that an outer block
-    records them too.
+    With ``repeat`` the collected warnings are issued again at the end of the block, even after an error, so
+    that an outer block records them too.
     """
     notices: list[Notice] = []
     show_others = warnings.showwarning

@@ -1,11 +1,11 @@
-"""The options of a command, declared once.
+"""Declaration of all options of a command in one class.
 
-A class of options derives from :class:`Options` and has one :func:`option` for each field. It gives the
-keyword arguments of the function and their docstring (:func:`takes`), the command with its options and help
-(``swimid.cli.builder``), the ``settings`` of the provenance (:meth:`Options.settings`), and the table in the
-docs (``docs/options.py``).
+A class of options derives from :class:`Options` and has one field for each option, declared with
+:func:`option`. The class determines the keyword arguments and the docstring of the function (:func:`takes`),
+the command with its options and help (``swimid.cli.builder``), the ``settings`` of the provenance
+(:meth:`Options.settings`), and the table of options in the documentation (``docs/options.py``).
 
-Modules with options import this module and typing only, so that ``--help`` stays fast.
+A module with options imports nothing that takes long to load, so that ``--help`` stays fast.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from swimid.errors import SwimidError, UsageError, naming, suggestion
 
 Returned = TypeVar("Returned")
 
-#: A file, or an object with its content; on the command line always a file.
+#: Type of an input: a file, or an object with the content of the file. On the command line it is always a
+#: file.
 Source = Annotated[Path | Any, Field(union_mode="left_to_right")]
 
 
@@ -40,26 +41,28 @@ def option(
     part: str = "",
     **limits: float,
 ) -> Any:
-    """Declare one option, a field of a class of options.
+    """Declare one option as a field of a class of options.
 
     Parameters
     ----------
     default
-        Value if the option is not given. Without a default it must be given.
+        Default value. An option without a default is required.
     help : str
-        Description with the unit: a line of ``--help``, of the docstring and of the docs.
+        Description with the unit. It appears in ``--help``, in the docstring and in the documentation.
     flag : str, optional
-        Name on the command line, by default ``--`` and the name of the field. ``--on/--off`` can be negated.
+        Name on the command line, by default ``--`` and the name of the field. ``--on/--off`` declares a flag
+        and its negation.
     metavar : str, optional
-        Placeholder for the value in the help.
+        Placeholder for the value in the help text.
     separated : bool
-        Whether several values may be given with commas between them.
+        Whether several values may be given, separated by commas.
     written : bool
-        Whether the value is a file that is written, not read.
+        Whether the value is a file to write. By default a file is read.
     recorded : bool or str
-        Whether the settings of the provenance contain it, or its key there if that is not the field's name.
+        True records the option in the settings of the provenance, under the name of the field. A string is
+        the key to use instead of the name. False does not record the option.
     part : str
-        Group of options that a class treats alike.
+        Name of a group of options that the command handles in the same way.
     **limits
         Bounds of a number: ``ge``, ``gt``, ``le``, ``lt``.
     """
@@ -71,32 +74,36 @@ def option(
 
 
 class Options(BaseModel):
-    """Base of the options of a command; what is given is validated, and cannot be changed afterwards.
+    """Base class of the options of a command. Values are validated and cannot be changed afterwards.
 
-    A class with the arguments below is a command. Its docstring is the help, whose first line stands in the
-    list of commands. ``swimid.cli.builder`` reads arguments and docstring in the file, so they are literals.
+    A subclass with the arguments below declares a command. Its docstring is the help text, and the first line
+    of the docstring appears in the list of commands. ``swimid.cli.builder`` reads the arguments and the
+    docstring from the source file, so they must be literals.
 
     Parameters
     ----------
     command : str
-        Name of the command, ``"fit-drag"``.
+        Name of the command, such as ``"fit-drag"``.
     section : str
-        Heading above it in the list of commands.
+        Heading of the command in the list of commands.
     output : str
-        What ``-o`` writes.
+        Description of the output that ``-o`` writes.
     argument : str
-        Files it takes, by default ``"TRIALS"``. ``"LOG..."`` are several, ``"[NAME]"`` is a word or none.
+        Positional argument of the command, by default ``"TRIALS"``. ``"LOG..."`` stands for several files,
+        ``"[NAME]"`` for an optional word, and an empty string for no argument.
     function : str
-        Module of the same package and function in it; by default the command with ``_`` for ``-``. It takes
-        the files, ``output`` and the options, and ``progress``, ``allow`` or ``force`` where it wants them.
+        Name of the function, and of its module in the same package. The default is the command with ``_`` in
+        place of ``-``. The function takes the files, ``output`` and the options, and also ``progress``,
+        ``allow`` or ``force`` if it has these arguments.
     output_flags : tuple of str
-        Other flags where ``--output`` means something else.
+        Flags of the output, if they are not ``-o`` and ``--output``.
     required : bool
         Whether ``-o`` must be given.
     stdout : dict
-        Options of a document that goes to stdout without ``-o``, unless they are given.
+        Default values of options if the output is a document on stdout, because ``-o`` is not given.
     beside : tuple of str
-        Endings of the files that are written beside the output, by default that of the evidence.
+        Endings of the files that are written next to the output. The default is the ending of the evidence
+        file.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
@@ -106,12 +113,12 @@ class Options(BaseModel):
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:
-        """Make the options from those given; None stands for the default.
+        """Return the options with the given values; None stands for the default.
 
         Raises
         ------
         UsageError
-            For an option that does not exist, is missing, or has a value that is not allowed.
+            If an option does not exist or is missing, or if a value is not allowed.
         """
         stated = {name: value for name, value in given.items() if value is not None}
         try:
@@ -121,7 +128,7 @@ class Options(BaseModel):
 
     @classmethod
     def declared(cls) -> dict[str, Declared]:
-        """Return every option by the name of its field, in order."""
+        """Return all options by the name of their field, in the order of declaration."""
         return {name: Declared(name, info) for name, info in cls.model_fields.items()}
 
     def settings(self, **actual: Any) -> dict[str, Any]:
@@ -130,7 +137,7 @@ class Options(BaseModel):
         Parameters
         ----------
         **actual
-            Values that replace those given, by key.
+            Values by key that replace the given values in the settings.
         """
         recorded = {
             entry.key: _plain(getattr(self, name)) for name, entry in self.declared().items() if entry.key
@@ -139,18 +146,18 @@ class Options(BaseModel):
 
 
 class Declared:
-    """An option of a class. Attributes that are not listed are those given to :func:`option`.
+    """Declaration of one option. Attributes that are not listed are the arguments of :func:`option`.
 
     Attributes
     ----------
     name : str
         Name of the field and of the keyword argument.
     flags : str
-        Name on the command line, ``--on/--off`` if it can be negated.
+        Name on the command line; ``--on/--off`` for a flag with a negation.
     kind : type
-        Its type without None.
+        Type of the value, without None.
     key : str
-        Key in the settings of the provenance; empty if it is not recorded.
+        Key in the settings of the provenance; empty if the option is not recorded.
     """
 
     def __init__(self, name: str, info: FieldInfo) -> None:
@@ -180,14 +187,14 @@ class Declared:
         return self.flags.split("/")[0].split(" ")[-1]
 
     def files(self, value: Any) -> list[Path]:
-        """Return the files to read that a value names."""
+        """Return the input files that a value of this option names."""
         if value is None or self.written or Path not in _leaves(self.kind):
             return []
         several = value if isinstance(value, list | tuple) else [value]
         return [Path(one) for one in several if isinstance(one, str | Path)]
 
     def stands_for(self) -> str:
-        """Return the placeholder for its value in the docs; empty for a switch."""
+        """Return the placeholder of the value for the documentation; empty for a flag."""
         if self.metavar or self.kind is bool:
             return self.metavar or ""
         if get_origin(self.kind) is Literal:
@@ -196,14 +203,14 @@ class Declared:
         return {int: "N", float: "X", Path: "FILE"}.get(leaf, "TEXT")
 
     def default_text(self) -> str:
-        """Return its default as the docs write it."""
+        """Return the default value as text for the documentation."""
         if self.required:
             return "required"
         nothing = self.default is None or self.default is False or self.default in ((), {})
         return "" if nothing else f"`{self.default}`"
 
     def type_text(self) -> str:
-        """Return its type as a docstring writes it."""
+        """Return the type of the value as text for a docstring."""
         text = _type_text(self.kind)
         if self.required or self.default in ((), {}):
             return text
@@ -211,7 +218,7 @@ class Declared:
 
 
 def without_none(kind: Any) -> Any:
-    """Return a type without None as an alternative."""
+    """Return a type with None removed from its alternatives."""
     if get_origin(kind) in (Union, UnionType):
         left = [one for one in get_args(kind) if one is not type(None)]
         return left[0] if len(left) == 1 else Union[tuple(left)]  # noqa: UP007 - made of a tuple
@@ -219,11 +226,12 @@ def without_none(kind: Any) -> Any:
 
 
 def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callable[..., Returned]]:
-    """Give a function the options of a class as keyword arguments.
+    """Decorate a function so that it takes the options of a class as keyword arguments.
 
-    The function itself has one argument ``options``. Signature and docstring contain each option. An unknown
-    one is refused, with the nearest name. Messages name arguments, unless the command line runs. The options
-    may also be given as an object of the class: ``options=...``.
+    The decorated function itself has one argument ``options``, an object of the class. Its caller passes each
+    option as a keyword argument, or such an object as ``options=...``. Signature and docstring list all
+    options. An unknown option is an error, with the most similar name as a hint. Messages name arguments in
+    place of options, unless the function is called from the command line.
     """
 
     def decorate(function: Callable[..., Returned]) -> Callable[..., Returned]:
@@ -274,7 +282,7 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
 
 
 def _documented(text: str | None, options: type[Options], rest: Sequence[str]) -> str | None:
-    """Return a docstring with the options among its Parameters, before those of the function in ``rest``."""
+    """Return a docstring with the options in its Parameters section, before the arguments in ``rest``."""
     if text is None:
         return None
     lines = inspect.cleandoc(text).splitlines()
@@ -289,7 +297,7 @@ def _documented(text: str | None, options: type[Options], rest: Sequence[str]) -
 
 
 def _leaves(kind: Any) -> list[Any]:
-    """Return the simple types in a type."""
+    """Return the innermost type arguments of a type, or the type itself if it has none."""
     args = get_args(kind)
     return [leaf for one in args for leaf in _leaves(one)] if args else [kind]
 
@@ -323,7 +331,7 @@ def _plain(value: Any) -> Any:
 
 
 def _refusal(options: type[Options], error: ValidationError) -> SwimidError:
-    """Return the first error in the options as an error of swimid."""
+    """Return the first validation error of the options as an error of swimid."""
     problem = error.errors()[0]
     raised = problem.get("ctx", {}).get("error")
     if isinstance(raised, SwimidError):

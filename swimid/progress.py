@@ -1,4 +1,4 @@
-"""Progress of long loops; the caller decides whether and how it is shown."""
+"""Progress of long loops. The caller decides whether and how the progress is shown."""
 
 from __future__ import annotations
 
@@ -7,30 +7,30 @@ from typing import Protocol
 
 
 class Step(Protocol):
-    """Advances one running bar."""
+    """Function that advances one progress bar."""
 
     def __call__(self, amount: int = 1) -> None:
-        """Advance by ``amount``."""
+        """Advance the bar by ``amount`` steps."""
         ...
 
 
 class Progress(Protocol):
-    """Opens a bar: ``with progress("tracking", total=600) as step: step()``."""
+    """Function that opens a progress bar: ``with progress("tracking", total=600) as step: step()``."""
 
     def __call__(self, description: str, total: int | None = None) -> AbstractContextManager[Step]:
-        """Open a bar of ``total`` steps, or of an unknown number."""
+        """Open a bar with ``total`` steps; None for an unknown number of steps."""
         ...
 
 
 def show(step: Step, text: str) -> None:
-    """Put a remark beside a running bar, if the bar has a ``note(text)``."""
+    """Show a remark next to a progress bar, if the bar has a method ``note(text)``."""
     note = getattr(step, "note", None)
     if note is not None:
         note(text)
 
 
 def silent(description: str, total: int | None = None) -> AbstractContextManager[Step]:
-    """Show no progress: the default of every library function."""
+    """Show no progress. Library functions do this by default."""
 
     def step(amount: int = 1) -> None:
         return None

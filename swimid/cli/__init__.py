@@ -1,10 +1,10 @@
-"""The command line: parses, calls one function, prints. Nothing is computed here.
+"""Command line: it parses the arguments, calls one function and prints the result. It computes nothing.
 
-- ``builder`` finds the commands in the ``options.py`` of every package and reads the values of their options;
-  ``main`` lists them by purpose.
-- ``common`` holds shared options, output streams and exit statuses.
-- ``import_log``, ``schema`` and ``doctor`` (with ``options``) do what no package below is about.
+- ``builder`` finds the commands in the ``options.py`` of every package and reads the values of their options.
+  ``main`` lists the commands by purpose.
+- ``common`` has the shared options, the output streams and the exit statuses.
+- ``import_log``, ``schema`` and ``doctor`` (with ``options``) are commands that belong to no other package.
 
-The last three are imported when their command runs. All others import click and the standard library only,
-so that ``--help`` is instant.
+The last three modules are imported when their command runs. The other modules import few libraries, so that
+``--help`` is fast.
 """

@@ -1,6 +1,6 @@
-"""The commands, found in the ``options.py`` of every package, as click takes them.
+"""Click commands for the classes of options in the ``options.py`` of every package.
 
-The files are read as text, so that the list of commands imports no package.
+The files are parsed as text, so that the list of commands can be shown without an import of the packages.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from swimid.errors import UsageError
 if TYPE_CHECKING:
     from swimid.options import Declared, Options
 
-#: Ending of the evidence beside a result.
+#: Ending of an evidence file.
 EVIDENCE = ".evidence.json"
 
 
 @dataclass(frozen=True)
 class CommandSpec:
-    """A command as its class of options states it; see :class:`swimid.options.Options`.
+    """Declaration of a command by its class of options; see :class:`swimid.options.Options`.
 
     Attributes
     ----------
     command, section, output, argument, output_flags, required, stdout, beside, function
-        The arguments of the class.
+        Arguments of the class.
     package, options, help : str
-        The package and the name of the class; its docstring.
+        Name of the package, name of the class, and docstring of the class.
     """
 
     command: str
@@ -54,12 +54,12 @@ class CommandSpec:
     function: str = ""
 
     def model(self) -> type[Options]:
-        """Import the class of its options."""
+        """Import and return the class of the options."""
         loaded: type[Options] = getattr(importlib.import_module(f"{self.package}.options"), self.options)
         return loaded
 
     def run(self) -> Any:
-        """Import its function."""
+        """Import and return the function of the command."""
         name = self.function or re.sub("[ -]", "_", self.command)
         return getattr(importlib.import_module(f"{self.package}.{name}"), name)
 
@@ -81,14 +81,14 @@ def found() -> dict[str, CommandSpec]:
 
 
 class Command(click.Command):
-    """A command; its options are imported when they are looked at."""
+    """Click command whose options are imported on first use."""
 
     def __init__(self, spec: CommandSpec) -> None:
         path = click.Path(path_type=Path)
         output = click.Option(
             [*spec.output_flags, "output"], type=path, required=spec.required, help=spec.output
         )
-        # click keeps the lines of a paragraph that begins with \b
+        # click keeps the line breaks of a paragraph that begins with \b
         help = re.sub(r"\n\n(Examples?:)", "\n\n\b\n\\1", spec.help)
         name = spec.command.split()[-1]
         super().__init__(name, params=[output, *SHARED], callback=self._called, help=help)
@@ -96,14 +96,14 @@ class Command(click.Command):
         self._own: list[click.Parameter] | None = None
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        """Return the files, the options of the command, those of every command."""
+        """Return the file argument, the options of this command, and the options of every command."""
         if self._own is None:
             declared = self.spec.model().declared().values()
             self._own = [*_argument(self.spec.argument), *(_option(entry) for entry in declared)]
         return [*self._own, *super().get_params(ctx)]
 
     def _called(self, *, files: Any = None, **typed: Any) -> None:
-        """Parse, protect the outputs, call the function, print."""
+        """Read the options, protect the outputs, call the function, and print or store the outcome."""
         shared = Shared.taken_from(typed)
         spec = self.spec
         with running(spec.command, shared) as run:
@@ -134,14 +134,14 @@ class Command(click.Command):
                 _protect_beside(output, spec, shared)
             outcome = function(*([files] if files else []), output=output, **options, **given)
             if spec.stdout is not None and output is None and not shared.as_json:
-                # the document is the result: --quiet must not swallow it
+                # the document is the result: print it also with --quiet
                 click.echo(outcome.text)
                 outcome = replace(outcome, text="")
             run.outcome = outcome
 
 
 def _argument(metavar: str) -> list[click.Parameter]:
-    """Return the files a command takes: ``LOG...`` several, ``[NAME]`` a word or none, empty none."""
+    """Return the positional argument: ``LOG...`` is several files, ``[NAME]`` is an optional word."""
     if not metavar:
         return []
     count = (1, -1)[metavar.endswith("...")]
@@ -152,14 +152,14 @@ def _argument(metavar: str) -> list[click.Parameter]:
 
 
 def _option(entry: Declared) -> click.Option:
-    """Return an option as click takes it; what is more than one word is parsed when the command runs."""
+    """Return the click option. A value of several words is parsed when the command runs."""
     names = [entry.flags, entry.name]
     if entry.kind is bool:
         shown = "/" in entry.flags and entry.default is not None
         return click.Option(names, is_flag=True, default=entry.default, show_default=shown, help=entry.help)
     word = word_of(entry)
     if entry.required:
-        # a required option that has a default, None even, is not asked for
+        # no default: click does not require an option that has a default, even if it is None
         return click.Option(names, required=True, metavar=entry.metavar, help=entry.help, **word)
     default = (entry.default or None) if word.get("multiple") else entry.default
     shown = default is not None
@@ -169,7 +169,7 @@ def _option(entry: Declared) -> click.Option:
 
 
 def _insist_distinct(places: list[Path]) -> None:
-    """Refuse two outputs that are one file."""
+    """Refuse two outputs that are the same file."""
     resolved = [place.resolve() for place in places]
     for place, file in zip(places, resolved, strict=True):
         if resolved.count(file) > 1:
@@ -177,7 +177,7 @@ def _insist_distinct(places: list[Path]) -> None:
 
 
 def _protect_beside(output: Path, spec: CommandSpec, shared: Shared) -> None:
-    """Refuse to replace files of others, and evidence of other results, beside the output."""
+    """Refuse to replace files of other programs, or evidence of other results, next to the output."""
     from swimid.results import evidence
 
     for ending in spec.beside:
@@ -190,7 +190,7 @@ def _protect_beside(output: Path, spec: CommandSpec, shared: Shared) -> None:
 
 
 def word_of(entry: Declared) -> dict[str, Any]:
-    """Return the arguments of a click option of this type: ``type``, and ``multiple`` or ``nargs``."""
+    """Return the type arguments of a click option: ``type``, and ``multiple`` or ``nargs``."""
     kind, args = entry.kind, get_args(entry.kind)
     if _is_mapping(kind):
         return {"type": str, "multiple": True}
@@ -205,12 +205,12 @@ def word_of(entry: Declared) -> dict[str, Any]:
 
 
 def value_of(entry: Declared, typed: Any) -> Any:
-    """Return the value of an option from the text that was typed; None if nothing was.
+    """Return the value of an option from the text that was typed; None if no text was typed.
 
     Raises
     ------
     UsageError
-        When the text is not a value of the option.
+        If the text is not a value of the option.
     """
     if typed is None or typed == ():
         return None
@@ -228,7 +228,7 @@ def value_of(entry: Declared, typed: Any) -> Any:
 
 
 def _simple(kind: Any, limits: Mapping[str, float]) -> Any:
-    """Return the click type of a single word."""
+    """Return the click type of an option whose value is a single word."""
     if get_origin(kind) is Literal:
         return click.Choice(list(get_args(kind)))
     if Path in (kind, *get_args(kind)) and str not in get_args(kind):
@@ -248,7 +248,7 @@ def _is_mapping(kind: Any) -> bool:
 
 
 def _by_commas(entry: Declared) -> bool:
-    """Whether an option of several numbers is one word with commas in it."""
+    """Return whether an option with several numbers is typed as one word with commas."""
     pair = get_origin(entry.kind) is tuple and Ellipsis not in get_args(entry.kind)
     return pair and "," in (entry.metavar or "")
 
@@ -296,7 +296,7 @@ def _named(texts: tuple[str, ...], option: str) -> list[tuple[str, str]]:
     return pairs
 
 
-#: Reader of a value of a mapping, by its type.
+#: Function that reads a value of a mapping, by the type of the value.
 _READERS: dict[Any, Callable[[str, str], Any]] = {
     float: number,
     str: lambda text, option: text.strip(),

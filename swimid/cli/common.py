@@ -1,7 +1,7 @@
 """Options, output streams and exit statuses of every command.
 
-stdout carries the result only: plain text, or with ``--json`` one JSON document, also of an error. Progress,
-warnings and errors go to stderr.
+stdout has the result only: plain text or, with ``--json``, one JSON document, which also reports errors.
+Progress, warnings and errors go to stderr.
 """
 
 from __future__ import annotations
@@ -32,14 +32,15 @@ if TYPE_CHECKING:
 
     from swimid.results.result import Result
 
-#: Terminal codes that go up a line and clear it.
+#: Terminal codes that move up one line and clear it.
 ERASE_BAR = "\x1b[1A\x1b[2K"
 #: Maximum width of a line on the terminal.
 WIDTH = 100
-#: More warnings of one code than this are counted, without -v.
+#: Maximum number of warnings of one code that are all printed. If there are more, three of them and a count
+#: are printed, unless -v is given.
 MAX_ALIKE = 5
 _flag = partial(click.Option, is_flag=True)
-#: The options of every command beside ``-o``.
+#: Options of every command, in addition to ``-o``.
 SHARED = (
     _flag(["--json", "as_json"], help="Print the result as one JSON document on stdout."),
     _flag(["--force"], help="Overwrite an output that swimid did not write."),
@@ -52,7 +53,7 @@ SHARED = (
 
 @dataclass(frozen=True)
 class Shared:
-    """The values of the options of every command."""
+    """Values of the options that every command has."""
 
     output: Path | None = None
     as_json: bool = False
@@ -64,13 +65,13 @@ class Shared:
 
     @classmethod
     def taken_from(cls, typed: dict[str, Any]) -> Shared:
-        """Take these options out of all that were typed."""
+        """Remove the shared options from the options that were typed, and return them."""
         return cls(**{one.name: typed.pop(one.name) for one in fields(cls)})
 
 
 @dataclass
 class Run:
-    """One command being run: gives it progress, takes its outcome, which is printed when the run ends."""
+    """Run of one command. It supplies progress bars and stores the outcome, which is printed at the end."""
 
     command: str
     shared: Shared
@@ -78,21 +79,22 @@ class Run:
 
     @property
     def progress(self) -> Progress:
-        """Bars on stderr if that is a terminal, else none."""
+        """Progress bars on stderr if stderr is a terminal, else no progress."""
         shared = self.shared
         hidden = shared.no_progress or shared.quiet or not sys.stderr.isatty() or bool(os.environ.get("CI"))
         return silent if hidden else _bar
 
 
 class Bug(SwimidError):
-    """An error nobody expected."""
+    """Error that is a bug in swimid."""
 
 
 @contextmanager
 def running(command: str, shared: Shared) -> Iterator[Run]:
-    """Run a command: print its outcome and warnings, turn errors into exit statuses.
+    """Run a command, print its outcome and warnings, and convert errors to exit statuses.
 
-    Exit status 0 done, 2 usage, 3 input, 4 no trustworthy result, 1 a bug, 130 interrupted.
+    The exit status is 0 for success, 2 for wrong usage, 3 for an invalid input, 4 for no trustworthy result,
+    1 for a bug, and 130 for an interrupt.
     """
     run = Run(command, shared)
     notices: list[Notice] = []
@@ -100,7 +102,7 @@ def running(command: str, shared: Shared) -> Iterator[Run]:
     interrupts: list[Callable[[], None]] = []
 
     def noted(interrupt: Callable[[], None]) -> None:
-        interrupts.append(interrupt)  # a search may catch it, to go on with what it had
+        interrupts.append(interrupt)  # a search may catch the exception and return its best result
         interrupt()
 
     try:
@@ -135,7 +137,7 @@ def running(command: str, shared: Shared) -> Iterator[Run]:
 
 
 def _as_error(caught: BaseException, output: Path | None, written: list[Path]) -> SwimidError:
-    """Return what ended a command as an error of swimid."""
+    """Return the exception that ended a command as an error of swimid."""
     if isinstance(caught, SwimidError):
         return caught
     if isinstance(caught, KeyboardInterrupt):
@@ -146,7 +148,7 @@ def _as_error(caught: BaseException, output: Path | None, written: list[Path]) -
 
 
 def _left(output: Path | None, written: list[Path]) -> str:
-    """Return what an interrupted command has written."""
+    """Return a text about the files that an interrupted command has written."""
     from swimid.files.checkpoint import has_pieces, place
 
     if written:
@@ -159,7 +161,7 @@ def _left(output: Path | None, written: list[Path]) -> str:
 def _print(
     run: Run, answer: dict[str, Any], notices: list[Notice], text: str, outputs: Iterable[Path]
 ) -> None:
-    """Print the answer on stdout; warnings, the files written and the next command on stderr."""
+    """Print the answer on stdout, and warnings, written files and the next command on stderr."""
     if not run.shared.quiet:
         most = (MAX_ALIKE, sys.maxsize)[run.shared.verbose > 0]
         for line in _warning_lines(notices, most):
@@ -205,7 +207,7 @@ def _warning_lines(notices: list[Notice], most: int) -> Iterator[str]:
 
 
 def _next_command(outcome: Result | None) -> str:
-    """Return the command that follows a result which was written; empty if there is none."""
+    """Return the suggested next command after a written result; empty if there is none."""
     from swimid.results.kinds import LOG_ENDINGS
     from swimid.results.terminal import next_command
 
@@ -218,14 +220,14 @@ def _next_command(outcome: Result | None) -> str:
 
 
 def protect(output: Path | None, shared: Shared, *, inputs: Iterable[str | Path] = ()) -> None:
-    """Refuse an output that would destroy an input, or a file swimid did not write.
+    """Refuse an output that would replace an input, or a file that swimid did not write.
 
     Raises
     ------
     UsageError
-        The output is an input, or another's file and ``--force`` was not given.
+        If the output is an input, or was not written by swimid and ``--force`` is not given.
     InputError
-        Its folder does not exist.
+        If the folder of the output does not exist.
     """
     if output is None:
         return
@@ -239,7 +241,7 @@ def protect(output: Path | None, shared: Shared, *, inputs: Iterable[str | Path]
 
 
 class _BarStep:
-    """A running bar: call it to advance, note what stands beside it."""
+    """Progress bar: a call advances the bar, ``note`` sets the remark next to it."""
 
     def __init__(self, bar: ProgressBar[int], description: str) -> None:
         self._bar, self._description = bar, description

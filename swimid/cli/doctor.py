@@ -1,4 +1,4 @@
-"""``swimid doctor``: check the installation."""
+"""Command ``swimid doctor``: check of the installation."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ KERNELS = (
 
 @takes(DoctorOptions)
 def doctor(*, options: DoctorOptions, output: Path | None = None, progress: Progress = silent) -> Result:
-    """Check versions, video decoding and optional packages; compile the kernels with ``warm_up``.
+    """Check versions, video decoding and optional packages. With ``warm_up``, compile the kernels.
 
     Parameters
     ----------
     output : path, optional
-        Write the findings as JSON.
+        File for the findings, as JSON.
     """
     packages = {name: _version(name) for name in _required()}
     optional = {name: _version(name) for name in OPTIONAL}
@@ -86,7 +86,7 @@ def _required() -> list[str]:
     try:
         stated = [text for text in metadata.requires("swimid") or () if "extra ==" not in text]
     except metadata.PackageNotFoundError:
-        # run from its source, without an installation that could be whole
+        # swimid runs from its source and is not installed
         return ["swimid"]
     return [re.split(r"[^\w.-]", text, maxsplit=1)[0] for text in stated]
 

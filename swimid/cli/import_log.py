@@ -1,4 +1,4 @@
-"""``swimid import``: several logs, or a mapping drafted from one."""
+"""Command ``swimid import``: import of logs, or the draft of a mapping for one file."""
 
 from __future__ import annotations
 
@@ -23,20 +23,21 @@ def import_log(
     allow: Callable[[Path | None], object],
     progress: Progress = silent,
 ) -> Result:
-    """Import files of other programs, or draft the mapping of one.
+    """Import files of other programs, or draft the mapping of one file.
 
     Parameters
     ----------
     files : tuple of Path
     output : Path
-        A log; a folder for several; the mapping.
+        Log to write; a folder for several logs; the mapping with ``guess``.
     allow : callable
-        Called with every file before it is written; raises where that must not be.
+        Function that is called with every file before it is written. It raises an error if the file must not
+        be written.
 
     Raises
     ------
     UsageError
-        Without an output for a log, and for several files of which one mapping is to be drafted.
+        If no output is given for a log, or if several files are given for the draft of a mapping.
     """
     if options.guess:
         if len(files) > 1 or options.map_path is not None:

@@ -7,7 +7,7 @@ import click
 import swimid
 from swimid.cli.builder import Command, found
 
-#: Headings of the list of commands, in the order one uses them.
+#: Headings of the list of commands, in the usual order of work.
 SECTIONS = (
     "Make logs",
     "Identify",
@@ -20,10 +20,10 @@ SECTIONS = (
 
 
 class Sectioned(click.Group):
-    """A group whose help lists its commands by purpose."""
+    """Command group whose help lists the commands by purpose."""
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write one list of commands per section."""
+        """Write one list of commands for each section."""
         sections: dict[str, set[str]] = {title: set() for title in SECTIONS}
         for spec in found().values():
             sections.setdefault(spec.section, set()).add(spec.command.split()[0])
@@ -65,5 +65,5 @@ for spec in found().values():
 
 
 def entry() -> None:
-    """Console script."""
+    """Run the command line; entry point of the console script."""
     main(prog_name="swimid")

@@ -1,4 +1,4 @@
-"""JSON Schema of every file format, from the models that validate it."""
+"""Command ``schema``: JSON Schema of a file format, from the model that validates the format."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from swimid.options import takes
 from swimid.results.kinds import FORMATS
 from swimid.results.result import Result
 
-#: Model of each format that is no result: ``module:attribute``.
+#: Model of each format that is not a result, as ``module:attribute``.
 OTHERS = {
     "trials": "swimid.logs.trials:AnyTrials",
     "robot": "swimid.robots.file:Robot",
@@ -33,14 +33,14 @@ def schema(name: str | None = None, *, options: SchemaOptions, output: Path | No
     Parameters
     ----------
     name : str, optional
-        ``"gap"`` for ``format: swimid-gap/1``.
+        Name of the format: ``"gap"`` for ``format: swimid-gap/1``.
     output : path, optional
-        Write the schema.
+        File for the schema.
 
     Raises
     ------
     UsageError
-        When there is no such format; names the nearest.
+        If there is no such format. The hint names the most similar format.
     """
     results = {form.removeprefix("swimid-").split("/")[0]: place for form, place in FORMATS.items()}
     places = OTHERS | results
@@ -53,7 +53,7 @@ def schema(name: str | None = None, *, options: SchemaOptions, output: Path | No
     document = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$comment": f"written by swimid {swimid.__version__}",
-        # a class of results knows the model of its file
+        # a class of results has the model of its file as ``file_type``
         **TypeAdapter(getattr(found, "file_type", found)).json_schema(),
     }
     text = json.dumps(document, indent=2)

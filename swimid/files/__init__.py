@@ -1,7 +1,7 @@
-"""Reading and writing of files, whatever is in them.
+"""Reading and writing of files, independent of their content.
 
-- ``atomic`` writes files whole or not at all, and groups of files together; one run at a time.
-- ``checkpoint`` keeps what a long run has computed.
-- ``tabular`` reads the heads of CSV files, ``yamlio`` YAML with line numbers, ``video`` writes films.
-- ``provenance`` says where a result comes from, and recognises files that swimid wrote.
+- ``atomic`` writes files completely or not at all, and locks an output while a run writes it.
+- ``checkpoint`` stores the intermediate results of a long run.
+- ``tabular`` reads CSV files, ``yamlio`` reads and writes YAML, ``video`` writes videos.
+- ``provenance`` records the origin of a result, and recognises files that swimid wrote.
 """

@@ -1,4 +1,4 @@
-"""Writing of complete files or none, of groups of files together, and of an output by one run at a time."""
+"""Writing of files completely or not at all, singly or in groups, and locks of outputs."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ if TYPE_CHECKING:
 
 
 def check_writable(path: str | Path, *, inputs: Iterable[object] = ()) -> Path:
-    """Return the path after checking that it can be written and that no input is lost by it.
+    """Return the path after checking that it can be written without replacing an input.
 
     Parameters
     ----------
     path : path
     inputs : iterable
-        Files that are read; objects in memory are passed over.
+        Input files. Objects in memory are ignored.
 
     Raises
     ------
     InputError
-        When its folder does not exist or cannot be written.
+        If the folder of the path does not exist or cannot be written.
     UsageError
-        When it is one of ``inputs`` or a folder, or a Parquet file, and pyarrow is not installed.
+        If the path is one of ``inputs``, or is a folder, or needs pyarrow and pyarrow is not installed.
     """
     path = Path(path)
     if path.suffix.lower() in tabular.PARQUET:
@@ -59,23 +59,23 @@ def check_writable(path: str | Path, *, inputs: Iterable[object] = ()) -> Path:
 
 
 def is_device(path: Path) -> bool:
-    """Return whether the path is a device or a pipe, which is written to and never replaced."""
+    """Return whether the path is a device or a pipe, which is written directly and never replaced."""
     return path.exists() and not path.is_file()
 
 
 @dataclass
 class _Group:
-    """Files that are written under temporary names and take their own names together."""
+    """Files that are written under temporary names and then renamed to their final names together."""
 
     temporaries: list[Path] = field(default_factory=list)
-    #: Temporary name of each complete file.
+    #: Temporary name of each complete file, by its final name.
     pending: dict[Path, Path] = field(default_factory=dict)
-    #: Files to be removed, and folders made for this group.
+    #: Files to remove, and folders that were created for this group.
     removed: list[Path] = field(default_factory=list)
     folders: list[Path] = field(default_factory=list)
 
     def commit(self) -> None:
-        """Rename every file to its own name; Ctrl-C waits, and an error undoes the renaming."""
+        """Rename every file to its final name. Ctrl-C is delayed, and an error undoes the renaming."""
         several = len(self.pending) + len(self.removed) > 1
         before: dict[Path, Path | None] = {}
         with _uninterrupted():
@@ -102,7 +102,7 @@ class _Group:
             _WRITTEN.get([]).extend(self.pending)
 
     def discard(self) -> None:
-        """Remove what was not renamed."""
+        """Remove the temporary files that were not renamed, and the folders created for this group."""
         for temporary in self.temporaries:
             temporary.unlink(missing_ok=True)
         for folder in reversed(self.folders):
@@ -116,14 +116,14 @@ _WRITTEN: ContextVar[list[Path]] = ContextVar("_WRITTEN")
 
 @contextmanager
 def together() -> Iterator[_Group]:
-    """Make the files that are written in this block appear when it ends well: all of them, or none.
+    """Rename all files that are written in this block together, when the block ends without an error.
 
-    A block inside another one is part of it.
+    After an error, no file is changed. A block inside another block is part of the outer block.
 
     Raises
     ------
     InputError
-        When a file cannot be renamed; those renamed before are restored.
+        If a file cannot be renamed. Files that were renamed before are restored.
     """
     outer = _GROUP.get()
     if outer is not None:
@@ -141,7 +141,7 @@ def together() -> Iterator[_Group]:
 
 @contextmanager
 def noted() -> Iterator[list[Path]]:
-    """Give a list of the files that have been written so far in this block."""
+    """Yield a list of the files that have been written so far in this block."""
     written: list[Path] = []
     token = _WRITTEN.set(written)
     try:
@@ -152,10 +152,10 @@ def noted() -> Iterator[list[Path]]:
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """Give a temporary path beside ``path`` that takes its place when the block, and its group, end well.
+    """Yield a temporary path that replaces ``path`` when the block and its group end without an error.
 
-    The temporary name keeps the ending, so that writers that choose their format by it work. An exception, a
-    full disk or Ctrl-C leaves the old file untouched.
+    The temporary path has the ending of ``path``, because some writers choose their format by the ending. An
+    exception, a full disk or Ctrl-C leaves the old file unchanged.
 
     Raises
     ------
@@ -188,18 +188,18 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def remove(path: Path) -> None:
-    """Remove a file that a new one makes obsolete, when the group of the new one ends well."""
+    """Remove an obsolete file when the group of the file that replaces it ends without an error."""
     with together() as group:
         group.removed.append(path)
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder for files of the group; it disappears again where none is written.
+    """Create a folder for the files of a group. The folder is removed again if no file is written.
 
     Raises
     ------
     InputError
-        When it cannot be made.
+        If the folder cannot be created.
     """
     if path.is_dir():
         return
@@ -210,9 +210,9 @@ def make_folder(path: Path) -> None:
 
 @contextmanager
 def on_interrupt(handle: Callable[[Callable[[], None]], object]) -> Iterator[None]:
-    """Call ``handle`` for every Ctrl-C in the block, with the function that does what Ctrl-C did before.
+    """Call ``handle`` on every Ctrl-C in the block, with the previous handler of Ctrl-C as its argument.
 
-    Outside the main thread, and where Ctrl-C is ignored, nothing changes.
+    Nothing changes outside the main thread, or if Ctrl-C is ignored.
     """
     before = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or not callable(before):
@@ -227,7 +227,7 @@ def on_interrupt(handle: Callable[[Callable[[], None]], object]) -> Iterator[Non
 
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
-    """Hold Ctrl-C back until the block has ended."""
+    """Delay the effect of Ctrl-C until the block has ended."""
     received: list[Callable[[], None]] = []
     try:
         with on_interrupt(received.append):
@@ -238,7 +238,7 @@ def _uninterrupted() -> Iterator[None]:
 
 
 def _second_name(path: Path) -> Path:
-    """Return a hidden second name of a file, from which it can be restored."""
+    """Return the path of a hidden backup, from which the file can be restored."""
     handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=".before", dir=path.parent)
     os.close(handle)
     spare = Path(name)
@@ -251,7 +251,7 @@ def _second_name(path: Path) -> Path:
 
 
 def _mode(path: Path) -> int:
-    """Return the permissions of the new file: those of the old one, or the usual ones."""
+    """Return the permissions of a new file: those of the old file, or the default ones."""
     if path.exists():
         return path.stat().st_mode & 0o777
     mask = os.umask(0)
@@ -264,10 +264,10 @@ def _mode(path: Path) -> int:
 
 @dataclass(eq=False)
 class Lock:
-    """A held lock: the file ``<output>.lock`` with the process that holds it.
+    """Lock of an output: the file ``<output>.lock``, which names the process that holds the lock.
 
-    A lock of a process that no longer runs is replaced. A thread that asks for a lock which it holds already,
-    directly or through a run that failed, shares it.
+    A lock of a process that no longer runs is replaced. A thread can lock an output again that it has locked
+    already, directly or through a run that failed.
     """
 
     file: BaseFileLock
@@ -275,7 +275,7 @@ class Lock:
     holders: int = 1
 
     def release(self) -> None:
-        """Remove the lock after as many calls as there were of :func:`lock`."""
+        """Release the lock once. The last release, one for each call of :func:`lock`, removes the file."""
         self.holders -= 1
         path = Path(self.file.lock_file)
         if self.holders == 0 and _HELD.get(path) is self:
@@ -283,21 +283,21 @@ class Lock:
             self.file.release()
 
 
-#: The locks of this process.
+#: Locks that this process holds, by the path of their file.
 _HELD: dict[Path, Lock] = {}
 
 
 def lock(output: Path) -> Lock:
-    """Lock an output.
+    """Lock an output and return the lock.
 
     Raises
     ------
     UsageError
-        When another run holds the lock.
+        If another run holds the lock.
     InputError
-        When the lock cannot be written.
+        If the lock cannot be written.
     """
-    from filelock import SoftFileLock, Timeout  # 60 ms
+    from filelock import SoftFileLock, Timeout  # the import takes 60 ms
 
     path = output.resolve().with_name(f"{output.name}.lock")
     own, thread = _HELD.get(path), threading.current_thread()
@@ -323,7 +323,7 @@ def lock(output: Path) -> Lock:
 
 @contextmanager
 def locked(output: Path | None) -> Iterator[None]:
-    """Hold the lock of an output while the block runs; a device or a stream needs none."""
+    """Hold the lock of an output during the block. A device or a stream is not locked."""
     stored = output is not None and (output.is_file() or output.is_dir() or not output.exists())
     if output is None or not stored or str(output) == "-" or not os.access(output.parent, os.W_OK):
         yield
@@ -342,7 +342,7 @@ DEVICES = {"CON", "PRN", "AUX", "NUL", *(f"{port}{k}" for port in ("COM", "LPT")
 
 
 def file_names(ids: Sequence[str], endings: Sequence[str]) -> list[str]:
-    """Return one file name for each id; no two of them are the same file on any system.
+    """Return one file name for each id. The names are different files on every operating system.
 
     Characters other than letters, digits, ``_``, ``-`` and ``.`` become ``_``.
 
@@ -351,12 +351,13 @@ def file_names(ids: Sequence[str], endings: Sequence[str]) -> list[str]:
     ids : sequence of str
         Distinct ids.
     endings : sequence of str
-        Endings with their dot. The names get the first one; an id may end in any of them.
+        Endings with their dot. The file names have the first ending. An id may have any of the endings.
 
     Raises
     ------
     UsageError
-        When two ids have the same name; capitals do not count, because many file systems ignore them.
+        If two ids have the same name. Upper and lower case are not distinguished, because many file systems
+        ignore case.
 
     Examples
     --------

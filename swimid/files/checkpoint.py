@@ -1,4 +1,4 @@
-"""Checkpoints: intermediate results of a long run in a file beside its output (``docs/formats.md``)."""
+"""Checkpoints: files with the intermediate results of long runs, next to the output (``docs/formats.md``)."""
 
 from __future__ import annotations
 
@@ -30,45 +30,45 @@ def place(output: Path) -> Path:
     return output.with_name(f"{output.name}.partial")
 
 
-#: Number of pieces in each checkpoint that belong to the latest run of this process.
+#: Number of stored pieces of the latest run of this process, by the path of the checkpoint.
 _PIECES: Counter[Path] = Counter()
 
 
 def has_pieces(output: Path) -> bool:
-    """Whether the checkpoint of an output holds pieces of the latest run of this process."""
+    """Return whether the checkpoint of an output has pieces of the latest run of this process."""
     return _PIECES[place(output)] > 0
 
 
 class Checkpoint:
-    """Named pieces of a computation, one JSON line each.
+    """Named pieces of a computation (arrays of numbers), each stored as one JSON line.
 
     A line is ``{"key": ..., "name": ..., "values": [...], "sum": ...}``. ``key`` is the SHA-256 of the inputs
-    and settings of the run and of the name of the piece; ``sum`` is that of key, name and values. A line with
-    a wrong sum is damaged; a line with another key belongs to another run. Both are ignored, and the lines of
-    other runs are kept.
+    and settings of the run and of the name of the piece. ``sum`` is the SHA-256 of key, name and values. A
+    line with a wrong sum is damaged. A line with another key belongs to another run. Both are ignored, and
+    the lines of other runs are preserved.
 
     Parameters
     ----------
     path : Path or None
-        None keeps nothing.
+        Checkpoint file. None stores nothing.
     key : str
-        Of the inputs and settings that determine the results.
+        SHA-256 of the inputs and settings that determine the results.
     anew : bool
-        Whether to drop the pieces that an earlier run with this key has left.
+        Whether to discard the pieces that an earlier run with this key has stored.
 
     Raises
     ------
     UsageError
-        When another run holds the output.
+        If another run holds the lock of the output.
     InputError
-        When the file cannot be read or written.
+        If the file cannot be read or written.
 
     Warns
     -----
     SWM150
-        When lines are ignored.
+        Lines are ignored.
     SWM151
-        When a piece cannot be kept, because the disk is full for instance.
+        A piece cannot be stored, for instance because the disk is full.
     """
 
     def __init__(self, path: Path | None = None, key: str = "", *, anew: bool = False) -> None:
@@ -82,31 +82,31 @@ class Checkpoint:
         if path is None:
             return
         atomic.check_writable(path)
-        # also where a run fails: when nobody refers to the checkpoint any more
+        # release the lock also after a failed run, when the checkpoint object is deleted
         self._release = weakref.finalize(self, atomic.lock(path.with_suffix("")).release)
         with file_errors(path):
             self._read(path, anew)
 
     @classmethod
     def beside(cls, output: Path | None, belongs_to: Any, *, anew: bool = False) -> Checkpoint:
-        """Return the checkpoint of an output; its key depends on ``belongs_to`` and the version of swimid."""
+        """Return the checkpoint of an output, with a key from ``belongs_to`` and the version of swimid."""
         text = json.dumps([belongs_to, swimid.__version__], sort_keys=True)
         path = output and place(output)
         return cls(path, hashlib.sha256(text.encode()).hexdigest(), anew=anew)
 
     @property
     def begun(self) -> bool:
-        """Whether an earlier run with the same key has left something."""
+        """Whether an earlier run with the same key has stored pieces."""
         return bool(self._known)
 
     def get(self, name: str) -> NDArray[np.float64] | None:
-        """Return the values kept under a name."""
+        """Return the values stored under a name; None if there are none."""
         if name not in self._known:
             return None
         return np.array(self._known[name], dtype=float)
 
     def put(self, name: str, values: NDArray[np.float64]) -> None:
-        """Keep values under a name."""
+        """Store values under a name."""
         if self.path is None:
             return
         key, listed = self._key_of(name), [float(v) for v in values]
@@ -114,7 +114,7 @@ class Checkpoint:
         with self._writing:
             try:
                 with self.path.open("a", encoding="utf-8") as stream:
-                    # a line that could not be written may have no end
+                    # the last line may be incomplete after a failed write: begin a new line
                     stream.write("\n" * self._full + json.dumps(line) + "\n")
                 _PIECES[self.path] += 1
             except OSError as error:
@@ -123,7 +123,7 @@ class Checkpoint:
                 self._full = True
 
     def kept(self, name: str, compute: Callable[[], NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Return the values kept under a name; compute and keep them if there are none."""
+        """Return the values stored under a name. If there are none, compute and store them."""
         values = self.get(name)
         if values is None:
             values = compute()
@@ -131,7 +131,7 @@ class Checkpoint:
         return values
 
     def done(self) -> None:
-        """Remove what belongs to this run, because its result is written; lines of other runs stay."""
+        """Remove the lines of this run, whose result is now written. Lines of other runs stay."""
         if self.path is None:
             return
         self._rewrite()
@@ -139,7 +139,7 @@ class Checkpoint:
         self._release()
 
     def _rewrite(self) -> None:
-        """Keep the lines of other runs only."""
+        """Rewrite the file with the lines of other runs only."""
         assert self.path is not None
         if self._others:
             with atomic.noted():  # no output of the command
@@ -151,7 +151,7 @@ class Checkpoint:
         return hashlib.sha256(f"{self._key}\n{name}".encode()).hexdigest()[:DIGITS]
 
     def _read(self, path: Path, anew: bool) -> None:
-        """Sort the lines into those of this run, those of others and damaged ones."""
+        """Sort the lines of the file into lines of this run, lines of other runs and damaged lines."""
         raw = path.read_bytes() if path.is_file() else b""
         lines = [line.decode("utf-8", "replace") for line in raw.splitlines() if line.strip()]
         damaged = 0

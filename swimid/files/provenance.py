@@ -1,7 +1,7 @@
-"""Provenance of a result, and the marks by which swimid recognises the files that it wrote.
+"""Provenance of a result, and the marks by which swimid recognises files that it wrote.
 
-Every format keeps its mark in one place, and only that place is read: a file of somebody else may contain the
-word "swimid" anywhere. ``docs/formats.md`` lists the marks.
+Every format has its mark in one place. Only that place is read, because a file of another program may contain
+the word "swimid" anywhere. ``docs/formats.md`` lists the marks.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def sha256(path: str | Path) -> str:
 
 
 class InMemory(Protocol):
-    """An input in memory."""
+    """Input that is an object in memory."""
 
     @property
     def name(self) -> str:
@@ -41,35 +41,35 @@ class InMemory(Protocol):
         ...
 
     def digest(self) -> str:
-        """Return the SHA-256 of its content in hexadecimal digits."""
+        """Return the SHA-256 of the content of the input in hexadecimal digits."""
         ...
 
 
 @dataclass(frozen=True)
 class Held:
-    """Name and SHA-256 of an input that was in memory."""
+    """Name and SHA-256 of an input in memory."""
 
     name: str
     sha256: str
 
     def digest(self) -> str:
-        """Return the SHA-256 of its content."""
+        """Return the SHA-256 of the content of the input."""
         return self.sha256
 
 
-#: An input of a result.
+#: Input of a result: a file, or an object in memory.
 Input = str | Path | InMemory
 
 
 def path_of(given: Input) -> Path:
-    """Return the path of an input; the name of one in memory."""
+    """Return the path of an input file, or the name of an input in memory as a path."""
     return Path(given if isinstance(given, str | Path) else given.name)
 
 
 def digests_of(inputs: Iterable[Input]) -> dict[str, str]:
-    """Return the SHA-256 of each input by its name, of a file relative to the working folder.
+    """Return the SHA-256 of each input by its name. The name of a file is relative to the working folder.
 
-    Inputs in memory that differ but have the same name are numbered.
+    Different inputs in memory that have the same name are numbered.
     """
     digests: dict[str, str] = {}
     for given in inputs:
@@ -93,9 +93,9 @@ def digest_of(given: Input) -> str:
 
 
 def digest_together(name: str | Path, files: Sequence[str | Path]) -> dict[str, str]:
-    """Return one SHA-256 for many files under one name: that of their digests and names.
+    """Return one SHA-256 for several files under one name, computed from their digests and names.
 
-    A single file keeps its own SHA-256.
+    For a single file it is the SHA-256 of the file.
     """
     if len(files) == 1:
         return {os.path.relpath(name): sha256(files[0])}
@@ -116,9 +116,9 @@ def collect(
     inputs : iterable of paths and objects
         Every file that was read, and every input in memory.
     settings : dict, optional
-        Options of the command, with defaults.
+        Options of the command, including defaults.
     digests : dict, optional
-        :func:`digests_of` the inputs, if they are known already.
+        Result of :func:`digests_of` for the inputs, if it is known already.
     """
     inputs = list(inputs)
     block: dict[str, Any] = {
@@ -136,9 +136,9 @@ def collect(
 
 
 def says_simulated(given: Input) -> bool:
-    """Return whether an input says that it is simulated or synthetic.
+    """Return whether an input states that its data are simulated or synthetic.
 
-    A file says it in the comments at its top, a log in memory in its metadata.
+    The statement is in the comments at the top of a file, or in the metadata of a log in memory.
     """
     if not isinstance(given, str | Path):
         lines = [f"{key}: {value}" for key, value in getattr(given, "metadata", {}).items()]
@@ -169,22 +169,23 @@ def _versions() -> dict[str, str]:
 
 # ---------------------------------------------------------------- marks of files that swimid wrote
 
-#: Value of a picture's ``Software`` or ``dc:creator``.
+#: Mark of swimid in the metadata field ``Software`` or ``dc:creator`` of a picture.
 SOFTWARE = "swimid"
-#: Comment in a GIF, and content of the last box of a video.
+#: Mark of swimid in the comment of a GIF and in the last box of a video file.
 MADE_BY = "made by swimid"
-#: ISO base media file format (ISO/IEC 14496-12), section 8.1.2: a ``free`` box, which players skip.
+#: ``free`` box at the end of a video file, which players skip (ISO/IEC 14496-12, section 8.1.2).
 VIDEO_BOX = (8 + len(MADE_BY)).to_bytes(4, "big") + b"free" + MADE_BY.encode()
-#: Formats that people write, too; a file of one is recognised by the first line of an unedited draft.
+#: Formats that people also write by hand. A file of such a format is recognised as swimid's only by the first
+#: line of an unedited draft.
 AUTHORED = ("trials", "robot", "setup", "mapping")
-#: Number of bytes in which the mark of a text file must lie, from its start or its end.
+#: Maximum distance of the mark of a text file from the start or the end of the file, bytes.
 NEAR = 65536
 
 _SIMULATED = re.compile(r"\b(?:simulated?|synthetic)\b")
 _LOG = re.compile(r"(?:made_by|imported_by): *['\"]?swimid [a-z]")
 _FORMAT = re.compile(r"swimid-([a-z-]+)/\d+")
 _DRAFT = re.compile(r"# Drafted by swimid \S+, sha256 ([0-9a-f]{16})\b[^\n]*\n")
-#: Marks at the very beginning of a text, by what comes before them.
+#: Patterns of the marks at the beginning of a text, including the text that precedes the mark.
 _BEGINNINGS = (
     re.compile(r"<\?xml [^>]*>\s*<!--\s*Written by swimid \d"),
     re.compile(r"<!DOCTYPE html>\s*<html\b[^>]*>\s*<head>\s*(?:<meta [^>]*>\s*)*?"
@@ -201,7 +202,7 @@ _MARKDOWN = re.compile(r"\nMade by swimid \S+ on \d{4}-\d\d-\d\d [\d:]+ UTC\. [^
 
 
 def is_own(path: Path) -> bool:
-    """Return whether swimid wrote this file, so that a rerun may replace it; true of empty files and devices.
+    """Return whether swimid may replace this file: swimid wrote it, or it is empty, missing or a device.
 
     Raises
     ------
@@ -224,7 +225,7 @@ def is_own(path: Path) -> bool:
 
 
 def mark_draft(text: str) -> str:
-    """Mark a draft that is made to be edited: while nobody has edited it, a rerun may replace it."""
+    """Return a draft with the mark of swimid. A rerun may replace the draft until the user has edited it."""
     return (
         f"# Drafted by swimid {swimid.__version__}, sha256 {_short_digest(text)}. "
         f"Once the lines below are edited, swimid does not overwrite this file.\n{text}"
@@ -232,7 +233,7 @@ def mark_draft(text: str) -> str:
 
 
 def mark_png(data: bytes) -> bytes:
-    """Mark a PNG that was encoded without metadata; ``data`` is the whole file."""
+    """Return a PNG file with the mark of swimid; ``data`` is a PNG file without metadata."""
     content = b"tEXtSoftware\0" + SOFTWARE.encode()
     chunk = (len(content) - 4).to_bytes(4, "big") + content + zlib.crc32(content).to_bytes(4, "big")
     after_header = 8 + 25  # signature and IHDR chunk
@@ -250,7 +251,7 @@ def _comments(text: str) -> list[str]:
 
 
 def _parquet_comments(path: Path) -> list[str]:
-    """Return the lines that swimid stored in a Parquet file; none if it is not one of swimid's."""
+    """Return the metadata lines that swimid stored in a Parquet file; empty for files of other programs."""
     pyarrow = tabular.pyarrow()
     try:
         stored = (pyarrow.parquet.read_schema(path).metadata or {}).get(b"swimid", b"")

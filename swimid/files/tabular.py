@@ -1,4 +1,4 @@
-"""Comment lines, header and cells of CSV files, the messages about errors in them; the library of Parquet."""
+"""Reading of CSV files: comments, header, cells and error messages. Import of the Parquet library."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from swimid.errors import InputError, extra_needed, nearest
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Words that mean "missing" in a cell, beside the empty cell the formats ask for.
+#: Cell texts that are read as a missing value. The formats specify an empty cell.
 MISSING = ["", "nan", "-nan", "NaN", "NAN", "NA", "null"]
 
 
@@ -24,7 +24,7 @@ def head(path: Path) -> tuple[list[str], str, int]:
     Raises
     ------
     InputError
-        When the file is no UTF-8 text, or ends before a header.
+        If the file is not UTF-8 text, or ends before a header.
     """
     comments: list[str] = []
     with path.open("rb") as stream:
@@ -52,12 +52,12 @@ def head(path: Path) -> tuple[list[str], str, int]:
 
 
 def column_names(header: str, path: Path, line: int) -> list[str]:
-    """Return the names of a header line.
+    """Return the column names in a header line.
 
     Raises
     ------
     InputError
-        When they are separated by something else than commas, or two are the same.
+        If the names are not separated by commas, or two names are equal.
     """
     names = [name.strip().strip('"') for name in header.split(",")]
     if len(names) == 1:
@@ -84,28 +84,29 @@ def parse(
 ) -> pd.DataFrame:
     """Return the cells under the header as a table, one row for each line that is not blank.
 
-    A line with too few cells has missing values at its end. A line with too many is left out. Every
-    number is the nearest one to the digits in its cell.
+    A line with too few cells has missing values at its end. A line with too many cells is left out. Every
+    number is the floating-point number that is nearest to the text in its cell.
 
     Parameters
     ----------
     source : path or bytes
-        The file, or its text in UTF-8.
+        File, or its content as UTF-8 text.
     names : sequence of str
         Names of all columns.
     types : type or mapping of str to type
-        ``float`` or ``str``, of all columns or of each; a column without a type has that of its cells.
+        ``float`` or ``str``, for all columns or for each column. The type of another column follows from its
+        cells.
 
     Raises
     ------
     ValueError
-        A cell of a column of numbers is none, or a quotation mark is not closed.
+        If a cell in a column of numbers is not a number, or a quotation mark is not closed.
     """
     import pandas as pd
 
     try:
         with warnings.catch_warnings():
-            # of a first line with too many cells, and of cells of two types in a column without one
+            # ignore warnings of pandas: too many cells in the first line, mixed types in a column
             warnings.simplefilter("ignore")
             return pd.read_csv(
                 source if isinstance(source, Path) else io.BytesIO(source),
@@ -142,7 +143,7 @@ def count_cells(line: str, delimiter: str = ",") -> int:
 def missing_column(
     column: str, names: Sequence[str], path: Path, line: int | None, what: str = "this column is missing"
 ) -> InputError:
-    """Return the error for a missing column, with the nearest name as hint."""
+    """Return the error for a missing column, with the most similar name as a hint."""
     close = nearest(column, list(names))
     hint = f"did you mean '{close}'? " if close else ""
     return InputError(
@@ -151,7 +152,7 @@ def missing_column(
 
 
 def number(text: str) -> float | None:
-    """Return the number in a cell, or None.
+    """Return the number in a cell; None if the cell is not a number.
 
     >>> number(" 1e-3 "), number("1,5"), number("1_0")
     (0.001, None, None)
@@ -165,7 +166,7 @@ def number(text: str) -> float | None:
 
 
 def number_hint(text: str) -> str:
-    """Return the hint for a cell that is no number."""
+    """Return the hint for a cell that is not a number."""
     if number(text.replace(",", ".")) is not None:
         return "write the decimal point as a dot"
     return "leave the cell empty where the sample is missing"

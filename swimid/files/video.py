@@ -1,4 +1,4 @@
-"""Writing of videos frame by frame: H.264 if PyAV is installed, else MPEG-4; GIF."""
+"""Writing of videos frame by frame: H.264 if PyAV is installed, else MPEG-4; or an animated GIF."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from swimid.errors import InputError
 from swimid.files.provenance import MADE_BY, VIDEO_BOX
 
 Frame = NDArray[np.uint8]
-#: Ticks a second of the time stamps.
+#: Number of ticks of the time stamps per second.
 CLOCK = 90_000
-#: Remark if browsers do not play the video.
+#: Remark for the user if browsers do not play the video.
 REMARK = "the {} is MPEG-4, which browsers do not play; pip install 'swimid[video]' for H.264"
 
 
 class H264:
-    """H.264 through PyAV: plays in browsers, keeps the frames' own times.
+    """Writer of H.264 with PyAV. Browsers play the video, and every frame has its own time.
 
     Raises
     ------
     ImportError
-        Without PyAV.
+        If PyAV is not installed.
     """
 
     def __init__(self, path: Path, rate: float, width: int, height: int) -> None:
@@ -57,7 +57,7 @@ class H264:
 
 
 class Mpeg4:
-    """MPEG-4 through OpenCV: the fallback; most players show it, browsers do not."""
+    """Writer of MPEG-4 with OpenCV, if PyAV is not installed. Most players show it, browsers do not."""
 
     def __init__(self, path: Path, rate: float, width: int, height: int) -> None:
         self._path, self._count = path, 0
@@ -66,7 +66,7 @@ class Mpeg4:
             raise InputError("no video can be written with this ending", file=path, hint="name it .mp4")
 
     def write(self, time_s: float, frame: Frame) -> None:
-        """Add a frame; its time follows from the rate."""
+        """Add a frame. The time of the frame follows from the frame rate."""
         self._writer.write(frame)
         self._count += 1
 
@@ -76,7 +76,7 @@ class Mpeg4:
         Raises
         ------
         InputError
-            When frames are missing in it: OpenCV says nothing when the disk is full.
+            If frames are missing in the file: OpenCV reports no error when the disk is full.
         """
         self._writer.release()
         whole = int(cv2.VideoCapture(str(self._path)).get(cv2.CAP_PROP_FRAME_COUNT))
@@ -92,14 +92,14 @@ def _mark(path: Path) -> None:
 
 
 class Gif:
-    """An animated GIF with one palette for all frames."""
+    """Writer of an animated GIF with one palette for all frames."""
 
     def __init__(self, path: Path, rate: float, width: int, height: int) -> None:
         self._path, self._rate = path, rate
         self._frames: list[Frame] = []
 
     def write(self, time_s: float, frame: Frame) -> None:
-        """Add a frame; its time follows from the rate."""
+        """Add a frame. The time of the frame follows from the frame rate."""
         self._frames.append(np.ascontiguousarray(frame[:, :, ::-1]))
 
     def close(self) -> None:
@@ -108,7 +108,7 @@ class Gif:
 
         if not self._frames:
             return
-        # the last frame shows the whole path
+        # the palette is that of the last frame, which shows the whole path
         palette = Image.fromarray(self._frames[-1]).quantize(colors=64)
         first, *rest = (
             Image.fromarray(f).quantize(palette=palette, dither=Image.Dither.NONE) for f in self._frames
@@ -124,18 +124,18 @@ class Gif:
         )
 
 
-#: Takes frames of one size, shape (height, width, 3), blue first, with their times.
+#: Writer of frames of one size, shape (height, width, 3), with the colours in the order blue, green, red.
 Writer = H264 | Mpeg4 | Gif
 
 
 def open_writer(path: Path, rate: float, width: int, height: int) -> Writer:
-    """Return a writer for the ending of ``path``; :class:`Mpeg4` if PyAV is missing.
+    """Return a writer for the ending of ``path``; :class:`Mpeg4` if PyAV is not installed.
 
     Parameters
     ----------
     rate : float, Hz
     width, height : int
-        Even numbers.
+        Size of a frame, px; even numbers.
     """
     if path.suffix.lower() == ".gif":
         return Gif(path, rate, width, height)

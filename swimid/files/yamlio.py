@@ -1,4 +1,4 @@
-"""Reading and writing of YAML: comments stay, floats keep their last bit, errors name the line."""
+"""Reading and writing of YAML: comments are preserved, floats are not rounded, errors name the line."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from ruamel.yaml.nodes import MappingNode, Node, SequenceNode
 from swimid.errors import InputError, file_errors, first_line, nearest, suggestion
 from swimid.files import atomic
 
-#: A larger file is refused before it is parsed.
+#: Maximum size of a file, bytes. A larger file is refused before it is parsed.
 MAX_BYTES = 20_000_000
-#: A document that expands to more nodes than this through its anchors is refused.
+#: Maximum number of nodes of a document with all its aliases written out. A larger document is refused.
 MAX_NODES = 500_000
-#: A document nested deeper than this is refused.
+#: Maximum nesting depth of a document. A deeper document is refused.
 MAX_DEPTH = 60
 
 M = TypeVar("M", bound=BaseModel)
@@ -35,14 +35,14 @@ def _without_nulls(entries: dict[str, Any]) -> dict[str, Any]:
 
 
 class Document(BaseModel):
-    """Base of every YAML format: unknown keys are errors, values are never coerced loosely."""
+    """Base class of all YAML formats. Unknown keys and infinite numbers are errors."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, validate_default=False)
 
     def digest(self) -> str:
         """Return the SHA-256 of the keys and values in hexadecimal digits.
 
-        Order, comments, keys without a value, and keys with the value that they have by default do not count.
+        The order of keys, comments, keys without a value, and keys with their default value have no effect.
         """
         text = self.model_dump_json(exclude_defaults=True)
         data = json.loads(text, object_hook=_without_nulls)
@@ -50,9 +50,9 @@ class Document(BaseModel):
 
 
 class ResultFile(Document):
-    """Base of a format that a command writes; the default of its field ``format`` names it."""
+    """Base class of the formats that commands write. The default of the field ``format`` is the format."""
 
-    #: Name in messages: ``"comparison file"``.
+    #: Name of the kind of file in messages, such as ``"comparison file"``.
     kind: ClassVar[str]
 
     def write(self, path: str | Path) -> None:
@@ -66,7 +66,7 @@ class ResultFile(Document):
         Raises
         ------
         InputError
-            When it is none.
+            If the file has another format or is invalid.
         """
         data = of_format(path, cls.model_fields["format"].default, cls.kind)
         return validate(data, cls, Path(path))
@@ -92,7 +92,7 @@ def plain(value: Any, *, finite: bool = False) -> Any:
 
 
 _known = partial(plain, finite=True)
-#: A number, or None if it is undefined; the same in lists, rows and pairs.
+#: Number, or None if the number is undefined. The other types are lists, tables and pairs of such numbers.
 Number = Annotated[float | None, BeforeValidator(_known)]
 Numbers = Annotated[list[float | None], BeforeValidator(_known)]
 Rows = Annotated[list[list[float | None]], BeforeValidator(_known)]
@@ -100,8 +100,8 @@ Pair = Annotated[tuple[float | None, float | None], BeforeValidator(_known)]
 
 
 def _yaml() -> YAML:
-    # The round-trip loader constructs plain data only, as the safe one does, and keeps
-    # comments and line numbers.
+    # The round-trip loader keeps comments and line numbers. Like the safe loader, it constructs plain data
+    # only.
     yaml = YAML(typ="rt", pure=True)
     yaml.default_flow_style = False
     yaml.width = 4096
@@ -111,8 +111,8 @@ def _yaml() -> YAML:
 
 
 def _represent_float(representer: Any, value: float) -> Any:
-    # The shortest text that reads back to the same bits; with a point in it, because
-    # YAML 1.1 readers take 1e-05 for a string.
+    # Write the shortest text that is read back as the same number. It has a decimal point, because YAML 1.1
+    # readers take 1e-05 for a string.
     text = repr(value)
     if "e" in text and "." not in text:
         text = text.replace("e", ".0e")
@@ -125,13 +125,13 @@ def load(path: str | Path) -> CommentedMap:
     Returns
     -------
     CommentedMap
-        A ``dict`` that remembers comments and lines.
+        Content of the file, a ``dict`` with comments and line numbers.
 
     Raises
     ------
     InputError
-        When the file cannot be read, is empty, is no mapping, is broken YAML, repeats a
-        key, or expands beyond reason through anchors.
+        If the file cannot be read, is empty, is not a mapping, is not valid YAML, repeats a key, or is too
+        large with all its aliases written out.
     """
     path = Path(path)
     with file_errors(path):
@@ -166,12 +166,12 @@ def load(path: str | Path) -> CommentedMap:
 
 
 def of_format(path: str | Path, form: str, what: str) -> CommentedMap:
-    """Read a document of a format.
+    """Read a YAML document of a given format.
 
     Raises
     ------
     InputError
-        When it states another format or none; ``what`` names the document.
+        If the document states another format or none. ``what`` is the kind of document in the message.
     """
     data = load(path)
     if data.get("format") != form:
@@ -180,7 +180,7 @@ def of_format(path: str | Path, form: str, what: str) -> CommentedMap:
 
 
 def _expanded(node: Node, known: dict[int, int], depth: int) -> int:
-    """Count the nodes of the document with every alias written out."""
+    """Return the number of nodes of a document with every alias written out."""
     if depth > MAX_DEPTH:
         raise ValueError(f"nested more than {MAX_DEPTH} levels deep")
     if id(node) not in known:
@@ -193,7 +193,7 @@ def _expanded(node: Node, known: dict[int, int], depth: int) -> int:
 
 
 def validated(path: str | Path, model: type[M]) -> M:
-    """Read a YAML file into a pydantic model; errors name the line and the nearest key."""
+    """Read a YAML file into a pydantic model; errors name the line and the most similar key."""
     return validate(load(path), model, path)
 
 
@@ -203,7 +203,7 @@ def validate(data: Mapping[str, Any], model: type[M], path: str | Path) -> M:
     Raises
     ------
     InputError
-        For the first thing that is wrong, with line, dotted key and what is allowed.
+        For the first error, with the line, the dotted key and the allowed values.
     """
     try:
         return model.model_validate(plain(data))
@@ -222,9 +222,9 @@ def validate(data: Mapping[str, Any], model: type[M], path: str | Path) -> M:
 
 
 def _followed(data: Any, location: Sequence[Any]) -> tuple[list[Any], Any, int | None]:
-    """Return the parts of a location that are in the data, what is there, and its line.
+    """Return the parts of a location that are in the data, the data at the location, and the line.
 
-    The names of branches of unions, which pydantic puts in between, are not in the data.
+    pydantic adds the names of the branches of a union to a location. These names are not in the data.
     """
     parts: list[Any] = []
     line: int | None = None
@@ -244,7 +244,7 @@ def line_of(data: Any, location: Sequence[Any]) -> int | None:
 
 
 def _key(data: Any, problem: Any) -> list[Any]:
-    """Return the key that a problem is about, one that is missing too."""
+    """Return the path of the key that a validation error is about, also if the key is missing."""
     parts = _followed(data, problem["loc"])[0]
     if problem["type"] == "missing":
         parts.append(problem["loc"][-1])
@@ -252,7 +252,7 @@ def _key(data: Any, problem: Any) -> list[Any]:
 
 
 def _explain(problem: Any, data: Any, model: type[BaseModel]) -> tuple[str, str | None]:
-    """Return message and hint of a problem."""
+    """Return the message and the hint for a validation error."""
     kind, location, value = problem["type"], problem["loc"], problem.get("input")
     if kind == "extra_forbidden":
         allowed = sorted(_keys_at(model, location[:-1]))
@@ -296,21 +296,24 @@ def _keys_at(model: Any, location: Sequence[Any]) -> set[str]:
 
 
 def dumps(data: Mapping[str, Any], *, flat: bool = False) -> str:
-    """Return the YAML text of a mapping; short leaves, or all below the top with ``flat``, on one line."""
+    """Return the YAML text of a mapping.
+
+    Short lists and mappings are on one line. With ``flat``, each value of the top level is on one line.
+    """
     stream = io.StringIO()
     _yaml().dump(_styled(plain(data), flat=flat), stream)
     return stream.getvalue()
 
 
 def dumps_flat(data: Mapping[str, Any]) -> str:
-    """Return the YAML text of a mapping with every value on its key's line."""
+    """Return the YAML text of a mapping, with every value on the line of its key."""
     if not data:
         return ""
     return dumps(data, flat=True)
 
 
 def _styled(value: Any, depth: int = 0, *, flat: bool = False) -> Any:
-    """Mark the data that stand on one line: all below the top with ``flat``, else short leaves."""
+    """Return the data with marks for the lists and mappings that are written on one line."""
     short = len(str(value)) < 150
     styled: Any = value
     if isinstance(value, dict):
@@ -339,12 +342,12 @@ def write(path: str | Path, data: Mapping[str, Any]) -> None:
 
 
 def parse_scalar(text: str) -> Any:
-    """Return the value of YAML text.
+    """Return the value of a YAML text.
 
     Raises
     ------
     ValueError
-        When it is not YAML.
+        If the text is not YAML.
     """
     try:
         return plain(YAML(typ="safe", pure=True).load(text.strip()))

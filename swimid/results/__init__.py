@@ -1,9 +1,10 @@
-"""Results of commands, and their renderers: terminal, HTML and Markdown page, figure.
+"""Results of commands, and their output on a terminal, as an HTML or Markdown page, and as figures.
 
-- ``result`` is the base class of all results, ``fitted`` the class of every fit. ``kinds`` lists the results
-  that can be read again.
-- ``evidence`` holds verdict, checks, tables and figures as data, ``parameters`` the parameter file.
-- ``terminal`` prints a result, ``page`` makes a page of several, ``drawing`` draws figures.
-- ``report`` (with ``options``) is the command.
-- ``blocks`` makes tables and figures that several packages need, ``numbers`` writes numbers and units.
+- ``result`` has the base class of all results, ``fitted`` the class of all fits. ``kinds`` lists the results
+  that can be read from a file.
+- ``evidence`` has the classes for verdict, checks, tables and figures, ``parameters`` has those of the
+  parameter file.
+- ``terminal`` prints a result, ``page`` creates one page from several results, ``drawing`` draws figures.
+- ``report`` (with ``options``) is the command ``swimid report``.
+- ``blocks`` creates tables and figures for several packages, ``numbers`` formats numbers and units.
 """

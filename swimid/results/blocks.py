@@ -1,4 +1,4 @@
-"""Tables and figures that several packages need, from plain numbers. Nothing here knows a model or a fit."""
+"""Tables and figures that several packages use. The functions take numbers, not models or fits."""
 
 from __future__ import annotations
 
@@ -11,20 +11,23 @@ from swimid.notices import Notice
 from swimid.results import numbers
 from swimid.results.evidence import Figure, Mark, NoticeRecord, Panel, Table, Trace, thinned
 
-#: Points of one trial in a figure that shows many.
+#: Maximum number of points of one trial in a figure of several trials.
 POINTS = 400
-#: Maximum number of measured points of one trial in a figure that draws a line below them.
+#: Maximum number of measured points of one trial in a figure that also shows a simulated line.
 MAX_MARKS = 150
-#: Maximum number of trials in a figure of residuals, and the half height of a row in standard deviations.
+#: Maximum number of trials in a figure of residuals, and largest residual in it. Each trial is a row of the
+#: figure, which shows weighted residuals between -ROW_SD and ROW_SD standard deviations of the noise.
 MAX_ROWS, ROW_SD = 12, 4.0
 
 Cell = str | float | int | bool | None
 
 
-#: One channel of one trial: ``trial``, ``role`` ("fit" or "validate"), and arrays ``time_s``, ``measured``,
-#: ``simulated`` and ``weighted`` (measured minus simulated over the noise's standard deviation).
+#: Channel of one trial, an object with ``trial``, ``role`` ("fit" or "validate"), and the arrays ``time_s``,
+#: ``measured``, ``simulated`` and ``weighted`` (measured minus simulated, divided by the standard deviation
+#: of the noise).
 Series = Any
-#: A correlation function: ``lags``, ``values`` and ``bound``, the half-width of its 95 % band.
+#: Correlation function, an object with ``lags``, ``values`` and ``bound``. The bound is the half-width of the
+#: 95 % band of white noise.
 Correlogram = Any
 
 
@@ -53,12 +56,12 @@ def notices(recorded: Sequence[Notice]) -> list[NoticeRecord]:
 def table(
     id: str, title: str, rows: Sequence[Mapping[str, Cell]], caption: str = "", columns: Sequence[str] = ()
 ) -> Table:
-    """Return a table of rows that name their columns.
+    """Return a table from rows, each a mapping of column names to cells.
 
     Parameters
     ----------
     columns : sequence of str
-        Of a table that may be empty; by default those of the first row.
+        Names of the columns, required if there may be no rows. The default is the columns of the first row.
     """
     names = list(columns or rows[0])
     return Table(
@@ -78,28 +81,28 @@ def figure(
     traces: Sequence[Trace],
     **panel: Any,
 ) -> Figure:
-    """Return a figure of one panel; further fields of :class:`Panel` are keywords."""
+    """Return a figure with one panel. Further keyword arguments are fields of :class:`Panel`."""
     one = Panel(x_label=x_label, y_label=y_label, traces=list(traces), **panel)
     return Figure(id=id, title=title, caption=caption, panels=[one])
 
 
 def panels(id: str, title: str, caption: str, panels: Sequence[Panel], columns: int = 2) -> Figure:
-    """Return a figure of panels, ``columns`` of them side by side."""
+    """Return a figure with several panels, ``columns`` of them side by side."""
     return Figure(id=id, title=title, caption=caption, panels=list(panels), columns=columns)
 
 
 def panel(x_label: str, y_label: str, traces: Sequence[Trace], **more: Any) -> Panel:
-    """Return a panel; further fields of :class:`Panel` are keywords."""
+    """Return a panel. Further keyword arguments are fields of :class:`Panel`."""
     return Panel(x_label=x_label, y_label=y_label, traces=list(traces), **more)
 
 
 def band(x: Any, y: Any, half: Any, **trace: Any) -> Trace:
-    """Return a curve with a band of the given half-width."""
+    """Return a curve with a band of half-width ``half`` around the curve."""
     return Trace(x=x, y=y, lower=y - half, upper=y + half, **trace)
 
 
 def points(runs: Sequence[Any], x: Callable[[Any], Any], y: Callable[[Any], Any], **trace: Any) -> Trace:
-    """Return a trace with a point for each run."""
+    """Return a trace with one point for each of ``runs``, at the coordinates that ``x`` and ``y`` compute."""
     return Trace(x=[x(run) for run in runs], y=[y(run) for run in runs], style="points", **trace)
 
 
@@ -112,10 +115,11 @@ def measured_and_simulated(
     shown: Sequence[Series],
     factor: float = 1.0,
 ) -> Figure:
-    """Return measurements as points over their simulation as lines, of the worst and the best trial.
+    """Return a figure of measured points and simulated lines for the worst and the best trial.
 
-    There is a panel for the fitted trial with the largest root-mean-square weighted residual, one for the one
-    with the smallest, and one for the worst held-out trial. ``factor`` converts values to the unit drawn.
+    There is a panel for the fitted trial with the largest root-mean-square weighted residual, for the fitted
+    trial with the smallest, and for the held-out trial with the largest. ``factor`` converts values to the
+    unit of the figure.
     """
     drawn: list[Panel] = []
     for name, s in _extremes(shown).items():
@@ -132,7 +136,7 @@ def measured_and_simulated(
 
 
 def _extremes(shown: Sequence[Series]) -> dict[str, Series]:
-    """Return the worst and the best fitted and the worst held-out trial by what a legend calls them."""
+    """Return the worst and the best fitted trial and the worst held-out trial, by panel title."""
     ranked = sorted(shown, key=lambda s: _rms(s.weighted))
     fitted = [s for s in ranked if s.role == "fit"]
     held_out = [s for s in ranked if s.role != "fit"]
@@ -154,7 +158,7 @@ def _rms(values: Any) -> float:
 def residuals(
     id: str, title: str, caption: str, x_label: str, shown: Sequence[Series], correlation: Correlogram | None
 ) -> Figure:
-    """Return the weighted residuals, one row for each of the worst trials, and any autocorrelation."""
+    """Return a figure of the weighted residuals of the worst trials, and of a given autocorrelation."""
     rows = sorted(shown, key=lambda s: -_rms(s.weighted))[:MAX_ROWS]
     traces: list[Trace] = []
     for k, s in enumerate(rows):
@@ -179,7 +183,7 @@ def residuals(
 
 
 def correlogram(correlation: Correlogram, y_label: str, label: str, *, skip_zero: bool) -> Panel:
-    """Return a correlation function as stems over the 95 % band of white noise."""
+    """Return a panel with a correlation function as stems, and with the 95 % band of white noise."""
     keep = np.ones(len(correlation.lags), dtype=bool)
     if skip_zero:
         keep = correlation.lags != 0

@@ -1,7 +1,8 @@
-"""Figures of results, drawn by matplotlib: one column of a journal for each panel.
+"""Drawing of figures with matplotlib. A panel has the width of one journal column.
 
-The same function draws a panel for a notebook, for ``swimid plot`` and for a report. A report takes it as SVG
-whose colours are those of the page, so that one drawing serves light, dark and print.
+The same function draws a panel for a notebook, for ``swimid plot`` and for a report. In a report, a panel is
+an SVG element with the colours of the page, so that one drawing serves the light, the dark and the printed
+page.
 """
 
 from __future__ import annotations
@@ -36,19 +37,21 @@ from swimid.results.evidence import MAX_POINTS, Figure, Heat, Panel, Trace, thin
 
 Array = NDArray[np.float64]
 
-#: Width and usual height of a panel, inches: one column.
+#: Width of a panel (one journal column) and default height of a panel, inches.
 WIDTH, HEIGHT = 3.5, 2.3
 #: Font size, points.
 FONT = 8.0
-#: Approximate width of a letter as a share of the font size.
+#: Approximate width of a letter, as a fraction of the font size.
 LETTER = 0.58
-#: Pixels per inch of a PNG.
+#: Resolution of a PNG, pixels per inch.
 DPI = 300
-#: From this many points on a trace is drawn as one path of dots, which takes a tenth of the space.
+#: Minimum number of points of a trace that is drawn as one path of dots. Such a path takes a tenth of the
+#: space in an SVG.
 MIN_CLOUD = 60
-#: Minimum height over width of a path that is drawn to scale; a flatter one would be a line.
+#: Minimum ratio of height to width of a path that is drawn with equal scales. A flatter path would look like
+#: a line.
 MIN_SHAPE = 0.2
-#: Opacity of the darkest cell of a heat map, on which its number can still be read.
+#: Opacity of the darkest cell of a heat map. The number in the cell is still legible.
 DARKEST = 0.55
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
@@ -58,7 +61,7 @@ HATCHES = ("", "////", "....", "xx")
 
 @cache
 def palette() -> dict[str, str]:
-    """Return the colours of the page in daylight by name: ``ink``, ``paper``, ``s1``..."""
+    """Return the colours of the page in light mode by name: ``ink``, ``paper``, ``s1``..."""
     css = (resources.files("swimid.results") / "templates" / "report.css").read_text(encoding="utf-8")
     names = ("ink", "grid", "paper", "shade", *(f"s{k}" for k in range(1, 7)))
     return {name: re.search(rf"--{name}: (#[0-9a-f]+)", css)[1] for name in names}  # type: ignore[index]
@@ -114,19 +117,19 @@ def paint(axes: Axes, panel: Panel, slots: dict[Any, int], *, compact: bool = Fa
     axes : Axes
     panel : Panel
     slots : dict
-        Number of the colour and marker of each group of traces (:func:`slots_of`).
+        Index of the colour and of the marker for each group of traces (:func:`slots_of`).
     compact : bool
-        Draw many points as one path, which takes a tenth of the space in an SVG.
+        Draw a trace of many points as one path, which takes a tenth of the space in an SVG.
 
     Raises
     ------
     InputError
-        When the lists of a trace, or the rows of a heat map, differ in length.
+        If the lists of a trace, or the rows of a heat map, differ in length.
     """
     if panel.heat is not None:
         _heat(axes, panel.heat)
     bars = [trace for trace in panel.traces if trace.style == "bars"]
-    # measured points stand as small dots on the broad, pale line of their model
+    # A group with points and a line is a measurement and its model: draw small dots on a broad, pale line.
     pointed = {trace.group for trace in panel.traces if trace.style == "points"} - {None}
     lined = {trace.group for trace in panel.traces if trace.style in ("line", "dashed", "step")}
     seen: dict[tuple[int, str], int] = {}
@@ -141,7 +144,7 @@ def paint(axes: Axes, panel: Panel, slots: dict[Any, int], *, compact: bool = Fa
             small = paired or panel.y_categories is not None
             _trace(axes, trace, slot, repeat, paired=paired, small=small, compact=compact)
     axes.set_xlabel("\n".join(textwrap.wrap(panel.x_label, 52)))
-    # two thirds of the height are left beside the axis
+    # the axis label may use two thirds of the height of the panel
     letters = int(72 * _height(panel) / (1.5 * LETTER * FONT))
     axes.set_ylabel("\n".join(textwrap.wrap(panel.y_label, letters)))
     _scales(axes, panel)
@@ -154,7 +157,7 @@ def paint(axes: Axes, panel: Panel, slots: dict[Any, int], *, compact: bool = Fa
 
 
 def slots_of(figure: Figure) -> dict[Any, int]:
-    """Return the number of each group of traces, so that a group looks alike in every panel."""
+    """Return the index of each group of traces, so that a group has the same colour in every panel."""
     keys = [_key(trace, k) for panel in figure.panels for k, trace in enumerate(panel.traces)]
     slots: dict[Any, int] = {key: key for key in keys if isinstance(key, int)}
     free = (k for k in count() if k not in slots.values())
@@ -181,7 +184,11 @@ def _array(values: Sequence[float | None]) -> Array:
 def _trace(
     axes: Axes, trace: Trace, slot: int, repeat: int, *, paired: bool, small: bool, compact: bool
 ) -> None:
-    """Draw a line or points; ``paired`` ones are a measurement and its model, ``small`` points lie close."""
+    """Draw a line or points.
+
+    ``paired`` marks a measurement or its model, which are drawn together. ``small`` asks for small points,
+    ``compact`` draws many points as one path.
+    """
     for name in ("y", "y_error", "lower", "upper"):
         values = getattr(trace, name)
         if values is not None and len(values) != len(trace.x):
@@ -206,7 +213,7 @@ def _trace(
             size *= 0.6
         about: dict[str, Any] = {"ls": "", "mew": 0, "color": colour, "label": label, "zorder": 2.5}
         if compact and len(x) >= MIN_CLOUD:
-            # one path of strokes of almost no length
+            # draw the points as one path of very short strokes with round ends
             end, gap = x + 1e-4 * (float(np.ptp(x[np.isfinite(x)])) or 1.0), np.full(len(x), np.nan)
             dots = [np.column_stack(parts).ravel() for parts in ((x, end, gap), (y, y, gap))]
             (line,) = axes.plot(*dots, color=colour, lw=size, solid_capstyle="round", zorder=2.5)
@@ -225,7 +232,7 @@ def _trace(
 
 
 def _bars(axes: Axes, trace: Trace, slot: int, index: int, count: int) -> None:
-    """Draw one of several sets of bars side by side."""
+    """Draw the bars of one trace next to the bars of the other traces of the panel."""
     x = _array(trace.x)
     pitch = float(np.min(np.diff(np.sort(x)), initial=np.inf))
     if not math.isfinite(pitch):  # a single bar
@@ -282,7 +289,7 @@ def _cut(name: str, letters: int = 28) -> str:
 
 
 def _slant(axes: Axes, names: Sequence[str]) -> None:
-    """Slant the names below the axis where there is no room for them side by side."""
+    """Slant the category names of the x axis if they would overlap."""
     if sum(len(_cut(name)) + 2 for name in names) * LETTER * FONT > 60 * WIDTH:
         axes.tick_params(axis="x", labelrotation=35)
         for label in axes.get_xticklabels():
@@ -301,7 +308,7 @@ def _spans(axes: Axes, panel: Panel) -> None:
 
 
 def _legend(axes: Axes) -> int:
-    """Set the legend above the axes; return its number of rows."""
+    """Draw the legend above the axes and return its number of rows."""
     handles, labels = axes.get_legend_handles_labels()
     found = dict(zip(labels, handles, strict=True))
     if not found or (len(found) == 1 and isinstance(next(iter(found.values())), Line2D)):
@@ -314,7 +321,7 @@ def _legend(axes: Axes) -> int:
 
 
 def _heat(axes: Axes, heat: Heat) -> None:
-    """Draw a table of numbers, each in a cell that is shaded by its size."""
+    """Draw a heat map: a table of numbers in cells that are shaded by value."""
     shape = {len(row) for row in heat.values}
     if len(heat.values) != len(heat.rows) or shape - {len(heat.columns)}:
         raise InputError(
@@ -363,7 +370,7 @@ def _height(panel: Panel) -> float:
 
 
 def _shape(panel: Panel) -> float:
-    """Return the height of the data of a panel over their width."""
+    """Return the ratio of height to width of the data of a panel."""
     spans = []
     for name in ("x", "y"):
         values = [v for trace in panel.traces for v in getattr(trace, name) if v is not None]
@@ -380,22 +387,23 @@ def canvas(
     new: Callable[..., Canvas] = Canvas,
     step: Callable[[int], None] = lambda amount: None,
 ) -> Canvas:
-    """Return figures below each other as one of matplotlib's.
+    """Return one matplotlib figure with the given figures below each other.
 
     Parameters
     ----------
     figures : sequence of Figure
     title : str
-        Heading of all.
+        Heading of the matplotlib figure.
     new : callable
-        Makes the canvas; that of ``pyplot.figure`` is shown by a notebook.
+        Function that creates the matplotlib figure. A notebook shows a figure created by ``pyplot.figure``.
     step : callable
-        Called once for each panel.
+        Function that is called once for each panel drawn.
     """
     rows = [row for figure in figures for row in _rows(figure)]
     across = max(len(row) for _, row in rows)
     heights = [max(_height(panel) for panel in row) for _, row in rows]
-    # made outside the settings: the backend of a notebook changes others, which are to stay
+    # Create the figure outside ``rc_context``: a notebook backend changes other settings, which must stay
+    # changed.
     drawn = new(figsize=(WIDTH * across, sum(heights)), layout="constrained", facecolor=palette()["paper"])
     with mpl.rc_context(style()):
         if title:
@@ -413,7 +421,7 @@ def canvas(
 
 
 def _rows(figure: Figure) -> list[tuple[Figure, list[Panel]]]:
-    """Return the panels of each row, with their figure."""
+    """Return the rows of a figure: for each row, the figure and the panels in the row."""
     across = min(figure.columns, 2)
     return [(figure, figure.panels[k : k + across]) for k in range(0, len(figure.panels), across)]
 
@@ -421,7 +429,7 @@ def _rows(figure: Figure) -> list[tuple[Figure, list[Panel]]]:
 def write(
     path: Path, figures: Sequence[Figure], *, title: str, step: Callable[[int], None] = lambda amount: None
 ) -> None:
-    """Write figures as ``.svg`` or ``.png``, on white, whole or not at all."""
+    """Write figures on a white background to an ``.svg`` or ``.png`` file, complete or not at all."""
     kind = path.suffix.lower().removeprefix(".")
     metadata = {"svg": {"Date": None, "Creator": SOFTWARE}, "png": {"Software": SOFTWARE}}[kind]
     with mpl.rc_context({**style(), "svg.fonttype": "path"}):
@@ -440,9 +448,9 @@ def for_page(figure: Figure, prefix: str, step: Callable[[int], None] = lambda a
     ----------
     figure : Figure
     prefix : str
-        Put before every id inside the SVGs; unique on the page.
+        Prefix of every id in the SVG elements, unique on the page.
     step : callable
-        Called once.
+        Function that is called once, after the figure is drawn.
     """
     drawings = []
     slots = slots_of(figure)
@@ -464,10 +472,11 @@ def for_page(figure: Figure, prefix: str, step: Callable[[int], None] = lambda a
 
 
 def _inline(text: str, prefix: str, about: str) -> str:
-    """Turn an SVG file into an element of a page.
+    """Convert an SVG file into an element of an HTML page.
 
-    Style sheet and metadata go, ids get the prefix, colours and fonts become those of the page, and
-    coordinates have a tenth of a point. Only tags are changed, never the text between them.
+    The style sheet and the metadata are removed, ids get the prefix, colours and fonts become those of the
+    page, and coordinates are rounded to a tenth of a point. Only tags are changed, never the text between
+    tags.
     """
     text = re.sub(r"<(metadata|style)\b.*?</\1>|<!--.*?-->", "", text[text.index("<svg") :], flags=re.DOTALL)
     used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', text))
@@ -492,6 +501,6 @@ def _tag(tag: str, prefix: str, used: set[str]) -> str:
 
 
 def _path(path: str) -> str:
-    """Return the data of a path with coordinates of a tenth of a point."""
+    """Return the data of a path with coordinates rounded to a tenth of a point."""
     path = re.sub(r"-?\d+\.\d+(?:e-?\d+)?", lambda m: f"{float(m[0]):.1f}".removesuffix(".0"), path)
     return re.sub(r"\s*([MLCQz])\s*", r"\1", path.strip())

@@ -1,7 +1,7 @@
 """Evidence of a result as data: verdict, checks, tables and figures (``swimid-evidence/1``).
 
-A command writes it beside its result (``drag.yaml``: ``drag.evidence.json``). Reports draw the evidence of
-all commands with the same code. Numbers keep every digit; NaN is written as null.
+A command writes the evidence next to its result: ``drag.yaml`` has ``drag.evidence.json``. Reports show the
+evidence of all commands with the same code. Numbers keep all digits; NaN is written as null.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from swimid.errors import InputError, UsageError, file_errors
 from swimid.files import atomic
 
 FORMAT: Literal["swimid-evidence/1"] = "swimid-evidence/1"
-#: Name of the check that fails where a unit cannot be right.
+#: Name of the check that fails if values are impossible for a swimmer, which suggests a wrong unit.
 POSSIBLE = "Values a swimmer reaches"
-#: A trace longer than this is reduced to its envelope before it is stored.
+#: Maximum number of points of a trace. A longer trace is reduced to its envelope before it is stored.
 MAX_POINTS = 2000
 #: Maximum number of reasons in the text of a verdict.
 MAX_REASONS = 3
@@ -35,7 +35,7 @@ def _numbers(value: Any) -> Any:
     return [None if isinstance(x, float) and not math.isfinite(x) else x for x in value]
 
 
-#: A list of numbers; a numpy array is taken as it is and NaN becomes None.
+#: List of numbers. A numpy array is accepted, and numbers that are not finite become None.
 Numbers = Annotated[list[float | None], BeforeValidator(_numbers)]
 
 
@@ -44,7 +44,7 @@ class _Part(BaseModel):
 
 
 class Trace(_Part):
-    """One curve or cloud of points of a panel."""
+    """Curve or set of points in a panel."""
 
     x: Numbers
     y: Numbers
@@ -54,13 +54,13 @@ class Trace(_Part):
     group: int | None = None
     #: Half-width of the error bars of ``points``, same length as y.
     y_error: Numbers | None = None
-    #: A shaded band, same length as x; drawn with the trace's colour.
+    #: Lower and upper end of a shaded band in the colour of the trace, each as long as x.
     lower: Numbers | None = None
     upper: Numbers | None = None
 
 
 class Mark(_Part):
-    """A horizontal or vertical reference line."""
+    """Horizontal or vertical reference line."""
 
     at: float
     axis: Literal["x", "y"] = "y"
@@ -68,7 +68,7 @@ class Mark(_Part):
 
 
 class Span(_Part):
-    """A shaded stretch of the horizontal axis, a gap in the data for instance."""
+    """Shaded interval of the horizontal axis, for instance a gap in the data."""
 
     start: float
     end: float
@@ -76,23 +76,23 @@ class Span(_Part):
 
 
 class Heat(_Part):
-    """A table of numbers shaded by their size, in place of the traces of a panel.
+    """Heat map: a table of numbers in shaded cells, shown in a panel in place of traces.
 
-    The number stands in every cell; the shade grows with its logarithm where it exceeds ``neutral``, or
-    evenly from the smallest to the largest number.
+    Every cell shows its number. With the scale ``log``, cells with a number above ``neutral`` are shaded by
+    its logarithm. With the scale ``linear``, the shade increases from the smallest to the largest number.
     """
 
     rows: list[str]
     columns: list[str]
-    #: One list a row; None where there is no number.
+    #: Numbers of each row; None for a cell without a number.
     values: list[Numbers]
-    #: Up to here a cell is not shaded, with a scale of logarithms.
+    #: Largest number of a cell without shade, with the scale ``log``.
     neutral: float = Field(default=1.0, gt=0)
     scale: Literal["log", "linear"] = "log"
 
 
 class Panel(_Part):
-    """One pair of axes."""
+    """Pair of axes with its contents."""
 
     x_label: str
     y_label: str
@@ -105,14 +105,14 @@ class Panel(_Part):
     invert_y: bool = False
     marks: list[Mark] = []
     spans: list[Span] = []
-    #: Category names in place of numbers on the x axis (``bars``), at 0, 1, 2, ...
+    #: Names of the categories on the x axis, at the positions 0, 1, 2, ..., in place of numbers.
     x_categories: list[str] | None = None
-    #: The same on the y axis.
+    #: Names of the categories on the y axis, at the positions 0, 1, 2, ..., in place of numbers.
     y_categories: list[str] | None = None
 
 
 class Figure(_Part):
-    """One figure: panels side by side (``columns`` a row), and what a good one looks like."""
+    """Figure with a caption, and with ``columns`` panels in each row."""
 
     id: str
     title: str
@@ -122,7 +122,7 @@ class Figure(_Part):
 
 
 class Image(_Part):
-    """A picture (an overlay frame), embedded."""
+    """Picture whose content is stored in the evidence, for instance a video frame with its track."""
 
     id: str
     title: str
@@ -132,7 +132,7 @@ class Image(_Part):
 
 
 class Table(_Part):
-    """A table of texts and numbers; a folded table opens on demand and is not printed."""
+    """Table of texts and numbers. A folded table opens on demand and is not printed."""
 
     id: str
     title: str
@@ -143,69 +143,69 @@ class Table(_Part):
 
 
 class Check(_Part):
-    """One test of the result against a limit."""
+    """Test of one property of the result against a limit."""
 
     name: str
     value: str
     limit: str = ""
     verdict: Literal["pass", "warn", "fail", "info"]
     text: str = ""
-    #: Clause that the verdict of the result gives as its reason where the check does not pass.
+    #: Clause for the verdict of the result, used as the reason if the check does not pass.
     reason: str = ""
 
 
 class Verdict(_Part):
-    """Level of a result, and the sentence that says what it found and why it has this level."""
+    """Level of a result, and a sentence with the finding and the reason for the level."""
 
     level: Literal["good", "caution", "bad"]
     text: str
-    #: What a badge says; by default the level.
+    #: Word that is shown for the level; by default the level itself.
     word: str = ""
 
     def lowered(self, level: str, text: str) -> Verdict:
-        """Return this verdict with another text, at the level given or at its own if that is lower."""
+        """Return this verdict with another text, and with the worse of its own level and the given level."""
         worst = max(level, self.level, key=("good", "caution", "bad").index)
         return self.model_copy(update={"level": worst, "text": text})
 
 
 class NoticeRecord(_Part):
-    """A warning kept with the result."""
+    """Warning that is stored with the result."""
 
     code: str
     text: str
 
 
 class Evidence(_Part):
-    """Everything that a report shows of a result beside the content of its file."""
+    """Content of a report on a result, in addition to the content of the result file."""
 
     format: Literal["swimid-evidence/1"] = FORMAT
-    #: Name and SHA-256 of the content of the file that it was written for; empty in memory.
+    #: Name of the result file, and SHA-256 of its content. Both are empty for a result in memory.
     result: str = ""
     sha256: str = ""
     command: str
     title: str
     verdict: Verdict
-    #: Short particulars: robot, model, number of trials.
+    #: Short facts: robot, model, number of trials.
     facts: dict[str, str] = Field(default_factory=dict)
-    #: Sentences that stand below the first table.
+    #: Sentences below the first table.
     notes: list[str] = []
     checks: list[Check] = []
     tables: list[Table] = []
     figures: list[Figure] = []
     images: list[Image] = []
     notices: list[NoticeRecord] = []
-    #: Sentences for a paper's methods section, generated from what was run.
+    #: Sentences for the methods section of a paper, generated from the settings of the computation.
     methods: list[str] = []
-    #: Sources to cite with them.
+    #: Sources to cite with the sentences in ``methods``.
     references: list[str] = []
-    #: The same block as the ``provenance`` of the result.
+    #: Copy of the block ``provenance`` of the result.
     provenance: dict[str, Any] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _nothing_impossible(self) -> Evidence:
-        """Lower the verdict of a result that rests on unusual values or on a unit that others contradict.
+        """Lower the verdict if values are unusual for a swimmer, or if a unit contradicts other columns.
 
-        A stated unit is believed: unusual values alone are a reason for caution, and no more.
+        Unusual values alone lower the verdict to caution only, because the stated unit may be correct.
         """
         if any(check.name == POSSIBLE for check in self.checks):
             return self
@@ -229,17 +229,18 @@ def check(
     otherwise: Literal["warn", "fail"] = "warn",
     reason: str = "",
 ) -> Check:
-    """Return the test of a value against a limit; it is for information where ``passed`` is None.
+    """Return the check of a value against a limit.
 
     Parameters
     ----------
     name, value, limit, text : str
-        Quantity, its value, the values allowed, and what the value means.
+        Name of the quantity, its value, the allowed values, and an explanation.
     passed : bool or None
+        None for a check that is for information only.
     otherwise : {"warn", "fail"}
         Verdict of a check that does not pass.
     reason : str
-        Clause for the verdict of the result, ``"residuals are not white in yaw_rad"``.
+        Clause for the verdict of the result, such as ``"residuals are not white in yaw_rad"``.
     """
     verdict: Literal["info", "pass", "warn", "fail"] = otherwise
     if passed is None:
@@ -250,9 +251,9 @@ def check(
 
 
 def judged(answer: str, checks: Sequence[Check]) -> Verdict:
-    """Return the verdict of a result: its answer, and the reasons of the checks that do not pass.
+    """Return the verdict of a result: the answer, followed by the reasons of checks that do not pass.
 
-    It is bad where a check fails, caution where one warns, and else good.
+    The level is bad if a check fails, caution if a check warns, and good otherwise.
     """
     for grade, level, words in (("fail", "bad", "Do not rely on it"), ("warn", "caution", "Caution")):
         failed = [c.reason or f"{c.name} {c.value}".strip() for c in checks if c.verdict == grade]
@@ -266,15 +267,16 @@ def judged(answer: str, checks: Sequence[Check]) -> Verdict:
 
 
 def leaf_table(id: str, title: str, entries: dict[str, Any], caption: str = "") -> Table:
-    """Return a folded table of the names and values of a nested mapping, one leaf a row."""
+    """Return a folded table with the name and the value of each leaf of a nested mapping."""
     rows: list[list[Any]] = [list(leaf) for leaf in leaves(entries)]
     return Table(id=id, title=title, columns=["quantity", "value"], rows=rows, caption=caption, folded=True)
 
 
 def leaves(entries: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield names and values of the leaves of a nested mapping.
+    """Yield the name and the value of each leaf of a nested mapping.
 
-    ``a.b`` is a value inside ``a``, ``a[1].b`` one inside the first of several mappings in ``a``.
+    ``a.b`` names the value of the key ``b`` in the mapping ``a``. ``a[1].b`` names the value of ``b`` in the
+    first mapping of the list ``a``.
     """
     for key, value in entries.items():
         name = f"{prefix}{key}"
@@ -301,12 +303,12 @@ def write(path: str | Path, evidence: Evidence) -> None:
 
 
 def check_beside(result: Path) -> None:
-    """Check that the evidence of a result will not replace that of another file with the same stem.
+    """Check that the evidence of a result will not replace the evidence of another file with the same stem.
 
     Raises
     ------
     UsageError
-        When the evidence file is there and belongs to another file that exists.
+        If the evidence file exists and belongs to another file that also exists.
     """
     other = _owner(sidecar(result))
     if other not in ("", result.name) and result.with_name(other).exists():
@@ -317,13 +319,13 @@ def check_beside(result: Path) -> None:
 
 
 def remove_outdated(result: Path) -> None:
-    """Remove the evidence of an older file that is replaced by one without evidence."""
+    """Remove the evidence of an older result file, which is replaced by a result without evidence."""
     if result.exists() and _owner(sidecar(result)) == result.name:
         atomic.remove(sidecar(result))
 
 
 def _owner(path: Path) -> str:
-    """Return the name of the file that evidence belongs to; empty if it is unknown."""
+    """Return the name of the result file to which an evidence file belongs; empty if unknown."""
     try:
         data = json.loads(path.read_bytes())
     except (OSError, ValueError):
@@ -337,7 +339,7 @@ def read(path: str | Path) -> Evidence:
     Raises
     ------
     InputError
-        When the file is missing, no JSON, or not of this format.
+        If the file is missing, is not JSON, or has another format.
     """
     path = Path(path)
     try:
@@ -350,15 +352,15 @@ def read(path: str | Path) -> Evidence:
 
 
 def thinned(x: Any, y: Any, points: int = MAX_POINTS) -> tuple[np.ndarray, np.ndarray]:
-    """Return at most ``points`` samples of x and y that keep the envelope of y.
+    """Return at most ``points`` samples of x and y that preserve the envelope of y.
 
-    The record is cut into equal stretches; of each the smallest and the largest sample are
-    kept in their order, so that no peak is lost.
+    The record is divided into segments of equal length. The samples with the smallest and the largest y of
+    each segment are retained in their order, so that no peak is lost.
 
     Parameters
     ----------
     x, y : array_like, shape (n,)
-        NaN in y is kept as a break of the line where it fills a whole stretch.
+        A segment whose samples of y are all NaN remains a gap in the line.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The result of a fit: its parameters with their uncertainty, and what they rest on."""
+"""Result of a fit: parameters with their uncertainty, and the evidence for them."""
 
 from __future__ import annotations
 
@@ -13,29 +13,30 @@ from swimid.results.result import FileResult
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Words for the status of an estimate.
+#: Text for the status of an estimate in tables.
 STATUS = {"at-bound": "at its bound", "unidentifiable": "not identifiable"}
 
 
 @dataclass(frozen=True, eq=False)
 class Fitted(FileResult[ParameterFile]):
-    """Parameters of a model, as ``fit_drag``, ``fit_propulsion``, ``fit_graybox`` and ``rwls`` give them.
+    """Fitted parameters, returned by ``fit_drag``, ``fit_propulsion``, ``fit_graybox`` and ``rwls``.
 
     ``fitted["added_mass"]`` is one estimate, with ``value``, ``stderr``, ``unit``, ``bounds`` and ``status``.
-    ``value`` is what a simulation uses, whatever the status; only of ``"estimated"`` the data support it.
+    A simulation uses ``value`` whatever the status is. The data support the value only if the status is
+    ``"estimated"``.
 
     Attributes
     ----------
     parameters : DataFrame
         A row for each parameter: ``value``, ``stderr``, ``low95``, ``high95`` (in ``unit``), ``status``.
     derived : DataFrame
-        Quantities that follow from the parameters, in the same columns.
+        Quantities computed from the parameters, with the same columns as ``parameters``.
     correlation : DataFrame
-        Correlations of the estimates (1).
+        Correlation matrix of the estimates, dimensionless.
     converged : bool
-        Whether the search ended at a minimum.
+        Whether the fit converged to a minimum.
     file : ParameterFile
-        What :meth:`save` writes.
+        Parameter file that :meth:`save` writes.
 
     Examples
     --------
@@ -48,17 +49,17 @@ class Fitted(FileResult[ParameterFile]):
 
     @property
     def parameters(self) -> pd.DataFrame:
-        """A row for each parameter: value, standard error, 95 % interval, unit, status."""
+        """Table with a row for each parameter: value, standard error, 95 % interval, unit, status."""
         return _frame(self.file.parameters)
 
     @property
     def derived(self) -> pd.DataFrame:
-        """Quantities that follow from the parameters, in the same columns."""
+        """Quantities computed from the parameters, with the same columns as :attr:`parameters`."""
         return _frame(self.file.derived)
 
     @property
     def correlation(self) -> pd.DataFrame:
-        """Correlations of the estimates; empty where fewer than two have an error."""
+        """Correlation matrix of the estimates; empty if fewer than two estimates have a standard error."""
         import pandas as pd
 
         found = self.file.correlation or Correlation(names=[], matrix=[])
@@ -66,7 +67,7 @@ class Fitted(FileResult[ParameterFile]):
 
     @property
     def converged(self) -> bool:
-        """Whether the search ended at a minimum."""
+        """Whether the fit converged to a minimum."""
         return self.file.fit is not None and self.file.fit.converged
 
     def __getitem__(self, name: str) -> Estimate:
@@ -106,7 +107,7 @@ class Fitted(FileResult[ParameterFile]):
         return [table for table in tables if table.rows]
 
     def bare(self) -> Evidence:
-        """Return what a report shows of a parameter file whose evidence is missing."""
+        """Return the minimal evidence for a parameter file whose evidence file is missing."""
         parameters = self.file.parameters.items()
         weak = [spoken(name, e.meaning) for name, e in parameters if e.status == "unidentifiable"]
         verdict = Verdict(level="caution", text="No evidence file, so its checks cannot be shown.")
@@ -125,7 +126,7 @@ def _is_records(value: Any) -> bool:
 
 
 def _estimates(id: str, title: str, estimates: dict[str, Estimate], *, folded: bool = False) -> Table:
-    """Return a table of estimates, rounded to two digits of their standard errors."""
+    """Return a table of estimates, rounded to two significant digits of their standard errors."""
     rows: list[list[Any]] = []
     for name, e in estimates.items():
         band, ends = "", interval95(e)
@@ -143,7 +144,7 @@ def _estimates(id: str, title: str, estimates: dict[str, Estimate], *, folded: b
 
 
 def value_text(estimate: Estimate) -> str:
-    """Return value and standard error of a parameter; a dash where the trials do not determine it."""
+    """Return the value and standard error of a parameter as text; a dash if it is not identifiable."""
     if estimate.status == "unidentifiable":
         return numbers.NOTHING
     if estimate.status == "fixed":
@@ -152,7 +153,7 @@ def value_text(estimate: Estimate) -> str:
 
 
 def _correlation(correlation: Correlation | None) -> Table:
-    """Return the correlation matrix; without rows if there are fewer than two estimates."""
+    """Return the correlation matrix as a table, without rows if there are fewer than two estimates."""
     names: list[str] = []
     rows: list[list[Any]] = []
     if correlation is not None and len(correlation.names) > 1:
@@ -170,7 +171,7 @@ def _correlation(correlation: Correlation | None) -> Table:
 
 
 def _channels(fit: Fit) -> Table:
-    """Return the errors of fitted and of validation trials by channel, beside the noise."""
+    """Return a table of the errors on fitted and on validation trials by channel, with the noise."""
     rows: list[list[Any]] = []
     for label, entries in {"fit": fit.channels, "validation": fit.validation.get("channels", {})}.items():
         for name, entry in entries.items():
@@ -183,7 +184,10 @@ def _channels(fit: Fit) -> Table:
 
 
 def _noise(known: dict[str, Any], rmse: float | None, unit: str) -> tuple[str, str]:
-    """Return the standard deviation of the noise, of values and of time, and an error over it."""
+    """Return the noise of a channel, and the ratio of its root-mean-square error to the noise, as text.
+
+    The noise is the standard deviation of the values and, if it is known, of the sample times.
+    """
     sd, time_sd_s = known.get("value_sd"), known.get("time_sd_s")
     text, ratio = numbers.number(sd, 3, unit), numbers.NOTHING
     if time_sd_s:
@@ -194,7 +198,7 @@ def _noise(known: dict[str, Any], rmse: float | None, unit: str) -> tuple[str, s
 
 
 def _poles(file: ParameterFile) -> Table:
-    """Return the poles of a discrete-time model."""
+    """Return a table of the poles of a discrete-time model."""
     rows: list[list[Any]] = []
     for p in file.poles or []:
         magnitude = numbers.measured(p.magnitude, p.stderr_magnitude)
@@ -205,7 +209,7 @@ def _poles(file: ParameterFile) -> Table:
 
 
 def interval95(estimate: Estimate) -> tuple[float, float] | None:
-    """Return the 95 % interval, by profile likelihood if that was asked for, else by the standard error."""
+    """Return the 95 % interval: from the profile likelihood if it is known, else from the standard error."""
     low, high = estimate.ci95 or (None, None)
     if low is not None and high is not None:
         return low, high

@@ -1,4 +1,4 @@
-"""Every kind of result that can be read again, and the class that reads it."""
+"""Formats of the results that can be read from a file, and the class for each format."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from swimid.errors import InputError, suggestion
 from swimid.files import tabular, yamlio
 from swimid.results.result import Result
 
-#: Class of each ``format:`` of YAML results.
+#: Class of the results with each ``format:`` in a YAML file, as ``module:class``.
 FORMATS = {
     "swimid-parameters/1": "swimid.results.fitted:Fitted",
     "swimid-comparison/1": "swimid.simulation.compare:Comparison",
@@ -25,7 +25,7 @@ LOG = "swimid.logs.logged:Logged"
 
 
 def load_result(path: str | Path) -> Result:
-    """Read any result that swimid wrote, with the evidence beside it.
+    """Read any result that swimid wrote, together with its evidence file.
 
     Parameters
     ----------
@@ -35,12 +35,12 @@ def load_result(path: str | Path) -> Result:
     Returns
     -------
     Result
-        Of the class the function that made it returned.
+        Result, an object of the class that belongs to the format of the file.
 
     Raises
     ------
     InputError
-        When it is none of these, or broken.
+        If the file is not a result, or is invalid.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Numbers and units as people read them, in reports and on terminals alike.
+"""Formatting of numbers and units for reports and terminals.
 
 The text is Unicode: ``−`` for minus, ``×`` and superscripts for powers of ten.
 
@@ -22,22 +22,23 @@ from typing import TypeGuard
 #: Two-sided 95 % quantile of the normal distribution.
 Z95 = 1.959963984540054
 
-#: Shown where there is no number.
+#: Text in place of a missing number.
 NOTHING = "–"
 
 _SUPERSCRIPTS = str.maketrans("0123456789-+", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺")
-#: Powers of ten from which on a number is written with a factor ``× 10ⁿ``.
+#: Limits of the decimal exponent. A number whose exponent is at least ``_LARGE``, or below ``_SMALL``, is
+#: written with a factor ``× 10ⁿ``.
 _LARGE, _SMALL = 6, -3
-#: More digits than a float64 holds say nothing.
+#: Maximum number of significant digits; a float64 has no more.
 _MOST_DIGITS = 15
 
 _UNITS = (
     "kg m^2/s^2, N s^2/m^2, N m/rad, rad/s^2, deg/s^2, kg/m^3, kg m^2, N s/m, m/s^2, rad/s, deg/s, BL/s, "
     "kg m, N m, J/m, m/s, m^2, m^3, rad, deg, BL, Hz, kg, px, N, W, J, V, A, m, s"
 )
-#: Unit of each ending of a column or key: m/s^2 of ``_m_s2``.
+#: Unit of each suffix of a column or key: ``m_s2`` stands for m/s^2.
 _SUFFIXES = {re.sub("[ /]", "_", u).replace("^", ""): u for u in re.split(", ", _UNITS)} | {"hz": "Hz"}
-#: Words for the columns of body-fixed speeds.
+#: Quantities, in words, of the columns with body-fixed speeds.
 BODY_SPEEDS = {"u_m_s": "surge speed", "v_m_s": "sway speed", "w_m_s": "heave speed"}
 
 
@@ -46,20 +47,21 @@ def _is_number(value: float | None) -> TypeGuard[float]:
 
 
 def _is_error(stderr: float | None) -> TypeGuard[float]:
-    """Whether a standard error says how many digits are known."""
+    """Return whether a standard error is known and positive, so that it can set the number of digits."""
     return _is_number(stderr) and stderr > 0
 
 
 def _exponent(value: float, digits: int = _MOST_DIGITS) -> int:
-    """Return the power of ten of the first digit of a value that is rounded to ``digits`` digits."""
+    """Return the decimal exponent of a value after rounding to ``digits`` significant digits."""
     return int(f"{abs(value):.{digits - 1}e}".split("e")[1])
 
 
 def fixed(value: float, decimals: int) -> str:
-    """Return a value rounded to ``decimals`` places (negative: to tens, hundreds), never ``-0``."""
+    """Return a value as text, rounded to ``decimals`` places (negative: to tens, hundreds), never ``-0``."""
     exact = Decimal(repr(float(value)))
     step = Decimal(1).scaleb(-decimals)
-    # prec of the default context (28) is enough: decimals is limited by _MOST_DIGITS.
+    # The default precision of ``decimal`` (28 digits) is enough, because ``_MOST_DIGITS`` limits
+    # ``decimals``.
     rounded = exact.quantize(step, rounding=ROUND_HALF_EVEN)
     if rounded == 0:
         rounded = abs(rounded)
@@ -67,15 +69,14 @@ def fixed(value: float, decimals: int) -> str:
 
 
 def power_of_ten(exponent: int) -> str:
-    """Return ``10`` to an integer power: ``10⁻⁷``."""
+    """Return ``10`` to an integer power as text: ``10⁻⁷``."""
     return "10" + str(exponent).translate(_SUPERSCRIPTS)
 
 
 def number(value: float | int | None, digits: int = 4, unit: str = "") -> str:
-    """Return a number to ``digits`` significant digits, trailing zeros dropped, with its unit.
+    """Return a number as text with ``digits`` significant digits, without trailing zeros, with its unit.
 
-    Whole numbers (``int``) keep all their digits up to a million. NaN and None are shown as
-    a dash.
+    Whole numbers (``int``) below a million keep all their digits. NaN and None are shown as a dash.
     """
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return NOTHING
@@ -113,15 +114,15 @@ def _layout(value: float, stderr: float, digits: int) -> tuple[int, int]:
 def measured(value: float | None, stderr: float | None, unit: str = "", digits: int = 2) -> str:
     """Return ``value ± stderr unit``, rounded to ``digits`` significant digits of the standard error.
 
-    Without a standard error (None, NaN, infinite or zero) the value stands alone with six
-    significant digits.
+    Without a standard error (None, NaN, infinite or zero) the text is the value alone, with six significant
+    digits.
 
     Parameters
     ----------
     value, stderr : float or None
-        In the same unit.
+        Value and standard error, both in ``unit``.
     unit : str
-        As in result files: ``"m/s^2"``, ``"1"`` for none.
+        Unit as in result files, such as ``"m/s^2"``; ``"1"`` for a dimensionless value.
     digits : int
         Significant digits of the standard error.
     """
@@ -139,9 +140,9 @@ def measured(value: float | None, stderr: float | None, unit: str = "", digits: 
 
 
 def interval(low: float | None, high: float | None, stderr: float | None = None, unit: str = "") -> str:
-    """Return ``low … high``, both to the digits that ``stderr`` supports (four digits without one).
+    """Return ``low … high``, rounded to two digits of ``stderr``, or to four digits without ``stderr``.
 
-    Without one, two ends that look the same are one number.
+    Without ``stderr``, two ends that have the same text are written as one number.
 
     >>> interval(27.0, 27.0, None, "deg"), interval(15.0, 35.0)
     ('27°', '15 … 35')
@@ -175,7 +176,7 @@ def bounds_text(bounds: tuple[float | None, float | None] | list[float | None] |
 
 
 def percent(fraction: float | None, digits: int = 3) -> str:
-    """Return a fraction as a percentage; only the whole is ``100 %``.
+    """Return a fraction as a percentage. A fraction below 1 is never shown as ``100 %``.
 
     >>> percent(0.142), percent(0.99998), percent(1.0)
     ('14.2 %', '> 99.9 %', '100 %')
@@ -189,7 +190,7 @@ def percent(fraction: float | None, digits: int = 3) -> str:
 
 
 def unit_text(unit: str) -> str:
-    """Return a unit as printed: ``m/s^2`` is ``m/s²``, ``kg m^2`` is ``kg·m²``, ``"1"`` is nothing."""
+    """Return a unit as printed: ``m/s²`` for ``m/s^2``, ``kg·m²`` for ``kg m^2``, nothing for ``"1"``."""
     unit = unit.strip()
     if unit in {"", "1", "-", "none", "None"}:
         return ""
@@ -211,7 +212,7 @@ def _joined(text: str, unit: str) -> str:
 
 
 def in_degrees(unit: str) -> tuple[float, str]:
-    """Return factor and unit in which people read a quantity: degrees for radian, others as they are.
+    """Return the factor and the unit for display: degrees in place of radians, other units unchanged.
 
     >>> in_degrees("m/s")
     (1.0, 'm/s')

@@ -1,4 +1,4 @@
-"""The report as one HTML page, without script, or as Markdown: one template each over results."""
+"""Report as one HTML page without scripts, or as Markdown, from one template for each format."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from swimid.results.fitted import Fitted, interval95, value_text
 from swimid.results.parameters import Estimate
 from swimid.results.result import Result
 
-#: Word and symbol of every verdict; colour only comes on top.
+#: Symbol and word for each level of a verdict, so that the level can be read without colour.
 LEVELS = {"good": ("✓", "Good"), "caution": ("!", "Caution"), "bad": ("✕", "Bad")}
 CHECKS = {
     "pass": ("✓", "pass", "good"),
@@ -40,15 +40,15 @@ CHECKS = {
     "fail": ("✕", "fail", "bad"),
     "info": ("i", "info", "muted"),
 }
-#: Maximum number of panels of figures, beyond the first figure, and of open tables in the main part of a
-#: result; the others are folded.
+#: Maximum number of panels, and maximum number of tables, in the main part of a result. The first figure is
+#: always in the main part. Other figures and tables are folded.
 MAIN_PANELS, MAIN_TABLES = 3, 1
-#: Maximum number of parameters drawn side by side.
+#: Maximum number of parameters that are drawn when fits are compared.
 MAX_COMPARED = 6
 
 
 def overall(contents: Sequence[Evidence]) -> Verdict:
-    """Return the worst level among the results, and a sentence that says how many have it."""
+    """Return the worst level among the results, and a sentence with the number of results at this level."""
     levels = [shown.verdict.level for shown in contents]
     worst = max(levels, key=list(LEVELS).index)
     count = levels.count(worst)
@@ -73,23 +73,23 @@ def render(
     digests: dict[str, str],
     progress: Progress = silent,
 ) -> str:
-    """Return the whole document.
+    """Return the report as text.
 
     Parameters
     ----------
     results : sequence of Result
-        At least one.
+        Results in the report, at least one.
     contents : sequence of Evidence
-        Content of each result (:meth:`Result.content`).
+        Evidence of each result, as :meth:`Result.content` returns it.
     template : str
-        ``"report.html"`` or ``"report.md"``.
+        Name of the template, ``"report.html"`` or ``"report.md"``.
     title : str
     created : datetime
-        Printed at the foot; the same input and time give the same page.
+        Time that is printed at the foot of the page. Reports with the same input and time are identical.
     digests : dict of str to str
         SHA-256 of each result file by its path.
     progress : Progress
-        Advances once per figure.
+        Progress over the figures.
     """
     groups = compared(results)
     grouped = [fit for fits, _ in groups for fit in fits]
@@ -132,7 +132,7 @@ def render(
 
 
 def _drawn(content: Evidence, path: Path | None, prefix: str, step: Step) -> list[list[str]]:
-    """Return the panels of each figure of a result as SVG."""
+    """Return the panels of each figure of a result as SVG elements."""
     drawn = []
     try:
         for n, figure in enumerate(content.figures):
@@ -143,7 +143,7 @@ def _drawn(content: Evidence, path: Path | None, prefix: str, step: Step) -> lis
 
 
 def _shown(content: Evidence, pictures: list[list[str]]) -> dict[str, Any]:
-    """Return what a template shows of a result, its main parts apart from its folded ones."""
+    """Return the variables of the template for one result. Main parts and folded parts are separate."""
     figures = [(_explained(figure), panels) for figure, panels in zip(content.figures, pictures, strict=True)]
     panels = itertools.accumulate(len(figure.panels) for figure in content.figures)
     n_main = max(sum(total <= MAIN_PANELS for total in panels), 1)
@@ -165,7 +165,7 @@ def _shown(content: Evidence, pictures: list[list[str]]) -> dict[str, Any]:
 
 
 def _explained(figure: Figure) -> Figure:
-    """Return the figure with a caption that says where a trace has fewer points than its data."""
+    """Return a figure with a remark in its caption if long traces are drawn as envelopes."""
     if all(len(trace.x) <= MAX_POINTS for panel in figure.panels for trace in panel.traces):
         return figure
     caption = f"{figure.caption} Long traces are drawn as their envelope."
@@ -175,7 +175,7 @@ def _explained(figure: Figure) -> Figure:
 def _warnings(
     results: Sequence[Result], contents: Sequence[Evidence]
 ) -> list[tuple[str, str, list[tuple[str, str]]]]:
-    """Return code, meaning, and (result, text) of every warning, each once."""
+    """Return each warning code with its meaning and its (result, text) pairs, without duplicates."""
     texts: dict[str, list[tuple[str, str]]] = {}
     for result, content in zip(results, contents, strict=True):
         for notice in content.notices:
@@ -186,7 +186,7 @@ def _warnings(
 
 
 def _markdown(text: str) -> str:
-    """Return text without meaning to Markdown or HTML, on one line."""
+    """Return text on one line, with the special characters of Markdown and HTML escaped."""
     plain = " ".join(text.split()).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
     return re.sub(r"([\\`*\[\]|]|(?<!\w)_|_(?!\w))", r"\\\1", plain)
 
@@ -203,7 +203,7 @@ def _code(text: str) -> str:
 def compared(results: Sequence[Result]) -> list[tuple[list[Fitted], Evidence]]:
     """Return each group of two or more fits of one model, with a table and a figure of their parameters.
 
-    Fits are compared only where they have the same parameters in the same units.
+    Fits are compared only if they have the same parameters in the same units.
     """
     groups: dict[Any, list[Fitted]] = {}
     for result in results:
@@ -243,7 +243,7 @@ def _side_by_side(fits: Sequence[Fitted]) -> Evidence:
 
 
 def _panel(name: str, unit: str, held: Sequence[Estimate], names: list[str]) -> Panel:
-    """Return the estimates of one parameter with their intervals."""
+    """Return a panel with the estimates of one parameter and their 95 % intervals."""
     known = [(k, e) for k, e in enumerate(held) if e.status == "estimated"]
     low, high = np.array([interval95(e) or (np.nan, np.nan) for _, e in known]).T
     x, y = [k for k, _ in known], [e.value for _, e in known]

@@ -1,4 +1,4 @@
-"""The parameter file (``swimid-parameters/1``): what every fit writes."""
+"""Parameter file (``swimid-parameters/1``), which every fit writes."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ Status = Literal["estimated", "fixed", "at-bound", "unidentifiable"]
 
 
 class Estimate(yamlio.Document):
-    """One parameter.
+    """Estimate of one parameter.
 
-    ``value`` is what a simulation uses, whatever the status; only ``estimated`` says that
-    the data support it.
+    A simulation uses ``value`` whatever the status is. The data support the value only if the status is
+    ``estimated``.
     """
 
     value: float
@@ -28,14 +28,14 @@ class Estimate(yamlio.Document):
     unit: str
     bounds: tuple[float | None, float | None] = (None, None)
     status: Status
-    #: What it is, in words.
+    #: Meaning of the parameter in words.
     meaning: str = ""
-    #: Profile-likelihood interval, where one was asked for.
+    #: Profile-likelihood interval (95 %), if it was requested.
     ci95: tuple[float | None, float | None] | None = None
 
 
 def spoken(name: str, meaning: str) -> str:
-    """Return a parameter as a sentence names it: by its meaning, if its own name does not say that.
+    """Return a parameter as text for a sentence: its name in words, or its meaning followed by its name.
 
     >>> spoken("c_ma", "added mass over mass"), spoken("added_mass", "added mass")
     ('added mass over mass (c_ma)', 'added mass')
@@ -65,7 +65,7 @@ class Pole(yamlio.Document):
 
 
 class Fit(yamlio.Document):
-    """Errors of the fit by channel, and its convergence."""
+    """Errors of a fit by channel, and whether the fit converged."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -77,7 +77,7 @@ class Fit(yamlio.Document):
 
 
 class ParameterFile(yamlio.ResultFile):
-    """A parameter file."""
+    """Content of a parameter file."""
 
     kind: ClassVar[str] = "parameter file"
 
@@ -85,7 +85,7 @@ class ParameterFile(yamlio.ResultFile):
     model: str
     robot: str | None = None
     parameters: dict[str, Estimate]
-    #: Combinations the data determine, and those they do not, in words.
+    #: Sentences about the combinations of parameters that the data determine or do not determine.
     identifiability: list[str] = []
     correlation: Correlation | None = None
     #: Quantities computed from the parameters, with their uncertainty.
@@ -94,15 +94,15 @@ class ParameterFile(yamlio.ResultFile):
     sample_time_s: float | None = None
     poles: list[Pole] | None = None
     stable: bool | None = None
-    #: Choices that are part of the model: orders, removed means, columns, wake convention.
+    #: Settings that are part of the model: orders, removed means, columns, wake convention.
     settings: dict[str, Any] = {}
     fit: Fit | None = None
     provenance: dict[str, Any] = Field(default_factory=dict)
-    #: The drag file that the recoil law was estimated with, where that was in memory.
+    #: Drag parameters that were used in the fit of the recoil law, if they were in memory.
     _drag: ParameterFile | None = PrivateAttr(default=None)
 
     def write(self, path: str | Path) -> None:
-        """Write the file, complete or not at all; every float keeps its last bit."""
+        """Write the file, complete or not at all. Floating-point numbers are not rounded."""
         data = self.model_dump(mode="python", exclude_none=False)
         for estimate in (*data["parameters"].values(), *data["derived"].values()):
             for key in ("meaning", "ci95"):
@@ -118,26 +118,26 @@ class ParameterFile(yamlio.ResultFile):
 
 
 class HasFile(Protocol):
-    """The result of a fit."""
+    """Result of a fit, an object with a parameter file."""
 
     @property
     def file(self) -> ParameterFile:
-        """File that it writes."""
+        """Parameter file of the fit."""
 
 
-#: Parameters: a file, or what a fit gave.
+#: Source of parameters: a parameter file, its content, or the result of a fit.
 Source = str | Path | ParameterFile | HasFile
 
 
 def place(source: Source) -> Path:
-    """Return the name of parameters in messages, to which the paths in them are relative."""
+    """Return the path of the parameters for messages. Paths in the parameters are relative to its folder."""
     if isinstance(source, str | Path):
         return Path(source)
     return Path("parameters")
 
 
 def _file(source: Source) -> ParameterFile:
-    """Return the parameter file itself."""
+    """Return the content of the parameter file."""
     if isinstance(source, str | Path):
         return ParameterFile.read(source)
     if isinstance(source, ParameterFile):
@@ -146,7 +146,7 @@ def _file(source: Source) -> ParameterFile:
 
 
 def origin(source: Source) -> Path | Held:
-    """Return what stands for parameters in the provenance."""
+    """Return the entry of the parameters in the provenance: a path, or a name and a digest."""
     if isinstance(source, str | Path):
         return Path(source)
     file = _file(source)
@@ -161,12 +161,12 @@ def read(source: Source, *, model: str | tuple[str, ...] | None = None) -> Param
     ----------
     source : path, ParameterFile or result of a fit
     model : str or tuple of str, optional
-        Accept files of these models only.
+        Names of the accepted models. By default every model is accepted.
 
     Raises
     ------
     InputError
-        When it is no parameter file, or of another model.
+        If the source is not a parameter file, or has another model.
     """
     path = place(source)
     parameters = _file(source)
@@ -183,12 +183,12 @@ def read(source: Source, *, model: str | tuple[str, ...] | None = None) -> Param
 
 
 def require(parameters: ParameterFile, names: tuple[str, ...], path: str | Path) -> list[float]:
-    """Return the values of parameters that must be there and must be identified.
+    """Return the values of parameters, which must be in the file and must be identifiable.
 
     Raises
     ------
     InputError
-        When one is missing or its status is ``unidentifiable``.
+        If a parameter is missing, or its status is ``unidentifiable``.
     """
     values = []
     for name in names:

@@ -1,4 +1,4 @@
-"""``report``: results and their evidence as one page."""
+"""Command ``report``: one page with results and their evidence."""
 
 from __future__ import annotations
 
@@ -35,18 +35,19 @@ def report(
     output: str | Path | None = None,
     progress: Progress = silent,
 ) -> Text:
-    """Write one document about any number of result files. Nothing is computed again.
+    """Write one document about any number of result files. No result is computed again.
 
-    By default its title is that of the only result, or "Identification report".
+    The default title is the title of a single result, or "Identification report" for several results.
 
     Parameters
     ----------
     inputs : sequence of paths and results
-        Parameter files, gap files, logs, each with its ``.evidence.json`` beside it; or results in memory.
+        Parameter files, gap files and logs, each with its ``.evidence.json`` in the same folder, or results
+        in memory.
     output : path, optional
-        The file to write. None or ``-`` gives the document only.
+        File to write. With None or ``-`` no file is written.
     progress : Progress
-        Steps once per file read and once per figure drawn.
+        Progress over the files that are read and the figures that are drawn.
 
     Returns
     -------
@@ -56,9 +57,9 @@ def report(
     Raises
     ------
     InputError
-        When a result or its evidence is broken, or the output cannot be written.
+        If a result or its evidence is invalid, or the output cannot be written.
     UsageError
-        Without inputs, or for an output that is also an input.
+        If there are no inputs, or the output is also an input.
 
     Examples
     --------
@@ -111,7 +112,7 @@ def report(
 
 
 def _read(path: Path) -> Result:
-    """Read a result with its evidence; warnings raised meanwhile become part of it.
+    """Read a result with its evidence. Warnings that are raised meanwhile are added to the evidence.
 
     Warns
     -----

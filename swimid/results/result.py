@@ -1,4 +1,4 @@
-"""Results: the return value of every public function, an answer with the evidence it rests on."""
+"""Base classes of the results that commands return: an answer together with its evidence."""
 
 from __future__ import annotations
 
@@ -39,30 +39,30 @@ File = TypeVar("File", bound="ResultFile")
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """An answer, the evidence it rests on, and the files it was written to.
+    """Result of a command: an answer, the evidence for it, and the files that were written.
 
-    Nothing is written unless :meth:`save` is called, or an ``output`` was given to the function that made it.
+    Files are written by :meth:`save`, or by the function that computes the result if ``output`` is given.
 
     Attributes
     ----------
     command : str
-        The command that gives the same, ``"fit-drag"``.
+        Command that gives the same result, such as ``"fit-drag"``.
     text : str
-        What the command prints where that is no summary of the evidence.
+        Text that the command prints; if empty, the command prints a summary of the evidence.
     data : dict
-        The same for machines (``--json``), at full precision.
+        Content of the result as plain data (``--json``), at full precision.
     outputs : sequence of Path
-        The files written so far.
+        Files written so far.
     evidence : Evidence or None
-        Verdict, checks, tables and figures as data; None for what has none (a report, a schema).
+        Verdict, checks, tables and figures as data; None for a result without evidence (a report, a schema).
     document : object
-        What is in the result file: a parameter file, a gap file, a log.
+        Content of the result file: a parameter file, a gap file, a log.
     verdict : str
         ``"good"``, ``"caution"`` or ``"bad"``; empty without evidence.
     warnings : DataFrame
-        The warnings raised on the way: ``code``, ``text``.
+        Warnings raised during the computation, with the columns ``code`` and ``text``.
     figure_names : list of str
-        What :meth:`plot` draws.
+        Names of the figures that :meth:`plot` draws.
 
     Examples
     --------
@@ -79,9 +79,9 @@ class Result:
     evidence: Evidence | None = None
     document: Any = None
 
-    #: Kind of result, as a report names it.
+    #: Name of this kind of result in reports.
     kind: ClassVar[str] = "Result"
-    #: Usual ending of the file it is written to.
+    #: Default ending of the result file.
     ending: ClassVar[str] = ".yaml"
 
     def summary(self) -> str:
@@ -91,9 +91,9 @@ class Result:
         return terminal.summary(self.content())
 
     def content(self) -> Evidence:
-        """Return what a report shows: the evidence, preceded by the facts and tables of the file itself.
+        """Return the content of a report: the evidence, preceded by facts and tables from the result file.
 
-        Without evidence its verdict is caution.
+        Without evidence, the verdict is not better than caution.
         """
         shown = self.evidence or self.bare()
         facts = {**self._own_facts(), **shown.facts}
@@ -108,7 +108,7 @@ class Result:
 
     @property
     def path(self) -> Path:
-        """The file it was written to, or the name that file would have."""
+        """Path of the result file, or the default name of a file that is not written yet."""
         unwritten = Path((self.command or self.kind).replace(" ", "-") + self.ending)
         written = [path for path in self.outputs if path.suffix == self.ending]
         return next(iter([*written, *self.outputs, unwritten]))
@@ -124,11 +124,11 @@ class Result:
 
     @property
     def warnings(self) -> pd.DataFrame:
-        """The warnings raised on the way: ``code``, ``text`` (``docs/warnings.md``)."""
+        """Warnings raised during the computation: ``code``, ``text`` (``docs/warnings.md``)."""
         return _frame(["code", "text"], [[n.code, n.text] for n in self._shown("notices")])
 
     def checks(self) -> pd.DataFrame:
-        """Return every test of the result: ``name``, ``value``, ``limit``, ``verdict``, ``text``."""
+        """Return a table of all checks: ``name``, ``value``, ``limit``, ``verdict``, ``text``."""
         names = list(Check.model_fields)
         return _frame(names, [[getattr(check, name) for name in names] for check in self._shown("checks")])
 
@@ -138,34 +138,34 @@ class Result:
 
     @property
     def figure_names(self) -> list[str]:
-        """The ids of the figures :meth:`plot` draws."""
+        """Ids of the figures that :meth:`plot` draws."""
         return [figure.id for figure in self._shown("figures")]
 
     def figures(self) -> dict[str, Canvas]:
-        """Draw every figure of the report by matplotlib; return them by their id."""
+        """Draw every figure of the report with matplotlib, and return the figures by their id."""
         from swimid.results import drawing
 
         return {figure.id: drawing.canvas([figure]) for figure in self._shown("figures")}
 
     def plot(self, name: str, axes: Axes | Sequence[Axes] | None = None) -> Axes | list[Axes]:
-        """Draw one figure of the report; a notebook shows it, and ``pyplot.savefig`` saves it.
+        """Draw one figure of the report. A notebook shows the figure, and ``pyplot.savefig`` saves it.
 
         Parameters
         ----------
         name : str
-            One of :attr:`figure_names`.
+            Name of the figure, one of :attr:`figure_names`.
         axes : matplotlib Axes or sequence of Axes, optional
-            Where to draw, one a panel; by default on a figure of its own.
+            Axes to draw on, one for each panel; by default the axes of a new figure.
 
         Returns
         -------
         Axes or list of Axes
-            The list where the figure has several panels.
+            A list if the figure has several panels.
 
         Raises
         ------
         UsageError
-            When there is no such figure, or not as many axes as panels.
+            If there is no such figure, or if the number of axes is not the number of panels.
         """
         from swimid.results import drawing
 
@@ -187,19 +187,19 @@ class Result:
         return drawn
 
     def save(self, path: str | Path) -> Self:
-        """Write the result and its evidence beside it, both or neither.
+        """Write the result file and its evidence file, both or neither.
 
         Returns
         -------
         Result
-            The same, with the files in :attr:`outputs`.
+            Copy of this result with the written files in :attr:`outputs`.
 
         Raises
         ------
         InputError
-            When the folder does not exist or cannot be written.
+            If the folder does not exist or cannot be written.
         UsageError
-            For a result that is no file, and for a path that is one of its inputs.
+            If this result cannot be written to a file, or if the path is one of its inputs.
         """
         inputs = (self.evidence or self.bare()).provenance.get("inputs", {})
         target = atomic.check_writable(Path(path), inputs=inputs)
@@ -212,19 +212,19 @@ class Result:
         return replace(self, outputs=[*self.outputs, *written])
 
     def saved(self, output: str | Path | None) -> Self:
-        """Return the result itself, written if an output is named."""
+        """Return the result, which is written first if ``output`` is given."""
         if output is None:
             return self
         return self.save(output)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a result that was written, with its evidence.
+        """Read a result file and its evidence file.
 
         Raises
         ------
         InputError
-            When the file or its evidence is broken or not there.
+            If the result file is missing, or if a file is invalid.
         """
         document = cls._read(path)
         loaded = cls("", "", cls._plain(document), [Path(path)], document=document)
@@ -234,24 +234,24 @@ class Result:
         return replace(loaded, command=evidence.command, evidence=evidence)
 
     def _own_facts(self) -> dict[str, str]:
-        """Return the facts that the file itself holds."""
+        """Return the facts that are stored in the result file."""
         return {}
 
     def _own_notes(self) -> list[str]:
-        """Return the sentences that the file itself holds."""
+        """Return the notes that are stored in the result file."""
         return []
 
     def _own_tables(self) -> list[Table]:
-        """Return tables of what the file itself holds."""
+        """Return the tables of the content of the result file."""
         return []
 
     @classmethod
     def _plain(cls, document: Any) -> dict[str, Any]:
-        """Return the plain data of a document."""
+        """Return the content of a result file as plain data."""
         return {}
 
     def bare(self) -> Evidence:
-        """Return what a report shows of a file whose evidence is missing."""
+        """Return the minimal evidence for a result file whose evidence file is missing."""
         return Evidence(
             command=self.command,
             title=f"{self.kind} {self.path.name}",
@@ -268,7 +268,7 @@ class Result:
         raise UsageError(f"the result of {self.command} is no file", hint="its text is .summary()")
 
     def _shown(self, what: str) -> Sequence[Any]:
-        """Return checks, tables, figures or notices of the evidence; none without it."""
+        """Return the checks, tables, figures or notices of the evidence; an empty list without evidence."""
         return getattr(self.evidence, what, [])
 
     def _figure(self, name: str) -> Figure:
@@ -280,7 +280,7 @@ class Result:
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        # a dataclass writes all its fields, arrays among them, unless its class has a __repr__ of its own
+        # The default ``__repr__`` of a dataclass prints all fields, also large arrays.
         cls.__repr__ = Result.__repr__  # type: ignore[method-assign]
 
     def __repr__(self) -> str:
@@ -291,7 +291,7 @@ class Result:
         return self.summary()
 
     def _repr_html_(self) -> str:
-        """Return the view of a notebook: the summary, and the checks folded below it."""
+        """Return the HTML that a notebook shows: the summary, and the checks in a folded table."""
         shown = f"<pre>{html.escape(self.summary())}</pre>"
         if self.evidence is not None and self.evidence.checks:
             table = self.checks().to_html(index=False, border=0)
@@ -301,7 +301,7 @@ class Result:
 
 @dataclass(frozen=True, eq=False)
 class Text(Result):
-    """A text, as ``report`` and ``export`` give it; ``document`` is the text itself."""
+    """Result of ``report`` or ``export``: a text, which is stored in ``document``."""
 
     def _write(self, path: Path) -> list[Path]:
         atomic.write_text(path, self.document)
@@ -316,12 +316,12 @@ class Text(Result):
 
 
 def _of_document(evidence: Evidence, document: Any, name: str) -> Evidence:
-    """Return the evidence of a file, with a lower verdict if it was made for other content.
+    """Return the evidence of a result file, with a lower verdict if the file was changed since.
 
     Warns
     -----
     SWM052
-        The file was edited, or is from another run than its evidence.
+        The file was edited, or was written by another run than its evidence.
     """
     in_memory = evidence.model_copy(update={"result": "", "sha256": ""})
     if evidence.sha256 == document.digest():
@@ -345,7 +345,7 @@ def _frame(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> pd.DataFram
 
 @dataclass(frozen=True, eq=False)
 class FileResult(Result, Generic[File]):
-    """A result that is a YAML file of a format of its own."""
+    """Result that is stored in a YAML file with a format of its own."""
 
     file_type: ClassVar[type[ResultFile]]
 
@@ -355,13 +355,13 @@ class FileResult(Result, Generic[File]):
 
     @property
     def file(self) -> File:
-        """File that :meth:`save` writes."""
+        """Content of the file that :meth:`save` writes."""
         file: File = self.document
         return file
 
     @classmethod
     def of(cls, file: File, evidence: Evidence) -> Self:
-        """Return the result whose file and evidence these are."""
+        """Return the result with the given file content and evidence."""
         return cls(evidence.command, "", cls._plain(file), evidence=evidence, document=file)
 
     @classmethod

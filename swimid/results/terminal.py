@@ -1,4 +1,4 @@
-"""A result as plain text for a terminal."""
+"""Plain text of a result for a terminal."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any
 from swimid.results import numbers
 from swimid.results.evidence import Evidence, Table
 
-#: Maximum width of a line, and minimum width of a column of texts that are cut, characters.
+#: Maximum width of a line, and minimum width of a column whose texts are shortened, characters.
 WIDTH, MIN_CUT = 100, 16
-#: A number as :mod:`swimid.results.numbers` writes it, or a dash.
+#: Pattern of a number as :mod:`swimid.results.numbers` writes it, of a dash, or of an empty text.
 _NUMBER = re.compile(r"(> )?[(−-]?\d[\d.]*( ± [\d.]+)?\)?( × 10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)?( ?[°%])?|–|")
 
 
@@ -37,14 +37,14 @@ def _wrapped(text: str) -> str:
 
 
 def cell_text(value: Any) -> str:
-    """Return a value of a table as it is shown; numbers to four significant digits, nothing as a dash."""
+    """Return the text of a table cell: numbers with four significant digits, an empty cell as a dash."""
     if isinstance(value, str):
         return value or numbers.NOTHING
     return numbers.number(value)
 
 
 def is_numeric(table: Table) -> list[bool]:
-    """Return for each column whether it holds numbers, or texts of numbers, and is aligned to the right."""
+    """Return for each column whether all its cells are numbers, so that it is aligned to the right."""
     right = []
     for k in range(len(table.columns)):
         column = [row[k] for row in table.rows]
@@ -53,7 +53,7 @@ def is_numeric(table: Table) -> list[bool]:
 
 
 def table_text(table: Table) -> str:
-    """Return a table as aligned columns; where a line is full, texts are cut and columns left out."""
+    """Return a table as aligned columns. If lines are too long, texts are shortened or columns omitted."""
     rows = [table.columns, *([cell_text(value) for value in row] for row in table.rows)]
     right, left = is_numeric(table), WIDTH
     columns: list[list[str]] = []
@@ -71,8 +71,8 @@ def table_text(table: Table) -> str:
     return "\n".join(f"  {'  '.join(line)}".rstrip() for line in zip(*columns, strict=True))
 
 
-#: Next command after a result, by the command that made it. ``{trials}`` is the first YAML file
-#: among its inputs, ``{params}`` the last.
+#: Suggested next command after the result of each command. ``{trials}`` is the first YAML file among the
+#: inputs of the result, ``{params}`` the last.
 NEXT = {
     **dict.fromkeys(
         ("fit-drag", "fit-propulsion", "fit-graybox"),
@@ -85,7 +85,7 @@ NEXT = {
 
 
 def next_command(command: str, file: str, provenance: dict[str, Any]) -> str:
-    """Return the next command after a result; empty if none is known."""
+    """Return the suggested next command after a result; empty if there is none."""
     files = [name for name in provenance.get("inputs") or {} if name.endswith((".yaml", ".yml"))]
     trials, *others = files or ["TRIALS.yaml"]
     params = (others or ["PARAMETERS.yaml"])[-1]

@@ -22,8 +22,8 @@ class Range(yamlio.Document):
     low: float
     high: float
     unit: str
-    #: Origin of the range: ``bounds``, ``stderr`` (two standard errors on either side), ``share`` of the
-    #: value, or ``given``.
+    #: Origin of the range: ``bounds`` of the parameter, ``stderr`` (two standard errors on either side),
+    #: ``share`` (a fraction of the value on either side), or ``given``.
     source: Literal["bounds", "stderr", "share", "given"]
 
 
@@ -35,7 +35,7 @@ class Index(yamlio.Document):
 
 
 class Shares(yamlio.Document):
-    """Share of a coefficient in the variance of an output: alone, and with all its interactions."""
+    """Fractions of an output's variance that a coefficient causes: alone, and with all its interactions."""
 
     first: Index
     total: Index
@@ -46,30 +46,30 @@ class Shares(yamlio.Document):
 
 
 class Output(yamlio.Document):
-    """One output of one trial; without ``trial``, of all trials together."""
+    """Output of one trial or, without ``trial``, of all trials together."""
 
     quantity: str
     unit: str
     trial: str | None = None
-    #: Value with the given coefficients; None for all trials together.
+    #: Value of the output with the given coefficients; None for all trials together.
     value: Number = None
-    #: Mean and standard deviation over the ranges.
+    #: Mean and standard deviation of the output over the ranges of the coefficients.
     mean: Number = None
     sd: Number = None
     shares: dict[str, Shares] = {}
 
 
 class Simulations(yamlio.Document):
-    """Number of points that were simulated, and of those that broke down."""
+    """Number of points that were simulated, and number of points whose simulation broke down."""
 
     evaluated: int
     broken: int
-    #: Number of rows of the design that were replaced because a point broke down.
+    #: Number of rows of the Sobol design that were replaced because a point broke down.
     left_out: int
 
 
 class SensitivityFile(yamlio.ResultFile):
-    """Result of a sensitivity analysis."""
+    """Content of a sensitivity file."""
 
     kind: ClassVar[str] = "sensitivity file"
     format: Literal["swimid-sensitivity/2"] = "swimid-sensitivity/2"
@@ -78,7 +78,7 @@ class SensitivityFile(yamlio.ResultFile):
     robot: str
     experiment: str
     params: str | None = None
-    #: Number of rows of the design.
+    #: Number of rows of the Sobol design.
     samples: int
     trials: list[str]
     ranges: dict[str, Range]
@@ -89,9 +89,10 @@ class SensitivityFile(yamlio.ResultFile):
 
 #: Maximum width of the 95 % interval of a total index.
 MAX_WIDTH = 0.3
-#: Maximum change of an output when the integration step is halved, over its standard deviation.
+#: Maximum change of an output when the integration step is halved, divided by the standard deviation of the
+#: output over the ranges.
 MAX_STEP_CHANGE = 0.05
-#: Maximum correlation of two estimates whose ranges are independent.
+#: Maximum correlation of two estimates that are varied independently. A stronger one gives a warning.
 MAX_CORRELATION = 0.5
 #: Maximum number of outputs with a panel in the figure of the intervals.
 MAX_PANELS = 8
@@ -114,9 +115,11 @@ def evidence(
     Parameters
     ----------
     step_change : float
-        Maximum change of an output when the step is halved, over its standard deviation in the ranges.
+        Maximum change of an output when the integration step is halved, divided by the standard deviation of
+        the output over the ranges.
     strongest : (correlation, name, name) or None
-        Strongest correlation of two coefficients whose ranges are their standard errors.
+        Strongest correlation of two coefficients whose ranges follow from their standard errors, and their
+        names.
     """
     checks = _checks(file, step_change, strongest)
     return ev.Evidence(
@@ -140,7 +143,7 @@ def evidence(
 
 
 def _headline(file: SensitivityFile) -> list[Output]:
-    """Return one output for each quantity: of all trials together, or of the only trial that has it."""
+    """Return one output for each quantity: of all trials together, or of the only trial with the quantity."""
     outputs: dict[str, Output] = {}
     for one in file.outputs:
         if one.trial is None or one.quantity not in outputs:
@@ -149,7 +152,7 @@ def _headline(file: SensitivityFile) -> list[Output]:
 
 
 def _ranked(output: Output) -> list[tuple[str, Index]]:
-    """Return the coefficients by total index, the largest first."""
+    """Return the coefficients and their total indices, in descending order of the index."""
     entries = [(name, shares.total) for name, shares in output.shares.items()]
     return sorted(entries, key=lambda item: -item[1].value)
 
@@ -199,7 +202,7 @@ def _answer(file: SensitivityFile) -> str:
 
 
 def _totals(file: SensitivityFile) -> ev.Table:
-    """Return the most influential coefficients of each output."""
+    """Return a table of the most influential coefficients of each output."""
     ranks = ("largest", "second", "third")
     rows: list[dict[str, blocks.Cell]] = []
     for o in _headline(file):
@@ -272,7 +275,7 @@ def _intervals(file: SensitivityFile) -> ev.Figure:
 
 
 def _method(file: SensitivityFile) -> str:
-    """Return a sentence for a paper."""
+    """Return a sentence for the methods section of a paper."""
     shares = [text for text in file.provenance["settings"]["range"] if text.endswith("%")]
     sources = {
         "bounds": "their bounds",

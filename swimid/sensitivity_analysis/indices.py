@@ -1,4 +1,4 @@
-"""Sobol indices: shares of the parameters in the variance of an output, over ranges of all of them."""
+"""Sobol indices: fractions of the variance of an output that each parameter causes within its range."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from swimid.fitting.model import Array
 from swimid.fitting.parallel import map_in_threads
 from swimid.progress import Progress, silent
 
-#: Maximum share of the evaluations that may break down.
+#: Maximum fraction of the evaluations that may break down.
 MAX_BROKEN_SHARE = 0.01
-#: Number of points that one call evaluates.
+#: Number of points that are evaluated in one call.
 BATCH = 8
-#: Number of draws of the bootstrap.
+#: Number of bootstrap samples.
 N_DRAWS = 1000
 
 #: Function from points, shape (n, d), to outputs, shape (n, s); NaN where the model breaks down.
@@ -29,15 +29,17 @@ Evaluate = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class Sobol:
-    """Sobol indices of s outputs to d parameters, then those of g groups of outputs.
+    """Sobol indices of s outputs, followed by g groups of outputs, with respect to d parameters.
 
     Attributes
     ----------
     mean, sd : ndarray, shape (s,)
         Mean and standard deviation of the outputs over the ranges.
     evaluations, broken, left_out : int
-        Numbers of evaluations, of those that broke down, and of rows of the design that were replaced.
+        Number of evaluations, number of evaluations that broke down, and number of rows of the design that
+        were replaced.
     first, total : ndarray, shape (s + g, d)
+        First-order and total indices.
     first_ci, total_ci : ndarray, shape (2, s + g, d)
         Ends of the 95 % intervals.
     """
@@ -68,7 +70,7 @@ def sobol(
     Parameters
     ----------
     evaluate : callable
-        Function of points, called from several threads.
+        Function from points to outputs, which is called from several threads.
     lower, upper : ndarray, shape (d,), d >= 2
         Ends of the uniform ranges.
     samples : int
@@ -76,23 +78,23 @@ def sobol(
     seed : int
         Seed of the scrambled Sobol sequence and of the bootstrap.
     groups : sequence of sequences of int
-        Outputs with common indices: those of their summed variance (Gamboa et al. 2014,
-        doi:10.1214/14-EJS895).
+        Groups of outputs. The indices of a group refer to the sum of the variances of its outputs (Gamboa et
+        al. 2014, doi:10.1214/14-EJS895).
     **how
-        Names, jobs, checkpoint and progress (see :class:`Evaluations`).
+        Arguments ``names``, ``jobs``, ``checkpoint`` and ``progress`` of :class:`Evaluations`.
 
     Returns
     -------
     Sobol
-        Intervals are those of the percentile bootstrap over the rows. A row with a point that breaks down is
-        replaced by the next row of the sequence.
+        Indices with intervals from the percentile bootstrap over the rows. If a point of a row breaks down,
+        the row is replaced by the next row of the sequence.
 
     Raises
     ------
     UsageError
-        There are fewer than two parameters, or the number of samples is no power of two.
+        If there are fewer than two parameters, or the number of samples is not a power of two.
     NoTrustworthyResult
-        More than :data:`MAX_BROKEN_SHARE` of the evaluations break down.
+        If more than :data:`MAX_BROKEN_SHARE` of the evaluations break down.
     """
     from scipy.stats import qmc
 
@@ -101,7 +103,7 @@ def sobol(
         raise UsageError("Sobol indices share an output's variance between parameters: vary two or more")
     if samples < 2 or samples & (samples - 1):
         raise UsageError(f"the number of samples must be a power of two, not {samples}")
-    # the second half of the rows is in reserve
+    # the second half of the rows replaces rows with points that break down
     unit = qmc.Sobol(2 * d, scramble=True, bits=64, rng=np.random.default_rng(seed)).random(2 * samples)
     a, b = (lower + part * (upper - lower) for part in (unit[:, :d], unit[:, d:]))
     design = np.concatenate([a[:, None], b[:, None], np.repeat(a[:, None], d, axis=1)], axis=1)
@@ -134,7 +136,7 @@ def sobol(
 def _indices(outputs: Array, groups: Sequence[Sequence[int]]) -> Array:
     """Return first-order and total indices of outputs, shape (d + 2, s, n), as an array (2, s + g, d).
 
-    The indices of a group are the means of those of its outputs, weighted by their variances.
+    The indices of a group are the mean indices of its outputs, weighted by the variances of the outputs.
     """
     from scipy.stats import sobol_indices
 
@@ -143,7 +145,7 @@ def _indices(outputs: Array, groups: Sequence[Sequence[int]]) -> Array:
     with np.errstate(invalid="ignore"):
         found = sobol_indices(func={"f_A": a, "f_B": b, "f_AB": ab}, n=a.shape[-1])
     shape = (2, len(variance), len(ab))
-    # an output that does not vary has no indices
+    # the indices of an output without variance are set to zero
     indices = np.nan_to_num(np.reshape([found.first_order, found.total_order], shape))
     parts = [indices]
     for members in groups:
@@ -154,7 +156,7 @@ def _indices(outputs: Array, groups: Sequence[Sequence[int]]) -> Array:
 
 
 class Evaluations:
-    """Evaluations by several threads, which are kept and counted.
+    """Evaluation of points in several threads, with a checkpoint and a count of points that break down.
 
     Parameters
     ----------
@@ -162,11 +164,11 @@ class Evaluations:
     planned : int
         Number of evaluations that the design needs.
     names : sequence of str
-        Names of the parameters, for the error.
+        Names of the parameters, for error messages.
     jobs : int
         Number of threads. The result does not depend on it.
     checkpoint : Checkpoint, optional
-        File of the evaluations.
+        File in which the outputs are stored, so that an interrupted run can be continued.
     progress : Progress
     """
 
@@ -187,7 +189,7 @@ class Evaluations:
         self._complete: list[Array] = []
 
     def of(self, labels: Sequence[str], points: Array) -> Array:
-        """Return the outputs at points, shape (n, d) to (n, s); a row of NaN where one breaks down."""
+        """Return the outputs, shape (n, s), at points, shape (n, d); NaN at points that break down."""
         rows = []
         parts = range(0, len(points), BATCH)
         work = [(labels[i : i + BATCH], points[i : i + BATCH]) for i in parts]
@@ -209,7 +211,7 @@ class Evaluations:
         return np.array(rows)
 
     def _some(self, work: tuple[Sequence[str], Array]) -> list[Array]:
-        """Return the outputs at a few points; those of an earlier run are not evaluated again."""
+        """Return the outputs at a few points. Points in the checkpoint are not evaluated again."""
         labels, points = work
         known = {label: self.checkpoint.get(label) for label in labels}
         new = [k for k, label in enumerate(labels) if known[label] is None]
@@ -220,11 +222,12 @@ class Evaluations:
         return [np.asarray(known[label]) for label in labels]
 
     def refuse(self) -> NoReturn:
-        """Raise an error that says where the model breaks down.
+        """Raise an error that names the parameter range in which the model breaks down.
 
         Raises
         ------
         NoTrustworthyResult
+            Always.
         """
         raise NoTrustworthyResult(
             f"{len(self.broken)} of the first {self.done} simulations break down, more than "
@@ -233,7 +236,7 @@ class Evaluations:
         )
 
     def _where(self) -> str:
-        """Return the parameter whose values separate the broken points best, and their range."""
+        """Return a text with the parameter whose values separate the broken points best, and its range."""
         from scipy.stats import ks_2samp
 
         bad = np.array(self.broken)

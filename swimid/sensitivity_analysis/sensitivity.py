@@ -1,4 +1,4 @@
-"""``sensitivity``: Sobol indices of the outputs of a robot to its coefficients."""
+"""Command ``sensitivity``: Sobol indices of the outputs of a robot with respect to its coefficients."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ from swimid.swimmer.model import Swimmer
 if TYPE_CHECKING:
     import pandas as pd
 
-#: An output whose standard deviation is below this share of its mean is constant.
+#: Maximum ratio of the standard deviation of an output to its mean, for an output that counts as constant.
 CONSTANT_SHARE = 1e-9
-#: A total index whose 95 % interval lies below this value is negligible.
+#: Threshold of the total index: a coefficient is negligible if its 95 % interval lies below this value.
 NEGLIGIBLE = 0.01
 
 
@@ -58,17 +58,17 @@ class Sensitivity(FileResult[SensitivityFile]):
     Attributes
     ----------
     indices : DataFrame
-        A row for each coefficient of each output (``output``, ``trial``, ``coefficient``; without a trial for
-        all together): ``first`` and ``total`` Sobol index (1), each a dict of ``value`` and ``ci95``.
+        A row for each coefficient of each output: ``output``, ``trial`` (None for all trials together),
+        ``coefficient``, and ``first`` and ``total`` Sobol index (1), each a dict of ``value`` and ``ci95``.
     file : SensitivityFile
-        Sensitivity file that :meth:`save` writes; it also has the ranges.
+        Sensitivity file that :meth:`save` writes, which also has the ranges.
     """
 
     file_type = SensitivityFile
 
     @property
     def indices(self) -> pd.DataFrame:
-        """Sobol indices: a row for each coefficient of each output."""
+        """Table of Sobol indices, with a row for each coefficient of each output."""
         import pandas as pd
 
         return pd.DataFrame(
@@ -81,7 +81,7 @@ class Sensitivity(FileResult[SensitivityFile]):
 
 
 class MeasuredChannel(NamedTuple):
-    """Samples of a channel for a root-mean-square error, which is divided by ``scale``."""
+    """Measured samples of a channel. The RMS error of a simulation is divided by ``scale``."""
 
     time_s: Array
     values: Array
@@ -91,17 +91,17 @@ class MeasuredChannel(NamedTuple):
 
 @dataclass(frozen=True)
 class Run:
-    """A trial with its outputs.
+    """Trial to simulate, with the data for its outputs.
 
     Attributes
     ----------
     trial : Trial
         The trial at the times at which it is simulated.
     swim : SwimRun or None
-        The last whole cycles; None if measured joints drive the robot.
+        Last whole cycles of the run; None if measured joints drive the robot.
     measured : mapping of str to MeasuredChannel
     values : ndarray
-        The given coefficients, with the start state of the trial.
+        Given coefficients, with the start state of the trial.
     """
 
     trial: Trial
@@ -126,7 +126,7 @@ class Run:
 
 
 def _swim_outputs(model: Swimmer, swim: SwimRun) -> list[str]:
-    """Return the quantities of a swim that are outputs."""
+    """Return the names of the quantities of a swimming run that are outputs of the analysis."""
     if model.in_space:
         return list(CYCLE_QUANTITIES)
     amplitudes = [f"amplitude_{axis.name}_rad" for axis in model.passive]
@@ -141,14 +141,14 @@ def _swim_outputs(model: Swimmer, swim: SwimRun) -> list[str]:
 
 @dataclass(frozen=True)
 class Study:
-    """Coefficients with their ranges, runs and outputs.
+    """Setup of an analysis: coefficients with their ranges, runs, and outputs.
 
     Attributes
     ----------
     columns : sequence of (quantity, trial, unit)
-        Outputs in order.
+        Quantity, trial and unit of each output, in order.
     centre : ndarray, shape (s,)
-        Outputs with the given coefficients.
+        Values of the outputs with the given coefficients.
     """
 
     applied: Applied
@@ -159,7 +159,7 @@ class Study:
 
     @property
     def groups(self) -> dict[str, list[int]]:
-        """Outputs of each quantity that more than one trial has."""
+        """Indices of the outputs of each quantity, for the quantities that more than one trial has."""
         groups: dict[str, list[int]] = {}
         for k, (quantity, _, _) in enumerate(self.columns):
             groups.setdefault(quantity, []).append(k)
@@ -174,18 +174,18 @@ def sensitivity(
     output: Path | None = None,
     progress: Progress = silent,
 ) -> Sensitivity:
-    """Vary the coefficients of a robot with links over ranges.
+    """Estimate the sensitivity of the outputs of a robot with links to its coefficients.
 
-    By default the coefficients that a fit estimates are varied, and those with a range of their own. A
-    parameter file gives values, standard errors, start states and noise. The indices hold for the given
-    ranges only.
+    By default, the varied coefficients are those that a fit estimates and those with a given range. A
+    parameter file supplies values, standard errors, start states and noise. The indices are valid for the
+    given ranges only.
 
     Parameters
     ----------
     trials : path or TrialSet
         Trials file of a free-swim or multibody experiment, or the trials that :func:`swimid.load` returns.
     output : Path, optional
-        Sensitivity file to write; its evidence goes beside it.
+        Sensitivity file to write. The evidence file is written next to it.
     progress : Progress
         Progress over the simulations.
 
@@ -198,9 +198,9 @@ def sensitivity(
     Raises
     ------
     UsageError, InputError
-        For bad files and options.
+        If a file or an option is invalid.
     NoTrustworthyResult
-        More than one in a hundred simulations breaks down.
+        If more than one in a hundred simulations breaks down.
 
     References
     ----------
@@ -230,7 +230,7 @@ def sensitivity(
         over = _ranges(applied, options.ranges, options.coefficients)
         origin = provenance.collect(experiment.inputs, settings=options.settings())
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
-        # total time of the simulations
+        # total simulated time
         ahead_s = sum(float(t.time_s[-1] - t.time_s[0]) for t in experiment.trials) * count * (len(over) + 2)
         _swimmer(applied).prepare(progress, simulated_s=ahead_s, checkpoint=keep)
         study = _study(experiment, applied, over)
@@ -283,7 +283,7 @@ def _load(source: str | Path | TrialSet, options: SensitivityOptions) -> tuple[E
 
 
 def _swimmer(applied: Applied) -> Swimmer:
-    """Return the model as that of a robot with links; :func:`_load` refuses others."""
+    """Return the model of a robot with links. :func:`_load` refuses other models."""
     assert applied.model.swimmer is not None
     return applied.model.swimmer
 
@@ -340,7 +340,7 @@ def _ends(name: str, text: str) -> tuple[float, float]:
 
 
 def _by_rule(p: Parameter, value: float, rule: str, errors: Mapping[str, float]) -> tuple[float, float, str]:
-    """Return the ends of a range and its source; NaN if the standard error is unknown."""
+    """Return both ends of a range and the origin of the range; NaN if the standard error is unknown."""
     if rule == "bounds":
         return p.lower, p.upper, rule
     if rule == "stderr":
@@ -364,7 +364,7 @@ def _by_rule(p: Parameter, value: float, rule: str, errors: Mapping[str, float])
 
 
 def _correlated(applied: Applied, over: Mapping[str, Range]) -> tuple[float, str, str] | None:
-    """Return the largest correlation of two coefficients whose ranges are their standard errors, and both."""
+    """Return the strongest correlation of two coefficients with ranges from standard errors, with names."""
     names, covariance = applied.uncertain()
     sd = np.sqrt(np.diag(covariance))
     kept = [k for k, name in enumerate(names) if name in over and over[name].source == "stderr"]
@@ -400,7 +400,7 @@ def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) 
 
 
 def _run(applied: Applied, model: Swimmer, trial: Trial) -> Run:
-    """Return a trial with its start state and the channels that it measured."""
+    """Return a trial to simulate, with its start state and its measured channels."""
     values, _, _ = compare_series.start_of(applied, trial, refit=bool(trial.measured))
     swim, times = None, trial.time_s
     if trial.swim.drive is not None:
@@ -446,7 +446,10 @@ def _evaluation(study: Study, model: Swimmer | None = None) -> Callable[[Array],
 
 
 def _step_change(study: Study, estimates: Sobol) -> float:
-    """Return the maximum change of an output when the step is halved, over its deviation in the ranges."""
+    """Return the maximum change of an output when the integration step is halved.
+
+    The change is divided by the standard deviation of the output over the ranges.
+    """
     finer = _swimmer(study.applied).refined()
     given = np.array([r.value for r in study.ranges.values()])
     change = np.abs(_evaluation(study, finer)(given[None])[0] - study.centre)
@@ -455,7 +458,7 @@ def _step_change(study: Study, estimates: Sobol) -> float:
 
 
 def _outputs(study: Study, estimates: Sobol) -> list[Output]:
-    """Return the outputs of each trial, then those of all trials together, with their indices."""
+    """Return the outputs of each trial, then the outputs of all trials together, with their indices."""
     statistics = np.column_stack([study.centre, estimates.mean, estimates.sd]).tolist()
     outputs = [
         Output(quantity=quantity, trial=trial, unit=unit, value=value, mean=mean, sd=sd)

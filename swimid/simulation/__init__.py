@@ -1,7 +1,8 @@
-"""Simulation of any parameter file on any robot, and comparison of measured trials with their simulation.
+"""Simulation of robots with identified parameters, and comparison of trials with their simulation.
 
-``catalogue`` joins trials and a parameter file: the parameters of each trial and their covariance.
-``simulate`` is one command, with ``cases`` (the runs), ``swim_quantities`` and ``animation``. ``compare`` is
-the other, with ``compare_series`` (channels of each trial, and the comparison file) and ``compare_strokes``
-(motion profiles of a robot in space). ``options`` are those of both commands.
+``catalogue`` combines trials with a parameter file: it gives the parameters of each trial and their
+covariance. ``simulate`` is the command of this name, with ``cases`` (the runs to simulate),
+``swim_quantities`` and ``animation``. ``compare`` is the other command, with ``compare_series`` (channels of
+each trial, and the comparison file) and ``compare_strokes`` (motion profiles of a robot that moves in 3-D).
+``options`` has the options of both commands.
 """

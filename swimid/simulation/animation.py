@@ -1,4 +1,4 @@
-"""Film of a simulated run: the links drawn to scale, their path, a scale bar and the time."""
+"""Film of a simulated run, with the links to scale, the path of the robot, a scale bar and the time."""
 
 from __future__ import annotations
 
@@ -16,22 +16,23 @@ from swimid.progress import Progress, silent
 from swimid.swimmer.planar.model import Body
 
 Array = NDArray[np.float64]
-#: Frames per second.
+#: Frame rate of the film, Hz.
 RATE_HZ = 25.0
-#: Longer side of a frame by ending of the file, px.
+#: Length of the longer side of a frame for each file ending, px.
 SIZE_PX = {".mp4": 960, ".gif": 560}
-#: Maximum width of a body without a stated one, and minimum width of any body (a fin), body lengths.
+#: Maximum width of a body whose width is not stated, and minimum width of any body (a thin fin), in body
+#: lengths.
 MAX_WIDTH, MIN_WIDTH = 0.16, 0.012
-#: Width of a link of a robot that is no free body, body lengths.
+#: Width of the links of a robot with a fixed base, in body lengths.
 BAR_WIDTH = 0.06
-#: A path longer than this many body lengths would be useless in a fixed view.
+#: Maximum extent of a path in a fixed view, in body lengths. For a longer path, the view follows the robot.
 MAX_FIXED_PATH = 12.0
-#: Size of a view that follows the robot, and margin of one that does not, body lengths.
+#: Size of a view that follows the robot (width, height), and margin of a fixed view, in body lengths.
 FOLLOWING_VIEW, MARGIN = (3.2, 1.9), 0.4
-#: Colours: blue, green, red.
+#: Colours, each as blue, green and red.
 WATER, GRID, INK, PATH = (250, 246, 240), (238, 228, 214), (70, 55, 40), (190, 150, 60)
 DRIVEN, PASSIVE = (150, 105, 45), (80, 130, 225)
-#: Binary digits of a fraction of a pixel in coordinates that are drawn.
+#: Number of fractional bits of the pixel coordinates that OpenCV draws.
 SHIFT = 4
 
 
@@ -45,9 +46,9 @@ class Film:
     body : Body
         Links of the robot.
     frames : (ndarray, ndarray, ndarray), shape (links, n) each
-        Front end (x, y), m, and heading, rad, of every link; y points up in the frame.
+        Front end (x, y), m, and heading, rad, of every link. The y axis points up in the film.
     begins_m : ndarray, shape (links,)
-        Distance of the front end of every link from that of the robot, all joints straight.
+        Distance from the front end of the robot to the front end of every link, with all joints straight.
     length_m, width_m : float
         Length and maximum width of the robot.
     title : str
@@ -67,35 +68,35 @@ class Film:
         return np.array(self.body.lengths_m)
 
     def outline(self, link: int) -> Array:
-        """Return the outline of a link, shape (points, 2), m: x forward from the front end of the link."""
+        """Return the outline of a link, m, shape (points, 2); x points forward from its front end."""
         along = np.linspace(0.0, self.lengths_m[link], 24)
         half = np.full(len(along), 0.5 * BAR_WIDTH * self.length_m)
         if self.body.free:
             s = np.clip((self.begins_m[link] + along) / self.length_m, 0.0, 1.0)
-            # thickness of a NACA four-digit section, scaled to a maximum of one half
+            # thickness function of a NACA four-digit section; its maximum is 0.1
             thickness = 0.2969 * np.sqrt(s) - 0.126 * s - 0.3516 * s**2 + 0.2843 * s**3 - 0.1015 * s**4
             half = np.maximum(self.width_m * thickness / 0.20, 0.5 * MIN_WIDTH * self.length_m)
         side = np.column_stack((-along, half))
         turn = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 12)[1:-1]
         if self.body.free and self.begins_m[link] == 0:
             turn = np.empty(0)
-        # a round front closes the gap that a bent joint opens
+        # a round front end closes the gap at a bent joint
         front = half[0] * np.column_stack((np.cos(turn), np.sin(turn)))
         return np.concatenate((front, side, side[::-1] * (1.0, -1.0)))
 
 
 @dataclass(frozen=True)
 class View:
-    """Part of the plane that a frame shows.
+    """Part of the plane of motion that a frame of the film shows.
 
     Attributes
     ----------
     scale : float
         Pixels per metre.
     size_px : (int, int)
-        Width and height.
+        Width and height of a frame, px.
     centre_m : ndarray, shape (2,), or None
-        Centre of all frames; None for a view that follows the robot.
+        Centre of the view; None for a view that follows the robot.
     """
 
     scale: float
@@ -104,7 +105,7 @@ class View:
 
     @classmethod
     def of(cls, film: Film, view: str, size_px: int) -> View:
-        """Return the view of a film: ``auto``, ``fixed`` or ``follow``."""
+        """Return the view of a film for the option ``auto``, ``fixed`` or ``follow``."""
         ends = np.array([film.frames[:2], film.body.rear_ends(film.frames)])
         low, high = np.min(ends, axis=(0, 2, 3)), np.max(ends, axis=(0, 2, 3))
         path = max(float(np.ptp(rows[0])) for rows in film.frames[:2])
@@ -113,7 +114,7 @@ class View:
         if follows:
             spans, centre = np.array(FOLLOWING_VIEW) * film.length_m, None
         scale = size_px / float(spans.max())
-        # neither a strip nor odd numbers, which encoders refuse
+        # avoid very flat frames, and odd sizes, which encoders refuse
         width, height = (2 * math.ceil(max(span * scale, 0.4 * size_px) / 2) for span in spans)
         return cls(scale, (width, height), centre)
 
@@ -124,9 +125,10 @@ def write(path: Path, film: Film, *, view: str = "auto", progress: Progress = si
     Parameters
     ----------
     path : Path
-        File with an ending of :data:`SIZE_PX`.
+        Film to write; its ending is a key of :data:`SIZE_PX`.
     view : {"auto", "fixed", "follow"}
-        Whether the frame holds the whole path or moves with the robot.
+        Whether the view holds the whole path or follows the robot; ``auto`` decides by the extent of the
+        path.
 
     Returns
     -------
@@ -158,7 +160,7 @@ def _frame(film: Film, view: View, time_s: float) -> Frame:
         return np.round(place * 2**SHIFT).astype(np.int32)
 
     frame = np.full((height, width, 3), WATER, dtype=np.uint8)
-    # the grid shows in a view that follows the robot that it moves
+    # the grid makes the motion visible in a view that follows the robot
     pitch = round_length(0.25 * width / view.scale)
     for at in np.arange(math.ceil(corner[0] / pitch) * pitch, corner[0] + width / view.scale, pitch):
         column = round((at - corner[0]) * view.scale)
@@ -172,7 +174,7 @@ def _frame(film: Film, view: View, time_s: float) -> Frame:
     )
     cv2.polylines(frame, [pixels(points)], False, PATH, 2, cv2.LINE_AA, SHIFT)
     passive = {axis.link for axis in film.body.passive}
-    # from the tail forward, so that each link overlaps the one behind it
+    # draw from the tail forward, so that each link overlaps the link behind it
     for link in reversed(range(len(film.lengths_m))):
         c, s = math.cos(heading[link]), math.sin(heading[link])
         shape = pixels(film.outline(link) @ np.array([[c, s], [-s, c]]) + (x[link], y[link]))
@@ -186,7 +188,7 @@ def _frame(film: Film, view: View, time_s: float) -> Frame:
 
 
 def round_length(most: float) -> float:
-    """Return the largest of 1, 2 and 5 times a power of ten that is not above a length.
+    """Return the largest length not above ``most`` that is 1, 2 or 5 times a power of ten.
 
     >>> round_length(0.37)
     0.2
@@ -207,6 +209,6 @@ def _scale_bar(frame: Frame, scale: float, length_m: float) -> None:
 
 
 def _text(frame: Frame, text: str, place: tuple[int, int]) -> None:
-    # the font has no characters beyond ASCII
+    # the OpenCV font has ASCII characters only
     plain = text.encode("ascii", "replace").decode()
     cv2.putText(frame, plain, place, cv2.FONT_HERSHEY_SIMPLEX, 0.55, INK, 1, cv2.LINE_AA)

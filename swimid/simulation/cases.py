@@ -1,4 +1,4 @@
-"""Cases for ``simulate``: runs under a beat, a weight or an input log, and recorded trials."""
+"""Cases for ``simulate``: runs driven by a beat, a weight or an input log, and recorded trials."""
 
 from __future__ import annotations
 
@@ -42,15 +42,15 @@ from swimid.swimmer.model import Swimmer
 DURATION_S, RATE_HZ = 15.0, 50.0
 #: Maximum number of samples or integration steps of a run.
 MAX_SAMPLES = 20_000_000
-#: Length of a course on which the start from rest does not matter, m.
+#: Length of a course on which the start from rest has a negligible effect on the mean speed, m.
 FAR_M = 1e9
-#: Bend of a joint from which on a warning is given, degrees.
+#: Maximum bend of a joint, degrees. A larger bend gives a warning.
 MAX_BEND_DEG = 90.0
 
 
 @dataclass(frozen=True)
 class Case:
-    """A run to simulate.
+    """One run to simulate.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Case:
     metadata : dict
         Metadata of the log.
     extra : dict of str to ndarray, each shape (n,)
-        Columns of the log besides the simulated ones: commands, forces, measured inputs.
+        Columns of the log in addition to the simulated channels: commands, forces, measured inputs.
     quantities : callable or None
         Function from parameter vectors to the quantities of the run.
     """
@@ -79,17 +79,17 @@ class Case:
 
     @property
     def per_run(self) -> bool:
-        """Whether a sample is a run of a table, so that the log has no time column."""
+        """Whether each sample stands for one run of a table, so that the log has no time column."""
         return self.applied.model.timed_runs
 
 
 def place(options: SimulateOptions) -> Path | None:
-    """Return the path by which messages and logs name the parameters."""
+    """Return the path of the parameters for messages and logs; None without a parameter file."""
     return None if options.params is None else parameters_format.place(options.params)
 
 
 def _metadata(options: SimulateOptions, robot: str, **more: Any) -> dict[str, Any]:
-    """Return the metadata of a log: the entries that every log has, and more."""
+    """Return the metadata of a log: the entries that every log has, and the entries in ``more``."""
     path = place(options)
     lines: dict[str, Any] = {"robot": robot}
     if path is not None:
@@ -102,7 +102,10 @@ def _metadata(options: SimulateOptions, robot: str, **more: Any) -> dict[str, An
 
 
 def _times(options: SimulateOptions, stroke: Cycle | None = None) -> Array:
-    """Return even sample times of the run, s; by default over the cycles of a stroke that ends."""
+    """Return equally spaced sample times of the run, s.
+
+    By default, a stroke with a limited number of cycles determines the duration.
+    """
     duration = options.duration_s or DURATION_S
     if options.duration_s is None and stroke is not None and math.isfinite(stroke.cycles):
         duration = stroke.cycles / stroke.frequency_hz
@@ -113,12 +116,12 @@ def _times(options: SimulateOptions, stroke: Cycle | None = None) -> Array:
 
 
 def _needed(options: SimulateOptions, what: str, *names: str) -> list[Any]:
-    """Return the values of options.
+    """Return the values of the named options, which the kind of run in ``what`` requires.
 
     Raises
     ------
     UsageError
-        One of them is missing.
+        If one of the options is missing.
     """
     for name in names:
         if getattr(options, name) is None:
@@ -127,14 +130,14 @@ def _needed(options: SimulateOptions, what: str, *names: str) -> list[Any]:
 
 
 def case_of_options(options: SimulateOptions) -> Case:
-    """Return the run that the options describe.
+    """Return the case of the run that the options describe.
 
     Raises
     ------
     UsageError
-        An option that this model needs is missing.
+        If an option that this model needs is missing.
     InputError
-        For bad files.
+        If a file is invalid.
     """
     path = place(options)
     if path is None:
@@ -166,14 +169,14 @@ def case_of_options(options: SimulateOptions) -> Case:
 def cases_of_trials(
     trials: str | Path | TrialSet, options: SimulateOptions, only: str | None
 ) -> tuple[list[Case], Sequence[Input]]:
-    """Return recorded trials with their own drives and start states, and the inputs that were read.
+    """Return recorded trials as cases, with their own drives and start states, and the inputs of the trials.
 
     Raises
     ------
     UsageError
-        For an unknown trial, or without a parameter file.
+        If the trial is unknown, or there is no parameter file.
     InputError
-        For bad files.
+        If a file is invalid.
     """
     if options.params is None:
         raise UsageError("--trials needs a parameter file: --params")
@@ -206,7 +209,7 @@ def cases_of_trials(
 def _swimming(
     applied: Applied, values: Array, model: Swimmer, trial: Trial, metadata: dict[str, Any]
 ) -> Case:
-    """Return the run of a robot with links."""
+    """Return the case of a robot with links."""
     if trial.swim.drive is not None:
         metadata["drive"] = drive_block(trial)
     metadata["dt_s"] = model.max_step
@@ -215,7 +218,7 @@ def _swimming(
 
 
 def _swim(options: SimulateOptions, file: ParameterFile | None) -> Case:
-    """Return the run of a robot with links under a beat, a stroke or recorded joints."""
+    """Return the case of a robot with links that is driven by a beat, a stroke or recorded joint angles."""
     applied = catalogue.load_robot(options, file)
     values, model = applied.values(), applied.model.swimmer
     assert model is not None
@@ -246,7 +249,7 @@ def _swim(options: SimulateOptions, file: ParameterFile | None) -> Case:
 
 
 def drive_block(trial: Trial) -> dict[str, Any]:
-    """Return the drive of a trial as in a trials file; empty if measured joints drive it."""
+    """Return the drive of a trial as in a trials file; empty if measured joint angles drive the robot."""
     beat, stroke = trial.swim.beat, trial.swim.stroke
     block: dict[str, Any] = swimmer.drive_of(trial)
     if stroke is not None:
@@ -280,7 +283,7 @@ def _stroke(name: str, options: SimulateOptions) -> StrokeDrive:
         raise UsageError(
             "--stroke takes the place of a beat: leave out --amplitude-deg, --bias-deg, --asymmetry"
         )
-    # a beat is eased in by default, a stroke begins as it is
+    # the default ramp is for beats only: a stroke has no ramp unless one is given
     ramp = 0.0 if options.ramp_s == options.declared()["ramp_s"].default else options.ramp_s
     hertz, scale, cycles = options.frequency_hz, options.scale, options.cycles
     return StrokeDrive(stroke=name, frequency_hz=hertz, scale=scale, ramp_s=ramp, cycles=cycles)
@@ -315,7 +318,7 @@ def _beat(options: SimulateOptions, model: Swimmer) -> drives.Beat:
 
 
 def _recorded_joints(path: Path, options: SimulateOptions, model: Swimmer) -> tuple[Array, list[Any]]:
-    """Return sample times, and the motion of each driven joint from a log."""
+    """Return the sample times of the run, and the motion of each driven joint from a log."""
     measured = [a.column for a in model.driven]
     commanded = [name.replace("joint", "cmd") for name in measured]
     log = log_format.read(path, optional=(*measured, *commanded))
@@ -353,7 +356,7 @@ def commands(model: Swimmer, trial: Trial, values: Array) -> dict[str, Array]:
 def beat_frequency(
     model: Swimmer, trial: Trial, values: Array, measured: Sequence[Array] = ()
 ) -> float | None:
-    """Return the frequency of the drive, else of the first joint or measured channel with a beat, Hz."""
+    """Return the frequency of the drive, or else of the first joint or measured channel with a beat, Hz."""
     if trial.swim.drive is not None:
         return float(trial.swim.drive.frequency_hz)
     for angle in (*commands(model, trial, values).values(), *measured):
@@ -364,7 +367,7 @@ def beat_frequency(
 
 
 def _each(compute: Callable[[Array], dict[str, Quantity]]) -> Compute:
-    """Return a function of several parameter vectors from one of a single vector."""
+    """Return a function of several parameter vectors that calls ``compute`` for each vector."""
     return lambda vectors: [compute(values) for values in vectors]
 
 
@@ -407,7 +410,7 @@ _Made = tuple[Model, Trial, dict[str, Any], dict[str, Any]]
 
 
 def _rig_body(file: ParameterFile, robot: Robot) -> tuple[float, bool, float]:
-    """Return the mass of the body, kg, whether its drag coefficient is known, and ``rho A / 2``, kg/m."""
+    """Return the body mass, kg, whether the file has a drag coefficient, and ``rho A / 2``, kg/m."""
     mass, area = robot.body.inertial_mass_kg, robot.body.frontal_area_m2
     known = "drag_coefficient" in file.parameters
     if known and area is None:

@@ -1,4 +1,4 @@
-"""Trials and parameters of any model: the experiment, the parameters of each trial, their covariance."""
+"""Trials with a parameter file: the experiment, the parameters of each trial and their covariance."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ from swimid.rig import trials as rig
 from swimid.robots import file as robot_format
 from swimid.swimmer import trials as swimmer
 
-#: Step of a derivative: share of a standard error, and maximum share of the size of the parameter.
+#: Step of a finite difference, as a fraction of the standard error of the parameter. Maximum step, as a
+#: fraction of the absolute value or the typical scale of the parameter, whichever is larger.
 STEP_SHARE, MAX_STEP_SHARE = 0.05, 1e-3
 
 
@@ -46,27 +47,27 @@ class Quantity:
     stderr: float | None = None
 
 
-#: Function from parameter vectors to the quantities of each.
+#: Function from parameter vectors to quantities by name, one mapping for each vector.
 Compute = Callable[[Sequence[Array]], Sequence[Mapping[str, Quantity]]]
 
 
 @dataclass
 class Applied:
-    """Parameters for a model, with their uncertainty.
+    """Model with the parameter values to simulate and their uncertainty.
 
     Attributes
     ----------
     model : Model
     file : ParameterFile or None
-        None for the values of a robot file.
+        Parameter file; None if the values come from the robot file.
     path : Path or None
         Path of ``file``.
     chosen : dict of str to float
-        Values set by the user. They replace those of the file and have no uncertainty.
+        Values set by the user. They replace the values of the file and have no uncertainty.
     stated : dict of str to float
-        Values of the coefficients in the robot file, which are not the start values of a fit.
+        Values of the coefficients that the robot file states. They may differ from the start values of a fit.
     known : dict of str to Estimate
-        Estimates of the file by parameter, or ``name[trial]``.
+        Estimates of the file by parameter name, and by ``name[trial]`` for a parameter of one trial.
     """
 
     model: Model
@@ -90,11 +91,12 @@ class Applied:
             self._warn_doubtful(self.file.fit)
 
     def _check(self, names: list[str]) -> None:
-        """Refuse the parameter file of another robot, which has other parameters.
+        """Refuse a parameter file whose parameters are not those of the model, such as one of another robot.
 
         Raises
         ------
         InputError
+            If a parameter is missing or does not exist in the model.
         """
         known = {label.split("[")[0] for label in self.known}
         needed = [p.name for p in self.model.parameters if p.free and not p.per_trial]
@@ -111,7 +113,7 @@ class Applied:
         )
 
     def _warn_doubtful(self, fit: Fit | None) -> None:
-        """Warn of values of a fit that did not converge, and of values that are not identifiable."""
+        """Warn if the fit of the parameters did not converge, or if parameters are not identifiable."""
         name = self.path.name if self.path else "the parameter file"
         if fit is not None and not fit.converged:
             warn(
@@ -131,8 +133,8 @@ class Applied:
         Parameters
         ----------
         trial : str, optional
-            Trial whose own parameters are taken. Without it, and for a trial that the file does not have,
-            per-trial parameters have their neutral start values.
+            Trial whose per-trial parameters are used. Without a trial, or if the file does not have this
+            trial, per-trial parameters have their neutral start values.
         """
         return np.array([self._value(p, trial) for p in self.model.parameters])
 
@@ -145,7 +147,7 @@ class Applied:
         return self.stated.get(p.name, p.start)
 
     def fitted_per_trial(self) -> set[str]:
-        """Return the names of parameters that the file has for single trials."""
+        """Return the names of the parameters that have values for single trials in the file."""
         return {n.split("[")[0] for n in self.known if "[" in n}
 
     def noise(self) -> dict[str, float]:
@@ -203,8 +205,8 @@ class Applied:
 
         Notes
         -----
-        Derivatives are central differences. A quantity that a vector beside ``values`` lacks has no standard
-        error: its run breaks down, or never settles.
+        Derivatives are central differences. A quantity has no standard error if it is undefined for one of
+        the displaced parameter vectors, because the simulation breaks down or never becomes steady.
         """
         names, covariance = self.uncertain()
         vectors, widths = [values], []
@@ -232,7 +234,7 @@ class Applied:
         return result
 
 
-#: Experiments that each model describes.
+#: Experiments that each model can simulate.
 EXPERIMENTS = {
     "multilink": ("free-swim", "multibody"),
     "multibody": ("free-swim", "multibody"),
@@ -258,7 +260,7 @@ def read_parameters(source: parameters_format.Source) -> ParameterFile:
     Raises
     ------
     InputError
-        The source is no parameter file, or its model cannot be simulated.
+        If the source is not a parameter file, or its model cannot be simulated.
     """
     return parameters_format.read(source, model=tuple(EXPERIMENTS))
 
@@ -271,14 +273,16 @@ def load(trials: str | Path | TrialSet, options: Any) -> Loaded:
     trials : path or TrialSet
     options : Options
         Options of a command: ``params`` (a parameter file; None for the values of the robot file, or else the
-        start values of the model), ``robot`` (robot that the parameters are accepted for), ``readings`` (they
-        replace those of the parameter file), ``dt`` (integration step of a robot with links, s), and, if the
-        command has them, ``chosen`` (values that replace those of the file) and ``start_state``.
+        start values of the model), ``robot`` (robot for which the parameters are accepted), ``readings``
+        (interpretations of the source, which replace those of the parameter file), ``dt`` (integration step
+        of a robot with links, s), and, if the command has them, ``chosen`` (values that replace those of the
+        file) and ``start_state``.
 
     Raises
     ------
     InputError
-        For bad files: an experiment that the model does not describe, another robot, missing columns.
+        If a file is invalid, the model does not describe the experiment, the robot differs, or columns are
+        missing.
     """
     parameters, chosen = options.params, dict(getattr(options, "chosen", {}))
     readings, max_step = dict(options.readings), options.dt
@@ -314,7 +318,7 @@ def load(trials: str | Path | TrialSet, options: Any) -> Loaded:
 
 
 def _of_trials(trials: str | Path | TrialSet, readings: dict[str, str], max_step: float) -> Experiment:
-    """Load trials with the model that their robot suggests: one with links, if the robot has links."""
+    """Load trials with the model of their experiment: a model with links, if the robot has links."""
     entries: Any = trials_format.read(trials)
     if entries.experiment == "arma":
         raise UsageError(
@@ -344,9 +348,9 @@ def load_robot(options: Any, file: ParameterFile | None) -> Applied:
     Raises
     ------
     UsageError
-        Neither a parameter file nor a robot is named.
+        If neither a parameter file nor a robot is named.
     InputError
-        For bad files, and for coefficients that make an impossible mass.
+        If a file is invalid, or the coefficients give a physically impossible mass.
     """
     path, folder, readings = None, None, dict(options.readings)
     if file is not None:
@@ -369,12 +373,12 @@ def load_robot(options: Any, file: ParameterFile | None) -> Applied:
 
 
 def robot_of_parameters(file: ParameterFile, path: Path, robot: str | None = None) -> tuple[str, Path | None]:
-    """Return the name or file of the robot of a parameter file, and the folder that it is relative to.
+    """Return the name or file of the robot of a parameter file, and the folder to which it is relative.
 
     Raises
     ------
     InputError
-        Neither the file nor the user names a robot.
+        If neither the file nor the user names a robot.
     """
     if robot is not None:
         return robot, None
@@ -384,11 +388,12 @@ def robot_of_parameters(file: ParameterFile, path: Path, robot: str | None = Non
 
 
 def _check_robot(name: str, trials_path: Path, file: ParameterFile, path: Path) -> None:
-    """Refuse the parameters of one robot for the trials of another.
+    """Refuse the parameters of one robot for the trials of another robot.
 
     Raises
     ------
     InputError
+        If the two robots differ.
     """
     mine = robot_format.read(name, trials_path.parent).name
     if file.robot is None or file.robot in (mine, name):
@@ -423,14 +428,14 @@ def drag_file(file: ParameterFile, path: Path) -> Path | ParameterFile:
     Raises
     ------
     InputError
-        The drag file is neither where the fit named it nor beside the parameter file.
+        If the drag file is neither at the path that the fit recorded nor in the folder of the parameter file.
     """
     if file._drag is not None:
         return file._drag
     named = file.settings.get("drag_file")
     if named is None:
         raise InputError("this key is missing", file=path, column="settings.drag_file")
-    # the fit named it relative to its working folder
+    # the fit recorded the path relative to its working folder
     places = [path.parent / Path(str(named)).name, path.parent / str(named), Path(str(named))]
     place = next((p for p in places if p.is_file()), None)
     if place is None:
@@ -444,7 +449,7 @@ def drag_file(file: ParameterFile, path: Path) -> Path | ParameterFile:
 
 
 def set_references(model: SurgeModel, file: ParameterFile, path: Path) -> None:
-    """Set the amplitude and frequency that the parameters of a surge model refer to, in place."""
+    """Set the reference amplitude and frequency of a surge model from its parameter file, in place."""
     for key in ("reference_amplitude_rad", "reference_frequency_hz"):
         if key not in file.settings:
             raise InputError("this key is missing", file=path, column=f"settings.{key}")
@@ -453,7 +458,7 @@ def set_references(model: SurgeModel, file: ParameterFile, path: Path) -> None:
 
 def _propulsion(trials: str | Path | TrialSet, file: ParameterFile, path: Path) -> Experiment:
     if file.model == RecoilModel.name:
-        # without a drag file of its own, that of the trials file is used
+        # if the parameter file names no drag file, use the drag file of the trials file
         named = file.settings.get("drag_file") is not None
         return propulsion.load(trials, drag=drag_file(file, path) if named else None)
     experiment = propulsion.load(trials)
@@ -472,7 +477,7 @@ def _propulsion(trials: str | Path | TrialSet, file: ParameterFile, path: Path) 
 
 
 def is_possible(model: Model, values: Array) -> bool:
-    """Return whether the coefficients make a mass that a body can have."""
+    """Return whether the coefficients give a physically possible mass."""
     try:
         if model.swimmer is not None:
             model.swimmer.check(values)

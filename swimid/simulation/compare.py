@@ -1,4 +1,4 @@
-"""``compare``: measured trials against their simulation, for every model, and the evidence."""
+"""Command ``compare``: errors of the simulation of recorded trials, for every model, and the evidence."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Comparison(FileResult[ComparisonFile]):
-    """Result of ``compare``: measured trials against their simulation.
+    """Result of ``compare``: errors between measured trials and their simulation.
 
     Attributes
     ----------
     scores : DataFrame
         A row for each channel of each trial: ``trial``, ``role``, ``channel``, ``unit``, ``rmse``, ``bias``,
-        ``peak_error`` (in ``unit``, measured minus simulated), ``nrmse`` (over the measured range), ``vaf``,
-        ``fit_percent`` (%), ``phase_error_rad`` (rad) and others.
+        ``peak_error`` (in ``unit``, measured minus simulated), ``nrmse`` (divided by the measured range),
+        ``vaf`` (variance accounted for), ``fit_percent`` (%), ``phase_error_rad`` (rad) and others.
     file : ComparisonFile
-        Comparison file that :meth:`save` writes; its ``channels`` hold the scores of all trials together.
+        Comparison file that :meth:`save` writes. Its ``channels`` have the scores over all trials together.
     """
 
     file_type = ComparisonFile
@@ -72,33 +72,33 @@ def compare(
 ) -> Comparison:
     """Compare recorded trials with their simulation.
 
-    By default all logged channels are compared that the model simulates. Surge, sway and turning rate are
-    derived from the pose if they are not logged. A start state that the parameter file does not have is
-    estimated from its trial, with all shared parameters held. Errors on fitted trials say how well the model
-    describes them, not how well it predicts. For that, compare trials that were not fitted.
+    By default, every logged channel that the model simulates is compared. Surge, sway and turning rate are
+    derived from the pose if they are not logged. If the parameter file has no start state for a trial, the
+    start state is estimated from the trial, with all shared parameters fixed. Errors on fitted trials show
+    how well the model describes these trials. To test predictions, compare trials that were not fitted.
 
     Parameters
     ----------
     trials : path or TrialSet
         Trials file, or the trials that :func:`swimid.load` returns.
     output : Path, optional
-        Comparison file to write; its evidence goes beside it.
+        Comparison file to write. The evidence file is written next to it.
     progress : Progress
         Progress over the trials.
 
     Returns
     -------
     Comparison
-        ``.scores`` has a row for each channel of each trial: ``rmse`` and ``bias`` (in ``unit``, that of the
-        channel), ``nrmse`` (over the measured range), ``vaf``, ``fit_percent`` (%), ``peak_error``,
-        ``phase_error_rad``. ``.verdict`` follows from ``nrmse`` and mean speeds.
+        ``.scores`` has a row for each channel of each trial: ``rmse`` and ``bias`` (in the unit of the
+        channel, given in ``unit``), ``nrmse`` (divided by the measured range), ``vaf``, ``fit_percent`` (%),
+        ``peak_error``, ``phase_error_rad``. ``.verdict`` follows from ``nrmse`` and the mean speeds.
 
     Raises
     ------
     UsageError, InputError
-        For bad files and options.
+        If a file or an option is invalid.
     NoTrustworthyResult
-        When a simulation breaks down, or nothing can be compared.
+        If a simulation breaks down, or no channel can be compared.
 
     References
     ----------
@@ -183,7 +183,7 @@ def _explained(
     tried: int,
     before: Mapping[str, mistakes.Errors],
 ) -> mistakes.Explanation | None:
-    """Return the usual mistake that explains the errors best, with all shared parameters held."""
+    """Return the common mistake in trials that explains the errors best, with shared parameters fixed."""
 
     def evaluate(trial: Trial) -> mistakes.Errors:
         values, _, _ = compare_series.start_of(applied, trial, True, mistakes.START_TOLERANCE)
@@ -199,15 +199,16 @@ def _explained(
     return best
 
 
-#: Columns of the errors of a channel.
+#: Columns with the errors of a channel in the tables.
 ERROR_COLUMNS = ("channel", "RMSE", "NRMSE", "VAF", "bias")
-#: Settings of a drive over which a mean speed is drawn.
+#: Drive settings that can be the x axis in the figure of mean speeds.
 DRIVE_SETTINGS = ("frequency_hz", "amplitude_deg", "bias_deg", "asymmetry")
-#: Maximum number of samples of a curve, and of curves in the figure of the mean speeds.
+#: Maximum number of samples of a curve, and maximum number of curves in the figure of mean speeds.
 MAX_SAMPLES, MAX_CURVES = 400, 3
-#: Maximum number of values of a drive setting that is an axis of a figure.
+#: Maximum number of different values of a drive setting that is the x axis of a figure.
 MAX_SETTINGS = 12
-#: A bias below this share of the RMSE is a rounding error: a start state was fitted.
+#: Minimum bias, as a fraction of the RMSE. A smaller bias is a rounding error of a fitted start state and is
+#: shown as zero.
 MIN_BIAS_SHARE = 1e-3
 
 
@@ -236,7 +237,7 @@ def _speed_check(name: str, share: float, text: str) -> ev.Check:
 
 
 def _cruise_checks(file: ComparisonFile) -> list[ev.Check]:
-    """Return the checks of the speed at which the model settles, for trials that begin in motion."""
+    """Return the checks of the steady speed of the model, for trials that begin in motion."""
     begun = [(t, t.cruise) for t in file.trials if t.cruise is not None]
     if not begun:
         return []
@@ -268,7 +269,7 @@ def _cruise_checks(file: ComparisonFile) -> list[ev.Check]:
 
 
 def _speed_share(file: ComparisonFile) -> float | None:
-    """Return the root-mean-square error of the mean speeds over their root mean square."""
+    """Return the RMS error of the mean speeds, divided by the RMS of the measured mean speeds."""
     measured = [speed for _, speed, _ in file.mean_speeds]
     if not any(measured) or file.mean_speed_rmse_m_s is None:
         return None
@@ -276,7 +277,7 @@ def _speed_share(file: ComparisonFile) -> float | None:
 
 
 def _answer(file: ComparisonFile) -> str:
-    """Return the errors of the velocities, else of the first channels, and of mean speeds as a sentence."""
+    """Return a sentence with the errors of the velocities (or the first channels) and of the mean speeds."""
     names = _rates(file.channels) or list(file.channels)[:3]
     parts = [
         f"{numbers.percent(file.channels[n].nrmse)} of the range in {numbers.quantity(n)}" for n in names
@@ -288,7 +289,7 @@ def _answer(file: ComparisonFile) -> str:
 
 
 def _rates(names: Iterable[str]) -> list[str]:
-    """Return surge and turning rate among the names of channels."""
+    """Return the names of channels that are surge or turning rate."""
     return [n for n in names if n == "u_m_s" or n.endswith(("yaw_rate_rad_s", "pitch_rate_rad_s"))]
 
 
@@ -307,7 +308,7 @@ def _facts(file: ComparisonFile) -> dict[str, str]:
 
 
 def _methods(file: ComparisonFile) -> list[str]:
-    """Return sentences for a paper."""
+    """Return sentences for the methods section of a paper."""
     sentences = [
         f"{len(file.trials)} {file.experiment} trials were compared with simulations under the parameters of "
         f"{file.params}. NRMSE is the root-mean-square error over the measured range (tendon fish, Eq 13), "
@@ -330,7 +331,7 @@ def _methods(file: ComparisonFile) -> list[str]:
 
 
 def _tables(file: ComparisonFile) -> list[ev.Table]:
-    """Return errors by channel, motion profiles, mean speeds, and the errors of every trial and stroke."""
+    """Return tables of errors by channel, motion profiles, mean speeds, and errors by trial and stroke."""
     pooled = ev.Table(
         id="channels",
         title="Errors of all trials together",
@@ -427,7 +428,7 @@ def _cycles(file: ComparisonFile) -> ev.Table:
 def _figures(
     experiment: Experiment, done: Sequence[Compared], profiles: Sequence[Profile], file: ComparisonFile
 ) -> list[ev.Figure]:
-    """Return motion profiles, else the time courses, the mean speeds over a setting and the paths."""
+    """Return figures of the motion profiles (or else of time series and mean speeds) and of the paths."""
     if experiment.model.timed_runs:
         return [_runs(done)]
     drawn = [compare_strokes.figure(p) for p in profiles]
@@ -443,7 +444,7 @@ def _figures(
 
 
 def _telling(done: Sequence[Compared]) -> list[Compared]:
-    """Return the trials with the largest and the smallest error, and the worst held-out one."""
+    """Return the trials with the largest and the smallest error, and the worst held-out trial."""
 
     def error(one: Compared) -> float:
         scores = one.record.channels
@@ -456,7 +457,7 @@ def _telling(done: Sequence[Compared]) -> list[Compared]:
 
 
 def _pair(x: Sequence[Any], y: Sequence[Any], tail: str = "", group: int = 0) -> list[ev.Trace]:
-    """Return a measured curve as points and the simulated one as a line."""
+    """Return two traces: a measured curve as points, and a simulated curve as a line."""
     measured = ev.Trace(x=x[0], y=y[0], style="points", label=f"measured{tail}", group=group)
     return [measured, ev.Trace(x=x[1], y=y[1], label=f"simulated{tail}", group=group)]
 
@@ -482,7 +483,7 @@ def _overlay(experiment: Experiment, done: Sequence[Compared]) -> ev.Figure:
 
 
 def _runs(done: Sequence[Compared]) -> ev.Figure:
-    """Return the simulated over the measured values of the runs of a table."""
+    """Return a figure of simulated against measured values, with a point for each run of a table."""
     traces, largest, label = [], 0.0, ""
     for group, d in enumerate(d for d in done if d.pairs):
         (p,) = d.pairs.values()
@@ -505,10 +506,13 @@ def _path(done: Compared, *names: str) -> ev.Panel:
 
 
 def _speed_figure(file: ComparisonFile) -> list[ev.Figure]:
-    """Return the mean speed over the drive setting with most values, one curve for each other setting."""
+    """Return the figure of the mean speed against the drive setting that has the most values.
+
+    There is one curve for each combination of the other settings.
+    """
     known = [row for row in file.mean_speeds if row[0].drive]
     counts = {key: len({t.drive.get(key) for t, _, _ in known}) for key in DRIVE_SETTINGS}
-    # a setting that hardly any two trials share was measured, not set: it is no axis
+    # a setting that differs in almost all trials was measured, not set, and cannot be the axis
     most = max(MAX_SETTINGS, len(known) // 2)
     varied = [key for key in DRIVE_SETTINGS if 1 < counts[key] <= most]
     if not varied:
@@ -519,13 +523,13 @@ def _speed_figure(file: ComparisonFile) -> list[ev.Figure]:
         others = [cases.setting_text(key, t.drive.get(key, 0.0)) for key in varied if key != axis]
         tail = "".join(f", {text}" for text in others)
         groups.setdefault(tail, []).append((float(t.drive[axis]), measured, simulated))
-    # a single value of the setting makes no curve
+    # a curve needs at least two values of the setting
     curves = [tail for tail, rows in groups.items() if len({row[0] for row in rows}) > 1]
     traces = []
     for group, tail in enumerate(sorted(curves, key=lambda tail: -len(groups[tail]))[:MAX_CURVES]):
         x, y, z = np.array(sorted(groups[tail])).T
         levels = np.unique(x)
-        # repeats of one setting make one point of the line
+        # trials with the same setting are averaged to one point of the simulated line
         means = np.array([float(np.mean(z[x == level])) for level in levels])
         if len(levels) > 2:
             traces += _pair((x, levels), (y, means), tail, group)

@@ -24,24 +24,24 @@ from swimid.swimmer.planar.model import Body
 
 
 class ChannelScore(yamlio.Document):
-    """Errors of one channel, in its unit; measured minus simulated."""
+    """Errors of one channel, measured minus simulated, in the unit of the channel."""
 
     unit: str
-    #: ``logged``, or ``pose``: derived from the logged and from the simulated pose in the same way.
+    #: ``logged``, or ``pose`` if the measured and the simulated values are both derived from the pose.
     source: Literal["logged", "pose"] = "logged"
     rmse: Number = None
-    #: RMSE over the measured range (tendon fish, Eq 13).
+    #: RMSE divided by the measured range (tendon fish, Eq 13).
     nrmse: Number = None
     vaf: Number = None
     fit_percent: Number = None
     bias: Number = None
     samples: int
-    #: Difference of the maximum magnitudes, and its ratio to the measured one (tendon fish, Eq 14).
+    #: Difference of the maximum magnitudes, and its ratio to the measured maximum (tendon fish, Eq 14).
     peak_error: Number = None
     peak_error_normalised: Number = None
     #: Phase by which the simulation leads the measurement at the beat frequency.
     phase_error_rad: Number = None
-    #: Error per sample after dynamic time warping within a quarter of a beat.
+    #: Error per sample that remains after dynamic time warping within a quarter of a beat.
     dtw_distance: Number = None
 
 
@@ -66,15 +66,16 @@ class Speed(yamlio.Document):
 class Cruise(yamlio.Document):
     """Steady swimming of the model under the drive of a trial that begins in motion.
 
-    The start speed of such a trial is estimated from the trial. Its simulated speed is therefore no
-    prediction before the speed has settled.
+    The start speed of such a trial is estimated from the trial. The simulated speed is therefore a prediction
+    only after it has become steady.
     """
 
-    #: Speed at which the model settles, m/s; null where it never settles.
+    #: Steady speed of the model, m/s; null if the speed never becomes steady.
     settled: Number = None
-    #: Time in which a difference from that speed falls by a factor e, s; null where it never settles.
+    #: Time in which the difference from the steady speed falls by a factor e, s; null if there is no steady
+    #: speed.
     settling_s: Number = None
-    #: Whether the measured speed is steady, so that it can be compared with the settled one.
+    #: Whether the measured speed is steady, so that it can be compared with ``settled``.
     steady: bool
 
 
@@ -99,20 +100,21 @@ class CycleComparison(yamlio.Document):
     """Quantities of one stroke of a motion profile by name, in SI units (sea lion, Tables I and II)."""
 
     cycle: int
-    #: Means over the trials of the profile.
+    #: Mean of each quantity over the trials of the profile.
     measured: dict[str, Number]
     simulated: dict[str, Number]
-    #: Standard deviation over the trials; empty for one trial.
+    #: Standard deviation of each measured quantity over the trials; empty for one trial.
     spread: dict[str, Number] = {}
 
 
 class ProfileComparison(yamlio.Document):
-    """Trials that repeat one motion: the mean of their measurements and that of their simulations."""
+    """Comparison of trials that repeat one motion: mean of the measurements, and mean of the simulations."""
 
     name: str
     trials: list[str]
     cycles: list[CycleComparison] = []
-    #: Root-mean-square distance between the mean paths, and between the mean angles.
+    #: Root-mean-square distance between the mean measured and the mean simulated path, and between the mean
+    #: angles.
     position_rmse_m: Number = None
     orientation_rmse_rad: Number = None
     #: Displacement from the first to the last sample, ``measured`` and ``simulated``.
@@ -133,7 +135,7 @@ class ComparisonFile(yamlio.ResultFile):
     #: Errors of all trials together, by channel.
     channels: dict[str, ChannelScore]
     trials: list[TrialComparison]
-    #: Motion profiles of a robot in space.
+    #: Motion profiles of a robot that moves in 3-D.
     profiles: list[ProfileComparison] = []
     #: Root-mean-square error of the mean speeds of all trials, m/s.
     mean_speed_rmse_m_s: Number = None
@@ -141,34 +143,34 @@ class ComparisonFile(yamlio.ResultFile):
 
     @property
     def mean_speeds(self) -> list[tuple[TrialComparison, float, float]]:
-        """Trials with a mean speed, each with the measured and the simulated one, m/s."""
+        """Trials with a mean speed, each with the measured and the simulated mean speed, m/s."""
         return [(t, t.mean_speed.measured, t.mean_speed.simulated) for t in self.trials if t.mean_speed]
 
 
 Start = Literal["file", "estimated", "neutral"]
-#: Beginnings of the names of per-trial parameters that describe the start and the camera, not the robot.
+#: Prefixes of the names of per-trial parameters that describe the start and the camera, not the robot.
 START_PARAMETERS = ("start_", "initial_", "clock_offset", "drive_phase", "camera_rotation", "rest_position")
-#: Half width of the window of a derivative: cycles of the beat, and s without a beat.
+#: Half-width of the window in which a derivative is computed: in cycles of the beat, and in s without a beat.
 HALF_WIDTH_BEATS, HALF_WIDTH_S = 0.2, 0.15
-#: Minimum number of known samples of a stroke, and their minimum share of all.
+#: Minimum number of valid samples of a stroke, and minimum fraction of its samples that must be valid.
 MIN_SAMPLES, MIN_SHARE = 4, 0.95
-#: Minimum number of derivatives of a pose for a channel.
+#: Minimum number of valid derivatives of the pose for a channel that is derived from the pose.
 MIN_DERIVATIVES = 9
 #: Maximum number of samples for dynamic time warping.
 MAX_WARPED = 2000
-#: Noise of a channel for the estimate of a start state if none is known, relative to the range of the
-#: channel.
+#: Standard deviation of the noise of a channel, as a fraction of the range of the channel. This value is used
+#: in the estimate of a start state if the noise is unknown.
 NOISE_SHARE = 0.01
 
 
 @dataclass(frozen=True)
 class Pair:
-    """One channel, measured and simulated at the same times.
+    """Measured and simulated values of one channel at the same times.
 
     Attributes
     ----------
     source : {"logged", "pose"}
-        ``pose``: both series are derivatives of positions.
+        ``pose`` if both series are derivatives of positions.
     time_s, measured, simulated : ndarray, shape (n,)
     """
 
@@ -184,14 +186,14 @@ class Compared(NamedTuple):
 
     trial: Trial
     pairs: dict[str, Pair]
-    #: The channels with positions in the trial's own axes (:func:`swimid.fitting.metrics.own_axes`).
+    #: ``pairs`` with positions along and across the mean heading (:func:`swimid.fitting.metrics.own_axes`).
     own: dict[str, Pair]
     values: Array
     record: TrialComparison
 
     @property
     def errors(self) -> mistakes.Errors:
-        """Errors of the measured channels, for the search for usual mistakes."""
+        """Errors of the measured channels, for the search for common mistakes in trials."""
         simulated = {n: p.simulated for n, p in self.pairs.items() if n in self.trial.measured}
         return mistakes.misfits(self.trial, simulated)
 
@@ -199,22 +201,22 @@ class Compared(NamedTuple):
 def compare_trial(
     experiment: Experiment, applied: Applied, trial: Trial, *, refit: bool, channels: Sequence[str] = ()
 ) -> Compared:
-    """Simulate a trial and pair its channels with the measured ones.
+    """Simulate a trial and pair the simulated channels with the measured channels.
 
     Parameters
     ----------
     refit : bool
-        Estimate the start state of a trial that the parameter file does not know, with all shared parameters
-        held.
+        Whether to estimate the start state of a trial if the parameter file does not have it, with all shared
+        parameters fixed.
     channels : sequence of str
-        Channels to compare; all without it.
+        Channels to compare; by default all channels.
 
     Raises
     ------
     UsageError
-        For a channel that the trial does not have.
+        If the trial does not have one of the channels.
     NoTrustworthyResult
-        When the simulation breaks down.
+        If the simulation breaks down.
     """
     model: Model = experiment.model
     values, start, start_values = start_of(applied, trial, refit)
@@ -237,7 +239,7 @@ def compare_trial(
     by_stroke: dict[str, CycleTable] = {}
     speed = None
     if body is not None and frequency is not None:
-        # the mean of a position over a stroke is not worth comparing
+        # leave out positions, whose mean over a stroke is of no use
         positions = body.pose if body.free else ()
         by_stroke = {n: stroke_table(p, frequency) for n, p in pairs.items() if n not in positions}
         speed = mean_speed(trial, pairs, body, frequency)
@@ -264,12 +266,12 @@ def compare_trial(
 
 
 def _logged_pairs(model: Model, trial: Trial, simulated: Mapping[str, Array]) -> dict[str, Pair]:
-    """Return the logged channels that the model simulates, without those that drive it.
+    """Return the logged channels that the model simulates, without the channels that drive the model.
 
     Raises
     ------
     NoTrustworthyResult
-        The simulation breaks down.
+        If the simulation breaks down.
     """
     logged = {name: v for name, v in trial.inputs.items() if name in simulated} | dict(trial.measured)
     for channel in model.given(trial):
@@ -300,14 +302,14 @@ def _logged_pairs(model: Model, trial: Trial, simulated: Mapping[str, Array]) ->
 def start_of(
     applied: Applied, trial: Trial, refit: bool, tolerance: float = output_error.START_TOLERANCE
 ) -> tuple[Array, Start, dict[str, float]]:
-    """Return the parameters of a trial with its start state, the source of that state, and its estimates.
+    """Return the parameters of a trial, the origin of its start state, and the estimated start values.
 
     Parameters
     ----------
     refit : bool
-        Estimate the start state from the trial if the parameter file does not have it.
+        Whether to estimate the start state from the trial if the parameter file does not have it.
     tolerance : float
-        Convergence tolerance of that estimate.
+        Convergence tolerance of the estimate of the start state.
     """
     model = applied.model
     values = applied.values(trial.id)
@@ -326,7 +328,7 @@ def start_of(
     if not refit or not names:
         return values, "neutral", {}
     sd = _noise(applied, trial)
-    # the cost has a minimum on every side of an unknown phase of the beat
+    # the cost has several minima over an unknown phase of the beat: start from four phases
     first: list[dict[str, float]] = [{}]
     if "drive_phase" in names and "drive_phase" not in trial.starts:
         first = [{"drive_phase": k * math.pi / 2} for k in range(4)]
@@ -348,7 +350,7 @@ def start_of(
 
 
 def _replaced(model: Model, values: Array, start: Mapping[str, float]) -> Array:
-    """Return the parameters with another start state."""
+    """Return the parameters with other start values."""
     values = values.copy()
     for name, value in start.items():
         values[model.index(name)] = value
@@ -356,7 +358,7 @@ def _replaced(model: Model, values: Array, start: Mapping[str, float]) -> Array:
 
 
 def _cost(model: Model, values: Array, trial: Trial, sd: Mapping[str, float]) -> float:
-    """Return the squared residuals of a trial over the noise; infinite if the simulation breaks down."""
+    """Return the sum of squared residuals in units of the noise; infinite if the simulation breaks down."""
     simulated = model.attempt(values, trial)
     residuals = [(trial.measured[name] - simulated[name]) / size for name, size in sd.items()]
     known = [np.isfinite(trial.measured[name]) for name in sd]
@@ -365,15 +367,15 @@ def _cost(model: Model, values: Array, trial: Trial, sd: Mapping[str, float]) ->
 
 
 def _noise(applied: Applied, trial: Trial) -> dict[str, float]:
-    """Return the noise of the channels from which a start state is estimated.
+    """Return the standard deviation of the noise of the channels from which a start state is estimated.
 
-    These are the channels that the parameters were fitted to, else all measured ones, each with
-    :data:`NOISE_SHARE` of its range.
+    These are the channels that the parameters were fitted to. Without such channels, these are all measured
+    channels, each with a noise of :data:`NOISE_SHARE` times its range.
     """
     known = applied.noise()
     noise = {name: known[name] for name in trial.measured if name in known}
     if noise:
-        # the axes of the world are not those of the motion: one noise for both
+        # the world axes have no relation to the direction of motion: use one noise for both
         place = [noise[name] for name in ("x_m", "y_m") if name in noise]
         if place:
             mean = math.hypot(*place) / math.sqrt(len(place))
@@ -390,7 +392,7 @@ def _noise(applied: Applied, trial: Trial) -> dict[str, float]:
 def _velocity_pairs(
     model: Model, body: Body, trial: Trial, pairs: Mapping[str, Pair], frequency_hz: float | None
 ) -> dict[str, Pair]:
-    """Return surge, sway and turning rate from the pose, if the log has no such channels."""
+    """Return measured and simulated surge, sway and turning rate from the pose, if they are not logged."""
     if not body.free or not all(name in pairs for name in body.pose):
         return {}
     half = HALF_WIDTH_BEATS / frequency_hz if frequency_hz else HALF_WIDTH_S
@@ -410,7 +412,7 @@ def _velocity_pairs(
 
 
 def _score(parts: list[Pair], frequency_hz: float | None = None, *, own_motion: bool = False) -> ChannelScore:
-    """Score a channel over one trial, or over several (see :func:`swimid.fitting.metrics.score_trials`)."""
+    """Return the errors of a channel over all its parts; see :func:`swimid.fitting.metrics.score_trials`."""
     series = [(p.measured, p.simulated) for p in parts]
     middle = [0.0] * len(series)
     if own_motion:  # peaks of a pose are about the mean of the trial
@@ -440,7 +442,7 @@ def pool(done: Sequence[Compared], model: Model) -> dict[str, ChannelScore]:
 
 
 def _timing(pair: Pair, frequency_hz: float) -> dict[str, float]:
-    """Return the phase error at the beat, and the error that remains after time warping."""
+    """Return the phase error at the beat frequency, and the error that remains after time warping."""
     phase = metrics.phase_error(pair.measured, pair.simulated, pair.time_s, frequency_hz=frequency_hz)
     keep = slice(None, None, max(1, -(-len(pair.time_s) // MAX_WARPED)))
     step = float(np.median(np.diff(pair.time_s[keep])))
@@ -450,10 +452,10 @@ def _timing(pair: Pair, frequency_hz: float) -> dict[str, float]:
 
 
 def stroke_table(pair: Pair, frequency_hz: float) -> CycleTable:
-    """Return mean and maximum magnitude in each whole stroke, over the samples that both series have.
+    """Return mean and maximum magnitude in each whole stroke, over samples that are valid in both series.
 
-    Strokes are counted from time zero, where the drive starts. Times are the middles of the strokes. A stroke
-    that an end of the record cuts is left out; one with a gap has no values.
+    Strokes are counted from time zero, where the drive starts. Times are the middles of the strokes. An
+    incomplete stroke at an end of the record is left out. A stroke with a gap has no values.
     """
     time, both = pair.time_s, np.isfinite(pair.measured) & np.isfinite(pair.simulated)
     number = np.floor(time * frequency_hz + 1e-9).astype(int)
@@ -485,11 +487,11 @@ def mean_speed(
     Parameters
     ----------
     between_s : (float, float)
-        Part of the trial that is used.
+        Begin and end of the part of the trial that is used, s.
 
     Notes
     -----
-    Without positions it is the mean surge.
+    Without positions, the mean speed is the mean surge speed.
     """
     names = [name for name in body.pose if name in pairs]
     has_path = names[:2] == list(body.pose[:2])

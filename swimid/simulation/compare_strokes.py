@@ -1,7 +1,7 @@
-"""Motion profiles of a robot in space: ``compare`` by strokes, as in the sea lion paper.
+"""Motion profiles of a robot that moves in 3-D: comparison by strokes, as in the sea lion paper.
 
-Trials that repeat a motion make one profile. Its mean is compared with the mean of its simulations, over time
-and for each stroke (Tables I and II of the paper).
+Trials that repeat a motion form one profile. The mean of the measurements is compared with the mean of the
+simulations, over time and for each stroke (Tables I and II of the paper).
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.simulation.compare_series import Compared, CycleComparison, ProfileComparison
 
-#: Half width of the window of a derivative: cycles of the stroke, and s without a stroke.
+#: Half-width of the window in which a derivative is computed: in cycles of the stroke, and in s without a
+#: stroke.
 HALF_WIDTH_CYCLES, HALF_WIDTH_S = 0.1, 0.15
 SIDES = ("measured", "simulated")
 POSITION, ORIENTATION = ("x_m", "y_m", "z_m"), ("roll_rad", "pitch_rad", "yaw_rad")
@@ -30,7 +31,8 @@ FIGURE_CHANNELS = ("x_m", "z_m", "speed_m_s", "pitch_rad", "roll_rad", "yaw_rad"
 #: Maximum number of samples of a curve.
 MAX_SAMPLES = 200
 
-#: Columns of a trial by side: measured, simulated, and simulated with less and with more buoyancy.
+#: Columns of a trial by side: ``measured``, ``simulated``, and simulated with ``less`` and with ``more``
+#: buoyancy.
 Columns = dict[str, dict[str, Array]]
 
 
@@ -40,7 +42,7 @@ class Profile(NamedTuple):
     Attributes
     ----------
     time_s : ndarray, shape (n,)
-        Clock of the first trial, in the time that all trials cover.
+        Sample times of the first trial that all trials cover.
     repeats : dict of side to dict of channel to ndarray, shape (trials, n)
     record : ProfileComparison
         Entry of the comparison file.
@@ -56,12 +58,12 @@ class Profile(NamedTuple):
 
 
 def compare_profiles(experiment: Experiment, done: Sequence[Compared], *, buoyancy: float) -> list[Profile]:
-    """Return the motion profiles of a robot in space; none for other robots.
+    """Return the motion profiles of a robot that moves in 3-D; an empty list for other robots.
 
     Parameters
     ----------
     buoyancy : float
-        Half width of the band of simulations, relative to the buoyancy; 0 for no band.
+        Half-width of the band of buoyancy that is simulated, relative to the buoyancy; 0 for no band.
     """
     model = experiment.model.swimmer
     if model is None or not model.in_space:
@@ -84,7 +86,7 @@ def compare_profiles(experiment: Experiment, done: Sequence[Compared], *, buoyan
 
 
 def _with_speeds(columns: Mapping[str, Array], done: Compared) -> dict[str, Array]:
-    """Return columns with pitch rate and speed in the vertical plane."""
+    """Return the columns together with the pitch rate and the speed in the vertical plane."""
     stroke, time, half = done.trial.swim.stroke, done.trial.time_s, HALF_WIDTH_S
     if stroke is not None:
         half = HALF_WIDTH_CYCLES / stroke.frequency_hz
@@ -103,7 +105,7 @@ def _with_speeds(columns: Mapping[str, Array], done: Compared) -> dict[str, Arra
 
 
 def _profile(name: str, members: Sequence[tuple[Compared, Columns]]) -> Profile:
-    """Return repeated trials on one clock, and the comparison of their means."""
+    """Return repeated trials at common sample times, and the comparison of their means."""
     times = [done.trial.time_s for done, _ in members]
     begin, end = max(float(t[0]) for t in times), min(float(t[-1]) for t in times)
     clock = times[0][(times[0] >= begin - 1e-9) & (times[0] <= end + 1e-9)]
@@ -127,7 +129,7 @@ def _profile(name: str, members: Sequence[tuple[Compared, Columns]]) -> Profile:
 
 
 def _resampled(clock: Array, time_s: Array, values: Array) -> Array:
-    """Return values at other times; NaN outside of the known samples."""
+    """Return values at other times; NaN outside the range of the valid samples."""
     known = np.isfinite(values)
     if known.sum() < 2:
         return np.full(len(clock), math.nan)
@@ -135,7 +137,7 @@ def _resampled(clock: Array, time_s: Array, values: Array) -> Array:
 
 
 def _rmse(profile: Profile, names: Sequence[str]) -> float | None:
-    """Return the root-mean-square distance of the mean simulated series from the mean measured ones."""
+    """Return the root-mean-square distance between the mean simulated and the mean measured series."""
     known = [name for name in names if name in profile.repeats["measured"]]
     errors = [profile.mean("measured", name) - profile.mean("simulated", name) for name in known]
     squares = np.sum(np.square(errors), axis=0)
@@ -145,7 +147,7 @@ def _rmse(profile: Profile, names: Sequence[str]) -> float | None:
 
 
 def _displacement(profile: Profile, name: str) -> dict[str, float | None]:
-    """Return the change from the first to the last known sample, measured and simulated."""
+    """Return the change from the first to the last valid sample, measured and simulated."""
     if name not in profile.repeats["measured"]:
         return {}
     means = {side: profile.mean(side, name) for side in SIDES}
@@ -156,7 +158,7 @@ def _displacement(profile: Profile, name: str) -> dict[str, float | None]:
 
 
 def _cycles(members: Sequence[tuple[Compared, Columns]]) -> list[CycleComparison]:
-    """Return the quantities of every whole stroke: means over the trials."""
+    """Return the quantities of every whole stroke, averaged over the trials."""
     each = []
     for done, columns in members:
         time, stroke = done.trial.time_s, done.trial.swim.stroke
@@ -181,7 +183,7 @@ def _cycles(members: Sequence[tuple[Compared, Columns]]) -> list[CycleComparison
 
 
 def tables(profiles: Sequence[ProfileComparison]) -> list[ev.Table]:
-    """Return the table of the profiles, and that of their strokes."""
+    """Return the table of the profiles and the table of their strokes."""
     rows: list[list[Any]] = []
     strokes: list[list[Any]] = []
     for p in profiles:
@@ -221,7 +223,7 @@ def tables(profiles: Sequence[ProfileComparison]) -> list[ev.Table]:
 
 
 def value_text(value: float | None, unit: str, sd: float | None = None) -> str:
-    """Return a value with its unit, and its standard deviation if it has one; angles in degrees."""
+    """Return a value as text, with its unit and any standard deviation. Angles are in degrees."""
     factor, shown = numbers.in_degrees(unit)
     if value is None:
         return numbers.number(None)
@@ -241,7 +243,7 @@ def figure(profile: Profile) -> ev.Figure:
         )
     if len(profile.repeats) > len(SIDES):
         caption += " Shaded: simulated with less and with more displaced volume (sea lion, section III)."
-    # a symmetric stroke has neither roll nor yaw
+    # leave out channels without motion: a symmetric stroke has neither roll nor yaw
     shown = [n for n in FIGURE_CHANNELS if n in measured and _moves(profile.mean("measured", n))]
     panels = [_panel(profile, name) for name in shown]
     return ev.Figure(

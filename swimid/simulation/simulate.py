@@ -1,4 +1,4 @@
-"""``simulate``: any robot with any parameter file, as a log, and as a film of a robot with links."""
+"""Command ``simulate``: simulation of any robot as a log, and of a robot with links also as a film."""
 
 from __future__ import annotations
 
@@ -34,15 +34,18 @@ from swimid.simulation.options import RUN, SimulateOptions
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Endings of the logs that are written.
+#: Endings of the logs that can be written.
 LOG_ENDINGS = (".csv", *tabular.PARQUET)
-#: Maximum change of a channel when the integration step is halved, relative to its range.
+#: Maximum change of a channel when the integration step is halved, relative to the range of the channel. A
+#: larger change gives a warning.
 STEP_LIMIT = 1e-3
 
 
 @dataclass(frozen=True)
 class StepChange:
-    """Maximum change of a channel when the integration step is halved, and its share of the range."""
+    """Maximum change of a channel when the integration step is halved, absolute and as a fraction of its
+    range.
+    """
 
     largest: float
     share: float
@@ -57,7 +60,7 @@ class Simulated:
     columns : dict of str to ndarray
         Columns of the log, ``t_s`` first.
     step : dict of str to StepChange
-        Effect of the integration step by channel; empty if nothing is integrated.
+        Effect of halving the integration step on each channel; empty if nothing is integrated.
     """
 
     case: Case
@@ -72,7 +75,7 @@ def simulate_case(case: Case) -> Simulated:
     Raises
     ------
     NoTrustworthyResult
-        The simulation breaks down.
+        If the simulation breaks down.
 
     Warns
     -----
@@ -95,7 +98,7 @@ def simulate_case(case: Case) -> Simulated:
 
 
 def _refuse_broken(case: Case, simulated: Mapping[str, Array]) -> None:
-    """Refuse a simulation that breaks down, unless its inputs end first."""
+    """Raise an error if a simulation breaks down before its inputs end."""
     lost = np.any([~np.isfinite(v) for v in simulated.values()], axis=0)
     if not lost[-1] or any(not np.isfinite(v[-1]) for v in case.trial.inputs.values()):
         return
@@ -110,7 +113,7 @@ def _refuse_broken(case: Case, simulated: Mapping[str, Array]) -> None:
 
 
 def _warn_folded(case: Case, simulated: Mapping[str, Array]) -> None:
-    """Warn of a joint that turns by more than half a turn."""
+    """Warn of a joint angle of more than 180 degrees."""
     for name, values in simulated.items():
         if re.fullmatch(r"joint\d+_rad", name) and np.nanmax(np.abs(values), initial=0.0) > math.pi:
             turned = math.degrees(float(np.nanmax(np.abs(values))))
@@ -122,7 +125,7 @@ def _warn_folded(case: Case, simulated: Mapping[str, Array]) -> None:
 
 
 def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, StepChange]:
-    """Return the effect of half the integration step on each channel; warn if it is large."""
+    """Return the effect of halving the integration step on each channel; warn if it is large."""
     finer = case.applied.model.refined()
     if finer is None:
         return {}
@@ -148,7 +151,7 @@ def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, StepC
 
 
 def places(output: Path | None, ids: Sequence[str]) -> list[Path]:
-    """Return the file of each run: one log, or a folder of logs named after the trials."""
+    """Return the log file of each run: the output itself, or files in a folder, named after the trials."""
     if output is None:
         return []
     folder = output.is_dir()
@@ -169,7 +172,7 @@ def places(output: Path | None, ids: Sequence[str]) -> list[Path]:
 
 
 def write(output: Path | None, done: Sequence[Simulated]) -> list[Path]:
-    """Write runs as logs, all or none, with the parameters and the drive in their metadata."""
+    """Write runs as logs, all or none. The metadata of a log has the parameters and the drive."""
     paths = places(output, [one.case.id for one in done])
     with atomic.together():
         if output is not None and paths != [output]:
@@ -188,15 +191,15 @@ class Simulation(Result):
     Attributes
     ----------
     frame : DataFrame
-        The log of the only run, one row a sample; SI units and radians, named in the columns.
+        Log of the only run, one row for each sample. Units are SI and radians, named in the columns.
     quantities : dict of str to Quantity
         Quantities of the only run, each with ``value``, ``unit`` and ``stderr`` (None if the uncertainty of
         the coefficients is unknown).
     frames : dict of str to DataFrame
-        The log of each run by its name.
+        Log of each run by the name of the run.
     runs : dict of str to Simulated
-        Each run by its name, with ``columns``, ``quantities`` and ``step``, the effect of the integration
-        step.
+        Each run by its name, with ``columns``, ``quantities``, and ``step``, the effect of halving the
+        integration step.
     inputs : sequence of path or Log
         Files of the recorded trials.
 
@@ -214,24 +217,24 @@ class Simulation(Result):
 
     @property
     def runs(self) -> dict[str, Simulated]:
-        """Each run by its name: its channels and its quantities."""
+        """Each run by its name, with its channels and its quantities."""
         return {one.case.id: one for one in self.document}
 
     @property
     def frames(self) -> dict[str, pd.DataFrame]:
-        """The log of each run by its name: SI units, named in the columns."""
+        """Log of each run by the name of the run. Units are SI, named in the columns."""
         import pandas as pd
 
         return {name: pd.DataFrame(one.columns) for name, one in self.runs.items()}
 
     @property
     def frame(self) -> pd.DataFrame:
-        """The log of the only run.
+        """Log of the only run.
 
         Raises
         ------
         UsageError
-            There are several runs: see :attr:`frames`.
+            If there are several runs. Use :attr:`frames` in that case.
         """
         return self._only("frames")
 
@@ -247,14 +250,15 @@ class Simulation(Result):
         return next(iter(runs.values()))
 
     def save(self, path: str | Path) -> Self:
-        """Write the run as a log; several into a folder, each as a log named after its trial.
+        """Write one run as a log, or several runs as logs in a folder, named after their trials.
 
         Raises
         ------
         InputError
-            A log cannot be written.
+            If a log cannot be written.
         UsageError
-            The path is neither the log of one run nor a folder, or a log of the trials would be replaced.
+            If the path is neither the log of one run nor a folder, or if a log of the trials would be
+            replaced.
         """
         for place in places(Path(path), list(self.runs)):
             if place.parent.is_dir():
@@ -276,33 +280,35 @@ def simulate(
 ) -> Simulation:
     """Simulate a robot with given coefficients: its motion over time, and the quantities of the run.
 
-    The options of the beat are those of ``drive`` in a trials file. An input log has joint angles or
-    commands, a force, or the input column of a discrete-time model. The run is then as long as the log.
-    Standard errors follow from those of the coefficients alone. :func:`swimid.compare` tests the model
-    itself.
+    The options of a beat are the keys of ``drive`` in a trials file. An input log has joint angles or
+    commands, a force, or the input column of a discrete-time model. By default, the run is then as long as
+    the log. Standard errors contain the uncertainty of the coefficients, not the error of the model. Use
+    :func:`swimid.compare` to test the model.
 
     Parameters
     ----------
     output : Path, optional
         Log to write; for several trials a folder.
     allow : callable
-        Function that is called with every file before it is written, and raises if it must not be written.
+        Function that is called with every file before it is written. It raises an error if the file must not
+        be written.
     progress : Progress
-        Progress over the runs, and the frames of a film.
+        Progress over the runs and over the frames of a film.
 
     Returns
     -------
     Simulation
-        ``.frame`` has a row a sample: ``t_s`` (s), position (m), angles (rad), speeds (m/s, rad/s), joints
-        and commands (rad). ``.quantities`` has mean speed (m/s), stride (body lengths), amplitudes (rad) and
-        others, each with ``value``, ``unit`` and ``stderr``. Of several trials ``.frames`` and ``.runs``.
+        ``.frame`` has a row for each sample: ``t_s`` (s), position (m), angles (rad), speeds (m/s, rad/s),
+        joints and commands (rad). ``.quantities`` has mean speed (m/s), stride (body lengths), amplitudes
+        (rad) and others, each with ``value``, ``unit`` and ``stderr``. For several trials, use ``.frames``
+        and ``.runs``.
 
     Raises
     ------
     UsageError, InputError
-        For options that exclude each other, and for bad files.
+        If options exclude each other, or a file is invalid.
     NoTrustworthyResult
-        The simulation breaks down.
+        If the simulation breaks down.
 
     References
     ----------
@@ -376,18 +382,19 @@ def simulate(
 
 
 def _refuse_run_options(options: SimulateOptions) -> None:
-    """Refuse options that describe a run beside recorded trials, which have drives of their own."""
+    """Refuse options of a run together with recorded trials, which have their own drives."""
     for name, entry in options.declared().items():
         if entry.part == RUN and getattr(options, name) != entry.default:
             raise UsageError(f"{entry.flag} has no place beside --trials: the trials bring their own drive")
 
 
 def _refuse_film(asked: Sequence[Case], path: Path) -> None:
-    """Refuse a film of several runs, of other models than links in a plane, or in another format.
+    """Refuse a film of several runs, of a model without links in a plane, or in an unknown format.
 
     Raises
     ------
     UsageError
+        If the film cannot be made.
     """
     if len(asked) > 1:
         raise UsageError("an animation shows one trial: name it with --trial")
@@ -484,7 +491,7 @@ def _step_check(done: Sequence[Simulated]) -> list[ev.Check]:
 
 
 def _steady_check(done: Sequence[Simulated]) -> list[ev.Check]:
-    """Return a failed check if the speed of the only run still changes from beat to beat."""
+    """Return a failed check if the mean speed of the only run still changes from beat to beat."""
     speed, change = (done[0].quantities.get(n) for n in ("mean_speed_m_s", "speed_change_per_beat_m_s"))
     if len(done) > 1 or not speed or not change or abs(change.value) <= UNSTEADY * abs(speed.value):
         return []
@@ -494,7 +501,7 @@ def _steady_check(done: Sequence[Simulated]) -> list[ev.Check]:
 
 
 def _texts(done: Simulated, kept: Sequence[str] = ()) -> dict[str, str]:
-    """Return quantities (all by default) by a name in words; without any, the channels at the end."""
+    """Return quantities as text by a name in words; without quantities, the last value of each channel."""
     found = {n: q for n, q in done.quantities.items() if n in kept or not kept}
     tail = ""
     if not done.quantities:
@@ -515,7 +522,7 @@ def _texts(done: Simulated, kept: Sequence[str] = ()) -> dict[str, str]:
 
 
 def _data(done: Sequence[Simulated], options: SimulateOptions) -> dict[str, Any]:
-    """Return the result for ``--json``."""
+    """Return the result as data for ``--json``."""
     applied, values = done[0].case.applied, done[0].case.values
     place = cases.place(options)
     shared = [p.name for p in applied.model.parameters if not p.per_trial]

@@ -1,7 +1,8 @@
-"""Quantities of a simulated swim, for ``simulate``, ``map``, ``optimise`` and ``sensitivity``.
+"""Quantities of a simulated swimming run, for ``simulate``, ``map``, ``optimise`` and ``sensitivity``.
 
-Their definitions are in :mod:`swimid.logs.kinematics`. This module samples a run so that it ends in whole
-cycles, and adds what needs the model: amplitudes of passive joints, the tail, power.
+The quantities are defined in :mod:`swimid.logs.kinematics`. This module samples a run so that it ends in
+whole cycles, and adds the quantities that need the model: amplitudes of passive joints, tail excursion,
+power.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from swimid.swimmer.planar.model import Body
 
 
 def quantity(name: str, value: float) -> Quantity:
-    """Return a value of :data:`swimid.logs.kinematics.QUANTITIES` with its unit."""
+    """Return a quantity with the unit that :data:`swimid.logs.kinematics.QUANTITIES` has for it."""
     return Quantity(value, QUANTITIES[name].unit)
 
 
@@ -46,14 +47,14 @@ def units_of(model: Swimmer) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class SwimRun:
-    """A run under a beat or a stroke, sampled so that it ends in whole cycles.
+    """Run with a beat or a stroke, sampled so that it ends in whole cycles.
 
     Attributes
     ----------
     trial : Trial
         The run with :data:`~swimid.logs.kinematics.PER_CYCLE` samples per cycle, from its start on.
     window : Window
-        Its last whole beats; the last cycle of a robot in space.
+        Last whole beats of the run; for a robot that moves in 3-D, its last cycle.
     commanded_turn : bool
         Whether the drive has a bias or an asymmetry.
     """
@@ -64,7 +65,7 @@ class SwimRun:
 
     @classmethod
     def of(cls, model: Swimmer, trial: Trial, frequency_hz: float) -> SwimRun | None:
-        """Return the run of a trial's drive over the trial's time; None if no whole cycle fits."""
+        """Return the run with the drive and the duration of a trial; None if no whole cycle fits into it."""
         begin, end = float(trial.time_s[0]), float(trial.time_s[-1])
         beat = trial.swim.beat
         if model.in_space:
@@ -76,7 +77,7 @@ class SwimRun:
         if window is None:
             return None
         times = window.times()
-        # the run begins where the trial does
+        # the run begins at the start of the trial
         lead = np.arange(begin, times[0] - 1e-9, times[1] - times[0])
         sampled = Trial(f"{trial.id} (last beats)", "fit", np.concatenate((lead, times)), {}, swim=trial.swim)
         return cls(sampled, window, beat is not None and bool(beat.bias_rad or beat.asymmetry))
@@ -85,18 +86,19 @@ class SwimRun:
     def driven(
         cls, model: Swimmer, name: str, swim: SwimInput, frequency_hz: float, duration_s: float
     ) -> SwimRun:
-        """Return a run from rest, longer than asked for if no whole beat after the ramp fits.
+        """Return a run from rest, longer than ``duration_s`` if no whole beat after the ramp fits into it.
 
         Parameters
         ----------
         name : str
-            The model keeps simulations by this name. Each drive needs its own.
+            Name of the run. The model caches simulations under this name, so each drive needs a different
+            one.
 
         Notes
         -----
         Samples are counted from the end of the run, so that its quantities are smooth functions of the
-        frequency. The run begins up to one sample before the drive does. A stroke is counted from its
-        beginning, and the run is rounded up to whole cycles.
+        frequency. The run begins up to one sample before the drive. For a robot that moves in 3-D, the
+        duration is rounded up to whole cycles.
         """
         end = duration_s
         if swim.beat is not None:
@@ -112,14 +114,14 @@ class SwimRun:
     def quantities(
         self, model: Swimmer, values: Array, columns: Mapping[str, Array], energetics: Energetics | None
     ) -> dict[str, Quantity]:
-        """Return the quantities of the run by name, those of :func:`units_of` that it has.
+        """Return the quantities of the run by name. They are among the quantities of :func:`units_of`.
 
         Parameters
         ----------
         columns : mapping of str to ndarray
-            The model's channels at the samples of :attr:`trial`.
+            Channels of the model at the sample times of :attr:`trial`.
         energetics : Energetics or None
-            Energetics of the window.
+            Power and energy of the joints in the window; None if they are unknown.
         """
         body, time = model.body, self.trial.time_s
         if body is None:
@@ -136,7 +138,7 @@ class SwimRun:
         return {name: Quantity(value, units[name]) for name, value in found.items()}
 
     def _of_last_cycles(self, body: Body, values: Array, columns: Mapping[str, Array]) -> dict[str, float]:
-        """Return the quantities of the window, from the channels in it."""
+        """Return the quantities of the last whole cycles, from the channels in the window."""
         length = body.length(values)
         pose = [columns[name] for name in body.pose]
         found = kinematics.plane_quantities(
@@ -157,7 +159,7 @@ class SwimRun:
         return found
 
     def _of_whole_run(self, body: Body, columns: Mapping[str, Array]) -> dict[str, float]:
-        """Return the quantities of the run from its start on."""
+        """Return the quantities of the whole run."""
         time, surge = self.trial.time_s, columns[body.velocity[0]]
         return {
             "mean_surge_from_start_m_s": float(np.trapezoid(surge, time) / (time[-1] - time[0])),
@@ -171,8 +173,8 @@ def _power_quantities(energetics: Energetics, speed_m_s: float | None) -> dict[s
 
     Notes
     -----
-    ``COT = P / V`` (dolphin, Eq 11), with the mean positive mechanical power of the joints: servos return no
-    energy to the battery. Losses of gear and motor are not included.
+    ``COT = P / V`` (dolphin, Eq 11). P is the mean positive mechanical power of the joints, because servos
+    return no energy to the battery. Losses of gear and motor are not included.
     """
     positive = energetics.mean_positive_power_W()
     found = {
