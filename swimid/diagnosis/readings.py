@@ -124,7 +124,7 @@ class OtherReading(Effect):
         return [self]
 
     def joins(self, effects: Sequence[Effect]) -> bool:
-        """Return whether the effect can be combined with others. A question has one answer only."""
+        """Return whether the reading can be combined with effects; its own options exclude each other."""
         answers = {e.question: e.option for e in effects if isinstance(e, OtherReading)}
         if self.question in answers:
             return False

@@ -151,7 +151,7 @@ def parts(file: GapFile) -> list[Cell]:
 
 
 def notes(file: GapFile) -> list[str]:
-    """Return notes: the next experiment, where the gap is, and the reasons for the verdict."""
+    """Return notes on the next experiment, the place of the gap, and the reasons for the verdict."""
     said = [f"next experiment: {a.text}" for a in file.advice[:1]]
     worst: dict[str, Cell] = {}
     for cell in sorted(parts(file), key=lambda c: -(c.ratio or 0.0)):

@@ -259,7 +259,7 @@ class SwimInput:
     stroke: Cycle | None = None
     #: Functions that return the motion of each driven joint at given times (s). They replace a drive.
     joints: Sequence[Callable[[Array], Motion]] | None = None
-    #: The motions in ``joints`` are commands of the actuators. Otherwise they are measured.
+    #: Whether the motions in ``joints`` are commands to the actuators; otherwise they were measured.
     commanded: bool = False
     #: Pose of the reference point at the first sample. The start offsets are added to it.
     pose: tuple[float, ...] | None = None

@@ -208,7 +208,7 @@ def prepare(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     also: Sequence[Path] = (),
 ) -> tuple[Parameter, ...]:
-    """Return the parameters to fit, with the choices of the user; by default those of the model.
+    """Return the parameters to fit, with the fixed, free and bounded ones that the user selects.
 
     Parameters
     ----------

@@ -295,7 +295,7 @@ class Model(ABC):
         return [float(t.swim.drive.frequency_hz) for t in trials if t.swim.drive is not None]
 
     def given(self, trial: Trial) -> list[str]:
-        """Return the measured channels that are inputs of the model in a trial, and no predictions of it."""
+        """Return the measured channels that the model takes as inputs, and does not predict, in a trial."""
         return []
 
     # -------------------------------------------------------- simulation

@@ -260,7 +260,7 @@ def _unit(coordinates: list[str]) -> str:
 
 
 def _bent(stroke: Rhythm | None) -> list[Doubt]:
-    """Return a doubt for each angle that oscillates by more than half a rotation, which no joint can do."""
+    """Return a doubt for each angle that oscillates over more than 180 degrees, which no joint can."""
     if stroke is None:
         return []
     text = "swings by ±{:.3g} rad: state the unit if it is degrees (a factor of 57.3)"

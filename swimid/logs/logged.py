@@ -185,7 +185,7 @@ def channels(logs: Sequence[Log]) -> Figure:
             if several:
                 channel = SAME_CHANNEL.get(column, column)
             by_channel.setdefault(channel, []).append((number, record, values))
-    # channels that several logs have come first
+    # list channels of several logs before the others
     order = sorted(by_channel, key=lambda channel: -len(by_channel[channel]))
     panels = []
     for channel in order[:MAX_PANELS]:

@@ -313,7 +313,7 @@ def _motions(
 
 
 def _last_place(columns: Mapping[str, Array], name: str) -> float:
-    """Return the rounding step of a channel, or the sum of those of the positions it is computed from."""
+    """Return the quantisation step of a channel; of one computed from positions, the sum of their steps."""
     if name in columns:
         return quantum(columns[name])
     place = _place(columns)
@@ -361,7 +361,7 @@ def _turns(angle: Array) -> float:
 
 
 def find_slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat] | None:
-    """Return the name and motion of the channel whose strongest motion has too few cycles for a stroke.
+    """Return the channel whose strongest oscillation has too few cycles for a frequency, and this beat.
 
     If the drive is logged, only its channels are searched. Otherwise all channels that oscillate to the side
     are searched, and the track. If several channels qualify, the one with the highest frequency is returned.

@@ -183,7 +183,7 @@ def _departure(fitted: FitResult, trials: list[Trial], level: float) -> dict[str
     if not shares:
         return None
     share, variance = float(np.mean(shares)), float(np.mean(np.square(spread)))
-    # error of the mean, and error of the law, which is about twice that of the mean of all fitted runs
+    # standard error of the mean speed, and of the fitted law (about twice that of the mean of all runs)
     error = math.hypot(math.sqrt(variance / len(shares)), 2 * math.sqrt(variance / max(fitted.samples, 1)))
     return {"frequency_hz": level, "share": share, "stderr": error, "z": share / error, "runs": len(shares)}
 

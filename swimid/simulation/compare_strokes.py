@@ -26,7 +26,7 @@ from swimid.simulation.compare_series import Compared, CycleComparison, ProfileC
 HALF_WIDTH_CYCLES, HALF_WIDTH_S = 0.1, 0.15
 SIDES = ("measured", "simulated")
 POSITION, ORIENTATION = ("x_m", "y_m", "z_m"), ("roll_rad", "pitch_rad", "yaw_rad")
-#: Channels of the figure of a profile, in the order of the paper.
+#: Channels of the figure of mean channels, in the order of the sea lion paper (Kadapa et al.).
 FIGURE_CHANNELS = ("x_m", "z_m", "speed_m_s", "pitch_rad", "roll_rad", "yaw_rad", "pitch_rate_rad_s")
 #: Maximum number of samples of a curve.
 MAX_SAMPLES = 200
@@ -233,7 +233,7 @@ def value_text(value: float | None, unit: str, sd: float | None = None) -> str:
 
 
 def figure(profile: Profile) -> ev.Figure:
-    """Return the figure of a profile: measured and simulated means over time."""
+    """Return the figure of the mean channels of repeated trials, measured and simulated, against time."""
     record, measured = profile.record, profile.repeats["measured"]
     caption = "Mean measured and simulated motion."
     if len(record.trials) > 1:

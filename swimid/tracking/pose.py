@@ -112,7 +112,7 @@ class Plane:
         return _map_known(self._forward, x, y)
 
     def to_image(self, x: Array, y: Array) -> Array:
-        """Return the points of the picture, shape (2, n), at world coordinates; NaN stays NaN."""
+        """Project points from world coordinates to the picture, shape (2, n); NaN stays NaN."""
         return _map_known(self._backward, x, y)
 
     def variations(self, world: Array) -> Array:

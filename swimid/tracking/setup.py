@@ -154,7 +154,7 @@ class Setup(Document):
     head: str | None = None
     tail: str | None = None
     plane: Literal["horizontal", "vertical"] = "horizontal"
-    #: Direction in the picture in which the robot faces and x of the log increases, in the vertical plane.
+    #: Direction in which the robot faces in a film from the side. In the log x increases this way.
     facing: Literal["auto", "right", "left"] = "auto"
     #: Direction of motion. A track in the other direction for most of the path fails a check.
     swims: Literal["head-first", "tail-first"] = "head-first"
