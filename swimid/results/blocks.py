@@ -159,7 +159,8 @@ def residuals(
     id: str, title: str, caption: str, x_label: str, shown: Sequence[Series], correlation: Correlogram | None
 ) -> Figure:
     """Return a figure of the weighted residuals of the worst trials, and of a given autocorrelation."""
-    rows = sorted(shown, key=lambda s: -_rms(s.weighted))[:MAX_ROWS]
+    worst = sorted(range(len(shown)), key=lambda k: -_rms(shown[k].weighted))[:MAX_ROWS]
+    rows = [shown[k] for k in sorted(worst)]
     traces: list[Trace] = []
     for k, s in enumerate(rows):
         x, y = thinned(s.time_s, np.clip(s.weighted, -ROW_SD, ROW_SD), POINTS)
@@ -169,7 +170,7 @@ def residuals(
         traces.append(Trace(x=x, y=k - y / (2.2 * ROW_SD), style="points", label=label, group=group))
     over_time = Panel(
         x_label=x_label,
-        y_label=f"residual (row: ±{ROW_SD:g} sd)",
+        y_label=f"residual / sd (rows of ±{ROW_SD:g})",
         y_categories=[s.trial for s in rows],
         invert_y=True,
         traces=traces,

@@ -109,7 +109,9 @@ def style() -> Any:
 # ---------------------------------------------------------------- one panel
 
 
-def paint(axes: Axes, panel: Panel, slots: dict[Any, int], *, compact: bool = False) -> None:
+def paint(
+    axes: Axes, panel: Panel, slots: dict[Any, int], *, compact: bool = False, legend: bool = True
+) -> None:
     """Draw a panel on axes.
 
     Parameters
@@ -120,6 +122,8 @@ def paint(axes: Axes, panel: Panel, slots: dict[Any, int], *, compact: bool = Fa
         Index of the colour and of the marker for each group of traces (:func:`slots_of`).
     compact : bool
         Draw a trace of many points as one path, which takes a tenth of the space in an SVG.
+    legend : bool
+        Draw the legend.
 
     Raises
     ------
@@ -152,7 +156,7 @@ def paint(axes: Axes, panel: Panel, slots: dict[Any, int], *, compact: bool = Fa
         line = axes.axhline if mark.axis == "y" else axes.axvline
         line(mark.at, color=palette()["ink"], lw=0.6, dashes=(4, 3), zorder=1.8, label=mark.label or None)
     _spans(axes, panel)
-    rows = _legend(axes)
+    rows = _legend(axes) if legend else 0
     axes.set_title("\n".join(textwrap.wrap(panel.title, 52)), pad=5 + rows * 1.6 * (FONT - 1))
 
 
@@ -387,7 +391,9 @@ def canvas(
     new: Callable[..., Canvas] = Canvas,
     step: Callable[[int], None] = lambda amount: None,
 ) -> Canvas:
-    """Return one matplotlib figure with the given figures below each other.
+    """Return one matplotlib figure with all panels below each other, one column of a journal wide.
+
+    A panel has no legend if it is that of the panel above.
 
     Parameters
     ----------
@@ -399,31 +405,30 @@ def canvas(
     step : callable
         Function that is called once for each panel drawn.
     """
-    rows = [row for figure in figures for row in _rows(figure)]
-    across = max(len(row) for _, row in rows)
-    heights = [max(_height(panel) for panel in row) for _, row in rows]
+    heights = [_height(panel) for figure in figures for panel in figure.panels]
     # Create the figure outside ``rc_context``: a notebook backend changes other settings, which must stay
     # changed.
-    drawn = new(figsize=(WIDTH * across, sum(heights)), layout="constrained", facecolor=palette()["paper"])
+    drawn = new(figsize=(WIDTH, sum(heights)), layout="constrained", facecolor=palette()["paper"])
     with mpl.rc_context(style()):
         if title:
             drawn.suptitle(title, x=0.02, ha="left", weight="bold")
-        grid = drawn.add_gridspec(len(rows), across, height_ratios=heights)
-        for k, (figure, row) in enumerate(rows):
-            slots = slots_of(figure)
-            for n, panel in enumerate(row):
-                cell = grid[k, n] if figure.columns > 1 else grid[k, :]
-                if len(figures) > 1 and panel is figure.panels[0] and not panel.title:
-                    panel = panel.model_copy(update={"title": figure.title})
-                paint(drawn.add_subplot(cell), panel, slots)
+        grid = iter(drawn.add_gridspec(len(heights), 1, height_ratios=heights))
+        for figure in figures:
+            slots, above = slots_of(figure), None
+            for panel in figure.panels:
+                title = panel.title
+                if len(figures) > 1 and above is None:
+                    title = title or figure.title
+                keyed = above is None or _labels(above) != _labels(panel)
+                shown = panel.model_copy(update={"title": title})
+                paint(drawn.add_subplot(next(grid)), shown, slots, legend=keyed)
+                above = panel
                 step(1)
     return drawn
 
 
-def _rows(figure: Figure) -> list[tuple[Figure, list[Panel]]]:
-    """Return the rows of a figure: for each row, the figure and the panels in the row."""
-    across = min(figure.columns, 2)
-    return [(figure, figure.panels[k : k + across]) for k in range(0, len(figure.panels), across)]
+def _labels(panel: Panel) -> list[str]:
+    return [part.label for part in (*panel.traces, *panel.spans, *panel.marks)]
 
 
 def write(

@@ -479,7 +479,7 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
         speeds = dict(zip(names, pose.body_velocity, strict=True))
         speeds[f"{turn} rate (°/s)"] = degrees * pose.angle.velocity[0]
     window = [
-        ev.Mark(at=found.begin_s, axis="x", label="begin and end of the means"),
+        ev.Mark(at=found.begin_s, axis="x", label="averaging window"),
         ev.Mark(at=found.end_s, axis="x"),
     ]
     path = [
