@@ -113,7 +113,7 @@ def test_residuals_have_one_row_for_each_trial() -> None:
     lags = np.arange(5)
     correlation = type("Correlation", (), {"lags": lags, "values": 0.1 * lags, "bound": 0.2 + 0.0 * lags})
     rows, lagged = blocks.residuals("f", "t", "c", "time (s)", trials, correlation).panels
-    assert rows.y_categories == ["b", "a"]
+    assert rows.y_categories == ["a", "b"]
     for k, trace in enumerate(rows.traces):
         assert np.abs(np.array(trace.y) - k).max() < 0.5
     assert lagged.traces[0].x == [1.0, 2.0, 3.0, 4.0]
