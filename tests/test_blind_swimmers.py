@@ -85,6 +85,7 @@ def test_steps_are_short_enough(kind: str) -> None:
     assert furthest(fine, coarse) < 2e-5
 
 
+@pytest.mark.slow
 def test_without_water_momentum_stays() -> None:
     body = swim_body.of("tfish", {})
     body.along, body.across = 0.0 * body.along, 0.0 * body.across

@@ -99,6 +99,7 @@ def test_balance_of_energy(form: type[Swimmer], name: str, hz: float, deg: float
     assert left[1] < left[0] / 8
 
 
+@pytest.mark.slow
 def test_balance_of_energy_in_space() -> None:
     """Energy of the sea lion, with weight and buoyancy, balances over a whole stroke."""
     model = MultibodyModel(robot_format.read("sealion"), max_step=0.001)

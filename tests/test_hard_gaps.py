@@ -40,12 +40,7 @@ def test_wrong_answers_are_described() -> None:
     assert truth.wrong(other) == ["waves", "equivalent waves"]
 
 
-QUICK = ("drops-wave",)
-
-
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in CASES]
-)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) for n in CASES])
 def test_required_statements_are_checked(tmp_path: Path, name: str) -> None:
     found = outcome(CASES[name], tmp_path)
     assert found.faults == [], f"{CASES[name].says}: {found.answer.verdict}, {found.answer.causes}"

@@ -166,7 +166,7 @@ def accelerations(model: Assembly, state: np.ndarray, motion: np.ndarray | None 
 class TestMujoco:
     def test_accelerations(self) -> None:
         rng = np.random.default_rng(1)
-        for _ in range(20):
+        for _ in range(8):
             body = weighed(random_tree(rng, int(rng.integers(2, 9)), int(rng.integers(1, 4)), driven=False))
             model = assembly(body)
             mujoco, theirs = mujoco_model(body, 0.001)
