@@ -124,7 +124,7 @@ def test_quaternions_from_body_to_world_are_used(case: Case, swimid: Run) -> Non
     case("c-09-quaternion-world-to-body")
     ran = swimid("track", "imu", "q_ok.csv", "-o", "o.csv")
     assert "SWM090" not in codes(ran)
-    assert "attitude from quaternion columns" in ran.out
+    assert "attitude quaternion columns" in ran.out
     assert level("o.csv") == "caution"
     assert np.abs(yaw_error("o.csv")).max() < 0.02
 
