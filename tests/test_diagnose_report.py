@@ -351,7 +351,7 @@ def test_causes_and_rivals_stand_out_of_the_ranked_effects() -> None:
     (panel,) = cases.evidence(cases.EXPLAINED).figures[1].panels
     named, interval, *_ = panel.traces
     names = panel.y_categories or []
-    assert [names[int(k or 0)] for k in named.y] == ["servo-backlash"]
+    assert [names[int(k or 0)] for k in named.y] == ["servo backlash"]
     assert named.x == [3062.4]
     assert interval.x == [3062.4 - 410.0, 3062.4 + 410.0, None]
 

@@ -464,7 +464,9 @@ def _free_run(m: Identified) -> Figure:
                 x, shown = ev.thinned(record.time_s, y + level)
                 traces.append(Trace(x=x, y=shown, label=labels[group], group=group))
         y_label = numbers.column_title(m.data.columns.output)
-        panels.append(Panel(x_label="time (s)", y_label=y_label, traces=traces, title=name))
+        panels.append(
+            Panel(x_label="time (s)", y_label=y_label, traces=traces, title=name.removesuffix(".csv"))
+        )
     caption = "The free run has only the input after its first samples, and the mean level of the record."
     if len(sets) > 2:
         caption += f" Shown are the worst and the best of {len(sets)} records."

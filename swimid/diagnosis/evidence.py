@@ -370,7 +370,7 @@ def _ranked(file: GapFile) -> list[ev.Figure]:
         return []
     named = {name for c in file.causes for name in (c.effect, *c.equivalent)}
     traces = []
-    for group, label in enumerate(("cause, or equivalent", "other effects")):
+    for group, label in enumerate(("cause or equivalent", "other effects")):
         places = [k for k, name in enumerate(shown) if (name in named) == (group == 0)]
         if not places:
             continue
@@ -383,9 +383,9 @@ def _ranked(file: GapFile) -> list[ev.Figure]:
         traces.append(ev.Trace(x=x, y=places, style="points", label=label, group=group))
         traces.append(ev.Trace(x=ends, y=heights, group=group))
     panel = ev.Panel(
-        x_label="gain in cross-validation",
+        x_label="decrease of squared residuals (noise variances)",
         y_label="",
-        y_categories=[name.removeprefix(words.READING).replace("=", ": ") for name in shown],
+        y_categories=[_plain(name) for name in shown],
         invert_y=True,
         traces=traces,
     )
@@ -396,6 +396,11 @@ def _ranked(file: GapFile) -> list[ev.Figure]:
     return [ev.Figure(id="effects", title="Gain of each effect", caption=caption, panels=[panel])]
 
 
+def _plain(name: str) -> str:
+    """Return the name of an effect in words: ``servo backlash``, ``added mass: lateral``."""
+    return name.removeprefix(words.READING).replace("=", ": ").replace("-", " ").replace("_", " ")
+
+
 def _residuals(worst: Sequence[Piece], caused: bool) -> list[ev.Figure]:
     panels = []
     for p in [p for p in worst if len(p.time_s) > 2][:MAX_PANELS]:
@@ -403,7 +408,8 @@ def _residuals(worst: Sequence[Piece], caused: bool) -> list[ev.Figure]:
         traces: list[ev.Trace] = []
         for label, simulated in {"without the causes": p.before, "with the causes": p.after}.items():
             x, y = ev.thinned(p.time_s, factor * (p.measured - simulated), MAX_POINTS)
-            traces.append(ev.Trace(x=x, y=y, label=label, group=len(traces)))
+            style = ("points", "line")[len(traces)]
+            traces.append(ev.Trace(x=x, y=y, label=label, group=len(traces), style=style))
         y_label = f"residual of {numbers.quantity(p.channel)} ({numbers.unit_text(unit) or '1'})"
         if not caused:
             traces = traces[:1]

@@ -428,7 +428,8 @@ def canvas(
 
 
 def _labels(panel: Panel) -> list[str]:
-    return [part.label for part in (*panel.traces, *panel.spans, *panel.marks)]
+    parts: list[Any] = [*panel.traces, *panel.spans, *panel.marks]
+    return [part.label for part in parts]
 
 
 def write(

@@ -534,11 +534,8 @@ def _speed_figure(file: ComparisonFile) -> list[ev.Figure]:
         if len(levels) > 2:
             traces += _pair((x, levels), (y, means), tail, group)
             continue
-        heights = {"measured": [float(np.mean(y[x == level])) for level in levels], "simulated": means}
-        for k, (word, bars) in enumerate(heights.items()):
-            traces.append(
-                ev.Trace(x=levels, y=bars, style="bars", label=f"{word}{tail}", group=2 * group + k)
-            )
+        for k, (word, speeds) in enumerate({"measured": y, "simulated": z}.items()):
+            traces.append(ev.Trace(x=x, y=speeds, style="points", label=f"{word}{tail}", group=2 * group + k))
     if not traces:
         return []
     title = numbers.column_title(axis)
