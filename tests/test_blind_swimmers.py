@@ -17,6 +17,9 @@ from tests.blind.swim_case import Act, Trial
 from tests.blind.swim_tables import Water
 from tests.generators import swimmer
 
+#: They test the generators of blind cases, not the package.
+pytestmark = pytest.mark.slow
+
 #: Of a case that comes with an earlier calibration.
 SEED_WITH_PRIOR = 5
 ROBOTS = ("tfish", "dolphin")

@@ -50,6 +50,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("ill-posed")
 
 
+@pytest.mark.slow
 def test_any_small_rig_experiment_ends_in_order(swimid: Callable[..., Ran], folder: Path) -> None:
     @settings(
         max_examples=60 * FACTOR,
