@@ -377,13 +377,21 @@ def _incoherent(time: Array, amplitude: Complex, width: float, hop: float) -> fl
     return float((1.0 - coherence**2) ** max(independent - 1.0, 0.0))
 
 
+#: Maximum number of samples of a dense eigenvalue problem, which takes less time than the import of SciPy's
+#: tridiagonal one (0.2 s).
+MAX_DENSE = 400
+
+
 def _slepian_tapers(count: int) -> Array:
     """Return the tapers most concentrated within :data:`BAND` cycles per record, shape (N_TAPERS, count)."""
-    from scipy.linalg import eigh_tridiagonal
-
     k = np.arange(count)
     diagonal = ((count - 1) / 2 - k) ** 2 * np.cos(2 * np.pi * BAND / count)
     beside = k[1:] * (count - k[1:]) / 2
+    if count <= MAX_DENSE:
+        dense = np.diag(diagonal) + np.diag(beside, 1) + np.diag(beside, -1)
+        return np.linalg.eigh(dense)[1][:, -N_TAPERS:].T
+    from scipy.linalg import eigh_tridiagonal
+
     largest = (count - N_TAPERS, count - 1)
     return eigh_tridiagonal(diagonal, beside, select="i", select_range=largest)[1].T
 
