@@ -248,7 +248,7 @@ class TestCommand:
         assert {f.id for f in beside.figures} == {"indices", "intervals"}
         assert any("Saltelli" in line for line in beside.methods)
         assert not list(tmp_path.glob("*.partial"))
-        assert {t.id for t in beside.tables} == {"ranges", "trials"}
+        assert {t.id for t in beside.tables} == {"ranges", "totals", "trials"}
         assert beside.facts["Method"] == "Sobol, 8 rows (80 points)"
 
     def test_the_same_seed_gives_the_same_file(self, swimid: Swimid, tfish: Path, tmp_path: Path) -> None:

@@ -229,7 +229,9 @@ def performance_map(
                 quantities[name] = Mapped(unit=unit, **shown)  # type: ignore[arg-type]
         units = list(performance.units)
         speed = values[:, units.index("mean_speed_m_s")]
-        change = values[:, units.index("speed_change_per_beat_m_s")]
+        change = np.zeros(len(values))
+        if "speed_change_per_beat_m_s" in units:
+            change = values[:, units.index("speed_change_per_beat_m_s")]
         study.head["identified"] |= region
         file = MapFile(
             **study.head,

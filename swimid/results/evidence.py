@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from swimid.errors import InputError, UsageError, file_errors
-from swimid.files import atomic
+from swimid.files import atomic, yamlio
 
 FORMAT: Literal["swimid-evidence/1"] = "swimid-evidence/1"
 #: Name of the check that fails if values are impossible for a swimmer, which suggests a wrong unit.
@@ -297,8 +297,9 @@ def sidecar(result: str | Path) -> Path:
 
 
 def write(path: str | Path, evidence: Evidence) -> None:
-    """Write evidence as JSON, complete or not at all."""
-    text = json.dumps(evidence.model_dump(mode="json"), ensure_ascii=False, allow_nan=False)
+    """Write evidence as JSON, complete or not at all; numbers that are not finite are null."""
+    data = yamlio.plain(evidence.model_dump(mode="json"), finite=True)
+    text = json.dumps(data, ensure_ascii=False, allow_nan=False)
     atomic.write_text(path, text + "\n")
 
 
