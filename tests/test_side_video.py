@@ -15,7 +15,7 @@ from swimid.files import yamlio
 from swimid.logs import kinematics
 from swimid.logs import log as log_format
 from swimid.notices import recorded
-from swimid.results import evidence, parameters
+from swimid.results import evidence
 from swimid.results.parameters import Estimate, ParameterFile
 from swimid.robots import file as robot
 from swimid.simulation.compare_series import ComparisonFile
@@ -108,9 +108,7 @@ def test_a_simulated_stroke_goes_through_film_and_tracking_to_the_table_of_its_c
     )
     values = {"water_volume": 0.004, "com_offset": 0.003, "z_added_mass": 1.0, "z_drag": 1.2}
     estimates = {n: Estimate(value=v, unit="1", status="fixed") for n, v in values.items()}
-    parameters.write(
-        tmp_path / "p.yaml", ParameterFile(model="multibody", robot="lively.yaml", parameters=estimates)
-    )
+    ParameterFile(model="multibody", robot="lively.yaml", parameters=estimates).write(tmp_path / "p.yaml")
     options = ("--params", tmp_path / "p.yaml", "--set", "buoyancy=1.003", "-o", tmp_path / "c.yaml")
     ran = swimid("compare", tmp_path / "trials.yaml", *options)
     assert ran.status == 0, ran.err
