@@ -899,7 +899,7 @@ def table_v() -> Figure:
         for k, name in enumerate(names)
     ]
     caption = "Good: the model on the published values."
-    return blocks.panels("table-v", "Turning: Table V", caption, panels, columns=2)
+    return blocks.panels("table-v", "Turning: Table V", caption, panels)
 
 
 def speed_map() -> list[Figure]:

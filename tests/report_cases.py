@@ -99,7 +99,6 @@ def residual_figure() -> Figure:
         title="Residuals",
         caption="Left: residuals over time, gaps shaded. Right: their autocorrelation with the 95 % band of "
         "white noise. Good: no trend on the left, and 95 % of the stems inside the band.",
-        columns=2,
         panels=[
             Panel(
                 title="Over time",
@@ -198,7 +197,6 @@ def log_figure() -> Figure:
         id="spectrum",
         title="Spectra",
         caption="Good: the model follows the measurement up to the bandwidth.",
-        columns=2,
         panels=[
             Panel(
                 x_label="frequency (Hz)",

@@ -586,7 +586,7 @@ def test_a_track_of_swimid_is_imported_without_warnings(swimid: Run, tmp_path: P
     assert bridged > 0
     # the noise is that of the positions before smoothing, which the track itself tells
     stated = json.loads((tmp_path / "run.evidence.json").read_text())
-    noise = next(c["value"] for c in stated["checks"] if c["name"] == "Measurement noise")
+    noise = stated["facts"]["Measurement noise"]
     assert result["speed"]["noise_m"] == pytest.approx(float(noise.split()[0]), rel=0.5)
     assert result["track"]["gaps_s"], "what was bridged is no measurement"
     assert result["stroke"]["frequency_hz"] == pytest.approx(1.1, abs=0.005)

@@ -519,7 +519,6 @@ def _residuals(m: Identified) -> Figure:
             blocks.correlogram(own, "autocorrelation", "residuals", skip_zero=True),
             blocks.correlogram(cross, "correlation with the input", "residuals", skip_zero=False),
         ],
-        columns=2,
     )
 
 
@@ -538,4 +537,4 @@ def _trajectories(m: Identified) -> Figure:
         panels.append(Panel(x_label="row", y_label=name, traces=[estimate]))
     caption = "Each coefficient with its 95 % band for white residuals. A step means that the robot changed."
     title = "Coefficients over the record"
-    return Figure(id="trajectories", title=title, caption=caption, panels=panels, columns=2)
+    return Figure(id="trajectories", title=title, caption=caption, panels=panels)

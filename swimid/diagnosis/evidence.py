@@ -419,6 +419,4 @@ def _residuals(worst: Sequence[Piece], caused: bool) -> list[ev.Figure]:
     trial = worst[0].trial.id
     caption = f"Measured minus simulated in {trial}, the held-out trial with the largest errors."
     title = f"Residuals of the worst held-out trial, {trial}"
-    return [
-        ev.Figure(id="residuals", title=title, caption=caption, panels=panels, columns=min(len(panels), 2))
-    ]
+    return [ev.Figure(id="residuals", title=title, caption=caption, panels=panels)]

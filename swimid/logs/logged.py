@@ -299,7 +299,6 @@ def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
         title=f"Spectra of {record.path.name}",
         caption=f"{caption} Amplitudes (Hann window) of the longest stretch without a gap.",
         panels=panels,
-        columns=min(max(len(panels), 1), 2),
     )
 
 

@@ -561,8 +561,8 @@ def _figures(file: MapFile) -> list[ev.Figure]:
     contours = [_contours(file, name) for name in _drawn(file)]
     lines = "Lines of equal value; outside the frame of the identification trials they are extrapolation."
     return [
-        blocks.panels("map", "Over the grid of gaits", caption, heats, columns=1),
-        blocks.panels("contours", "Contours", lines, contours, columns=1),
+        blocks.panels("map", "Over the grid of gaits", caption, heats),
+        blocks.panels("contours", "Contours", lines, contours),
     ]
 
 

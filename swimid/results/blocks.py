@@ -86,9 +86,9 @@ def figure(
     return Figure(id=id, title=title, caption=caption, panels=[one])
 
 
-def panels(id: str, title: str, caption: str, panels: Sequence[Panel], columns: int = 2) -> Figure:
-    """Return a figure with several panels, ``columns`` of them side by side."""
-    return Figure(id=id, title=title, caption=caption, panels=list(panels), columns=columns)
+def panels(id: str, title: str, caption: str, panels: Sequence[Panel]) -> Figure:
+    """Return a figure with several panels."""
+    return Figure(id=id, title=title, caption=caption, panels=list(panels))
 
 
 def panel(x_label: str, y_label: str, traces: Sequence[Trace], **more: Any) -> Panel:
@@ -177,7 +177,7 @@ def residuals(
         marks=[Mark(at=k) for k in range(len(rows))],
     )
     if correlation is None:
-        return panels(id, title, caption, [over_time], columns=1)
+        return panels(id, title, caption, [over_time])
     lagged = correlogram(correlation, "autocorrelation", "residuals", skip_zero=True)
     caption += " The autocorrelation is of all fitted trials, with the 95 % band of white noise."
     return panels(id, title, caption, [over_time, lagged])

@@ -112,13 +112,12 @@ class Panel(_Part):
 
 
 class Figure(_Part):
-    """Figure with a caption, and with ``columns`` panels in each row."""
+    """Figure of one or several panels, with a caption."""
 
     id: str
     title: str
     caption: str
     panels: list[Panel]
-    columns: int = 1
 
 
 class Image(_Part):

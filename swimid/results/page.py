@@ -236,9 +236,7 @@ def _side_by_side(fits: Sequence[Fitted]) -> Evidence:
             text=f"{levels.count('good')} of {len(fits)} fits are good.",
         ),
         tables=[Table(id="compared", title="Parameters", columns=columns, rows=rows)],
-        figures=[
-            Figure(id="compared", title="Estimates", caption=caption, panels=panels[:MAX_COMPARED], columns=2)
-        ],
+        figures=[Figure(id="compared", title="Estimates", caption=caption, panels=panels[:MAX_COMPARED])],
     )
 
 

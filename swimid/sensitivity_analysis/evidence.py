@@ -256,7 +256,7 @@ def _map(file: SensitivityFile) -> ev.Figure:
     heat = ev.Heat(rows=[o.quantity for o in outputs], columns=names, values=values, scale="linear")  # type: ignore[arg-type]
     caption = "Total Sobol indices: the share of an output's variance that a coefficient takes part in."
     title = "Sensitivity of each output"
-    return blocks.panels("indices", title, caption, [blocks.panel("", "", [], heat=heat)], columns=1)
+    return blocks.panels("indices", title, caption, [blocks.panel("", "", [], heat=heat)])
 
 
 def _intervals(file: SensitivityFile) -> ev.Figure:

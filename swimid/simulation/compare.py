@@ -439,7 +439,7 @@ def _figures(
         names = body.pose[:2]
         paths = [_path(d, *names) for d in _telling(done) if set(names) <= d.pairs.keys()]
         caption = "Path of the reference point, to scale."
-        drawn.append(ev.Figure(id="paths", title="Paths", caption=caption, panels=paths, columns=2))
+        drawn.append(ev.Figure(id="paths", title="Paths", caption=caption, panels=paths))
     return [figure for figure in drawn if figure.panels]
 
 
@@ -479,7 +479,7 @@ def _overlay(experiment: Experiment, done: Sequence[Compared]) -> ev.Figure:
             panels.append(ev.Panel(x_label=abscissa, y_label=label, traces=traces, title=title))
     caption = "The trials with the largest and the smallest error."
     title = "Measured and simulated"
-    return ev.Figure(id="overlay", title=title, caption=caption, panels=panels, columns=2)
+    return ev.Figure(id="overlay", title=title, caption=caption, panels=panels)
 
 
 def _runs(done: Sequence[Compared]) -> ev.Figure:

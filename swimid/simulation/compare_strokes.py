@@ -246,9 +246,7 @@ def figure(profile: Profile) -> ev.Figure:
     # leave out channels without motion: a symmetric stroke has neither roll nor yaw
     shown = [n for n in FIGURE_CHANNELS if n in measured and _moves(profile.mean("measured", n))]
     panels = [_panel(profile, name) for name in shown]
-    return ev.Figure(
-        id=f"profile-{record.name}", title=record.name, caption=caption, panels=panels, columns=2
-    )
+    return ev.Figure(id=f"profile-{record.name}", title=record.name, caption=caption, panels=panels)
 
 
 def _moves(values: Array) -> bool:

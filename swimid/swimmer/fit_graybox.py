@@ -539,7 +539,7 @@ def _track(experiment: Experiment, result: FitResult) -> list[ev.Figure]:
     if not panels:
         return []
     caption = "Points are measured, lines simulated with the estimated parameters."
-    return [ev.Figure(id="track", title="Paths", caption=caption, panels=panels, columns=2)]
+    return [ev.Figure(id="track", title="Paths", caption=caption, panels=panels)]
 
 
 def _paths(result: FitResult, across: str, along: str) -> list[ev.Panel]:

@@ -573,10 +573,8 @@ def _figures(found: FrontResult, stages: Mapping[str, FitResult | None]) -> list
         "Least distance of each kind in the population.",
     )
     drawn = [
-        ev.Figure(id="front", title="Pareto fronts", caption=captions[0], columns=2, panels=fronts),
-        ev.Figure(
-            id="generations", title="Search by generations", caption=captions[1], columns=2, panels=histories
-        ),
+        ev.Figure(id="front", title="Pareto fronts", caption=captions[0], panels=fronts),
+        ev.Figure(id="generations", title="Search by generations", caption=captions[1], panels=histories),
     ]
     return [figure for figure in drawn if figure.panels]
 

@@ -496,14 +496,12 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
             "Pose over time",
             "Measured and smoothed, with the 95 % band; gaps are shaded.",
             coordinates,
-            columns=1,
         ),
         blocks.panels(
             "speed",
             "Speeds",
             "From the smoother; the means of the table are taken between the dashed lines.",
             [over_time(label, [curve], window) for label, curve in curves.items()],
-            columns=1,
         ),
     ]
 
