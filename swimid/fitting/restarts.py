@@ -27,8 +27,8 @@ KINK_SHARE = 0.5
 #: tuple is for a smooth cost, the second for a non-smooth cost.
 SMOOTH_DISTANCES = (10.0,)
 KINK_DISTANCES = (3.0, 10.0, 30.0, 100.0, 3.0, 10.0, 30.0, 100.0)
-#: Number of iterations of a short search, and of the second search from the two best end points of a
-#: non-smooth cost.
+#: Number of iterations of a short search. If the cost is non-smooth, a second search starts from the two best
+#: end points with the second number.
 SHORT_ITERATIONS, LONG_ITERATIONS = 3, 10
 #: Values at which a parameter with a non-smooth effect is tested: multiples of its typical scale, and
 #: multiples of its estimate. Multiples of the scale help if the estimate is far from the best value. A free
