@@ -40,8 +40,7 @@ from benchmarks.bench_diagnose import settings
 from swimid.diagnosis.generic import ResidualForce
 from swimid.effects import catalogue
 from swimid.fitting.drives import Beat, Cycle, SwimInput
-from swimid.fitting.hooks import NONE
-from swimid.fitting.model import Trial
+from swimid.fitting.model import NONE, Trial
 from swimid.robots import file as robot
 from swimid.swimmer.lanes.kernel import Kernel
 from swimid.swimmer.model import Swimmer

@@ -27,8 +27,7 @@ import numpy as np
 
 from swimid.fitting.drives import Cycle, SwimInput
 from swimid.fitting.global_search import BROKEN_OBJECTIVE, GENERATIONS, POPULATION, nsga2
-from swimid.fitting.hooks import NONE
-from swimid.fitting.model import Trial
+from swimid.fitting.model import NONE, Trial
 from swimid.robots import file as robot
 from swimid.swimmer.front import Profiles
 from swimid.swimmer.spatial import engine

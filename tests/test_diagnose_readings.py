@@ -17,7 +17,7 @@ from swimid.diagnosis.search import Search, State
 from swimid.effects import catalogue
 from swimid.effects.base import Affected, Effect
 from swimid.fitting.drives import Beat, RigInput, SwimInput
-from swimid.fitting.experiment import Experiment
+from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Model, Trial
 from swimid.robots import file as robot_format
 from swimid.swimmer import trials as swimmer_trials

@@ -19,8 +19,7 @@ from swimid.diagnosis.diagnosed import Diagnosis
 from swimid.diagnosis.gap_file import GapFile, HeldOut, Value
 from swimid.effects import catalogue
 from swimid.effects.base import Affected
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Model, Trial
+from swimid.fitting.model import Hooks, Model, Trial
 from swimid.results import evidence as ev
 from swimid.results.report import report
 from swimid.results.result import Result

@@ -40,8 +40,7 @@ from swimid.diagnosis.random_effects import LARGEST_SD, RandomEffect, kinds, spr
 from swimid.diagnosis.shrinkage import closed
 from swimid.effects.base import Affected, Effect, Inside
 from swimid.fitting.drives import CruiseInput, RigInput, SwimInput
-from swimid.fitting.hooks import Hooks, Stroke
-from swimid.fitting.model import Model, Parameter, Trial
+from swimid.fitting.model import Hooks, Model, Parameter, Stroke, Trial
 from swimid.fitting.problem import Problem
 from swimid.logs.sampling import white_noise_sd
 from tests.toy_models import Toy, parameter

@@ -26,7 +26,7 @@ PINNED = {
 OWN = """
 from swimid.effects.base import Effect
 from swimid.fitting.model import Parameter
-from swimid.fitting.hooks import Hooks
+from swimid.fitting.model import Hooks
 
 
 class Common(Effect):

@@ -16,8 +16,7 @@ from swimid.effects.rig import (
     oscillation,
 )
 from swimid.fitting.drives import RigInput
-from swimid.fitting.hooks import Force, Hooks, no_force
-from swimid.fitting.model import Trial
+from swimid.fitting.model import Force, Hooks, Trial, no_force
 from swimid.propulsion.model import RecoilModel
 from swimid.rig import model as rig
 from tests.effect_cases import FORCE, INERTIA, TIME, acted, check_null, start, weight_model, weight_trial

@@ -26,8 +26,7 @@ from swimid.effects.structure import (
     bent_fin,
 )
 from swimid.fitting.drives import CruiseInput, RigInput
-from swimid.fitting.hooks import Stroke
-from swimid.fitting.model import Trial
+from swimid.fitting.model import Stroke, Trial
 from swimid.propulsion.model import RecoilModel
 from swimid.rig import model as rig
 from swimid.robots import file as robots

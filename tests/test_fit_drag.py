@@ -15,7 +15,6 @@ from scipy.signal import lfilter
 from swimid.fitting import output_error
 from swimid.fitting.drives import RigInput
 from swimid.fitting.model import Trial
-from swimid.fitting.restarts import profile_interval
 from swimid.results import evidence, parameters
 from swimid.rig import derived
 from swimid.rig import fit_drag as drag_module
@@ -221,20 +220,6 @@ def test_intervals_cover_the_truth(clicks: dict[int, np.ndarray], kind: str) -> 
         assert np.all(share <= 0.985), share
 
 
-def test_profile_interval_matches_the_standard_error_of_a_nearly_linear_fit(
-    clicks: dict[int, np.ndarray],
-) -> None:
-    result = output_error.fit(_model(), _measure(clicks, "white", np.random.default_rng(1)))
-    for name in TRUTH:
-        low, high = profile_interval(result, name)
-        error = result.stderr(name)
-        assert low is not None
-        assert high is not None
-        assert error is not None
-        assert low == pytest.approx(result.value(name) - 1.96 * error, abs=0.1 * error)
-        assert high == pytest.approx(result.value(name) + 1.96 * error, abs=0.1 * error)
-
-
 def test_trials_that_disagree_enlarge_the_standard_errors(clicks: dict[int, np.ndarray]) -> None:
     trials = _measure(clicks, "white", np.random.default_rng(2))
     agreed = output_error.fit(_model(), trials)
@@ -296,7 +281,7 @@ class TestCommand:
         self, swimid: Callable[..., Ran], samples: Path, tmp_path: Path
     ) -> None:
         out = tmp_path / "drag.yaml"
-        ran = swimid("fit-drag", samples / "rig" / "trials.yaml", "-o", out, "--json", "--profile")
+        ran = swimid("fit-drag", samples / "rig" / "trials.yaml", "-o", out, "--json")
         assert ran.status == 0, ran.err
         file = parameters.read(out, model="falling-weight")
         p = file.parameters
@@ -307,7 +292,6 @@ class TestCommand:
             assert p[name].status == "estimated"
             # far tighter than the paper's: within four of its own standard errors
             assert abs(p[name].value - TRUTH[name]) < 4 * p[name].stderr  # type: ignore[operator]
-            assert p[name].ci95 is not None
         assert ran.json["ok"]
         assert ran.json["result"]["parameters"]["added_mass"]["value"] == p["added_mass"].value
         assert len(file.provenance["inputs"]) == 9

@@ -224,25 +224,6 @@ class TestChoices:
         assert len(off) == 8
         assert max(map(abs, off.values())) < 3, off
 
-    @pytest.mark.slow
-    def test_subset(self, swimid: Swimid, tmp_path: Path) -> None:
-        trials = _write(tmp_path, _runs(), RATES)
-        whole = _fit(swimid, trials)
-        file = _fit(swimid, trials, "--subset")
-        held = file.settings["fixed_as_unidentifiable"]
-        assert held
-        assert set(held) <= set(FRICTIONS)
-        assert all(file.parameters[name].status == "fixed" for name in held)
-        assert all(e.status != "unidentifiable" for e in file.parameters.values())
-        assert all(file.value(name) == whole.value(name) for name in held)
-        # held where they were, they cost nothing
-        assert file.fit is not None
-        assert whole.fit is not None
-        for channel in RATES:
-            assert file.fit.channels[channel]["rmse"] < 1.01 * whole.fit.channels[channel]["rmse"]
-        off = _deviations(file, TRUTH)
-        assert {"c_ma", "c_Ia", "c_d0", "c_d13", "c_d4"} <= set(off)
-
     def test_bounds_and_fixed(self, swimid: Swimid, tmp_path: Path) -> None:
         trials = _write(tmp_path, _runs(shared=True), RATES)
         file = _fit(
@@ -253,30 +234,6 @@ class TestChoices:
         assert file.parameters["c_d4"].bounds == (0, 5)
         assert file.parameters["c_d4"].status == "at-bound"
         assert file.parameters["d_p"].status != "fixed"
-
-    def test_few_outliers(self, swimid: Swimid, tmp_path: Path) -> None:
-        trials = _write(tmp_path, _runs(shared=True), RATES)
-        rng = np.random.default_rng(7)
-
-        def spoil(table: Table) -> Table:
-            for name, sd in RATES.items():
-                hit = rng.random(len(table[name])) < 0.02
-                table[name] = table[name] + hit * rng.normal(0, 30 * sd, len(hit))
-            return table
-
-        for run in _runs():
-            _rewrite(trials.parent / f"{run.id}.csv", spoil)
-        linear = _fit(swimid, trials, "--share", "c_f")
-        robust = _fit(swimid, trials, "--share", "c_f", "--loss", "huber")
-        off = _deviations(robust, SHARED)
-        assert len(off) >= 7
-        assert max(map(abs, off.values())) < 3, off
-        for name in ("c_ma", "c_Ia", "c_d4"):
-            e, f = robust.parameters[name].stderr, linear.parameters[name].stderr
-            assert e
-            assert f
-            # the noise with the outliers is sqrt(1 + 0.02 900) = 4 times as large
-            assert e < 0.5 * f
 
 
 class TestTrialsThatDisagree:

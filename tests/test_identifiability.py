@@ -9,7 +9,6 @@ import pytest
 
 from swimid.fitting import covariance as idn
 from swimid.fitting import output_error
-from swimid.fitting.global_search import select_subset
 from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Tied
 from tests.toy_models import FRICTION, FRICTION_TRUTH, WEIGHTS, Toy, friction, parameter, trials
@@ -63,29 +62,6 @@ class TestThreeFrictions:
         # the variance of the residuals is over 600 - 2 and over 600 - 4
         assert sum_.stderr == pytest.approx(shared.stderr("c_f") * sum(WEIGHTS), rel=2e-3)
         assert sum_.value == pytest.approx(shared.value("c_f") * sum(WEIGHTS), abs=1e-3 * sum_.stderr)
-
-    def test_ranking(self, result: FitResult) -> None:
-        ranked = idn.ranked(result)
-        assert sorted(label for label, _ in ranked) == sorted(result.labels)
-        shares = dict(ranked)
-        assert shares["thrust"] > 0.9
-        assert max(shares[c] for c in FRICTIONS) > 0.9
-        assert all(share < 1e-4 for _, share in ranked[2:])
-
-    def test_subset(self, result: FitResult) -> None:
-        subset, fixed = select_subset(result)
-        assert len(fixed) == 2
-        assert set(fixed) < set(FRICTIONS)
-        assert idn.unidentifiable(subset) == []
-        (left,) = set(FRICTIONS) - set(fixed)
-        assert all(subset.value(name) == 1.0 for name in fixed)
-        weights = dict(zip(FRICTIONS, WEIGHTS, strict=True))
-        total = sum(weights[name] * subset.value(name) for name in FRICTIONS)
-        if subset.status[left] == "estimated":
-            (sum_,) = idn.combinations(result)
-            assert total == pytest.approx(sum_.value, abs=1e-3 * sum_.stderr)
-        else:
-            assert subset.status[left] == "at-bound"
 
 
 def _pairs(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
@@ -150,13 +126,10 @@ class TestGroups:
         result = output_error.fit(model, trials(model, (1.0, 2.0), {"y": 0.1}, rng))
         assert idn.sentences(result) == []
         assert idn.combinations(result) == []
-        subset, fixed = select_subset(result)
-        assert subset is result
-        assert fixed == []
 
     def test_without_the_information_matrix_only_the_status_counts(self, result: FitResult) -> None:
         bare = replace(result, information_root=np.empty((0, 0)))
-        assert idn.combinations(bare) == idn.ranked(bare) == []
+        assert idn.combinations(bare) == []
         assert idn.sentences(bare) == [f"{name} is not identifiable from these trials" for name in FRICTIONS]
 
     def test_parameters_of_single_trials_are_accounted_for(self, rng: np.random.Generator) -> None:
@@ -173,12 +146,7 @@ class TestGroups:
         model = Toy(formula, parameters)
         result = output_error.fit(model, trials(model, (1.0, 2.0, 0.0), {"y": 0.1}, rng))
         assert result.status["slope"] == "estimated"
-        assert [label for label, _ in idn.ranked(result)] == ["slope", "offset"]
-        assert dict(idn.ranked(result))["offset"] < 1e-4
         assert idn.confounded(result) == [("offset", "own[t0]", "own[t1]", "own[t2]")]
-        subset, fixed = select_subset(result)
-        assert fixed == ["offset"]
-        assert idn.unidentifiable(subset) == []
 
 
 @pytest.mark.parametrize(

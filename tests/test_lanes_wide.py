@@ -19,8 +19,7 @@ from swimid.effects.base import Affected, Effect
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting import drives
 from swimid.fitting.drives import SwimInput
-from swimid.fitting.hooks import TRACEABLE
-from swimid.fitting.model import Trial
+from swimid.fitting.model import TRACEABLE, Trial
 from swimid.robots import file as robot_format
 from swimid.swimmer.lanes import tracing
 from swimid.swimmer.lanes.kernel import Kernel

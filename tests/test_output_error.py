@@ -292,60 +292,6 @@ class TestWeights:
         assert result.cost == pytest.approx(np.mean(squares), rel=1e-9)
 
 
-class TestHuber:
-    def _fits(self, share: float, loss: output_error.Loss, repeats: int) -> tuple[np.ndarray, np.ndarray]:
-        model = Toy(decay, DECAY)
-        errors, stderrs = [], []
-        for seed in range(repeats):
-            rng = np.random.default_rng(seed)
-            data = trials(model, TRUTH, {"y": 0.02}, rng, samples=100)
-            for trial in data:
-                far = rng.random(100) < share
-                trial.measured["y"][far] += rng.normal(0.0, 1.0, far.sum())
-            result = output_error.fit(model, data, loss=loss)
-            errors.append(result.estimate - TRUTH)
-            stderrs.append(np.sqrt(np.diag(result.covariance)))
-        return np.array(errors), np.array(stderrs)
-
-    def test_outliers_hardly_change_a_robust_fit(self) -> None:
-        repeats = 60
-        robust, stderr = self._fits(0.1, "huber", repeats)
-        plain, _ = self._fits(0.1, "linear", repeats)
-        assert np.all(np.std(plain, axis=0) > 3 * np.std(robust, axis=0))
-        # the sample deviation of z is 1 to within 1 / sqrt(2 n); four times that is allowed
-        spread = np.sqrt(np.mean((robust / stderr) ** 2, axis=0))
-        assert spread == pytest.approx(np.ones(3), abs=4 / np.sqrt(2 * repeats))
-
-    @pytest.mark.slow
-    def test_huber_loss_costs_five_percent_without_outliers(self) -> None:
-        repeats = 60
-        robust, stderr = self._fits(0.0, "huber", repeats)
-        plain, best = self._fits(0.0, "linear", repeats)
-        assert np.median(stderr / best) == pytest.approx(1 / np.sqrt(0.95), abs=0.05)
-        spread = np.sqrt(np.mean((robust / stderr) ** 2, axis=0))
-        assert spread == pytest.approx(np.ones(3), abs=4 / np.sqrt(2 * repeats))
-        assert np.all(np.abs(robust - plain) < 1.5 * best)
-
-    def test_the_estimate_minimises_hubers_loss(self, rng: np.random.Generator) -> None:
-        model = Toy(decay, DECAY)
-        data = trials(model, TRUTH, {"y": 0.02}, rng)
-        for trial in data:
-            trial.measured["y"][::10] += 0.5
-        result = output_error.fit(model, data, loss="huber")
-
-        def residuals(x: np.ndarray) -> np.ndarray:
-            return np.concatenate([t.measured["y"] - decay(x, t.time_s)["y"] for t in data])
-
-        sd = result.noise["y"].value_sd
-        assert sd == pytest.approx(np.median(np.abs(residuals(result.estimate))) / 0.674490, rel=1e-4)
-        direct = optimize.least_squares(
-            residuals, TRUTH, loss="huber", f_scale=1.345 * sd, xtol=1e-14, ftol=1e-14, gtol=1e-14
-        )
-        # weights are settled to 1 %
-        stderr = np.sqrt(np.diag(result.covariance))
-        assert np.all(np.abs(result.estimate - direct.x) < 0.05 * stderr)
-
-
 def line(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
     return {"y": values[0] * t + values[1] * np.sqrt(t)}
 

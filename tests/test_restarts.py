@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swimid.fitting import global_search, output_error, restarts
+from swimid.fitting import global_search, output_error
 from swimid.fitting.model import Array, Channel, Model, Parameter, Trial, chosen
 from swimid.notices import SwimidWarning
 from swimid.rig import model
@@ -74,10 +74,10 @@ def test_kinks_are_distinguished_from_bends(rng: np.random.Generator) -> None:
     bent = output_error.fit(Valley(), data, tested=False)
     stairs = output_error.fit(Terrace(0.05), _line(rng), tested=False)
     for seed in range(5):
-        around = restarts.search_around(bent, seed=seed)
+        around = output_error.search_around(bent, seed=seed)
         assert not around.rough
         assert around.evaluations < 60
-        assert restarts.search_around(stairs, seed=seed).rough
+        assert output_error.search_around(stairs, seed=seed).rough
 
 
 def test_every_simulation_of_a_fit_is_counted(rng: np.random.Generator) -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files.checkpoint import Checkpoint
-from swimid.fitting.parallel import map_in_threads
+from swimid.fitting.problem import map_in_threads
 from swimid.results import evidence
 from swimid.sensitivity_analysis import indices, sensitivity
 from swimid.sensitivity_analysis.evidence import SensitivityFile

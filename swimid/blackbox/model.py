@@ -16,8 +16,7 @@ import numpy as np
 
 from swimid.blackbox.difference import Orders, Record, best_level, simulate
 from swimid.errors import InputError
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Channel, Model, Parameter, Trial
+from swimid.fitting.model import Array, Channel, Hooks, Model, Parameter, Trial
 from swimid.logs import sampling
 from swimid.results import parameters as parameters_format
 from swimid.results.parameters import ParameterFile

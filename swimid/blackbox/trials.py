@@ -16,7 +16,7 @@ from swimid.blackbox.options import RwlsOptions
 from swimid.errors import InputError, UsageError
 from swimid.files.provenance import Input
 from swimid.fitting import noise as rt
-from swimid.fitting.experiment import Experiment, read_log
+from swimid.fitting.fit_common import Experiment, read_log
 from swimid.fitting.model import Trial
 from swimid.logs import sampling
 from swimid.logs import trials as trials_format

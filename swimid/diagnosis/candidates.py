@@ -13,7 +13,7 @@ from swimid.diagnosis.crossval import NormalEquations
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.effects.base import Effect
 from swimid.fitting.model import Array, Parameter
-from swimid.fitting.parallel import map_in_processes
+from swimid.fitting.problem import map_in_processes
 
 #: Threshold of the sum of squared changes by an effect, in units of the noise variance. A smaller sum counts
 #: as zero.

@@ -16,8 +16,7 @@ from swimid.diagnosis.nominal import OWN_PRIOR
 from swimid.diagnosis.random_effects import RandomEffect
 from swimid.effects.base import Affected, Effect
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.fitting.parallel import map_in_processes
-from swimid.fitting.problem import Problem, Solution
+from swimid.fitting.problem import Problem, Solution, map_in_processes
 
 #: Prior standard deviation of the parameters of an effect, in units of their typical scales.
 EFFECT_PRIOR = 5.0

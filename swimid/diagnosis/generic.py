@@ -16,8 +16,7 @@ import numpy as np
 from numba import cfunc
 
 from swimid.effects.base import Effect, Stage
-from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks, traceable
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.fitting.model import FORCE_SIGNATURE, Array, Force, Hooks, Model, Parameter, Trial, traceable
 
 #: Terms of the residual force on a robot, in the order of their factors.
 TERMS = (

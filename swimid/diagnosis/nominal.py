@@ -15,8 +15,7 @@ from swimid.diagnosis.random_effects import FEWEST, OWN
 from swimid.effects.base import Effect
 from swimid.files import tabular
 from swimid.files.provenance import digests_of
-from swimid.fitting.hooks import NONE, Hooks
-from swimid.fitting.model import Array, Channel, Model, Parameter, Trial
+from swimid.fitting.model import NONE, Array, Channel, Hooks, Model, Parameter, Trial
 from swimid.results.parameters import Estimate
 from swimid.simulation.catalogue import Loaded
 

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from swimid.effects.base import Effect, Stage
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.fitting.model import Array, Hooks, Model, Parameter, Trial
 
 #: Per-trial parameters of a model that may also differ at random. The value names a shared parameter and the
 #: fraction of it that is the typical scale. None means that the typical scale is the parameter's own scale.

@@ -12,9 +12,8 @@ import numpy as np
 from swimid.diagnosis.words import READING
 from swimid.effects.base import STAGES, Effect, Stage
 from swimid.errors import InputError, UsageError, suggestion
-from swimid.fitting.experiment import Experiment
-from swimid.fitting.hooks import NONE, Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.fitting.fit_common import Experiment
+from swimid.fitting.model import NONE, Array, Hooks, Model, Parameter, Trial
 from swimid.robots.file import RobotFile
 from swimid.swimmer.model import Swimmer
 

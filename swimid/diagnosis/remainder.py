@@ -18,8 +18,7 @@ from swimid.diagnosis.context import Fit, FitContext
 from swimid.diagnosis.generic import Description, descriptions
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.fitting.model import Array
-from swimid.fitting.parallel import map_in_processes
-from swimid.fitting.problem import Problem
+from swimid.fitting.problem import Problem, map_in_processes
 
 #: Candidate prior standard deviations of the coefficients of a generic description, in typical scales.
 WIDTHS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)

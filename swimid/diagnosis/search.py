@@ -38,7 +38,7 @@ from swimid.diagnosis.weighting import random_effect_columns, see, settled, tell
 from swimid.effects.base import Effect
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.model import Array, Model, Trial
-from swimid.fitting.parallel import map_in_processes
+from swimid.fitting.problem import map_in_processes
 from swimid.logs.sampling import white_noise_sd
 from swimid.progress import Progress, show, silent
 

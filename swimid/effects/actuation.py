@@ -15,8 +15,7 @@ from swimid.effects import common
 from swimid.effects.base import Array, Hooks, Model, Parameter, Parameters, Trial, Trials
 from swimid.effects.common import parameter
 from swimid.fitting.drives import eased
-from swimid.fitting.hooks import Stroke
-from swimid.fitting.model import typical
+from swimid.fitting.model import Stroke, typical
 
 
 class AmplitudeLoss(common.Actuation):

@@ -1,7 +1,7 @@
 """The base class of effects, and a model on which effects act.
 
 An effect has a name, parameters without influence at their start values, and hooks. Hooks are functions that
-change a simulation (:class:`~swimid.fitting.hooks.Hooks`). The ``stage`` of an effect is the part of the
+change a simulation (:class:`~swimid.fitting.model.Hooks`). The ``stage`` of an effect is the part of the
 simulated system on which the effect acts.
 """
 
@@ -17,8 +17,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from swimid.fitting.hooks import NONE, Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial, unless_broken
+from swimid.fitting.model import NONE, Array, Hooks, Model, Parameter, Trial, unless_broken
 
 Stage = Literal["actuation", "structure", "fluid", "environment", "sensing", "rig"]
 STAGES: tuple[Stage, ...] = ("actuation", "structure", "fluid", "environment", "sensing", "rig")

@@ -13,8 +13,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from swimid.effects.base import Array, Effect, Hooks, Model, Parameter, Trial, Trials
-from swimid.fitting.hooks import Command, Force, Stroke
-from swimid.fitting.model import MEAN_SPEED, POSITIONS, typical
+from swimid.fitting.model import MEAN_SPEED, POSITIONS, Command, Force, Stroke, typical
 
 if TYPE_CHECKING:
     from swimid.swimmer.planar.model import Body

@@ -26,8 +26,7 @@ from swimid.effects.base import (
     Trials,
 )
 from swimid.effects.common import parameter
-from swimid.fitting.hooks import FORCE_SIGNATURE, Force, traceable
-from swimid.fitting.model import typical
+from swimid.fitting.model import FORCE_SIGNATURE, Force, traceable, typical
 
 
 @traceable(on="hull", constants=2)

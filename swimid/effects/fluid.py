@@ -10,7 +10,7 @@ import numpy as np
 from swimid.effects import common
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 from swimid.effects.common import parameter
-from swimid.fitting.hooks import Force, traceable
+from swimid.fitting.model import Force, traceable
 from swimid.logs.log import FREQUENCY_RTOL
 
 #: Minimum inertia that may remain, as a fraction of the rigid body's inertia.

@@ -10,8 +10,7 @@ import numpy as np
 from swimid.effects import common
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 from swimid.effects.common import parameter
-from swimid.fitting.hooks import NONE
-from swimid.fitting.model import MEAN_SPEED
+from swimid.fitting.model import MEAN_SPEED, NONE
 
 
 class CameraRotation(Effect):

@@ -13,8 +13,7 @@ from numba import cfunc
 from swimid.effects import common
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 from swimid.effects.common import parameter
-from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Stroke, traceable
-from swimid.fitting.model import typical
+from swimid.fitting.model import FORCE_SIGNATURE, Force, Stroke, traceable, typical
 
 
 class ComOffset(Effect):

@@ -24,7 +24,6 @@ from swimid.fitting import output_error
 from swimid.fitting.covariance import UNIDENTIFIABLE, orthogonal_part, sandwich
 from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array
-from swimid.fitting.restarts import weighted
 
 #: Minimum number of trials for an estimate of the standard deviation between trials, and for a search for an
 #: outlier.
@@ -87,7 +86,7 @@ def estimate_own_values(result: FitResult, name: str, common: str) -> OwnValues:
         elif p.name == common:
             p = replace(p, free=False, start=result.value(common))
         parameters.append(p)
-    problem = weighted(result, tuple(parameters))
+    problem = output_error.weighted(result, tuple(parameters))
     parted = [label.partition("[") for label in problem.labels]
     theta = np.array([result.value(n, t.rstrip("]") or None) for n, _, t in parted])
     rows = [j * problem.scale for j in problem.trial_jacobians(theta, central=True)]

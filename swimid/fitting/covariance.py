@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, special
+from scipy import special
 from scipy.linalg import matmul_toeplitz
 from scipy.sparse import csgraph
 
@@ -311,36 +311,6 @@ def sentences(result: FitResult) -> list[str]:
         trials = [trial.rstrip("]") for other, _, trial in own if other == name]
         said.append(f"{name} is not identifiable in {', '.join(trials)}")
     return said + [f"{label} is not identifiable from these trials" for label in alone if "[" not in label]
-
-
-def ranked(result: FitResult) -> list[tuple[str, float]]:
-    """Rank the shared parameters by their identifiability, best first, with a pivoted QR decomposition.
-
-    Returns
-    -------
-    list of (label, share)
-        ``share`` is the fraction of the residuals' sensitivity to a parameter that is independent of the
-        parameters ranked before it and of the unknowns of single trials. It is 1 for a parameter with an
-        effect of its own, and 0 for a parameter that is completely confounded. Parameters held at a bound are
-        left out.
-
-    Notes
-    -----
-    Sensitivities are multiplied by the magnitudes of the parameters [1]_.
-
-    References
-    ----------
-    .. [1] B. F. Lund, B. A. Foss, "Parameter ranking by orthogonalization", Automatica 44 (2008), 278-281.
-    """
-    index = [i for i in _usable(result) if "[" not in result.labels[i]]
-    if not index:
-        return []
-    whole = np.linalg.norm((result.information_root * _sizes(result))[:, index], axis=0)
-    r, order = linalg.qr(_marginal(result, index), mode="r", pivoting=True)
-    own = np.zeros(len(index))
-    own[: min(r.shape)] = np.abs(np.diag(r))
-    shares = own / np.where(whole[order] > 0, whole[order], np.inf)
-    return [(result.labels[index[j]], float(share)) for j, share in zip(order, shares, strict=True)]
 
 
 def _sizes(result: FitResult) -> Array:

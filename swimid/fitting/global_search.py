@@ -1,4 +1,4 @@
-"""Fits from many starting points, selection of a parameter subset, and Pareto fronts by NSGA-II."""
+"""Fits from many starting points, and Pareto fronts by NSGA-II."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ import numpy as np
 from swimid.errors import NoTrustworthyResult, extra_needed
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting import output_error
-from swimid.fitting.covariance import ranked
-from swimid.fitting.metrics import FitResult, Loss
+from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.problem import Problem
 from swimid.progress import Progress, show, silent
@@ -45,7 +44,6 @@ def multistart(
     seed: int = 0,
     begins: Sequence[Array] | None = None,
     jobs: int | None = None,
-    loss: Loss = "linear",
     first: FitResult | None = None,
     progress: Progress = silent,
 ) -> tuple[FitResult, list[Start]]:
@@ -53,7 +51,7 @@ def multistart(
 
     Parameters
     ----------
-    model, trials, parameters, jobs, loss
+    model, trials, parameters, jobs
         As in :func:`swimid.fitting.output_error.fit`.
     starts : int
         Number of starting points. The first ones are ``begins``. The others are uniform random samples of
@@ -92,7 +90,7 @@ def multistart(
             try:
                 found = found or output_error.fit(
                     model, trials, parameters=parameters,
-                    jobs=jobs, loss=loss, begin=begin, tested=False, unfinished=True,
+                    jobs=jobs, begin=begin, tested=False, unfinished=True,
                 )  # fmt: skip
             except KeyboardInterrupt:
                 if not results:
@@ -138,44 +136,6 @@ def _better(best: FitResult, other: FitResult) -> FitResult:
     if max(other.cost, best.cost) <= min(other.cost, best.cost) * (1 + SAME):
         return min(best, other, key=lambda result: (not result.converged, result.cost))
     return min(best, other, key=lambda result: result.cost)
-
-
-def select_subset(
-    result: FitResult, *, jobs: int | None = None, progress: Progress = silent
-) -> tuple[FitResult, list[str]]:
-    """Fix the least identifiable parameters until the trials determine all others.
-
-    In each iteration the lowest-ranked parameter among those that are not identifiable is fixed at its start
-    value. Then the other parameters are fitted again.
-
-    Returns
-    -------
-    result : FitResult
-    fixed : list of str
-        Names of the parameters that were fixed.
-
-    Raises
-    ------
-    NoTrustworthyResult
-        If a fit does not converge.
-    """
-    fixed: list[str] = []
-    while not result.interrupted:
-        weak = [label for label, _ in ranked(result) if result.status[label] == "unidentifiable"]
-        if not weak:
-            break
-        fixed.append(weak[-1])
-        begin = np.array([v for v, k in zip(result.estimate, result.labels, strict=True) if k != weak[-1]])
-        result = output_error.fit(
-            result.model,
-            result.trials,
-            parameters=[replace(p, free=p.free and p.name != weak[-1]) for p in result.parameters],
-            progress=progress,
-            jobs=jobs,
-            loss=result.loss,
-            begin=begin,
-        )
-    return result, fixed
 
 
 # ---------------------------------------------------------------- several objectives

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Literal
+from typing import Any
 
 import numba
 import numpy as np
@@ -20,8 +20,6 @@ import numpy as np
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.results import evidence as ev
 from swimid.results import numbers
-
-Loss = Literal["linear", "huber"]
 
 
 @dataclass(frozen=True)
@@ -109,8 +107,6 @@ class FitResult:
     #: inverse of the covariance. It is accurate even if the covariance is infinite. Columns of parameters
     #: held at a bound are NaN.
     information_root: Array = field(default_factory=lambda: np.empty((0, 0)))
-    #: Loss function: ``linear`` or ``huber``.
-    loss: Loss = "linear"
     #: Number of Jacobians computed in all searches and tests of the fit.
     jacobians: int = 0
     #: Estimates of the per-trial parameters of validation trials, by label. The shared parameters are held.

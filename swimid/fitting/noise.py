@@ -18,8 +18,6 @@ References
 .. [3] W. K. Newey, K. D. West, "A simple, positive semi-definite, heteroskedasticity and
    autocorrelation consistent covariance matrix", Econometrica 55 (1987), 703-708.
    doi:10.2307/1913610
-.. [4] P. J. Huber, "Robust estimation of a location parameter", Annals of Mathematical Statistics 35
-   (1964), 73-101.
 """
 
 from __future__ import annotations
@@ -34,16 +32,6 @@ from scipy.linalg import toeplitz
 
 from swimid.fitting.model import Array
 from swimid.fitting.problem import Problem
-
-#: Residual, in standard deviations, above which Huber's loss is linear. With this value the estimates are 95
-#: % efficient for normal noise.
-CORNER = 1.345
-#: Mean square of standard normal noise whose values are limited to plus or minus ``CORNER``.
-CLIPPED = float(
-    special.erf(CORNER / math.sqrt(2))
-    - CORNER * math.sqrt(2 / math.pi) * math.exp(-(CORNER**2) / 2)
-    + CORNER**2 * special.erfc(CORNER / math.sqrt(2))
-)
 
 
 def weigh_first(problem: Problem, even: bool) -> None:
@@ -66,7 +54,7 @@ def weigh_first(problem: Problem, even: bool) -> None:
 
 
 def estimate(
-    problem: Problem, theta: Array, previous: dict[str, tuple[float, float]], *, robust: bool = False
+    problem: Problem, theta: Array, previous: dict[str, tuple[float, float]]
 ) -> dict[str, tuple[float, float]]:
     """Estimate the standard deviations of the errors of values and time stamps, and set the weights.
 
@@ -76,9 +64,6 @@ def estimate(
         Unknowns at which the residuals are computed.
     previous : dict of channel name to (float, float)
         Standard deviations of the previous noise iteration; empty in the first iteration.
-    robust : bool
-        Whether to use the median absolute deviation and Huber's loss [4]_. Of a residual beyond
-        :data:`CORNER` standard deviations only the sign then influences the estimates.
 
     Returns
     -------
@@ -103,9 +88,9 @@ def estimate(
             )
             shapes.append(np.sqrt(known**2 + (trial.time_sd_s * rate) ** 2))
         uncertain = [problem.trials[k].stamps_uncertain for k in owners]
-        constant, stamp = _components(errors, rates, shapes, uncertain, previous.get(channel), robust)
+        constant, stamp = _components(errors, rates, shapes, uncertain, previous.get(channel))
         found[channel] = (constant, stamp)
-        for k, shape, rate, free, error in zip(owners, shapes, rates, uncertain, errors, strict=True):
+        for k, shape, rate, free in zip(owners, shapes, rates, uncertain, strict=True):
             i = problem.channels[k].index(channel)
             if np.any(shape > 0):
                 sd = np.maximum(shape, 0.05 * np.median(shape)) * (constant or 1e-15)
@@ -113,36 +98,7 @@ def estimate(
                 sd = np.sqrt(constant**2 + (free * stamp * rate) ** 2)
             largest = np.nanmax(np.abs(problem.trials[k].measured[channel]))
             problem.sd[k][i] = np.maximum(sd, 1e-12 * max(1e-6, largest))
-            if robust:
-                problem.damping[k][i] = huber_damping(error / problem.sd[k][i])
     return found
-
-
-def huber_damping(residuals: Array) -> Array:
-    """Return factors for weighted residuals with which least squares has the minimum of Huber's loss."""
-    far = np.maximum(np.abs(np.nan_to_num(residuals, nan=0.0)) / CORNER, 1.0)
-    return np.asarray(1.0 / np.sqrt(far))
-
-
-def influence(problem: Problem, residuals: list[Array]) -> tuple[list[Array], list[Array]]:
-    """Return the residuals and the factors of their derivatives for the covariance under a robust loss.
-
-    A robust loss limits the influence of a sample, and its curvature is zero for large residuals. With the
-    linear loss the residuals are unchanged and the factors are ones.
-    """
-    inside: dict[str, list[Array]] = {}
-    for k, dampings in enumerate(problem.damping):
-        for channel, damping, mask in zip(problem.channels[k], dampings, problem.masks[k], strict=True):
-            inside.setdefault(channel, []).append(damping[mask] == 1.0)
-    curvature = {c: max(float(np.mean(np.concatenate(parts))), 1e-3) for c, parts in inside.items()}
-    factors = [
-        problem.at_samples(
-            k,
-            [math.sqrt(curvature[c]) / d for c, d in zip(problem.channels[k], dampings, strict=True)],
-        )
-        for k, dampings in enumerate(problem.damping)
-    ]
-    return [values / factor for values, factor in zip(residuals, factors, strict=True)], factors
 
 
 def weights(problem: Problem) -> list[Array]:
@@ -162,7 +118,6 @@ def _components(
     shapes: list[Array],
     uncertain: list[bool],
     previous: tuple[float, float] | None,
-    robust: bool,
 ) -> tuple[float, float]:
     """Return the standard deviations of the errors of values and of time stamps in one channel.
 
@@ -171,16 +126,12 @@ def _components(
     r = np.concatenate(residuals)
     there = np.isfinite(r)
     shape = np.concatenate(shapes)
-    size = _robust_size if robust else _size
     if np.any(shape > 0):
         floor = np.where(shape > 0, np.maximum(shape, 0.05 * np.median(shape[shape > 0])), 1.0)
-        return size(r[there] / floor[there]), 0.0
+        return _size(r[there] / floor[there]), 0.0
     if not any(uncertain):
-        return size(r[there]), 0.0
+        return _size(r[there]), 0.0
     square = r[there] ** 2
-    if robust:
-        corner = CORNER * _robust_size(r[there])
-        square = np.minimum(square, corner**2) / CLIPPED
     rate2 = np.concatenate([q**2 if u else np.zeros_like(q) for q, u in zip(rates, uncertain, strict=True)])[
         there
     ]
@@ -200,11 +151,6 @@ def _components(
 def _size(errors: Array) -> float:
     """Return the root mean square of errors."""
     return float(np.sqrt(np.mean(errors**2)))
-
-
-def _robust_size(errors: Array) -> float:
-    """Return the standard deviation of normal noise whose median absolute value is that of the errors."""
-    return float(np.median(np.abs(errors)) / special.ndtri(0.75)) or _size(errors)
 
 
 def value_sd(problem: Problem, channel: str, constant: float) -> float:

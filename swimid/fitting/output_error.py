@@ -20,11 +20,10 @@ from threadpoolctl import threadpool_limits
 
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import noise as noise_model
-from swimid.fitting import restarts
 from swimid.fitting.covariance import UNIDENTIFIABLE, Sandwich, sandwich
-from swimid.fitting.metrics import FitResult, Loss, Noise, Series
+from swimid.fitting.metrics import FitResult, Noise, Series
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.fitting.problem import KINKED, MIN_DECREASE, STALLED, STRIDE, Patience, Problem
+from swimid.fitting.problem import KINKED, MIN_DECREASE, STALLED, STRIDE, Patience, Problem, minimise
 from swimid.notices import warn
 from swimid.progress import Progress, show, silent
 
@@ -62,7 +61,6 @@ class _Task:
     trials: tuple[Trial, ...]
     parameters: tuple[Parameter, ...]
     jobs: int
-    loss: Loss = "linear"
     progress: Progress = silent
 
 
@@ -73,7 +71,6 @@ def fit(
     parameters: Sequence[Parameter] | None = None,
     progress: Progress = silent,
     jobs: int | None = None,
-    loss: Loss = "linear",
     begin: Array | None = None,
     tested: bool = True,
     unfinished: bool = False,
@@ -92,15 +89,12 @@ def fit(
         Number of threads for long simulations. The default is the number of processors. The result does not
         depend on the number of threads. With several threads, ``model.simulate`` must be safe to call from
         several threads at once.
-    loss : {"linear", "huber"}
-        Loss function. Huber's loss limits the influence of outliers, and the noise is then estimated from the
-        median absolute deviation.
     begin : ndarray, shape (p,), optional
         Starting point of the search, one value for each label of the result. The default is the start values
         of the parameters.
     tested : bool
         Whether to compare the estimates with points and short searches around them, and to search again from
-        a better point (:mod:`swimid.fitting.restarts`).
+        a better point (:func:`search_around`).
     unfinished : bool
         Whether to return a result that is marked as not converged if the search does not converge within
         :data:`UNFINISHED_ITERATIONS`. Otherwise this raises an error.
@@ -131,7 +125,7 @@ def fit(
     noise alone can explain that it is at its bound.
     """
     threads = jobs or os.cpu_count() or 1
-    task = _Task(model, tuple(trials), tuple(parameters or model.parameters), threads, loss, progress)
+    task = _Task(model, tuple(trials), tuple(parameters or model.parameters), threads, progress)
     result = _refined(task, begin, unfinished)
     return check_by_restarts(result, jobs=threads) if tested and result.converged else result
 
@@ -149,16 +143,16 @@ def check_by_restarts(result: FitResult, *, jobs: int) -> FitResult:
         while True:
             # restarts need at most twice the simulations of the first fit in total, unless the cost is not
             # smooth
-            if spent > 2 * first.evaluations and not restarts.kinked(result):
+            if spent > 2 * first.evaluations and not kinked(result):
                 settled = gain <= NEEDED_GAIN
                 break
             with threadpool_limits(limits=1, user_api="blas"):
-                near = restarts.search_around(result, jobs=jobs, seed=count)
+                near = search_around(result, jobs=jobs, seed=count)
             spent, taken = spent + near.evaluations, taken + near.jacobians
             if near.point is None or count == MAX_RESTARTS:
                 settled = near.point is None
                 break
-            task = _Task(result.model, result.trials, result.parameters, jobs, result.loss)
+            task = _Task(result.model, result.trials, result.parameters, jobs)
             again = _refined(task, near.point, True, near=result)
             spent, taken = spent + again.evaluations, taken + again.jacobians
             gain = _objective(result) - _objective(again)
@@ -277,7 +271,7 @@ def _fit_once(
             f"{samples} samples cannot determine {len(start)} unknowns",
             hint="give longer logs or more trials, or fix some parameters",
         )
-    search = _Search(problem, start, task.loss, near)
+    search = _Search(problem, start, near)
     if budget is None:
         search.stay()
     else:
@@ -305,10 +299,9 @@ def _fit_once(
 class _Search:
     """A search for the minimum, repeated with the weights of the estimated noise until they converge."""
 
-    def __init__(self, problem: Problem, theta: Array, loss: Loss, near: FitResult | None) -> None:
+    def __init__(self, problem: Problem, theta: Array, near: FitResult | None) -> None:
         self.problem = problem
         self.theta = theta
-        self.loss = loss
         self.near = near
         self.noise: dict[str, tuple[float, float]] = {}
         self.patience = Patience()
@@ -317,8 +310,7 @@ class _Search:
         self.iterations = 0
         # with one channel of constant error all weights stay equal, so that one search is enough
         self.equal = (
-            loss == "linear"
-            and not problem.random.any()
+            not problem.random.any()
             and len({c for names in problem.channels for c in names}) == 1
             and not any(t.stamps_uncertain or np.any(t.time_sd_s) or t.value_sd for t in problem.trials)
         )
@@ -328,7 +320,7 @@ class _Search:
         rounds = 1 if self.equal else MAX_NOISE_ITERATIONS
         known = self.near is not None and not self.equal
         if self.near is not None and known:
-            restarts.set_weights(self.problem, self.near)
+            set_weights(self.problem, self.near)
         else:
             noise_model.weigh_first(self.problem, self.equal)
         try:
@@ -362,13 +354,13 @@ class _Search:
 
     def estimate_noise(self) -> None:
         """Estimate the noise at the current point, and set the weights that follow from it."""
-        self.noise = noise_model.estimate(self.problem, self.theta, self.noise, robust=self.loss == "huber")
+        self.noise = noise_model.estimate(self.problem, self.theta, self.noise)
 
     def _noise_limits(self) -> Patience:
         """Return the rule that ends a search if noise is larger than the effect of its steps."""
         problem, theta = self.problem, self.theta
         _insist_unbroken(problem, theta)
-        _, residuals, rows = _influences(problem, theta)
+        residuals, rows = _linearised(problem, theta)
         found = sandwich(problem, rows, residuals, noise_model.autoregressions(problem, residuals))
         errors = np.sqrt(np.maximum(np.diag(found.covariance), 0.0)) * problem.scale
         shared = np.array([owner is None for _, owner in problem.slots])
@@ -436,25 +428,21 @@ def _insist_unbroken(problem: Problem, theta: Array) -> None:
         )
 
 
-def _influences(
-    problem: Problem, theta: Array, *, central: bool = False
-) -> tuple[list[Array], list[Array], list[Array]]:
-    """Return the weighted residuals of each trial, and residuals and derivatives for the covariance."""
-    raw = [problem.trial_residuals(theta, k) for k in range(len(problem.trials))]
-    residuals, factors = noise_model.influence(problem, raw)
-    jacobians = problem.trial_jacobians(theta, central=central)
-    return raw, residuals, [f[:, None] * j * problem.scale for f, j in zip(factors, jacobians, strict=True)]
+def _linearised(problem: Problem, theta: Array, *, central: bool = False) -> tuple[list[Array], list[Array]]:
+    """Return the weighted residuals of each trial, and their derivatives by the scaled unknowns."""
+    residuals = [problem.trial_residuals(theta, k) for k in range(len(problem.trials))]
+    return residuals, [j * problem.scale for j in problem.trial_jacobians(theta, central=central)]
 
 
 def _result(search: _Search, task: _Task) -> FitResult:
     """Return the estimates, their covariance and their status at the end of a search."""
     problem, theta = search.problem, search.theta
     samples = sum(int(mask.sum()) for masks in problem.masks for mask in masks)
-    raw, residuals, rows = _influences(problem, theta, central=samples * len(theta) <= 50_000)
-    autoregressions = noise_model.autoregressions(problem, residuals)
+    raw, rows = _linearised(problem, theta, central=samples * len(theta) <= 50_000)
+    autoregressions = noise_model.autoregressions(problem, raw)
     priors = problem.random_residuals(theta)
     rows = [np.vstack((a, b * problem.scale)) for a, (_, b) in zip(rows, priors, strict=True)]
-    residuals = [np.concatenate((a, b)) for a, (b, _) in zip(residuals, priors, strict=True)]
+    residuals = [np.concatenate((a, b)) for a, (b, _) in zip(raw, priors, strict=True)]
     margin = 1e-6 * np.maximum(problem.scale, np.abs(theta))
     outward = np.where(theta - problem.lower < margin, -1.0, 0.0)
     outward[problem.upper - theta < margin] = 1.0
@@ -500,7 +488,6 @@ def _result(search: _Search, task: _Task) -> FitResult:
         interrupted=search.interrupted,
         cost=_cost(problem, raw),
         information_root=root,
-        loss=task.loss,
         jacobians=problem.jacobians,
     )
     return replace(result, series=_series(problem, result))
@@ -535,10 +522,7 @@ def _cost(problem: Problem, residuals: list[Array]) -> float:
     """Return :attr:`FitResult.cost` of residuals, with the weights of the final noise model."""
     total, count = 0.0, 0
     for k, values in enumerate(residuals):
-        sds, dampings = problem.at_samples(k, problem.sd[k]), problem.at_samples(k, problem.damping[k])
-        # Huber's loss of a large residual is 2 c |r| - c^2; with the linear loss all damping factors are 1
-        squares = np.where(dampings < 1, 2 * values**2 - noise_model.CORNER**2, values**2)
-        total += float(np.sum(2 * np.log(sds) + squares))
+        total += float(np.sum(2 * np.log(problem.at_samples(k, problem.sd[k])) + values**2))
         count += len(values)
     return float(np.exp(min(total / max(count, 1) - 1.0, 700.0)))
 
@@ -564,6 +548,213 @@ def _series(problem: Problem, result: FitResult) -> list[Series]:
                 Series(trial.id, trial.role, channel, trial.time_s, measured, simulated[channel], sd)
             )
     return series
+
+
+# ---------------------------------------------------------------- searches around the estimates
+
+
+# A search ends where its local model of the cost predicts no decrease. Such a point need not be a minimum if
+# the cost is not smooth, as with dry friction, or if a bound holds a parameter. Therefore no point near the
+# estimates, and no short search from such a point, may reach a lower cost than the estimates.
+
+#: Number of pairs of points around the estimates, and their distance from the estimates in standard errors
+#: under white noise.
+N_PAIRS, PAIR_DISTANCE = 3, 2.0
+#: Minimum deviation of the mean cost of a pair from its quadratic prediction, as a fraction of the
+#: prediction, that shows a non-smooth cost.
+KINK_SHARE = 0.5
+#: Distances from the estimates at which short searches start, in standard errors under white noise. The first
+#: tuple is for a smooth cost, the second for a non-smooth cost.
+SMOOTH_DISTANCES = (10.0,)
+KINK_DISTANCES = (3.0, 10.0, 30.0, 100.0, 3.0, 10.0, 30.0, 100.0)
+#: Number of iterations of a short search. If the cost is non-smooth, a second search starts from the two best
+#: end points with the second number.
+SHORT_ITERATIONS, LONG_ITERATIONS = 3, 10
+#: Values at which a parameter with a non-smooth effect is tested: multiples of its typical scale, and
+#: multiples of its estimate. Multiples of the scale help if the estimate is far from the best value. A free
+#: decay with dry friction has a local minimum for every number of half swings before the body sticks.
+SCALES, FACTORS = (0.25, 1.0, 3.0), (0.6, 0.8, 0.9, 1.1, 1.25, 1.6)
+#: Distance from the bound at which a parameter at a bound is tested, in typical scales of the parameter.
+INSIDE = 1.0
+#: Maximum step along a direction that the data hardly determine, as a fraction of the parameter values.
+MAX_STEP = 0.5
+#: Minimum decrease of the sum of squared residuals that counts as a lower cost, in units of the residual
+#: variance. Such a decrease moves an estimate by about a thirtieth of its standard error.
+IMMATERIAL = 1e-3
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """Result of a search around the estimates of a fit."""
+
+    #: Point with a lower cost than the estimates, shape (p,); None if there is none.
+    point: Array | None
+    #: Number of simulations of single trials, and number of Jacobians.
+    evaluations: int
+    jacobians: int
+    #: The cost is not smooth: :attr:`Parameter.kinked` of a parameter is set, or the cost deviates from its
+    #: quadratic prediction.
+    rough: bool
+
+
+def search_around(result: FitResult, *, jobs: int = 1, seed: int = 0) -> Surroundings:
+    """Search for a lower cost around the estimates of a fit.
+
+    If the cost is smooth, all starting points use the derivatives at the estimates for one step. If this step
+    leads at least half of the way back to the estimates, measured in residuals, the starting point is not
+    searched further. Otherwise the search continues with new derivatives.
+    """
+    if not len(result.labels):
+        return Surroundings(None, 0, 0, False)
+    problem = weighted(result, jobs=jobs)
+    point, rough = _lower_point(problem, result, np.random.default_rng(seed))
+    return Surroundings(point, problem.evaluations, problem.jacobians, rough)
+
+
+def weighted(result: FitResult, parameters: tuple[Parameter, ...] | None = None, *, jobs: int = 1) -> Problem:
+    """Return the least-squares problem of a fit with its final weights; its parameters can be replaced."""
+    fitted = [t for t in result.trials if t.role == "fit"]
+    problem = Problem(result.model, parameters or result.parameters, fitted, jobs=jobs)
+    set_weights(problem, result)
+    return problem
+
+
+def set_weights(problem: Problem, result: FitResult) -> None:
+    """Set the weights of a problem to the final weights of a fit of the same trials."""
+    known = {(s.trial, s.channel): s for s in result.series}
+    for k, trial in enumerate(problem.trials):
+        problem.sd[k] = [known[trial.id, channel].sd for channel in problem.channels[k]]
+
+
+def _lower_point(problem: Problem, result: FitResult, rng: np.random.Generator) -> tuple[Array | None, bool]:
+    """Return a point with a lower cost (None if there is none), and whether the cost is not smooth."""
+    theta = np.asarray(result.estimate, dtype=float)
+    here = _squares(problem, theta)
+    rows = problem.jacobian(theta)
+    variance = here / max(result.samples - len(theta), 1)
+    steps = _standard_steps(problem, theta, rows, variance)
+    material = max(IMMATERIAL * here / max(result.samples, 1), 1e-9 * here)
+    ends: list[tuple[float, Array]] = []
+    rough = kinked(result)
+    for _ in range(N_PAIRS):
+        step = PAIR_DISTANCE * steps @ _unit(rng, len(theta))
+        pair = [np.clip(theta + sign * step, problem.lower, problem.upper) for sign in (1.0, -1.0)]
+        costs = [_squares(problem, point) for point in pair]
+        ends += list(zip(costs, pair, strict=True))
+        inside = (np.allclose(point, theta + sign * step) for point, sign in zip(pair, (1, -1), strict=True))
+        if all(inside) and not rough:
+            predicted = float(np.sum((rows @ step) ** 2))
+            off = 0.5 * sum(costs) - here - predicted
+            rough = abs(off) > KINK_SHARE * max(predicted, variance) and not _smooth(
+                problem, theta, rows, step, off
+            )
+    distances = KINK_DISTANCES if rough else SMOOTH_DISTANCES
+    starts = [
+        np.clip(theta + far * steps @ _unit(rng, len(theta)), problem.lower, problem.upper)
+        for far in distances
+    ]
+    starts += _inside(problem, result, theta, rough)
+    tolerance = 0.1 * material / max(here, 1e-300)
+    if rough:
+        found = _searched(problem, starts, SHORT_ITERATIONS, tolerance)
+        lowest = [point for _, point in sorted(found, key=lambda end: end[0])[:2]]
+        ends += found + _searched(problem, lowest, LONG_ITERATIONS, tolerance)
+    else:
+        for start in starts:
+            step_only = minimise(problem.residuals, lambda _: rows, start, problem.box, max_iterations=1)
+            cost = step_only.cost if np.isfinite(step_only.cost) else np.inf
+            ends.append((cost, step_only.x))
+            before, after = (float(np.linalg.norm(rows @ (p - theta))) for p in (start, step_only.x))
+            if cost >= here - material and after > 0.5 * before:
+                ends += _searched(problem, [step_only.x], SHORT_ITERATIONS, tolerance)
+    cost, point = min(ends, key=lambda pair: pair[0])
+    if cost >= here - material:
+        return None, rough
+    return point, rough
+
+
+def _smooth(problem: Problem, theta: Array, rows: Array, step: Array, off: float) -> bool:
+    """Return whether the deviation from the quadratic prediction falls with the fourth power of the step.
+
+    It does so for a smooth cost. With a kink it falls with the step, and with a piecewise constant cost it
+    falls with the square of the step.
+    """
+    here = _squares(problem, theta)
+    for _ in range(2):
+        step = step / 4.0
+        predicted = float(np.sum((rows @ step) ** 2))
+        nearer = 0.5 * (_squares(problem, theta + step) + _squares(problem, theta - step)) - here - predicted
+        # at a quarter of the distance, 1/256 of the deviation remains if smooth, 1/16 if piecewise constant
+        if abs(nearer) < 1.0 / 32.0 * abs(off):
+            return True
+        off = nearer
+    return False
+
+
+def kinked(result: FitResult) -> bool:
+    """Return whether an estimated parameter makes the cost non-smooth (:attr:`Parameter.kinked`)."""
+    return any(p.kinked and p.free for p in result.parameters)
+
+
+def _searched(
+    problem: Problem, starts: list[Array], iterations: int, tolerance: float
+) -> list[tuple[float, Array]]:
+    """Return the cost and the end point of a short search from each starting point."""
+    found = [problem.solve(start, tolerance=tolerance, max_iterations=iterations) for start in starts]
+    return [(solution.cost, solution.x) for solution in found if np.isfinite(solution.cost)]
+
+
+def _squares(problem: Problem, theta: Array) -> float:
+    r = problem.residuals(theta)
+    return float(r @ r)
+
+
+def _unit(rng: np.random.Generator, size: int) -> Array:
+    """Return a random unit vector."""
+    direction = rng.normal(size=size)
+    return np.asarray(direction / np.linalg.norm(direction))
+
+
+def _standard_steps(problem: Problem, theta: Array, rows: Array, variance: float) -> Array:
+    """Return independent steps of one standard error under white noise, as columns, shape (p, p)."""
+    rows = rows * problem.scale
+    at_bound = (theta <= problem.lower) | (theta >= problem.upper)
+    rows[:, at_bound] = 0.0
+    values, vectors = np.linalg.eigh(rows.T @ rows)
+    sizes = np.sqrt(variance / np.maximum(values, 1e-300))
+    largest = MAX_STEP * np.max(np.maximum(np.abs(theta), problem.scale) / problem.scale)
+    steps = vectors * np.minimum(sizes, largest)
+    steps[at_bound] = 0.0
+    return np.asarray(problem.scale[:, None] * steps)
+
+
+def _inside(problem: Problem, result: FitResult, theta: Array, rough: bool) -> list[Array]:
+    """Return starting points in which one parameter has another value.
+
+    A parameter at a bound is moved away from the bound. A parameter with a non-smooth effect is set to
+    several values. Parameters of single trials are included only if the cost is not smooth.
+    """
+    kinked = {p.name for p in result.parameters if p.kinked}
+    found = []
+    margin = 1e-3 * problem.scale
+    for j, label in enumerate(problem.labels):
+        name, per_trial = label.split("[")[0], "[" in label
+        values: list[float] = []
+        if name in kinked and not per_trial:
+            values = [size * problem.scale[j] for size in SCALES] + [
+                f * theta[j] for f in FACTORS if theta[j]
+            ]
+        elif theta[j] - problem.lower[j] < margin[j]:
+            values = [problem.lower[j] + INSIDE * problem.scale[j]]
+        elif problem.upper[j] - theta[j] < margin[j]:
+            values = [problem.upper[j] - INSIDE * problem.scale[j]]
+        if per_trial and not rough:
+            continue
+        for value in values:
+            point = theta.copy()
+            point[j] = np.clip(value, problem.lower[j], problem.upper[j])
+            found.append(point)
+    return found
 
 
 # ---------------------------------------------------------------- start states of held-out trials

@@ -9,17 +9,20 @@ well enough for them. Tests compare the optima of both methods.
 from __future__ import annotations
 
 import math
+import multiprocessing
+import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.fitting.parallel import map_in_threads
 
 #: Minimum duration of one simulation, s, for which simulations are divided among threads.
 WORTH_A_THREAD = 3e-4
@@ -62,9 +65,8 @@ class Problem:
         For each trial: indices of its estimated parameters, and indices of the corresponding unknowns.
     channels : list of list of str
         Names of the channels of each trial that have samples.
-    masks, sd, damping : list of list of ndarray, each shape (n_k,)
-        Arrays by trial and channel: a mask of the existing samples, their standard deviations, and the factor
-        (at most 1) by which a robust loss reduces each residual.
+    masks, sd : list of list of ndarray, each shape (n_k,)
+        Arrays by trial and channel: a mask of the existing samples, and their standard deviations.
     start, lower, upper, scale : ndarray, shape (p,)
         Start values, bounds and typical scales of the unknowns.
     evaluations, jacobians : int
@@ -118,7 +120,6 @@ class Problem:
             for whole, masks in zip(complete, self.masks, strict=True)
         ]
         self.sd = [[np.ones(len(t.time_s)) for _ in names] for t, names in of_trials]
-        self.damping = [[np.ones(len(sd)) for sd in sds] for sds in self.sd]
         self._values = np.array([p.start for p in self.parameters])
         own = [self.parameters[i] for i, _ in self.slots]
         self.lower, self.upper, self.scale, spread, mean = (
@@ -297,12 +298,11 @@ class Problem:
 
     def sample_weights(self, k: int) -> Array:
         """Return the factors from errors to weighted residuals of the samples of a trial, shape (n_k,)."""
-        parts = [*self.damping[k], *self.sd[k]]
         known = self._weights.get(k)
-        # compute the weights again only if an array of standard deviations or damping factors was replaced
-        if known is None or any(a is not b for a, b in zip(known[0], parts, strict=True)):
-            each = [d / sd for d, sd in zip(self.damping[k], self.sd[k], strict=True)]
-            known = self._weights[k] = parts, self.at_samples(k, each)
+        # compute the weights again only if an array of standard deviations was replaced
+        if known is None or any(a is not b for a, b in zip(known[0], self.sd[k], strict=True)):
+            each = [1.0 / sd for sd in self.sd[k]]
+            known = self._weights[k] = list(self.sd[k]), self.at_samples(k, each)
         return known[1]
 
     def stacked(self, k: int, series: Mapping[str, Array]) -> Array:
@@ -665,3 +665,86 @@ class Patience:
             return math.inf, np.full(len(x), math.inf)
         there, before = self.path[-1 - steps]
         return before - cost, x - there
+
+
+# ---------------------------------------------------------------- threads and processes
+
+
+Item = TypeVar("Item")
+Made = TypeVar("Made")
+
+#: Function and items of the running process pool. Forked processes inherit them.
+_work: tuple[Callable[[Any], Any], list[Any]] | None = None
+
+
+def map_in_processes(function: Callable[[Item], Made], items: Iterable[Item], jobs: int) -> Iterator[Made]:
+    """Yield the results of a function in the order of the items, each as soon as it is available.
+
+    On Linux the items are divided among forked processes. Threads would not help, because most of a
+    simulation is Python code, which threads do not run simultaneously. A forked process starts with
+    everything in memory. Only results are sent back; other changes that the function makes are lost. On other
+    systems forking is not safe, and threads are used.
+    """
+    global _work
+    items = list(items)
+    if jobs <= 1 or len(items) <= 1 or _work is not None:
+        yield from map(function, items)
+        return
+    if sys.platform != "linux":
+        with map_in_threads(function, items, jobs) as results:
+            yield from results
+        return
+    _work = function, items
+    try:
+        context = multiprocessing.get_context("fork")
+        with ProcessPoolExecutor(min(jobs, len(items)), mp_context=context) as pool:
+            yield from pool.map(_one, range(len(items)))
+    finally:
+        _work = None
+
+
+def _one(index: int) -> Any:
+    assert _work is not None
+    function, items = _work
+    return function(items[index])
+
+
+@contextmanager
+def map_in_threads(
+    work: Callable[[Item], Made], items: Iterable[Item], jobs: int
+) -> Iterator[Iterator[Made]]:
+    """Evaluate a function for many items in threads.
+
+    Parameters
+    ----------
+    work : callable
+        Function that is called with one item, in any thread. After the first exception or interrupt it is not
+        called again.
+    items : iterable
+    jobs : int
+        Number of threads, at least one.
+
+    Yields
+    ------
+    iterator
+        Results in the order of the items. The iterator waits for each result. When the ``with`` block ends,
+        items that have not started are cancelled.
+    """
+    failures: list[BaseException] = []
+
+    def one(item: Item) -> Made:
+        # the caller may notice an exception late, and the threads would process further items until then
+        if failures:
+            raise failures[0]
+        try:
+            return work(item)
+        except BaseException as failure:
+            failures.append(failure)
+            raise
+
+    pool = ThreadPoolExecutor(max(jobs, 1))
+    try:
+        waiting = [pool.submit(one, item) for item in items]
+        yield (future.result() for future in waiting)
+    finally:
+        pool.shutdown(cancel_futures=True)

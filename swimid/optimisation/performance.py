@@ -16,7 +16,7 @@ import numpy as np
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.fitting.drives import Beat, SwimInput
 from swimid.fitting.model import Array
-from swimid.fitting.parallel import map_in_threads
+from swimid.fitting.problem import map_in_threads
 from swimid.logs.trials import StrokeDrive
 from swimid.optimisation.options import GaitOptions
 from swimid.simulation import catalogue, swim_quantities

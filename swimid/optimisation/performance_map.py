@@ -18,7 +18,7 @@ from swimid.files import atomic, yamlio
 from swimid.files.checkpoint import Checkpoint
 from swimid.files.provenance import Input
 from swimid.files.yamlio import Number, Rows
-from swimid.fitting.experiment import read_log
+from swimid.fitting.fit_common import read_log
 from swimid.fitting.model import Array, Trial
 from swimid.logs import trials as trials_format
 from swimid.logs.kinematics import UNSTEADY, Window

@@ -13,7 +13,7 @@ from typing import Any, Literal
 from swimid.files import provenance, yamlio
 from swimid.files.provenance import Input
 from swimid.fitting.model import Array
-from swimid.fitting.parallel import map_in_threads
+from swimid.fitting.problem import map_in_threads
 from swimid.notices import Notice
 from swimid.optimisation.options import GaitOptions
 from swimid.optimisation.performance import Performance

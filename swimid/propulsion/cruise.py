@@ -11,7 +11,7 @@ import numpy as np
 
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import fit_common, output_error
-from swimid.fitting.experiment import Experiment
+from swimid.fitting.fit_common import Experiment
 from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Model, Parameter, Trial, chosen
 from swimid.notices import warn

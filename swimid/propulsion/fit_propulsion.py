@@ -13,7 +13,7 @@ from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files import provenance
 from swimid.fitting import fit_common, output_error
 from swimid.fitting.covariance import UNIDENTIFIABLE
-from swimid.fitting.experiment import Experiment
+from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Parameter
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded, warn

@@ -11,8 +11,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from swimid.fitting.hooks import Hooks, Stroke
-from swimid.fitting.model import MEAN_SPEED, Array, Channel, Model, Parameter, Scales, Trial
+from swimid.fitting.model import MEAN_SPEED, Array, Channel, Hooks, Model, Parameter, Scales, Stroke, Trial
 
 SPEED = MEAN_SPEED
 #: Maximum integration step of a surge that has no closed form, s.

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-from swimid.fitting import options as fits
-from swimid.fitting.options import StartState
-from swimid.options import Options, Source, option
+from swimid import options as fits
+from swimid.options import Options, Source, StartState, option
 
 
 class FitPropulsionOptions(

@@ -14,7 +14,7 @@ import numpy as np
 
 from swimid.fitting import fit_common
 from swimid.fitting.covariance import UNIDENTIFIABLE
-from swimid.fitting.experiment import Experiment
+from swimid.fitting.fit_common import Experiment
 from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Trial
 from swimid.results import evidence as ev

@@ -22,10 +22,9 @@ from scipy import optimize
 from swimid.errors import NoTrustworthyResult
 from swimid.files import provenance
 from swimid.fitting import fit_common, output_error
-from swimid.fitting.experiment import Experiment
+from swimid.fitting.fit_common import Experiment
 from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Parameter, chosen
-from swimid.fitting.restarts import profile_interval
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded, warn
 from swimid.options import takes
@@ -79,7 +78,7 @@ def fit_drag(
     output : path, optional
         Parameter file to write, together with its evidence file.
     progress : Progress
-        Progress bar of the search and of the profile-likelihood intervals.
+        Progress bar of the search.
 
     Returns
     -------
@@ -121,9 +120,6 @@ def fit_drag(
         )
         best = _fit_best(experiment, choices, options.start_state, progress)
         result = best.result
-        profiles = {}
-        if options.profile:
-            profiles = _profiles(result, progress)
         pair = None
         try:
             pair = _two_point(experiment, options.points_m)
@@ -135,7 +131,6 @@ def fit_drag(
             result,
             robot=experiment.robot.name,
             provenance=origin,
-            profiles=profiles,
             derived={**best.derived, **derived.derive(experiment, result)},
             settings=best.facts,
         )
@@ -250,17 +245,6 @@ def _search_from_starts(first: FitResult, progress: Progress) -> tuple[FitResult
     reason = f"only {agree} of {len(ends)} searches ended in the lowest minimum"
     text = "the lowest is reported"
     return best, [ev.check("one minimum", value, agree > 1, "two at least", text, reason=reason)]
-
-
-def _profiles(result: FitResult, progress: Progress) -> dict[str, tuple[float | None, float | None]]:
-    """Return the profile-likelihood interval of each shared parameter that has a standard error."""
-    names = [label for label in result.labels if "[" not in label and result.stderr(label) is not None]
-    intervals = {}
-    with progress("profiling", total=len(names)) as step:
-        for name in names:
-            intervals[name] = profile_interval(result, name)
-            step()
-    return intervals
 
 
 def _methods(

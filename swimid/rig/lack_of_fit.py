@@ -25,7 +25,7 @@ import numpy as np
 from scipy import special
 
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting import between_trials, fit_common, output_error, restarts
+from swimid.fitting import between_trials, fit_common, output_error
 from swimid.fitting.between_trials import MIN_ERROR_RATIO, OUTLIER_P_VALUE, OutlierTrial, find_outlier_trial
 from swimid.fitting.covariance import HETEROGENEITY
 from swimid.fitting.metrics import FitResult
@@ -176,7 +176,7 @@ def _force_error(fit: FitResult, name: str) -> float:
         return 0.0
     rng = np.random.default_rng(0)
     theta = np.asarray(fit.estimate, dtype=float)
-    problem = restarts.weighted(fit)
+    problem = output_error.weighted(fit)
     before = problem.residuals(theta)
     inverse = np.linalg.pinv(problem.jacobian(theta) * problem.scale)[fit.labels.index(name)]
     moves = []
@@ -186,7 +186,7 @@ def _force_error(fit: FitResult, name: str) -> float:
             force = trial.inputs["force_N"]
             noise = rng.normal(0.0, third_difference_sd(force), len(force))
             disturbed.append(replace(trial, inputs={**trial.inputs, "force_N": force + noise}))
-        problem = restarts.weighted(replace(fit, trials=tuple(disturbed)))
+        problem = output_error.weighted(replace(fit, trials=tuple(disturbed)))
         moves.append(float(inverse @ (problem.residuals(theta) - before)))
     return float(problem.scale[fit.labels.index(name)] * np.sqrt(np.mean(np.square(moves))))
 

@@ -23,8 +23,19 @@ import numba
 import numpy as np
 
 from swimid.fitting.drives import RigInput
-from swimid.fitting.hooks import MOST_FORCES, NONE, Hooks, no_force
-from swimid.fitting.model import Array, Channel, Model, Parameter, Rig, Scales, Trial
+from swimid.fitting.model import (
+    MOST_FORCES,
+    NONE,
+    Array,
+    Channel,
+    Hooks,
+    Model,
+    Parameter,
+    Rig,
+    Scales,
+    Trial,
+    no_force,
+)
 
 #: Coordinates of a rig: unit, unit of the speed, and whether the coordinate is an angle.
 COORDINATES: dict[str, tuple[str, str, bool]] = {
@@ -247,7 +258,7 @@ class RigModel(Model):
         Raises
         ------
         ValueError
-            If there are more than :data:`swimid.fitting.hooks.MOST_FORCES` forces.
+            If there are more than :data:`swimid.fitting.model.MOST_FORCES` forces.
         """
         late = trial
         if hooks.late:
@@ -626,7 +637,7 @@ def integrate_forced(  # type: ignore[no-untyped-def]
     acting : int
         Number of forces that act on the body.
     f1, c1, f2, c2, f3, c3, f4, c4
-        Compiled functions of the forces (:class:`swimid.fitting.hooks.Force`) and their constants.
+        Compiled functions of the forces (:class:`swimid.fitting.model.Force`) and their constants.
     """
     extra = (np.zeros((3, 3)), acting, (c1, f1), (c2, f2), (c3, f3), (c4, f4))
     return _run(time, start, max_step, force, c, x0, v0, water, extra)

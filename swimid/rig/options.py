@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-from swimid.fitting import options as fits
-from swimid.fitting.options import StartState
-from swimid.options import Options, option
+from swimid import options as fits
+from swimid.options import Options, StartState, option
 
 
 class FitDragOptions(
@@ -43,7 +42,6 @@ class FitDragOptions(
         help="Displacements of the two-point method, m; 0.293,0.584 in the paper.",
         recorded=False,
     )
-    profile: bool = option(False, help="Add profile-likelihood intervals.", recorded=False)
     coordinate: str | None = option(
         None,
         metavar="COLUMN",

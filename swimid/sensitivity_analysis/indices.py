@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting.model import Array
-from swimid.fitting.parallel import map_in_threads
+from swimid.fitting.problem import map_in_threads
 from swimid.progress import Progress, silent
 
 #: Maximum fraction of the evaluations that may break down.

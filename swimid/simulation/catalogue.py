@@ -12,7 +12,7 @@ import numpy as np
 
 from swimid.blackbox import trials as arma
 from swimid.errors import InputError, UsageError, suggestion
-from swimid.fitting.experiment import Experiment
+from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Model, Parameter
 from swimid.logs import trials as trials_format
 from swimid.logs.trials import TrialSet

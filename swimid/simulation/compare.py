@@ -12,7 +12,7 @@ import numpy as np
 from swimid.errors import NoTrustworthyResult
 from swimid.files import atomic, provenance
 from swimid.fitting import metrics, mistakes
-from swimid.fitting.experiment import Experiment
+from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Trial
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded

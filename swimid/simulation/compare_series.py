@@ -14,7 +14,7 @@ from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import yamlio
 from swimid.files.yamlio import Number, Numbers
 from swimid.fitting import metrics, mistakes, output_error
-from swimid.fitting.experiment import Experiment
+from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Channel, Model, Trial
 from swimid.logs import kinematics
 from swimid.notices import warn

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from swimid.fitting.experiment import Experiment
+from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array
 from swimid.logs import kinematics
 from swimid.logs.kinematics import CYCLE_QUANTITIES, QUANTITIES

@@ -18,8 +18,7 @@ from scipy.optimize import minimize_scalar
 
 from swimid.fitting import drives
 from swimid.fitting.drives import Array, Motion, SwimInput
-from swimid.fitting.hooks import NONE, Hooks
-from swimid.fitting.model import Trial
+from swimid.fitting.model import NONE, Hooks, Trial
 from swimid.swimmer.planar.engine import sampled
 from swimid.swimmer.tree import Axis, Polynomial, given
 

@@ -16,7 +16,7 @@ from swimid.files import atomic, provenance
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting import covariance, fit_common, global_search, metrics, mistakes, output_error
 from swimid.fitting.drives import Beat
-from swimid.fitting.experiment import Experiment
+from swimid.fitting.fit_common import Experiment
 from swimid.fitting.metrics import FitResult, Series
 from swimid.fitting.model import Array, Model, Parameter, Tied, Trial, groups_by_prefix
 from swimid.logs import trials as trials_format
@@ -153,7 +153,7 @@ def fit_graybox(
         origin = provenance.collect([*experiment.inputs, *files], settings=options.settings())
         search = _search(experiment, model, parameters, options, output, origin, progress)
         result = output_error.with_held_out(search.result)
-        file = _parameter_file(experiment, result, origin, search.left_out, output, trials, options)
+        file = _parameter_file(experiment, result, origin, output, trials, options)
         checks = [
             *fit_common.checks(result, file),
             *fit_common.error_checks(result),
@@ -214,8 +214,6 @@ class _Search:
         End of the fit from each starting point, if there were several.
     starts : int
         Planned number of starting points.
-    left_out : list of str
-        Coefficients that were fixed because they are not identifiable.
     """
 
     result: FitResult
@@ -223,7 +221,6 @@ class _Search:
     checkpoint: Checkpoint = field(default_factory=Checkpoint)
     ends: list[global_search.Start] = field(default_factory=list)
     starts: int = 1
-    left_out: list[str] = field(default_factory=list)
 
 
 def _search(
@@ -251,11 +248,6 @@ def _search(
             begins = found.starts(options.starts or 1)
             search = _least_squares(model, experiment.trials, parameters, begins, options, progress)
         search = replace(search, front=found, checkpoint=checkpoint)
-    if options.subset and search.result.converged:
-        result, left_out = global_search.select_subset(
-            _started_here(search.result, experiment), jobs=options.jobs, progress=progress
-        )
-        search = replace(search, result=result, left_out=left_out)
     return search
 
 
@@ -271,7 +263,7 @@ def _least_squares(
 
     There are several if the user states so, or if the first fit was quick or has a bad result.
     """
-    settings: dict[str, Any] = {"parameters": parameters, "jobs": options.jobs, "loss": options.loss}
+    settings: dict[str, Any] = {"parameters": parameters, "jobs": options.jobs}
     begin, starts = None, options.starts or 1
     if begins is not None:
         begin, starts = begins[0], max(starts, len(begins))
@@ -413,7 +405,7 @@ def _explain(
                     fit = output_error.with_held_out(
                         output_error.fit(
                             model, changed, parameters=result.parameters,
-                            jobs=options.jobs, loss=options.loss, tested=False, unfinished=True,
+                            jobs=options.jobs, tested=False, unfinished=True,
                         )
                     )  # fmt: skip
                     after = {names[t.id]: _misfits(fit, t) for t in fit.trials}
@@ -429,27 +421,6 @@ def _with_shared(model: Model, share: Sequence[str]) -> Model:
     if not groups:
         return model
     return Tied(model, groups)
-
-
-def _started_here(result: FitResult, experiment: Experiment) -> FitResult:
-    """Return the fit with its estimates as start values, for the selection of identifiable coefficients.
-
-    The selection fixes coefficients at their start values. The original start values, often the middle of the
-    bounds, would bias the other estimates. An estimate at its bound is replaced by the value in the robot
-    file.
-    """
-    known = _body_of(experiment.robot).coefficients
-
-    def moved(p: Parameter) -> Parameter:
-        if p.per_trial:
-            return p
-        value = result.value(p.name)
-        margin = 1e-3 * p.scale
-        if p.name in known and (value - p.lower < margin or p.upper - value < margin):
-            value = known[p.name].value
-        return replace(p, start=value)
-
-    return replace(result, parameters=tuple(moved(p) for p in result.parameters))
 
 
 def _started_from(
@@ -479,7 +450,6 @@ def _parameter_file(
     experiment: Experiment,
     result: FitResult,
     origin: dict[str, Any],
-    left_out: list[str],
     output: Path | None,
     source: str | Path | TrialSet,
     options: FitGrayboxOptions,
@@ -489,11 +459,10 @@ def _parameter_file(
     settings: dict[str, Any] = {
         "readings": dict(options.readings),
         "shared": {name: list(members) for name, members in model.groups.items()},
-        "fixed_as_unidentifiable": left_out,
     }
     if options.start_state != "auto":
         settings["start_state"] = options.start_state
-    method = f"output error, {result.loss} loss"
+    method = "output error, linear loss"
     if options.method == "nsga2":
         method = "point of a Pareto front"
     file = fit_common.parameter_file(
@@ -686,15 +655,10 @@ def _methods(experiment: Experiment, result: FitResult, search: _Search, method:
         f"{result.step_error:.2g} standard deviations of its noise.",
         fit_common.COVARIANCE,
     ]
-    if result.loss == "huber":
-        said.append("Huber's loss was used.")
     if search.ends:
         drawn = "on the front" if method == "hybrid" else "drawn evenly within the bounds"
         agree = global_search.agreeing(search.ends)
         said.append(f"{agree} of {len(search.ends)} starts, {drawn}, end in the reported minimum.")
-    if search.left_out:
-        names = ", ".join(search.left_out)
-        said.append(f"{names} could not be identified and were fixed at the values of the whole fit.")
     own = dict.fromkeys(label.split("[")[0] for label in result.labels if "[" in label)
     if own:
         said.append(

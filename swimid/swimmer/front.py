@@ -21,7 +21,7 @@ from swimid.errors import InputError, Interrupted, NoTrustworthyResult, UsageErr
 from swimid.files import atomic
 from swimid.files.checkpoint import Checkpoint
 from swimid.fitting import fit_common, global_search, output_error
-from swimid.fitting.experiment import Experiment
+from swimid.fitting.fit_common import Experiment
 from swimid.fitting.global_search import Front
 from swimid.fitting.metrics import FitResult, Series, dtw_distance
 from swimid.fitting.model import Array, Model, Parameter, Trial

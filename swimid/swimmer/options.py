@@ -8,8 +8,8 @@ from typing import Any, Literal, Self
 
 from pydantic import model_validator
 
+from swimid import options as fits
 from swimid.errors import UsageError
-from swimid.fitting import options as fits
 from swimid.options import Options, Source, option
 
 #: Maximum integration step of a robot with links, s.
@@ -84,14 +84,12 @@ class FitGrayboxOptions(
     )
     start_state: SwimStart = start_state()
     start_from: Source = option(None, help="Parameter file to start the search from.", recorded=False)
-    loss: Literal["linear", "huber"] = option("linear", help="huber: robust loss, outliers weigh less.")
     starts: int | None = option(
         None,
         ge=1,
         help="Number of starts within the bounds. Default: 1, or 4 if a fit is quick or its result bad.",
     )
     seed: int = option(0, help="Seed of the random starts and of the front.")
-    subset: bool = option(False, help="Fix coefficients that are not identifiable, one by one.")
     readings: Mapping[str, str] = readings()
     dt: float = step("max_step_s")
     method: Literal["least-squares", "nsga2", "hybrid"] = option(

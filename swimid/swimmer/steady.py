@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from swimid.fitting.drives import Beat, Cycle
-from swimid.fitting.hooks import NONE
-from swimid.fitting.model import Array, Trial
+from swimid.fitting.model import NONE, Array, Trial
 from swimid.swimmer.drive import Grid
 from swimid.swimmer.limit_cycle import LimitCycle, limit_cycle
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.fitting import drives, metrics
 from swimid.fitting.drives import Cycle, SwimInput
-from swimid.fitting.experiment import Experiment, inputs_of, read_log
+from swimid.fitting.fit_common import Experiment, inputs_of, read_log
 from swimid.fitting.model import Array, Trial
 from swimid.logs import consistency
 from swimid.logs import trials as trials_format

@@ -5,8 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from swimid.effects.base import Effect
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.fitting.model import Array, Hooks, Model, Parameter, Trial
 
 
 class DriveDroop(Effect):

@@ -31,7 +31,7 @@ from numba.misc.appdirs import user_cache_dir
 from numpy.typing import NDArray
 
 from swimid.files import atomic
-from swimid.fitting.hooks import Force, Traceable
+from swimid.fitting.model import Force, Traceable
 from swimid.progress import Progress, silent
 from swimid.swimmer.lanes import tracing
 from swimid.swimmer.lanes.tracing import LANES, Traced

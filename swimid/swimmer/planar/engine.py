@@ -27,7 +27,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.fitting.hooks import MOST_FORCES, Force, no_force
+from swimid.fitting.model import MOST_FORCES, Force, no_force
 
 #: Magnitude of a state from which a run has broken down.
 BROKEN = 1e6
@@ -246,7 +246,7 @@ def _wakes(wake_link, wake, work):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _forced(time, state, work, forced):  # type: ignore[no-untyped-def]
-    """Add the forces of effects (:class:`swimid.fitting.hooks.Force`)."""
+    """Add the forces of effects (:class:`swimid.fitting.model.Force`)."""
     links, places, constants, ends, frame, pose, velocity, wrench, first, second, third, fourth = forced
     for e in range(len(links)):
         i = links[e]
@@ -633,7 +633,7 @@ def outside(forces: Sequence[Force], frame: NDArray[np.float64], links: int) -> 
 
     Parameters
     ----------
-    forces : sequence of Force, at most :data:`swimid.fitting.hooks.MOST_FORCES`
+    forces : sequence of Force, at most :data:`swimid.fitting.model.MOST_FORCES`
     frame : ndarray, shape (7,)
         Result of :func:`placed`.
     links : int

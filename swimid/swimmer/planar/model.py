@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.fitting.drives import Beat, SwimInput
-from swimid.fitting.hooks import TRACEABLE, Hooks
-from swimid.fitting.model import Array, Parameter, Scales, Trial
+from swimid.fitting.model import TRACEABLE, Array, Hooks, Parameter, Scales, Trial
 from swimid.progress import Progress, silent
 from swimid.robots.planar import Multilink
 from swimid.swimmer import drive

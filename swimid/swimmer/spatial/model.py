@@ -8,8 +8,7 @@ from collections.abc import Callable, Collection
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from swimid.fitting.hooks import Hooks
-from swimid.fitting.model import Array, Trial
+from swimid.fitting.model import Array, Hooks, Trial
 from swimid.logs.rotation import angles, from_angles
 from swimid.robots.spatial import Hydrostatics
 from swimid.swimmer.lanes.kernel import Engine
