@@ -17,8 +17,7 @@ from scipy.signal import lfilter
 
 from swimid.blackbox.arx import estimate, regression
 from swimid.blackbox.difference import Orders, Record
-from swimid.blackbox.identified import MAX_KEPT
-from swimid.blackbox.recursive import recursive_least_squares
+from swimid.blackbox.recursive import Recursion, recursive_least_squares
 
 SAMPLES = 100_000
 ORDERS = Orders(3, 4)
@@ -47,15 +46,13 @@ def measure(repeats: int = 15) -> list[tuple[str, float, np.ndarray]]:
     """Name, CPU seconds and last estimate of every implementation."""
     data = regression([record()], ORDERS)
     h, z = data.rows, data.outputs
-    stride = max(1, -(-len(z) // MAX_KEPT))
     recursive_least_squares(h[:10], z[:10])  # compile, or load from the cache
 
-    def ours(step: int) -> Callable[[], object]:
-        return lambda: recursive_least_squares(h, z, forgetting=FORGETTING, stride=step, prior_scale=1e3)
+    def ours() -> Recursion:
+        return recursive_least_squares(h, z, forgetting=FORGETTING, prior_scale=1e3)
 
     rows = [
-        (f"swimid, every {stride}th row kept (default)", best(ours(stride), repeats), ours(stride)().theta),
-        ("swimid, every row kept", best(ours(1), repeats), ours(1)().theta),
+        ("swimid", best(ours, repeats), ours().theta),
         (
             "numpy lstsq (batch, no forgetting)",
             best(lambda: np.linalg.lstsq(h, z), 3),
@@ -63,8 +60,8 @@ def measure(repeats: int = 15) -> list[tuple[str, float, np.ndarray]]:
         ),
         (
             "swimid estimate(): regression, tests, errors",
-            best(lambda: estimate([record()], ORDERS, forgetting=FORGETTING, stride=stride), 2),
-            estimate([record()], ORDERS, forgetting=FORGETTING, stride=stride).theta,
+            best(lambda: estimate([record()], ORDERS, forgetting=FORGETTING), 2),
+            estimate([record()], ORDERS, forgetting=FORGETTING).theta,
         ),
     ]
     try:

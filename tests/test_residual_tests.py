@@ -56,13 +56,10 @@ def test_constant_and_empty_series_pass():
     assert rt.independence(np.zeros(100), np.ones(100)).p_value == 1.0
 
 
-def test_cross_correlation_finds_the_missed_delay():
+def test_independence_finds_a_missed_delay():
     rng = np.random.default_rng(5)
     u = rng.normal(size=3000)
     e = 0.3 * np.roll(u, 7) + rng.normal(size=3000)
-    got = rt.cross_correlation(e, u, max_lag=12)
-    assert got.lags[np.argmax(np.abs(got.values))] == 7
-    assert got.values[got.lags == 7][0] == pytest.approx(0.3 / np.sqrt(1.09), abs=0.06)
     assert not rt.independence(e, u).passed
 
 
@@ -70,15 +67,12 @@ def test_cross_correlation_finds_the_missed_delay():
 def test_independence_false_alarm_rate(colour):
     """Coloured residuals and a coloured source are rejected at 5 % in about 5 % of 400 pairs."""
     rng = np.random.default_rng(6)
-    p, outside = [], []
+    p = []
     for _ in range(400):
         e = lfilter([1.0], [1.0, -colour], rng.normal(size=1000))[200:]
         u = lfilter([1.0], [1.0, -0.9], rng.normal(size=1000))[200:]
         p.append(rt.independence(e, u, lags=10).p_value)
-        cross = rt.cross_correlation(e, u, max_lag=10)
-        outside.append(np.mean(np.abs(cross.values[cross.lags != 0]) > cross.bound[cross.lags != 0]))
     assert 0.02 < np.mean(np.array(p) < 0.05) < 0.10
-    assert np.mean(outside) < 0.08
 
 
 def test_a_single_sine_has_two_degrees_of_freedom():

@@ -69,7 +69,7 @@ def test_a_simulated_arx_comes_back(tmp_path):
     assert list(file.provenance["inputs"]) == [os.path.relpath(log)]
     shown = evidence.read(evidence.sidecar(target))
     names = {f.id for f in shown.figures}
-    assert names == {"free-run", "bode", "residuals"}
+    assert names == {"free-run", "residuals"}
     assert shown.verdict.level == "good"
 
 

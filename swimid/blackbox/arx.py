@@ -375,7 +375,6 @@ def estimate(
     weight: float = 1.0,
     forgetting: float = 1.0,
     prior_scale: float = recursive.PRIOR_SCALE,
-    stride: int = 1,
 ) -> ArxEstimate:
     """Fit an ARX or ARMAX model to one or several records.
 
@@ -384,7 +383,7 @@ def estimate(
     records : sequence of Record
         Records with one sample time. A working point must already be subtracted
         (:func:`swimid.blackbox.identified.find_working_point`).
-    weight, forgetting, prior_scale, stride
+    weight, forgetting, prior_scale
         See :func:`swimid.blackbox.recursive.recursive_least_squares`. The recursion runs through the records
         one after the other.
 
@@ -418,7 +417,6 @@ def estimate(
         prior_scale=prior_scale,
         noise_terms=orders.nc,
         fresh=data.fresh,
-        stride=stride,
     )
     weights = forgetting ** np.arange(len(data) - 1, -1, -1.0)  # the age of a sample is counted in rows
     theta = run.theta

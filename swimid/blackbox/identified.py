@@ -2,8 +2,8 @@
 
 A model without a constant term describes deviations from a working point. If data are recorded around a
 working point (20 degrees, half throttle), the means must be subtracted. If data obey the model without a
-constant term, they must not be changed. Predictions are one step ahead, several steps ahead, and the free run
-(simulation), which uses no measured output after its start.
+constant term, they must not be changed. Predictions are one step ahead, and the free run (simulation), which
+uses no measured output after its start.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from swimid.blackbox.arx import (
     find_directions,
     regression,
 )
-from swimid.blackbox.difference import INTEGRATING, Orders, Pole, Record, best_level, lagged, simulate_all
+from swimid.blackbox.difference import INTEGRATING, Orders, Pole, Record, best_level, simulate_all
 from swimid.blackbox.options import RwlsOptions
 from swimid.blackbox.trials import Data
 from swimid.errors import NoTrustworthyResult
@@ -56,8 +56,6 @@ FAR = 3.0
 #: Maximum ratio of the root-mean-square error of the free run on held-out data to that on the fitted data
 #: (SWM015).
 MAX_RATIO = 2.0
-#: Maximum number of rows after which the recursive estimates are stored.
-MAX_KEPT = 1000
 
 
 @dataclass(frozen=True)
@@ -160,31 +158,13 @@ def shifted(records: Sequence[Record], point: WorkingPoint) -> list[Record]:
     return [replace(r, source=r.source - point.source, output=r.output - point.output) for r in records]
 
 
-def predict(record: Record, orders: Orders, theta: np.ndarray, *, steps: int = 1) -> np.ndarray:
-    """Return the prediction ``steps`` samples ahead, shape (n,).
-
-    The input is known at all samples. The output is known up to the sample at which the prediction starts.
-    The prediction is NaN where this output is missing.
-    """
-    a, b, c = orders.split(theta)
-    driven = np.zeros(len(record))
-    for j, value in enumerate(b):
-        driven = driven + value * lagged(record.source, orders.nk + j)
-    errors = np.zeros(len(record))  # zero where there is no complete row, as in the fit
-    if orders.nc:
-        data = regression([record], orders)
-        found, _ = errors_and_gradient(theta, data.rows, data.outputs, data.fresh, orders.nc)
-        errors[data.sample] = np.nan_to_num(found)
-    recent: list[np.ndarray] = []  # predictions of the samples 1, 2, ... steps before
-    for ahead in range(1, steps + 1):
-        total = driven.copy()
-        known = [*recent, *[record.output] * orders.na]
-        for i, value in enumerate(a, start=1):
-            total -= value * lagged(known[i - 1], i)
-        for i in range(ahead, orders.nc + 1):
-            total += c[i - 1] * np.nan_to_num(lagged(errors, i))
-        recent = [total, *recent][: max(orders.na, 1)]
-    return recent[0]
+def predict(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
+    """Return the prediction one sample ahead, shape (n,); NaN where a sample that it needs is missing."""
+    data = regression([record], orders)
+    errors, _ = errors_and_gradient(theta, data.rows, data.outputs, data.fresh, orders.nc)
+    predicted = np.full(len(record), np.nan)
+    predicted[data.sample] = data.outputs - errors
+    return predicted
 
 
 def about_own_level(
@@ -203,10 +183,9 @@ def about_own_level(
 
 @dataclass(frozen=True)
 class Scores:
-    """Prediction errors on one set of records: one step ahead, several steps ahead, and free run."""
+    """Prediction errors on one set of records: one step ahead, and free run."""
 
     one_step: Score
-    k_step: Score
     free_run: Score
     #: Whether the model is not stable and its free run diverges from the data.
     diverged: bool
@@ -216,17 +195,16 @@ class Scores:
     #: level of the records themselves.
     strict: Score | None = None
 
-    def as_dict(self, unit: str, steps: int) -> dict[str, Any]:
+    def as_dict(self, unit: str) -> dict[str, Any]:
         """Return the errors in the form in which the parameter file contains them."""
         free = {**self.free_run.as_dict(unit), "diverged": self.diverged}
         if self.strict is not None:
             free |= {"level_shift": self.level, "at_predicted_level": self.strict.as_dict(unit)}
-        k_step = {"steps": steps, **self.k_step.as_dict(unit)}
-        return {"one_step": self.one_step.as_dict(unit), "k_step": k_step, "free_run": free}
+        return {"one_step": self.one_step.as_dict(unit), "free_run": free}
 
 
-def score_records(records: list[Record], model: ArxEstimate, poles: list[Pole], horizon: int) -> Scores:
-    """Return the prediction errors one step ahead, ``horizon`` steps ahead and of the free run.
+def score_records(records: list[Record], model: ArxEstimate, poles: list[Pole]) -> Scores:
+    """Return the prediction errors one step ahead and of the free run.
 
     Raises
     ------
@@ -242,51 +220,14 @@ def score_records(records: list[Record], model: ArxEstimate, poles: list[Pole], 
         )
     runs = [difference.simulate(r, orders, theta) for r in records]
     measured = np.concatenate([r.output for r in records])
-    one, many = (
-        score(measured, np.concatenate([predict(r, orders, theta, steps=steps) for r in records]))
-        for steps in (1, horizon)
-    )
+    one = score(measured, np.concatenate([predict(r, orders, theta) for r in records]))
     free = score(measured, np.concatenate(runs))
     stopped = False
     for record, run in zip(records, runs, strict=True):
         last = np.flatnonzero(np.isfinite(run))[-1:]
         stopped |= bool(len(last) and np.isfinite(record.source[last[0] + 1 :]).any())
     at_risk = any(pole.state != "stable" for pole in poles)
-    return Scores(one, many, free, bool(at_risk and (stopped or free.fit_percent < 0)))
-
-
-def frequency_response(
-    orders: Orders, theta: np.ndarray, covariance: np.ndarray, sample_time_s: float, omega_rad_s: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the frequency response B / A with its standard errors.
-
-    Parameters
-    ----------
-    theta, covariance : ndarray, shape (p,) and (p, p)
-        Coefficients and their covariance.
-    sample_time_s : float
-    omega_rad_s : ndarray, shape (m,)
-
-    Returns
-    -------
-    response : ndarray of complex, shape (m,)
-    log_gain, phase_rad : ndarray, shape (m,)
-        Standard error of the logarithm of the gain, and standard error of the phase, rad.
-    """
-    a, b, _ = orders.split(theta)
-    backward = np.exp(-1j * np.asarray(omega_rad_s) * sample_time_s)
-    past = [backward**i for i in range(1, orders.na + 1)]
-    driven = [backward ** (orders.nk + j) for j in range(orders.nb)]
-    denominator = 1.0 + sum(value * power for value, power in zip(a, past, strict=True))
-    numerator = sum(value * power for value, power in zip(b, driven, strict=True))
-    # derivatives of ln G: -z^-i / A for a_i, z^-(nk+j) / B for b_j
-    gradient = np.array([-power / denominator for power in past] + [power / numerator for power in driven])
-    used = covariance[: orders.na + orders.nb, : orders.na + orders.nb]
-    log_gain, phase = (
-        np.sqrt(np.maximum(np.einsum("im,ij,jm->m", part, used, part), 0.0))
-        for part in (gradient.real, gradient.imag)
-    )
-    return numerator / denominator, log_gain, phase
+    return Scores(one, free, bool(at_risk and (stopped or free.fit_percent < 0)))
 
 
 @dataclass(frozen=True)
@@ -363,20 +304,19 @@ def identify(data: Data, options: RwlsOptions, progress: Progress) -> Identified
         weight=options.weight,
         forgetting=options.forgetting,
         prior_scale=options.prior_scale,
-        stride=max(1, -(-len(regression(fit, orders)) // MAX_KEPT)),
     )
     a, _, _ = orders.split(fitted.theta)
     poles = difference.poles(a, fitted.covariance[: orders.na, : orders.na], data.sample_time_s)
     held, scores = {}, {}
     for name, part in data.held_out.items():
         held[name] = shifted(part, point)
-        scores[name] = score_records(held[name], fitted, poles, options.horizon)
+        scores[name] = score_records(held[name], fitted, poles)
         if point.removed:
             strict = scores[name].free_run
             held[name], level = about_own_level(held[name], orders, fitted.theta)
-            own = score_records(held[name], fitted, poles, options.horizon)
+            own = score_records(held[name], fitted, poles)
             scores[name] = replace(own, level=level, strict=strict)
-    fit_scores = score_records(fit, fitted, poles, options.horizon)
+    fit_scores = score_records(fit, fitted, poles)
     return Identified(options, data, point, fit, held, fitted, poles, fit_scores, scores, candidates)
 
 

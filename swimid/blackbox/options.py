@@ -22,7 +22,7 @@ class RwlsOptions(
 ):
     r"""Identify an ARX or ARMAX model by recursive weighted least squares.
 
-    A(z^-1) y = B(z^-1) u + C(z^-1) e with A = 1 + a1 z^-1 + ..., B = b1 z^-nk + ..., with one-step, k-step
+    A(z^-1) y = B(z^-1) u + C(z^-1) e with A = 1 + a1 z^-1 + ..., B = b1 z^-nk + ..., with one-step
     and free-run errors on fitted and held-out data, residual tests, poles and stability. LOG may also be a
     trials file of the experiment arma. Without --na and --nb the orders are searched.
 
@@ -67,7 +67,6 @@ class RwlsOptions(
         help="Held-out data: a share such as 0.25 (the last quarter of every log), or another log. "
         "Repeatable.",
     )
-    horizon: int = option(10, ge=2, le=1000, help="Number of steps of the k-step prediction error.")
 
     @model_validator(mode="after")
     def _check_together(self) -> Self:

@@ -38,7 +38,7 @@ MAX_GROWTH = 1e6
 
 @dataclass(frozen=True)
 class Recursion:
-    """Result of a recursion over n rows with p coefficients. The estimates after m of the rows are stored."""
+    """Result of a recursion over n rows with p coefficients."""
 
     #: Last estimate of the coefficients, shape (p,).
     theta: np.ndarray
@@ -47,12 +47,6 @@ class Recursion:
     covariance: np.ndarray
     #: One-step errors ``z(k) - h(k)' theta(k-1)``, shape (n,).
     innovations: np.ndarray
-    #: Indices of the rows after which the estimate is stored, shape (m,). The last row is always one of them.
-    kept: np.ndarray
-    #: Estimates after the stored rows, shape (m, p).
-    thetas: np.ndarray
-    #: Square roots of the diagonal of P after the stored rows, shape (m, p).
-    spreads: np.ndarray
     #: Number of rows at which an element of D reached :data:`MAX_GROWTH`.
     limited: int
 
@@ -66,7 +60,6 @@ def recursive_least_squares(
     prior_scale: float = PRIOR_SCALE,
     noise_terms: int = 0,
     fresh: np.ndarray | None = None,
-    stride: int = 1,
 ) -> Recursion:
     """Return the recursive estimate of theta in ``outputs = regressors @ theta + noise``, from theta(0) = 0.
 
@@ -87,8 +80,6 @@ def recursive_least_squares(
         previous rows (extended least squares [3]_).
     fresh : ndarray of bool, shape (n,), optional
         True where a row does not directly follow the previous row in time. Past residuals are zero there.
-    stride : int
-        Interval between the rows after which the estimate is stored.
 
     Raises
     ------
@@ -109,7 +100,6 @@ def recursive_least_squares(
         (weight > 0, f"weight is {weight!r}; it must be positive"),
         (0 < forgetting <= 1, f"forgetting is {forgetting!r}; it must be above 0 and at most 1"),
         (prior_scale > 0, f"prior_scale is {prior_scale!r}; it must be positive"),
-        (stride >= 1, f"stride is {stride}; it must be at least 1"),
         (0 <= noise_terms <= p, f"noise_terms is {noise_terms}, with {p} parameters"),
     ):
         if not allowed:
@@ -120,19 +110,15 @@ def recursive_least_squares(
         raise ValueError("regressors and outputs must be finite; leave rows with gaps out")
     if fresh is None:
         fresh = np.zeros(n, dtype=np.bool_)
-    kept = np.arange(stride - 1, n, stride)
-    if n and (len(kept) == 0 or kept[-1] != n - 1):
-        kept = np.append(kept, n - 1)
-    thetas, spreads = np.empty((len(kept), p)), np.empty((len(kept), p))
     theta, factors, diagonal, innovations, limited = _run(
-        h, z, fresh, noise_terms, 1.0 / weight, 1.0 / forgetting, prior_scale**2, stride, thetas, spreads
+        h, z, fresh, noise_terms, 1.0 / weight, 1.0 / forgetting, prior_scale**2
     )
     covariance = (factors.T * diagonal) @ factors
-    return Recursion(theta, covariance, innovations, kept, thetas, spreads, limited)
+    return Recursion(theta, covariance, innovations, limited)
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _run(h, z, fresh, noise_terms, variance, growth, prior, stride, thetas, spreads):  # type: ignore[no-untyped-def]  # noqa: C901
+def _run(h, z, fresh, noise_terms, variance, growth, prior):  # type: ignore[no-untyped-def]
     """Run the recursion as one compiled loop, because function calls and branches would cost time.
 
     Row j of ``factors`` holds column j of U.
@@ -143,7 +129,6 @@ def _run(h, z, fresh, noise_terms, variance, growth, prior, stride, thetas, spre
     factors, diagonal = np.eye(p), np.full(p, prior)
     innovations, residuals = np.empty(n), np.empty(n)
     gain, f = np.empty(p), np.empty(p)
-    row = 0
     limited = 0
     first = p - noise_terms
     for k in range(n):
@@ -194,14 +179,6 @@ def _run(h, z, fresh, noise_terms, variance, growth, prior, stride, thetas, spre
                     diagonal[j] = ceiling
                     held = True
             limited += held
-        if (k + 1) % stride == 0 or k == n - 1:
-            for i in range(p):
-                thetas[row, i] = theta[i]
-                total = diagonal[i]
-                for j in range(i + 1, p):
-                    total += factors[j, i] * factors[j, i] * diagonal[j]
-                spreads[row, i] = np.sqrt(total)
-            row += 1
     return theta, factors, diagonal, innovations, limited
 
 

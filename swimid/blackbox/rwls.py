@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from swimid.blackbox import difference
-from swimid.blackbox.identified import MAX_RATIO, Identified, Scores, frequency_response, identify
+from swimid.blackbox.identified import MAX_RATIO, Identified, Scores, identify
 from swimid.blackbox.model import NAME
 from swimid.blackbox.options import RwlsOptions
 from swimid.blackbox.trials import read
@@ -23,7 +23,7 @@ from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers, parameters
 from swimid.results import evidence as ev
-from swimid.results.evidence import Check, Evidence, Figure, NoticeRecord, Panel, Span, Table, Trace
+from swimid.results.evidence import Check, Evidence, Figure, NoticeRecord, Panel, Table, Trace
 from swimid.results.fitted import Fitted
 
 #: Codes of the warnings whose text is the reason of a check, by the name of the check.
@@ -35,9 +35,6 @@ MIN_FIT_PERCENT = 50.0
 MAX_CONDITION = 1e6
 #: Maximum number of candidate orders listed in the table of an order search.
 MAX_ORDERS = 15
-#: Fraction of the input's power outside of the shaded band of the frequency response, on each side of the
-#: band.
-TAIL = 0.05
 REFERENCES = [
     "L. Shang, S. Wang, M. Tan, L. Cheng: Swimming locomotion modeling for biomimetic underwater vehicle "
     "with two undulating long-fins. Robotica 30 (2012) 913-923. doi:10.1017/S0263574711001159",
@@ -255,7 +252,7 @@ def _settings(m: Identified) -> dict[str, Any]:
         "input": columns.source,
         "output": columns.output,
         "output_unit": columns.unit,
-        **m.options.model_dump(include={"weight", "forgetting", "prior_scale", "centre", "horizon"}),
+        **m.options.model_dump(include={"weight", "forgetting", "prior_scale", "centre"}),
         "input_level": m.point.source,
         "output_level": m.point.output,
     }
@@ -266,7 +263,7 @@ def _settings(m: Identified) -> dict[str, Any]:
 
 
 def _parameter_file(m: Identified) -> parameters.ParameterFile:
-    fitted, data, horizon = m.estimate, m.data, m.options.horizon
+    fitted, data = m.estimate, m.data
     orders, names, lost = fitted.orders, fitted.orders.names, _undetermined(m)
     unit, channel = data.columns.unit, data.columns.output
     estimates = {
@@ -282,7 +279,7 @@ def _parameter_file(m: Identified) -> parameters.ParameterFile:
     if m.scores:
         held_out = [record for part in m.held_out.values() for record in part]
         together = score(*difference.simulate_all(held_out, orders, fitted.theta))
-        by_set = {name: s.as_dict(unit, horizon) for name, s in m.scores.items()}
+        by_set = {name: s.as_dict(unit) for name, s in m.scores.items()}
         validation[channel] = {**together.as_dict(unit), "data": by_set}
     words = []
     if lost:
@@ -330,9 +327,7 @@ def _parameter_file(m: Identified) -> parameters.ParameterFile:
         settings=settings,
         fit=parameters.Fit(
             trials=data.logs,
-            channels={
-                channel: {**m.fit_scores.free_run.as_dict(unit), **m.fit_scores.as_dict(unit, horizon)}
-            },
+            channels={channel: {**m.fit_scores.free_run.as_dict(unit), **m.fit_scores.as_dict(unit)}},
             validation=validation,
             converged=True,
             noise={
@@ -366,9 +361,6 @@ def _evidence(
     answer = f"The free run does not reproduce the {where} output."
     if least >= 0:
         answer = f"The free run reproduces {least:.1f} % of the {where} output."
-    figures = [_free_run(m), _frequency_response(m), _residuals(m)]
-    if m.options.forgetting < 1:
-        figures.append(_trajectories(m))
     return Evidence(
         command="rwls",
         title=f"{m.kind} model, {columns.source} to {columns.output}",
@@ -376,7 +368,7 @@ def _evidence(
         facts={"Orders": str(m.estimate.orders), "Rows": str(len(m.estimate.data))},
         checks=checks,
         tables=[_errors(m), _modes(m), *_orders(m)],
-        figures=figures,
+        figures=[_free_run(m), _residuals(m)],
         notices=notices,
         methods=_methods(m),
         references=REFERENCES,
@@ -387,7 +379,7 @@ def _evidence(
 def _errors(m: Identified) -> Table:
     rows: list[list[blocks.Cell]] = []
     for name, s in {"fitted": m.fit_scores, **m.scores}.items():
-        kinds = {"one step": s.one_step, f"{m.options.horizon} steps": s.k_step, "free run": s.free_run}
+        kinds = {"one step": s.one_step, "free run": s.free_run}
         if s.strict is not None:
             kinds["free run, predicted level"] = s.strict
         for kind, q in kinds.items():
@@ -473,68 +465,9 @@ def _free_run(m: Identified) -> Figure:
     return Figure(id="free-run", title="Measured and simulated output", caption=caption, panels=panels)
 
 
-def _frequency_response(m: Identified) -> Figure:
-    fitted, step = m.estimate, m.data.sample_time_s
-    nyquist = np.pi / step
-    omega = np.geomspace(max(4 * nyquist / len(fitted.data), 1e-4 * nyquist), nyquist * 0.999, 300)
-    response, log_gain, phase_sd = frequency_response(
-        fitted.orders, fitted.theta, fitted.covariance, step, omega
-    )
-    gain, phase = np.abs(response), np.unwrap(np.angle(response))
-    factor, half = np.exp(np.clip(1.96 * log_gain, 0, 20)), 1.96 * np.minimum(phase_sd, np.pi)
-    hertz, shared = omega / (2 * np.pi), {"spans": _excited(m), "x_scale": "log"}
-    gains = Trace(x=hertz, y=gain, lower=gain / factor, upper=gain * factor, group=0)
-    phases = blocks.band(hertz, np.degrees(phase), np.degrees(half), group=0)
-    unit = numbers.unit_text(m.data.columns.gain_unit) or 1
-    panels = [
-        blocks.panel("frequency (Hz)", f"gain ({unit})", [gains], y_scale="log", **shared),
-        blocks.panel("frequency (Hz)", "phase (°)", [phases], **shared),
-    ]
-    caption = "Gain and phase with 95 % bands. Outside of the shaded band the input has little power."
-    return Figure(id="bode", title="Frequency response", caption=caption, panels=panels)
-
-
-def _excited(m: Identified) -> list[Span]:
-    """Return the frequency band that contains the central 90 % of the input's power."""
-    longest = max(m.fit, key=len)
-    u = np.nan_to_num(longest.source - np.nanmean(longest.source))
-    total = np.cumsum(np.abs(np.fft.rfft(u * np.hanning(len(u)))) ** 2)
-    if len(total) < 8 or total[-1] <= 0:
-        return []
-    hertz = np.fft.rfftfreq(len(u), m.data.sample_time_s)
-    low, high = hertz[np.searchsorted(total, [TAIL * total[-1], (1 - TAIL) * total[-1]])].tolist()
-    step = float(hertz[1])
-    return [Span(start=max(low, step), end=high + step, label="90 % of the input's power")]
-
-
 def _residuals(m: Identified) -> Figure:
-    residuals, source, lags = m.residual_series
+    residuals, _, lags = m.residual_series
     own = rt.autocorrelation(residuals, max_lag=lags)
-    cross = rt.cross_correlation(residuals, source, max_lag=lags)
-    return Figure(
-        id="residuals",
-        title="Correlation of the one-step residuals",
-        caption="With themselves, and with the input at earlier (positive lag) and later samples.",
-        panels=[
-            blocks.correlogram(own, "autocorrelation", "residuals", skip_zero=True),
-            blocks.correlogram(cross, "correlation with the input", "residuals", skip_zero=False),
-        ],
-    )
-
-
-def _trajectories(m: Identified) -> Figure:
-    """Return the figure of the recursive estimates over the rows."""
-    run, names = m.estimate.recursion, m.estimate.orders.names
-    scale = m.estimate.noise_sd * math.sqrt(m.options.weight)
-    # leave out the first rows, where the estimates still depend on the prior: their range would hide all
-    # others
-    settled = np.all(run.spreads <= 8 * run.spreads[-1], axis=1) & (run.kept >= 3 * len(names))
-    shown = slice(min(int(np.argmax(settled)), len(run.kept) // 2), None)
-    panels = []
-    for i, name in enumerate(names):
-        half = 1.96 * scale * run.spreads[shown, i]
-        estimate = blocks.band(run.kept[shown].astype(float), run.thetas[shown, i], half, group=0)
-        panels.append(Panel(x_label="row", y_label=name, traces=[estimate]))
-    caption = "Each coefficient with its 95 % band for white residuals. A step means that the robot changed."
-    title = "Coefficients over the record"
-    return Figure(id="trajectories", title=title, caption=caption, panels=panels)
+    caption = "Values outside of the 95 % band of white noise show that the model lacks an effect."
+    panels = [blocks.correlogram(own, "autocorrelation", "residuals", skip_zero=True)]
+    return blocks.panels("residuals", "Autocorrelation of the one-step residuals", caption, panels)

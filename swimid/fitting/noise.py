@@ -338,57 +338,9 @@ def ljung_box(x: np.ndarray, *, lags: int | None = None, fitted: int = 0) -> Tes
     return TestResult(statistic, degrees, float(special.chdtrc(degrees, statistic)))
 
 
-def cross_correlation(
-    residuals: np.ndarray, source: np.ndarray, *, max_lag: int | None = None
-) -> Correlation:
-    """Compute the correlation of residuals e(k) with a source u(k - lag), at lags -max_lag .. max_lag.
-
-    Parameters
-    ----------
-    residuals, source : ndarray, shape (n,)
-        Series at the same sampling rate; NaN for missing samples.
-    max_lag : int, optional
-        Largest lag. The default is :func:`default_lags`.
-
-    Returns
-    -------
-    Correlation
-        A value outside the confidence band at a positive lag shows that the model lacks an effect of the
-        source. The effect occurs ``lag`` samples after its cause. At a negative lag it shows feedback from
-        the output to the source.
-
-    Notes
-    -----
-    For independent series the variance of the correlation is ``sum_j r_e(j) r_u(j) / pairs`` (Bartlett; [2]_,
-    eq. 16.68 f.). The confidence band follows from this variance. Without it, a source of one frequency would
-    raise false alarms with coloured residuals.
-    """
-    e, e_there = _centred(residuals)
-    u, u_there = _centred(source)
-    if len(e) != len(u):
-        raise ValueError(f"residuals and source differ in length: {len(e)} and {len(u)}")
-    top = default_lags(int(np.count_nonzero(e_there))) if max_lag is None else max_lag
-    lags = np.arange(-top, top + 1)
-    means, pairs = _lagged_means(e, e_there, u, u_there, lags)
-    scale = _deviation(e, e_there) * _deviation(u, u_there)
-    values = means / scale if scale > 0 else np.full(len(lags), np.nan)
-    bound = 1.96 * np.sqrt(_bartlett_factor(residuals, source) / np.maximum(pairs, 1))
-    return Correlation(lags, values, bound, pairs)
-
-
 def _deviation(values: np.ndarray, there: np.ndarray) -> float:
     """Return the standard deviation of the existing samples of a series with zero mean."""
     return float(np.sqrt(np.mean(values[there] ** 2))) if np.any(there) else 0.0
-
-
-def _bartlett_factor(e: np.ndarray, u: np.ndarray) -> float:
-    """Return the sum over j of r_e(j) r_u(j), for lags j with significant correlation of e."""
-    top = default_lags(int(np.count_nonzero(np.isfinite(e))))
-    re, ru = autocorrelation(e, max_lag=top), autocorrelation(u, max_lag=top)
-    r = np.where(np.abs(re.values) > re.bound, re.values, 0.0) * np.nan_to_num(ru.values)
-    r = np.nan_to_num(r)
-    # the sum is 1 for white residuals, but sampling errors may make it smaller or negative
-    return max(float(r[0] + 2.0 * np.sum(r[1:])), 1.0) if len(r) else 1.0
 
 
 def independence(

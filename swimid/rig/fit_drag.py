@@ -272,7 +272,7 @@ def _methods(
 def _methods_table(experiment: Experiment, result: FitResult, pair: TwoPointResult | None) -> ev.Table:
     """Return a table of the estimates of both methods together with values from theory."""
     theory = derived.theory_estimates(experiment.robot)
-    fitted = fit_common.estimates(result, {})
+    fitted = fit_common.estimates(result)
     rows: list[list[Any]] = []
     for name in dict.fromkeys([*NAMES, *(t.parameter for t in theory)]):
         if name not in fitted:
