@@ -552,7 +552,7 @@ def section_fit(plant: Engine, full: bool) -> None:
     own = min(used for found in fits.values() for _, used, _ in found)
     for jobs, found in fits.items():
         wall, used, result = min(found, key=lambda f: f[1])
-        note = f"{result.jacobians} Jacobians, {result.evaluations} runs"
+        note = f"{result.evaluations} runs"
         label = f"swimid output_error.fit{', one thread' if jobs else ''}"
         line(label, wall, used, own, note, result.estimate)
     errors = np.sqrt(np.diag(result.covariance))

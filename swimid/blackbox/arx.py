@@ -13,11 +13,12 @@ search in ten does not converge, and old samples cannot be discounted.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
+from scipy.signal import lfilter
 
 from swimid.blackbox import recursive
 from swimid.blackbox.difference import Orders, Record, lagged
@@ -44,7 +45,6 @@ MIN_SHARE = 1e-3
 NEARLY_DEPENDENT = 1e4
 
 
-@njit(cache=True, error_model="numpy")
 def errors_and_gradient(
     theta: np.ndarray, rows: np.ndarray, outputs: np.ndarray, fresh: np.ndarray, nc: int
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -68,25 +68,17 @@ def errors_and_gradient(
         Negative derivative of the errors with respect to theta: the regression vector filtered by 1 / C.
     """
     n, m = rows.shape
-    p = m + nc
-    errors = np.zeros(n)
-    gradient = np.zeros((n, p))
-    start = 0
-    for k in range(n):
-        if fresh[k]:
-            start = k
-        past = min(k - start, nc)
-        error = outputs[k]
-        for i in range(m):
-            error -= rows[k, i] * theta[i]
-            gradient[k, i] = rows[k, i]
-        for j in range(past):
-            error -= errors[k - 1 - j] * theta[m + j]
-            gradient[k, m + j] = errors[k - 1 - j]
-        for j in range(past):
-            for i in range(p):
-                gradient[k, i] -= theta[m + j] * gradient[k - 1 - j, i]
-        errors[k] = error
+    errors = outputs - rows @ theta[:m]
+    gradient = np.hstack((rows, np.zeros((n, nc))))
+    if not nc:
+        return errors, gradient
+    noise = np.append(1.0, theta[m:])
+    for first, end in itertools.pairwise([*np.flatnonzero(fresh).tolist(), n]):
+        part = slice(first, end)
+        errors[part] = lfilter([1.0], noise, errors[part])
+        for j in range(1, nc + 1):
+            gradient[first + j : end, m + j - 1] = errors[first : max(end - j, first)]
+        gradient[part] = lfilter([1.0], noise, gradient[part], axis=0)
     return errors, gradient
 
 
@@ -147,11 +139,6 @@ def refine(
         f"the noise polynomial C did not converge in {MAX_STEPS} steps",
         hint="lower --nc, or give longer logs",
     )
-
-
-def warm_up() -> None:
-    """Compile the numba function of this module before its first use."""
-    errors_and_gradient(np.zeros(2), np.ones((3, 1)), np.ones(3), np.array([True, False, False]), 1)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numba import njit
+from scipy.signal import lfilter, lfiltic
 
 #: Minimum magnitude of a pole that counts as integrating, whatever its standard error is.
 INTEGRATING = 0.999
@@ -141,7 +141,6 @@ def poles(a: np.ndarray, covariance: np.ndarray | None, sample_time_s: float) ->
     return sorted(result, key=lambda pole: (-pole.magnitude, -pole.value.imag))
 
 
-@njit(cache=True, error_model="numpy")
 def free_run(
     a: np.ndarray, b: np.ndarray, delay: int, source: np.ndarray, measured: np.ndarray, limit: float
 ) -> np.ndarray:
@@ -166,39 +165,23 @@ def free_run(
     ndarray, shape (n,)
         Simulated output; NaN at the samples that start the simulation and where nothing is simulated.
     """
-    n, na, nb = len(source), len(a), len(b)
-    result = np.full(n, np.nan)
-    state = np.full(n, np.nan)
-    running = False
-    blown = False
-    for k in range(n):
-        known = k >= delay + nb - 1
-        total = 0.0
-        if known:
-            for j in range(nb):
-                total += b[j] * source[k - delay - j]
-            known = total == total
-        if not known:
-            running = False
-            blown = False
+    na = len(a)
+    driven = np.zeros(len(source))
+    for j, value in enumerate(b):
+        driven = driven + value * lagged(source, delay + j)
+    started = np.isfinite(driven)
+    for i in range(1, na + 1):
+        started &= np.isfinite(lagged(measured, i))
+    result = np.full(len(source), np.nan)
+    for piece in np.ma.clump_unmasked(np.ma.masked_invalid(driven)):
+        first = piece.start + int(np.argmax(started[piece]))
+        if not started[first]:
             continue
-        if not running and not blown and k >= na:
-            for i in range(1, na + 1):
-                state[k - i] = measured[k - i]
-            running = True
-        if not running:
-            continue
-        for i in range(na):
-            total -= a[i] * state[k - 1 - i]
-        if total != total:
-            running = False
-            continue
-        if abs(total) > limit:
-            running = False
-            blown = True
-            continue
-        state[k] = total
-        result[k] = total
+        state = lfiltic([1.0], np.append(1.0, a), measured[first - na : first][::-1])
+        run, _ = lfilter([1.0], np.append(1.0, a), driven[first : piece.stop], zi=state)
+        # a comparison with an overflowed (NaN) value is false
+        within = np.logical_and.accumulate(np.abs(run) <= limit)
+        result[first : piece.stop] = np.where(within, run, np.nan)
     return result
 
 
@@ -246,9 +229,3 @@ def best_level(measured: np.ndarray, run: np.ndarray, raised: np.ndarray) -> flo
     if weight == 0:
         return 0.0
     return float(np.sum(slope[use] * error[use])) / weight
-
-
-def warm_up() -> None:
-    """Compile the numba function of this module before its first use."""
-    one = np.ones(3)
-    free_run(one[:1], one[:1], 1, one, one, 1.0)

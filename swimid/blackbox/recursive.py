@@ -84,7 +84,7 @@ def recursive_least_squares(
     Raises
     ------
     ValueError
-        An argument is not finite, has another shape, or lies outside its range.
+        A regressor or an output is not finite.
 
     Examples
     --------
@@ -95,15 +95,6 @@ def recursive_least_squares(
     h = np.array(regressors, dtype=float, order="C", ndmin=2, copy=bool(noise_terms) or None)
     z = np.ascontiguousarray(outputs, dtype=float)
     n, p = h.shape
-    for allowed, what in (
-        (z.shape == (n,), f"outputs have shape {z.shape}, regressors {h.shape}"),
-        (weight > 0, f"weight is {weight!r}; it must be positive"),
-        (0 < forgetting <= 1, f"forgetting is {forgetting!r}; it must be above 0 and at most 1"),
-        (prior_scale > 0, f"prior_scale is {prior_scale!r}; it must be positive"),
-        (0 <= noise_terms <= p, f"noise_terms is {noise_terms}, with {p} parameters"),
-    ):
-        if not allowed:
-            raise ValueError(what)
     if noise_terms:
         h[:, p - noise_terms :] = 0.0
     if not (np.isfinite(z).all() and np.isfinite(h).all()):

@@ -33,8 +33,6 @@ MIN_FIT_PERCENT = 50.0
 #: Maximum condition number of the scaled regression. A regression with a larger condition number is reported
 #: as ill-conditioned.
 MAX_CONDITION = 1e6
-#: Maximum number of candidate orders listed in the table of an order search.
-MAX_ORDERS = 15
 REFERENCES = [
     "L. Shang, S. Wang, M. Tan, L. Cheng: Swimming locomotion modeling for biomimetic underwater vehicle "
     "with two undulating long-fins. Robotica 30 (2012) 913-923. doi:10.1017/S0263574711001159",
@@ -367,7 +365,7 @@ def _evidence(
         verdict=ev.judged(answer, checks),
         facts={"Orders": str(m.estimate.orders), "Rows": str(len(m.estimate.data))},
         checks=checks,
-        tables=[_errors(m), _modes(m), *_orders(m)],
+        tables=[_errors(m), _modes(m)],
         figures=[_free_run(m), _residuals(m)],
         notices=notices,
         methods=_methods(m),
@@ -406,15 +404,6 @@ def _modes(m: Identified) -> Table:
         rows.append([size, _finite(p.frequency_hz), _finite(p.damping_ratio), p.state])
     columns = ["|z|", "natural frequency (Hz)", "damping ratio", "stability"]
     return Table(id="modes", title="Modes of the model", columns=columns, rows=rows, folded=True)
-
-
-def _orders(m: Identified) -> list[Table]:
-    if not m.candidates:
-        return []
-    least = m.candidates[0][1]
-    rows: list[list[blocks.Cell]] = [[str(o), bic - least] for o, bic in m.candidates[:MAX_ORDERS]]
-    title = f"The best of {len(m.candidates)} orders"
-    return [Table(id="orders", title=title, columns=["orders", "BIC above least"], rows=rows, folded=True)]
 
 
 def _methods(m: Identified) -> list[str]:

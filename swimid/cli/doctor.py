@@ -35,10 +35,8 @@ OPTIONAL = {
 #: Modules with compiled kernels; each has a ``warm_up()`` that compiles all of them.
 KERNELS = (
     "swimid.rig.model",
-    "swimid.blackbox.difference",
     "swimid.swimmer.planar.model",
     "swimid.blackbox.recursive",
-    "swimid.blackbox.arx",
     "swimid.fitting.metrics",
     "swimid.tracking.detect",
     "swimid.tracking.smooth",

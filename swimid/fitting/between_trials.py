@@ -239,12 +239,8 @@ def fit_random_effect(
         now = output_error.fit(result.model, result.trials, parameters=parameters, tested=False)
         rounds.append(now)
     now = output_error.check_by_restarts(now, jobs=1)
-    earlier = [result, *rounds[:-1]]
-    now = replace(
-        now,
-        evaluations=now.evaluations + sum(r.evaluations for r in earlier),
-        jacobians=now.jacobians + sum(r.jacobians for r in earlier),
-    )
+    earlier = sum(r.evaluations for r in (result, *rounds[:-1]))
+    now = replace(now, evaluations=now.evaluations + earlier)
     return _widened(now, name), found
 
 

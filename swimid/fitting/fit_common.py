@@ -191,23 +191,9 @@ def _identifiability(result: FitResult, correlation: Correlation | None) -> list
     for (i, first), (j, second) in itertools.combinations(enumerate(correlation.names), 2):
         rho = correlation.matrix[i][j]
         if abs(rho) > STRONG and result.status[first] == result.status[second] == "estimated":
-            product = _best_product(result, first, second)
-            said.append(f"{first} and {second} are hard to tell apart (correlation {rho:+.3f}): {product}")
+            said.append(f"{first} and {second} are hard to tell apart (correlation {rho:+.3f})")
             warn("SWM011", said[-1])
     return said
-
-
-def _best_product(result: FitResult, first: str, second: str) -> str:
-    """Return the best determined product of powers of two parameters, as text."""
-    indices = [result.labels.index(first), result.labels.index(second)]
-    values = result.estimate[indices]
-    if np.any(values <= 0):
-        return "only a combination of them is well determined"
-    relative = result.covariance[np.ix_(indices, indices)] / np.outer(values, values)
-    sizes, vectors = np.linalg.eigh(relative)
-    power = vectors[:, 0] / vectors[np.argmax(np.abs(vectors[:, 0])), 0]
-    percent = 100 * math.sqrt(max(float(sizes[0]), 0.0)) / float(np.linalg.norm(vectors[:, 0] / power.max()))
-    return f"best determined is {first}^{power[0]:.2f} · {second}^{power[1]:.2f}, to {percent:.2g} %"
 
 
 def scores(result: FitResult, role: str, trials: Sequence[str] | None = None) -> dict[str, metrics.Score]:

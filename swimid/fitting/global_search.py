@@ -114,8 +114,7 @@ def multistart(
     if best.converged:
         best = output_error.check_by_restarts(best, jobs=jobs or os.cpu_count() or 1)
     evaluations = best.evaluations + sum(r.evaluations for r in others)
-    jacobians = best.jacobians + sum(r.jacobians for r in others)
-    return replace(best, evaluations=evaluations, jacobians=jacobians), ends
+    return replace(best, evaluations=evaluations), ends
 
 
 def agreeing(ends: Sequence[Start]) -> int:

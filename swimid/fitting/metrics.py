@@ -107,8 +107,6 @@ class FitResult:
     #: inverse of the covariance. It is accurate even if the covariance is infinite. Columns of parameters
     #: held at a bound are NaN.
     information_root: Array = field(default_factory=lambda: np.empty((0, 0)))
-    #: Number of Jacobians computed in all searches and tests of the fit.
-    jacobians: int = 0
     #: Estimates of the per-trial parameters of validation trials, by label. The shared parameters are held.
     start_states: Mapping[str, float] = field(default_factory=dict)
     #: Number of restarts near the estimates that led to a better fit; None if no restart was tested.

@@ -136,7 +136,7 @@ def check_by_restarts(result: FitResult, *, jobs: int) -> FitResult:
     The result has :attr:`FitResult.restarts` and :attr:`FitResult.settled`.
     """
     first, count, settled = result, 0, True
-    spent, taken, gain = result.evaluations, result.jacobians, 0.0
+    spent, gain = result.evaluations, 0.0
     if result.interrupted:
         return result
     try:
@@ -148,13 +148,13 @@ def check_by_restarts(result: FitResult, *, jobs: int) -> FitResult:
                 break
             with threadpool_limits(limits=1, user_api="blas"):
                 near = search_around(result, jobs=jobs, seed=count)
-            spent, taken = spent + near.evaluations, taken + near.jacobians
+            spent += near.evaluations
             if near.point is None or count == MAX_RESTARTS:
                 settled = near.point is None
                 break
             task = _Task(result.model, result.trials, result.parameters, jobs)
             again = _refined(task, near.point, True, near=result)
-            spent, taken = spent + again.evaluations, taken + again.jacobians
+            spent += again.evaluations
             gain = _objective(result) - _objective(again)
             if not gain > 0.0:
                 break
@@ -163,7 +163,7 @@ def check_by_restarts(result: FitResult, *, jobs: int) -> FitResult:
                 break
     except KeyboardInterrupt:
         return replace(result, interrupted=True, converged=False, message="interrupted while it was tested")
-    result = replace(result, restarts=count, settled=settled, evaluations=spent, jacobians=taken)
+    result = replace(result, restarts=count, settled=settled, evaluations=spent)
     if _objective(first) - _objective(result) > NEEDED_GAIN:
         plural = "s" if count > 1 else ""
         doubt = "" if settled else ", and the last still did: the answer may not be the best one"
@@ -190,12 +190,12 @@ def _refined(task: _Task, begin: Array | None, unfinished: bool, near: FitResult
 
     The initial weights are those of the fit ``near``, if it is given.
     """
-    spent = taken = 0
+    spent = 0
     budget = UNFINISHED_ITERATIONS if unfinished else MAX_ITERATIONS
     for _ in range(MAX_REFINEMENTS):
         result = _fit_once(task, begin, budget=budget, near=near)
-        spent, taken = spent + result.evaluations, taken + result.jacobians
-        result = replace(result, evaluations=spent, jacobians=taken)
+        spent += result.evaluations
+        result = replace(result, evaluations=spent)
         if not (result.converged or result.interrupted or unfinished):
             raise NoTrustworthyResult(
                 f"the fit did not converge: {result.message}",
@@ -488,7 +488,6 @@ def _result(search: _Search, task: _Task) -> FitResult:
         interrupted=search.interrupted,
         cost=_cost(problem, raw),
         information_root=root,
-        jacobians=problem.jacobians,
     )
     return replace(result, series=_series(problem, result))
 
@@ -589,9 +588,8 @@ class Surroundings:
 
     #: Point with a lower cost than the estimates, shape (p,); None if there is none.
     point: Array | None
-    #: Number of simulations of single trials, and number of Jacobians.
+    #: Number of simulations of single trials.
     evaluations: int
-    jacobians: int
     #: The cost is not smooth: :attr:`Parameter.kinked` of a parameter is set, or the cost deviates from its
     #: quadratic prediction.
     rough: bool
@@ -605,10 +603,10 @@ def search_around(result: FitResult, *, jobs: int = 1, seed: int = 0) -> Surroun
     searched further. Otherwise the search continues with new derivatives.
     """
     if not len(result.labels):
-        return Surroundings(None, 0, 0, False)
+        return Surroundings(None, 0, False)
     problem = weighted(result, jobs=jobs)
     point, rough = _lower_point(problem, result, np.random.default_rng(seed))
-    return Surroundings(point, problem.evaluations, problem.jacobians, rough)
+    return Surroundings(point, problem.evaluations, rough)
 
 
 def weighted(result: FitResult, parameters: tuple[Parameter, ...] | None = None, *, jobs: int = 1) -> Problem:

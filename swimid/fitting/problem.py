@@ -69,8 +69,8 @@ class Problem:
         Arrays by trial and channel: a mask of the existing samples, and their standard deviations.
     start, lower, upper, scale : ndarray, shape (p,)
         Start values, bounds and typical scales of the unknowns.
-    evaluations, jacobians : int
-        Number of simulations of single trials and number of Jacobians so far.
+    evaluations : int
+        Number of simulations of single trials so far.
     near : float
         Maximum step after which derivatives are used again, as in :data:`NEAR`.
     random : ndarray of bool, shape (p,)
@@ -92,7 +92,7 @@ class Problem:
         self.trials = list(trials)
         self.jobs = jobs
         self.near = NEAR
-        self.evaluations = self.jacobians = 0
+        self.evaluations = 0
         self.channels = [
             [c.name for c in model.channels if c.name in t.measured and np.isfinite(t.measured[c.name]).any()]
             for t in self.trials
@@ -365,7 +365,6 @@ class Problem:
                     column[:] = (ahead - back) / width[j]
             columns[~np.isfinite(columns)] = 0.0
             slopes.append(np.ascontiguousarray(columns.T))
-        self.jacobians += 1
         self._slopes = (theta.copy(), central, slopes)
         return slopes
 
