@@ -320,8 +320,8 @@ class ArxEstimate:
     data: Regression
     recursion: recursive.Recursion
     known: Identifiability
-    #: Test of the one-step errors for whiteness. With forgetting, the innovations of the recursion are
-    #: tested.
+    #: Test of the one-step errors for whiteness. With forgetting and without C, the innovations of the
+    #: recursion are tested.
     whiteness: rt.TestResult
     #: Whether the covariance allows for correlated residuals (sandwich form).
     robust: bool
@@ -383,9 +383,8 @@ def estimate(
     Notes
     -----
     With ``nc = 0`` theta is the last estimate of the recursion, which equals batch weighted least squares
-    with the prior. With ``nc > 0`` the estimate of the extended recursion is the starting point of a search
-    for the minimum of the squared one-step errors (:func:`refine`). Unlike the recursion, this search gives
-    known standard errors.
+    with the prior. With ``nc > 0`` this estimate, with zeros for the coefficients of C, is the starting point
+    of a search for the minimum of the squared one-step errors (:func:`refine`).
 
     Let the weights be ``w_k = forgetting^(n-1-k)``, J the derivative of the one-step prediction, and ``S =
     J'WJ + prior``. For white residuals the covariance is ``sigma^2 S^-1 (J'W^2 J) S^-1``. Otherwise it is
@@ -397,23 +396,22 @@ def estimate(
     known = find_determined(data, orders, quanta)
     _check_determined(known, orders)
     run = recursive.recursive_least_squares(
-        np.hstack((data.rows, np.zeros((len(data), orders.nc)))),
+        data.rows,
         data.outputs,
         weight=weight,
         forgetting=forgetting,
         prior_scale=prior_scale,
-        noise_terms=orders.nc,
-        fresh=data.fresh,
     )
     weights = forgetting ** np.arange(len(data) - 1, -1, -1.0)  # the age of a sample is counted in rows
     theta = run.theta
-    residuals, jacobian = data.outputs - data.rows @ theta[: orders.na + orders.nb], data.rows
+    residuals, jacobian = data.outputs - data.rows @ theta, data.rows
     if orders.nc:
+        theta = np.append(theta, np.zeros(orders.nc))
         theta = refine(theta, data.rows, data.outputs, data.fresh, orders.nc, weights)
         residuals, jacobian = errors_and_gradient(theta, data.rows, data.outputs, data.fresh, orders.nc)
     prior = forgetting ** (len(data) - 1) / (weight * prior_scale**2)
     tested = residuals
-    if forgetting < 1:
+    if forgetting < 1 and not orders.nc:
         skipped = min(int(max(5 * orders.count, 1 / (1 - forgetting))), len(data) // 2)
         tested = np.where(np.arange(len(data)) < skipped, np.nan, run.innovations)
     exact = bool(np.sqrt(np.mean(residuals**2)) <= EXACT * np.std(data.outputs))

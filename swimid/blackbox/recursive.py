@@ -1,4 +1,4 @@
-"""Recursive (weighted, extended) least squares, compiled with numba.
+"""Recursive weighted least squares, compiled with numba.
 
 The recursion is Eq 9 of the long-fin paper [1]_,
 
@@ -18,8 +18,6 @@ References
    underwater vehicle with two undulating long-fins", Robotica 30 (2012) 913-923, Eq 6-9.
    doi:10.1017/S0263574711001159
 .. [2] G. J. Bierman, "Factorization Methods for Discrete Sequential Estimation" (1977), ch. 5.
-.. [3] L. Ljung, "System Identification: Theory for the User", 2nd ed. (1999), section 11.7
-   (extended least squares).
 """
 
 from __future__ import annotations
@@ -58,8 +56,6 @@ def recursive_least_squares(
     weight: float = 1.0,
     forgetting: float = 1.0,
     prior_scale: float = PRIOR_SCALE,
-    noise_terms: int = 0,
-    fresh: np.ndarray | None = None,
 ) -> Recursion:
     """Return the recursive estimate of theta in ``outputs = regressors @ theta + noise``, from theta(0) = 0.
 
@@ -75,11 +71,6 @@ def recursive_least_squares(
         Factor by which P is divided after every row, above 0 and at most 1.
     prior_scale : float
         Value of a in P(0) = a^2 I, above 0.
-    noise_terms : int
-        Number of columns at the end of ``regressors`` whose values are replaced by the residuals of the
-        previous rows (extended least squares [3]_).
-    fresh : ndarray of bool, shape (n,), optional
-        True where a row does not directly follow the previous row in time. Past residuals are zero there.
 
     Raises
     ------
@@ -92,24 +83,18 @@ def recursive_least_squares(
     >>> recursive_least_squares(h, np.array([1.0, 3.0, 5.0])).theta.round(6)
     array([1., 2.])
     """
-    h = np.array(regressors, dtype=float, order="C", ndmin=2, copy=bool(noise_terms) or None)
-    z = np.ascontiguousarray(outputs, dtype=float)
-    n, p = h.shape
-    if noise_terms:
-        h[:, p - noise_terms :] = 0.0
+    h, z = np.ascontiguousarray(regressors, dtype=float), np.ascontiguousarray(outputs, dtype=float)
     if not (np.isfinite(z).all() and np.isfinite(h).all()):
         raise ValueError("regressors and outputs must be finite; leave rows with gaps out")
-    if fresh is None:
-        fresh = np.zeros(n, dtype=np.bool_)
     theta, factors, diagonal, innovations, limited = _run(
-        h, z, fresh, noise_terms, 1.0 / weight, 1.0 / forgetting, prior_scale**2
+        h, z, 1.0 / weight, 1.0 / forgetting, prior_scale**2
     )
     covariance = (factors.T * diagonal) @ factors
     return Recursion(theta, covariance, innovations, limited)
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _run(h, z, fresh, noise_terms, variance, growth, prior):  # type: ignore[no-untyped-def]
+def _run(h, z, variance, growth, prior):  # type: ignore[no-untyped-def]
     """Run the recursion as one compiled loop, because function calls and branches would cost time.
 
     Row j of ``factors`` holds column j of U.
@@ -118,19 +103,10 @@ def _run(h, z, fresh, noise_terms, variance, growth, prior):  # type: ignore[no-
     ceiling = MAX_GROWTH * prior
     theta = np.zeros(p)
     factors, diagonal = np.eye(p), np.full(p, prior)
-    innovations, residuals = np.empty(n), np.empty(n)
+    innovations = np.empty(n)
     gain, f = np.empty(p), np.empty(p)
     limited = 0
-    first = p - noise_terms
     for k in range(n):
-        if noise_terms:
-            if fresh[k] or k == 0:
-                for j in range(first, p):
-                    h[k, j] = 0.0
-            else:
-                for j in range(p - 1, first, -1):
-                    h[k, j] = h[k - 1, j - 1]
-                h[k, first] = residuals[k - 1]
         # compute the innovation, and f = U' h
         error = z[k]
         for j in range(p):
@@ -156,12 +132,8 @@ def _run(h, z, fresh, noise_terms, variance, growth, prior):  # type: ignore[no-
                 gain[i] += u * v
         step = error / alpha
         innovations[k] = error
-        after = error
         for j in range(p):
-            change = gain[j] * step
-            theta[j] += change
-            after -= h[k, j] * change
-        residuals[k] = after
+            theta[j] += gain[j] * step
         if growth > 1.0:
             held = False
             for j in range(p):

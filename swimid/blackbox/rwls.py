@@ -285,17 +285,13 @@ def _parameter_file(m: Identified) -> parameters.ParameterFile:
             f"The data span {fitted.known.rank} of {orders.na + orders.nb} directions; only combinations of "
             f"{', '.join(lost)} are determined."
         )
-    # deviations from the input level; outside of their range the model extrapolates
-    deviation = np.concatenate([record.source for record in data.fit]) - m.point.source
     details = {
         "rows": len(fitted.data),
         "rows_left_out": fitted.data.possible - len(fitted.data),
         "condition": fitted.known.condition,
         "input_excites": fitted.known.input_rank,
-        "input_range": [float(np.nanmin(deviation)), float(np.nanmax(deviation))],
         "stability": m.critical_pole.state if m.critical_pole else "stable",
         "integrating": any(p.integrating for p in m.poles),
-        "recursion_end": dict(zip(names, fitted.recursion.theta.tolist(), strict=True)),
     }
     settings = _settings(m)
     # held-out data are named by a fraction, a file, or a log in memory

@@ -66,38 +66,41 @@ def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[st
 
     Notes
     -----
-    The column that is measured at the lower rate sets the rate. Of each measurement of the output, the first
-    sample is used. The input of a row is the mean of the input until the next row, as for a zero-order hold.
-    If the measurements have no constant rate, the repeated samples are set to NaN instead.
+    The output sets the rate. Of each measurement of the output, the first sample is used. The input of a row
+    is the mean of the input until the next row, as for a zero-order hold. If the measurements of the output
+    have no constant rate, the repeated samples are set to NaN instead. An input with repeated samples is used
+    as it is.
     """
-    repeats, slowest, emptied = [], None, {}
+    repeats, even, columns = [], None, dict(log.columns)
     for column in (output, source):
         if column is None:
             continue
         values = log[column]
-        held = find_held(log.time_s, [values])
-        empty = np.isnan(values)
+        held, empty = find_held(log.time_s, [values]), np.isnan(values)
         # independent values between the repeated samples are the levels of a random command
         if column == source and rt.ljung_box(values[~held.repeated & ~empty]).passed:
             continue
-        even = _even_times(log.time_s, values, held)
-        if even is None and (column == source or not _is_lossy(values[~empty], held.repeated[~empty])):
+        own = _even_times(log.time_s, values, held)
+        if own is None and (column == source or not _is_lossy(values[~empty], held.repeated[~empty])):
             continue
         what = "repeat the measurement before" if held.repeated.any() else "are empty"
         text = f"{int(np.sum(held.repeated | empty))} of {len(log)} samples of {column} {what}"
-        if even is None:
-            emptied[column] = np.where(held.repeated, np.nan, values)
+        if own is None:
+            columns[column] = np.where(held.repeated, np.nan, values)
             text += f" at no even rate: they are left out, and the others may be {held.lateness_s:.6g} s late"
         else:
-            text += f": it is measured every {even.period_s:.6g} s, and the model is fitted at that rate"
-            if slowest is None or even.period_s > (1 + SAME_RATE) * slowest[1].period_s:
-                slowest = (column, even)
+            text += f": it is measured every {own.period_s:.6g} s"
+        if column == output and own is not None:
+            even = own
+            text += ", and the model is fitted at that rate"
         warn("SWM058", f"{log.path.name}: {text}; log each measurement once, with its own time")
         repeats.append(text)
-    log = replace(log, columns={**log.columns, **emptied})
-    if slowest is not None:
-        log = _resampled(log, slowest[1], source, slowest[0] == source)
-    return log, repeats
+    if even is not None:
+        columns = {name: values[even.rows] for name, values in log.columns.items()}
+        columns[TIME] = even.times_s
+        if source is not None:
+            columns[source] = _means(log.time_s, log[source], even.times_s)
+    return replace(log, columns=columns), repeats
 
 
 def _even_times(time_s: Array, values: Array, held: Held) -> _Even | None:
@@ -119,19 +122,6 @@ def _even_times(time_s: Array, values: Array, held: Held) -> _Even | None:
         times = held.measured_s[rows]
         return _Even(rows, times + float(np.min(time_s[rows] - times)), held.period_s)
     return None
-
-
-def _resampled(log: Log, even: _Even, source: str | None, by_source: bool) -> Log:
-    """Return the log at the measurement times of its output, or of its input if ``by_source``."""
-    columns = {}
-    for name, values in log.columns.items():
-        if name == source and not by_source:
-            columns[name] = _means(log.time_s, values, even.times_s)
-        elif by_source and name != source:
-            columns[name] = np.interp(even.times_s, log.time_s, values)
-        else:
-            columns[name] = values[even.rows]
-    return replace(log, columns={**columns, TIME: even.times_s})
 
 
 def _means(time_s: Array, values: Array, times: Array) -> Array:

@@ -749,22 +749,17 @@ def _speed(trial: Trial) -> float | None:
     for name in ("u_m_s", MEAN_SPEED):
         if name in trial.measured:
             return float(np.sqrt(np.nanmean(trial.measured[name] ** 2)))
-    time, place = _track(trial)
+    names = [name for name in POSITIONS if name in trial.measured]
+    if not names:
+        return None
+    place = np.column_stack([trial.measured[name] for name in names])
+    there = np.isfinite(place).all(axis=1)
+    time, place = trial.time_s[there], place[there]
     every = slice(None, None, max(len(time) // STRETCHES, 1))
     if len(time) > 1 and time[every][-1] > time[0]:
         path = float(np.linalg.norm(np.diff(place[every], axis=0), axis=1).sum())
         return path / float(time[every][-1] - time[0])
     return None
-
-
-def _track(trial: Trial) -> tuple[Array, Array]:
-    """Return the times and positions of samples with all coordinates, shapes (n,) and (n, coordinates)."""
-    names = [name for name in POSITIONS if name in trial.measured]
-    if not names:
-        return np.zeros(0), np.zeros((0, 1))
-    values = np.column_stack([trial.measured[name] for name in names])
-    there = np.isfinite(values).all(axis=1)
-    return trial.time_s[there], values[there]
 
 
 class Tied(Model):
