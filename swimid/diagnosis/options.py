@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from swimid import options as fits
+import swimid.options as fits
 from swimid.options import Options, Source, option
 from swimid.simulation import options as simulations
 from swimid.swimmer import options as swimmers

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
-from swimid import options as fits
+import swimid.options as fits
 from swimid.options import Options, Source, option
 from swimid.simulation import options as simulations
 from swimid.swimmer import options as swimmers

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-from swimid import options as fits
+import swimid.options as fits
 from swimid.options import Options, Source, StartState, option
 
 

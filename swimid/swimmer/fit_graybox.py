@@ -14,7 +14,7 @@ import numpy as np
 from swimid.errors import InputError, Interrupted, NoTrustworthyResult
 from swimid.files import atomic, provenance
 from swimid.files.checkpoint import Checkpoint
-from swimid.fitting import covariance, fit_common, global_search, metrics, mistakes, output_error
+from swimid.fitting import covariance, fit_common, metrics, mistakes, output_error
 from swimid.fitting.drives import Beat
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.metrics import FitResult, Series
@@ -38,6 +38,7 @@ from swimid.swimmer import trials as swimmer
 from swimid.swimmer.options import FitGrayboxOptions
 
 if TYPE_CHECKING:
+    from swimid.fitting.global_search import Start
     from swimid.swimmer.front import FrontResult
 
 #: Typical number of Jacobian evaluations in a fit. It gives the expected simulation time, which needs to be
@@ -219,7 +220,7 @@ class _Search:
     result: FitResult
     front: FrontResult | None = None
     checkpoint: Checkpoint = field(default_factory=Checkpoint)
-    ends: list[global_search.Start] = field(default_factory=list)
+    ends: list[Start] = field(default_factory=list)
     starts: int = 1
 
 
@@ -274,7 +275,9 @@ def _least_squares(
             return _Search(first)
         starts = DEFAULT_STARTS
     settings |= {"starts": starts, "seed": options.seed, "begins": begins, "first": first}
-    result, ends = global_search.multistart(model, trials, progress=progress, **settings)
+    from swimid.fitting.global_search import multistart
+
+    result, ends = multistart(model, trials, progress=progress, **settings)
     return _Search(result, ends=ends, starts=starts)
 
 
@@ -540,12 +543,14 @@ def _paths(result: FitResult, across: str, along: str) -> list[ev.Panel]:
     return panels
 
 
-def _starts_check(ends: Sequence[global_search.Start], *, asked: bool) -> ev.Check:
+def _starts_check(ends: Sequence[Start], *, asked: bool) -> ev.Check:
     """Count the starting points from which the fit ends in the reported minimum.
 
     The count can fail as a check only if the user asked for several starting points.
     """
-    agree = global_search.agreeing(ends)
+    from swimid.fitting.global_search import agreeing
+
+    agree = agreeing(ends)
     value = f"{agree} of {len(ends)} starts end in it"
     text = "the other starts end higher; the lowest is reported" if agree < len(ends) else ""
     passed = agree == len(ends) if asked else None
@@ -553,7 +558,7 @@ def _starts_check(ends: Sequence[global_search.Start], *, asked: bool) -> ev.Che
     return ev.check("one minimum", value, passed, "every start", text, reason=reason)
 
 
-def _tables(experiment: Experiment, result: FitResult, ends: Sequence[global_search.Start]) -> list[ev.Table]:
+def _tables(experiment: Experiment, result: FitResult, ends: Sequence[Start]) -> list[ev.Table]:
     """Return tables of errors, identifiability, starting points, and interpretations of the source."""
     ranking = [[label, share, result.status[label]] for label, share in covariance.ranked(result)]
     starts = [[k, end.converged, float(end.cost)] for k, end in enumerate(ends, start=1)]
@@ -656,8 +661,10 @@ def _methods(experiment: Experiment, result: FitResult, search: _Search, method:
         fit_common.COVARIANCE,
     ]
     if search.ends:
+        from swimid.fitting.global_search import agreeing
+
         drawn = "on the front" if method == "hybrid" else "drawn evenly within the bounds"
-        agree = global_search.agreeing(search.ends)
+        agree = agreeing(search.ends)
         said.append(f"{agree} of {len(search.ends)} starts, {drawn}, end in the reported minimum.")
     own = dict.fromkeys(label.split("[")[0] for label in result.labels if "[" in label)
     if own:

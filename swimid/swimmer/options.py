@@ -8,7 +8,7 @@ from typing import Any, Literal, Self
 
 from pydantic import model_validator
 
-from swimid import options as fits
+import swimid.options as fits
 from swimid.errors import UsageError
 from swimid.options import Options, Source, option
 
