@@ -413,10 +413,7 @@ def _methods(m: Identified) -> list[str]:
     for applies, more in (
         (m.estimate.orders.nc, "From its result the one-step error was minimised by Gauss-Newton steps."),
         (m.point.removed, "The means of the fitted part were subtracted from input and output first."),
-        (
-            m.estimate.robust,
-            "Standard errors are of the sandwich form for correlated residuals (Ljung and Box 1978).",
-        ),
+        (m.estimate.robust, "Standard errors have the sandwich form for correlated residuals."),
     ):
         if applies:
             text += f" {more}"

@@ -191,34 +191,7 @@ def score(measured: Array, simulated: Array) -> Score:
     >>> score(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 2.0])).fit_percent
     100.0
     """
-    y, z = _both(measured, simulated)
-    e = y - z
-    if len(y) == 0:
-        return Score(np.nan, np.nan, np.nan, np.nan, np.nan, 0)
-    return _scored(e, float(np.ptp(y)), float(np.var(y)), float(np.var(e)))
-
-
-def _scored(error: Array, span: float, variance: float, missed: float) -> Score:
-    """Return the errors of a channel, given the range and variance of the measurement.
-
-    Parameters
-    ----------
-    error : ndarray, shape (n,)
-        Measured minus simulated values.
-    span, variance : float
-        Range and variance of the measured values.
-    missed : float
-        Variance of the errors.
-    """
-    rmse = float(np.sqrt(np.mean(error**2)))
-    return Score(
-        rmse=rmse,
-        nrmse=_ratio(rmse, span),
-        vaf=1.0 - _ratio(missed, variance),
-        fit_percent=100.0 * (1.0 - _ratio(rmse, math.sqrt(variance))),
-        bias=float(np.mean(error)),
-        samples=len(error),
-    )
+    return score_trials([(measured, simulated)], own_motion=False)
 
 
 def _ratio(value: float, size: float) -> float:
@@ -251,15 +224,23 @@ def score_trials(parts: Sequence[tuple[Array, Array]], *, own_motion: bool) -> S
     """
     there = [pair for pair in (_both(y, z) for y, z in parts) if len(pair[0])]
     if not there:
-        return score(np.empty(0), np.empty(0))
-    measured, simulated = (np.concatenate(side) for side in zip(*there, strict=True))
-    if not own_motion or len(there) == 1:
-        return score(measured, simulated)
-    share = np.array([len(y) for y, _ in there]) / len(measured)
+        return Score(np.nan, np.nan, np.nan, np.nan, np.nan, 0)
+    if not own_motion:
+        there = [(np.concatenate([y for y, _ in there]), np.concatenate([z for _, z in there]))]
+    error = np.concatenate([y - z for y, z in there])
+    share = np.array([len(y) for y, _ in there]) / len(error)
     span = math.sqrt(float(share @ [np.ptp(y) ** 2 for y, _ in there]))
     variance = float(share @ [np.var(y) for y, _ in there])
     missed = float(share @ [np.var(y - z) for y, z in there])
-    return _scored(measured - simulated, span, variance, missed)
+    rmse = float(np.sqrt(np.mean(error**2)))
+    return Score(
+        rmse=rmse,
+        nrmse=_ratio(rmse, span),
+        vaf=1.0 - _ratio(missed, variance),
+        fit_percent=100.0 * (1.0 - _ratio(rmse, math.sqrt(variance))),
+        bias=float(np.mean(error)),
+        samples=len(error),
+    )
 
 
 def pose_channels(model: Model) -> tuple[str, ...]:

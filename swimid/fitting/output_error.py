@@ -605,27 +605,7 @@ def search_around(result: FitResult, *, jobs: int = 1, seed: int = 0) -> Surroun
     if not len(result.labels):
         return Surroundings(None, 0, False)
     problem = weighted(result, jobs=jobs)
-    point, rough = _lower_point(problem, result, np.random.default_rng(seed))
-    return Surroundings(point, problem.evaluations, rough)
-
-
-def weighted(result: FitResult, parameters: tuple[Parameter, ...] | None = None, *, jobs: int = 1) -> Problem:
-    """Return the least-squares problem of a fit with its final weights; its parameters can be replaced."""
-    fitted = [t for t in result.trials if t.role == "fit"]
-    problem = Problem(result.model, parameters or result.parameters, fitted, jobs=jobs)
-    set_weights(problem, result)
-    return problem
-
-
-def set_weights(problem: Problem, result: FitResult) -> None:
-    """Set the weights of a problem to the final weights of a fit of the same trials."""
-    known = {(s.trial, s.channel): s for s in result.series}
-    for k, trial in enumerate(problem.trials):
-        problem.sd[k] = [known[trial.id, channel].sd for channel in problem.channels[k]]
-
-
-def _lower_point(problem: Problem, result: FitResult, rng: np.random.Generator) -> tuple[Array | None, bool]:
-    """Return a point with a lower cost (None if there is none), and whether the cost is not smooth."""
+    rng = np.random.default_rng(seed)
     theta = np.asarray(result.estimate, dtype=float)
     here = _squares(problem, theta)
     rows = problem.jacobian(theta)
@@ -667,8 +647,23 @@ def _lower_point(problem: Problem, result: FitResult, rng: np.random.Generator) 
                 ends += _searched(problem, [step_only.x], SHORT_ITERATIONS, tolerance)
     cost, point = min(ends, key=lambda pair: pair[0])
     if cost >= here - material:
-        return None, rough
-    return point, rough
+        return Surroundings(None, problem.evaluations, rough)
+    return Surroundings(point, problem.evaluations, rough)
+
+
+def weighted(result: FitResult, parameters: tuple[Parameter, ...] | None = None, *, jobs: int = 1) -> Problem:
+    """Return the least-squares problem of a fit with its final weights; its parameters can be replaced."""
+    fitted = [t for t in result.trials if t.role == "fit"]
+    problem = Problem(result.model, parameters or result.parameters, fitted, jobs=jobs)
+    set_weights(problem, result)
+    return problem
+
+
+def set_weights(problem: Problem, result: FitResult) -> None:
+    """Set the weights of a problem to the final weights of a fit of the same trials."""
+    known = {(s.trial, s.channel): s for s in result.series}
+    for k, trial in enumerate(problem.trials):
+        problem.sd[k] = [known[trial.id, channel].sd for channel in problem.channels[k]]
 
 
 def _smooth(problem: Problem, theta: Array, rows: Array, step: Array, off: float) -> bool:

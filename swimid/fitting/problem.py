@@ -263,12 +263,12 @@ class Problem:
         self,
         theta: Array,
         *,
-        tolerance: float,
-        max_iterations: int = 200,
-        watch: Watch | None = None,
         secant: bool = False,
+        **settings: Any,
     ) -> Solution:
-        """Minimise the sum of squared residuals inside the bounds, from ``theta`` on (see :func:`minimise`).
+        """Minimise the sum of squared residuals inside the bounds, from ``theta`` on.
+
+        The ``settings`` are those of :func:`minimise`.
 
         Parameters
         ----------
@@ -285,16 +285,8 @@ class Problem:
                     rows[part, columns] += np.outer(off[part], along / length)
             return rows
 
-        return minimise(
-            self.residuals,
-            self.jacobian,
-            theta,
-            self.box,
-            tolerance=tolerance,
-            max_iterations=max_iterations,
-            watch=watch,
-            secant=update if secant else None,
-        )
+        updated = update if secant else None
+        return minimise(self.residuals, self.jacobian, theta, self.box, secant=updated, **settings)
 
     def sample_weights(self, k: int) -> Array:
         """Return the factors from errors to weighted residuals of the samples of a trial, shape (n_k,)."""
