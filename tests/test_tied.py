@@ -85,10 +85,6 @@ class TestErrors:
     def test_a_members_own_name_is_free_to_take(self) -> None:
         assert [p.name for p in Tied(self.model, {"c_f0": MEMBERS}).parameters] == ["thrust", "c_f0"]
 
-    def test_no_members(self) -> None:
-        with pytest.raises(UsageError, match="at least two"):
-            Tied(self.model, {"c_f": ("c_f0",)})
-
     def test_no_common_value(self) -> None:
         parameters = (
             FRICTION[0],

@@ -70,8 +70,6 @@ def errors_and_gradient(
     n, m = rows.shape
     errors = outputs - rows @ theta[:m]
     gradient = np.hstack((rows, np.zeros((n, nc))))
-    if not nc:
-        return errors, gradient
     noise = np.append(1.0, theta[m:])
     for first, end in itertools.pairwise([*np.flatnonzero(fresh).tolist(), n]):
         part = slice(first, end)

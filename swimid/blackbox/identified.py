@@ -89,7 +89,8 @@ def find_working_point(records: Sequence[Record], orders: Orders, mode: str = "a
     """
     data = regression(records, replace(orders, nc=0))
     check_enough(data, orders)
-    source, output = (float(np.nanmean(np.concatenate(part))) for part in _columns(records))
+    source = float(np.nanmean(np.concatenate([r.source for r in records])))
+    output = float(np.nanmean(np.concatenate([r.output for r in records])))
     constant, t = constant_term(data)
     point = WorkingPoint(source, output, t, True)
     removed = mode != "none"
@@ -102,10 +103,6 @@ def find_working_point(records: Sequence[Record], orders: Orders, mode: str = "a
     if not removed:
         return WorkingPoint(0.0, 0.0, t, False)
     return point
-
-
-def _columns(records: Sequence[Record]) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    return [r.source for r in records], [r.output for r in records]
 
 
 def _helps(

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 #: Name of the model in parameter files.
 NAME = "arma"
 #: Source of the equations, for the parameters.
-_PAPER = (
+PAPER = (
     "Shang, Wang, Tan, Cheng: Swimming locomotion modeling for biomimetic underwater vehicle with two "
     "undulating long-fins, Robotica 30 (2012) 913-923, doi:10.1017/S0263574711001159"
 )
@@ -89,7 +89,7 @@ class ArxModel(Model):
         self.parameters = tuple(
             Parameter(
                 name, unit_of, -np.inf, np.inf, float(value), scale=max(abs(float(value)), 1e-3),
-                meaning=f"coefficient of {place}", source=f"{_PAPER}, Eq 5",
+                meaning=f"coefficient of {place}", source=f"{PAPER}, Eq 5",
             )
             for name, (unit_of, place), value in zip(self.orders.names, places, values, strict=True)
         )  # fmt: skip

@@ -12,7 +12,7 @@ import numpy as np
 
 from swimid.blackbox import difference
 from swimid.blackbox.identified import MAX_RATIO, Identified, Scores, identify
-from swimid.blackbox.model import NAME
+from swimid.blackbox.model import NAME, PAPER
 from swimid.blackbox.options import RwlsOptions
 from swimid.blackbox.trials import read
 from swimid.files import atomic, provenance
@@ -23,7 +23,7 @@ from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers, parameters
 from swimid.results import evidence as ev
-from swimid.results.evidence import Check, Evidence, Figure, NoticeRecord, Panel, Table, Trace
+from swimid.results.evidence import Check, Evidence, Figure, NoticeRecord, Table, Trace
 from swimid.results.fitted import Fitted
 
 #: Codes of the warnings whose text is the reason of a check, by the name of the check.
@@ -34,8 +34,7 @@ MIN_FIT_PERCENT = 50.0
 #: as ill-conditioned.
 MAX_CONDITION = 1e6
 REFERENCES = [
-    "L. Shang, S. Wang, M. Tan, L. Cheng: Swimming locomotion modeling for biomimetic underwater vehicle "
-    "with two undulating long-fins. Robotica 30 (2012) 913-923. doi:10.1017/S0263574711001159",
+    PAPER,
     "G. J. Bierman: Factorization Methods for Discrete Sequential Estimation. Academic Press, 1977.",
     "G. M. Ljung, G. E. P. Box: On a measure of lack of fit in time series models. Biometrika 65 (1978) "
     "297-303. doi:10.1093/biomet/65.2.297",
@@ -209,9 +208,6 @@ def _warnings(m: Identified, checks: Sequence[Check]) -> Iterator[tuple[str, str
             f"{data.columns.output} {point.output:.6g} (constant term t = {point.t:.1f}); the model is of "
             "deviations from them"
         )
-        moved = [f"{name} by {s.level:.3g}" for name, s in m.scores.items() if abs(s.level) > s.free_run.rmse]
-        if moved:
-            text += f". Held-out data are at another level: {', '.join(moved)} {unit}".rstrip()
         yield "SWM021", text
     for check in checks:
         if check.name in CODES and check.verdict != "pass":
@@ -221,8 +217,6 @@ def _warnings(m: Identified, checks: Sequence[Check]) -> Iterator[tuple[str, str
         yield "SWM022", "the input is constant: B is an offset of the output and says nothing of the input"
     elif known.input_rank < nb:
         text = f"the input excites {known.input_rank} of the {nb} coefficients of B"
-        if known.input_rank == 2:
-            text += "; a single sine excites two"
         yield "SWM022", text
     elif known.condition > MAX_CONDITION:
         text = f"the regression is ill-conditioned (condition number {known.condition:.1e})"
@@ -437,14 +431,12 @@ def _free_run(m: Identified) -> Figure:
             for group, y in enumerate((record.output, run)):
                 x, shown = ev.thinned(record.time_s, y + level)
                 traces.append(Trace(x=x, y=shown, label=labels[group], group=group))
-        y_label = numbers.column_title(m.data.columns.output)
-        panels.append(
-            Panel(x_label="time (s)", y_label=y_label, traces=traces, title=name.removesuffix(".csv"))
-        )
+        y_label, title = numbers.column_title(m.data.columns.output), name.removesuffix(".csv")
+        panels.append(blocks.panel("time (s)", y_label, traces, title=title))
     caption = "The free run has only the input after its first samples, and the mean level of the record."
     if len(sets) > 2:
         caption += f" Shown are the worst and the best of {len(sets)} records."
-    return Figure(id="free-run", title="Measured and simulated output", caption=caption, panels=panels)
+    return blocks.panels("free-run", "Measured and simulated output", caption, panels)
 
 
 def _residuals(m: Identified) -> Figure:

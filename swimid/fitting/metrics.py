@@ -439,18 +439,11 @@ def error_checks(
             check = ev.check(check.name, check.value, None, text=text)
         found.append(check)
     for name in (name for name in fitted if name in scores):
-        vaf = scores[name].vaf
+        vaf, said = scores[name].vaf, f"{where}variance accounted for, {name}"
+        reason = f"the simulated {name} is farther from the measurement than a constant is"
         if vaf is not None and vaf < 0.0:
-            found.append(
-                ev.check(
-                    f"{where}variance accounted for, {name}",
-                    numbers.percent(vaf),
-                    False,
-                    "≥ 0 %",
-                    otherwise="fail",
-                    reason=f"the simulated {name} is farther from the measurement than a constant is",
-                )
-            )
+            value = numbers.percent(vaf)
+            found.append(ev.check(said, value, False, "≥ 0 %", otherwise="fail", reason=reason))
     return found
 
 

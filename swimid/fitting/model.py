@@ -602,8 +602,16 @@ class Model(ABC):
         return next((found[name] for name in names if name in found), 0.0)
 
     def expanded(self, entries: Mapping[str, Entry]) -> dict[str, Entry]:
-        """Return entries by parameter name or ``name[trial]``, repeated for each member of :attr:`groups`."""
-        return dict(entries)
+        """Return entries by parameter name or ``name[trial]``, with shared parameters replaced by members.
+
+        Each member has the standard error of the shared parameter. The members are fully correlated.
+        """
+        found: dict[str, Entry] = {}
+        for label, entry in entries.items():
+            name, bracket, rest = label.partition("[")
+            for member in self.groups.get(name, (name,)):
+                found[member + bracket + rest] = entry
+        return found
 
     def estimates(self, *names: str) -> bool:
         """Return whether one of the named parameters is free."""
@@ -778,8 +786,8 @@ class Tied(Model):
     Raises
     ------
     UsageError
-        If a member is unknown or belongs to two groups, if a group has only one member, if the name is
-        already used, or if members differ in unit or have no common value within their bounds.
+        If a member is unknown or belongs to two groups, if the name is already used, or if members differ in
+        unit or have no common value within their bounds.
     """
 
     def __init__(self, model: Model, groups: Mapping[str, Sequence[str]]) -> None:
@@ -790,8 +798,6 @@ class Tied(Model):
         self.abscissa = model.abscissa
         owner: dict[str, str] = {}
         for name, members in self.groups.items():
-            if len(members) < 2:
-                raise UsageError(f"{name} needs at least two parameters to be shared by")
             for member in members:
                 model.index(member)
                 if member in owner:
@@ -848,18 +854,6 @@ class Tied(Model):
     def members(self, values: Array) -> Array:
         """Return the parameter values of the model without shared parameters."""
         return np.asarray(values, dtype=float)[self._places]
-
-    def expanded(self, entries: Mapping[str, Entry]) -> dict[str, Entry]:
-        """Return entries with every shared parameter replaced by its members.
-
-        Each member has the standard error of the shared parameter. The members are fully correlated.
-        """
-        found: dict[str, Entry] = {}
-        for label, entry in entries.items():
-            name, bracket, rest = label.partition("[")
-            for member in self.groups.get(name, (name,)):
-                found[member + bracket + rest] = entry
-        return found
 
     def _shared(self, name: str) -> Parameter:
         """Return the shared parameter of a group."""

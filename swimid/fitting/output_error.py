@@ -165,11 +165,10 @@ def check_by_restarts(result: FitResult, *, jobs: int) -> FitResult:
         return replace(result, interrupted=True, converged=False, message="interrupted while it was tested")
     result = replace(result, restarts=count, settled=settled, evaluations=spent)
     if _objective(first) - _objective(result) > NEEDED_GAIN:
-        plural = "s" if count > 1 else ""
         doubt = "" if settled else ", and the last still did: the answer may not be the best one"
         warn(
             "SWM073",
-            f"the search had stopped short of the best fit: {count} restart{plural} near its answer lowered "
+            f"the search had stopped short of the best fit: restarts near its answer ({count}) lowered "
             f"the mean squared residual by {100 * (1 - result.cost / first.cost):.3g} %{doubt}",
         )
     return result

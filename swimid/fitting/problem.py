@@ -674,16 +674,12 @@ def map_in_processes(function: Callable[[Item], Made], items: Iterable[Item], jo
     On Linux the items are divided among forked processes. Threads would not help, because most of a
     simulation is Python code, which threads do not run simultaneously. A forked process starts with
     everything in memory. Only results are sent back; other changes that the function makes are lost. On other
-    systems forking is not safe, and threads are used.
+    systems forking is not safe, and one process is used.
     """
     global _work
     items = list(items)
-    if jobs <= 1 or len(items) <= 1 or _work is not None:
+    if jobs <= 1 or len(items) <= 1 or _work is not None or sys.platform != "linux":
         yield from map(function, items)
-        return
-    if sys.platform != "linux":
-        with map_in_threads(function, items, jobs) as results:
-            yield from results
         return
     _work = function, items
     try:
