@@ -534,7 +534,6 @@ def fit_model(
     robot: str = "",
     inputs: Sequence[Path | Held] = (),
     output: str | Path | None = None,
-    command: str = "fit",
     progress: Progress = silent,
 ) -> Fitted:
     """Estimate the parameters of any model from trials in memory, with all checks and figures of a fit.
@@ -561,8 +560,6 @@ def fit_model(
         Sources of the trials for the provenance: the ``log.source`` of each log.
     output : path, optional
         Parameter file to write, together with its evidence file. By default nothing is written.
-    command : str
-        Name of the command that is stored in the evidence.
     progress : Progress
         Progress bar of the search.
 
@@ -633,7 +630,7 @@ def fit_model(
     fitted_trials = sum(trial.role == "fit" for trial in trials)
     whose = f"{model.name} of {robot}" if robot else model.name
     evidence = ev.Evidence(
-        command=command,
+        command="fit",
         title=f"Fit of {whose}",
         verdict=ev.judged(answer(file), tested),
         checks=tested,

@@ -191,7 +191,6 @@ def nsga2(
     objectives: int,
     population: int = POPULATION,
     generations: int = GENERATIONS,
-    crossover: float = CROSSOVER,
     seed: int = 0,
     first: Array | None = None,
     checkpoint: Checkpoint | None = None,
@@ -207,9 +206,8 @@ def nsga2(
         finite bounds ``lower`` and ``upper``, shape (d,).
     objectives : int
         Number of objectives, m.
-    population, generations, crossover, seed
-        Population size, number of generations, crossover probability and random seed. The same seed gives the
-        same front.
+    population, generations, seed
+        Population size, number of generations and random seed. The same seed gives the same front.
     first : ndarray, shape (d,), optional
         A point of the first population, such as the result of an earlier fit.
     checkpoint : Checkpoint, optional
@@ -233,7 +231,7 @@ def nsga2(
     if first is not None:
         begin[0] = np.clip(first, lower, upper)
     algorithm = NSGA2(
-        pop_size=population, sampling=begin, crossover=SBX(prob=crossover, eta=15), mutation=PM(eta=20)
+        pop_size=population, sampling=begin, crossover=SBX(prob=CROSSOVER, eta=15), mutation=PM(eta=20)
     )
     algorithm.setup(problem, termination=("n_gen", generations), seed=seed, verbose=False)
     history: list[Array] = []

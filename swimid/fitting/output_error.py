@@ -176,11 +176,9 @@ def check_by_restarts(result: FitResult, *, jobs: int) -> FitResult:
 
 def _objective(result: FitResult) -> float:
     """Return twice the negative log-likelihood, without its constant and including random effects."""
-    effects = 0.0
-    for p in result.parameters:
-        if math.isfinite(p.spread):
-            mine = [j for j, label in enumerate(result.labels) if result.parameter(label) is p]
-            effects += float(np.sum(((result.estimate[mine] - p.start) / p.spread) ** 2))
+    own = [result.parameter(label) for label in result.labels]
+    # the spread of a parameter that is no random effect is infinite
+    effects = sum(float((e - p.start) / p.spread) ** 2 for e, p in zip(result.estimate, own, strict=True))
     return result.samples * math.log(max(result.cost, 1e-300)) + effects
 
 
