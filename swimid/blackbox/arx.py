@@ -18,7 +18,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import lfilter
 
 from swimid.blackbox import recursive
 from swimid.blackbox.difference import Orders, Record, lagged
@@ -67,6 +66,8 @@ def errors_and_gradient(
     gradient : ndarray, shape (n, m + nc)
         Negative derivative of the errors with respect to theta: the regression vector filtered by 1 / C.
     """
+    from scipy.signal import lfilter
+
     n, m = rows.shape
     errors = outputs - rows @ theta[:m]
     gradient = np.hstack((rows, np.zeros((n, nc))))

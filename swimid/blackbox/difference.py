@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.signal import lfilter, lfiltic
 
 #: Minimum magnitude of a pole that counts as integrating, whatever its standard error is.
 INTEGRATING = 0.999
@@ -165,6 +164,8 @@ def free_run(
     ndarray, shape (n,)
         Simulated output; NaN at the samples that start the simulation and where nothing is simulated.
     """
+    from scipy.signal import lfilter, lfiltic
+
     na = len(a)
     driven = np.zeros(len(source))
     for j, value in enumerate(b):
