@@ -206,7 +206,7 @@ class TestRecovery:
         assert file.fit is not None
         assert np.sqrt(np.mean(np.concatenate(errors) ** 2)) == file.fit.channels["u_m_s"]["rmse"]
         beside = evidence.read(evidence.sidecar(out))
-        assert {"metrics", "ranking", "readings"} <= {t.id for t in beside.tables}
+        assert {"metrics", "readings"} <= {t.id for t in beside.tables}
 
 
 class TestChoices:

@@ -14,7 +14,7 @@ import numpy as np
 from swimid.errors import InputError, Interrupted, NoTrustworthyResult
 from swimid.files import atomic, provenance
 from swimid.files.checkpoint import Checkpoint
-from swimid.fitting import covariance, fit_common, metrics, mistakes, output_error
+from swimid.fitting import fit_common, metrics, mistakes, output_error
 from swimid.fitting.drives import Beat
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.metrics import FitResult, Series
@@ -559,8 +559,7 @@ def _starts_check(ends: Sequence[Start], *, asked: bool) -> ev.Check:
 
 
 def _tables(experiment: Experiment, result: FitResult, ends: Sequence[Start]) -> list[ev.Table]:
-    """Return tables of errors, identifiability, starting points, and interpretations of the source."""
-    ranking = [[label, share, result.status[label]] for label, share in covariance.ranked(result)]
+    """Return tables of errors, starting points, and interpretations of the source."""
     starts = [[k, end.converged, float(end.cost)] for k, end in enumerate(ends, start=1)]
     readings = experiment.robot.readings.items()
     found: list[tuple[str, str, list[str], list[list[Any]], str]] = [
@@ -572,14 +571,6 @@ def _tables(experiment: Experiment, result: FitResult, ends: Sequence[Start]) ->
             "NRMSE: over the measured range (tendon fish, Eq 13). Peak: difference of the largest magnitudes "
             "over the measured one (Eq 14). DTW: distance per sample after warping within 5 % of the record. "
             "Phase: at the beat.",
-        ),
-        (
-            "ranking",
-            "Parameters by identifiability",
-            ["parameter", "share of its own", "status"],
-            ranking * (len(ranking) > 1),
-            "The share is the part of the sensitivity to a parameter that is not explained by those above it "
-            "and by the start states.",
         ),
         (
             "starts",
