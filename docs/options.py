@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from swimid.cli.builder import CommandSpec, found
+from swimid.cli.main import CommandSpec, found
 
 
 def table(spec: CommandSpec) -> str:

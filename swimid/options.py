@@ -2,7 +2,7 @@
 
 A class of options derives from :class:`Options` and has one field for each option, declared with
 :func:`option`. The class determines the keyword arguments and the docstring of the function (:func:`takes`),
-the command with its options and help (``swimid.cli.builder``), the ``settings`` of the provenance
+the command with its options and help (``swimid.cli.main``), the ``settings`` of the provenance
 (:meth:`Options.settings`), and the table of options in the documentation (``docs/options.py``).
 
 A module with options imports nothing that takes long to load, so that ``--help`` stays fast.
@@ -77,7 +77,7 @@ class Options(BaseModel):
     """Base class of the options of a command. Values are validated and cannot be changed afterwards.
 
     A subclass with the arguments below declares a command. Its docstring is the help text, and the first line
-    of the docstring appears in the list of commands. ``swimid.cli.builder`` reads the arguments and the
+    of the docstring appears in the list of commands. ``swimid.cli.main`` reads the arguments and the
     docstring from the source file, so they must be literals.
 
     Parameters

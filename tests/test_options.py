@@ -15,8 +15,7 @@ import pytest
 from click.shell_completion import ShellComplete
 
 import swimid as package
-from swimid.cli.builder import CommandSpec, found, value_of
-from swimid.cli.main import main
+from swimid.cli.main import CommandSpec, found, main, value_of
 from swimid.errors import UsageError
 from swimid.logs.options import ImportOptions
 from swimid.notices import SwimidWarning
