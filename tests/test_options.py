@@ -341,11 +341,3 @@ def test_options_may_be_given_whole() -> None:
     assert example("t", options=made) is made
     with pytest.raises(UsageError, match="no option 'options'"):
         example("t", options=made, method="fast")
-
-
-def test_the_page_of_options_is_current() -> None:
-    """docs/options.md is what docs/options.py prints."""
-    printed = subprocess.run(
-        [sys.executable, ROOT / "docs" / "options.py"], capture_output=True, text=True, check=True
-    )
-    assert printed.stdout == (ROOT / "docs" / "options.md").read_text(encoding="utf-8"), "run make options"
